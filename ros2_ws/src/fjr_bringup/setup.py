@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = "fjr_bringup"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={package_name: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+        (f"share/{package_name}/launch", glob("launch/*.launch.py")),
+        (f"share/{package_name}/scenarios", glob("scenarios/*.yaml")),
+        (f"share/{package_name}/config", glob("config/*")),
+        ("bin", ["scripts/fjr"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=True,
+    maintainer="The fjr authors",
+    maintainer_email="fjr@example.org",
+    description="Scenarios, launch files, recording, reports and the fjr command",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "fjr = fjr_bringup.cli:main",
+        ],
+    },
+)

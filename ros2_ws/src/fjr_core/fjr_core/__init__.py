@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Virtual differential passivity based tracking control of flexible-joint robots (v-dPBC), without ROS.
+
+    import fjr_core as fjr
+    robot = fjr.single_link(stiffness=31.0)
+    law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS)
+    run = fjr.simulate(fjr.Plant(robot), law, fjr.Sine(1.0, 1.0), robot.state(0.5, 0.5, 0, 0), 5.0)
+
+Paper: R. Reyes-Baez, A. van der Schaft, B. Jayawardhana, "Virtual Differential Passivity based Control for
+Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstrings are its.
+"""
+
+from .arms import planar_two_link, single_link
+from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError
+from .gains import PAPER_GAINS, Gains
+from .plant import Plant
+from .reference import Reference, Sine
+from .robot import Robot
+from .simulate import Trajectory, simulate
+from .vdpbc.law import Evaluation, TrackingLaw
+from .vdpbc.rate import Rate
+from .virtual import VirtualSystem
+
+__all__ = [
+    "PAPER_GAINS",
+    "Evaluation",
+    "FjrError",
+    "Gains",
+    "GainsError",
+    "ParameterError",
+    "Plant",
+    "Rate",
+    "Reference",
+    "Robot",
+    "RobotError",
+    "Sine",
+    "StateError",
+    "TrackingLaw",
+    "Trajectory",
+    "TrajectoryError",
+    "VirtualSystem",
+    "planar_two_link",
+    "simulate",
+    "single_link",
+]

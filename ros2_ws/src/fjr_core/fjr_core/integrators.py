@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps x -> x(t + dt) of dx/dt = f(x, u) with u held: explicit, and structure-preserving."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+
+from .errors import ParameterError
+from .numeric import NumericFunction
+
+
+def rk4(f: ca.Function) -> ca.Function:
+    """The classical Runge-Kutta step of order 4 as a CasADi function (x, u, dt) -> x_next."""
+    x, u, dt = _symbols(f, ca.SX)
+    k1 = f(x, u)
+    k2 = f(x + dt / 2 * k1, u)
+    k3 = f(x + dt / 2 * k2, u)
+    k4 = f(x + dt * k3, u)
+    return _step("rk4", x, u, dt, x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+
+
+def implicit_midpoint(f: ca.Function) -> ca.Function:
+    """The implicit midpoint rule (order 2, symplectic) as a CasADi function (x, u, dt) -> x_next.
+
+    Solves z = x + dt f((x + z)/2, u) by Newton's method; a step that does not converge raises RuntimeError.
+    """
+    x, u, dt = _symbols(f, ca.SX)
+    z = ca.SX.sym("z", x.numel())
+    residual = z - x - dt * f((x + z) / 2, u)
+    problem = {"x": z, "p": ca.vertcat(x, u, dt), "g": residual}
+    newton = ca.rootfinder("newton", "newton", problem, {"abstol": 1e-13, "abstolStep": 1e-15, "max_iter": 50})
+    x, u, dt = _symbols(f, ca.MX)
+    return _step("implicit_midpoint", x, u, dt, newton(x, ca.vertcat(x, u, dt)))
+
+
+INTEGRATORS: dict[str, Callable[[ca.Function], ca.Function]] = {"rk4": rk4, "implicit_midpoint": implicit_midpoint}
+
+
+def step(name: str, f: ca.Function) -> ca.Function:
+    """The step of the integrator called `name` for dx/dt = f(x, u); raises ParameterError when unknown."""
+    if name not in INTEGRATORS:
+        raise ParameterError(f"integrator is {name!r}; expected one of {', '.join(INTEGRATORS)}")
+    return INTEGRATORS[name](f)
+
+
+def numeric_step(name: str, f: ca.Function) -> NumericFunction:
+    """The same as a function of NumPy arrays x (N,), u (n,) and a float dt [s]."""
+    return NumericFunction(step(name, f), ((f.size1_in(0),), (f.size1_in(1),), ()))
+
+
+def _symbols(f: ca.Function, kind: type) -> tuple[ca.SX, ca.SX, ca.SX]:
+    return kind.sym("x", f.size1_in(0)), kind.sym("u", f.size1_in(1)), kind.sym("dt")  # type: ignore[attr-defined]
+
+
+def _step(name: str, x: ca.SX, u: ca.SX, dt: ca.SX, x_next: ca.SX) -> ca.Function:
+    return ca.Function(name, [x, u, dt], [ca.densify(x_next)], ["x", "u", "dt"], ["x_next"])

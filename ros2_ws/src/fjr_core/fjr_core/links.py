@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rigid arm on the link side, symbolically: inertia, potential, and what follows from the two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+
+from .checks import Array
+from .symbolic import directional
+
+
+@dataclass(frozen=True)
+class Links:
+    """A rigid arm of n joints; the fields are CasADi functions that take symbols or numbers.
+
+    M_l: q_l -> inertia (n, n) [kg m^2];  P_l: q_l -> potential energy [J];  grad_P_l: q_l -> (n,) [N m].
+    C: (q_l, v, w) -> C(q_l, v) w (n,), with the Christoffel symbols, so that dM_l - 2 C is skew.
+    dM: (q_l, dq_l, w) -> (d/dt M_l) w (n,) along dq_l, w held.
+    M_l_vertices: matrices whose convex hull holds M_l(q_l) for every q_l, where they are known: what
+    is proven at the vertices is proven everywhere (rates are convex in M_l). None: not known.
+    """
+
+    n: int
+    M_l: ca.Function
+    P_l: ca.Function
+    grad_P_l: ca.Function
+    C: ca.Function
+    dM: ca.Function
+    M_l_vertices: tuple[Array, ...] | None = None
+
+    def E(self, q_l: ca.SX, dq_l: ca.SX, w: ca.SX) -> ca.SX:
+        """Workless forces E_l w (n,), eq. (24): E_l = S_H - dM_l/2 = -C' = C - dM_l."""
+        return self.C(q_l, dq_l, w) - self.dM(q_l, dq_l, w)
+
+
+def closed_form(
+    n: int,
+    inertia: Callable[[ca.SX], ca.SX],
+    potential: Callable[[ca.SX], ca.SX],
+    vertices: tuple[Array, ...] | None = None,
+) -> Links:
+    """Links of n joints from M_l(q_l) and P_l(q_l) as expressions; the rest by differentiation.
+
+    C_ij = sum_k (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) v_k / 2  (Christoffel symbols of the first kind).
+    """
+    q_l, v, w = (ca.SX.sym(name, n) for name in ("q_l", "v", "w"))
+    M_l, P_l = inertia(q_l), potential(q_l)
+    dM_w, dM_v = directional(M_l @ w, q_l, v), directional(M_l @ v, q_l, w)
+    C_w = (dM_w + dM_v - ca.gradient(ca.dot(v, M_l @ w), q_l)) / 2
+    return Links(
+        n=n,
+        M_l=ca.Function("M_l", [q_l], [ca.densify(M_l)]),
+        P_l=ca.Function("P_l", [q_l], [P_l]),
+        grad_P_l=ca.Function("grad_P_l", [q_l], [ca.gradient(P_l, q_l)]),
+        C=ca.Function("C", [q_l, v, w], [C_w]),
+        dM=ca.Function("dM", [q_l, v, w], [dM_w]),
+        M_l_vertices=vertices,
+    )

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a named parameter is: default, type, unit, range; and the one sentence when a value does not fit."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Union
+
+from .errors import ParameterError
+
+Value = Union[bool, int, float, str, tuple[float, ...], tuple[str, ...]]
+Values = Mapping[str, Value]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a node: `default` has the type that values must have; bounds are inclusive."""
+
+    name: str
+    default: Value
+    description: str
+    unit: str = ""
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    choices: tuple[str, ...] = ()
+
+    def check(self, value: object) -> Value:
+        """Return `value` as this parameter's type (sequences as tuples), or raise ParameterError."""
+        if isinstance(self.default, tuple):
+            return self._check_list(value)
+        return self._check_one(value, self.default)
+
+    def _check_list(self, value: object) -> tuple[float, ...] | tuple[str, ...]:
+        assert isinstance(self.default, tuple)
+        kind = _kind(self.default[0])
+        if value is None or isinstance(value, (str, bool, int, float)) or not isinstance(value, Iterable):
+            raise ParameterError(f"parameter '{self.name}' is {value!r}; expected a list, each entry {kind}")
+        entries = tuple(self._check_one(entry, self.default[0]) for entry in value)
+        if not entries:
+            raise ParameterError(f"parameter '{self.name}' is an empty list; expected at least one entry")
+        return entries  # type: ignore[return-value]
+
+    def _check_one(self, value: object, like: object) -> Value:
+        if type(value) is not type(like):
+            hint = f": write {value}.0" if type(value) is int and type(like) is float else ""
+            raise ParameterError(
+                f"parameter '{self.name}' holds {value!r} ({_kind(value)}); expected {_kind(like)}{hint}"
+            )
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            self._check_range(value)
+        if self.choices and value not in self.choices:
+            raise ParameterError(f"parameter '{self.name}' is {value!r}; expected one of {', '.join(self.choices)}")
+        return value  # type: ignore[return-value]
+
+    def _check_range(self, value: float) -> None:
+        if not math.isfinite(value):
+            raise ParameterError(f"parameter '{self.name}' holds {value}; expected a finite number")
+        if not self.minimum <= value <= self.maximum:
+            unit = f" {self.unit}" if self.unit else ""
+            raise ParameterError(
+                f"parameter '{self.name}' holds {value}{unit}; expected {_range(self.minimum, self.maximum)}{unit}"
+            )
+
+
+def complete(parameters: Sequence[Parameter], given: Mapping[str, object]) -> dict[str, Value]:
+    """Checked values of all `parameters`: the given ones, defaults for the rest; raises ParameterError."""
+    return {p.name: p.check(given[p.name]) if p.name in given else p.default for p in parameters}
+
+
+def unknown(parameters: Sequence[Parameter], given: Iterable[str]) -> list[str]:
+    """One sentence for each given name that no parameter has."""
+    names = [p.name for p in parameters]
+    sentences = []
+    for name in sorted(set(given) - set(names)):
+        close = difflib.get_close_matches(name, names, n=1)
+        hint = f"; did you mean '{close[0]}'?" if close else ""
+        sentences.append(f"unknown parameter '{name}' is ignored{hint}")
+    return sentences
+
+
+def _kind(value: object) -> str:
+    kinds = {bool: "true or false", int: "an integer", float: "a floating-point number", str: "a string"}
+    return kinds.get(type(value), f"a {type(value).__name__}")
+
+
+def _range(minimum: float, maximum: float) -> str:
+    if maximum == math.inf:
+        return f"at least {minimum}"
+    return f"at most {maximum}" if minimum == -math.inf else f"{minimum} to {maximum}"

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The flexible-joint robot as a port-Hamiltonian system, eq. (36): dx = (J - R) dH/dx + G u."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import integrators, symbolic
+from .checks import Array
+from .numeric import NumericFunction, numeric
+from .robot import Robot
+
+
+def structure(robot: Robot) -> tuple[Array, Array, Array]:
+    """Return J (4n, 4n) skew, R (4n, 4n) positive semidefinite and G (4n, n) of eq. (36); all constant."""
+    n = robot.n
+    zero, one = np.zeros((2 * n, 2 * n)), np.eye(2 * n)
+    J = np.block([[zero, one], [-one, zero]])
+    R = np.zeros((4 * n, 4 * n))
+    R[2 * n : 3 * n, 2 * n : 3 * n] = robot.D_l
+    R[3 * n :, 3 * n :] = robot.D_m
+    G = np.vstack([np.zeros((3 * n, n)), robot.B_m])
+    return J, R, G
+
+
+def gradient_expression(robot: Robot, x: ca.SX) -> ca.SX:
+    """dH/dx (4n,) as an expression; d/dq (p' M^-1 p / 2) = -d/dq (dq' M dq / 2) at fixed dq, eq. (22)."""
+    q_l, q_m, _, _ = symbolic.blocks(x, robot.n)
+    dq_l, dq_m = robot.velocity_expressions(x)
+    spring = robot.K @ (q_m - q_l)
+    dH_dq_l = robot.links.E(q_l, dq_l, dq_l) + robot.links.grad_P_l(q_l) - spring
+    return ca.vertcat(dH_dq_l, spring, dq_l, dq_m)
+
+
+def derivative_expression(robot: Robot, x: ca.SX, u: ca.SX) -> ca.SX:
+    """dx/dt (4n,) of eq. (36) as an expression."""
+    J, R, G = structure(robot)
+    return ca.sparsify(ca.DM(J - R)) @ gradient_expression(robot, x) + ca.sparsify(ca.DM(G)) @ u
+
+
+class Plant:
+    """The robot as a system to integrate; pure functions of (x, u), bound once.
+
+    integrator: "rk4" (explicit, order 4) or "implicit_midpoint" (order 2, no drift of the energy).
+    Units: positions rad, momenta N m s, effort u N m. Raises StateError for wrong shapes and
+    ParameterError for an unknown integrator.
+    """
+
+    def __init__(self, robot: Robot, integrator: str = "rk4") -> None:
+        self.robot = robot
+        self.integrator = integrator
+        self._step = integrators.numeric_step(integrator, self.dynamics)
+
+    @cached_property
+    def dynamics(self) -> ca.Function:
+        """The CasADi function (x, u) -> dx."""
+        x, u = ca.SX.sym("x", 4 * self.robot.n), ca.SX.sym("u", self.robot.n)
+        return ca.Function("dynamics", [x, u], [derivative_expression(self.robot, x, u)], ["x", "u"], ["dx"])
+
+    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """dx/dt (4n,) at state x (4n,) under effort u (n,), eq. (36)."""
+        return self._derivative(x, u)[0]
+
+    def step(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
+        """State after dt seconds in one step of the integrator, u held."""
+        return self._step(x, u, dt)[0]
+
+    def gradient(self, x: ArrayLike) -> Array:
+        """dH/dx (4n,): (force of the links, of the motors, dq_l, dq_m)."""
+        return self._gradient(x)[0]
+
+    def structure(self, x: ArrayLike | None = None) -> tuple[Array, Array, Array]:
+        """J, R and G of eq. (36); constant here, so x is not needed."""
+        return structure(self.robot)
+
+    @cached_property
+    def _derivative(self) -> NumericFunction:
+        return NumericFunction(self.dynamics, ((4 * self.robot.n,), (self.robot.n,)))
+
+    @cached_property
+    def _gradient(self) -> NumericFunction:
+        x = ca.SX.sym("x", 4 * self.robot.n)
+        return numeric("gradient", {"x": x}, {"dH": gradient_expression(self.robot, x)})

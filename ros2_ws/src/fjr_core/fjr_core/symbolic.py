@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The few symbolic operations that the equations are written with (CasADi SX)."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+
+def blocks(x: ca.SX, n: int) -> list[ca.SX]:
+    """Split a state (4n,) into its four blocks (q_l, q_m, p_l, p_m), each (n,)."""
+    return ca.vertsplit(x, n)  # type: ignore[no-any-return]
+
+
+def solve(A: ca.SX | ca.DM, b: ca.SX) -> ca.SX:
+    """Return A^-1 b for a symmetric positive definite A (n, n), by its LDL' factors."""
+    if A.shape == (1, 1):
+        return b / A
+    return ca.ldl_solve(b, *ca.ldl(ca.SX(A)))
+
+
+def directional(e: ca.SX, z: ca.SX, dz: ca.SX) -> ca.SX:
+    """Return the derivative of e(z) in the direction dz, in one sweep over the whole of e."""
+    return ca.jtimes(e, z, dz)

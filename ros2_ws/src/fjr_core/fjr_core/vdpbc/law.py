@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The law u(x_v, x, t) with its storage V and exact dissipation, as functions of numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+from numpy.typing import ArrayLike
+
+from .. import symbolic
+from ..checks import Array
+from ..flow import REFERENCE_DERIVATIVES, flow
+from ..gains import Gains
+from ..numeric import NumericFunction, numeric
+from ..robot import Robot
+from .link import LinkStage, link_stage
+from .motor import MotorStage, motor_stage
+from .rate import Rate, rate
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The law and its certificate at one instant; dV = -dissipation + s_m' omega, exactly.
+
+    u, u_l (n,) [N m], q_md, q_tilde_l, q_tilde_m (n,) [rad], sigma_l, sigma_m (n,) [N m s],
+    V [J], dissipation and dV [W].
+    """
+
+    u: Array
+    u_l: Array
+    q_md: Array
+    q_tilde_l: Array
+    sigma_l: Array
+    q_tilde_m: Array
+    sigma_m: Array
+    V: float
+    dissipation: float
+    dV: float
+
+
+class TrackingLaw:
+    """The tracking law of a robot with given gains; pure functions of (x_v, x, jets, omega), bound once.
+
+    The controller applies u(x, x, t); analysis uses x_v != x. x_v and x are states (4n,) with momenta,
+    jets (5, n) holds q_ld .. d4q_ld, omega (n,) [N m] is the external input of eq. (42).
+    Raises GainsError (see Gains.checked) at birth, StateError for wrong shapes. Nothing is limited and
+    nothing non-finite is caught here: that is the caller's.
+    """
+
+    def __init__(self, robot: Robot, gains: Gains) -> None:
+        self.robot = robot
+        self.gains = gains.checked(robot.n)
+
+    def effort(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Array:
+        """Effort u (n,) [N m], eq. (42)."""
+        return self._effort(x_v, x, jets, omega)[0]
+
+    def evaluate(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Evaluation:
+        """The effort with all errors, the storage V of eq. (43) (undifferentiated) and its exact rate."""
+        *vectors, V, dissipation, dV = self._evaluate(x_v, x, jets, omega)
+        return Evaluation(*vectors, float(V[0]), float(dissipation[0]), float(dV[0]))
+
+    def rate(self, configurations: ArrayLike | None = None) -> Rate:
+        """Rates beta and eq. (50) [1/s], proven where M_l is covered, else sampled at configurations (k, n)."""
+        return rate(self.robot, self.gains, configurations)
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """The CasADi function (x_v, x, jets (n, 5), omega) -> u."""
+        inputs, outputs = self._expressions
+        return ca.Function("effort", list(inputs.values()), [outputs["u"]], list(inputs), ["u"], {"cse": True})
+
+    @cached_property
+    def _effort(self) -> NumericFunction:
+        n = self.robot.n
+        return NumericFunction(self.function, ((4 * n,), (4 * n,), (REFERENCE_DERIVATIVES + 1, n), (n,)))
+
+    @cached_property
+    def _evaluate(self) -> NumericFunction:
+        inputs, outputs = self._expressions
+        return numeric("evaluate", inputs, outputs, jets=(REFERENCE_DERIVATIVES + 1, self.robot.n))
+
+    @cached_property
+    def _expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+        f = flow(self.robot)
+        omega = ca.SX.sym("omega", self.robot.n)
+        link = link_stage(f, self.gains)
+        motor = motor_stage(f, self.gains, link, omega)
+        M_l = self.robot.links.M_l(symbolic.blocks(f.x, self.robot.n)[0])
+        dissipation = self._dissipation(link, motor)
+        outputs = {
+            "u": motor.u,
+            "u_l": link.u_l,
+            "q_md": motor.q_md,
+            "q_tilde_l": link.q_tilde_l,
+            "sigma_l": link.sigma_l,
+            "q_tilde_m": motor.q_tilde_m,
+            "sigma_m": motor.sigma_m,
+            "V": self._storage(link, motor, M_l),
+            "dissipation": dissipation,
+            "dV": -dissipation + ca.dot(motor.s_m, omega),
+        }
+        return {"x_v": f.x_v, "x": f.x, "jets": f.jets, "omega": omega}, outputs
+
+    def _storage(self, link: LinkStage, motor: MotorStage, M_l: ca.SX) -> ca.SX:
+        """V = (qt_l' Pi_l qt_l + s_l' M_l s_l + qt_m' Pi_m qt_m + s_m' M_m s_m) / 2, eq. (43) integrated."""
+        g, M_m = self.gains, self.robot.M_m
+        V_l = ca.dot(link.q_tilde_l, g.Pi_l @ link.q_tilde_l) + ca.dot(link.s_l, M_l @ link.s_l)
+        V_m = ca.dot(motor.q_tilde_m, g.Pi_m @ motor.q_tilde_m) + ca.dot(motor.s_m, M_m @ motor.s_m)
+        return (V_l + V_m) / 2
+
+    def _dissipation(self, link: LinkStage, motor: MotorStage) -> ca.SX:
+        """-dV/dt for omega = 0: qt_l' Pi_l phi_l + s_l' (D_l + K_ld) s_l + the same of the motors."""
+        g, r = self.gains, self.robot
+        d_l = ca.dot(link.q_tilde_l, g.Pi_l @ g.phi_l(link.q_tilde_l)) + ca.dot(link.s_l, (r.D_l + g.K_ld) @ link.s_l)
+        d_m = ca.dot(motor.q_tilde_m, g.Pi_m @ g.phi_m(motor.q_tilde_m))
+        return d_l + d_m + ca.dot(motor.s_m, (r.D_m + g.K_md) @ motor.s_m)

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+from setuptools import find_packages, setup
+
+package_name = "fjr_msgs_py"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={package_name: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=True,
+    maintainer="The fjr authors",
+    maintainer_email="fjr@example.org",
+    description="Shared ROS vocabulary: topics, joint naming, QoS, parameters; numpy to and from messages",
+    license="Apache-2.0",
+)
