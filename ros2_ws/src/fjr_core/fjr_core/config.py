@@ -119,7 +119,7 @@ def robot(values: Values) -> Robot:
     model = str(values["robot.model"])
     joints, n = _strings(values["joints"]), joints_of(model)
     if len(joints) != n or len(set(joints)) != n:
-        raise ParameterError(f"parameter 'joints' is {list(joints)}; expected {n} different names for {model}")
+        raise ParameterError(f"parameter 'joints' is {list(joints)}; {model} has {n}, with different names")
     arguments = {}
     for argument in inspect.signature(MODELS[model]).parameters:
         name = _ROBOT_WORDS[argument][0]
@@ -169,9 +169,13 @@ def _matrix(values: Values, name: str, n: int) -> Array:
         return np.diag(array)
     if array.size != n * n:
         raise ParameterError(
-            f"parameter '{name}' has {array.size} entries; expected {n}, one per joint, or {n * n}, a matrix by rows"
+            f"parameter '{name}' has {array.size} entries; expected {_entries(n)}"
         )
     return array.reshape(n, n)
+
+
+def _entries(n: int) -> str:
+    return "1, for the one joint" if n == 1 else f"{n}, one per joint, or {n * n}, a matrix by rows"
 
 
 def _named(group: str, build: Callable[[], Any]) -> Any:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared ROS vocabulary: topics, joint naming, QoS, parameters; numpy to and from messages."""
+"""The shared ROS vocabulary: names, QoS, parameters; numpy to and from messages. Nodes build no message elsewhere."""

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""numpy <-> messages: the only place where joint states and commands are read or built."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from fjr_core import FjrError
+
+from .names import state_names
+
+Array = NDArray[np.float64]
+
+
+class MessageError(FjrError):
+    """A message that is refused; `kind` groups the refusals that are counted and reported together."""
+
+    def __init__(self, kind: str, sentence: str) -> None:
+        super().__init__(sentence)
+        self.kind = kind
+
+
+@dataclass(frozen=True)
+class JointSample:
+    """A measured state: stamp [ns], positions [rad] and velocities [rad/s] of links and motors, each (n,)."""
+
+    stamp: int
+    q_l: Array
+    q_m: Array
+    dq_l: Array
+    dq_m: Array
+
+
+def nanoseconds(stamp: Time) -> int:
+    """A message's stamp as integer nanoseconds."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def set_stamp(message: JointState, stamp: int) -> None:
+    """Stamp a message with integer nanoseconds."""
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+
+
+class NamedColumns:
+    """Finds the wanted names in a message's name list; the order of the last message is remembered."""
+
+    def __init__(self, wanted: Sequence[str]) -> None:
+        self._wanted = list(wanted)
+        self._seen: list[str] = []
+        self._columns = np.array([], dtype=int)
+
+    def columns(self, names: list[str]) -> NDArray[np.intp]:
+        """Index of every wanted name, in the wanted order; raises MessageError when one is absent or twice there."""
+        if names != self._seen:
+            self._columns = self._find(names)
+            self._seen = list(names)
+        return self._columns
+
+    def _find(self, names: list[str]) -> NDArray[np.intp]:
+        missing = [name for name in self._wanted if name not in names]
+        if missing:
+            raise MessageError("missing joints", f"names are {names}; expected {missing} among them")
+        twice = [name for name in self._wanted if names.count(name) > 1]
+        if twice:
+            raise MessageError("duplicate joints", f"names are {names}; expected {twice} only once")
+        return np.array([names.index(name) for name in self._wanted])
+
+
+class StateReader:
+    """Reads JointStates of the joints of a robot, in any order and among any others."""
+
+    def __init__(self, joints: tuple[str, ...]) -> None:
+        self._n = len(joints)
+        self._names = state_names(joints)
+        self._columns = NamedColumns(self._names)
+
+    def read(self, message: JointState) -> JointSample:
+        """The state in the order of the joints; raises MessageError for anything that is not one."""
+        columns = self._columns.columns(message.name)
+        position = _picked(message, "position", columns, self._names)
+        velocity = _picked(message, "velocity", columns, self._names)
+        stamp = nanoseconds(message.header.stamp)
+        if stamp <= 0:
+            raise MessageError("no stamp", f"header.stamp is {stamp} ns; expected the time of the measurement")
+        n = self._n
+        return JointSample(stamp, position[:n], position[n:], velocity[:n], velocity[n:])
+
+
+class EffortReader:
+    """Reads effort commands of the joints of a robot."""
+
+    def __init__(self, joints: tuple[str, ...]) -> None:
+        self._joints = list(joints)
+        self._columns = NamedColumns(joints)
+
+    def read_array(self, message: Float64MultiArray) -> Array:
+        """Efforts (n,) [N m] of an unnamed command; raises MessageError."""
+        effort = np.array(message.data, dtype=float)
+        if effort.shape != (len(self._joints),):
+            raise MessageError(
+                "wrong lengths", f"data has {effort.size} entries; expected {len(self._joints)}, one per joint"
+            )
+        return _finite("data", effort, self._joints)
+
+    def read_named(self, message: JointState) -> tuple[int, Array]:
+        """Stamp [ns] of the answered state and efforts (n,) [N m] of a stamped command; raises MessageError."""
+        columns = self._columns.columns(message.name)
+        return nanoseconds(message.header.stamp), _picked(message, "effort", columns, self._joints)
+
+
+class JointStateWriter:
+    """One JointState message, filled again and again; valid until the next fill."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._message = JointState(name=list(names))
+
+    def fill(
+        self, stamp: int, position: Array | None = None, velocity: Array | None = None, effort: Array | None = None
+    ) -> JointState:
+        """The message with this stamp [ns] and these fields; a field that is None stays empty."""
+        set_stamp(self._message, stamp)
+        self._message.position = [] if position is None else position.tolist()
+        self._message.velocity = [] if velocity is None else velocity.tolist()
+        self._message.effort = [] if effort is None else effort.tolist()
+        return self._message
+
+
+class EffortWriter:
+    """One Float64MultiArray message in the order of the joints, filled again and again."""
+
+    def __init__(self, joints: tuple[str, ...]) -> None:
+        self._message = Float64MultiArray()
+        n = len(joints)
+        self._message.layout.dim = [MultiArrayDimension(label=",".join(joints), size=n, stride=n)]
+
+    def fill(self, effort: Array) -> Float64MultiArray:
+        """The message with these efforts (n,) [N m]."""
+        self._message.data = effort.tolist()
+        return self._message
+
+
+def _picked(message: JointState, field: str, columns: NDArray[np.intp], names: Sequence[str]) -> Array:
+    values = np.array(getattr(message, field), dtype=float)
+    if len(values) != len(message.name):
+        raise MessageError(
+            "wrong lengths", f"{field} has {len(values)} entries; expected {len(message.name)}, one per name"
+        )
+    return _finite(field, values[columns], names)
+
+
+def _finite(field: str, values: Array, names: Sequence[str]) -> Array:
+    if not np.isfinite(values).all():
+        bad = [f"{name} = {value}" for name, value in zip(names, values) if not np.isfinite(value)]
+        raise MessageError("not finite", f"{field} holds {', '.join(bad)}; expected finite numbers")
+    return values

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names and qualities of service that the nodes share; relative names, so namespaces and remaps work."""
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+PLANT = "fjr_plant"
+CONTROLLER = "fjr_controller"
+
+JOINT_STATES = "joint_states"
+EFFORT_COMMANDS = "effort_controller/commands"
+JOINT_COMMANDS = "joint_commands"
+REFERENCE = "~/reference"
+TRACKING_ERROR = "~/tracking_error"
+DIAGNOSTICS = "diagnostics"
+RESET = "~/reset"
+PAUSE = "~/pause"
+
+LATEST = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+)
+"""States and commands: only the newest counts, and it arrives."""
+
+
+def motor_name(joint: str) -> str:
+    """Name of a joint's motor side in a JointState."""
+    return f"{joint}_motor"
+
+
+def state_names(joints: tuple[str, ...]) -> list[str]:
+    """Names of a full JointState: link sides, then motor sides."""
+    return [*joints, *(motor_name(joint) for joint in joints)]

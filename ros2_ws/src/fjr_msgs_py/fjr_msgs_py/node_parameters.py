@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node's parameters from their table in fjr_core.config, with descriptors, units and ranges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from fjr_core import ParameterError, config
+from fjr_core.parameters import Parameter, complete, unknown
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType
+from rclpy.node import Node
+
+_FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+_TYPES = {
+    bool: ParameterType.PARAMETER_BOOL,
+    int: ParameterType.PARAMETER_INTEGER,
+    float: ParameterType.PARAMETER_DOUBLE,
+    str: ParameterType.PARAMETER_STRING,
+}
+_LIST_TYPES = {float: ParameterType.PARAMETER_DOUBLE_ARRAY, str: ParameterType.PARAMETER_STRING_ARRAY}
+
+
+class ParameterNode(Node):
+    """A node whose parameters are a table of fjr_core.config; `values` holds them, checked.
+
+    Raises ParameterError for a value that does not fit. Every parameter is read-only: none changes while
+    the node runs. A name that no parameter has is reported and ignored.
+    """
+
+    def __init__(self, name: str, own: Callable[[int], Sequence[Parameter]], **node_kwargs: Any) -> None:
+        """own: config.plant_parameters or config.controller_parameters; node_kwargs: as rclpy's Node."""
+        try:
+            super().__init__(name, automatically_declare_parameters_from_overrides=True, **node_kwargs)
+        except ValueError as error:  # rclpy cannot declare a list without entries
+            raise ParameterError(f"a parameter is an empty list; expected at least one entry ({error})") from None
+        given = {name: self.get_parameter(name).value for name in self.get_parameters_by_prefix("")}
+        given = {name: value for name, value in given.items() if not name.startswith(_FOREIGN)}
+        parameters = config.all_parameters(own, config.model_of(given))
+        for sentence in unknown(parameters, given):
+            self.get_logger().warning(sentence)
+        self.values: dict[str, Any] = dict(complete(parameters, given))
+        for parameter in parameters:
+            self._declare(parameter, parameter.name in given)
+
+    def _declare(self, parameter: Parameter, given: bool) -> None:
+        """Declare a parameter with its descriptor, in place of the bare one that rclpy made for a given value."""
+        if given:
+            self.undeclare_parameter(parameter.name)
+        value = self.values[parameter.name]
+        listed = list(value) if isinstance(value, tuple) else value
+        self.declare_parameter(parameter.name, listed, descriptor(parameter), ignore_override=True)
+
+
+def descriptor(parameter: Parameter) -> ParameterDescriptor:
+    """The ROS descriptor of a parameter."""
+    message = ParameterDescriptor(name=parameter.name, description=_description(parameter), read_only=True)
+    kind = type(parameter.default)
+    if isinstance(parameter.default, tuple):
+        message.type = _LIST_TYPES[type(parameter.default[0])]
+    else:
+        message.type = _TYPES[kind]
+    bounded = math.isfinite(parameter.minimum) and math.isfinite(parameter.maximum)
+    if kind is float and bounded:
+        message.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
+    if kind is int and bounded:
+        message.integer_range = [IntegerRange(from_value=int(parameter.minimum), to_value=int(parameter.maximum))]
+    message.additional_constraints = f"one of {', '.join(parameter.choices)}" if parameter.choices else ""
+    return message
+
+
+def _description(parameter: Parameter) -> str:
+    return f"{parameter.description} [{parameter.unit}]" if parameter.unit else parameter.description

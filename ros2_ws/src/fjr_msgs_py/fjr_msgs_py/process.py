@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The life of a node's process: errors in one sentence, signals that let the last command out, exit code."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable
+from typing import Protocol
+
+import rclpy
+import rclpy.exceptions
+from fjr_core import FjrError
+from rclpy.duration import Duration
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+try:
+    from rclpy.experimental.events_executor import EventsExecutor
+except ImportError:  # an older rclpy of a ROS 2 Jazzy installation
+    EventsExecutor = None
+
+POLL = 0.1  # s; how soon a signal is seen when no message comes
+
+
+class StoppableNode(Protocol):
+    """A node with last words."""
+
+    def stop(self) -> None:
+        """Send what must be sent before the process ends."""
+
+
+def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
+    """Run a node until SIGINT or SIGTERM; return the exit code.
+
+    0: ended by a signal, after node.stop(). 1: could not start; one sentence on standard error says why.
+    """
+    stopped: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda received, _: stopped.append(received))
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        node = make_node()
+    except (FjrError, *_ROS_ERRORS) as error:
+        print(_sentence(error), file=sys.stderr, flush=True)
+        rclpy.try_shutdown()
+        return 1
+    try:
+        _spin(node, stopped)
+        node.stop()  # type: ignore[attr-defined]
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _spin(node: Node, stopped: list[int]) -> None:
+    executor, spin = _executor()
+    executor.add_node(node)
+    try:
+        while not stopped and rclpy.ok():
+            spin()
+    except ExternalShutdownException:
+        pass
+    executor.remove_node(node)
+
+
+def _executor() -> tuple[Executor, Callable[[], None]]:
+    """The events executor (half the processor time) where rclpy has it, with a spin that returns within POLL.
+
+    Without a time limit that executor runs no callback and ignores signals in rclpy 7.1.6; a future kept
+    from one spin to the next would collect callbacks.
+    """
+    if EventsExecutor is None:
+        single = SingleThreadedExecutor()
+        return single, lambda: single.spin_once(timeout_sec=POLL)
+    events = EventsExecutor()
+    return events, lambda: events.spin_until_future_complete(Future(), POLL)
+
+
+def flush(*publishers: Publisher, seconds: float = 0.2) -> None:
+    """Wait until readers have acknowledged what was published, at most `seconds`."""
+    for publisher in publishers:
+        publisher.wait_for_all_acked(Duration(seconds=seconds))
+
+
+_ROS_ERRORS = (
+    rclpy_implementation.RCLError,
+    rclpy.exceptions.ParameterException,
+    rclpy.exceptions.InvalidNodeNameException,
+    rclpy.exceptions.InvalidNamespaceException,
+)
+
+
+def _sentence(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    if isinstance(error, FjrError):
+        return f"cannot start: {text}"
+    return f"cannot start: ROS 2 refused the arguments or the parameter file: {text}"
