@@ -109,7 +109,7 @@ def controller_parameters(n: int) -> list[Parameter]:
         Parameter("reference.offset", (0.0,) * n, "Offset of the sine", "rad"),
         Parameter("reference.phase", (0.0,) * n, "Phase of the sine", "rad"),
         Parameter(
-            "state_timeout", 0.5, "A stamp that jumps back by more restarts the reference", "s", minimum=0, maximum=1e3
+            "state_timeout", 0.5, "A stamp that jumps back by more restarts the reference", "s", minimum=0.0, maximum=1e3
         ),
     ]
 

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every test process has a ROS domain of its own, leased for as long as the process lives."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import socket
+import tempfile
+
+LEASE_PORTS = range(47001, 47100)  # one TCP port on 127.0.0.1 per domain id 1..99; the kernel frees it on any death
+
+
+def _lease_domain() -> tuple[int, socket.socket]:
+    for port in LEASE_PORTS:
+        lease = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            lease.bind(("127.0.0.1", port))
+        except OSError:
+            lease.close()
+            continue
+        return port - LEASE_PORTS.start + 1, lease
+    raise RuntimeError("all ROS domain ids 1..99 are leased by other test processes")
+
+
+DOMAIN, _lease = _lease_domain()
+os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="fjr-test-log-")
+atexit.register(shutil.rmtree, os.environ["ROS_LOG_DIR"], ignore_errors=True)
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"

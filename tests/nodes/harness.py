@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes spun in the test's own process: real rclpy, a context of their own, events instead of sleeps."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from fjr_controller.controller_node import ControllerNode
+from fjr_msgs_py.names import LATEST
+from fjr_plant.plant_node import PlantNode
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+TIME_LIMIT = 30.0  # s; a test that waits longer for an event has failed
+
+
+class Ros:
+    """A context, an executor and the nodes of one test."""
+
+    def __init__(self) -> None:
+        self.context = Context()
+        rclpy.init(context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self._nodes: list[Node] = []
+
+    def add(self, node: Node) -> Any:
+        self.executor.add_node(node)
+        self._nodes.append(node)
+        return node
+
+    def start(self, kind: type[Node], arguments: list[str] | None = None, **parameters: Any) -> Any:
+        """A node of ours; parameters by name, `__` for a dot."""
+        overrides = [Parameter(name.replace("__", "."), value=value) for name, value in parameters.items()]
+        return self.add(kind(context=self.context, parameter_overrides=overrides, cli_args=arguments))
+
+    def plant(self, **parameters: Any) -> PlantNode:
+        return self.start(PlantNode, **parameters)
+
+    def controller(self, **parameters: Any) -> ControllerNode:
+        return self.start(ControllerNode, **parameters)
+
+    def until(self, happened: Callable[[], Any], what: str = "the event") -> None:
+        """Spin until `happened()` is true."""
+        end = time.monotonic() + TIME_LIMIT
+        while not happened():
+            assert time.monotonic() < end, f"{what} did not come within {TIME_LIMIT} s"
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def settle(self, rounds: int = 50) -> None:
+        """Spin until nothing is left to do: `rounds` waits in a row, each of which may handle one event."""
+        for _ in range(rounds):
+            self.executor.spin_once(timeout_sec=0.002)
+
+    def close(self) -> None:
+        for node in self._nodes:
+            node.destroy_node()
+        self.executor.shutdown()
+        self.context.try_shutdown()
+
+
+class Peer(Node):
+    """The other side of a node under test: publishes what a test says, keeps what it hears."""
+
+    def __init__(self, ros: Ros, prefix: str = "") -> None:
+        super().__init__("peer", context=ros.context)
+        self._ros = ros
+        self.states: list[JointState] = []
+        self.efforts: list[Float64MultiArray] = []
+        self.commands: list[JointState] = []
+        self.references: list[JointState] = []
+        self.errors: list[JointState] = []
+        self.diagnostics: list[DiagnosticArray] = []
+        heard = {
+            "joint_states": (JointState, self.states),
+            "effort_controller/commands": (Float64MultiArray, self.efforts),
+            "joint_commands": (JointState, self.commands),
+            "fjr_controller/reference": (JointState, self.references),
+            "fjr_controller/tracking_error": (JointState, self.errors),
+            "diagnostics": (DiagnosticArray, self.diagnostics),
+        }
+        deep = QoSProfile(depth=1000)
+        self.subscriptions_by_topic = {
+            topic: self.create_subscription(kind, prefix + topic, keep.append, deep)
+            for topic, (kind, keep) in heard.items()
+        }
+        self.state_publisher = self.create_publisher(JointState, prefix + "joint_states", LATEST)
+        self.effort_publisher = self.create_publisher(Float64MultiArray, prefix + "effort_controller/commands", LATEST)
+        self.command_publisher = self.create_publisher(JointState, prefix + "joint_commands", LATEST)
+        ros.add(self)
+
+    def meet_controller(self) -> None:
+        """Wait until the controller hears this peer and is heard."""
+        heard = ("effort_controller/commands", "joint_commands", "fjr_controller/reference", "diagnostics")
+        self._ros.until(
+            lambda: self.state_publisher.get_subscription_count() >= 2
+            and all(self.subscriptions_by_topic[topic].get_publisher_count() for topic in heard),
+            "the controller",
+        )
+
+    def meet_plant(self, lockstep: bool = False) -> None:
+        """Wait until the plant hears this peer and is heard."""
+        publisher = self.command_publisher if lockstep else self.effort_publisher
+        self._ros.until(
+            lambda: publisher.get_subscription_count() >= 2 and self.states and self._heard("diagnostics"), "the plant"
+        )
+
+    def _heard(self, topic: str) -> int:
+        return int(self.subscriptions_by_topic[topic].get_publisher_count())
+
+    def ask(self, state: JointState, answered: bool = True) -> JointState | None:
+        """Publish a state; the command that answers it, or None once it is sure that none comes."""
+        before = len(self.commands)
+        self.state_publisher.publish(state)
+        if answered:
+            self._ros.until(lambda: len(self.commands) > before and len(self.errors) == len(self.commands), "an answer")
+            return self.commands[-1]
+        self._ros.settle()
+        assert len(self.commands) == before, f"answered {self.commands[-1]}"
+        return None
+
+    def count(self, key: str, node: str) -> int:
+        """The newest counter `key` of a node, 0 where it has none yet."""
+        for message in reversed(self.diagnostics):
+            if message.status[0].name == node:
+                return int({value.key: value.value for value in message.status[0].values}.get(key, 0))
+        return 0
+
+
+def stamped(t: float, q: Any = 0.5, dq: Any = 0.0, names: list[str] | None = None) -> JointState:
+    """A JointState of the paper's joint (or of `names`), stamped 100 s + t."""
+    names = names or ["joint1", "joint1_motor"]
+    message = JointState(name=names)
+    nanoseconds = round((100 + t) * 1e9)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(nanoseconds, 10**9)
+    message.position = np.broadcast_to(np.asarray(q, dtype=float), len(names)).tolist()
+    message.velocity = np.broadcast_to(np.asarray(dq, dtype=float), len(names)).tolist()
+    return message
+
+
+def seconds(message: JointState) -> float:
+    """Stamp of a message [s]."""
+    return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+
+
+def nanoseconds(message: JointState) -> int:
+    """Stamp of a message [ns]."""
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec

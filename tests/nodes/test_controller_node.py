@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller node against a peer that plays the driver."""
+
+from __future__ import annotations
+
+import fjr_core as fjr
+import numpy as np
+import pytest
+from fjr_controller.controller_node import ControllerNode
+
+from nodes.harness import Peer, Ros, nanoseconds, stamped
+
+NAN, INF = float("nan"), float("inf")
+
+
+def paper_effort(t: float, q_l: float, q_m: float, dq_l: float = 0.0, dq_m: float = 0.0, stiffness: float = 31.0):
+    robot = fjr.single_link(stiffness=stiffness)
+    x = robot.state(q_l, q_m, dq_l, dq_m)
+    return fjr.TrackingLaw(robot, fjr.PAPER_GAINS).effort(x, x, fjr.Sine(1.0, 1.0).jets(t))
+
+
+def test_answers_every_state_with_the_law_on_both_topics(ros: Ros, peer: Peer) -> None:
+    ros.controller()
+    peer.meet_controller()
+    for k in range(20):
+        t, q_l, q_m, dq_l, dq_m = 0.001 * k, 0.5 - 0.01 * k, 0.5 + 0.02 * k, 0.1 * k, -0.1 * k
+        state = stamped(t, [q_l, q_m], [dq_l, dq_m])
+        command = peer.ask(state)
+        expected = paper_effort(t, q_l, q_m, dq_l, dq_m)
+        assert command.header.stamp == state.header.stamp
+        assert list(command.name) == ["joint1"]
+        np.testing.assert_allclose(command.effort, expected, rtol=1e-9)
+        ros.until(lambda k=k: len(peer.efforts) == k + 1)
+        assert list(peer.efforts[-1].data) == list(command.effort)
+    assert len(peer.commands) == len(peer.references) == len(peer.errors) == 20
+
+
+def test_publishes_reference_and_tracking_error_with_the_stamp_of_the_state(ros: Ros, peer: Peer) -> None:
+    ros.controller()
+    peer.meet_controller()
+    peer.ask(stamped(0.0))
+    peer.ask(stamped(0.25, [0.4, 0.5], [0.3, 0.2]))
+    reference, error = peer.references[-1], peer.errors[-1]
+    assert nanoseconds(reference) == nanoseconds(error) == 100_250_000_000
+    np.testing.assert_allclose([reference.position[0], reference.velocity[0]], [np.sin(0.25), np.cos(0.25)])
+    np.testing.assert_allclose([error.position[0], error.velocity[0]], [0.4 - np.sin(0.25), 0.3 - np.cos(0.25)])
+
+
+def test_maps_shuffled_and_additional_joints_by_name(ros: Ros, peer: Peer) -> None:
+    ros.controller()
+    peer.meet_controller()
+    plain = peer.ask(stamped(0.0, [0.4, 0.6], [0.1, 0.2]))
+    names = ["gripper", "joint1_motor", "other", "joint1"]
+    shuffled = peer.ask(stamped(0.0, [NAN, 0.6, INF, 0.4], [9.0, 0.2, NAN, 0.1], names))
+    assert list(shuffled.effort) == list(plain.effort)
+    again = peer.ask(stamped(0.0, [0.6, 0.4], [0.2, 0.1], ["joint1_motor", "joint1"]))
+    assert list(again.effort) == list(plain.effort)
+
+
+def without(field: str):
+    message = stamped(0.1)
+    setattr(message, field, [])
+    return message
+
+
+def unstamped():
+    message = stamped(0.1)
+    message.header.stamp.sec = message.header.stamp.nanosec = 0
+    return message
+
+
+BAD_STATES = {
+    "missing motor": (stamped(0.1, names=["joint1"]), "missing joints"),
+    "no names": (stamped(0.1, names=["a", "b"]), "missing joints"),
+    "joint twice": (stamped(0.1, names=["joint1", "joint1_motor", "joint1"]), "duplicate joints"),
+    "position nan": (stamped(0.1, [0.5, NAN]), "not finite"),
+    "position infinite": (stamped(0.1, [-INF, 0.5]), "not finite"),
+    "velocity nan": (stamped(0.1, 0.5, [NAN, 0.0]), "not finite"),
+    "no positions": (without("position"), "wrong lengths"),
+    "no velocities": (without("velocity"), "wrong lengths"),
+    "no stamp": (unstamped(), "no stamp"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_STATES)
+def test_refuses_a_malformed_state_says_so_once_and_goes_on(ros: Ros, peer: Peer, case: str, capfd) -> None:
+    message, kind = BAD_STATES[case]
+    node = ros.controller()
+    peer.meet_controller()
+    peer.ask(stamped(0.0))
+    for _ in range(3):
+        peer.ask(message, answered=False)
+    np.testing.assert_allclose(peer.ask(stamped(0.2)).effort, paper_effort(0.2, 0.5, 0.5), rtol=1e-9)
+    assert len(peer.commands) == 2
+    node.stop()
+    ros.until(lambda: peer.count(f"state refused: {kind}", "fjr_controller") == 3, "the counter")
+    assert capfd.readouterr().err.count("state refused") == 1
+
+
+def test_wrong_lengths_of_the_fields_are_refused(ros: Ros, peer: Peer) -> None:
+    ros.controller()
+    peer.meet_controller()
+    message = stamped(0.1)
+    message.position = [0.5, 0.5, 0.5]
+    peer.ask(message, answered=False)
+    message = stamped(0.1)
+    message.velocity = [0.0]
+    peer.ask(message, answered=False)
+
+
+def test_drops_an_older_state_and_answers_a_repeated_one(ros: Ros, peer: Peer) -> None:
+    node = ros.controller(state_timeout=0.5)
+    peer.meet_controller()
+    peer.ask(stamped(0.0))
+    newest = peer.ask(stamped(0.3, 0.4))
+    peer.ask(stamped(0.2), answered=False)
+    assert list(peer.ask(stamped(0.3, 0.4)).effort) == list(newest.effort)
+    node.stop()
+    ros.until(lambda: peer.count("states older than the last", "fjr_controller") == 1, "the counter")
+
+
+def test_a_jump_back_beyond_state_timeout_restarts_the_reference(ros: Ros, peer: Peer) -> None:
+    node = ros.controller(state_timeout=0.5)
+    peer.meet_controller()
+    first = peer.ask(stamped(0.0))
+    later = peer.ask(stamped(0.9))
+    again = peer.ask(stamped(0.3))
+    assert list(again.effort) == list(first.effort) != list(later.effort)
+    node.stop()
+    ros.until(lambda: peer.count("reference restarts", "fjr_controller") == 1, "the counter")
+
+
+def test_only_older_states_for_longer_than_state_timeout_restart_the_reference(ros: Ros, peer: Peer) -> None:
+    ros.controller(state_timeout=0.2)
+    peer.meet_controller()
+    first = peer.ask(stamped(0.1))
+    peer.ask(stamped(0.15))
+
+    def answered() -> bool:
+        peer.state_publisher.publish(stamped(0.0))
+        return len(peer.commands) > 2
+
+    ros.until(answered, "the restart")
+    assert list(peer.commands[2].effort) == list(first.effort)
+
+
+def test_an_effort_that_is_not_finite_never_leaves(ros: Ros, peer: Peer) -> None:
+    node = ros.controller()
+    peer.meet_controller()
+    peer.ask(stamped(0.0))
+    for q in (1e308, -1e308):
+        peer.ask(stamped(0.001, [q, -q], [1e308, -1e308]), answered=False)
+    peer.ask(stamped(0.002))
+    node.stop()
+    ros.until(lambda: peer.count("efforts not finite", "fjr_controller") == 2, "the counter")
+    assert all(np.isfinite(message.data).all() for message in peer.efforts)
+    assert all(np.isfinite(message.effort).all() for message in peer.commands)
+
+
+def test_the_last_command_is_zero_effort(ros: Ros, peer: Peer) -> None:
+    node = ros.controller()
+    peer.meet_controller()
+    assert abs(peer.ask(stamped(0.0)).effort[0]) > 1.0
+    node.stop()
+    ros.until(lambda: len(peer.efforts) == 2 and len(peer.commands) == 2, "the last command")
+    assert list(peer.efforts[-1].data) == list(peer.commands[-1].effort) == [0.0]
+
+
+def test_namespace_and_remap(ros: Ros) -> None:
+    peer = Peer(ros, prefix="arm/")
+    arguments = ["--ros-args", "-r", "__ns:=/arm", "-r", "fjr_controller:joint_states:=joint_states"]
+    ros.start(ControllerNode, arguments)
+    peer.meet_controller()
+    np.testing.assert_allclose(peer.ask(stamped(0.0)).effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters that do not fit are refused in one sentence before the node exists."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import fjr_core as fjr
+import pytest
+
+from nodes.harness import Ros
+
+NAN = float("nan")
+BAD: list[tuple[str, dict[str, Any], str]] = [
+    ("plant", {"robot__joint_stiffness": [31]}, "write 31.0"),
+    ("plant", {"robot__joint_stiffness": [-31.0]}, "expected a positive definite matrix"),
+    ("plant", {"robot__motor_inertia": [0.0]}, "robot.motor_inertia.*positive definite"),
+    ("plant", {"robot__link_inertia": [-0.031]}, "link_inertia is .*expected positive"),
+    ("plant", {"robot__link_damping": [-0.1]}, "robot.link_damping.*positive semidefinite"),
+    ("plant", {"robot__input_gain": [0.0]}, "robot.input_gain.*invertible"),
+    ("plant", {"robot__joint_stiffness": [1.0, 2.0]}, "has 2 entries; expected 1"),
+    ("plant", {"robot__joint_stiffness": [NAN]}, "holds nan; expected a finite number"),
+    ("plant", {"robot__joint_stiffness": "stiff"}, "expected a list"),
+    ("plant", {"robot__model": "scara"}, "'scara'; expected one of single_link, planar_two_link"),
+    ("plant", {"joints": ["a", "b"]}, "single_link has 1"),
+    ("plant", {"robot__model": "planar_two_link", "joints": ["a", "a"]}, "different names"),
+    ("plant", {"publish_rate": 1000}, "write 1000.0"),
+    ("plant", {"publish_rate": -1.0}, "-1.0 Hz; expected 1.0 to"),
+    ("plant", {"publish_rate": NAN}, "finite"),
+    ("plant", {"inner_steps": 0}, "expected 1 to"),
+    ("plant", {"inner_steps": 4.0}, "expected an integer"),
+    ("plant", {"integrator": "euler"}, "expected one of rk4, implicit_midpoint"),
+    ("plant", {"lockstep": 1}, "expected true or false"),
+    ("plant", {"initial_link_position": [0.5, 0.5]}, "has 2 entries; expected 1"),
+    ("plant", {"initial_link_position": [float("inf")]}, "finite"),
+    ("plant", {"command_timeout": 0.0}, "expected 0.001 to"),
+    ("controller", {"gains__Pi_l": [-20.0]}, "gains.Pi_l.*positive definite"),
+    ("controller", {"gains__Lambda_l": [-10.0]}, r"gains.Lambda_l.*condition \(32\)"),
+    ("controller", {"gains__Gamma_m": [-1.0]}, r"condition \(41\)"),
+    ("controller", {"gains__K_ld": [0.6, 0.6, 0.6]}, "has 3 entries; expected 1"),
+    ("controller", {"gains__K_ld": [1]}, "write 1.0"),
+    ("controller", {"reference__type": "square"}, "expected one of sine"),
+    ("controller", {"reference__amplitude": [1.0, 1.0]}, "has 2 entries; expected 1"),
+    ("controller", {"reference__frequency": [-1.0]}, "expected at least 0.0 rad/s"),
+    ("controller", {"state_timeout": -0.5}, "expected 0.0 to"),
+]
+
+
+@pytest.mark.parametrize(("kind", "parameters", "sentence"), BAD)
+def test_bad_parameters_are_refused(ros: Ros, kind: str, parameters: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(fjr.FjrError, match=sentence) as caught:
+        getattr(ros, kind)(**parameters)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_parameter_is_reported_with_a_suggestion(ros: Ros, capfd) -> None:
+    ros.plant(publish_rat=500.0)
+    assert "unknown parameter 'publish_rat' is ignored; did you mean 'publish_rate'?" in capfd.readouterr().err
+
+
+def test_a_running_node_refuses_a_change(ros: Ros) -> None:
+    from rclpy.parameter import Parameter
+
+    node = ros.controller()
+    (result,) = node.set_parameters([Parameter("gains.K_ld", value=[0.7])])
+    assert not result.successful
+    assert "read-only" in result.reason

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant node against a peer that plays the controller; exact in time whatever the machine's load."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import fjr_core as fjr
+import numpy as np
+import pytest
+from fjr_plant.plant_node import LOCKSTEP_START
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+from nodes.harness import Peer, Ros, nanoseconds
+
+INNER = 250_000  # ns, the default 1 kHz in 4 steps
+PERIOD = 1_000_000  # ns
+
+
+def integrate(x: np.ndarray, u: float, steps: int, plant: fjr.Plant | None = None) -> np.ndarray:
+    plant = plant or fjr.Plant(fjr.single_link())
+    for _ in range(steps):
+        x = plant.step(x, [u], INNER * 1e-9)
+    return x
+
+
+def state_of(message: JointState) -> np.ndarray:
+    return fjr.single_link().state(*(np.array([v]) for v in (*message.position, *message.velocity)))
+
+
+def command(*efforts: float) -> Float64MultiArray:
+    return Float64MultiArray(data=list(efforts))
+
+
+def answer(state: JointState, effort: float, names: tuple[str, ...] = ("joint1",)) -> JointState:
+    message = JointState(name=list(names), effort=[effort] * len(names))
+    message.header.stamp = state.header.stamp
+    return message
+
+
+def call(ros: Ros, peer: Peer, kind: Any, name: str, **request: Any) -> Any:
+    client = peer.create_client(kind, name)
+    ros.until(client.service_is_ready, f"service {name}")
+    future = client.call_async(kind.Request(**request))
+    ros.until(future.done, f"the answer of {name}")
+    return future.result()
+
+
+def test_stands_still_until_the_first_command(ros: Ros, peer: Peer) -> None:
+    ros.plant()
+    peer.meet_plant()
+    ros.until(lambda: len(peer.states) > 30)
+    assert {nanoseconds(state) for state in peer.states} == {nanoseconds(peer.states[0])}
+    assert all(list(state.position) == [0.5, 0.5] for state in peer.states)
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: nanoseconds(peer.states[-1]) > nanoseconds(peer.states[0]), "motion")
+
+
+def test_stamps_the_exact_time_of_the_state(ros: Ros, peer: Peer) -> None:
+    """Between two states lie whole inner steps of the held effort, as many as the stamps say."""
+    ros.plant(command_timeout=100.0)
+    peer.meet_plant()
+    start = peer.states[-1]
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: nanoseconds(peer.states[-1]) > nanoseconds(start) + 50 * PERIOD)
+    x, stamp, steps_seen = state_of(start), nanoseconds(start), set()
+    for state in peer.states:
+        steps, rest = divmod(nanoseconds(state) - stamp, INNER)
+        if steps <= 0:
+            continue
+        assert rest == 0
+        x = integrate(x, 0.3, steps)
+        stamp = nanoseconds(state)
+        steps_seen.add(steps)
+        np.testing.assert_allclose(state_of(state), x, rtol=1e-12, atol=1e-15)
+    assert len(peer.states) > 20
+
+
+def test_publishes_efforts_of_spring_and_motor(ros: Ros, peer: Peer) -> None:
+    ros.plant(initial_motor_position=[0.6], robot__joint_stiffness=[20.0])
+    peer.meet_plant()
+    state = peer.states[-1]
+    assert list(state.name) == ["joint1", "joint1_motor"]
+    np.testing.assert_allclose(state.effort, [20.0 * 0.1, 0.0], atol=1e-12)
+    peer.effort_publisher.publish(command(0.25))
+    ros.until(lambda: peer.states[-1].effort[1] == 0.25, "the applied effort")
+
+
+def test_holds_the_last_command_then_lets_go_after_command_timeout(ros: Ros, peer: Peer) -> None:
+    """The effort is on for exactly the timeout from the command on, then zero."""
+    node = ros.plant(command_timeout=0.05)
+    peer.meet_plant()
+    start = peer.states[-1]
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: nanoseconds(peer.states[-1]) > nanoseconds(start) + 200 * PERIOD)
+    last = peer.states[-1]
+    assert last.effort[1] == 0.0
+    steps = (nanoseconds(last) - nanoseconds(start)) // INNER
+    expected = integrate(integrate(state_of(start), 0.3, 200), 0.0, steps - 200)
+    np.testing.assert_allclose(state_of(last), expected, rtol=1e-11, atol=1e-14)
+    node.stop()
+    ros.until(lambda: peer.count("command timeouts", "fjr_plant") == 1, "the counter")
+
+
+BAD_COMMANDS = {
+    "too long": (command(1.0, 2.0), "wrong lengths"),
+    "empty": (command(), "wrong lengths"),
+    "nan": (command(float("nan")), "not finite"),
+    "infinite": (command(float("-inf")), "not finite"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_COMMANDS)
+def test_refuses_a_malformed_command_and_says_so_once(ros: Ros, peer: Peer, case: str, capfd) -> None:
+    message, kind = BAD_COMMANDS[case]
+    node = ros.plant()
+    peer.meet_plant()
+    for k in range(3):
+        peer.effort_publisher.publish(message)
+        key = f"command refused: {kind}"
+        ros.until(lambda k=k, key=key: node._health.count[key] == k + 1, "the refusal")
+    assert {nanoseconds(state) for state in peer.states} == {nanoseconds(peer.states[0])}, "it must not have started"
+    node.stop()
+    ros.until(lambda: peer.count(f"command refused: {kind}", "fjr_plant") == 3, "the counter")
+    assert capfd.readouterr().err.count("command refused") == 1
+
+
+def test_counts_skipped_ticks_and_keeps_the_time(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(command_timeout=100.0)
+    peer.meet_plant()
+    start = peer.states[-1]
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: nanoseconds(peer.states[-1]) > nanoseconds(start))
+    skipped, end = node._health.count["ticks skipped"], time.monotonic() + 0.05
+    while time.monotonic() < end:  # nobody spins: the node is late by 50 ticks
+        pass
+    ros.until(lambda: node._health.count["ticks skipped"] >= skipped + 45, "the counter")
+    ros.settle()
+    steps = (nanoseconds(peer.states[-1]) - nanoseconds(start)) // INNER
+    np.testing.assert_allclose(
+        state_of(peer.states[-1]), integrate(state_of(start), 0.3, steps), rtol=1e-11, atol=1e-14
+    )
+
+
+def test_reset_returns_to_the_initial_state_and_time(ros: Ros, peer: Peer) -> None:
+    ros.plant()
+    peer.meet_plant()
+    start = peer.states[-1]
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: nanoseconds(peer.states[-1]) > nanoseconds(start) + 20 * PERIOD)
+    assert call(ros, peer, Trigger, "fjr_plant/reset").success
+    count = len(peer.states)
+    ros.until(lambda: len(peer.states) > count + 5)
+    assert nanoseconds(peer.states[-1]) == nanoseconds(start)
+    assert list(peer.states[-1].position) == [0.5, 0.5]
+
+
+def test_pause_stops_time_and_publication(ros: Ros, peer: Peer) -> None:
+    ros.plant(start_paused=True)
+    ros.until(lambda: peer.effort_publisher.get_subscription_count() >= 2)
+    ros.settle()
+    assert not peer.states
+    assert call(ros, peer, SetBool, "fjr_plant/pause", data=False).success
+    ros.until(lambda: peer.states)
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: nanoseconds(peer.states[-1]) > nanoseconds(peer.states[0]) + 20 * PERIOD)
+    call(ros, peer, SetBool, "fjr_plant/pause", data=True)
+    ros.settle()
+    stopped, count = nanoseconds(peer.states[-1]), len(peer.states)
+    ros.settle()
+    assert len(peer.states) == count
+    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    ros.until(lambda: len(peer.states) > count)
+    assert nanoseconds(peer.states[count]) - stopped < 50 * PERIOD
+
+
+def test_lockstep_advances_one_sample_per_answer(ros: Ros, peer: Peer) -> None:
+    ros.plant(lockstep=True)
+    peer.meet_plant(lockstep=True)
+    x = state_of(peer.states[-1])
+    assert nanoseconds(peer.states[-1]) == LOCKSTEP_START
+    for k in range(1, 30):
+        effort = 0.1 * k
+        peer.command_publisher.publish(answer(peer.states[-1], effort))
+        ros.until(lambda k=k: nanoseconds(peer.states[-1]) == LOCKSTEP_START + k * PERIOD, "the next state")
+        x = integrate(x, effort, 4)
+        np.testing.assert_allclose(state_of(peer.states[-1]), x, rtol=1e-12, atol=1e-15)
+
+
+def test_lockstep_ignores_answers_to_other_states_and_obeys_only_stamped_commands(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(lockstep=True)
+    peer.meet_plant(lockstep=True)
+    first = peer.states[-1]
+    peer.command_publisher.publish(answer(first, 0.1))
+    ros.until(lambda: nanoseconds(peer.states[-1]) == LOCKSTEP_START + PERIOD)
+    assert peer.effort_publisher.get_subscription_count() == 1, "only this peer listens to the unstamped topic"
+    for wrong in (answer(first, 5.0), answer(peer.states[-1], float("nan")), answer(peer.states[-1], 1.0, ("other",))):
+        peer.command_publisher.publish(wrong)
+        ros.settle()
+    assert nanoseconds(peer.states[-1]) == LOCKSTEP_START + PERIOD
+    assert node._health.count["command refused: not finite"] == 1
+    assert node._health.count["command refused: missing joints"] == 1
+    peer.command_publisher.publish(answer(peer.states[-1], 0.1))
+    ros.until(lambda: nanoseconds(peer.states[-1]) == LOCKSTEP_START + 2 * PERIOD)
+
+
+def test_lockstep_sends_an_unanswered_state_again(ros: Ros, peer: Peer) -> None:
+    ros.plant(lockstep=True)
+    ros.until(lambda: len(peer.states) >= 3, "the state again")
+    assert {nanoseconds(state) for state in peer.states} == {LOCKSTEP_START}
