@@ -28,7 +28,7 @@ def structure(robot: Robot) -> tuple[Array, Array, Array]:
 
 
 def gradient_expression(robot: Robot, x: ca.SX) -> ca.SX:
-    """dH/dx (4n,) as an expression; d/dq (p' M^-1 p / 2) = -d/dq (dq' M dq / 2) at fixed dq, eq. (22)."""
+    """dH/dx (4n,) as an expression; d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l, eq. (22)."""
     q_l, q_m, _, _ = symbolic.blocks(x, robot.n)
     dq_l, dq_m = robot.velocity_expressions(x)
     spring = robot.K @ (q_m - q_l)

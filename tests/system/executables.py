@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starts the installed executables that `ros2 run` would start, each in a session of its own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import IO
+
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
+
+TIME_LIMIT = 60.0  # s
+
+
+class Executable:
+    """A running executable; `end` returns its exit code and what it said on standard error."""
+
+    def __init__(self, package: str, name: str, *arguments: str) -> None:
+        path = Path(get_package_prefix(package)) / "lib" / package / name
+        self._said: IO[bytes] = tempfile.TemporaryFile()
+        self.process = subprocess.Popen(
+            [str(path), *arguments], stdout=self._said, stderr=self._said, start_new_session=True
+        )
+
+    def signal(self, number: int) -> None:
+        self.process.send_signal(number)
+
+    def end(self) -> tuple[int, str]:
+        code = self.process.wait(timeout=TIME_LIMIT)
+        self._said.seek(0)
+        return code, self._said.read().decode()
+
+    def kill(self) -> None:
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+        self._said.close()
+
+
+def scenario(name: str) -> str:
+    return str(Path(get_package_share_directory("fjr_bringup")) / "scenarios" / f"{name}.yaml")
+
+
+NODES = {"plant": ("fjr_plant", "plant_node"), "controller": ("fjr_controller", "controller_node")}

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The installed executables: signals, last words, exit codes, and sentences instead of tracebacks."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nodes.harness import Peer, Ros, stamped
+from nodes.test_controller_node import paper_effort
+from system.executables import NODES, Executable, scenario
+
+pytestmark = pytest.mark.system
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Executable]]:
+    started: list[Executable] = []
+
+    def starter(node: str, *arguments: str) -> Executable:
+        started.append(Executable(*NODES[node], *arguments))
+        return started[-1]
+
+    yield starter
+    for executable in started:
+        executable.kill()
+
+
+@pytest.fixture
+def ros() -> Iterator[Ros]:
+    made = Ros()
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_controller_with_a_last_zero_effort_and_code_0(ros: Ros, start, number: int) -> None:
+    peer = Peer(ros)
+    controller = start("controller")
+    peer.meet_controller()
+    np.testing.assert_allclose(peer.ask(stamped(0.0)).effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
+    controller.signal(number)
+    ros.until(lambda: peer.efforts[-1].data[0] == 0.0 and peer.commands[-1].effort[0] == 0.0, "the last effort")
+    code, said = controller.end()
+    assert code == 0, said
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("lockstep", ["true", "false"])
+def test_a_signal_ends_the_plant_with_code_0(ros: Ros, start, number: int, lockstep: str) -> None:
+    peer = Peer(ros)
+    plant = start("plant", "--ros-args", "-p", f"lockstep:={lockstep}")
+    ros.until(lambda: peer.states, "a state")
+    plant.signal(number)
+    code, said = plant.end()
+    assert code == 0, said
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_signal_ends_a_node_that_hears_nothing(ros: Ros, start, node: str) -> None:
+    peer = Peer(ros)
+    executable = start(node, "--ros-args", *(("-p", "start_paused:=true") if node == "plant" else ()))
+    ros.until(lambda: peer.diagnostics, "its first diagnostics")
+    executable.signal(signal.SIGTERM)
+    assert executable.end()[0] == 0
+
+
+@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("name", ["paper_k31", "paper_k3p1"])
+def test_runs_with_a_scenario_file_without_a_warning(ros: Ros, start, node: str, name: str) -> None:
+    peer = Peer(ros)
+    executable = start(node, "--ros-args", "--params-file", scenario(name))
+    ros.until(lambda: peer.diagnostics, "its first diagnostics")
+    executable.signal(signal.SIGINT)
+    code, said = executable.end()
+    assert code == 0
+    assert "unknown parameter" not in said
+
+
+MIXED = "/**:\n  ros__parameters:\n    robot:\n      joint_stiffness: [1, 2.0]\n"
+BAD = {
+    "integer for float": (["-p", "robot.joint_stiffness:=[31]"], "write 31.0"),
+    "negative stiffness": (["-p", "robot.joint_stiffness:=[-31.0]"], "positive definite"),
+    "inertia zero": (["-p", "robot.motor_inertia:=[0.0]"], "positive definite"),
+    "wrong length": (["-p", "robot.joint_stiffness:=[31.0, 31.0]"], "has 2 entries; expected 1"),
+    "not finite": (["-p", "robot.joint_stiffness:=[.nan]"], "expected a finite number"),
+    "empty": (["-p", "robot.joint_stiffness:=[]"], "empty list"),
+    "unknown model": (["-p", "robot.model:=scara"], "expected one of single_link"),
+    "mixed list": (["-p", "robot.joint_stiffness:=[1, 2.0]"], "parameter"),
+    "missing file": (["--params-file", "/there/is/no/such.yaml"], "/there/is/no/such.yaml"),
+    "bad node name": (["-r", "__node:=not a name"], "cannot start"),
+}
+
+
+@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_sentence_and_no_traceback(start, node: str, case: str) -> None:
+    arguments, words = BAD[case]
+    code, said = start(node, "--ros-args", *arguments).end()
+    assert code == 1
+    assert "Traceback" not in said
+    assert words in said
+    assert "cannot start" in said.splitlines()[-1]
+
+
+def test_a_mixed_list_in_a_file_is_explained(start, tmp_path: Path) -> None:
+    path = tmp_path / "mixed.yaml"
+    path.write_text(MIXED)
+    code, said = start("plant", "--ros-args", "--params-file", str(path)).end()
+    assert code == 1
+    assert "Traceback" not in said
+    assert "same type" in said
