@@ -24,15 +24,16 @@ def rk4(f: ca.Function) -> ca.Function:
 def implicit_midpoint(f: ca.Function) -> ca.Function:
     """The implicit midpoint rule (order 2, symplectic) as a CasADi function (x, u, dt) -> x_next.
 
-    Solves z = x + dt f((x + z)/2, u) by Newton's method; a step that does not converge raises RuntimeError.
+    Solves dx = dt f(x + dx/2, u) for the increment dx by Newton's method, so that the tolerance is that of
+    an increment, however far x is from the origin. Called with numbers, a step that does not converge
+    raises StateError.
     """
     x, u, dt = _symbols(f, ca.SX)
-    z = ca.SX.sym("z", x.numel())
-    residual = z - x - dt * f((x + z) / 2, u)
-    problem = {"x": z, "p": ca.vertcat(x, u, dt), "g": residual}
+    dx = ca.SX.sym("dx", x.numel())
+    problem = {"x": dx, "p": ca.vertcat(x, u, dt), "g": dx - dt * f(x + dx / 2, u)}
     newton = ca.rootfinder("newton", "newton", problem, {"abstol": 1e-13, "abstolStep": 1e-15, "max_iter": 50})
     x, u, dt = _symbols(f, ca.MX)
-    return _step("implicit_midpoint", x, u, dt, newton(x, ca.vertcat(x, u, dt)))
+    return _step("implicit_midpoint", x, u, dt, x + newton(dt * f(x, u), ca.vertcat(x, u, dt)))
 
 
 INTEGRATORS: dict[str, Callable[[ca.Function], ca.Function]] = {"rk4": rk4, "implicit_midpoint": implicit_midpoint}

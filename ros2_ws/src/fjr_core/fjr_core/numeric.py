@@ -13,6 +13,9 @@ from .checks import Array
 from .errors import StateError
 
 
+SPREAD = ("u", "delta_u", "omega")  # efforts: a scalar stands for n equal entries
+
+
 class NumericFunction(threading.local):
     """A CasADi function on float arrays; buffers are bound once per thread, results are fresh copies.
 
@@ -32,12 +35,20 @@ class NumericFunction(threading.local):
         self._buffer = buffer
 
     def __call__(self, *arguments: ArrayLike) -> tuple[Array, ...]:
-        """Evaluate; raises StateError when an argument's shape does not fit (scalars are spread)."""
+        """Evaluate; raises StateError when an argument does not fit (a scalar may stand for those in SPREAD)."""
         for name, own, given in zip(self._function.name_in(), self._arguments, arguments, strict=True):
-            if np.shape(given) not in (own.shape, ()):
-                raise StateError(f"{name} has shape {np.shape(given)}; expected {own.shape}")
-            own[...] = given
-        self._trigger()
+            try:
+                shape = np.shape(given)
+                if shape == own.shape or (shape == () and name in SPREAD):
+                    own[...] = given
+                    continue
+            except (TypeError, ValueError):
+                raise StateError(f"{name} is {given!r}; expected numbers of shape {own.shape}") from None
+            raise StateError(f"{name} has shape {shape}; expected {own.shape}")
+        try:
+            self._trigger()
+        except RuntimeError:
+            raise StateError(f"{self._function.name()} did not converge; expected a shorter step") from None
         return tuple(result.copy() for result in self._results)
 
 

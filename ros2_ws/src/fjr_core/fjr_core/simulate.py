@@ -55,6 +55,8 @@ def simulate(
         raise StateError(
             f"plant, law and reference have {plant.robot.n}, {law.robot.n} and {reference.n} joints; expected equal"
         )
+    if inner_step is not None:
+        _positive("inner_step", inner_step)
     if sample_period is None:
         period = inner_step or CONTINUOUS_STEP
         states = _continuous(plant, law, reference, x0, _times(duration, period), period)
@@ -66,10 +68,14 @@ def simulate(
 
 
 def _times(duration: float, period: float) -> Array:
-    for name, value in (("duration", duration), ("period", period)):
-        if not (np.isfinite(value) and value > 0):
-            raise StateError(f"{name} is {value} s; expected a positive finite number")
-    return period * np.arange(round(duration / period) + 1)
+    _positive("duration", duration)
+    _positive("period", period)
+    return period * np.arange(int(duration / period + 1e-9) + 1)
+
+
+def _positive(name: str, value: float) -> None:
+    if not (np.isfinite(value) and value > 0):
+        raise StateError(f"{name} is {value} s; expected a positive finite number")
 
 
 def _sampled(

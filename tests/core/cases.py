@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots, gains and random points that the tests run on.
+
+Every robot comes with its own closed form, written by hand for plain numbers and for mpmath numbers alike,
+and with its matrices, so that nothing which is compared with fjr_core is computed by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import fjr_core as fjr
+
+Array = NDArray[Any]
+
+
+class SingleLink:
+    """The paper's joint (Table 1): M_l constant, P_l = load (1 - cos q)."""
+
+    n = 1
+
+    def __init__(self, inertia: float = 0.031, load: float = 0.8) -> None:
+        self.inertia, self.load = inertia, load
+
+    def M(self, q: Array, f: Any = np) -> Array:
+        return np.array([[self.inertia]])
+
+    def C(self, q: Array, v: Array, f: Any = np) -> Array:
+        return np.array([[0.0]])
+
+    def P(self, q: Array, f: Any = np) -> Any:
+        return self.load * (1 - f.cos(q[0]))
+
+    def grad_P(self, q: Array, f: Any = np) -> Array:
+        return np.array([self.load * f.sin(q[0])])
+
+
+class PlanarTwoLink:
+    """Two links in a vertical plane, relative angles, hanging at q = 0."""
+
+    n = 2
+
+    def __init__(self, m: Any, l1: float, c: Any, inertia: Any, g: float = 9.81) -> None:
+        """Masses, length of the first link, centres of mass, and inertias about these."""
+        (m1, m2), (c1, c2), (I1, I2) = m, c, inertia
+        self.M22 = I2 + m2 * c2**2
+        self.M11 = I1 + m1 * c1**2 + m2 * l1**2 + self.M22
+        self.h = m2 * l1 * c2
+        self.g1, self.g2 = g * (m1 * c1 + m2 * l1), g * m2 * c2
+
+    def M(self, q: Array, f: Any = np) -> Array:
+        h = self.h * f.cos(q[1])
+        return np.array([[self.M11 + 2 * h, self.M22 + h], [self.M22 + h, self.M22 + 0 * h]])
+
+    def C(self, q: Array, v: Array, f: Any = np) -> Array:
+        h = self.h * f.sin(q[1])
+        return np.array([[-h * v[1], -h * (v[0] + v[1])], [h * v[0], 0 * h]])
+
+    def P(self, q: Array, f: Any = np) -> Any:
+        return self.g1 * (1 - f.cos(q[0])) + self.g2 * (1 - f.cos(q[0] + q[1]))
+
+    def grad_P(self, q: Array, f: Any = np) -> Array:
+        outer = self.g2 * f.sin(q[0] + q[1])
+        return np.array([self.g1 * f.sin(q[0]) + outer, outer])
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A robot of fjr_core beside the numbers it was made from."""
+
+    name: str
+    robot: fjr.Robot
+    links: SingleLink | PlanarTwoLink
+    K: Array
+    M_m: Array
+    D_l: Array
+    D_m: Array
+    B_m: Array
+
+    @property
+    def n(self) -> int:
+        return self.links.n
+
+
+@dataclass(frozen=True, eq=False)
+class GainSet:
+    """Gains as matrices, and as fjr.Gains."""
+
+    name: str
+    gains: fjr.Gains
+    Lambda_l: Array
+    Pi_l: Array
+    K_ld: Array
+    Lambda_m: Array
+    Pi_m: Array
+    K_md: Array
+    Gamma_l: Array
+    Gamma_m: Array
+
+    def phi_l(self, e: Array) -> Array:
+        return self.Lambda_l @ e + self.Gamma_l @ e**3
+
+    def phi_m(self, e: Array) -> Array:
+        return self.Lambda_m @ e + self.Gamma_m @ e**3
+
+    def dphi_l(self, e: Array) -> Array:
+        return self.Lambda_l + 3 * self.Gamma_l @ np.diag(e**2)
+
+    def dphi_m(self, e: Array) -> Array:
+        return self.Lambda_m + 3 * self.Gamma_m @ np.diag(e**2)
+
+
+def square(value: Any, n: int) -> Array:
+    """A scalar or a vector as a diagonal matrix; a matrix as it is."""
+    value = np.asarray(value, dtype=float)
+    return value if value.ndim == 2 else np.diag(np.broadcast_to(value, (n,)))
+
+
+PLANAR = {
+    "link_mass": (1.2, 0.8),
+    "link_length": (0.3, 0.25),
+    "link_com": (0.15, 0.12),
+    "link_inertia": (0.010, 0.005),
+    "gravity": 9.81,
+}
+FULL = {
+    "stiffness": [[30.0, 4.0], [4.0, 20.0]],
+    "motor_inertia": [[0.02, 0.003], [0.003, 0.01]],
+    "link_damping": [[0.2, 0.05], [0.05, 0.1]],
+    "motor_damping": [[0.02, -0.004], [-0.004, 0.01]],
+    "input_gain": [[1.2, 0.1], [-0.2, 0.8]],
+}
+
+
+def single(stiffness: float, **overrides: Any) -> Arm:
+    values = {
+        "motor_inertia": 0.004,
+        "link_damping": 0.2,
+        "motor_damping": 0.007,
+        "input_gain": 1.0,
+        **overrides,
+    }
+    robot = fjr.single_link(stiffness=stiffness, **overrides)
+    return _arm(f"single-{stiffness}", robot, SingleLink(), {"stiffness": stiffness, **values})
+
+
+def planar(name: str, stiffness: Any, **overrides: Any) -> Arm:
+    values = {
+        "stiffness": stiffness,
+        "motor_inertia": (0.02, 0.01),
+        "link_damping": (0.2, 0.1),
+        "motor_damping": (0.02, 0.01),
+        "input_gain": 1.0,
+        **overrides,
+    }
+    links = PlanarTwoLink(PLANAR["link_mass"], 0.3, PLANAR["link_com"], PLANAR["link_inertia"])
+    return _arm(f"planar-{name}", fjr.planar_two_link(**PLANAR, **values), links, values)
+
+
+def _arm(name: str, robot: fjr.Robot, links: Any, values: dict[str, Any]) -> Arm:
+    keys = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
+    return Arm(name, robot, links, *(square(values[key], links.n) for key in keys))
+
+
+def gain_set(name: str, n: int, **values: Any) -> GainSet:
+    values = {"Gamma_l": 0.0, "Gamma_m": 0.0, **values}
+    return GainSet(name, fjr.Gains(**values), **{key: square(value, n) for key, value in values.items()})
+
+
+def linear(n: int) -> GainSet:
+    return gain_set("linear", n, Lambda_l=10.0, Pi_l=20.0, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=0.3)
+
+
+def cubic(n: int) -> GainSet:
+    scalars = {"Lambda_l": 10.0, "Pi_l": 20.0, "K_ld": 0.6, "Lambda_m": 15.0, "Pi_m": 60.0, "K_md": 0.3}
+    return gain_set("cubic", n, **scalars, Gamma_l=4.0, Gamma_m=2.0)
+
+
+def full() -> GainSet:
+    """No matrix diagonal; Gamma = Pi^-1 diag(..) is what conditions (32) and (41) leave of a full Pi."""
+    Pi_l, Pi_m = np.array([[20.0, 5.0], [5.0, 12.0]]), np.array([[60.0, -10.0], [-10.0, 40.0]])
+    return gain_set(
+        "full",
+        2,
+        Lambda_l=[[10.0, 1.0], [-2.0, 8.0]],
+        Pi_l=Pi_l,
+        K_ld=[[0.6, 0.1], [0.1, 0.5]],
+        Lambda_m=[[15.0, -3.0], [2.0, 12.0]],
+        Pi_m=Pi_m,
+        K_md=[[0.3, 0.05], [0.05, 0.2]],
+        Gamma_l=np.linalg.inv(Pi_l) @ np.diag([30.0, 20.0]),
+        Gamma_m=np.linalg.inv(Pi_m) @ np.diag([20.0, 40.0]),
+    )
+
+
+ARMS = (single(31.0), single(3.1), planar("31", 31.0), planar("3.1", 3.1), planar("full", **FULL))
+LOOPS = tuple((arm, gains(arm.n)) for arm in ARMS for gains in (linear, cubic)) + ((ARMS[-1], full()),)
+LOOP_NAMES = tuple(f"{arm.name}-{gains.name}" for arm, gains in LOOPS)
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """An instant: virtual and measured state, reference and its rates, external input, the plant's own u."""
+
+    x_v: Array
+    x: Array
+    jets: Array
+    djets: Array
+    omega: Array
+    u: Array
+
+
+def random_state(arm: Arm, rng: np.random.Generator, spread: float = 1.5) -> Array:
+    """Positions and velocities of order one; momenta by the closed form of M_l."""
+    q_l = rng.uniform(-spread, spread, arm.n)
+    q_m = q_l + rng.uniform(-0.3, 0.3, arm.n)
+    dq_l, dq_m = rng.uniform(-2, 2, (2, arm.n))
+    return np.concatenate([q_l, q_m, arm.links.M(q_l) @ dq_l, arm.M_m @ dq_m])
+
+
+def random_point(arm: Arm, seed: int, same: bool = False, pushed: bool = True) -> Point:
+    """A point with x_v = x or not, omega zero or not; the plant's u has nothing to do with the law's."""
+    rng = np.random.default_rng(seed)
+    x, x_v = random_state(arm, rng), random_state(arm, rng)
+    jets = rng.uniform(-1, 1, (6, arm.n))
+    omega, u = rng.uniform(-5, 5, (2, arm.n))
+    return Point(x.copy() if same else x_v, x, jets[:5], jets[1:], omega if pushed else np.zeros(arm.n), u)
+
+
+POINTS = tuple(
+    (seed, same, pushed) for seed in range(3) for same in (True, False) for pushed in (True, False)
+)
+"""Arguments of random_point: three seeds, x_v = x or not, omega or none."""

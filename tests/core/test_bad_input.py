@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bad input raises the right FjrError with a message that says what was seen and what was expected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+
+NAN, INF = float("nan"), float("inf")
+PAPER = {"Lambda_l": 10.0, "Pi_l": 20.0, "K_ld": 0.6, "Lambda_m": 15.0, "Pi_m": 60.0, "K_md": 0.3}
+ROBOT = fjr.planar_two_link()
+LAW = fjr.TrackingLaw(ROBOT, fjr.PAPER_GAINS)
+X, JETS, U = np.zeros(8), np.zeros((5, 2)), np.zeros(2)
+
+
+def test_all_errors_have_one_root() -> None:
+    names = ("RobotError", "GainsError", "TrajectoryError", "StateError", "ParameterError")
+    assert all(issubclass(getattr(fjr, name), fjr.FjrError) for name in names)
+
+
+def refused(error: type[fjr.FjrError], call: Callable[[], object], *words: str) -> None:
+    with pytest.raises(error) as caught:
+        call()
+    message = str(caught.value)
+    assert all(word in message for word in words), message
+    assert "\n" not in message
+
+
+def labels(rows: list[tuple]) -> list[str]:
+    """Names of the cases: the parameters given, and a number."""
+    given = ["-".join(next(part for part in row if isinstance(part, dict))) for row in rows]
+    return [f"{name}-{i}" for i, name in enumerate(given)]
+
+
+ROBOTS = [
+    ("single_link", {"stiffness": 0.0}, "K", "positive definite"),
+    ("single_link", {"stiffness": -31.0}, "K", "-31", "positive definite"),
+    ("single_link", {"stiffness": NAN}, "K", "nan", "finite"),
+    ("single_link", {"motor_inertia": 0.0}, "M_m", "positive definite"),
+    ("single_link", {"motor_inertia": -0.004}, "M_m", "-0.004", "positive definite"),
+    ("single_link", {"link_inertia": 0.0}, "link_inertia", "positive"),
+    ("single_link", {"link_inertia": INF}, "link_inertia", "inf", "finite"),
+    ("single_link", {"link_damping": -0.2}, "D_l", "-0.2", "semidefinite"),
+    ("single_link", {"motor_damping": -0.007}, "D_m", "-0.007", "semidefinite"),
+    ("single_link", {"gravity_torque": NAN}, "gravity_torque", "nan", "finite"),
+    ("single_link", {"gravity_torque": "heavy"}, "gravity_torque", "heavy", "numbers"),
+    ("single_link", {"input_gain": 0.0}, "B_m", "0.0", "invertible"),
+    ("single_link", {"stiffness": [31.0, 31.0]}, "K", "(2,)", "(1,)"),
+    ("planar_two_link", {"stiffness": [1.0, 2.0, 3.0]}, "K", "(3,)", "(2,)"),
+    ("planar_two_link", {"stiffness": np.eye(3)}, "K", "(3, 3)", "(2, 2)"),
+    ("planar_two_link", {"stiffness": [[30, 1], [2, 20]]}, "K", "symmetric"),
+    ("planar_two_link", {"stiffness": [[1, 2], [2, 1]]}, "K", "-1", "positive definite"),
+    ("planar_two_link", {"motor_inertia": [[0.02, 0.001], [0, 0.01]]}, "M_m", "symmetric"),
+    ("planar_two_link", {"link_damping": [[0.1, 0.2], [0.2, 0.1]]}, "D_l", "-0.1", "semidefinite"),
+    ("planar_two_link", {"link_damping": [[0.1, 0.05], [0, 0.1]]}, "D_l", "symmetric"),
+    ("planar_two_link", {"input_gain": [[1, 2], [2, 4]]}, "B_m", "invertible"),
+    ("planar_two_link", {"link_mass": (1.0, -0.1)}, "link_mass", "-0.1", "positive"),
+    ("planar_two_link", {"link_length": (1.0, 1.0, 1.0)}, "link_length", "(3,)", "(2,)"),
+    ("planar_two_link", {"gravity": (9.81, 9.81)}, "gravity", "(2,)"),
+]
+
+
+@pytest.mark.parametrize(
+    ("factory", "values", "words"), [(f, v, w) for f, v, *w in ROBOTS], ids=labels(ROBOTS)
+)
+def test_impossible_robots(factory: str, values: dict[str, object], words: list[str]) -> None:
+    refused(fjr.RobotError, lambda: getattr(fjr, factory)(**values), *words)
+
+
+GAINS = [
+    ({"Pi_l": 0.0}, "Pi_l", "positive definite"),
+    ({"Pi_m": -60.0}, "Pi_m", "-60", "positive definite"),
+    ({"K_ld": 0.0}, "K_ld", "positive definite"),
+    ({"K_md": -0.3}, "K_md", "-0.3", "positive definite"),
+    ({"Lambda_l": 0.0}, "Lambda_l", "(32)", "positive definite"),
+    ({"Lambda_m": -15.0}, "Lambda_m", "-15", "(41)", "positive definite"),
+    ({"Gamma_l": -1.0}, "Gamma_l", "-20", "(32)", "nonnegative"),
+    ({"Gamma_m": -1.0}, "Gamma_m", "-60", "(41)", "nonnegative"),
+    ({"Pi_l": NAN}, "Pi_l", "nan", "finite"),
+    ({"Lambda_m": INF}, "Lambda_m", "inf", "finite"),
+    ({"Lambda_l": "fast"}, "Lambda_l", "fast", "numbers"),
+    ({"K_md": [0.3, 0.3, 0.3]}, "K_md", "(3,)", "(2,)"),
+    ({"Pi_m": np.eye(3)}, "Pi_m", "(3, 3)", "(2, 2)"),
+    ({"Pi_m": [[60, 1], [0, 60]]}, "Pi_m", "symmetric"),
+    ({"K_ld": [[1, 2], [2, 1]]}, "K_ld", "-1", "positive definite"),
+]
+
+
+@pytest.mark.parametrize(("values", "words"), [(v, w) for v, *w in GAINS], ids=labels(GAINS))
+def test_gains_that_void_the_proof(values: dict[str, object], words: list[str]) -> None:
+    refused(fjr.GainsError, lambda: fjr.TrackingLaw(ROBOT, fjr.Gains(**{**PAPER, **values})), *words)
+
+
+FULL_PI = [[20.0, 18.0], [18.0, 20.0]]
+
+
+@pytest.mark.parametrize(("side", "equation"), [("l", "(32)"), ("m", "(41)")])
+def test_monotone_phi_is_not_enough_with_a_full_metric(side: str, equation: str) -> None:
+    """Lambda = diag(20, 1) is monotone and passes with Pi = 20; sym(Pi Lambda) is indefinite with FULL_PI."""
+    Lambda = {f"Lambda_{side}": [20.0, 1.0]}
+    product = np.array(FULL_PI) @ np.diag([20.0, 1.0])
+    assert np.min(np.linalg.eigvalsh(product + product.T)) < 0
+    assert fjr.TrackingLaw(ROBOT, fjr.Gains(**{**PAPER, **Lambda})).rate().beta > 0
+    gains = fjr.Gains(**{**PAPER, **Lambda, f"Pi_{side}": FULL_PI})
+    refused(fjr.GainsError, lambda: fjr.TrackingLaw(ROBOT, gains), f"Lambda_{side}", f"Pi_{side}", equation)
+
+
+@pytest.mark.parametrize(("side", "equation"), [("l", "(32)"), ("m", "(41)")])
+def test_cubic_phi_is_refused_with_a_full_metric_unless_their_product_is_diagonal(
+    side: str, equation: str
+) -> None:
+    """Pi dphi is indefinite for a large error otherwise."""
+    full = {**PAPER, f"Pi_{side}": FULL_PI}
+    gains = fjr.Gains(**{**full, f"Gamma_{side}": 1.0})
+    refused(fjr.GainsError, lambda: fjr.TrackingLaw(ROBOT, gains), f"Gamma_{side}", equation)
+    Gamma = np.linalg.inv(FULL_PI) @ np.diag([3.0, 5.0])
+    assert fjr.TrackingLaw(ROBOT, fjr.Gains(**{**full, f"Gamma_{side}": Gamma})).rate().beta > 0
+
+
+@pytest.mark.parametrize(("first", "second"), [(3.0, 0.0), (0.0, 5.0), (0.1, 0.7)])
+def test_rounding_of_the_product_is_not_held_against_the_gains(first: float, second: float) -> None:
+    for seed in range(20):
+        root = np.random.default_rng(seed).uniform(-1, 1, (2, 2))
+        Pi = 20 * (root @ root.T + 0.1 * np.eye(2))
+        Gamma = np.linalg.inv(Pi) @ np.diag([first, second])
+        fjr.TrackingLaw(ROBOT, fjr.Gains(**{**PAPER, "Pi_l": Pi, "Gamma_l": Gamma}))
+
+
+SINES = [
+    ({"amplitude": (1.0, 2.0), "frequency": (1.0, 2.0, 3.0)}, "(2,)", "(3,)"),
+    ({"amplitude": NAN, "frequency": 1.0}, "amplitude", "nan", "finite"),
+    ({"amplitude": 1.0, "frequency": INF}, "frequency", "inf", "finite"),
+    ({"amplitude": 1.0, "frequency": "slow"}, "frequency", "slow", "numbers"),
+    ({"amplitude": np.ones((1, 2)), "frequency": 1.0}, "amplitude", "(1, 2)"),
+]
+
+
+@pytest.mark.parametrize(("values", "words"), [(v, w) for v, *w in SINES], ids=labels(SINES))
+def test_references_that_are_none(values: dict[str, object], words: list[str]) -> None:
+    refused(fjr.TrajectoryError, lambda: fjr.Sine(**values), *words)
+
+
+SHAPES: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
+    "effort-x_v": (lambda: LAW.effort(np.zeros(7), X, JETS), ("x_v", "(7,)", "(8,)")),
+    "effort-x": (lambda: LAW.effort(X, np.zeros((2, 4)), JETS), ("x ", "(2, 4)", "(8,)")),
+    "effort-jets-transposed": (lambda: LAW.effort(X, X, JETS.T), ("jets", "(2, 5)", "(5, 2)")),
+    "effort-jets-of-order-three": (lambda: LAW.effort(X, X, JETS[:4]), ("jets", "(4, 2)", "(5, 2)")),
+    "effort-omega": (lambda: LAW.effort(X, X, JETS, np.zeros(3)), ("omega", "(3,)", "(2,)")),
+    "effort-scalar-state": (lambda: LAW.effort(0.0, X, JETS), ("x_v", "()", "(8,)")),
+    "effort-scalar-jets": (lambda: LAW.effort(X, X, 0.0), ("jets", "()", "(5, 2)")),
+    "effort-ragged-jets": (lambda: LAW.effort(X, X, [[0.0], [0.0, 0.0]]), ("jets",)),
+    "effort-text": (lambda: LAW.effort("here", X, JETS), ("x_v",)),
+    "evaluate-x": (lambda: LAW.evaluate(X, X[:4], JETS), ("x ", "(4,)", "(8,)")),
+    "rate": (lambda: LAW.rate(np.zeros((3, 5))), ("configurations", "(3, 5)", "2")),
+    "rate-nan": (lambda: LAW.rate([[NAN, 0.0]]), ("configurations", "nan", "finite")),
+    "derivative-x": (lambda: fjr.Plant(ROBOT).derivative(X[:4], U), ("x ", "(4,)", "(8,)")),
+    "derivative-u": (lambda: fjr.Plant(ROBOT).derivative(X, np.zeros(3)), ("u ", "(3,)", "(2,)")),
+    "derivative-scalar-state": (lambda: fjr.Plant(ROBOT).derivative(0.0, U), ("x ", "()", "(8,)")),
+    "step-x": (lambda: fjr.Plant(ROBOT).step(X[:4], U, 1e-3), ("x ", "(4,)", "(8,)")),
+    "step-dt": (lambda: fjr.Plant(ROBOT).step(X, U, [1e-3, 1e-3]), ("dt", "(2,)")),
+    "gradient-x": (lambda: fjr.Plant(ROBOT).gradient(X[:4]), ("x ", "(4,)", "(8,)")),
+    "virtual-x_v": (lambda: fjr.VirtualSystem(ROBOT).derivative(X[:4], X, U), ("x_v", "(4,)", "(8,)")),
+    "variational": (
+        lambda: fjr.VirtualSystem(ROBOT).variational(X, X, X[:4], U),
+        ("delta_x_v", "(4,)", "(8,)"),
+    ),
+    "hamiltonian": (lambda: ROBOT.hamiltonian(X[:4]), ("x ", "(4,)", "(8,)")),
+    "hamiltonian-nan": (lambda: ROBOT.hamiltonian(np.full(8, NAN)), ("x ", "nan", "finite")),
+    "state-q_l": (lambda: ROBOT.state([0, 0, 0], [0, 0], [0, 0], [0, 0]), ("q_l", "(3,)", "(2,)")),
+    "state-nan": (lambda: ROBOT.state([0, NAN], [0, 0], [0, 0], [0, 0]), ("q_l", "nan", "finite")),
+    "velocities": (lambda: ROBOT.velocities(X[:6]), ("x ", "(6,)", "(8,)")),
+    "M_l": (lambda: ROBOT.M_l([0.0, 0.0, 0.0]), ("q_l", "(3,)", "(2,)")),
+    "P_l": (lambda: ROBOT.P_l([INF, 0.0]), ("q_l", "inf", "finite")),
+    "coriolis": (lambda: ROBOT.coriolis([0.0, 0.0], [0.0], [0.0, 0.0]), ("dq_l", "(1,)", "(2,)")),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_states_inputs_and_jets_of_the_wrong_shape(name: str) -> None:
+    call, words = SHAPES[name]
+    refused(fjr.StateError, call, *words)
+
+
+def run(**overrides: object) -> fjr.Trajectory:
+    values = {
+        "plant": fjr.Plant(ROBOT),
+        "law": LAW,
+        "reference": fjr.Sine((1.0, 1.0), 1.0),
+        "x0": X,
+        "duration": 0.01,
+        "sample_period": 1e-3,
+    }
+    return fjr.simulate(**{**values, **overrides})  # type: ignore[arg-type]
+
+
+SIMULATIONS = [
+    ({"x0": X[:4]}, "x0", "(4,)", "(8,)"),
+    ({"x0": np.full(8, NAN)}, "x0", "nan", "finite"),
+    ({"duration": 0.0}, "duration", "0.0", "positive"),
+    ({"duration": -1.0}, "duration", "-1.0", "positive"),
+    ({"duration": NAN}, "duration", "nan", "positive"),
+    ({"sample_period": 0.0}, "period", "0.0", "positive"),
+    ({"sample_period": -1e-3}, "period", "-0.001", "positive"),
+    ({"sample_period": INF}, "period", "inf", "positive"),
+    ({"inner_step": -1e-4}, "-0.0001", "positive"),
+    ({"inner_step": 0.0}, "0.0", "positive"),
+    ({"inner_step": NAN}, "nan", "positive"),
+    ({"inner_step": -1e-4, "sample_period": None}, "-0.0001", "positive"),
+    ({"reference": fjr.Sine(1.0, 1.0)}, "joints", "2", "1"),
+    ({"plant": fjr.Plant(fjr.single_link())}, "x0", "(8,)", "(4,)"),
+    ({"plant": fjr.Plant(fjr.single_link()), "x0": np.zeros(4)}, "joints", "1", "2"),
+]
+
+
+@pytest.mark.parametrize(("values", "words"), [(v, w) for v, *w in SIMULATIONS], ids=labels(SIMULATIONS))
+def test_simulations_that_cannot_be_run(values: dict[str, object], words: list[str]) -> None:
+    refused(fjr.StateError, lambda: run(**values), *words)
+
+
+def test_a_loop_that_diverges_says_so_and_when() -> None:
+    """Gains far too stiff for the sample period."""
+    law = fjr.TrackingLaw(ROBOT, fjr.Gains(**{**PAPER, "K_md": 300.0, "Lambda_m": 2000.0}))
+    refused(fjr.StateError, lambda: run(law=law, x0=np.full(8, 0.1), duration=1.0), "diverged", "t = ")
+
+
+def test_an_unknown_integrator_names_the_known_ones() -> None:
+    refused(fjr.ParameterError, lambda: fjr.Plant(ROBOT, "euler"), "euler", "rk4", "implicit_midpoint")
+
+
+def test_an_implicit_step_that_does_not_converge_is_no_foreign_error() -> None:
+    """A million turns away rounding alone is larger than the solver's tolerance."""
+    plant = fjr.Plant(ROBOT, "implicit_midpoint")
+    x = ROBOT.state(*np.full((4, 2), 1e12))
+    refused(fjr.StateError, lambda: plant.step(x, U, 1e-3), "implicit_midpoint", "converge")
