@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+# Every target sets up what it needs from nothing and does nothing twice. Needs make and Python 3.10 to 3.13.
+# Where ROS 2 Jazzy is sourced, it is used; elsewhere it comes as wheels into .venv (see tools/setup_env.py).
+
+PYTHON ?= python3
+DEMO_ARGS ?=
+PYTEST_ARGS ?=
+TEST_WORKERS ?= 2
+# A file that receives pytest's exit code; make itself then succeeds (.ci/run).
+TEST_STATUS ?=
+
+VENV := $(CURDIR)/.venv$(if $(ROS_DISTRO),-ros)
+SETUP = @command -v "$(PYTHON)" >/dev/null || { echo "[setup] $(PYTHON) is not there: install Python 3.10 to 3.13" >&2; exit 1; }; \
+	"$(PYTHON)" "$(CURDIR)/tools/setup_env.py"
+ENTER = . "$(CURDIR)/ros2_ws/install/setup.sh"
+PLUGINS = -p xdist -p timeout -p hypothesispytest
+
+# The start-up hook of the ROS wheels leaves these behind in the children of another environment's Python.
+ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
+endif
+
+.PHONY: help demo test lint build check clean
+.DEFAULT_GOAL := help
+
+help:  ## print this list
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' "$(firstword $(MAKEFILE_LIST))"
+
+demo: ## run both scenarios on two ROS 2 nodes, record and report them in runs/ (DEMO_ARGS="...")
+	$(SETUP) build
+	@$(ENTER) && exec fjr demo $(DEMO_ARGS)
+
+test: ## run the whole suite (PYTEST_ARGS="...", TEST_WORKERS=2)
+	$(SETUP) test
+	@$(ENTER); PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 "$(VENV)/bin/python" -m pytest $(PLUGINS) \
+		-n $(TEST_WORKERS) --dist loadfile $(PYTEST_ARGS); \
+	status=$$?; [ -n "$(TEST_STATUS)" ] || exit $$status; echo $$status > "$(TEST_STATUS)"
+
+lint: ## ruff and mypy on all packages
+	$(SETUP) lint
+	@"$(VENV)/bin/python" -m ruff check .
+	@"$(VENV)/bin/python" -m ruff format --check .
+	@"$(VENV)/bin/python" -m mypy
+
+build: ## set up the environment and build ros2_ws (then: . ros2_ws/install/setup.sh)
+	$(SETUP) build
+
+check: ## say which Python and which ROS 2 would be used
+	$(SETUP) check
+
+clean: ## remove environments, builds and caches; runs/ stays
+	rm -rf .venv .venv-ros .setup ros2_ws/build ros2_ws/install ros2_ws/log .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find ros2_ws tests tools -name __pycache__ -prune -exec rm -rf {} +
+	find ros2_ws -name '*.egg-info' -prune -exec rm -rf {} +

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The set-up tool: one clear sentence where it cannot go on; nothing is done twice or left half done."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from envsetup import pins
+from envsetup.machine import Machine, has_wheels, uses_sourced_ros
+from envsetup.virtualenv import Environment
+from envsetup.workspace import Workspace, remove_dangling_links
+
+ROOT = Path(__file__).resolve().parents[2]
+HERE = Machine("Linux", "x86_64", "glibc", (2, 36), "cpython", "")
+RUN_SETUP = "import runpy; sys.path.insert(0, {tools!r}); sys.argv[1:] = {arguments!r}; "
+RUN_SETUP += "runpy.run_path({script!r}, run_name='__main__')"
+
+
+def run_setup(target: str, pretend: str, path: Path, **environ: str) -> subprocess.CompletedProcess[str]:
+    """Run the tool as a process of its own that first executes `pretend`, e.g. another platform.machine."""
+    tools = ROOT / "tools"
+    script = RUN_SETUP.format(tools=str(tools), arguments=[target], script=str(tools / "setup_env.py"))
+    code = f"import platform, sys; {pretend}; {script}"
+    # The guard keeps the start-up hook of the ROS wheels from starting Python twice.
+    env = {"PATH": str(path), "HOME": str(path), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", **environ}
+    return subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def assert_one_sentence(run: subprocess.CompletedProcess[str], *expected: str) -> None:
+    """The run failed with one line on stderr that holds all expected words, and without a traceback."""
+    assert run.returncode == 1, run
+    assert "Traceback" not in run.stderr
+    assert len(run.stderr.strip().splitlines()) == 1, run.stderr
+    for words in expected:
+        assert words in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("pretend", "seen"),
+    [
+        ("platform.machine = lambda: 'aarch64'", "Linux on aarch64"),
+        ("platform.system = lambda: 'Darwin'; platform.machine = lambda: 'arm64'", "Darwin on arm64"),
+        ("platform.libc_ver = lambda: ('', '')", "unknown C library"),
+        ("platform.libc_ver = lambda: ('glibc', '2.17')", "glibc 2.17"),
+    ],
+)
+def test_a_machine_without_wheels_and_without_ros_is_told_to_install_ros(
+    pretend: str, seen: str, tmp_path: Path
+) -> None:
+    run = run_setup("build", pretend, tmp_path)
+    assert_one_sentence(run, seen, "install ROS 2 Jazzy", "source /opt/ros/jazzy/setup.sh")
+
+
+def test_another_ros_distribution_is_refused_by_name(tmp_path: Path) -> None:
+    run = run_setup("test", "pass", tmp_path, ROS_DISTRO="humble")
+    assert_one_sentence(run, "ROS_DISTRO=humble", "Jazzy is needed")
+
+
+def test_a_jazzy_without_rclpy_is_explained(tmp_path: Path) -> None:
+    run = run_setup("build", "pass", tmp_path, ROS_DISTRO="jazzy")
+    assert run.returncode == 1
+    assert "Traceback" not in run.stderr
+    assert "no Python here imports rclpy" in run.stderr.splitlines()[-1]
+
+
+def test_a_python_that_is_too_old_is_refused_by_version(tmp_path: Path) -> None:
+    run = run_setup("build", "sys.version_info = (3, 9, 18)", tmp_path)
+    assert_one_sentence(run, "Python 3.10 to 3.13 is needed", "this is Python 3.9", "make PYTHON=")
+
+
+def test_a_python_that_is_too_old_hands_over_to_one_that_suits(tmp_path: Path) -> None:
+    broken, suited = tmp_path / "python3.13", tmp_path / "python3.11"
+    broken.write_text("#!/bin/sh\nexit 127\n")
+    suited.write_text('#!/bin/sh\n[ "$1" = -c ] && echo 3.11 || echo "entered with $2"\n')
+    for each in (broken, suited):
+        each.chmod(0o755)
+    run = run_setup("lint", "sys.version_info = (3, 9, 18)", tmp_path)
+    assert (run.returncode, run.stdout) == (0, "entered with lint\n")
+
+
+def test_a_sourced_jazzy_is_used_on_any_machine_and_wheels_only_where_they_exist() -> None:
+    assert not uses_sourced_ros(HERE)
+    assert uses_sourced_ros(Machine("Linux", "aarch64", "glibc", (2, 39), "cpython", "jazzy"))
+    assert not has_wheels(Machine("Linux", "x86_64", "glibc", (2, 36), "pypy", ""))
+
+
+def test_every_direct_requirement_is_pinned_and_pinned_once() -> None:
+    text = (ROOT / "constraints.txt").read_text()
+    pinned = pins.pins(text)
+    assert len(pins.entries(text)) == len(pinned)
+    for file in (ROOT / "requirements").glob("*.txt"):
+        for entry in pins.entries(file.read_text()):
+            assert pins.requirement_name(entry) in pinned, f"{entry} of {file.name}"
+
+
+def test_every_runtime_dependency_of_the_packages_is_wanted_by_name() -> None:
+    wanted = (pins.entries(file.read_text()) for file in pins.requirement_files(ROOT, "test", wheels=True))
+    names = {pins.requirement_name(entry) for entries in wanted for entry in entries}
+    assert {"numpy", "scipy", "casadi", "ros-jazzy-rclpy", "mcap", "rosbags", "matplotlib"} <= names
+
+
+def test_beside_a_sourced_ros_its_packages_are_kept_and_the_test_tools_pinned() -> None:
+    pinned = {"numpy": "2.2.6", "scipy": "1.15.3", "casadi": "3.8.2", "pytest": "9.2.0", "lark": "1.0"}
+    installed = {"numpy": "1.26.4", "scipy": "1.11.4", "pytest": "7.4.4", "lark": "1.10"}
+    lines = pins.relaxed(pinned, installed, {"pytest"})
+    assert lines == ["numpy==1.26.4", "scipy<=1.15.3", "casadi==3.8.2", "pytest==9.2.0", "lark<=1.10"]
+    assert pins.relaxed(pinned, {})[0] == "numpy<2"
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """The files the set-up reads, copied to a folder of their own."""
+    shutil.copytree(ROOT / "requirements", tmp_path / "requirements")
+    shutil.copy(ROOT / "constraints.txt", tmp_path)
+    package = tmp_path / "ros2_ws" / "src" / "pack"
+    package.mkdir(parents=True)
+    (package / "setup.py").write_text("# one\n")
+    (package / "module.py").write_text("# one\n")
+    return tmp_path
+
+
+def test_a_changed_pin_changes_the_fingerprint_of_the_environment(checkout: Path) -> None:
+    environment = Environment(checkout, sourced_ros=False)
+    before = environment.wanted("run")
+    assert environment.wanted("run") == before
+    assert environment.wanted("test") != before
+    constraints = checkout / "constraints.txt"
+    constraints.write_text(constraints.read_text().replace("casadi==", "casadi==0."))
+    assert environment.wanted("run") != before
+
+
+def test_only_what_colcon_reads_changes_the_fingerprint_of_the_build(checkout: Path) -> None:
+    workspace = Workspace(Environment(checkout, sourced_ros=False))
+    package = checkout / "ros2_ws" / "src" / "pack"
+    before = workspace.content()
+    (package / "module.py").write_text("# two\n")
+    (package / "__pycache__").mkdir()
+    (package / "__pycache__" / "module.pyc").write_text("")
+    assert workspace.content() == before
+    (package / "setup.py").write_text("# two\n")
+    changed = workspace.content()
+    assert changed != before
+    (package / "added.yaml").write_text("")
+    assert workspace.content() != changed
+
+
+def test_an_interrupted_installation_is_made_anew_and_a_complete_one_left_alone(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    environment = Environment(checkout, sourced_ros=False)
+    done: list[str] = []
+
+    def create() -> None:
+        done.append("create")
+        environment.python.parent.mkdir(parents=True, exist_ok=True)
+        environment.python.write_text("")
+
+    def install(level: str) -> None:
+        done.append(level)
+        if len(done) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(environment, "_create", create)
+    monkeypatch.setattr(environment, "_install", install)
+    with pytest.raises(KeyboardInterrupt):
+        environment.ensure("run")
+    for level in ("run", "run", "test", "run", "test"):
+        environment.ensure(level)
+    assert done == ["create", "run", "create", "run", "test"]
+
+
+def test_a_stamp_that_is_damaged_counts_as_none(tmp_path: Path) -> None:
+    stamp = tmp_path / "stamp.json"
+    assert pins.read_stamp(stamp) == {}
+    pins.write_stamp(stamp, {"identity": ["here"]})
+    assert pins.read_stamp(stamp) == {"identity": ["here"]}
+    stamp.write_text(stamp.read_text()[:-3])
+    assert pins.read_stamp(stamp) == {}
+
+
+def test_links_to_removed_files_go_and_others_stay(tmp_path: Path) -> None:
+    (tmp_path / "kept").write_text("")
+    (tmp_path / "good").symlink_to(tmp_path / "kept")
+    (tmp_path / "bad").symlink_to(tmp_path / "gone")
+    remove_dangling_links(tmp_path)
+    assert sorted(os.listdir(tmp_path)) == ["good", "kept"]
+
+
+def test_check_names_the_choice_and_changes_nothing(tmp_path: Path) -> None:
+    run = run_setup("check", "platform.machine = lambda: 'x86_64'", tmp_path)
+    if not has_wheels(Machine.here({})):
+        pytest.skip("the wheels do not exist for this machine")
+    assert run.returncode == 0, run.stderr
+    assert "ROS 2 Jazzy: wheels" in run.stdout

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line of the set-up: `setup_env.py build|test|lint|check`."""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from .console import PREFIX, SetupError, say
+from .machine import Machine, base_interpreter, ros_candidates, ros_interpreter, uses_sourced_ros
+from .virtualenv import Environment
+from .workspace import Workspace
+
+ROOT = Path(__file__).resolve().parents[2]
+ENTRY = ROOT / "tools" / "setup_env.py"
+TARGETS = {
+    "build": "environment to run, and the colcon build",
+    "test": "environment to test, and the colcon build",
+    "lint": "environment to test, no build",
+    "check": "say which Python and which ROS 2 would be used, and change nothing",
+}
+
+
+def parser() -> argparse.ArgumentParser:
+    """Command-line arguments."""
+    listing = "\n".join(f"  {name:6} {what}" for name, what in TARGETS.items())
+    description = f"Set the workspace up from nothing.\n\n{listing}"
+    raw = argparse.RawTextHelpFormatter
+    made = argparse.ArgumentParser(prog="setup_env.py", description=description, formatter_class=raw)
+    made.add_argument("target", choices=TARGETS, metavar="|".join(TARGETS))
+    return made
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Set up what a target needs; 0 when all is there, 1 with one sentence on stderr when it cannot be."""
+    target = parser().parse_args(arguments).target
+    try:
+        sourced_ros = uses_sourced_ros(Machine.here())
+        if sourced_ros:
+            enter_ros_interpreter(arguments)
+        set_up(target, sourced_ros)
+    except SetupError as error:
+        print(f"{error.details}\n{PREFIX} {error}" if error.details else f"{PREFIX} {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"\n{PREFIX} interrupted; the same command takes it up again.", file=sys.stderr)
+        return 130
+    return 0
+
+
+def set_up(target: str, sourced_ros: bool) -> None:
+    """Do the steps of one target, alone in this checkout."""
+    environment = Environment(ROOT, sourced_ros)
+    if target == "check":
+        source = "the sourced one" if sourced_ros else "wheels"
+        say(f"Python {sys.version.split()[0]} ({base_interpreter()}), ROS 2 Jazzy: {source}")
+        say(f"environment {environment.path}")
+        return
+    with alone(ROOT / ".setup"):
+        environment.ensure("run" if target == "build" else "test")
+        if target != "lint":
+            Workspace(environment).ensure()
+
+
+def enter_ros_interpreter(arguments: Sequence[str]) -> None:
+    """Go on in the Python of the sourced ROS 2, if that is another one."""
+    python = ros_interpreter(ros_candidates())
+    if python != base_interpreter() and not os.environ.get("FJR_SETUP_ENTERED"):
+        sys.stdout.flush()
+        os.execvpe(python, [python, str(ENTRY), *arguments], {**os.environ, "FJR_SETUP_ENTERED": "1"})
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Hold the checkout's lock, so that two `make` side by side set up once."""
+    folder.mkdir(exist_ok=True)
+    (folder / ".gitignore").write_text("*\n", encoding="utf-8")
+    with (folder / "lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say("waiting for another set-up of this checkout")
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield

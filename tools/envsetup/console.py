@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the set-up says: one line a step with its time, one sentence for an error, all else in a log."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+PREFIX = "[setup]"
+TAIL_LINES = 25
+
+
+class SetupError(Exception):
+    """Something the user has to know or do; the message is one clear sentence, `details` may follow it."""
+
+    def __init__(self, message: str, details: str = "") -> None:
+        super().__init__(message)
+        self.details = details
+
+
+def say(text: str) -> None:
+    """Print one line of the set-up."""
+    print(f"{PREFIX} {text}", flush=True)
+
+
+class Step:
+    """`with Step("colcon build"): ...` prints the title at once and the elapsed seconds at the end.
+
+    On a terminal the elapsed time and the latest word of the running command are refreshed in place.
+    """
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.note = ""
+        self._live = sys.stdout.isatty()
+        self._stop = threading.Event()
+        self._ticker = threading.Thread(target=self._refresh, daemon=True)
+
+    def __enter__(self) -> Step:
+        self._start = time.monotonic()
+        if self._live:
+            self._ticker.start()
+        else:
+            print(f"{PREFIX} {self.title} ...", end="", flush=True)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        if self._live:
+            self._ticker.join()
+            print(f"\r\033[K{PREFIX} {self.title} ...", end="")
+        outcome = "" if kind is None else "failed after "
+        print(f" {outcome}{time.monotonic() - self._start:.1f} s", flush=True)
+
+    def _refresh(self) -> None:
+        while True:
+            line = f"{PREFIX} {self.title} ... {time.monotonic() - self._start:.0f} s  {self.note}"
+            print("\r\033[K" + line[: shutil.get_terminal_size().columns - 1], end="", flush=True)
+            if self._stop.wait(0.5):
+                return
+
+
+def run_logged(
+    command: Sequence[str],
+    log: Path,
+    env: dict[str, str],
+    step: Step,
+    cwd: Path | None = None,
+    failure: str = "",
+) -> None:
+    """Run a command with its output in `log`; SetupError(failure) with the last lines unless it exits 0."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+    tail: deque[str] = deque(maxlen=TAIL_LINES)
+    with log.open("a", encoding="utf-8") as sink:
+        sink.write(f"$ {' '.join(command)}\n")
+        sink.flush()
+        try:
+            process = subprocess.Popen(
+                command,
+                cwd=cwd,
+                env=env,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+            )
+        except OSError as error:
+            raise SetupError(f"{failure or command[0]}: {error}") from error
+        with process:
+            assert process.stdout is not None
+            for raw in process.stdout:
+                line = raw.decode(errors="replace").rstrip()
+                sink.write(line + "\n")
+                tail.append(line)
+                step.note = line.strip()
+    if process.returncode != 0:
+        reason = f"(exit code {process.returncode}; the whole output is in {log})"
+        raise SetupError(f"{failure or command[0] + ' failed'} {reason}", "\n".join(tail))
+
+
+def clean_environment(sourced_ros: bool) -> dict[str, str]:
+    """This process's environment without what would mislead pip, colcon or the wheels' start-up hook.
+
+    The hook of the ROS wheels re-executes Python once with its own LD_LIBRARY_PATH and leaves a guard
+    variable behind, which would keep the Python of another environment from finding its libraries.
+    """
+    env = dict(os.environ)
+    if env.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
+        env.pop("LD_LIBRARY_PATH", None)
+    misleading = ["PYTHONHOME", "VIRTUAL_ENV"]
+    misleading += ["PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_CONSTRAINT", "PIP_REQUIREMENT"]
+    if not sourced_ros:
+        misleading += ["PYTHONPATH", "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH"]
+    for name in misleading:
+        env.pop(name, None)
+    env.update(PYTHONNOUSERSITE="1", PIP_USER="0", PIP_NO_INPUT="1", PIP_DISABLE_PIP_VERSION_CHECK="1")
+    return env

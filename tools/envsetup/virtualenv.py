@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The virtual environment with the pinned packages; made anew unless a stamp proves it complete."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from . import pins
+from .console import SetupError, Step, clean_environment, run_logged, say
+from .machine import base_interpreter, debian_venv_package
+
+OUTSIDE = """
+import importlib.metadata, json, sys
+found = [each for each in importlib.metadata.distributions() if each.metadata["Name"]]
+outside = [each for each in found if not str(each.locate_file("")).startswith(sys.prefix)]
+print(json.dumps({each.metadata["Name"]: each.version for each in reversed(outside)}))
+"""
+"""Prints name and version of the distributions that the environment's Python sees outside the environment."""
+
+
+class Environment:
+    """`.venv` (ROS 2 from wheels) or `.venv-ros` (beside a sourced ROS 2) in the root of the checkout."""
+
+    def __init__(self, root: Path, sourced_ros: bool) -> None:
+        self.root = root
+        self.sourced_ros = sourced_ros
+        self.path = root / (".venv-ros" if sourced_ros else ".venv")
+        self.python = self.path / "bin" / "python"
+        self.env = clean_environment(sourced_ros)
+        self.log = root / ".setup" / "environment.log"
+        self._stamp = self.path / ".complete.json"
+
+    def ensure(self, level: str) -> None:
+        """Make the environment hold everything of a level ("run" or "test"); quick when it already does."""
+        wanted = self.wanted(level)
+        stamp = pins.read_stamp(self._stamp)
+        levels = stamp.get("levels")
+        done = dict(levels) if isinstance(levels, dict) else {}
+        usable = stamp.get("identity") == self.identity() and self.python.exists()
+        if usable and done.get(level) == wanted:
+            return
+        self.log.unlink(missing_ok=True)
+        if not usable:
+            self._create()
+        self._stamp.unlink(missing_ok=True)
+        self._install(level)
+        held = [name for name, files in pins.LEVELS.items() if set(files) <= set(pins.LEVELS[level])]
+        levels_held = {name: self.wanted(name) for name in held}
+        pins.write_stamp(self._stamp, {"identity": self.identity(), "levels": levels_held})
+
+    def identity(self) -> list[str]:
+        """What an environment cannot change after it was made."""
+        ros = self.env.get("AMENT_PREFIX_PATH", "") if self.sourced_ros else ""
+        return [str(self.path), base_interpreter(), sys.version, ros.split(os.pathsep)[-1]]
+
+    def wanted(self, level: str) -> str:
+        """Fingerprint of all that decides what a level holds."""
+        files = pins.requirement_files(self.root, level, not self.sourced_ros)
+        files.append(self.root / "constraints.txt")
+        return pins.fingerprint(pins.texts(files), pins.texts([Path(__file__), Path(pins.__file__)]))
+
+    def _create(self) -> None:
+        ensure_venv_module(self.log, self.env)
+        options = ["--system-site-packages"] if self.sourced_ros else []
+        with Step(f"virtual environment {self.path.name} for Python {sys.version.split()[0]}") as step:
+            if self.path.exists():
+                shutil.rmtree(self.path)
+            command = [base_interpreter(), "-m", "venv", *options, str(self.path)]
+            run_logged(command, self.log, self.env, step, failure=f"{self.path} could not be made")
+
+    def _install(self, level: str) -> None:
+        constraints = self._constraints()
+        files = pins.requirement_files(self.root, level, not self.sourced_ros)
+        extent = "what ROS 2 does not bring" if self.sourced_ros else "with ROS 2, 330 MB the first time"
+        with Step("installer (pip, setuptools)") as step:
+            self._pip(step, constraints, "pip", "setuptools")
+        with Step(f"packages to {level} ({extent})") as step:
+            self._pip(step, constraints, *(f"--requirement={file}" for file in files))
+
+    def _pip(self, step: Step, constraints: Path, *wanted: str) -> None:
+        """Install by pip; only empy is built, with the pinned setuptools of the environment itself."""
+        options = ["--progress-bar=off", "--no-build-isolation", "--only-binary=:all:", "--no-binary=empy"]
+        options.append(f"--constraint={constraints}")
+        command = [str(self.python), "-m", "pip", "install", *options, *wanted]
+        run_logged(command, self.log, self.env, step, failure="pip could not install the pinned packages")
+
+    def _constraints(self) -> Path:
+        """constraints.txt, relaxed beside a sourced ROS 2 to keep what that one brings."""
+        pinned = self.root / "constraints.txt"
+        if not self.sourced_ros:
+            return pinned
+        listing = subprocess.check_output([str(self.python), "-c", OUTSIDE], env=self.env, text=True)
+        installed = {pins.normalise(name): version for name, version in json.loads(listing).items()}
+        tools = pins.entries((self.root / "requirements" / "test.txt").read_text(encoding="utf-8"))
+        exact = {pins.requirement_name(entry) for entry in tools}
+        lines = pins.relaxed(pins.pins(pinned.read_text(encoding="utf-8")), installed, exact)
+        target = self.path / "constraints.txt"
+        target.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return target
+
+
+def ensure_venv_module(log: Path, env: dict[str, str]) -> None:
+    """See that `python -m venv` works: Debian and Ubuntu keep a part of it in a package of its own."""
+    if _has_venv():
+        return
+    package = debian_venv_package()
+    if not package:
+        raise SetupError(
+            f"{base_interpreter()} lacks the modules venv and ensurepip: install them, or name another "
+            "Python (make PYTHON=...)."
+        )
+    if os.geteuid() != 0:
+        raise SetupError(
+            "Python's venv module is not complete here: ask an administrator for "
+            f"`apt-get install {package}`, then run the same command again."
+        )
+    say(f"{package} is missing and will be installed")
+    apt = {**env, "DEBIAN_FRONTEND": "noninteractive"}
+    with Step("apt-get update") as step:
+        run_logged(["apt-get", "update"], log, apt, step, failure="apt-get update failed")
+    with Step(f"apt-get install {package}") as step:
+        command = ["apt-get", "install", "-y", "--no-install-recommends", package]
+        run_logged(command, log, apt, step, failure=f"apt-get could not install {package}")
+    if not _has_venv():
+        raise SetupError(f"{package} is installed, and still {base_interpreter()} -m venv does not work.")
+
+
+def _has_venv() -> bool:
+    query = [base_interpreter(), "-c", "import ensurepip, venv"]
+    return subprocess.run(query, stderr=subprocess.DEVNULL, check=False).returncode == 0

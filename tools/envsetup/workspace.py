@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The colcon build of ros2_ws, repeated only when what it depends on has changed.
+
+Packages are linked, not copied (`--symlink-install`): an edited module or YAML file needs no build. A new,
+removed or renamed file, a changed setup.py, setup.cfg or package.xml, another environment or Python does.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+from . import pins
+from .console import Step, run_logged
+from .virtualenv import Environment
+
+COPIED = {"setup.py", "setup.cfg", "package.xml"}
+"""Files whose contents enter the build."""
+COLCON = "import sys; from colcon_core.command import main; sys.exit(main())"
+EVENTS = ("console_cohesion+", "desktop_notification-", "terminal_title-", "status-")
+
+
+class Workspace:
+    """ros2_ws of the checkout, built for one environment."""
+
+    def __init__(self, environment: Environment) -> None:
+        self.environment = environment
+        self.path = environment.root / "ros2_ws"
+        self.install = self.path / "install"
+        self.build = self.path / "build"
+        self._stamp = self.install / ".complete.json"
+
+    def ensure(self) -> None:
+        """Build unless the last completed build still holds."""
+        identity, content = self._identity(), self.content()
+        stamp = pins.read_stamp(self._stamp)
+        complete = self.build.is_dir() and (self.install / "setup.sh").exists()
+        usable = complete and stamp.get("identity") == identity
+        if usable and stamp.get("content") == content:
+            return
+        if not usable:
+            self.remove()
+        self._stamp.unlink(missing_ok=True)
+        self._colcon()
+        remove_dangling_links(self.install)
+        pins.write_stamp(self._stamp, {"identity": identity, "content": content})
+
+    def remove(self) -> None:
+        """Remove all that colcon made."""
+        for folder in (self.build, self.install, self.path / "log"):
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def content(self) -> str:
+        """Fingerprint of the packages: the list of their files, and the contents that colcon reads."""
+        files = source_files(self.path / "src")
+        contents = {str(path): path.read_text(encoding="utf-8") for path in files if path.name in COPIED}
+        return pins.fingerprint([str(path) for path in files], contents, pins.texts([Path(__file__)]))
+
+    def _identity(self) -> list[str]:
+        return [str(self.path), *self.environment.identity()]
+
+    def _colcon(self) -> None:
+        """Run colcon by the environment's Python, which thereby becomes the one in the nodes' first line."""
+        command = [str(self.environment.python), "-c", COLCON, "build", "--symlink-install"]
+        command += ["--base-paths", "src", "--event-handlers", *EVENTS]
+        log = self.environment.root / ".setup" / "colcon.log"
+        log.unlink(missing_ok=True)
+        with Step("colcon build of ros2_ws") as step:
+            env = self.environment.env
+            run_logged(command, log, env, step, cwd=self.path, failure="colcon could not build ros2_ws")
+
+
+def source_files(folder: Path) -> list[Path]:
+    """All files under `folder` that belong to the packages, sorted; no caches, no hidden files."""
+    found = []
+    for base, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if is_source(name)]
+        found += [Path(base, name) for name in names if is_source(name)]
+    return sorted(found)
+
+
+def is_source(name: str) -> bool:
+    """Whether a file or folder of this name belongs to a package."""
+    return not name.startswith((".", "__pycache__")) and not name.endswith((".egg-info", ".pyc", "~"))
+
+
+def remove_dangling_links(folder: Path) -> None:
+    """Remove the links that an incremental build leaves to files that are gone."""
+    for base, _, names in os.walk(folder):
+        for name in names:
+            path = Path(base, name)
+            if path.is_symlink() and not path.exists():
+                path.unlink()
