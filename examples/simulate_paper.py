@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's example without ROS: peak effort and error for both stiffnesses, continuous and at 1 kHz."""
 
-import fjr_core as fjr
 import numpy as np
+
+import fjr_core as fjr
 
 reference = fjr.Sine(amplitude=1.0, frequency=1.0)  # q_ld = sin t
 

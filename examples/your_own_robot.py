@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A two-link arm with gains and reference of your own: does it track, and what does the certificate say?"""
 
-import fjr_core as fjr
 import numpy as np
+
+import fjr_core as fjr
 
 robot = fjr.planar_two_link(stiffness=[60.0, 30.0], link_mass=[1.5, 0.7])
 gains = fjr.Gains(Lambda_l=10.0, Pi_l=20.0, K_ld=[1.0, 0.5], Lambda_m=15.0, Pi_m=60.0, K_md=[0.6, 0.3])

@@ -25,6 +25,7 @@ def _lease_domain() -> tuple[int, socket.socket]:
 
 
 DOMAIN, _lease = _lease_domain()
+atexit.register(_lease.close)
 os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="fjr-test-log-")

@@ -54,9 +54,7 @@ class LiteralPlant:
 
     def __init__(self, arm: Arm) -> None:
         self.n, self.links = arm.n, arm.links
-        self.K, self.M_m, self.D_l, self.D_m, self.B_m = map(
-            exact, (arm.K, arm.M_m, arm.D_l, arm.D_m, arm.B_m)
-        )
+        self.K, self.M_m, self.D_l, self.D_m, self.B_m = map(exact, (arm.K, arm.M_m, arm.D_l, arm.D_m, arm.B_m))
 
     def split(self, x: Array) -> list[Array]:
         return np.split(x, 4)
@@ -79,9 +77,7 @@ class LiteralPlant:
         steps = STEP * np.eye(4 * self.n, dtype=int)
         gradient = np.array([(self.H(x + e) - self.H(x - e)) / (2 * STEP) for e in steps])
         force_l, force_m, dq_l, dq_m = self.split(gradient)
-        return np.concatenate(
-            [dq_l, dq_m, -force_l - self.D_l @ dq_l, -force_m - self.D_m @ dq_m + self.B_m @ u]
-        )
+        return np.concatenate([dq_l, dq_m, -force_l - self.D_l @ dq_l, -force_m - self.D_m @ dq_m + self.B_m @ u])
 
     def virtual(self, x_v: Array, x: Array, u: Array) -> Array:
         q_lv, q_mv, p_lv, p_mv = self.split(x_v)

@@ -64,9 +64,7 @@ ROBOTS = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("factory", "values", "words"), [(f, v, w) for f, v, *w in ROBOTS], ids=labels(ROBOTS)
-)
+@pytest.mark.parametrize(("factory", "values", "words"), [(f, v, w) for f, v, *w in ROBOTS], ids=labels(ROBOTS))
 def test_impossible_robots(factory: str, values: dict[str, object], words: list[str]) -> None:
     refused(fjr.RobotError, lambda: getattr(fjr, factory)(**values), *words)
 
@@ -110,9 +108,7 @@ def test_monotone_phi_is_not_enough_with_a_full_metric(side: str, equation: str)
 
 
 @pytest.mark.parametrize(("side", "equation"), [("l", "(32)"), ("m", "(41)")])
-def test_cubic_phi_is_refused_with_a_full_metric_unless_their_product_is_diagonal(
-    side: str, equation: str
-) -> None:
+def test_cubic_phi_is_refused_with_a_full_metric_unless_their_product_is_diagonal(side: str, equation: str) -> None:
     """Pi dphi is indefinite for a large error otherwise."""
     full = {**PAPER, f"Pi_{side}": FULL_PI}
     gains = fjr.Gains(**{**full, f"Gamma_{side}": 1.0})

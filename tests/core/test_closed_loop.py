@@ -99,9 +99,7 @@ def test_held_run_agrees_with_an_independent_integrator_between_samples(k: float
     for i, t in enumerate(run.t[:-1]):
         u = law.effort(x, x, REFERENCE.jets(t))
         assert run.u[i] == pytest.approx(u, rel=1e-5, abs=1e-5)
-        x = solve_ivp(
-            lambda _, y, u=u: plant.derivative(y, u), (0, 1e-3), x, "DOP853", rtol=1e-12, atol=1e-14
-        ).y[:, -1]
+        x = solve_ivp(lambda _, y, u=u: plant.derivative(y, u), (0, 1e-3), x, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
     assert run.x[-1] == pytest.approx(x, abs=1e-7)
 
 

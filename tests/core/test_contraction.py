@@ -28,9 +28,7 @@ places = pytest.mark.parametrize("place", [(0, True), (1, True), (2, False), (3,
 
 @loops
 @places
-def test_differential_storage_decays_by_the_dissipation(
-    arm: Arm, gains: GainSet, place: tuple[int, bool]
-) -> None:
+def test_differential_storage_decays_by_the_dissipation(arm: Arm, gains: GainSet, place: tuple[int, bool]) -> None:
     """(P A + A' P + dP)/2 = -diag(sym(Pi_l dphi_l), sym(Pi_m dphi_m), M_l^-1 (D_l + K_ld) M_l^-1, ..)."""
     loop, p = loop_of(arm, gains), random_point(arm, *place)
     e_l, e_m, *_ = np.split(loop.errors(p.x_v, p.x, p.jets), 4)
@@ -74,9 +72,7 @@ def structure_residual(arm: Arm, gains: GainSet, p: Point, coupling: np.ndarray)
 
 @loops
 @places
-def test_variational_error_dynamics_have_the_skew_structure(
-    arm: Arm, gains: GainSet, place: tuple[int, bool]
-) -> None:
+def test_variational_error_dynamics_have_the_skew_structure(arm: Arm, gains: GainSet, place: tuple[int, bool]) -> None:
     """(44), and (49) with K Pi_m^-1."""
     coupling = arm.K @ inverse(gains.Pi_m)
     assert structure_residual(arm, gains, random_point(arm, *place), coupling) <= TOLERANCE

@@ -42,9 +42,7 @@ def fresh_loop(arm: Arm, gains: GainSet) -> Loop:
 
 CASES = [(single(31.0), linear(1)), (single(3.1), linear(1)), (planar("31", 31.0), linear(2))]
 CASES += [(planar("full", **FULL), full())]
-cases = pytest.mark.parametrize(
-    ("arm", "gains"), CASES, ids=["single-31", "single-3.1", "planar-31", "planar-full"]
-)
+cases = pytest.mark.parametrize(("arm", "gains"), CASES, ids=["single-31", "single-3.1", "planar-31", "planar-full"])
 
 
 @cases
@@ -78,9 +76,7 @@ def test_worst_decay_along_the_papers_trajectory_tells_but_convergence_does_not(
     """
     arm, gains = single(31.0), linear(1)
     loop = fresh_loop(arm, gains)
-    run = fjr.simulate(
-        loop.plant, loop.law, fjr.Sine(1.0, 1.0), arm.robot.state(0.5, 0.5, 0, 0), 1.5, inner_step=2e-4
-    )
+    run = fjr.simulate(loop.plant, loop.law, fjr.Sine(1.0, 1.0), arm.robot.state(0.5, 0.5, 0, 0), 1.5, inner_step=2e-4)
     assert abs(run.x[-1, 0] - run.jets[-1, 0, 0]) < 1e-8
     assert run.V[-1] < 1e-12 * run.V[0]
     instants = (along(loop, run, i) for i in range(np.searchsorted(run.t, 0.3)))

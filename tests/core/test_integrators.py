@@ -46,15 +46,11 @@ def test_order_of_convergence_against_the_closed_form_of_a_linear_joint(integrat
 
 
 @pytest.mark.parametrize("integrator", ORDERS)
-@pytest.mark.parametrize(
-    "robot", [fjr.single_link(), fjr.planar_two_link(**PLANAR)], ids=["single", "planar"]
-)
+@pytest.mark.parametrize("robot", [fjr.single_link(), fjr.planar_two_link(**PLANAR)], ids=["single", "planar"])
 def test_order_of_convergence_against_a_high_precision_solution(robot: fjr.Robot, integrator: str) -> None:
     n, plant = robot.n, fjr.Plant(robot, integrator)
     x, u = robot.state(np.full(n, 0.8), np.full(n, 0.7), np.full(n, -2), np.full(n, 1)), np.full(n, 0.5)
-    run = solve_ivp(
-        lambda _, y: plant.derivative(y, u), (0, DURATION), x, method="DOP853", rtol=1e-13, atol=1e-14
-    )
+    run = solve_ivp(lambda _, y: plant.derivative(y, u), (0, DURATION), x, method="DOP853", rtol=1e-13, atol=1e-14)
     assert measured_order(plant, x, u, run.y[:, -1]) == pytest.approx(ORDERS[integrator], abs=0.1)
 
 

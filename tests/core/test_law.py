@@ -99,9 +99,7 @@ def test_effort_is_that_of_evaluate_and_omega_enters_through_B_m(arm: Arm, gains
     free, pushed = law.effort(p.x_v, p.x, p.jets), law.effort(p.x_v, p.x, p.jets, p.omega)
     assert np.array_equal(pushed, law.evaluate(p.x_v, p.x, p.jets, p.omega).u)
     assert residual(arm.B_m @ (pushed - free), p.omega) <= 1e-9
-    assert np.array_equal(
-        law.effort(p.x_v, p.x, p.jets, 1.5), law.effort(p.x_v, p.x, p.jets, np.full(arm.n, 1.5))
-    )
+    assert np.array_equal(law.effort(p.x_v, p.x, p.jets, 1.5), law.effort(p.x_v, p.x, p.jets, np.full(arm.n, 1.5)))
 
 
 def test_law_is_a_pure_function() -> None:
@@ -155,9 +153,7 @@ GAIN_CHANGES = {
 def test_every_robot_parameter_changes_the_effort(name: str) -> None:
     p = random_point(planar("31", 31.0), 5)
     before, after = fjr.planar_two_link(), fjr.planar_two_link(**{name: ROBOT_CHANGES[name]})
-    efforts = [
-        fjr.TrackingLaw(robot, fjr.PAPER_GAINS).effort(p.x_v, p.x, p.jets) for robot in (before, after)
-    ]
+    efforts = [fjr.TrackingLaw(robot, fjr.PAPER_GAINS).effort(p.x_v, p.x, p.jets) for robot in (before, after)]
     assert np.max(np.abs(efforts[0] - efforts[1])) > 1e-6
 
 

@@ -23,9 +23,7 @@ def test_stencil_has_order_ten() -> None:
 def test_jacobian_of_a_map() -> None:
     x = np.array([0.3, -1.2])
     seen = jacobian(lambda y: np.array([np.sin(y[0]) * y[1], y[1] ** 3, y[0]]), x, np.full(2, 0.05))
-    assert seen == pytest.approx(
-        np.array([[np.cos(0.3) * -1.2, np.sin(0.3)], [0, 3 * 1.44], [1, 0]]), abs=1e-12
-    )
+    assert seen == pytest.approx(np.array([[np.cos(0.3) * -1.2, np.sin(0.3)], [0, 3 * 1.44], [1, 0]]), abs=1e-12)
 
 
 def numerical_christoffel(arm: Arm, q: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -52,9 +50,7 @@ def test_literal_plant_from_its_hamiltonian_is_the_literal_virtual_system_on_the
 
 
 @pytest.mark.parametrize(("arm", "gains"), LOOPS[-1:], ids=["planar-full-full"])
-def test_literal_law_does_not_depend_on_its_step(
-    arm: Arm, gains: GainSet, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_literal_law_does_not_depend_on_its_step(arm: Arm, gains: GainSet, monkeypatch: pytest.MonkeyPatch) -> None:
     p = random_point(arm, 7)
     before = LiteralLaw(arm, gains).effort(p.x_v, p.x, p.jets)
     monkeypatch.setattr(oracle, "STEP", oracle.STEP * 1000)

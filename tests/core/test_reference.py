@@ -27,9 +27,7 @@ def test_each_row_is_the_derivative_of_the_one_above(reference: fjr.Sine, t: flo
 
 @sines
 def test_first_row_is_the_sine(reference: fjr.Sine) -> None:
-    a, w, c, p = (
-        np.asarray(getattr(reference, key)) for key in ("amplitude", "frequency", "offset", "phase")
-    )
+    a, w, c, p = (np.asarray(getattr(reference, key)) for key in ("amplitude", "frequency", "offset", "phase"))
     assert reference.jets(0.9)[0] == pytest.approx(c + a * np.sin(w * 0.9 + p), abs=1e-15)
 
 

@@ -31,9 +31,7 @@ def test_virtual_is_actual_on_the_diagonal_for_any_input(arm: Arm, seed: int) ->
 def test_derivative_agrees_with_the_literal_virtual_system(arm: Arm, seed: int) -> None:
     p = random_point(arm, seed)
     wanted = LiteralPlant(arm).virtual(exact(p.x_v), exact(p.x), exact(p.u)).astype(float)
-    assert fjr.VirtualSystem(arm.robot).derivative(p.x_v, p.x, p.u) == pytest.approx(
-        wanted, rel=1e-12, abs=1e-12
-    )
+    assert fjr.VirtualSystem(arm.robot).derivative(p.x_v, p.x, p.u) == pytest.approx(wanted, rel=1e-12, abs=1e-12)
 
 
 @arms
@@ -46,9 +44,7 @@ def test_variational_system_is_the_derivative_in_x_v_and_u(arm: Arm, seed: int) 
     assert residual(system.variational(p.x_v, p.x, delta_x_v, delta_u), wanted) <= TOLERANCE
 
 
-def spread_of_virtual_solutions(
-    arm: Arm, gains: GainSet, duration: float
-) -> tuple[np.ndarray, np.ndarray, float]:
+def spread_of_virtual_solutions(arm: Arm, gains: GainSet, duration: float) -> tuple[np.ndarray, np.ndarray, float]:
     """|x_v - x| at start and end for three x_v(0), and |q_l - q_ld| at the end, under a persistent omega(t).
 
     omega keeps x(t) off the reference, so that meeting x is not the same as meeting the reference.
@@ -66,9 +62,7 @@ def spread_of_virtual_solutions(
         x, *virtual = np.split(z, 4)
         jets, omega = reference.jets(t), np.full(arm.n, 2.0 * np.cos(3 * t))
         dx = plant.derivative(x, law.effort(x, x, jets, omega))
-        return np.concatenate(
-            [dx, *(system.derivative(y, x, law.effort(y, x, jets, omega)) for y in virtual)]
-        )
+        return np.concatenate([dx, *(system.derivative(y, x, law.effort(y, x, jets, omega)) for y in virtual)])
 
     end = solve_ivp(field, (0, duration), start, method="DOP853", rtol=1e-9, atol=1e-11).y[:, -1]
     gaps = [np.max(np.abs(z.reshape(4, -1)[1:] - z.reshape(4, -1)[0]), axis=1) for z in (start, end)]

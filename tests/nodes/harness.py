@@ -10,9 +10,6 @@ from typing import Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from fjr_controller.controller_node import ControllerNode
-from fjr_msgs_py.names import LATEST
-from fjr_plant.plant_node import PlantNode
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -20,6 +17,10 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+
+from fjr_controller.controller_node import ControllerNode
+from fjr_msgs_py.names import LATEST
+from fjr_plant.plant_node import PlantNode
 
 TIME_LIMIT = 30.0  # s; a test that waits longer for an event has failed
 
@@ -102,8 +103,10 @@ class Peer(Node):
         """Wait until the controller hears this peer and is heard."""
         heard = ("effort_controller/commands", "joint_commands", "fjr_controller/reference", "diagnostics")
         self._ros.until(
-            lambda: self.state_publisher.get_subscription_count() >= 2
-            and all(self.subscriptions_by_topic[topic].get_publisher_count() for topic in heard),
+            lambda: (
+                self.state_publisher.get_subscription_count() >= 2
+                and all(self.subscriptions_by_topic[topic].get_publisher_count() for topic in heard)
+            ),
             "the controller",
         )
 

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import fjr_core as fjr
 import numpy as np
 import pytest
-from fjr_controller.controller_node import ControllerNode
 
+import fjr_core as fjr
+from fjr_controller.controller_node import ControllerNode
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 
 NAN, INF = float("nan"), float("inf")

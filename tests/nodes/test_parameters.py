@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import fjr_core as fjr
 import pytest
 
+import fjr_core as fjr
 from nodes.harness import Ros
 
 NAN = float("nan")

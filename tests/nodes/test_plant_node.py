@@ -6,14 +6,14 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import fjr_core as fjr
 import numpy as np
 import pytest
-from fjr_plant.plant_node import LOCKSTEP_START
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
+import fjr_core as fjr
+from fjr_plant.plant_node import LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds
 
 INNER = 250_000  # ns, the default 1 kHz in 4 steps

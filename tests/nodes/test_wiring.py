@@ -6,14 +6,14 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import fjr_core as fjr
 import numpy as np
 import pytest
-from fjr_core import config
-from fjr_plant.plant_node import LOCKSTEP_START
 from rcl_interfaces.msg import ParameterType
 from sensor_msgs.msg import JointState
 
+import fjr_core as fjr
+from fjr_core import config
+from fjr_plant.plant_node import LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 
 MODELS = {"single_link": fjr.single_link, "planar_two_link": fjr.planar_two_link}

@@ -20,7 +20,7 @@ class Executable:
 
     def __init__(self, package: str, name: str, *arguments: str) -> None:
         path = Path(get_package_prefix(package)) / "lib" / package / name
-        self._said: IO[bytes] = tempfile.TemporaryFile()
+        self._said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed in kill)
         self.process = subprocess.Popen(
             [str(path), *arguments], stdout=self._said, stderr=self._said, start_new_session=True
         )

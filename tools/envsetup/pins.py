@@ -50,9 +50,7 @@ def release(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in found.group().split(".")) if found else ()
 
 
-def relaxed(
-    pinned: Mapping[str, str], installed: Mapping[str, str], exact: Collection[str] = ()
-) -> list[str]:
+def relaxed(pinned: Mapping[str, str], installed: Mapping[str, str], exact: Collection[str] = ()) -> list[str]:
     """Constraints beside an installed ROS 2: what it brings is kept where it suffices, all else is pinned.
 
     installed: versions that the ROS 2 installation and its system bring; exact: names to pin nevertheless.

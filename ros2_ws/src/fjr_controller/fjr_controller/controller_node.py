@@ -8,14 +8,15 @@ import time
 from typing import Any
 
 import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
 from fjr_core import TrackingLaw, config
 from fjr_core.checks import Array
 from fjr_msgs_py import names, process
 from fjr_msgs_py.health import Health
 from fjr_msgs_py.messages import EffortWriter, JointSample, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.node_parameters import ParameterNode
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from .tracker import Command, Tracker, is_sendable
 

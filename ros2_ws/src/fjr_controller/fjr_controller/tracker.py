@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from fjr_core import Reference, TrackingLaw
 from fjr_core.checks import Array
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from . import checks
 from .errors import RobotError
-from .links import closed_form
+from .links import Links, closed_form
 from .robot import Robot
 
 
@@ -31,7 +31,7 @@ def single_link(
     (load,) = checks.vector("gravity_torque", gravity_torque, 1, RobotError)
     M_l = np.array([[inertia]])
     links = closed_form(1, lambda q_l: ca.SX(M_l), lambda q_l: load * (1 - ca.cos(q_l)), vertices=(M_l,))
-    return Robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
+    return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
 
 def planar_two_link(
@@ -71,7 +71,12 @@ def planar_two_link(
         potential,
         vertices=(constant + coupling, constant - coupling),
     )
-    return Robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
+    return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
+
+
+def _robot(links: Links, **constants: ArrayLike) -> Robot:
+    matrices = {name: checks.matrix(name, value, links.n, RobotError) for name, value in constants.items()}
+    return Robot(links, **matrices)
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> checks.Array:

@@ -109,7 +109,12 @@ def controller_parameters(n: int) -> list[Parameter]:
         Parameter("reference.offset", (0.0,) * n, "Offset of the sine", "rad"),
         Parameter("reference.phase", (0.0,) * n, "Phase of the sine", "rad"),
         Parameter(
-            "state_timeout", 0.5, "A stamp that jumps back by more restarts the reference", "s", minimum=0.0, maximum=1e3
+            "state_timeout",
+            0.5,
+            "A stamp that jumps back by more restarts the reference",
+            "s",
+            minimum=0.0,
+            maximum=1e3,
         ),
     ]
 
@@ -120,7 +125,7 @@ def robot(values: Values) -> Robot:
     joints, n = _strings(values["joints"]), joints_of(model)
     if len(joints) != n or len(set(joints)) != n:
         raise ParameterError(f"parameter 'joints' is {list(joints)}; {model} has {n}, with different names")
-    arguments = {}
+    arguments: dict[str, Any] = {}
     for argument in inspect.signature(MODELS[model]).parameters:
         name = _ROBOT_WORDS[argument][0]
         if argument == "gravity":
@@ -168,9 +173,7 @@ def _matrix(values: Values, name: str, n: int) -> Array:
     if array.size == n:
         return np.diag(array)
     if array.size != n * n:
-        raise ParameterError(
-            f"parameter '{name}' has {array.size} entries; expected {_entries(n)}"
-        )
+        raise ParameterError(f"parameter '{name}' has {array.size} entries; expected {_entries(n)}")
     return array.reshape(n, n)
 
 
@@ -196,5 +199,3 @@ def all_parameters(own: Callable[[int], Sequence[Parameter]], model: str) -> lis
 def model_of(given: dict[str, object]) -> str:
     """The robot model among given values (or the default); raises ParameterError when unknown."""
     return str(MODEL.check(given.get(MODEL.name, MODEL.default)))
-
-

@@ -35,7 +35,7 @@ class Flow:
         ends = [0]
         for e in expressions:
             ends.append(ends[-1] + e.numel())
-        return ca.vertsplit(stacked, ends)  # type: ignore[no-any-return]
+        return ca.vertsplit(stacked, ends)
 
 
 def flow(robot: Robot) -> Flow:

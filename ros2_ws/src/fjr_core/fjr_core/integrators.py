@@ -10,15 +10,24 @@ import casadi as ca
 from .errors import ParameterError
 from .numeric import NumericFunction
 
+Field = Callable[[ca.SX, ca.SX], ca.SX]
+"""dx/dt = f(x, u) on expressions; a CasADi function is one."""
+
 
 def rk4(f: ca.Function) -> ca.Function:
     """The classical Runge-Kutta step of order 4 as a CasADi function (x, u, dt) -> x_next."""
     x, u, dt = _symbols(f, ca.SX)
-    k1 = f(x, u)
-    k2 = f(x + dt / 2 * k1, u)
-    k3 = f(x + dt / 2 * k2, u)
-    k4 = f(x + dt * k3, u)
-    return _step("rk4", x, u, dt, x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+    return _step("rk4", x, u, dt, rk4_expression(f, x, (u, u, u), dt))
+
+
+def rk4_expression(f: Field, x: ca.SX, inputs: tuple[ca.SX, ca.SX, ca.SX], dt: ca.SX) -> ca.SX:
+    """The same step as an expression, with the inputs of f at the start, the middle and the end of the step."""
+    start, middle, end = inputs
+    k1 = f(x, start)
+    k2 = f(x + dt / 2 * k1, middle)
+    k3 = f(x + dt / 2 * k2, middle)
+    k4 = f(x + dt * k3, end)
+    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 def implicit_midpoint(f: ca.Function) -> ca.Function:

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from .checks import Array
 from .errors import StateError
 
-
 SPREAD = ("u", "delta_u", "omega")  # efforts: a scalar stands for n equal entries
 
 
@@ -29,9 +28,9 @@ class NumericFunction(threading.local):
         self._results = [np.zeros(_numpy_shape(function, i)) for i in range(function.n_out())]
         buffer, self._trigger = function.buffer()
         for i, argument in enumerate(self._arguments):
-            buffer.set_arg(i, memoryview(argument))
+            buffer.set_arg(i, argument.data)
         for i, result in enumerate(self._results):
-            buffer.set_res(i, memoryview(result))
+            buffer.set_res(i, result.data)
         self._buffer = buffer
 
     def __call__(self, *arguments: ArrayLike) -> tuple[Array, ...]:

@@ -7,11 +7,10 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Union
 
 from .errors import ParameterError
 
-Value = Union[bool, int, float, str, tuple[float, ...], tuple[str, ...]]
+Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 Values = Mapping[str, Value]
 
 

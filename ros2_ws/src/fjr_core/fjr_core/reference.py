@@ -45,7 +45,7 @@ class Sine:
         names = ("amplitude", "frequency", "offset", "phase")
         arrays = [checks.finite(name, getattr(self, name), TrajectoryError) for name in names]
         n = max(array.size for array in arrays)
-        for name, array in zip(names, arrays):
+        for name, array in zip(names, arrays, strict=True):
             array = checks.vector(name, array, n, TrajectoryError)
             array.setflags(write=False)
             object.__setattr__(self, name, array)

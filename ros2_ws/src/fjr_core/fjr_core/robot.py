@@ -23,7 +23,7 @@ class Robot:
 
     links: the rigid arm on the link side. M_m: motor inertia reflected to the link side [kg m^2].
     K: joint stiffness [N m/rad]. D_l, D_m: link and motor damping [N m s/rad]. B_m: input matrix.
-    Each of the five is a scalar, a vector (n,) (diagonal) or a matrix (n, n); they are constant.
+    All five are constant matrices (n, n).
 
     The state is x = (q_l, q_m, p_l, p_m), four blocks of n, with p_l = M_l(q_l) dq_l, p_m = M_m dq_m.
 
@@ -59,7 +59,7 @@ class Robot:
 
     def M_l(self, q_l: ArrayLike) -> Array:
         """Link inertia M_l(q_l) (n, n) [kg m^2] at q_l (n,) [rad]."""
-        return self.links.M_l(self._vector("q_l", q_l)).full()  # type: ignore[no-any-return]
+        return self.links.M_l(self._vector("q_l", q_l)).full()
 
     def P_l(self, q_l: ArrayLike) -> float:
         """Potential energy of the links [J] at q_l (n,) [rad]."""
@@ -67,12 +67,12 @@ class Robot:
 
     def grad_P_l(self, q_l: ArrayLike) -> Array:
         """Gravity torque dP_l/dq_l (n,) [N m] at q_l (n,) [rad]."""
-        return self.links.grad_P_l(self._vector("q_l", q_l)).full().ravel()  # type: ignore[no-any-return]
+        return self.links.grad_P_l(self._vector("q_l", q_l)).full().ravel()
 
     def coriolis(self, q_l: ArrayLike, dq_l: ArrayLike, w: ArrayLike) -> Array:
         """Coriolis product C(q_l, dq_l) w (n,) [N m], with the Christoffel symbols of M_l."""
         vectors = (self._vector(name, v) for name, v in (("q_l", q_l), ("dq_l", dq_l), ("w", w)))
-        return self.links.C(*vectors).full().ravel()  # type: ignore[no-any-return]
+        return self.links.C(*vectors).full().ravel()
 
     def hamiltonian(self, x: ArrayLike) -> float:
         """Total energy H(x) [J], eq. (36)."""
@@ -113,7 +113,7 @@ class Robot:
     @cached_property
     def _velocities(self) -> NumericFunction:
         x = ca.SX.sym("x", 4 * self.n)
-        return numeric("velocities", {"x": x}, dict(zip(("dq_l", "dq_m"), self.velocity_expressions(x))))
+        return numeric("velocities", {"x": x}, dict(zip(("dq_l", "dq_m"), self.velocity_expressions(x), strict=True)))
 
     @cached_property
     def _state(self) -> NumericFunction:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from . import checks
 from .checks import Array
 from .errors import StateError
+from .integrators import rk4_expression
 from .numeric import NumericFunction
 from .plant import Plant
 from .reference import JETS, Reference
@@ -57,20 +58,19 @@ def simulate(
         )
     if inner_step is not None:
         _positive("inner_step", inner_step)
-    if sample_period is None:
-        period = inner_step or CONTINUOUS_STEP
-        states = _continuous(plant, law, reference, x0, _times(duration, period), period)
-    else:
-        states = _sampled(plant, law, reference, x0, _times(duration, sample_period), sample_period, inner_step)
-        period = sample_period
+    period = sample_period if sample_period is not None else inner_step or CONTINUOUS_STEP
     t = _times(duration, period)
+    if sample_period is None:
+        states = _continuous(plant, law, reference, x0, t, period)
+    else:
+        states = _sampled(plant, law, reference, x0, t, period, inner_step or INNER_STEP)
     return _trajectory(law, t, states, reference.jets(t))
 
 
 def _times(duration: float, period: float) -> Array:
     _positive("duration", duration)
     _positive("period", period)
-    return period * np.arange(int(duration / period + 1e-9) + 1)
+    return np.asarray(period * np.arange(int(duration / period + 1e-9) + 1), dtype=float)
 
 
 def _positive(name: str, value: float) -> None:
@@ -79,9 +79,9 @@ def _positive(name: str, value: float) -> None:
 
 
 def _sampled(
-    plant: Plant, law: TrackingLaw, reference: Reference, x0: Array, t: Array, period: float, inner: float | None
+    plant: Plant, law: TrackingLaw, reference: Reference, x0: Array, t: Array, period: float, inner_step: float
 ) -> list[Array]:
-    steps = int(np.ceil(period / (inner or INNER_STEP) - 1e-9))
+    steps = int(np.ceil(period / inner_step - 1e-9))
     states = [x0]
     for jets in reference.jets(t[:-1]):
         x = states[-1]
@@ -92,12 +92,11 @@ def _sampled(
     return states
 
 
-def _continuous(
-    plant: Plant, law: TrackingLaw, reference: Reference, x0: Array, t: Array, dt: float
-) -> list[Array]:
+def _continuous(plant: Plant, law: TrackingLaw, reference: Reference, x0: Array, t: Array, dt: float) -> list[Array]:
     step = _closed_loop_step(plant, law)
     states = [x0]
-    for stages in zip(reference.jets(t[:-1]), reference.jets(t[:-1] + dt / 2), reference.jets(t[1:])):
+    instants = (t[:-1], t[:-1] + dt / 2, t[1:])
+    for stages in zip(*(reference.jets(instant) for instant in instants), strict=True):
         states.append(_finite(step(states[-1], *stages, dt)[0], len(states) * dt))
     return states
 
@@ -111,11 +110,7 @@ def _closed_loop_step(plant: Plant, law: TrackingLaw) -> NumericFunction:
     def f(x: ca.MX, jets: ca.MX) -> ca.MX:
         return plant.dynamics(x, law.function(x, x, jets, ca.DM.zeros(n)))
 
-    k1 = f(x, start)
-    k2 = f(x + dt / 2 * k1, middle)
-    k3 = f(x + dt / 2 * k2, middle)
-    k4 = f(x + dt * k3, end)
-    x_next = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    x_next = rk4_expression(f, x, (start, middle, end), dt)
     function = ca.Function("closed_loop_step", [x, start, middle, end, dt], [x_next])
     return NumericFunction(function, ((4 * n,), (JETS, n), (JETS, n), (JETS, n), ()))
 
@@ -127,7 +122,7 @@ def _finite(x: Array, t: float) -> Array:
 
 
 def _trajectory(law: TrackingLaw, t: Array, states: list[Array], jets: Array) -> Trajectory:
-    evaluations = [law.evaluate(x, x, j) for x, j in zip(states, jets)]
+    evaluations = [law.evaluate(x, x, j) for x, j in zip(states, jets, strict=True)]
     return Trajectory(
         t, np.array(states), np.array([e.u for e in evaluations]), jets, np.array([e.V for e in evaluations])
     )

@@ -8,7 +8,7 @@ import casadi as ca
 
 def blocks(x: ca.SX, n: int) -> list[ca.SX]:
     """Split a state (4n,) into its four blocks (q_l, q_m, p_l, p_m), each (n,)."""
-    return ca.vertsplit(x, n)  # type: ignore[no-any-return]
+    return ca.vertsplit(x, n)
 
 
 def solve(A: ca.SX | ca.DM, b: ca.SX) -> ca.SX:

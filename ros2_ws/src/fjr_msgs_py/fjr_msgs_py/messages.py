@@ -157,6 +157,6 @@ def _picked(message: JointState, field: str, columns: NDArray[np.intp], names: S
 
 def _finite(field: str, values: Array, names: Sequence[str]) -> Array:
     if not np.isfinite(values).all():
-        bad = [f"{name} = {value}" for name, value in zip(names, values) if not np.isfinite(value)]
+        bad = [f"{name} = {value}" for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
         raise MessageError("not finite", f"{field} holds {', '.join(bad)}; expected finite numbers")
     return values

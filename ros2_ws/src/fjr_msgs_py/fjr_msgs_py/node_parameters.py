@@ -7,10 +7,11 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from fjr_core import ParameterError, config
-from fjr_core.parameters import Parameter, complete, unknown
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType
 from rclpy.node import Node
+
+from fjr_core import ParameterError, config
+from fjr_core.parameters import Parameter, complete, unknown
 
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 

@@ -10,14 +10,14 @@ from typing import Protocol
 
 import rclpy
 import rclpy.exceptions
-from fjr_core import FjrError
 from rclpy.duration import Duration
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+
+from fjr_core import FjrError
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
@@ -33,8 +33,11 @@ class StoppableNode(Protocol):
     def stop(self) -> None:
         """Send what must be sent before the process ends."""
 
+    def destroy_node(self) -> None:
+        """As of rclpy's Node."""
 
-def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
+
+def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -> int:
     """Run a node until SIGINT or SIGTERM; return the exit code.
 
     0: ended by a signal, after node.stop(). 1: could not start; one sentence on standard error says why.
@@ -51,14 +54,14 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         return 1
     try:
         _spin(node, stopped)
-        node.stop()  # type: ignore[attr-defined]
+        node.stop()
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
     return 0
 
 
-def _spin(node: Node, stopped: list[int]) -> None:
+def _spin(node: StoppableNode, stopped: list[int]) -> None:
     executor, spin = _executor()
     executor.add_node(node)
     try:

@@ -8,15 +8,16 @@ import time
 from typing import Any
 
 import numpy as np
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
 from fjr_core import Plant, config
 from fjr_msgs_py import names, process
 from fjr_msgs_py.health import Health
 from fjr_msgs_py.messages import EffortReader, JointStateWriter, MessageError
 from fjr_msgs_py.node_parameters import ParameterNode
-from rclpy.clock import Clock, ClockType
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import SetBool, Trigger
 
 from .simulated_robot import SimulatedRobot
 

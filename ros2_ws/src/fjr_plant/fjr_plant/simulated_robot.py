@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from fjr_core import Plant
 from fjr_core.checks import Array
 
@@ -22,7 +23,7 @@ class SimulatedRobot:
         """Back to the initial state and time 0, no effort."""
         self.time = 0
         self.x = self._x0.copy()
-        self.u = np.zeros(self._plant.robot.n)
+        self.u: Array = np.zeros(self._plant.robot.n)
 
     def advance_to(self, time: int) -> None:
         """Integrate in whole inner steps up to, and never past, `time` [ns]."""

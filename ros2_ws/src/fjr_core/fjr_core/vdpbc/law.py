@@ -59,8 +59,10 @@ class TrackingLaw:
 
     def evaluate(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Evaluation:
         """The effort with all errors, the storage V of eq. (43) (undifferentiated) and its exact rate."""
-        *vectors, V, dissipation, dV = self._evaluate(x_v, x, jets, omega)
-        return Evaluation(*vectors, float(V[0]), float(dissipation[0]), float(dV[0]))
+        results = self._evaluate(x_v, x, jets, omega)
+        u, u_l, q_md, q_tilde_l, sigma_l, q_tilde_m, sigma_m = results[:7]
+        V, dissipation, dV = (float(result[0]) for result in results[7:])
+        return Evaluation(u, u_l, q_md, q_tilde_l, sigma_l, q_tilde_m, sigma_m, V, dissipation, dV)
 
     def rate(self, configurations: ArrayLike | None = None) -> Rate:
         """Rates beta and eq. (50) [1/s], proven where M_l is covered, else sampled at configurations (k, n)."""
