@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run a scenario: two real nodes as processes, everything recorded, nothing left behind.
+
+The order matters. The recorder listens first; the plant starts paused; only when nobody else drives this
+ROS domain the controller starts; only when all are connected the plant is let go. Ending goes backwards:
+the controller first, so that its last zero effort reaches the plant and the bag.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+
+from fjr_bringup.bag import header_stamp
+from fjr_bringup.processes import NodeProcess
+from fjr_bringup.progress import Progress
+from fjr_bringup.recorder import Recorder
+from fjr_bringup.remote import PlantRemote
+from fjr_bringup.run_folder import RunFolder
+from fjr_bringup.stopping import Interrupted
+from fjr_core.errors import FjrError, ParameterError
+from fjr_core.scenario import load_scenario
+
+STATES, COMMANDS, ANSWERS = "/joint_states", "/effort_controller/commands", "/joint_commands"
+PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
+STARTUP_LIMIT = 30.0  # s until both nodes are there and connected
+SILENCE_LIMIT = 5.0  # s without a new answered state
+POLL = 0.02  # s
+
+
+class RunError(FjrError):
+    """A run that could not start or could not be finished."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to run: name, scenario text as the nodes get it, seconds of stamped time, where to write."""
+
+    name: str
+    scenario: str
+    duration: float
+    folder: Path
+
+
+def set_ros_environment() -> None:
+    """Quick discovery, on this machine only, here and in the nodes, unless the user chose otherwise."""
+    profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def run(plan: Plan, stop: threading.Event) -> None:
+    """Run the plan; bag, scenario and logs are in its folder then. Raises FjrError or Interrupted."""
+    set_ros_environment()
+    with RunFolder(plan.folder) as kept:
+        file = plan.folder / "scenario.yaml"
+        file.write_text(plan.scenario, encoding="utf-8")
+        _check(file, plan.name)
+        with Recorder(plan.folder / "bag") as recorder:
+            _Run(plan, recorder, stop, file).execute(on_go=kept.keep)
+
+
+def _check(file: Path, name: str) -> None:
+    """What the nodes would refuse is refused here, in one sentence that names the scenario."""
+    try:
+        load_scenario(file)
+    except ParameterError as error:
+        raise ParameterError(str(error).replace(str(file), f"scenario {name}")) from None
+
+
+class _Run:
+    """One run in progress."""
+
+    def __init__(self, plan: Plan, recorder: Recorder, stop: threading.Event, file: Path) -> None:
+        self.plan = plan
+        self.recorder = recorder
+        self.stop = stop
+        self.file = file
+        self.remote = PlantRemote(recorder.context, PLANT)
+        self.nodes: dict[str, NodeProcess] = {}
+        self.going = False  # whether the plant was let go
+
+    def execute(self, on_go: Callable[[], None]) -> None:
+        """Start, run and end; `on_go` is called when everything is in place and the run begins."""
+        try:
+            self._start(PLANT, "fjr_plant", "plant_node", "-p", "start_paused:=true")
+            self._wait(lambda: self._connected(PLANT, STATES), STARTUP_LIMIT, "the plant to appear")
+            self._refuse_others()
+            self._start(CONTROLLER, "fjr_controller", "controller_node")
+            self._wait(lambda: self._connected(CONTROLLER, ANSWERS), STARTUP_LIMIT, "the controller to appear")
+            self._wait(self._matched, STARTUP_LIMIT, "plant and controller to find each other")
+            self._refuse_others()
+            self._wait(self.remote.ready, STARTUP_LIMIT, "the plant's pause service")
+            on_go()
+            self.going = True
+            self.remote.resume()
+            self._follow()
+        finally:
+            self._end()
+
+    def _start(self, node: str, package: str, name: str, *arguments: str) -> None:
+        log = self.plan.folder / f"{name}.log"
+        self.nodes[node] = NodeProcess(package, name, ["--params-file", str(self.file), *arguments], log)
+
+    def _connected(self, node: str, signature: str) -> bool:
+        """The node's `signature` topic is there and the recorder is connected to all that it publishes."""
+        topics = self.remote.published_by(node)
+        graph = self.recorder.node
+        return signature in topics and all(self.recorder.matched(t) >= graph.count_publishers(t) for t in topics)
+
+    def _matched(self) -> bool:
+        """Both ends of states, commands and answers are known in the graph."""
+        graph = self.recorder.node
+        ends = (graph.count_publishers, graph.count_subscribers)
+        return all(end(topic) for topic in (STATES, COMMANDS) for end in ends)
+
+    def _refuse_others(self) -> None:
+        """Raise RunError when anyone but our two nodes publishes states or commands in this domain."""
+        for topic, owner in ((STATES, PLANT), (COMMANDS, CONTROLLER), (ANSWERS, CONTROLLER)):
+            publishers = [info.node_name for info in self.recorder.node.get_publishers_info_by_topic(topic)]
+            if (owner in self.nodes and publishers.count(owner) > 1) or set(publishers) - {owner}:
+                names = ", ".join(sorted(publishers))
+                raise RunError(
+                    f"{topic} has other publishers in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')} "
+                    f"({names}): stop them or set another ROS_DOMAIN_ID"
+                )
+
+    def _follow(self) -> None:
+        """Wait until `duration` seconds of stamped time since the first answered state are in the bag."""
+        with Progress(self.plan.name, self.plan.duration) as progress:
+            last, deadline = 0.0, time.monotonic() + SILENCE_LIMIT
+            while last < self.plan.duration:
+                self._pause()
+                elapsed = self._elapsed()
+                if elapsed > last:
+                    last, deadline = elapsed, time.monotonic() + SILENCE_LIMIT
+                    progress.at(elapsed)
+                elif time.monotonic() > deadline:
+                    raise RunError(f"no answered state for {SILENCE_LIMIT:g} s\n{self._words()}")
+
+    def _elapsed(self) -> float:
+        """Stamped time [s] from the first to the latest answered state."""
+        first, last = self.recorder.first(ANSWERS), self.recorder.last(ANSWERS)
+        return (header_stamp(last) - header_stamp(first)) * 1e-9 if first else 0.0
+
+    def _wait(self, condition: Callable[[], bool], limit: float, what: str) -> None:
+        deadline = time.monotonic() + limit
+        while not condition():
+            if time.monotonic() > deadline:
+                raise RunError(f"waited {limit:g} s for {what}\n{self._words()}")
+            self._pause()
+
+    def _pause(self) -> None:
+        """A moment's wait that ends the run when it has to end."""
+        if self.stop.wait(POLL):
+            raise Interrupted(self.plan.folder if self.going else None)
+        for node in self.nodes.values():
+            node.check()
+        if self.recorder.failure:
+            raise RunError(f"the recorder failed: {self.recorder.failure}")
+
+    def _words(self) -> str:
+        return "\n".join(f"{node.name} says:\n{node.last_lines()}" for node in self.nodes.values())
+
+    def _end(self) -> None:
+        """End the controller, then the plant; the recorder still listens."""
+        for name in (CONTROLLER, PLANT):
+            if name in self.nodes:
+                self.nodes[name].stop()
+        with suppress(Exception):
+            self.remote.close()

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plant and controller with the parameters of a scenario.
+
+ros2 launch fjr_bringup tracking.launch.py scenario:=paper_k31
+"""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+from launch import LaunchDescription
+
+
+def generate_launch_description() -> LaunchDescription:
+    installed = Path(get_package_share_directory("fjr_bringup"), "scenarios").glob("*.yaml")
+    folder_and_name = PathJoinSubstitution(
+        [FindPackageShare("fjr_bringup"), "scenarios", LaunchConfiguration("scenario")]
+    )
+    scenario_file = ParameterFile([folder_and_name, ".yaml"])
+    lockstep = ParameterValue(LaunchConfiguration("lockstep"), value_type=bool)
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "scenario",
+                default_value="paper_k31",
+                choices=sorted(path.stem for path in installed),
+                description="Which parameter file of fjr_bringup/scenarios both nodes get",
+            ),
+            DeclareLaunchArgument(
+                "lockstep",
+                default_value="false",
+                choices=["true", "false"],
+                description="Advance one sample per answer instead of with the clock",
+            ),
+            Node(
+                package="fjr_plant",
+                executable="plant_node",
+                output="screen",
+                parameters=[scenario_file, {"lockstep": lockstep}],
+            ),
+            Node(
+                package="fjr_controller",
+                executable="controller_node",
+                output="screen",
+                parameters=[scenario_file],
+            ),
+        ]
+    )

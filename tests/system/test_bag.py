@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded bag holds every byte that was sent, when it was sent, in a form that other tools read."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+import yaml
+from mcap.reader import make_reader
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rosbags.rosbag2 import Reader
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from fjr_bringup import schemas
+from fjr_bringup.bag import Bag, BagError, header_stamp, read_bag
+from fjr_bringup.recorder import Recorder
+
+LIMIT = 20.0  # s
+COUNT = 300
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + LIMIT
+    while not condition():
+        assert time.monotonic() < deadline, "waited too long"
+        time.sleep(0.005)
+
+
+def joint_state(k: int) -> bytes:
+    """A serialised JointState of varying size, order and content, without undefined bytes in its padding."""
+    store = schemas.typestore()
+    header, stamp, kind = (
+        store.types[name] for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", JOINT_STATE)
+    )
+    names = ["elbow", "shoulder"] if k % 2 else ["shoulder", "elbow"]
+    values = {"shoulder": float(k), "elbow": -float(k)}
+    when = stamp(*divmod(k * 1_000_000 + 5, 1_000_000_000))
+    message = kind(
+        header=header(stamp=when, frame_id="f" * (k % 7)),
+        name=names,
+        position=np.array([values[name] for name in names]),
+        velocity=np.zeros(0),
+        effort=np.array([0.5] * (k % 3)),
+    )
+    return bytes(store.serialize_cdr(message, JOINT_STATE))
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    context = rclpy.Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    made = rclpy.create_node("talker", context=context)
+    yield made
+    made.destroy_node()
+    context.try_shutdown()
+
+
+def matched(recorder: Recorder, *publishers: Publisher) -> None:
+    until(lambda: all(p.get_subscription_count() and recorder.matched(p.topic_name) for p in publishers))
+
+
+@pytest.fixture
+def recorded(node: Node, tmp_path: Path) -> tuple[Path, list[bytes]]:
+    """A closed bag with COUNT joint states, and what was sent."""
+    publisher = node.create_publisher(JointState, "/joint_states", COUNT)
+    sent = [joint_state(k) for k in range(COUNT)]
+    with Recorder(tmp_path / "bag") as recorder:
+        matched(recorder, publisher)
+        for data in sent:
+            publisher.publish(data)
+        until(lambda: recorder.last("/joint_states") == sent[-1])
+    assert recorder.failure is None
+    return tmp_path / "bag", sent
+
+
+def test_every_byte_is_in_the_bag_in_order(recorded: tuple[Path, list[bytes]]) -> None:
+    folder, sent = recorded
+    bag = read_bag(folder)
+    assert [message.data for message in bag.topic("/joint_states").messages] == sent
+    assert bag.complete
+    assert bag.lost()["/joint_states"] == 0
+
+
+def test_send_times_grow_and_precede_receive_times(recorded: tuple[Path, list[bytes]]) -> None:
+    topic = read_bag(recorded[0]).topic("/joint_states")
+    now = time.time_ns()
+    assert (np.diff(topic.publish_time) > 0).all()
+    assert (topic.publish_time <= topic.log_time).all()
+    assert (np.abs(topic.publish_time - now) < 60 * 10**9).all()
+
+
+def test_joints_are_columns_by_name(recorded: tuple[Path, list[bytes]]) -> None:
+    table = read_bag(recorded[0]).joints("/joint_states", ("shoulder", "elbow", "wrist"))
+    k = np.arange(COUNT)
+    np.testing.assert_array_equal(table.position[:, :2], np.column_stack([k, -k]))
+    assert np.isnan(table.position[:, 2]).all()
+    assert np.isnan(table.velocity).all()
+    np.testing.assert_array_equal(table.stamp, k * 1_000_000 + 5)
+
+
+def test_stamps_are_read_off_the_wire() -> None:
+    assert header_stamp(joint_state(2500)) == 2_500_000_005
+
+
+def test_metadata_agrees_with_the_file_and_with_rosbags(recorded: tuple[Path, list[bytes]]) -> None:
+    folder, _ = recorded
+    metadata = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    with open(folder / metadata["relative_file_paths"][0], "rb") as stream:
+        reader = make_reader(stream)
+        summary, header = reader.get_summary(), reader.get_header()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert header.profile == "ros2"
+    assert (metadata["version"], metadata["storage_identifier"]) == (9, "mcap")
+    assert (
+        metadata["message_count"] == summary.statistics.message_count == metadata["files"][0]["message_count"]
+    )
+    start = metadata["starting_time"]["nanoseconds_since_epoch"]
+    assert start == summary.statistics.message_start_time
+    assert start + metadata["duration"]["nanoseconds"] == summary.statistics.message_end_time
+    with Reader(folder) as rosbag:
+        assert rosbag.message_count == metadata["message_count"]
+        assert {c.topic: c.msgcount for c in rosbag.connections} == {
+            entry["topic_metadata"]["name"]: entry["message_count"]
+            for entry in metadata["topics_with_message_count"]
+        }
+
+
+def test_topics_keep_type_hash_and_quality_of_service(recorded: tuple[Path, list[bytes]]) -> None:
+    metadata = yaml.safe_load((recorded[0] / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    topics = {
+        entry["topic_metadata"]["name"]: entry["topic_metadata"]
+        for entry in metadata["topics_with_message_count"]
+    }
+    assert {"/joint_states", "/rosout", "/parameter_events"} <= set(topics)
+    for topic in topics.values():
+        assert topic["type_description_hash"] == schemas.type_hash(topic["type"])
+        assert topic["serialization_format"] == "cdr"
+    (offered,) = topics["/joint_states"]["offered_qos_profiles"]
+    assert (offered["reliability"], offered["durability"]) == ("reliable", "volatile")
+    assert offered["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
+    assert topics["/rosout"]["offered_qos_profiles"][0]["durability"] == "transient_local"
+
+
+def test_chunks_have_message_indexes(recorded: tuple[Path, list[bytes]]) -> None:
+    with open(next(recorded[0].glob("*.mcap")), "rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.chunk_indexes
+    assert all(index.message_index_offsets and index.compression == "" for index in summary.chunk_indexes)
+    assert {channel.message_encoding for channel in summary.channels.values()} == {"cdr"}
+    assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
+
+
+def test_rosbags_decodes_the_recorded_definitions(recorded: tuple[Path, list[bytes]]) -> None:
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([recorded[0]]) as reader:
+        wanted = [c for c in reader.connections if c.topic == "/joint_states"]
+        positions = [reader.deserialize(raw, c.msgtype).position[0] for c, _, raw in reader.messages(wanted)]
+    assert [abs(position) for position in positions] == list(range(COUNT))
+
+
+def test_mcap_ros2_support_decodes_the_recorded_definitions(recorded: tuple[Path, list[bytes]]) -> None:
+    decoder = pytest.importorskip("mcap_ros2.decoder")
+    with open(next(recorded[0].glob("*.mcap")), "rb") as stream:
+        reader = make_reader(stream, decoder_factories=[decoder.DecoderFactory()])
+        stamps = [message.header.stamp.sec for *_, message in reader.iter_decoded_messages(["/joint_states"])]
+    assert len(stamps) == COUNT
+
+
+def test_topics_that_appear_later_are_found_with_what_they_offer(node: Node, tmp_path: Path) -> None:
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    early = node.create_publisher(String, "/described_before", latched)
+    early.publish(String(data="sent before the recorder came"))
+    with Recorder(tmp_path / "bag") as recorder:
+        until(lambda: bool(recorder.last("/described_before")))
+        late = node.create_publisher(
+            String, "/late", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        )
+        matched(recorder, late)
+        late.publish(String(data="best effort"))
+        until(lambda: bool(recorder.last("/late")))
+    bag = read_bag(tmp_path / "bag")
+    assert [message.data for message in bag.topic("/described_before").decoded()] == [
+        "sent before the recorder came"
+    ]
+    assert [message.data for message in bag.topic("/late").decoded()] == ["best effort"]
+
+
+def test_a_weaker_publisher_that_joins_is_recorded_too(node: Node, tmp_path: Path) -> None:
+    strong = node.create_publisher(String, "/shared", 10)
+    with Recorder(tmp_path / "bag") as recorder:
+        matched(recorder, strong)
+        weak = node.create_publisher(
+            String, "/shared", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        )
+        until(lambda: recorder.matched("/shared") == 2 and weak.get_subscription_count() > 0)
+        weak.publish(String(data="weak"))
+        until(lambda: b"weak" in recorder.last("/shared"))
+        strong.publish(String(data="strong"))
+        until(lambda: b"strong" in recorder.last("/shared"))
+    assert [message.data for message in read_bag(tmp_path / "bag").topic("/shared").decoded()] == [
+        "weak",
+        "strong",
+    ]
+
+
+def test_lost_messages_show_in_the_numbering(recorded: tuple[Path, list[bytes]]) -> None:
+    topic = read_bag(recorded[0]).topic("/joint_states")
+    del topic.messages[10:13]
+    assert topic.lost == 3
+
+
+def test_what_is_not_there_is_named(recorded: tuple[Path, list[bytes]], tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="no message of /joint_commands; it holds /joint_states"):
+        read_bag(recorded[0]).topic("/joint_commands")
+    with pytest.raises(BagError, match="is not a bag"):
+        read_bag(tmp_path / "nothing")
+
+
+TALKING_RECORDER = """
+import sys, time
+from pathlib import Path
+import rclpy
+from std_msgs.msg import String
+from fjr_bringup.recorder import Recorder
+recorder = Recorder(Path(sys.argv[1])).start()
+rclpy.init()
+node = rclpy.create_node("talker")
+publisher = node.create_publisher(String, "/words", 10)
+while not (publisher.get_subscription_count() and recorder.matched("/words")):
+    time.sleep(0.005)
+for k in range(100000):
+    publisher.publish(String(data=str(k)))
+    print(k, time.monotonic(), flush=True)
+    time.sleep(0.005)
+"""
+
+
+def killed_bag(folder: Path, count: int) -> tuple[Bag, int]:
+    """Kill a recorder after `count` messages; its bag, and how many were sent a second before the kill."""
+    command = [sys.executable, "-c", TALKING_RECORDER, str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        lines = [process.stdout.readline().split() for _ in range(count)]
+        now = time.monotonic()
+        process.send_signal(signal.SIGKILL)
+    return read_bag(folder), sum(float(when) < now - 1.0 for _, when in lines)
+
+
+def test_a_killed_recorder_leaves_all_but_the_last_second(tmp_path: Path) -> None:
+    bag, due = killed_bag(tmp_path / "bag", 400)
+    words = [message.data for message in bag.topic("/words").decoded()]
+    assert not bag.complete
+    assert due > 100
+    assert len(words) >= due
+    assert words == [str(k) for k in range(len(words))]
+
+
+def test_a_torn_file_is_readable_up_to_the_tear(recorded: tuple[Path, list[bytes]]) -> None:
+    path = next(recorded[0].glob("*.mcap"))
+    whole = path.read_bytes()
+    for size in (len(whole) // 2, len(whole) - 40):
+        path.write_bytes(whole[:size])
+        messages = read_bag(path).topics.get("/joint_states")
+        sent = recorded[1]
+        assert (
+            messages is None
+            or [message.data for message in messages.messages] == sent[: len(messages.messages)]
+        )

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's scenarios over ROS 2: two processes in lock-step, judged from the bag by the test's own reading."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ament_index_python.packages import get_package_prefix
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from fjr_core.scenario import load_scenario
+from system.executables import scenario
+
+pytestmark = pytest.mark.system
+
+PEAK = {"paper_k31": 26.203, "paper_k3p1": 255.762}  # N m, by an independent integration
+DURATION = 4.0  # s
+
+
+@dataclass(frozen=True)
+class Recorded:
+    folder: Path
+    said: str
+    t: np.ndarray
+    q_l: np.ndarray
+    q_ld: np.ndarray
+    u: np.ndarray
+
+
+def fjr(*arguments: str, code: int = 0) -> str:
+    command = [Path(get_package_prefix("fjr_bringup")) / "lib" / "fjr_bringup" / "fjr", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=150)
+    assert done.returncode == code, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stdout + done.stderr
+
+
+def columns(reader: AnyReader, topic: str, field: str) -> dict[int, float]:
+    """First entry of a field by stamp [ns]; the first message of a stamp counts."""
+    found: dict[int, float] = {}
+    connections = [connection for connection in reader.connections if connection.topic == topic]
+    for connection, _, raw in reader.messages(connections):
+        message = reader.deserialize(raw, connection.msgtype)
+        stamp = message.header.stamp
+        found.setdefault(stamp.sec * 10**9 + stamp.nanosec, float(getattr(message, field)[0]))
+    return found
+
+
+@pytest.fixture(scope="module", params=PEAK)
+def recorded(request, tmp_path_factory) -> Recorded:
+    output = tmp_path_factory.mktemp("runs")
+    said = fjr("run", request.param, "--lockstep", "--duration", str(DURATION), "--output", str(output))
+    folder = output / request.param
+    with AnyReader([folder / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        q_l = columns(reader, "/joint_states", "position")
+        q_ld = columns(reader, "/fjr_controller/reference", "position")
+        u = columns(reader, "/joint_commands", "effort")
+    stamps = sorted(set(q_l) & set(q_ld) & set(u))
+    t = (np.array(stamps) - stamps[0]) * 1e-9
+    return Recorded(folder, said, t, *(np.array([table[s] for s in stamps]) for table in (q_l, q_ld, u)))
+
+
+def test_the_bag_holds_every_sample_of_the_run(recorded: Recorded) -> None:
+    assert recorded.t[-1] >= DURATION
+    np.testing.assert_array_equal(np.round(np.diff(recorded.t) * 1e9), 1_000_000)
+
+
+def test_the_link_is_on_the_reference_after_two_seconds(recorded: Recorded) -> None:
+    assert np.max(np.abs(recorded.q_l - recorded.q_ld)[recorded.t > 2.0]) <= 3e-5
+
+
+def test_peak_effort_is_the_papers(recorded: Recorded) -> None:
+    assert np.max(np.abs(recorded.u)) == pytest.approx(PEAK[recorded.folder.name], rel=0.01)
+
+
+def test_the_nodes_compute_what_the_mathematics_does(recorded: Recorded) -> None:
+    """Lock-step over ROS is the sampled loop of fjr_core, to rounding."""
+    run = load_scenario(scenario(recorded.folder.name)).simulate(DURATION)
+    k = len(run.t)
+    assert np.max(np.abs(recorded.q_l[:k] - run.x[:, 0])) <= 1e-9
+    assert np.max(np.abs(recorded.u[:k] - run.u[:, 0])) <= 1e-9 * np.max(np.abs(run.u))
+
+
+def test_the_run_leaves_report_and_pictures_made_from_the_bag(recorded: Recorded) -> None:
+    report = json.loads((recorded.folder / "report.json").read_text())
+    assert report["tracking"]["peak_effort_nm"] == pytest.approx(np.max(np.abs(recorded.u)))
+    inside = (recorded.t >= 2.0) & (recorded.t < DURATION - 1e-9)
+    error = np.max(np.abs(recorded.q_l - recorded.q_ld)[inside])
+    assert report["tracking"]["max_error_after_2s_rad"] == pytest.approx(error, rel=1e-6)
+    counts = report["counts"]
+    assert counts["nominal"] == counts["published"] == counts["answered"] == 4000
+    assert counts["missing"] == counts["gaps"] == counts["unanswered"] == 0
+    for name in ("overview", "tracking", "error", "storage", "effort", "timing"):
+        picture = recorded.folder / f"{name}.png"
+        assert picture.read_bytes().startswith(b"\x89PNG")
+        assert picture.stat().st_size > 10_000
+    assert "peak effort" in recorded.said
+    assert "report.json" in recorded.said
+
+
+def test_the_last_effort_in_the_bag_is_zero(recorded: Recorded) -> None:
+    with AnyReader([recorded.folder / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        topic = "/effort_controller/commands"
+        connections = [connection for connection in reader.connections if connection.topic == topic]
+        efforts = [reader.deserialize(raw, c.msgtype).data[0] for c, _, raw in reader.messages(connections)]
+    assert efforts[-1] == 0.0
+
+
+def test_an_override_changes_the_run(tmp_path: Path) -> None:
+    """Twice the stiffness of the soft joint: plant, law and figures follow."""
+    arguments = ("--lockstep", "--duration", "2.5", "--output", str(tmp_path), "--set", "robot.joint_stiffness:=[6.2]")
+    fjr("run", "paper_k3p1", *arguments)
+    report = json.loads((tmp_path / "paper_k3p1" / "report.json").read_text())
+    kept = load_scenario(tmp_path / "paper_k3p1" / "scenario.yaml")
+    assert kept.robot.K.tolist() == kept.plant.robot.K.tolist() == [[6.2]]
+    assert report["tracking"]["peak_effort_nm"] == pytest.approx(np.max(np.abs(kept.simulate(2.5).u)), rel=1e-6)
+
+
+def test_unknown_missing_or_broken_scenarios_are_one_sentence(tmp_path: Path) -> None:
+    for arguments, words in (
+        (("run", "paper_k99"), "unknown scenario 'paper_k99'"),
+        (("run",), "paper_k31"),
+        (("run", "paper_k31", "--set", "robot.joint_stiffness:=[-1.0]"), "positive definite"),
+        (("run", "paper_k31", "--set", "robot.joint_stifness:=[1.0]"), "did you mean 'robot.joint_stiffness'"),
+        (("run", "paper_k31", "--set", "publish_rate:=1000"), "write 1000.0"),
+        (("run", "paper_k31", "--duration", "-1"), "duration"),
+    ):
+        said = fjr(*arguments, *(() if arguments == ("run",) else ("--output", str(tmp_path))), code=2)
+        assert words in said
+    assert not list(tmp_path.iterdir())
