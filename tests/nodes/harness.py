@@ -69,8 +69,8 @@ class Ros:
         self.context.try_shutdown()
 
 
-class Peer(Node):
-    """The other side of a node under test: publishes what a test says, keeps what it hears."""
+class Listener(Node):
+    """Keeps what it hears from the nodes under test, and publishes nothing."""
 
     def __init__(self, ros: Ros, prefix: str = "") -> None:
         super().__init__("peer", context=ros.context)
@@ -94,19 +94,34 @@ class Peer(Node):
             topic: self.create_subscription(kind, prefix + topic, keep.append, deep)
             for topic, (kind, keep) in heard.items()
         }
+        ros.add(self)
+
+    def heard(self, topic: str) -> int:
+        """How many publishers of a topic this listener is connected to."""
+        return int(self.subscriptions_by_topic[topic].get_publisher_count())
+
+    def count(self, key: str, node: str) -> int:
+        """The newest counter `key` of a node, 0 where it has none yet."""
+        for message in reversed(self.diagnostics):
+            if message.status[0].name == node:
+                return int({value.key: value.value for value in message.status[0].values}.get(key, 0))
+        return 0
+
+
+class Peer(Listener):
+    """The other side of a node under test: publishes what a test says, keeps what it hears."""
+
+    def __init__(self, ros: Ros, prefix: str = "") -> None:
+        super().__init__(ros, prefix)
         self.state_publisher = self.create_publisher(JointState, prefix + "joint_states", LATEST)
         self.effort_publisher = self.create_publisher(Float64MultiArray, prefix + "effort_controller/commands", LATEST)
         self.command_publisher = self.create_publisher(JointState, prefix + "joint_commands", LATEST)
-        ros.add(self)
 
     def meet_controller(self) -> None:
         """Wait until the controller hears this peer and is heard."""
         heard = ("effort_controller/commands", "joint_commands", "fjr_controller/reference", "diagnostics")
         self._ros.until(
-            lambda: (
-                self.state_publisher.get_subscription_count() >= 2
-                and all(self.subscriptions_by_topic[topic].get_publisher_count() for topic in heard)
-            ),
+            lambda: self.state_publisher.get_subscription_count() >= 2 and all(self.heard(topic) for topic in heard),
             "the controller",
         )
 
@@ -114,11 +129,8 @@ class Peer(Node):
         """Wait until the plant hears this peer and is heard."""
         publisher = self.command_publisher if lockstep else self.effort_publisher
         self._ros.until(
-            lambda: publisher.get_subscription_count() >= 2 and self.states and self._heard("diagnostics"), "the plant"
+            lambda: publisher.get_subscription_count() >= 2 and self.states and self.heard("diagnostics"), "the plant"
         )
-
-    def _heard(self, topic: str) -> int:
-        return int(self.subscriptions_by_topic[topic].get_publisher_count())
 
     def ask(self, state: JointState, answered: bool = True) -> JointState | None:
         """Publish a state; the command that answers it, or None once it is sure that none comes."""
@@ -130,13 +142,6 @@ class Peer(Node):
         self._ros.settle()
         assert len(self.commands) == before, f"answered {self.commands[-1]}"
         return None
-
-    def count(self, key: str, node: str) -> int:
-        """The newest counter `key` of a node, 0 where it has none yet."""
-        for message in reversed(self.diagnostics):
-            if message.status[0].name == node:
-                return int({value.key: value.value for value in message.status[0].values}.get(key, 0))
-        return 0
 
 
 def stamped(t: float, q: Any = 0.5, dq: Any = 0.0, names: list[str] | None = None) -> JointState:

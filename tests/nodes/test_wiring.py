@@ -201,6 +201,7 @@ WIRED_ELSEWHERE = {
     "state_timeout",  # test_controller_node
     "command_timeout",  # test_plant_node
     "start_paused",  # test_plant_node
+    "realtime_priority",  # tests/system/test_executables.py
     "joints",
     "publish_rate",
     "inner_steps",

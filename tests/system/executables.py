@@ -40,6 +40,15 @@ class Executable:
         self._said.close()
 
 
+def fjr(*arguments: str, code: int = 0) -> str:
+    """Run the `fjr` command to its end; what it said."""
+    command = [Path(get_package_prefix("fjr_bringup")) / "lib" / "fjr_bringup" / "fjr", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=150)
+    assert done.returncode == code, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stdout + done.stderr
+
+
 def scenario(name: str) -> str:
     return str(Path(get_package_share_directory("fjr_bringup")) / "scenarios" / f"{name}.yaml")
 

@@ -125,25 +125,21 @@ def test_metadata_agrees_with_the_file_and_with_rosbags(recorded: tuple[Path, li
     assert summary.statistics is not None
     assert header.profile == "ros2"
     assert (metadata["version"], metadata["storage_identifier"]) == (9, "mcap")
-    assert (
-        metadata["message_count"] == summary.statistics.message_count == metadata["files"][0]["message_count"]
-    )
+    assert metadata["message_count"] == summary.statistics.message_count == metadata["files"][0]["message_count"]
     start = metadata["starting_time"]["nanoseconds_since_epoch"]
     assert start == summary.statistics.message_start_time
     assert start + metadata["duration"]["nanoseconds"] == summary.statistics.message_end_time
     with Reader(folder) as rosbag:
         assert rosbag.message_count == metadata["message_count"]
         assert {c.topic: c.msgcount for c in rosbag.connections} == {
-            entry["topic_metadata"]["name"]: entry["message_count"]
-            for entry in metadata["topics_with_message_count"]
+            entry["topic_metadata"]["name"]: entry["message_count"] for entry in metadata["topics_with_message_count"]
         }
 
 
 def test_topics_keep_type_hash_and_quality_of_service(recorded: tuple[Path, list[bytes]]) -> None:
     metadata = yaml.safe_load((recorded[0] / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     topics = {
-        entry["topic_metadata"]["name"]: entry["topic_metadata"]
-        for entry in metadata["topics_with_message_count"]
+        entry["topic_metadata"]["name"]: entry["topic_metadata"] for entry in metadata["topics_with_message_count"]
     }
     assert {"/joint_states", "/rosout", "/parameter_events"} <= set(topics)
     for topic in topics.values():
@@ -188,16 +184,12 @@ def test_topics_that_appear_later_are_found_with_what_they_offer(node: Node, tmp
     early.publish(String(data="sent before the recorder came"))
     with Recorder(tmp_path / "bag") as recorder:
         until(lambda: bool(recorder.last("/described_before")))
-        late = node.create_publisher(
-            String, "/late", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        )
+        late = node.create_publisher(String, "/late", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
         matched(recorder, late)
         late.publish(String(data="best effort"))
         until(lambda: bool(recorder.last("/late")))
     bag = read_bag(tmp_path / "bag")
-    assert [message.data for message in bag.topic("/described_before").decoded()] == [
-        "sent before the recorder came"
-    ]
+    assert [message.data for message in bag.topic("/described_before").decoded()] == ["sent before the recorder came"]
     assert [message.data for message in bag.topic("/late").decoded()] == ["best effort"]
 
 
@@ -205,9 +197,7 @@ def test_a_weaker_publisher_that_joins_is_recorded_too(node: Node, tmp_path: Pat
     strong = node.create_publisher(String, "/shared", 10)
     with Recorder(tmp_path / "bag") as recorder:
         matched(recorder, strong)
-        weak = node.create_publisher(
-            String, "/shared", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        )
+        weak = node.create_publisher(String, "/shared", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
         until(lambda: recorder.matched("/shared") == 2 and weak.get_subscription_count() > 0)
         weak.publish(String(data="weak"))
         until(lambda: b"weak" in recorder.last("/shared"))
@@ -278,7 +268,4 @@ def test_a_torn_file_is_readable_up_to_the_tear(recorded: tuple[Path, list[bytes
         path.write_bytes(whole[:size])
         messages = read_bag(path).topics.get("/joint_states")
         sent = recorded[1]
-        assert (
-            messages is None
-            or [message.data for message in messages.messages] == sent[: len(messages.messages)]
-        )
+        assert messages is None or [message.data for message in messages.messages] == sent[: len(messages.messages)]

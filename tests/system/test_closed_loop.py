@@ -4,23 +4,21 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from ament_index_python.packages import get_package_prefix
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from fjr_core.scenario import load_scenario
-from system.executables import scenario
+from system.executables import fjr, scenario
 
 pytestmark = pytest.mark.system
 
 PEAK = {"paper_k31": 26.203, "paper_k3p1": 255.762}  # N m, by an independent integration
-DURATION = 4.0  # s
+DURATION = 2.5  # s
 
 
 @dataclass(frozen=True)
@@ -31,14 +29,6 @@ class Recorded:
     q_l: np.ndarray
     q_ld: np.ndarray
     u: np.ndarray
-
-
-def fjr(*arguments: str, code: int = 0) -> str:
-    command = [Path(get_package_prefix("fjr_bringup")) / "lib" / "fjr_bringup" / "fjr", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=150)
-    assert done.returncode == code, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
-    return done.stdout + done.stderr
 
 
 def columns(reader: AnyReader, topic: str, field: str) -> dict[int, float]:
@@ -94,7 +84,7 @@ def test_the_run_leaves_report_and_pictures_made_from_the_bag(recorded: Recorded
     error = np.max(np.abs(recorded.q_l - recorded.q_ld)[inside])
     assert report["tracking"]["max_error_after_2s_rad"] == pytest.approx(error, rel=1e-6)
     counts = report["counts"]
-    assert counts["nominal"] == counts["published"] == counts["answered"] == 4000
+    assert counts["nominal"] == counts["published"] == counts["answered"] == 2500
     assert counts["missing"] == counts["gaps"] == counts["unanswered"] == 0
     for name in ("overview", "tracking", "error", "storage", "effort", "timing"):
         picture = recorded.folder / f"{name}.png"
@@ -120,17 +110,3 @@ def test_an_override_changes_the_run(tmp_path: Path) -> None:
     kept = load_scenario(tmp_path / "paper_k3p1" / "scenario.yaml")
     assert kept.robot.K.tolist() == kept.plant.robot.K.tolist() == [[6.2]]
     assert report["tracking"]["peak_effort_nm"] == pytest.approx(np.max(np.abs(kept.simulate(2.5).u)), rel=1e-6)
-
-
-def test_unknown_missing_or_broken_scenarios_are_one_sentence(tmp_path: Path) -> None:
-    for arguments, words in (
-        (("run", "paper_k99"), "unknown scenario 'paper_k99'"),
-        (("run",), "paper_k31"),
-        (("run", "paper_k31", "--set", "robot.joint_stiffness:=[-1.0]"), "positive definite"),
-        (("run", "paper_k31", "--set", "robot.joint_stifness:=[1.0]"), "did you mean 'robot.joint_stiffness'"),
-        (("run", "paper_k31", "--set", "publish_rate:=1000"), "write 1000.0"),
-        (("run", "paper_k31", "--duration", "-1"), "duration"),
-    ):
-        said = fjr(*arguments, *(() if arguments == ("run",) else ("--output", str(tmp_path))), code=2)
-        assert words in said
-    assert not list(tmp_path.iterdir())

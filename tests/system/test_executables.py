@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -81,6 +82,29 @@ def test_runs_with_a_scenario_file_without_a_warning(ros: Ros, start, node: str,
     code, said = executable.end()
     assert code == 0
     assert "unknown parameter" not in said
+
+
+def policies(pid: int) -> set[int]:
+    return {os.sched_getscheduler(int(thread)) for thread in os.listdir(f"/proc/{pid}/task")}
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_realtime_priority_schedules_the_whole_process_or_says_why_not(ros: Ros, start, node: str) -> None:
+    peer = Peer(ros)
+    executable = start(node, "--ros-args", "-p", "realtime_priority:=10")
+    ros.until(lambda: peer.diagnostics, "its first diagnostics")
+    seen = policies(executable.process.pid)
+    executable.signal(signal.SIGTERM)
+    said = executable.end()[1]
+    assert (seen == {os.SCHED_FIFO}) != ("realtime_priority 10 is refused" in said)
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_scheduling_is_ordinary_by_default(ros: Ros, start, node: str) -> None:
+    peer = Peer(ros)
+    executable = start(node)
+    ros.until(lambda: peer.diagnostics, "its first diagnostics")
+    assert policies(executable.process.pid) == {os.SCHED_OTHER}
 
 
 MIXED = "/**:\n  ros__parameters:\n    robot:\n      joint_stiffness: [1, 2.0]\n"

@@ -115,9 +115,7 @@ def test_the_launch_file_runs_the_closed_loop(lockstep: str) -> None:
         source = PythonLaunchDescriptionSource(str(installed("launch", "tracking.launch.py")))
         arguments = {"scenario": "paper_k31", "lockstep": lockstep}.items()
         service.include_launch_description(
-            launch.LaunchDescription(
-                [launch.actions.IncludeLaunchDescription(source, launch_arguments=arguments)]
-            )
+            launch.LaunchDescription([launch.actions.IncludeLaunchDescription(source, launch_arguments=arguments)])
         )
         running = asyncio.ensure_future(service.run_async())
         answered = await asyncio.get_running_loop().run_in_executor(None, answered_steps, 100)

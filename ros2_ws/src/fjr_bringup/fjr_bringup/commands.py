@@ -40,7 +40,7 @@ def _demo(options: argparse.Namespace, stop: threading.Event) -> None:
 def _run(options: argparse.Namespace, stop: threading.Event) -> None:
     overrides = dict(scenarios.parse_assignment(text) for text in options.overrides)
     if options.lockstep:
-        overrides["lockstep"] = True
+        overrides = {"realtime_priority": 0, **overrides, "lockstep": True}
     _tell([_record_and_report(_plan(options.scenario, overrides, options), stop)])
 
 
@@ -52,7 +52,8 @@ def _scenarios(_options: argparse.Namespace, _stop: threading.Event) -> None:
 def _plan(name: str | None, overrides: dict[str, Any], options: argparse.Namespace) -> Plan:
     path = scenarios.find(name)
     text = scenarios.with_overrides(path, overrides)
-    return Plan(path.stem, text, options.duration, options.output / path.stem)
+    lockstep = bool(overrides.get("lockstep", False))
+    return Plan(path.stem, text, options.duration, options.output / path.stem, lockstep)
 
 
 def _record_and_report(plan: Plan, stop: threading.Event) -> RunSummary:

@@ -27,12 +27,15 @@ from fjr_bringup.run_folder import RunFolder
 from fjr_bringup.stopping import Interrupted
 from fjr_core.errors import FjrError, ParameterError
 from fjr_core.scenario import load_scenario
+from fjr_msgs_py.scheduling import prioritised
 
 STATES, COMMANDS, ANSWERS = "/joint_states", "/effort_controller/commands", "/joint_commands"
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
 STARTUP_LIMIT = 30.0  # s until both nodes are there and connected
 SILENCE_LIMIT = 5.0  # s without a new answered state
 POLL = 0.02  # s
+GRAPH_PERIOD = 0.5  # s between looks at the graph while running
+RECORDER_PRIORITY = 1  # in lock-step nothing paces the nodes: the recorder comes first and loses nothing
 
 
 class RunError(FjrError):
@@ -41,12 +44,13 @@ class RunError(FjrError):
 
 @dataclass(frozen=True)
 class Plan:
-    """What to run: name, scenario text as the nodes get it, seconds of stamped time, where to write."""
+    """What to run: name, scenario text as the nodes get it, seconds of stamped time, where to write, how."""
 
     name: str
     scenario: str
     duration: float
     folder: Path
+    lockstep: bool
 
 
 def set_ros_environment() -> None:
@@ -100,8 +104,9 @@ class _Run:
             self._wait(self.remote.ready, STARTUP_LIMIT, "the plant's pause service")
             on_go()
             self.going = True
-            self.remote.resume()
-            self._follow()
+            with prioritised(RECORDER_PRIORITY if self.plan.lockstep else 0):
+                self.remote.resume()
+                self._follow()
         finally:
             self._end()
 
@@ -135,15 +140,19 @@ class _Run:
     def _follow(self) -> None:
         """Wait until `duration` seconds of stamped time since the first answered state are in the bag."""
         with Progress(self.plan.name, self.plan.duration) as progress:
-            last, deadline = 0.0, time.monotonic() + SILENCE_LIMIT
+            last, deadline, look = 0.0, time.monotonic() + SILENCE_LIMIT, 0.0
             while last < self.plan.duration:
                 self._pause()
+                if time.monotonic() > look:
+                    self._refuse_others()  # a node without our discovery profile may show up only after 3 s
+                    look = time.monotonic() + GRAPH_PERIOD
                 elapsed = self._elapsed()
                 if elapsed > last:
                     last, deadline = elapsed, time.monotonic() + SILENCE_LIMIT
                     progress.at(elapsed)
                 elif time.monotonic() > deadline:
                     raise RunError(f"no answered state for {SILENCE_LIMIT:g} s\n{self._words()}")
+        self._refuse_others()
 
     def _elapsed(self) -> float:
         """Stamped time [s] from the first to the latest answered state."""

@@ -24,6 +24,13 @@ MODELS: dict[str, Callable[..., Robot]] = {
 }
 
 JOINTS = Parameter("joints", ("joint1",), "Names of the joints, in the order of all other lists")
+REALTIME_PRIORITY = Parameter(
+    "realtime_priority",
+    0,
+    "SCHED_FIFO priority of the node's process where the system allows it; 0: ordinary scheduling (lock-step)",
+    minimum=0,
+    maximum=98,
+)
 MODEL = Parameter("robot.model", "single_link", "Which robot this is", choices=tuple(MODELS))
 
 _ROBOT_WORDS = {  # argument of the model -> (parameter, unit, description)
@@ -92,6 +99,7 @@ def plant_parameters(n: int) -> list[Parameter]:
         Parameter("command_timeout", 0.1, "Zero effort when commands stop for longer", "s", minimum=1e-3, maximum=1e3),
         Parameter("lockstep", False, "Advance one sample per stamped /joint_commands instead of with the clock"),
         Parameter("start_paused", False, "Publish nothing until ~/pause is called with false"),
+        REALTIME_PRIORITY,
     ]
 
 
@@ -116,6 +124,7 @@ def controller_parameters(n: int) -> list[Parameter]:
             minimum=0.0,
             maximum=1e3,
         ),
+        REALTIME_PRIORITY,
     ]
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import rclpy
 import rclpy.exceptions
@@ -19,6 +19,8 @@ from rclpy.task import Future
 
 from fjr_core import FjrError
 
+from .scheduling import take_priority
+
 try:
     from rclpy.experimental.events_executor import EventsExecutor
 except ImportError:  # an older rclpy of a ROS 2 Jazzy installation
@@ -28,7 +30,12 @@ POLL = 0.1  # s; how soon a signal is seen when no message comes
 
 
 class StoppableNode(Protocol):
-    """A node with last words."""
+    """A node with checked parameter values and last words."""
+
+    values: dict[str, Any]
+
+    def get_logger(self) -> Any:
+        """As of rclpy's Node."""
 
     def stop(self) -> None:
         """Send what must be sent before the process ends."""
@@ -52,6 +59,9 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
         print(_sentence(error), file=sys.stderr, flush=True)
         rclpy.try_shutdown()
         return 1
+    refusal = take_priority(node.values["realtime_priority"])
+    if refusal:
+        node.get_logger().warning(refusal)
     try:
         _spin(node, stopped)
         node.stop()

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The `fjr` command: how it ends, what it leaves, and what it refuses."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ament_index_python.packages import get_package_share_directory
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from nodes.harness import Listener, Ros
+from system.executables import NODES, TIME_LIMIT, Executable, fjr
+
+pytestmark = pytest.mark.system
+
+
+@pytest.fixture
+def ros() -> Iterator[Ros]:
+    made = Ros()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Executable]]:
+    started: list[Executable] = []
+
+    def starter(package: str, name: str, *arguments: str) -> Executable:
+        started.append(Executable(package, name, *arguments))
+        return started[-1]
+
+    yield starter
+    for executable in started:
+        executable.kill()
+
+
+def wait_for(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + TIME_LIMIT
+    while not condition():
+        assert time.monotonic() < end, f"{what} did not come within {TIME_LIMIT} s"
+        time.sleep(0.02)
+
+
+def children(pid: int) -> dict[str, int]:
+    """Processes started by `pid`, by the name of their executable."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            arguments = (folder / "cmdline").read_bytes().decode().split("\0")
+        except (OSError, IndexError):
+            continue
+        if parent == pid:
+            found |= {Path(argument).name: int(folder.name) for argument in arguments[:2]}
+    return found
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return (Path("/proc") / str(pid) / "stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def efforts(bag: Path) -> list[float]:
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        connections = [c for c in reader.connections if c.topic == "/effort_controller/commands"]
+        return [float(reader.deserialize(raw, c.msgtype).data[0]) for c, _, raw in reader.messages(connections)]
+
+
+def running(ros: Ros, start, output: Path) -> tuple[Executable, dict[str, int]]:
+    """`fjr run` in full motion, and its node processes."""
+    listener = Listener(ros)
+    command = start(
+        "fjr_bringup", "fjr", "run", "paper_k31", "--lockstep", "--duration", "3600", "--output", str(output)
+    )
+    ros.until(lambda: len(listener.commands) > 100, "motion")
+    return command, children(command.process.pid)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_everything_and_the_bag_is_readable(ros: Ros, start, tmp_path: Path, number: int) -> None:
+    command, nodes = running(ros, start, tmp_path)
+    assert {"plant_node", "controller_node"} <= set(nodes)
+    command.signal(number)
+    code, said = command.end()
+    assert code == 0, said
+    assert "Traceback" not in said
+    assert "what was recorded is in" in said
+    assert not any(is_alive(pid) for pid in nodes.values())
+    recorded = efforts(tmp_path / "paper_k31" / "bag")
+    assert len(recorded) > 50
+    assert np.max(np.abs(recorded)) == pytest.approx(26.203, rel=0.01)
+    assert recorded[-1] == 0.0
+
+
+@pytest.mark.parametrize("node", ["plant_node", "controller_node"])
+def test_a_node_that_dies_ends_the_run_with_code_1_and_keeps_the_bag(
+    ros: Ros, start, tmp_path: Path, node: str
+) -> None:
+    command, nodes = running(ros, start, tmp_path)
+    os.kill(nodes[node], signal.SIGKILL)
+    code, said = command.end()
+    assert code == 1
+    assert node in said
+    assert "Traceback" not in said
+    assert not any(is_alive(pid) for pid in nodes.values())
+    assert len(efforts(tmp_path / "paper_k31" / "bag")) > 50
+
+
+def test_no_node_outlives_a_command_that_is_killed(ros: Ros, start, tmp_path: Path) -> None:
+    command, nodes = running(ros, start, tmp_path)
+    command.signal(signal.SIGKILL)
+    command.process.wait()
+    wait_for(lambda: not any(is_alive(pid) for pid in nodes.values()), "the end of the nodes")
+
+
+def start_another_plant(start, monkeypatch: pytest.MonkeyPatch, paused: bool) -> None:
+    profile = Path(get_package_share_directory("fjr_bringup")) / "config" / "fastdds.xml"
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+    start(*NODES["plant"], "--ros-args", "-r", "__node:=other_plant", "-p", f"start_paused:={paused}".lower())
+
+
+def test_another_plant_in_the_domain_is_refused(ros: Ros, start, tmp_path: Path, monkeypatch) -> None:
+    listener = Listener(ros)
+    start_another_plant(start, monkeypatch, paused=False)
+    ros.until(lambda: listener.states, "the other plant")
+    said = fjr("run", "paper_k31", "--output", str(tmp_path), code=1)
+    assert "/joint_states has other publishers" in said
+    assert "other_plant" in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_plant_that_joins_ends_the_run(ros: Ros, start, tmp_path: Path, monkeypatch) -> None:
+    command, _ = running(ros, start, tmp_path)
+    start_another_plant(start, monkeypatch, paused=True)
+    code, said = command.end()
+    assert code == 1, said
+    assert "/joint_states has other publishers" in said
+    assert len(efforts(tmp_path / "paper_k31" / "bag")) > 50
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["paper_k99"], "unknown scenario 'paper_k99'"),
+        ([], "no scenario given: expected a YAML file or one of paper_k31, paper_k3p1"),
+        (["paper_k31", "--set", "robot.joint_stiffness:=[-1.0]"], "positive definite"),
+        (["paper_k31", "--set", "robot.joint_stifness:=[1.0]"], "did you mean 'robot.joint_stiffness'"),
+        (["paper_k31", "--set", "publish_rate:=1000"], "write 1000.0"),
+        (["paper_k31", "--set", "publish_rate"], "expected name:=value"),
+        (["paper_k31", "--set", "reference.amplitude:=[.nan]"], "finite"),
+        (["paper_k31", "--duration", "-1"], "expected seconds"),
+    ],
+)
+def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
+    assert words in fjr("run", *arguments, "--output", str(tmp_path), code=2)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("text", ["", "just words", "[1, 2]", "/**:\n  parameters: {}\n", "a: b: c"])
+def test_a_scenario_file_that_is_none_is_explained(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "broken.yaml"
+    path.write_text(text)
+    said = fjr("run", str(path), "--output", str(tmp_path / "runs"), code=2)
+    assert "broken" in said
+
+
+def test_a_folder_that_is_no_run_is_not_replaced(tmp_path: Path) -> None:
+    precious = tmp_path / "paper_k31" / "thesis.txt"
+    precious.parent.mkdir()
+    precious.write_text("do not lose me")
+    assert "not replaced" in fjr("run", "paper_k31", "--output", str(tmp_path), code=1)
+    assert precious.read_text() == "do not lose me"
+
+
+def test_scenarios_are_listed() -> None:
+    said = fjr("scenarios")
+    assert "paper_k31" in said
+    assert "paper_k3p1" in said
