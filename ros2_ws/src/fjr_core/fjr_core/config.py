@@ -27,7 +27,7 @@ JOINTS = Parameter("joints", ("joint1",), "Names of the joints, in the order of 
 REALTIME_PRIORITY = Parameter(
     "realtime_priority",
     0,
-    "SCHED_FIFO priority of the node's process where the system allows it; 0: ordinary scheduling (lock-step)",
+    "SCHED_FIFO priority of the node's process where the system allows it; 0: ordinary scheduling",
     minimum=0,
     maximum=98,
 )

@@ -59,7 +59,8 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
         print(_sentence(error), file=sys.stderr, flush=True)
         rclpy.try_shutdown()
         return 1
-    refusal = take_priority(node.values["realtime_priority"])
+    in_lockstep = node.values.get("lockstep", False)
+    refusal = take_priority(0 if in_lockstep else node.values["realtime_priority"])
     if refusal:
         node.get_logger().warning(refusal)
     try:
