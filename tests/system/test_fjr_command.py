@@ -81,7 +81,8 @@ def running(ros: Ros, start, output: Path) -> tuple[Executable, dict[str, int]]:
     command = start(
         "fjr_bringup", "fjr", "run", "paper_k31", "--lockstep", "--duration", "3600", "--output", str(output)
     )
-    ros.until(lambda: len(listener.commands) > 100, "motion")
+    ros.until(lambda: len(listener.commands) > 100 or command.process.poll() is not None, "motion")
+    assert command.process.poll() is None, command.end()
     return command, children(command.process.pid)
 
 

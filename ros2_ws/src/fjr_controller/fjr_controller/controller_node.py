@@ -30,6 +30,9 @@ class ControllerNode(ParameterNode):
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__(names.CONTROLLER, config.controller_parameters, **node_kwargs)
+
+    def build(self) -> None:
+        """Make the law from the parameters and start to answer."""
         values = self.values
         self._robot = config.robot(values)
         law = TrackingLaw(self._robot, config.gains(values, self._robot.n))

@@ -11,7 +11,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 
 from fjr_core import ParameterError, config
-from fjr_core.parameters import Parameter, complete, unknown
+from fjr_core.parameters import Parameter, Value, complete, unknown
 
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
@@ -37,20 +37,31 @@ class ParameterNode(Node):
             super().__init__(name, automatically_declare_parameters_from_overrides=True, **node_kwargs)
         except ValueError as error:  # rclpy cannot declare a list without entries
             raise ParameterError(f"a parameter is an empty list; expected at least one entry ({error})") from None
+        try:
+            self.values: dict[str, Any] = self._checked_values(own)
+            self.build()
+        except Exception:
+            self.destroy_node()  # a node that cannot be built leaves the graph at once
+            raise
+
+    def build(self) -> None:
+        """Make publishers, subscriptions and the rest from the checked values; raises FjrError."""
+
+    def _checked_values(self, own: Callable[[int], Sequence[Parameter]]) -> dict[str, Any]:
         given = {name: self.get_parameter(name).value for name in self.get_parameters_by_prefix("")}
         given = {name: value for name, value in given.items() if not name.startswith(_FOREIGN)}
         parameters = config.all_parameters(own, config.model_of(given))
         for sentence in unknown(parameters, given):
             self.get_logger().warning(sentence)
-        self.values: dict[str, Any] = dict(complete(parameters, given))
+        values = dict(complete(parameters, given))
         for parameter in parameters:
-            self._declare(parameter, parameter.name in given)
+            self._declare(parameter, values[parameter.name], parameter.name in given)
+        return values
 
-    def _declare(self, parameter: Parameter, given: bool) -> None:
+    def _declare(self, parameter: Parameter, value: Value, given: bool) -> None:
         """Declare a parameter with its descriptor, in place of the bare one that rclpy made for a given value."""
         if given:
             self.undeclare_parameter(parameter.name)
-        value = self.values[parameter.name]
         listed = list(value) if isinstance(value, tuple) else value
         self.declare_parameter(parameter.name, listed, descriptor(parameter), ignore_override=True)
 

@@ -34,6 +34,9 @@ class PlantNode(ParameterNode):
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__(names.PLANT, config.plant_parameters, **node_kwargs)
+
+    def build(self) -> None:
+        """Make the robot from the parameters and start to publish."""
         robot = config.robot(self.values)
         inner_step = round(1e9 / self.values["publish_rate"] / self.values["inner_steps"])
         self._period = inner_step * self.values["inner_steps"]  # ns
