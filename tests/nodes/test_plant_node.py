@@ -177,6 +177,27 @@ def test_pause_stops_time_and_publication(ros: Ros, peer: Peer) -> None:
     assert nanoseconds(peer.states[count]) - stopped < 50 * PERIOD
 
 
+def test_reset_while_paused_does_not_hold_the_robot_after_the_resume(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(wait_for_command=False)
+    ros.until(lambda: len(peer.states) > 10)
+    call(ros, peer, SetBool, "fjr_plant/pause", data=True)
+    end = time.monotonic() + 0.5
+    ros.until(lambda: time.monotonic() > end)
+    call(ros, peer, Trigger, "fjr_plant/reset")
+    assert node._robot.time == 0
+    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    assert node._origin <= time.monotonic_ns()
+
+
+def test_a_plant_slower_than_real_time_loses_time_and_says_so(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(wait_for_command=False)
+    ros.until(lambda: peer.states)
+    end = time.monotonic() + 0.4
+    while time.monotonic() < end:  # nobody spins
+        pass
+    ros.until(lambda: node._health.count["time lost"] == 1, "the counter")
+
+
 def test_lockstep_advances_one_sample_per_answer(ros: Ros, peer: Peer) -> None:
     ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)

@@ -229,4 +229,7 @@ def test_every_parameter_is_declared_read_only_with_description_unit_and_type(ro
         assert parameter.description in descriptor.description
         assert parameter.unit in descriptor.description
         assert descriptor.type != ParameterType.PARAMETER_NOT_SET
+        example = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
+        ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
+        assert ranges or descriptor.additional_constraints or type(example) in (bool, str), parameter.name
     assert node.describe_parameters(["publish_rate" if kind == "plant" else "state_timeout"])[0].floating_point_range

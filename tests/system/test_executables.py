@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from std_msgs.msg import Float64MultiArray
 
 from nodes.harness import Peer, Ros, stamped
 from nodes.test_controller_node import paper_effort
@@ -105,6 +106,20 @@ def test_scheduling_is_ordinary_by_default(ros: Ros, start, node: str) -> None:
     executable = start(node)
     ros.until(lambda: peer.diagnostics, "its first diagnostics")
     assert policies(executable.process.pid) == {os.SCHED_OTHER}
+
+
+def test_a_plant_that_diverges_ends_with_one_sentence(ros: Ros, start) -> None:
+    peer = Peer(ros)
+    plant = start("plant")
+    ros.until(lambda: peer.states and peer.effort_publisher.get_subscription_count() >= 2, "a state")
+    while plant.process.poll() is None:
+        peer.effort_publisher.publish(Float64MultiArray(data=[1e308]))
+        ros.settle(1)
+    code, said = plant.end()
+    assert code == 1
+    assert "Traceback" not in said
+    assert "diverged" in said
+    assert all(np.isfinite(state.position).all() for state in peer.states)
 
 
 MIXED = "/**:\n  ros__parameters:\n    robot:\n      joint_stiffness: [1, 2.0]\n"

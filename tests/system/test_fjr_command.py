@@ -167,10 +167,11 @@ def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[
 
 
 @pytest.mark.parametrize("text", ["", "just words", "[1, 2]", "/**:\n  parameters: {}\n", "a: b: c"])
-def test_a_scenario_file_that_is_none_is_explained(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize("changes", [(), ("--lockstep",)], ids=["as it is", "changed"])
+def test_a_scenario_file_that_is_none_is_explained(tmp_path: Path, text: str, changes: tuple[str, ...]) -> None:
     path = tmp_path / "broken.yaml"
     path.write_text(text)
-    said = fjr("run", str(path), "--output", str(tmp_path / "runs"), code=2)
+    said = fjr("run", str(path), *changes, "--output", str(tmp_path / "runs"), code=2)
     assert "broken" in said
 
 

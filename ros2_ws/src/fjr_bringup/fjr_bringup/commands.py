@@ -13,6 +13,7 @@ from fjr_bringup.run import Plan, run
 from fjr_bringup.stopping import Interrupted
 from fjr_bringup.summary import RunSummary, summarise, table, where_to_look
 from fjr_core.errors import FjrError, ParameterError
+from fjr_core.scenario import load_scenario
 
 DEMO = ("paper_k31", "paper_k3p1")
 DONE, FAILED, NOT_UNDERSTOOD = 0, 1, 2
@@ -51,6 +52,7 @@ def _scenarios(_options: argparse.Namespace, _stop: threading.Event) -> None:
 
 def _plan(name: str | None, overrides: dict[str, Any], options: argparse.Namespace) -> Plan:
     path = scenarios.find(name)
+    load_scenario(path)  # a file that is none is refused before anything is changed in it
     text = scenarios.with_overrides(path, overrides)
     lockstep = bool(overrides.get("lockstep", False))
     return Plan(path.stem, text, options.duration, options.output / path.stem, lockstep)

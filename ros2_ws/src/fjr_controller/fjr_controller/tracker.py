@@ -44,17 +44,19 @@ class Tracker:
 
     def answer(self, stamp: int, x: Array, arrival: int) -> Command | None:
         """Command for the state x (4n,) stamped `stamp` [ns] that arrived at `arrival` [ns, steady clock]."""
-        restarted = False
-        if self._start is None:
-            self._start = stamp
+        start, restarted = self._start, False
+        if start is None:
+            start = stamp
         elif stamp < self._last:
             restarted = self._last - stamp > self._timeout or arrival - self._last_arrival > self._timeout
             if not restarted:
                 return None
-            self._start = stamp
-        self._last, self._last_arrival = stamp, arrival
-        jets = self._reference.jets((stamp - self._start) * 1e-9)
-        return Command(self._law.effort(x, x, jets), jets, restarted)
+            start = stamp
+        jets = self._reference.jets((stamp - start) * 1e-9)
+        command = Command(self._law.effort(x, x, jets), jets, restarted)
+        if is_sendable(command.u):  # else it is not answered, and leaves no trace here
+            self._start, self._last, self._last_arrival = start, stamp, arrival
+        return command
 
 
 def is_sendable(u: Array) -> bool:

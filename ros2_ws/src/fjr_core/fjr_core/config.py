@@ -47,6 +47,14 @@ _ROBOT_WORDS = {  # argument of the model -> (parameter, unit, description)
     "input_gain": ("robot.input_gain", "1", "Input matrix B_m, n entries or n*n by rows"),
 }
 _MATRICES = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
+_ROBOT_CONSTRAINTS = {
+    "gravity_torque": "finite",
+    "stiffness": "symmetric positive definite",
+    "motor_inertia": "symmetric positive definite",
+    "link_damping": "symmetric positive semidefinite",
+    "motor_damping": "symmetric positive semidefinite",
+    "input_gain": "invertible",
+}
 _SYMBOLS = {
     "K": "robot.joint_stiffness",
     "M_m": "robot.motor_inertia",
@@ -55,6 +63,12 @@ _SYMBOLS = {
     "B_m": "robot.input_gain",
 }
 
+_GAIN_CONSTRAINTS = {
+    "Lambda_l": "condition (32): Pi_l Lambda_l + Lambda_l' Pi_l positive definite",
+    "Lambda_m": "condition (41): Pi_m Lambda_m + Lambda_m' Pi_m positive definite",
+    "Gamma_l": "condition (32): Pi_l Gamma_l diagonal and nonnegative",
+    "Gamma_m": "condition (41): Pi_m Gamma_m diagonal and nonnegative",
+}
 _GAIN_WORDS = {
     "Lambda_l": ("1/s", "Linear part of phi_l, eq. (31)"),
     "Pi_l": ("N m/rad", "Position metric of the links, eq. (32)"),
@@ -77,7 +91,8 @@ def _robot_parameter(model: str, argument: str, default: Any) -> Parameter:
     name, unit, description = _ROBOT_WORDS[argument]
     if argument == "gravity":
         return Parameter(name, float(default), description, unit, minimum=0.0, maximum=1e3)
-    return Parameter(name, _spread(default, joints_of(model)), description, unit)
+    constraint = _ROBOT_CONSTRAINTS.get(argument, "positive")
+    return Parameter(name, _spread(default, joints_of(model)), description, unit, constraint=constraint)
 
 
 def joints_of(model: str) -> int:
@@ -106,7 +121,13 @@ def plant_parameters(n: int) -> list[Parameter]:
 def controller_parameters(n: int) -> list[Parameter]:
     """The controller node's own parameters for n joints."""
     gains = [
-        Parameter(f"gains.{name}", _spread(getattr(PAPER_GAINS, name), n), f"{text}, n entries or n*n by rows", unit)
+        Parameter(
+            f"gains.{name}",
+            _spread(getattr(PAPER_GAINS, name), n),
+            f"{text}, n entries or n*n by rows",
+            unit,
+            constraint=_GAIN_CONSTRAINTS.get(name, "symmetric positive definite"),
+        )
         for name, (unit, text) in _GAIN_WORDS.items()
     ]
     return [

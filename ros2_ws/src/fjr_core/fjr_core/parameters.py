@@ -25,6 +25,8 @@ class Parameter:
     minimum: float = -math.inf
     maximum: float = math.inf
     choices: tuple[str, ...] = ()
+    constraint: str = ""
+    """What else must hold, in words; checked where the values meet."""
 
     def check(self, value: object) -> Value:
         """Return `value` as this parameter's type (sequences as tuples), or raise ParameterError."""

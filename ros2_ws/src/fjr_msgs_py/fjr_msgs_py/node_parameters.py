@@ -79,8 +79,17 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
         message.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
     if kind is int and bounded:
         message.integer_range = [IntegerRange(from_value=int(parameter.minimum), to_value=int(parameter.maximum))]
-    message.additional_constraints = f"one of {', '.join(parameter.choices)}" if parameter.choices else ""
+    message.additional_constraints = _constraints(parameter)
     return message
+
+
+def _constraints(parameter: Parameter) -> str:
+    if parameter.choices:
+        return f"one of {', '.join(parameter.choices)}"
+    if math.isfinite(parameter.minimum) and not math.isfinite(parameter.maximum):
+        return f"finite, at least {parameter.minimum}"
+    example = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
+    return parameter.constraint or ("finite" if isinstance(example, float) else "")
 
 
 def _description(parameter: Parameter) -> str:

@@ -47,7 +47,8 @@ class StoppableNode(Protocol):
 def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -> int:
     """Run a node until SIGINT or SIGTERM; return the exit code.
 
-    0: ended by a signal, after node.stop(). 1: could not start; one sentence on standard error says why.
+    0: ended by a signal. 1: could not start or go on; one sentence on standard error says why. A node that
+    has started has its last words (node.stop()) either way.
     """
     stopped: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -63,13 +64,18 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
     refusal = take_priority(0 if in_lockstep else node.values["realtime_priority"])
     if refusal:
         node.get_logger().warning(refusal)
+    code = 0
     try:
         _spin(node, stopped)
+    except FjrError as error:
+        print(f"ended: {error}", file=sys.stderr, flush=True)
+        code = 1
+    try:
         node.stop()
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    return 0
+    return code
 
 
 def _spin(node: StoppableNode, stopped: list[int]) -> None:

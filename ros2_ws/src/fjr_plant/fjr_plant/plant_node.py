@@ -22,6 +22,7 @@ from fjr_msgs_py.node_parameters import ParameterNode
 from .simulated_robot import SimulatedRobot
 
 LOCKSTEP_START = 1_000_000_000  # ns; stamp of the first state in lock-step, the same in every run
+LONGEST_BACKLOG = 200_000_000  # ns that are integrated at once when late
 RESEND_PERIOD = 0.1  # s; a lock-step state without an answer is sent again
 
 
@@ -44,7 +45,6 @@ class PlantNode(ParameterNode):
         self._robot = SimulatedRobot(Plant(robot, self.values["integrator"]), x0, inner_step)
         self._timeout = round(self.values["command_timeout"] * 1e9)  # ns
         self._paused = self.values["start_paused"]
-        self._paused_at = time.monotonic_ns()
         self._health = Health(self, ("states published", "commands received", "ticks skipped", "states unanswered"))
         self._writer = JointStateWriter(names.state_names(self.values["joints"]))
         self._reader = EffortReader(self.values["joints"])
@@ -63,8 +63,13 @@ class PlantNode(ParameterNode):
         self._robot.reset()
         self._last_command = 0  # robot's time, ns
         self._answered = True
-        self._last_tick = time.monotonic_ns()
-        self._origin: int | None = None if self.values["wait_for_command"] else self._last_tick
+        now = time.monotonic_ns()
+        self._paused_at = now
+        self._restart_ticks(now)
+        self._origin: int | None = None if self.values["wait_for_command"] else now
+
+    def _restart_ticks(self, now: int) -> None:
+        self._first_tick, self._ticks = now, 0
 
     def _publish(self) -> None:
         if not self._answered:
@@ -100,11 +105,10 @@ class PlantNode(ParameterNode):
     def _on_tick(self) -> None:
         now = time.monotonic_ns()
         if self._paused:
-            self._last_tick = now
             return
-        periods = round((now - self._last_tick) / self._period)
-        self._health.count["ticks skipped"] += max(0, periods - 1)
-        self._last_tick = now
+        due = round((now - self._first_tick) / self._period)
+        self._health.count["ticks skipped"] += max(0, due - self._ticks - 1)
+        self._ticks = max(due, self._ticks)
         self._advance()
         self._publish()
 
@@ -113,6 +117,11 @@ class PlantNode(ParameterNode):
         if self._origin is None:
             return
         now = time.monotonic_ns() - self._origin
+        if now - self._robot.time > LONGEST_BACKLOG:  # slower than real time: the rest is lost, not piled up
+            lost = now - self._robot.time - LONGEST_BACKLOG
+            self._origin += lost
+            now -= lost
+            self._health.warn("time lost", "too far behind real time: part of it is skipped, stamps stay exact")
         expiry = self._last_command + self._timeout
         if now > expiry and self._robot.u.any():
             self._robot.advance_to(expiry)
@@ -179,7 +188,7 @@ class PlantNode(ParameterNode):
     def _resume(self) -> None:
         self._paused = False
         now = time.monotonic_ns()
-        self._last_tick = now
+        self._restart_ticks(now)
         if self._origin is not None:
             self._origin += now - self._paused_at
         if self.values["lockstep"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fjr_core import Plant
+from fjr_core import Plant, StateError
 from fjr_core.checks import Array
 
 
@@ -26,10 +26,12 @@ class SimulatedRobot:
         self.u: Array = np.zeros(self._plant.robot.n)
 
     def advance_to(self, time: int) -> None:
-        """Integrate in whole inner steps up to, and never past, `time` [ns]."""
+        """Integrate in whole inner steps up to, and never past, `time` [ns]; raises StateError on divergence."""
         while self.time + self._inner_step <= time:
             self.x = self._plant.step(self.x, self.u, self._inner_step * 1e-9)
             self.time += self._inner_step
+        if not np.isfinite(self.x).all():
+            raise StateError(f"the robot's state is not finite after {self.time * 1e-9:.3f} s: the motion diverged")
 
     def measure(self) -> tuple[Array, Array, Array]:
         """Positions (q_l, q_m) [rad], velocities [rad/s] and efforts (K zeta, applied u) [N m], each (2n,)."""
