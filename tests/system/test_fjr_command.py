@@ -111,6 +111,7 @@ def test_a_node_that_dies_ends_the_run_with_code_1_and_keeps_the_bag(
     code, said = command.end()
     assert code == 1
     assert node in said
+    assert f"what was recorded is in {tmp_path / 'paper_k31'}" in said
     assert "Traceback" not in said
     assert not any(is_alive(pid) for pid in nodes.values())
     assert len(efforts(tmp_path / "paper_k31" / "bag")) > 50

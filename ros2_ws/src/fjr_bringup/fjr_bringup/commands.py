@@ -30,6 +30,9 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
     except FjrError as error:
         print(f"fjr: {error}", file=sys.stderr)
         return NOT_UNDERSTOOD if isinstance(error, (scenarios.ScenarioError, ParameterError)) else FAILED
+    except OSError as error:
+        print(f"fjr: {error}", file=sys.stderr)
+        return FAILED
     return DONE
 
 
@@ -52,9 +55,9 @@ def _scenarios(_options: argparse.Namespace, _stop: threading.Event) -> None:
 
 def _plan(name: str | None, overrides: dict[str, Any], options: argparse.Namespace) -> Plan:
     path = scenarios.find(name)
-    load_scenario(path)  # a file that is none is refused before anything is changed in it
+    scenario = load_scenario(path)  # a file that is none is refused before anything is changed in it
     text = scenarios.with_overrides(path, overrides)
-    lockstep = bool(overrides.get("lockstep", False))
+    lockstep = bool(overrides.get("lockstep", scenario.plant_values["lockstep"]))
     return Plan(path.stem, text, options.duration, options.output / path.stem, lockstep)
 
 

@@ -70,7 +70,7 @@ class Counts:
 
     nominal: int  # duration times rate
     published: int  # states recorded
-    missing: int  # nominal samples never published (negative: more came than nominal)
+    missing: int  # nominal samples that are not in the bag (negative: more came than nominal)
     gaps: int  # steps between stamps longer than 1.5 sample periods
     longest_gap_s: float
     answered: int  # states whose command was recorded

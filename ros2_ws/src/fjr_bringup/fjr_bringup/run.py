@@ -107,6 +107,9 @@ class _Run:
             with prioritised(RECORDER_PRIORITY if self.plan.lockstep else 0):
                 self.remote.resume()
                 self._follow()
+        except FjrError as error:
+            kept = f"\nwhat was recorded is in {self.plan.folder}" if self.going else ""
+            raise RunError(f"{error}{kept}") from None
         finally:
             self._end()
 
