@@ -184,6 +184,11 @@ def test_a_folder_that_is_no_run_is_not_replaced(tmp_path: Path) -> None:
     assert precious.read_text() == "do not lose me"
 
 
+def test_a_ros_environment_that_cannot_be_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "abc")
+    assert "ROS_DOMAIN_ID" in fjr("run", "paper_k31", "--output", str(tmp_path), code=1)
+
+
 def test_scenarios_are_listed() -> None:
     said = fjr("scenarios")
     assert "paper_k31" in said

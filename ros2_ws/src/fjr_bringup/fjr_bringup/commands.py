@@ -8,6 +8,8 @@ import sys
 import threading
 from typing import Any
 
+from rclpy.impl.implementation_singleton import rclpy_implementation
+
 from fjr_bringup import scenarios
 from fjr_bringup.run import Plan, run
 from fjr_bringup.stopping import Interrupted
@@ -30,8 +32,8 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
     except FjrError as error:
         print(f"fjr: {error}", file=sys.stderr)
         return NOT_UNDERSTOOD if isinstance(error, (scenarios.ScenarioError, ParameterError)) else FAILED
-    except OSError as error:
-        print(f"fjr: {error}", file=sys.stderr)
+    except (OSError, rclpy_implementation.RCLError) as error:
+        print(f"fjr: {' '.join(str(error).split())}", file=sys.stderr)
         return FAILED
     return DONE
 
