@@ -8,6 +8,10 @@ import os
 import shutil
 import socket
 import tempfile
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
 
 LEASE_PORTS = range(47001, 47100)  # one TCP port on 127.0.0.1 per domain id 1..99; the kernel frees it on any death
 
@@ -31,3 +35,13 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="fjr-test-log-")
 atexit.register(shutil.rmtree, os.environ["ROS_LOG_DIR"], ignore_errors=True)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+
+
+@pytest.fixture
+def ros() -> Iterator[Any]:
+    """A ROS context, an executor and the nodes of one test."""
+    from nodes.harness import Ros  # rclpy reads the environment set above
+
+    made = Ros()
+    yield made
+    made.close()

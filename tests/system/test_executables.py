@@ -32,13 +32,6 @@ def start() -> Iterator[Callable[..., Executable]]:
         executable.kill()
 
 
-@pytest.fixture
-def ros() -> Iterator[Ros]:
-    made = Ros()
-    yield made
-    made.close()
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_controller_with_a_last_zero_effort_and_code_0(ros: Ros, start, number: int) -> None:
     peer = Peer(ros)

@@ -22,13 +22,6 @@ pytestmark = pytest.mark.system
 
 
 @pytest.fixture
-def ros() -> Iterator[Ros]:
-    made = Ros()
-    yield made
-    made.close()
-
-
-@pytest.fixture
 def start() -> Iterator[Callable[..., Executable]]:
     started: list[Executable] = []
 

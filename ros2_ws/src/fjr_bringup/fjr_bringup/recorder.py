@@ -88,11 +88,6 @@ class Recorder:
         """How many publishers of a topic are connected to this recorder."""
         return self._tracks[topic].subscription.get_publisher_count() if topic in self._tracks else 0
 
-    @property
-    def message_count(self) -> int:
-        """Messages written so far, all topics together."""
-        return sum(channel.count for channel in self.writer.channels)
-
     def _run(self) -> None:
         try:
             self._record()

@@ -124,7 +124,7 @@ class _Run:
         return signature in topics and all(self.recorder.matched(t) >= graph.count_publishers(t) for t in topics)
 
     def _matched(self) -> bool:
-        """Both ends of states, commands and answers are known in the graph."""
+        """States and commands have a publisher and a reader in the graph; the plant itself waits for its controller."""
         graph = self.recorder.node
         ends = (graph.count_publishers, graph.count_subscribers)
         return all(end(topic) for topic in (STATES, COMMANDS) for end in ends)
