@@ -42,7 +42,9 @@ def exact(value: Any) -> Array:
 
 
 def inverse(A: Array) -> Array:
-    """Inverse of a 1x1 or 2x2 matrix of any numbers, by cofactors."""
+    """Inverse of a matrix of floats, or of a 1x1 or 2x2 matrix of any numbers, by cofactors."""
+    if A.dtype != object:
+        return np.linalg.inv(A)
     if A.shape == (1, 1):
         return np.array([[1 / A[0, 0]]])
     (a, b), (c, d) = A

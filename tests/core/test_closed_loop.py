@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -163,3 +164,42 @@ def test_model_mismatch_is_allowed_and_disturbs() -> None:
     plant, (_, law, x0) = fjr.Plant(fjr.single_link(link_inertia=0.033)), joint(31.0)
     run = fjr.simulate(plant, law, REFERENCE, x0, 3.0, 1e-3)
     assert 1e-6 < np.max(np.abs(run.x[-1000:, 0] - run.jets[-1000:, 0, 0])) < 0.05
+
+
+@pytest.mark.parametrize("samples", [0.25, 1.0, 2.6])
+def test_a_delayed_effort_acts_that_much_later(samples: float) -> None:
+    """Against an independent integrator that switches efforts at t_k + delay; no effort before the first."""
+    period, steps = 2e-3, 12
+    plant, law, x = joint(3.1)
+    run = fjr.simulate(plant, law, REFERENCE, x, period * steps, period, delay=samples * period)
+
+    def held(t: float) -> np.ndarray:
+        k = int(np.floor(t / period - samples + 1e-9))
+        return run.u[k] if k >= 0 else np.zeros(1)
+
+    cuts = np.unique(np.concatenate([run.t, (run.t + samples % 1 * period)[:-1]]))
+    for start, end in zip(cuts, cuts[1:], strict=False):
+        u = held((start + end) / 2)
+        x = solve_ivp(lambda _, y, u=u: plant.derivative(y, u), (start, end), x, "DOP853", rtol=1e-12, atol=1e-14).y[
+            :, -1
+        ]
+    assert run.x[-1] == pytest.approx(x, abs=1e-7)
+    for state, jets, u in zip(run.x, run.jets, run.u, strict=True):
+        assert u == pytest.approx(law.effort(state, state, jets), rel=1e-12)
+
+
+def test_no_delay_is_a_delay_of_nothing() -> None:
+    plant, law, x0 = joint(31.0)
+    runs = [fjr.simulate(plant, law, REFERENCE, x0, 0.1, 1e-3, delay=delay) for delay in (0.0, 1e-12)]
+    assert runs[0].x == pytest.approx(runs[1].x, abs=1e-8)
+
+
+@pytest.mark.parametrize("compile", [False, True])
+def test_a_compiled_run_is_the_same_run(compile: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    plant, law, x0 = joint(31.0)
+    here = fjr.Plant(plant.robot, compile=compile), fjr.TrackingLaw(law.robot, fjr.PAPER_GAINS, compile=compile)
+    for period in (1e-3, None):
+        run, same = (fjr.simulate(*pair, REFERENCE, x0, 0.05, period) for pair in (here, (plant, law)))
+        assert run.x == pytest.approx(same.x, rel=1e-9)
+        assert run.u == pytest.approx(same.u, rel=1e-9)

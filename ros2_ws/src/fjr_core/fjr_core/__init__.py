@@ -11,22 +11,28 @@ Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstr
 """
 
 from .arms import planar_two_link, single_link
+from .bodies import Body
 from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError
 from .gains import PAPER_GAINS, Gains
+from .limits import JointLimits
+from .newton_euler import serial_chain
 from .plant import Plant
 from .reference import Reference, Sine
 from .robot import Robot
 from .simulate import Trajectory, simulate
+from .urdf import robot_from_urdf
 from .vdpbc.law import Evaluation, TrackingLaw
 from .vdpbc.rate import Rate
 from .virtual import VirtualSystem
 
 __all__ = [
     "PAPER_GAINS",
+    "Body",
     "Evaluation",
     "FjrError",
     "Gains",
     "GainsError",
+    "JointLimits",
     "ParameterError",
     "Plant",
     "Rate",
@@ -40,6 +46,8 @@ __all__ = [
     "TrajectoryError",
     "VirtualSystem",
     "planar_two_link",
+    "robot_from_urdf",
+    "serial_chain",
     "simulate",
     "single_link",
 ]

@@ -35,7 +35,7 @@ def vector(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
 def matrix(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
     """Return `value` as (n, n); a scalar or a vector stands for a diagonal matrix."""
     array = finite(name, value, error)
-    if array.ndim < 2:
+    if array.shape in ((), (n,)):
         return np.diag(vector(name, array, n, error))
     if array.shape != (n, n):
         raise error(f"{name} has shape {array.shape}; expected a scalar, ({n},) or ({n}, {n})")

@@ -1,51 +1,123 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The total time derivative along the flow of (x, x_v, t): every dot of the paper, without an accelerometer."""
+"""The total time derivative along the flow of (x, x_v, t): every dot of the paper, without an accelerometer.
+
+Written with velocities: dq_lv = M_l(q_l)^-1 p_lv, dq_mv = M_m^-1 p_mv (method: momenta stay at the boundary).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 
-from . import plant, symbolic, virtual
+from . import symbolic, virtual
 from .robot import Robot
 
 REFERENCE_DERIVATIVES = 4  # q_ld .. d4q_ld: the law has relative degree four
 
 
 @dataclass(frozen=True)
-class Flow:
-    """Symbols z = (x_v, x, q_ld .. d4q_ld) and their rates dz; jets (n, 5), column k is the k-th derivative.
+class Motion:
+    """Symbols of a state in velocities: positions, velocities and, of the links, accelerations; each (n,)."""
 
-    The rates hold the unknown input u and the fifth derivative of the reference as free symbols: an
-    expression that needed one of them could not become a function. None does, because the momenta of
-    the motors never enter what is differentiated (relative degree four).
+    q_l: ca.SX
+    q_m: ca.SX
+    dq_l: ca.SX
+    dq_m: ca.SX
+    ddq_l: ca.SX
+
+    @classmethod
+    def named(cls, suffix: str, n: int) -> Motion:
+        """Fresh symbols."""
+        return cls(*(ca.SX.sym(name + suffix, n) for name in ("q_l", "q_m", "dq_l", "dq_m", "ddq_l")))
+
+    @property
+    def inputs(self) -> ca.SX:
+        """What must be given (4n,): positions and velocities."""
+        return ca.vertcat(self.q_l, self.q_m, self.dq_l, self.dq_m)
+
+
+@dataclass(frozen=True)
+class Flow:
+    """The law's symbols and their rates; `virtual` is `measured` itself where x_v = x.
+
+    jets (n, 5): q_ld .. d4q_ld, column k is the k-th derivative. The accelerations of the links are symbols
+    whose values `at` puts in; so nothing is ever derived through M_l^-1.
+
+    The rates hold the acceleration of the motors, which depends on the input, and the fifth derivative of the
+    reference as free symbols: an expression that needed one of them could not become a function. None does,
+    because the velocities of the motors never enter what is differentiated (relative degree four).
     """
 
     robot: Robot
-    x_v: ca.SX
-    x: ca.SX
+    virtual: Motion
+    measured: Motion
     jets: ca.SX
-    z: ca.SX
-    dz: ca.SX
+
+    @cached_property
+    def M_l(self) -> ca.SX:
+        """M_l at the measured q_l."""
+        return self.robot.links.M_l(self.measured.q_l)
 
     def d(self, *expressions: ca.SX) -> list[ca.SX]:
         """Total time derivatives d/dt of column vectors, in one sweep over them all."""
-        stacked = symbolic.directional(ca.vertcat(*expressions), self.z, self.dz)
+        return self._along(self._rates, *expressions)
+
+    def at(self, x_v: ca.SX, x: ca.SX, *expressions: ca.SX) -> list[ca.SX]:
+        """The expressions as functions of the states x_v and x (4n,), with momenta (and of jets).
+
+        First ddq_l = M_l^-1 (K zeta - C dq_l - D_l dq_l - grad P_l), eqs. (36) and (38), then the velocities.
+        """
+        robot, positions, motions = self.robot, 2 * self.robot.n, self._motions
+        accelerations = [symbolic.solve(self.M_l, self._force(motion)) for motion in motions]
+        values = ca.substitute(list(expressions), [motion.ddq_l for motion in motions], accelerations)
+        states = [ca.vertcat(x[:positions], *robot.velocity_expressions(x))]
+        if len(motions) == 2:
+            states.insert(0, ca.vertcat(x_v[:positions], *virtual.velocities(robot, x_v, x)))
+        return ca.substitute(values, [motion.inputs for motion in motions], states)
+
+    @property
+    def _motions(self) -> list[Motion]:
+        return [self.measured] if self.virtual is self.measured else [self.virtual, self.measured]
+
+    def _force(self, motion: Motion) -> ca.SX:
+        """M_l ddq_l of a motion: C_l and M_l at the measured state, P_l and the spring at its own, eq. (38)."""
+        q_l, dq_l, links = self.measured.q_l, self.measured.dq_l, self.robot.links
+        spring = self.robot.K @ (motion.q_m - motion.q_l)
+        return spring - links.C(q_l, dq_l, motion.dq_l) - self.robot.D_l @ motion.dq_l - links.grad_P_l(motion.q_l)
+
+    @cached_property
+    def _rates(self) -> tuple[ca.SX, ca.SX]:
+        """All symbols z and their rates dz."""
+        first = self._rates_up_to_accelerations
+        jerks = [self._jerk(motion, first) for motion in self._motions]
+        z, dz = first
+        return ca.vertcat(z, *(motion.ddq_l for motion in self._motions)), ca.vertcat(dz, *jerks)
+
+    @cached_property
+    def _rates_up_to_accelerations(self) -> tuple[ca.SX, ca.SX]:
+        unknown = ca.SX.sym("unknown", self.robot.n)  # ddq_m and d5q_ld
+        z = ca.vertcat(*(motion.inputs for motion in self._motions), ca.vec(self.jets))
+        rates = (ca.vertcat(m.dq_l, m.dq_m, m.ddq_l, unknown) for m in self._motions)
+        return z, ca.vertcat(*rates, ca.vec(self.jets[:, 1:]), unknown)
+
+    def _jerk(self, motion: Motion, rates: tuple[ca.SX, ca.SX]) -> ca.SX:
+        """d3q_l = M_l^-1 d/dt(force - M_l ddq_l), ddq_l held."""
+        q_l = self.measured.q_l
+        (left,) = self._along(rates, self._force(motion) - self.robot.links.M_l(q_l) @ motion.ddq_l)
+        return symbolic.solve(self.M_l, left)
+
+    def _along(self, rates: tuple[ca.SX, ca.SX], *expressions: ca.SX) -> list[ca.SX]:
+        stacked = symbolic.directional(ca.vertcat(*expressions), *rates)
         ends = [0]
         for e in expressions:
             ends.append(ends[-1] + e.numel())
         return ca.vertsplit(stacked, ends)
 
 
-def flow(robot: Robot) -> Flow:
-    """Symbols of a robot's law and their rates: plant (36), virtual system (38), jets shifted by one."""
-    n = robot.n
-    x_v, x = ca.SX.sym("x_v", 4 * n), ca.SX.sym("x", 4 * n)
-    jets = ca.SX.sym("jets", n, REFERENCE_DERIVATIVES + 1)
-    u, d5q_ld = ca.SX.sym("unknown_u", n), ca.SX.sym("unknown_d5q_ld", n)
-    dx_v = virtual.derivative_expression(robot, x_v, x, u)
-    dx = plant.derivative_expression(robot, x, u)
-    djets = ca.horzcat(jets[:, 1:], d5q_ld)
-    z = ca.vertcat(x_v, x, ca.vec(jets))
-    return Flow(robot, x_v, x, jets, z, ca.vertcat(dx_v, dx, ca.vec(djets)))
+def flow(robot: Robot, diagonal: bool = False) -> Flow:
+    """Symbols of a robot's law and their rates; diagonal: at x_v = x, where everything is said once."""
+    measured = Motion.named("", robot.n)
+    virtual = measured if diagonal else Motion.named("v", robot.n)
+    return Flow(robot, virtual, measured, ca.SX.sym("jets", robot.n, REFERENCE_DERIVATIVES + 1))

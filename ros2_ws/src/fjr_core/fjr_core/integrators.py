@@ -8,7 +8,6 @@ from collections.abc import Callable
 import casadi as ca
 
 from .errors import ParameterError
-from .numeric import NumericFunction
 
 Field = Callable[[ca.SX, ca.SX], ca.SX]
 """dx/dt = f(x, u) on expressions; a CasADi function is one."""
@@ -53,11 +52,6 @@ def step(name: str, f: ca.Function) -> ca.Function:
     if name not in INTEGRATORS:
         raise ParameterError(f"integrator is {name!r}; expected one of {', '.join(INTEGRATORS)}")
     return INTEGRATORS[name](f)
-
-
-def numeric_step(name: str, f: ca.Function) -> NumericFunction:
-    """The same as a function of NumPy arrays x (N,), u (n,) and a float dt [s]."""
-    return NumericFunction(step(name, f), ((f.size1_in(0),), (f.size1_in(1),), ()))
 
 
 def _symbols(f: ca.Function, kind: type) -> tuple[ca.SX, ca.SX, ca.SX]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 
@@ -18,7 +19,7 @@ class Links:
 
     M_l: q_l -> inertia (n, n) [kg m^2];  P_l: q_l -> potential energy [J];  grad_P_l: q_l -> (n,) [N m].
     C: (q_l, v, w) -> C(q_l, v) w (n,), with the Christoffel symbols, so that dM_l - 2 C is skew.
-    dM: (q_l, dq_l, w) -> (d/dt M_l) w (n,) along dq_l, w held.
+    grad_T: (q_l, v) -> d/dq_l (v' M_l v / 2) (n,), v held.
     M_l_vertices: matrices whose convex hull holds M_l(q_l) for every q_l, where they are known: what
     is proven at the vertices is proven everywhere (rates are convex in M_l). None: not known.
     """
@@ -28,8 +29,14 @@ class Links:
     P_l: ca.Function
     grad_P_l: ca.Function
     C: ca.Function
-    dM: ca.Function
+    grad_T: ca.Function
     M_l_vertices: tuple[Array, ...] | None = None
+
+    @cached_property
+    def dM(self) -> ca.Function:
+        """(q_l, dq_l, w) -> (d/dt M_l) w (n,) along dq_l, w held."""
+        q_l, dq_l, w = (ca.SX.sym(name, self.n) for name in ("q_l", "dq_l", "w"))
+        return ca.Function("dM", [q_l, dq_l, w], [directional(self.M_l(q_l) @ w, q_l, dq_l)])
 
     def E(self, q_l: ca.SX, dq_l: ca.SX, w: ca.SX) -> ca.SX:
         """Workless forces E_l w (n,), eq. (24): E_l = S_H - dM_l/2 = -C' = C - dM_l."""
@@ -56,6 +63,6 @@ def closed_form(
         P_l=ca.Function("P_l", [q_l], [P_l]),
         grad_P_l=ca.Function("grad_P_l", [q_l], [ca.gradient(P_l, q_l)]),
         C=ca.Function("C", [q_l, v, w], [C_w]),
-        dM=ca.Function("dM", [q_l, v, w], [dM_w]),
+        grad_T=ca.Function("grad_T", [q_l, v], [ca.gradient(ca.dot(v, M_l @ v) / 2, q_l)]),
         M_l_vertices=vertices,
     )

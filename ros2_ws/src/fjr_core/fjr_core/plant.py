@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from . import integrators, symbolic
 from .checks import Array
-from .numeric import NumericFunction, numeric
+from .compile import compiled
+from .numeric import NumericFunction, dense_function, numeric
 from .robot import Robot
 
 
@@ -28,11 +29,11 @@ def structure(robot: Robot) -> tuple[Array, Array, Array]:
 
 
 def gradient_expression(robot: Robot, x: ca.SX) -> ca.SX:
-    """dH/dx (4n,) as an expression; d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l, eq. (22)."""
+    """dH/dx (4n,) as an expression; d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l = -d/dq_l (dq_l' M_l dq_l / 2), (22)."""
     q_l, q_m, _, _ = symbolic.blocks(x, robot.n)
     dq_l, dq_m = robot.velocity_expressions(x)
     spring = robot.K @ (q_m - q_l)
-    dH_dq_l = robot.links.E(q_l, dq_l, dq_l) + robot.links.grad_P_l(q_l) - spring
+    dH_dq_l = -robot.links.grad_T(q_l, dq_l) + robot.links.grad_P_l(q_l) - spring
     return ca.vertcat(dH_dq_l, spring, dq_l, dq_m)
 
 
@@ -46,20 +47,27 @@ class Plant:
     """The robot as a system to integrate; pure functions of (x, u), bound once.
 
     integrator: "rk4" (explicit, order 4) or "implicit_midpoint" (order 2, no drift of the energy).
+    compile: the step as machine code where the machine has a C compiler (compile.compiled).
     Units: positions rad, momenta N m s, effort u N m. Raises StateError for wrong shapes and
     ParameterError for an unknown integrator.
     """
 
-    def __init__(self, robot: Robot, integrator: str = "rk4") -> None:
+    def __init__(self, robot: Robot, integrator: str = "rk4", compile: bool = False) -> None:
         self.robot = robot
         self.integrator = integrator
-        self._step = integrators.numeric_step(integrator, self.dynamics)
+        self._compile = compile
+        self._vm_step = integrators.step(integrator, self.dynamics)
 
     @cached_property
     def dynamics(self) -> ca.Function:
-        """The CasADi function (x, u) -> dx."""
+        """The CasADi function (x, u) -> dx, with derivatives."""
         x, u = ca.SX.sym("x", 4 * self.robot.n), ca.SX.sym("u", self.robot.n)
-        return ca.Function("dynamics", [x, u], [derivative_expression(self.robot, x, u)], ["x", "u"], ["dx"])
+        return dense_function("dynamics", {"x": x, "u": u}, {"dx": derivative_expression(self.robot, x, u)}, cse=True)
+
+    @cached_property
+    def step_function(self) -> ca.Function:
+        """The CasADi function (x, u, dt) -> x_next; machine code if that was asked for."""
+        return compiled(self._vm_step) if self._compile else self._vm_step
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
         """dx/dt (4n,) at state x (4n,) under effort u (n,), eq. (36)."""
@@ -76,6 +84,10 @@ class Plant:
     def structure(self, x: ArrayLike | None = None) -> tuple[Array, Array, Array]:
         """J, R and G of eq. (36); constant here, so x is not needed."""
         return structure(self.robot)
+
+    @cached_property
+    def _step(self) -> NumericFunction:
+        return NumericFunction(self.step_function, ((4 * self.robot.n,), (self.robot.n,), ()))
 
     @cached_property
     def _derivative(self) -> NumericFunction:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from . import checks, symbolic
 from .checks import Array
 from .errors import RobotError, StateError
+from .limits import JointLimits
 from .links import Links
 from .numeric import NumericFunction, numeric
 
@@ -23,7 +24,7 @@ class Robot:
 
     links: the rigid arm on the link side. M_m: motor inertia reflected to the link side [kg m^2].
     K: joint stiffness [N m/rad]. D_l, D_m: link and motor damping [N m s/rad]. B_m: input matrix.
-    All five are constant matrices (n, n).
+    All five are constant matrices (n, n). limits: of the joints, or None; nothing here enforces them.
 
     The state is x = (q_l, q_m, p_l, p_m), four blocks of n, with p_l = M_l(q_l) dq_l, p_m = M_m dq_m.
 
@@ -37,6 +38,7 @@ class Robot:
     D_l: Array
     D_m: Array
     B_m: Array
+    limits: JointLimits | None = None
 
     def __post_init__(self) -> None:
         for name in ("M_m", "K", "D_l", "D_m", "B_m"):
@@ -49,6 +51,8 @@ class Robot:
             object.__setattr__(self, name, array)
         if not np.linalg.cond(self.B_m) < 1e12:
             raise RobotError(f"B_m is {self.B_m.tolist()}; expected an invertible matrix")
+        if self.limits is not None and self.limits.n != self.n:
+            raise RobotError(f"limits are of {self.limits.n} joints; expected {self.n}")
         for M in self.links.M_l_vertices or (self.links.M_l(np.zeros(self.n)).full(),):
             checks.positive_definite("M_l", np.asarray(M), RobotError)
 

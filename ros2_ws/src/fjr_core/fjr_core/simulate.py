@@ -13,7 +13,7 @@ from . import checks
 from .checks import Array
 from .errors import StateError
 from .integrators import rk4_expression
-from .numeric import NumericFunction
+from .numeric import NumericFunction, bind, not_converged
 from .plant import Plant
 from .reference import JETS, Reference
 from .vdpbc.law import TrackingLaw
@@ -41,12 +41,15 @@ def simulate(
     duration: float,
     sample_period: float | None = None,
     inner_step: float | None = None,
+    delay: float = 0.0,
 ) -> Trajectory:
     """Run u(x, x, t) on the plant from x0 (4n,) for `duration` seconds.
 
     sample_period [s]: the law is evaluated once a sample and held (plant.step inside, at most inner_step
     each); None: continuous time, the law in every stage of a Runge-Kutta step of inner_step. Times are
     multiples of the sample period (of inner_step in continuous time) up to the duration.
+    delay [s]: the effort for the state at t acts from t + delay on, none before the first; Trajectory.u is
+    what the law said at t. Only for a sampled loop.
     The plant's robot and the law's may differ (model mismatch). Raises StateError for shapes or numbers
     that do not fit, and when the loop diverges to non-finite numbers.
     """
@@ -58,13 +61,15 @@ def simulate(
         )
     if inner_step is not None:
         _positive("inner_step", inner_step)
+    if not (np.isfinite(delay) and delay >= 0) or (delay and sample_period is None):
+        raise StateError(f"delay is {delay} s; expected 0 or more with a sample_period, 0 in continuous time")
     period = sample_period if sample_period is not None else inner_step or CONTINUOUS_STEP
     t = _times(duration, period)
+    jets = reference.jets(t)
     if sample_period is None:
-        states = _continuous(plant, law, reference, x0, t, period)
-    else:
-        states = _sampled(plant, law, reference, x0, t, period, inner_step or INNER_STEP)
-    return _trajectory(law, t, states, reference.jets(t))
+        return _continuous(plant, law, reference, x0, t, period)
+    segments = _segments(period, delay, inner_step or INNER_STEP)
+    return _sampled(plant, law, x0, t, jets, segments)
 
 
 def _times(duration: float, period: float) -> Array:
@@ -78,27 +83,65 @@ def _positive(name: str, value: float) -> None:
         raise StateError(f"{name} is {value} s; expected a positive finite number")
 
 
-def _sampled(
-    plant: Plant, law: TrackingLaw, reference: Reference, x0: Array, t: Array, period: float, inner_step: float
-) -> list[Array]:
-    steps = int(np.ceil(period / inner_step - 1e-9))
-    states = [x0]
-    for jets in reference.jets(t[:-1]):
-        x = states[-1]
-        u = law.effort(x, x, jets)
-        for _ in range(steps):
-            x = plant.step(x, u, period / steps)
-        states.append(_finite(x, len(states) * period))
-    return states
+@dataclass(frozen=True)
+class _Segment:
+    """A part of the sample period under one effort, which is `age` samples old, in `steps` steps of dt [s]."""
+
+    age: int
+    steps: int
+    dt: float
 
 
-def _continuous(plant: Plant, law: TrackingLaw, reference: Reference, x0: Array, t: Array, dt: float) -> list[Array]:
+def _segments(period: float, delay: float, inner_step: float) -> list[_Segment]:
+    """The sample period cut where the effort changes."""
+    whole, late = divmod(delay, period)
+    parts = [(int(whole) + 1, late), (int(whole), period - late)]
+    steps = [int(np.ceil(length / inner_step - 1e-9)) for _, length in parts]
+    return [_Segment(age, k, length / k) for (age, length), k in zip(parts, steps, strict=True) if k]
+
+
+def _sampled(plant: Plant, law: TrackingLaw, x0: Array, t: Array, jets: Array, segments: list[_Segment]) -> Trajectory:
+    run = _empty_trajectory(law, t, jets)
+    x, u, now = x0.copy(), np.zeros(law.robot.n), np.zeros(jets.shape[1:])
+    x_next, V, command = np.zeros_like(x), np.zeros(1), law.command_function
+    evaluate = bind(command, [x, now], [u, V])
+    held = [np.zeros(law.robot.n) for _ in segments]
+    steps = [
+        bind(plant.step_function, [x, effort, np.array([segment.dt])], [x_next])
+        for effort, segment in zip(held, segments, strict=True)
+    ]
+    for k in range(len(t)):
+        if not x.dot(x) < np.inf:
+            raise _diverged(t[k])
+        now[...] = jets[k]
+        evaluate()
+        run.x[k], run.u[k], run.V[k] = x, u, V[0]
+        if k + 1 == len(t):
+            break
+        for segment, effort, step in zip(segments, held, steps, strict=True):
+            if k >= segment.age:
+                effort[...] = run.u[k - segment.age]
+            try:
+                for _ in range(segment.steps):
+                    step()
+                    x[...] = x_next
+            except RuntimeError:
+                raise not_converged(plant.step_function) from None
+    return run
+
+
+def _continuous(plant: Plant, law: TrackingLaw, reference: Reference, x0: Array, t: Array, dt: float) -> Trajectory:
     step = _closed_loop_step(plant, law)
-    states = [x0]
+    run = _empty_trajectory(law, t, reference.jets(t))
+    run.x[0] = x0
     instants = (t[:-1], t[:-1] + dt / 2, t[1:])
-    for stages in zip(*(reference.jets(instant) for instant in instants), strict=True):
-        states.append(_finite(step(states[-1], *stages, dt)[0], len(states) * dt))
-    return states
+    for k, stages in enumerate(zip(*(reference.jets(instant) for instant in instants), strict=True)):
+        run.x[k + 1] = step(run.x[k], *stages, dt)[0]
+        if not np.isfinite(run.x[k + 1]).all():
+            raise _diverged(t[k + 1])
+    for k, (x, jets) in enumerate(zip(run.x, run.jets, strict=True)):
+        run.u[k], run.V[k] = law.command_and_storage(x, jets)
+    return run
 
 
 def _closed_loop_step(plant: Plant, law: TrackingLaw) -> NumericFunction:
@@ -108,21 +151,17 @@ def _closed_loop_step(plant: Plant, law: TrackingLaw) -> NumericFunction:
     start, middle, end = (ca.MX.sym(name, n, JETS) for name in ("start", "middle", "end"))
 
     def f(x: ca.MX, jets: ca.MX) -> ca.MX:
-        return plant.dynamics(x, law.function(x, x, jets, ca.DM.zeros(n)))
+        return plant.dynamics(x, law.command_function(x, jets)[0])
 
     x_next = rk4_expression(f, x, (start, middle, end), dt)
     function = ca.Function("closed_loop_step", [x, start, middle, end, dt], [x_next])
     return NumericFunction(function, ((4 * n,), (JETS, n), (JETS, n), (JETS, n), ()))
 
 
-def _finite(x: Array, t: float) -> Array:
-    if not np.all(np.isfinite(x)):
-        raise StateError(f"the closed loop diverged: the state is not finite at t = {t:.6g} s")
-    return x
+def _diverged(t: float) -> StateError:
+    return StateError(f"the closed loop diverged: the state is not finite at t = {t:.6g} s")
 
 
-def _trajectory(law: TrackingLaw, t: Array, states: list[Array], jets: Array) -> Trajectory:
-    evaluations = [law.evaluate(x, x, j) for x, j in zip(states, jets, strict=True)]
-    return Trajectory(
-        t, np.array(states), np.array([e.u for e in evaluations]), jets, np.array([e.V for e in evaluations])
-    )
+def _empty_trajectory(law: TrackingLaw, t: Array, jets: Array) -> Trajectory:
+    n = law.robot.n
+    return Trajectory(t, np.empty((len(t), 4 * n)), np.empty((len(t), n)), jets, np.empty(len(t)))

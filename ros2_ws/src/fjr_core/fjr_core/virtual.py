@@ -20,14 +20,14 @@ def derivative_expression(robot: Robot, x_v: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX
     q_l = symbolic.blocks(x, robot.n)[0]
     q_lv, q_mv, _, _ = symbolic.blocks(x_v, robot.n)
     dq_l = robot.velocity_expressions(x)[0]
-    dq_lv, dq_mv = virtual_velocities(robot, x_v, x)
+    dq_lv, dq_mv = velocities(robot, x_v, x)
     spring = K @ (q_mv - q_lv)
     dp_lv = -(links.grad_P_l(q_lv) - spring) - links.E(q_l, dq_l, dq_lv) - robot.D_l @ dq_lv
     dp_mv = -spring - robot.D_m @ dq_mv + robot.B_m @ u
     return ca.vertcat(dq_lv, dq_mv, dp_lv, dp_mv)
 
 
-def virtual_velocities(robot: Robot, x_v: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX]:
+def velocities(robot: Robot, x_v: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX]:
     """(dq_lv, dq_mv) = (M_l(q_l)^-1 p_lv, M_m^-1 p_mv): the inertia at the measured q_l, eq. (27)."""
     q_l, n = symbolic.blocks(x, robot.n)[0], robot.n
     return robot.velocity_expressions(ca.vertcat(q_l, x_v[n:]))

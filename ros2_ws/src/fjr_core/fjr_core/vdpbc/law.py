@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Set
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from .. import symbolic
 from ..checks import Array
-from ..flow import REFERENCE_DERIVATIVES, flow
+from ..compile import compiled
+from ..flow import REFERENCE_DERIVATIVES, Flow, flow
 from ..gains import Gains
-from ..numeric import NumericFunction, numeric
+from ..numeric import NumericFunction, dense_function
 from ..robot import Robot
 from .link import LinkStage, link_stage
 from .motor import MotorStage, motor_stage
@@ -45,13 +46,24 @@ class TrackingLaw:
 
     The controller applies u(x, x, t); analysis uses x_v != x. x_v and x are states (4n,) with momenta,
     jets (5, n) holds q_ld .. d4q_ld, omega (n,) [N m] is the external input of eq. (42).
+    compile: as machine code where the machine has a C compiler (compile.compiled); the same numbers to rounding.
     Raises GainsError (see Gains.checked) at birth, StateError for wrong shapes. Nothing is limited and
     nothing non-finite is caught here: that is the caller's.
     """
 
-    def __init__(self, robot: Robot, gains: Gains) -> None:
+    def __init__(self, robot: Robot, gains: Gains, compile: bool = False) -> None:
         self.robot = robot
         self.gains = gains.checked(robot.n)
+        self._compile = compile
+
+    def command(self, x: ArrayLike, jets: ArrayLike) -> Array:
+        """Effort u(x, x, t) (n,) [N m], which the controller applies: effort(x, x, jets) at less cost."""
+        return self._command(x, jets)[0]
+
+    def command_and_storage(self, x: ArrayLike, jets: ArrayLike) -> tuple[Array, float]:
+        """The command with the storage V [J] at x_v = x."""
+        u, V = self._command(x, jets)
+        return u, float(V[0])
 
     def effort(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Array:
         """Effort u (n,) [N m], eq. (42)."""
@@ -70,29 +82,48 @@ class TrackingLaw:
 
     @cached_property
     def function(self) -> ca.Function:
-        """The CasADi function (x_v, x, jets (n, 5), omega) -> u."""
-        inputs, outputs = self._expressions
-        return ca.Function("effort", list(inputs.values()), [outputs["u"]], list(inputs), ["u"], {"cse": True})
+        """The CasADi function (x_v, x, jets (n, 5), omega) -> u, with derivatives."""
+        return self._function("effort", {"u"})
+
+    @cached_property
+    def command_function(self) -> ca.Function:
+        """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; machine code if that was asked for."""
+        return self._ready(self._function("command", {"u", "V"}, diagonal=True))
+
+    @cached_property
+    def _command(self) -> NumericFunction:
+        return NumericFunction(self.command_function, ((4 * self.robot.n,), (REFERENCE_DERIVATIVES + 1, self.robot.n)))
 
     @cached_property
     def _effort(self) -> NumericFunction:
-        n = self.robot.n
-        return NumericFunction(self.function, ((4 * n,), (4 * n,), (REFERENCE_DERIVATIVES + 1, n), (n,)))
+        return self._numeric(self.function)
 
     @cached_property
     def _evaluate(self) -> NumericFunction:
-        inputs, outputs = self._expressions
-        return numeric("evaluate", inputs, outputs, jets=(REFERENCE_DERIVATIVES + 1, self.robot.n))
+        return self._numeric(self._function("evaluate", {f.name for f in fields(Evaluation)}))
 
-    @cached_property
-    def _expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        f = flow(self.robot)
-        omega = ca.SX.sym("omega", self.robot.n)
+    def _numeric(self, function: ca.Function) -> NumericFunction:
+        n = self.robot.n
+        return NumericFunction(self._ready(function), ((4 * n,), (4 * n,), (REFERENCE_DERIVATIVES + 1, n), (n,)))
+
+    def _ready(self, function: ca.Function) -> ca.Function:
+        return compiled(function) if self._compile else function
+
+    def _function(self, name: str, wanted: Set[str], diagonal: bool = False) -> ca.Function:
+        """(x_v, x, jets, omega) -> the wanted values in Evaluation's order; (x, jets) -> at x_v = x, omega = 0."""
+        n = self.robot.n
+        f, omega = flow(self.robot, diagonal), ca.SX.zeros(n) if diagonal else ca.SX.sym("omega", n)
+        x_v, x = ca.SX.sym("x_v", 4 * n), ca.SX.sym("x", 4 * n)
+        outputs = {key: value for key, value in self._expressions(f, omega).items() if key in wanted}
+        values = f.at(x_v, x, *outputs.values())
+        inputs = {"x": x, "jets": f.jets} if diagonal else {"x_v": x_v, "x": x, "jets": f.jets, "omega": omega}
+        return dense_function(name, inputs, dict(zip(outputs, values, strict=True)), cse=True)
+
+    def _expressions(self, f: Flow, omega: ca.SX) -> dict[str, ca.SX]:
         link = link_stage(f, self.gains)
         motor = motor_stage(f, self.gains, link, omega)
-        M_l = self.robot.links.M_l(symbolic.blocks(f.x, self.robot.n)[0])
         dissipation = self._dissipation(link, motor)
-        outputs = {
+        return {
             "u": motor.u,
             "u_l": link.u_l,
             "q_md": motor.q_md,
@@ -100,17 +131,16 @@ class TrackingLaw:
             "sigma_l": link.sigma_l,
             "q_tilde_m": motor.q_tilde_m,
             "sigma_m": motor.sigma_m,
-            "V": self._storage(link, motor, M_l),
+            "V": self._storage(link, motor),
             "dissipation": dissipation,
             "dV": -dissipation + ca.dot(motor.s_m, omega),
         }
-        return {"x_v": f.x_v, "x": f.x, "jets": f.jets, "omega": omega}, outputs
 
-    def _storage(self, link: LinkStage, motor: MotorStage, M_l: ca.SX) -> ca.SX:
-        """V = (qt_l' Pi_l qt_l + s_l' M_l s_l + qt_m' Pi_m qt_m + s_m' M_m s_m) / 2, eq. (43) integrated."""
-        g, M_m = self.gains, self.robot.M_m
-        V_l = ca.dot(link.q_tilde_l, g.Pi_l @ link.q_tilde_l) + ca.dot(link.s_l, M_l @ link.s_l)
-        V_m = ca.dot(motor.q_tilde_m, g.Pi_m @ motor.q_tilde_m) + ca.dot(motor.s_m, M_m @ motor.s_m)
+    def _storage(self, link: LinkStage, motor: MotorStage) -> ca.SX:
+        """V = (qt_l' Pi_l qt_l + s_l' sigma_l + qt_m' Pi_m qt_m + s_m' sigma_m) / 2, eq. (43) integrated."""
+        g = self.gains
+        V_l = ca.dot(link.q_tilde_l, g.Pi_l @ link.q_tilde_l) + ca.dot(link.s_l, link.sigma_l)
+        V_m = ca.dot(motor.q_tilde_m, g.Pi_m @ motor.q_tilde_m) + ca.dot(motor.s_m, motor.sigma_m)
         return (V_l + V_m) / 2
 
     def _dissipation(self, link: LinkStage, motor: MotorStage) -> ca.SX:

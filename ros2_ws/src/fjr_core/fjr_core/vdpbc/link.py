@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from .. import symbolic
 from ..flow import Flow
 from ..gains import CheckedGains
 
@@ -17,27 +16,28 @@ class LinkStage:
     """Errors of the links and the wanted spring torque, as expressions (n,)."""
 
     q_tilde_l: ca.SX
-    sigma_l: ca.SX
     s_l: ca.SX
+    sigma_l: ca.SX
     u_l: ca.SX
 
 
 def link_stage(flow: Flow, gains: CheckedGains) -> LinkStage:
-    """The link stage of the law at (x_v, x, jets); M_l, E_l, D_l at the measured x, P_l at the virtual q_lv."""
-    robot, links, n = flow.robot, flow.robot.links, flow.robot.n
-    q_l = symbolic.blocks(flow.x, n)[0]
-    q_lv, _, p_lv, _ = symbolic.blocks(flow.x_v, n)
+    """The link stage of the law; M_l, C_l, D_l at the measured state, P_l at the virtual q_lv.
+
+    With v_lr = M_l^-1 p_lr, the rate and the workless force of eq. (33) are
+    dp_lr + E_l v_lr = M_l dv_lr + (dM_l + E_l) v_lr = M_l dv_lr + C_l v_lr.
+    """
+    links, D_l = flow.robot.links, flow.robot.D_l
+    q_l, dq_l = flow.measured.q_l, flow.measured.dq_l
+    q_lv, dq_lv = flow.virtual.q_l, flow.virtual.dq_l
     q_ld, dq_ld = flow.jets[:, 0], flow.jets[:, 1]
-    dq_l = robot.velocity_expressions(flow.x)[0]
-    M_l = links.M_l(q_l)
 
     q_tilde_l = q_lv - q_ld  # (30)
     v_lr = dq_ld - gains.phi_l(q_tilde_l)  # (31)
-    p_lr = M_l @ v_lr
-    sigma_l = p_lv - p_lr  # (30)
-    s_l = symbolic.solve(M_l, sigma_l)
+    s_l = dq_lv - v_lr  # (30)
+    sigma_l = flow.M_l @ s_l
 
-    (dp_lr,) = flow.d(p_lr)
-    u_lff = dp_lr + links.grad_P_l(q_lv) + links.E(q_l, dq_l, v_lr) + robot.D_l @ v_lr  # (33)
+    (dv_lr,) = flow.d(v_lr)
+    u_lff = flow.M_l @ dv_lr + links.C(q_l, dq_l, v_lr) + links.grad_P_l(q_lv) + D_l @ v_lr  # (33)
     u_lfb = -gains.Pi_l @ q_tilde_l - gains.K_ld @ s_l
-    return LinkStage(q_tilde_l, sigma_l, s_l, u_l=u_lff + u_lfb)
+    return LinkStage(q_tilde_l, s_l, sigma_l, u_l=u_lff + u_lfb)

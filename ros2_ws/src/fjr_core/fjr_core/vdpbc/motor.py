@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from .. import symbolic
 from ..checks import Array
 from ..flow import Flow
 from ..gains import CheckedGains
@@ -21,32 +20,29 @@ class MotorStage:
 
     q_md: ca.SX
     q_tilde_m: ca.SX
-    sigma_m: ca.SX
     s_m: ca.SX
+    sigma_m: ca.SX
     u: ca.SX
 
 
 def motor_stage(flow: Flow, gains: CheckedGains, link: LinkStage, omega: ca.SX) -> MotorStage:
-    """The motor stage of the law at (x_v, x, jets); the spring at the virtual state; omega (n,) external input."""
-    robot, n = flow.robot, flow.robot.n
-    q_l = symbolic.blocks(flow.x, n)[0]
-    q_lv, q_mv, _, p_mv = symbolic.blocks(flow.x_v, n)
-    M_l, M_m, K = robot.links.M_l(q_l), robot.M_m, robot.K
+    """The motor stage of the law; the spring at the virtual state; omega (n,) external input; v_mr = M_m^-1 p_mr."""
+    M_m, D_m, K, B_m = flow.robot.M_m, flow.robot.D_m, flow.robot.K, flow.robot.B_m
+    q_lv, q_mv, dq_mv = flow.virtual.q_l, flow.virtual.q_m, flow.virtual.dq_m
 
     q_md = q_lv + np.linalg.inv(K) @ link.u_l
     (dq_md,) = flow.d(q_md)
     q_tilde_m = q_mv - q_md  # (39)
-    v_mr = dq_md - gains.phi_m(q_tilde_m) - coupling_velocity(gains.Pi_m, K, M_l, link.sigma_l)  # (40)
-    p_mr = M_m @ v_mr
-    sigma_m = p_mv - p_mr  # (39)
-    s_m = np.linalg.inv(M_m) @ sigma_m
+    v_mr = dq_md - gains.phi_m(q_tilde_m) - coupling_velocity(gains.Pi_m, K, flow.M_l, link.s_l)  # (40)
+    s_m = dq_mv - v_mr  # (39)
+    sigma_m = M_m @ s_m
 
-    (dp_mr,) = flow.d(p_mr)
-    u_mff = dp_mr + K @ (q_mv - q_lv) + robot.D_m @ v_mr  # (42)
+    (dv_mr,) = flow.d(v_mr)
+    u_mff = M_m @ dv_mr + K @ (q_mv - q_lv) + D_m @ v_mr  # (42)
     u_mfb = -gains.Pi_m @ q_tilde_m - gains.K_md @ s_m + omega
-    return MotorStage(q_md, q_tilde_m, sigma_m, s_m, u=np.linalg.inv(robot.B_m) @ (u_mff + u_mfb))
+    return MotorStage(q_md, q_tilde_m, s_m, sigma_m, u=np.linalg.inv(B_m) @ (u_mff + u_mfb))
 
 
-def coupling_velocity(Pi_m: Array, K: Array, M_l: ca.SX, sigma_l: ca.SX) -> ca.SX:
+def coupling_velocity(Pi_m: Array, K: Array, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
     """Pi_m^-1 K' M_l^-1 sigma_l (n,), the last term of eq. (40), which prints M_l' (docs/errata.md)."""
-    return np.linalg.inv(Pi_m) @ K.T @ symbolic.solve(M_l, sigma_l)
+    return np.linalg.inv(Pi_m) @ K.T @ s_l

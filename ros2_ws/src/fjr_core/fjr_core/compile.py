@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CasADi functions as machine code: C from CasADi, a shared object from the machine's compiler, cached by content."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import logging
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import casadi as ca
+
+OPTIONS = ("-O3", "-march=native", "-fPIC", "-shared")
+COMPILERS = ("cc", "gcc", "clang")
+LONGEST_BUILD = 300.0  # s
+
+_log = logging.getLogger("fjr_core.compile")
+
+
+class CompileError(Exception):
+    """Why a function cannot be compiled here; never leaves this module."""
+
+
+def compiled(function: ca.Function) -> ca.Function:
+    """The same function as machine code; `function` itself, run by CasADi's virtual machine, where that cannot be.
+
+    The C code, the compiler with its options and the processor decide the name of the shared object in
+    cache_folder(); one that is there is only loaded. Two processes may build at once: one builds, the other waits.
+    Derivatives of the result are not available. Says once, as a warning of the logger "fjr_core.compile", why
+    nothing is compiled.
+    """
+    try:
+        return _external(function)
+    except (CompileError, OSError, RuntimeError) as error:
+        _say_once(str(error))
+        return function
+
+
+def cache_folder() -> Path:
+    """$XDG_CACHE_HOME/fjr, or ~/.cache/fjr."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "fjr"
+
+
+def _external(function: ca.Function) -> ca.Function:
+    compiler, source = _compiler(), _c_code(function)
+    key = hashlib.sha256("\n".join([source, *compiler, _version(compiler), *OPTIONS, _processor()]).encode())
+    library = cache_folder() / f"{function.name()}-{key.hexdigest()[:32]}.so"
+    library.parent.mkdir(parents=True, exist_ok=True)
+    _ensure(library, source, compiler)
+    try:
+        return ca.external(function.name(), str(library))
+    except RuntimeError:  # not what was written there
+        library.unlink(missing_ok=True)
+        _ensure(library, source, compiler)
+        return ca.external(function.name(), str(library))
+
+
+def _ensure(library: Path, source: str, compiler: tuple[str, ...]) -> None:
+    """Build the library unless it is there, or while this waits another process does."""
+    if library.exists():
+        return
+    with library.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not library.exists():
+            _build(source, compiler, library)
+
+
+def _build(source: str, compiler: tuple[str, ...], library: Path) -> None:
+    """Compile to a temporary file beside the library and move it there whole."""
+    _log.info("compiling %s, once: some seconds", library.stem.rpartition("-")[0])
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        code, made = Path(folder, "code.c"), Path(folder, "code.so")
+        code.write_text(source, encoding="utf-8")
+        _run([*compiler, *OPTIONS, "-o", str(made), str(code), "-lm"])
+        os.replace(made, library)
+
+
+def _run(command: list[str]) -> None:
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_BUILD, check=False)
+    except subprocess.TimeoutExpired:
+        raise CompileError(f"{command[0]} did not finish within {LONGEST_BUILD:g} s") from None
+    if result.returncode:
+        lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
+        raise CompileError(f"{command[0]} failed: {lines[0]}")
+
+
+def _c_code(function: ca.Function) -> str:
+    generator = ca.CodeGenerator(function.name())
+    generator.add(function)
+    code = str(generator.dump())
+    if "#error" in code:
+        raise CompileError(f"CasADi cannot write {function.name()} as C")
+    return code
+
+
+def _compiler() -> tuple[str, ...]:
+    """$CC, or the first compiler on the path; raises CompileError when there is none."""
+    wanted = shlex.split(os.environ.get("CC", ""))
+    for command in [wanted] if wanted else [[name] for name in COMPILERS]:
+        found = shutil.which(command[0])
+        if found:
+            return (found, *command[1:])
+    names = wanted[0] if wanted else ", ".join(COMPILERS)
+    raise CompileError(f"no C compiler ({names}) is on the path: install one, e.g. apt-get install gcc libc6-dev")
+
+
+@cache
+def _version(compiler: tuple[str, ...]) -> str:
+    result = subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=False)
+    return result.stdout
+
+
+@cache
+def _processor() -> str:
+    """What -march=native depends on: a cache may be shared by machines."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    told = {line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))}
+    return "\n".join([platform.machine(), *sorted(told)])
+
+
+@cache
+def _say_once(reason: str) -> None:
+    _log.warning("%s; running in CasADi's virtual machine, with the same numbers, some 20 times slower", reason)
