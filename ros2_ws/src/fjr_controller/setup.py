@@ -20,7 +20,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "controller_node = fjr_controller.controller_node:main",
+            "controller_node = fjr_controller.executable:main",
         ],
     },
 )

@@ -20,7 +20,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "plant_node = fjr_plant.plant_node:main",
+            "plant_node = fjr_plant.executable:main",
         ],
     },
 )

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A signal while a node's process still loads ends it as quietly as later."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+LOADING = """
+import time
+from fjr_msgs_py.loading import ended_by_signals
+with ended_by_signals():
+    print("loading", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_loading_ends_the_process_with_0(number: signal.Signals) -> None:
+    command = [sys.executable, "-c", LOADING]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "loading\n"
+        process.send_signal(number)
+        _, said = process.communicate(timeout=30)
+    assert (process.returncode, said) == (0, "")
+
+
+def test_loading_itself_loads_nothing_that_takes_time() -> None:
+    code = "import sys, fjr_msgs_py.loading, fjr_plant.executable, fjr_controller.executable; print(*sys.modules)"
+    modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"rclpy", "numpy", "casadi", "fjr_core"} & set(modules)
