@@ -4,6 +4,7 @@
 
 PYTHON ?= python3
 DEMO_ARGS ?=
+BENCH_ARGS ?=
 PYTEST_ARGS ?=
 TEST_WORKERS ?= 2
 # A file that receives pytest's exit code; make itself then succeeds (.ci/run).
@@ -20,7 +21,7 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
-.PHONY: help demo test lint build check clean
+.PHONY: help demo test bench lint build check clean
 .DEFAULT_GOAL := help
 
 help:  ## print this list
@@ -36,6 +37,10 @@ test: ## run the whole suite (PYTEST_ARGS="...", TEST_WORKERS=2)
 		-n $(TEST_WORKERS) --dist loadfile $(PYTEST_ARGS); \
 	status=$$?; [ -n "$(TEST_STATUS)" ] || exit $$status; echo $$status > "$(TEST_STATUS)"
 
+bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.json (BENCH_ARGS="...")
+	$(SETUP) bench
+	@$(ENTER) && exec "$(VENV)/bin/python" -m bench $(BENCH_ARGS)
+
 lint: ## ruff and mypy on all packages
 	$(SETUP) lint
 	@"$(VENV)/bin/python" -m ruff check .
@@ -50,5 +55,5 @@ check: ## say which Python and which ROS 2 would be used
 
 clean: ## remove environments, builds and caches; runs/ stays
 	rm -rf .venv .venv-ros .setup ros2_ws/build ros2_ws/install ros2_ws/log .mypy_cache .ruff_cache .pytest_cache .hypothesis
-	find ros2_ws tests tools -name __pycache__ -prune -exec rm -rf {} +
+	find ros2_ws tests tools bench -name __pycache__ -prune -exec rm -rf {} +
 	find ros2_ws -name '*.egg-info' -prune -exec rm -rf {} +

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from envsetup import pins
+from envsetup import extras, pins
+from envsetup.console import SetupError
 from envsetup.machine import Machine, has_wheels, uses_sourced_ros
 from envsetup.virtualenv import Environment
 from envsetup.workspace import Workspace, remove_dangling_links
@@ -104,7 +105,7 @@ def test_every_direct_requirement_is_pinned_and_pinned_once() -> None:
 def test_every_runtime_dependency_of_the_packages_is_wanted_by_name() -> None:
     wanted = (pins.entries(file.read_text()) for file in pins.requirement_files(ROOT, "test", wheels=True))
     names = {pins.requirement_name(entry) for entries in wanted for entry in entries}
-    assert {"numpy", "scipy", "casadi", "ros-jazzy-rclpy", "mcap", "rosbags", "matplotlib"} <= names
+    assert {"numpy", "scipy", "casadi", "pin", "ros-jazzy-rclpy", "mcap", "rosbags", "matplotlib"} <= names
 
 
 def test_beside_a_sourced_ros_its_packages_are_kept_and_the_test_tools_pinned() -> None:
@@ -172,9 +173,74 @@ def test_an_interrupted_installation_is_made_anew_and_a_complete_one_left_alone(
     monkeypatch.setattr(environment, "_install", install)
     with pytest.raises(KeyboardInterrupt):
         environment.ensure("run")
-    for level in ("run", "run", "test", "run", "test"):
+    for level in ("run", "run", "test", "run", "bench", "test"):
         environment.ensure(level)
     assert done == ["create", "run", "create", "run", "test"]
+
+
+class Apt:
+    """A machine of a given user, with or without apt-get, whose installation brings what is missing or fails."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, user: int, apt: bool = True, fails: bool = False) -> None:
+        self.installed: list[str] = []
+        self.fails = fails
+        monkeypatch.setattr(extras, "has_apt", lambda: apt)
+        monkeypatch.setattr(extras, "apt_install", self.install)
+        monkeypatch.setattr(os, "geteuid", lambda: user)
+
+    def install(self, packages: tuple[str, ...], log: Path, env: dict[str, str]) -> None:
+        if self.fails:
+            raise SetupError("apt-get update failed")
+        self.installed += packages
+
+    def ensure(self, folder: Path) -> None:
+        extra = extras.Extra("a tool", ("one", "two"), "all is slow", lambda: bool(self.installed))
+        extra.ensure(folder / "log", {})
+
+
+def test_what_the_system_lacks_is_installed_by_root(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    machine = Apt(monkeypatch, user=0)
+    machine.ensure(tmp_path)
+    machine.ensure(tmp_path)
+    assert machine.installed == ["one", "two"]
+
+
+@pytest.mark.parametrize(
+    ("machine", "expected"),
+    [
+        ({"user": 1000}, "ask an administrator for `apt-get install one two`"),
+        ({"user": 1000, "apt": False}, "install it if you can"),
+        ({"user": 0, "fails": True}, "apt-get update failed"),
+    ],
+)
+def test_what_the_system_cannot_get_is_said_in_one_line_and_the_set_up_goes_on(
+    machine: dict[str, int],
+    expected: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Apt(monkeypatch, **machine).ensure(tmp_path)
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert "a tool is missing: all is slow; " in last
+    assert expected in last
+
+
+@pytest.mark.parametrize(("code", "counts"), [(0, True), (1, False)])
+@pytest.mark.parametrize(("name", "wanted"), [("gcc", ""), ("mycc", "mycc -m64")])
+def test_a_compiler_counts_when_it_compiles(name: str, wanted: str, code: int, counts: bool, tmp_path: Path) -> None:
+    script = tmp_path / name
+    script.write_text(f"#!/bin/sh\nexit {code}\n")
+    script.chmod(0o755)
+    assert extras.has_compiler({"PATH": str(tmp_path), "CC": wanted}) == counts
+
+
+def test_a_sourced_ros_without_pinocchio_is_noticed(tmp_path: Path) -> None:
+    (tmp_path / "pinocchio.py").write_text("")
+    for path, there in ((tmp_path, True), (tmp_path / "empty", False)):
+        env = {"PYTHONPATH": str(path), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+        python = Path(sys.executable).resolve()  # outside the environment, which has one of its own
+        assert extras.pinocchio(python, env).is_there() == there
 
 
 def test_a_stamp_that_is_damaged_counts_as_none(tmp_path: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of the set-up: `setup_env.py build|test|lint|check`."""
+"""The command line of the set-up: `setup_env.py build|test|bench|lint|check`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from .console import PREFIX, SetupError, say
+from .extras import Extra, compiler, pinocchio
 from .machine import Machine, base_interpreter, ros_candidates, ros_interpreter, uses_sourced_ros
 from .virtualenv import Environment
 from .workspace import Workspace
@@ -21,9 +22,12 @@ ENTRY = ROOT / "tools" / "setup_env.py"
 TARGETS = {
     "build": "environment to run, and the colcon build",
     "test": "environment to test, and the colcon build",
+    "bench": "environment to measure against peers, and the colcon build",
     "lint": "environment to test, no build",
     "check": "say which Python and which ROS 2 would be used, and change nothing",
 }
+LEVELS = {"build": "run", "test": "test", "bench": "bench", "lint": "test"}
+"""The level of the environment that a target needs."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -62,9 +66,17 @@ def set_up(target: str, sourced_ros: bool) -> None:
         say(f"environment {environment.path}")
         return
     with alone(ROOT / ".setup"):
-        environment.ensure("run" if target == "build" else "test")
+        environment.ensure(LEVELS[target])
         if target != "lint":
+            for extra in extras(environment):
+                extra.ensure(ROOT / ".setup" / "extras.log", environment.env)
             Workspace(environment).ensure()
+
+
+def extras(environment: Environment) -> list[Extra]:
+    """What the system may bring: a C compiler, and beside a sourced ROS 2 its Pinocchio."""
+    wanted = [compiler(environment.env)]
+    return [*wanted, pinocchio(environment.python, environment.env)] if environment.sourced_ros else wanted
 
 
 def enter_ros_interpreter(arguments: Sequence[str]) -> None:

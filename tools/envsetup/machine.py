@@ -10,9 +10,9 @@ import subprocess
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from .console import SetupError
+from .debian import has_apt
 
 DISTRO = "jazzy"
 OLDEST_GLIBC = (2, 28)
@@ -113,6 +113,5 @@ def ros_candidates() -> list[str]:
 
 def debian_venv_package() -> str:
     """The Debian or Ubuntu package that completes `venv` for the running interpreter, empty elsewhere."""
-    apt = any(Path(folder, "apt-get").exists() for folder in ("/usr/bin", "/bin"))
     is_system_python = base_interpreter().startswith("/usr/bin/")
-    return f"python{sys.version_info[0]}.{sys.version_info[1]}-venv" if apt and is_system_python else ""
+    return f"python{sys.version_info[0]}.{sys.version_info[1]}-venv" if has_apt() and is_system_python else ""

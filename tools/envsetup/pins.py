@@ -9,7 +9,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
-LEVELS = {"run": ("run",), "test": ("run", "test")}
+LEVELS = {"run": ("run",), "bench": ("run", "bench"), "test": ("run", "bench", "test")}
 """Levels of the environment and the files in requirements/ they take."""
 
 

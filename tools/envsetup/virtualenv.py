@@ -12,6 +12,7 @@ from pathlib import Path
 
 from . import pins
 from .console import SetupError, Step, clean_environment, run_logged, say
+from .debian import apt_install
 from .machine import base_interpreter, debian_venv_package
 
 OUTSIDE = """
@@ -36,7 +37,7 @@ class Environment:
         self._stamp = self.path / ".complete.json"
 
     def ensure(self, level: str) -> None:
-        """Make the environment hold everything of a level ("run" or "test"); quick when it already does."""
+        """Make the environment hold everything of a level (see pins.LEVELS); quick when it already does."""
         wanted = self.wanted(level)
         stamp = pins.read_stamp(self._stamp)
         levels = stamp.get("levels")
@@ -76,7 +77,7 @@ class Environment:
     def _install(self, level: str) -> None:
         constraints = self._constraints()
         files = pins.requirement_files(self.root, level, not self.sourced_ros)
-        extent = "what ROS 2 does not bring" if self.sourced_ros else "with ROS 2, 330 MB the first time"
+        extent = "what ROS 2 does not bring" if self.sourced_ros else "with ROS 2, 320 to 380 MB the first time"
         with Step("installer (pip, setuptools)") as step:
             self._pip(step, constraints, "pip", "setuptools")
         with Step(f"packages to {level} ({extent})") as step:
@@ -120,12 +121,7 @@ def ensure_venv_module(log: Path, env: dict[str, str]) -> None:
             f"`apt-get install {package}`, then run the same command again."
         )
     say(f"{package} is missing and will be installed")
-    apt = {**env, "DEBIAN_FRONTEND": "noninteractive"}
-    with Step("apt-get update") as step:
-        run_logged(["apt-get", "update"], log, apt, step, failure="apt-get update failed")
-    with Step(f"apt-get install {package}") as step:
-        command = ["apt-get", "install", "-y", "--no-install-recommends", package]
-        run_logged(command, log, apt, step, failure=f"apt-get could not install {package}")
+    apt_install((package,), log, env)
     if not _has_venv():
         raise SetupError(f"{package} is installed, and still {base_interpreter()} -m venv does not work.")
 

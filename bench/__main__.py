@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measure all, print the table, write runs/bench.json; exit 1 when a bound is missed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable
+from datetime import datetime, timezone
+from pathlib import Path
+
+import casadi
+import mujoco
+import numpy
+import pinocchio
+from tqdm import tqdm
+
+from . import closed_loop, peers, start_up
+from .arm import arm7
+from .figures import Figure, table
+
+RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
+NAMES = ("law", "dynamics", "step", "loop", "virtual-machine", "start", "node")
+
+Measurement = Callable[[], list[Figure]]
+
+
+def main() -> int:
+    """Run the measurements that are wanted."""
+    arguments = parser().parse_args()
+    figures = measured({name: run for name, run in measurements().items() if name in (arguments.only or NAMES)})
+    print(f"{processor()}, {os.cpu_count()} cores\n\n{table(figures)}")
+    write(figures, arguments.output)
+    missed = [figure.name for figure in figures if not figure.holds]
+    print(f"\n{arguments.output}" + (f"\nmissed: {', '.join(missed)}" if missed else ""))
+    return 1 if missed else 0
+
+
+def measured(wanted: dict[str, Measurement]) -> list[Figure]:
+    """The figures of all, with a progress bar on a terminal and plain lines elsewhere."""
+    figures: list[Figure] = []
+    terminal = sys.stderr.isatty()
+    with tqdm(total=len(wanted), disable=not terminal, bar_format="{desc:16} |{bar}| {n}/{total} {elapsed}") as bar:
+        for name, run in wanted.items():
+            if not terminal:
+                print(f"bench: {name}", file=sys.stderr, flush=True)
+            bar.set_description(name)
+            figures += run()
+            bar.update()
+    return figures
+
+
+def measurements() -> dict[str, Measurement]:
+    """All measurements by name."""
+    arm = arm7()
+    runs: tuple[Measurement, ...] = (
+        lambda: peers.law_over_rnea(arm),
+        lambda: peers.forward_dynamics_over_aba(arm),
+        lambda: peers.step_over_mujoco(arm),
+        lambda: closed_loop.times_real_time(arm),
+        peers.virtual_machine_over_c,
+        start_up.library,
+        start_up.node,
+    )
+    return dict(zip(NAMES, runs, strict=True))
+
+
+def parser() -> argparse.ArgumentParser:
+    """Command-line arguments."""
+    made = argparse.ArgumentParser(prog="bench", description="Measure against peers, in turns, and check the bounds.")
+    made.add_argument("--only", nargs="+", choices=NAMES, metavar="NAME", help=f"some of {', '.join(NAMES)}")
+    made.add_argument("--output", type=Path, default=RESULTS, help=f"where the JSON goes (default: {RESULTS})")
+    return made
+
+
+def processor() -> str:
+    """The kind of processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.machine()
+
+
+def write(figures: list[Figure], path: Path) -> None:
+    """All figures with what they were measured on."""
+    machine = {"processor": processor(), "cores": os.cpu_count(), "python": platform.python_version()}
+    versions = {module.__name__: module.__version__ for module in (casadi, mujoco, numpy, pinocchio)}
+    document = {
+        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "machine": machine,
+        "versions": versions,
+        "figures": [figure.as_json() for figure in figures],
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole closed loop without ROS: how many times faster than the arm itself, at a step that is fine enough."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+
+from fjr_core import simulate
+from fjr_core.checks import Array
+
+from .arm import Arm
+from .figures import Figure
+from .measure import one_core
+
+DURATION = 3.0  # s
+TOLERANCE = 1e-6  # rad; what halving the step may change
+MOST_STEPS = 64
+REPEATS = 9
+
+
+def times_real_time(arm: Arm) -> list[Figure]:
+    """Law and plant of the scenario at its sample period."""
+    steps, change = fine_enough(arm)
+    with one_core():
+        walls = [_wall(arm, steps) for _ in range(REPEATS)]
+    parts = {
+        "inner step [ms]": 1e3 * arm.scenario.sample_period / steps,
+        "halving it changes q by [rad]": change,
+        "spread [%]": 100 * float(np.ptp(walls) / np.median(walls)),
+    }
+    value = DURATION / float(np.median(walls))
+    return [Figure("closed loop, 7 joints, 1 kHz", value, "x real time", bound=60, aim=100, at_least=True, parts=parts)]
+
+
+def fine_enough(arm: Arm) -> tuple[int, float]:
+    """The fewest steps a sample, a power of two, and what twice as many change in any position [rad]."""
+    steps, change, coarse = 1, np.inf, positions(arm, 1)
+    while steps <= MOST_STEPS:
+        fine = positions(arm, 2 * steps)
+        change = float(np.max(np.abs(fine - coarse)))
+        if change < TOLERANCE:
+            return steps, change
+        steps, coarse = 2 * steps, fine
+    raise ArithmeticError(f"{MOST_STEPS} steps a sample still leave {change:.1e} rad; expected less than {TOLERANCE}")
+
+
+def positions(arm: Arm, steps: int) -> Array:
+    """q_l and q_m (k, 2n) at every sample."""
+    period = arm.scenario.sample_period
+    run = simulate(
+        arm.plant, arm.law, arm.scenario.reference, arm.scenario.x0, DURATION, period, inner_step=period / steps
+    )
+    return run.x[:, : 2 * arm.robot.n]
+
+
+def _wall(arm: Arm, steps: int) -> float:
+    start = perf_counter()
+    positions(arm, steps)
+    return perf_counter() - start

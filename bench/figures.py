@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was measured, what it must reach, and both as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+HEADINGS = ("figure", "measured", "bound", "aim", "holds", "from")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A measured value with what it must reach (bound) and should reach (aim), if anything.
+
+    parts: what the value was made of, by name with its unit, e.g. {"law [us]": 2.4}.
+    """
+
+    name: str
+    value: float
+    unit: str
+    bound: float | None = None
+    aim: float | None = None
+    at_least: bool = False
+    parts: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bound is met; true where there is none."""
+        return self._reaches(self.bound)
+
+    def as_json(self) -> dict[str, object]:
+        """The figure as plain values."""
+        holds = None if self.bound is None else self.holds
+        limits = {"bound": self.bound, "aim": self.aim, "at_least": self.at_least, "holds": holds}
+        return {"name": self.name, "value": self.value, "unit": self.unit, **limits, "parts": self.parts}
+
+    def row(self) -> tuple[str, ...]:
+        """The cells below HEADINGS."""
+        measured = f"{self.value:.3g} {self.unit}".strip()
+        parts = ", ".join(f"{name} {value:.3g}" for name, value in self.parts.items())
+        return (self.name, measured, self._limit(self.bound), self._limit(self.aim), self._verdict(), parts)
+
+    def _verdict(self) -> str:
+        if self.bound is None:
+            return ""
+        if not self.holds:
+            return "NO"
+        return "yes" if self.aim is None or self._reaches(self.aim) else "yes, not the aim"
+
+    def _reaches(self, limit: float | None) -> bool:
+        return limit is None or (self.value >= limit if self.at_least else self.value <= limit)
+
+    def _limit(self, limit: float | None) -> str:
+        return "" if limit is None else f"{'>=' if self.at_least else '<='} {limit:g}"
+
+
+def table(figures: Sequence[Figure]) -> str:
+    """All figures, one a line, in columns."""
+    rows = [HEADINGS, *(figure.row() for figure in figures)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])

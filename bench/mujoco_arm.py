@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The elastic arm as a MuJoCo model: every joint twice, as link and as motor, with the spring as a fixed tendon."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+from pinocchio import Quaternion
+
+from fjr_core.checks import Array
+from fjr_core.robot import Robot
+
+OFF = (
+    *("constraint", "equality", "frictionloss", "limit", "contact", "refsafe", "warmstart", "filterparent"),
+    *("actuation", "clampctrl", "sensor", "midphase", "autoreset", "eulerdamp"),
+)
+
+
+class MujocoArm:
+    """MuJoCo's model and data of a robot; qpos = (q_l, q_m), and efforts u enter as qfrc_applied of the motors.
+
+    model: Pinocchio's model of the links, revolute joints in one chain. robot: the same arm, with diagonal
+    M_m, K, D_l, D_m and B_m = 1. Contacts, constraints and sensors are off; integrator RK4 with steps dt [s].
+    """
+
+    def __init__(self, model: Any, robot: Robot, dt: float) -> None:
+        self.n = robot.n
+        self.model = mujoco.MjModel.from_xml_string(mjcf(model, robot, dt))
+        self.data = mujoco.MjData(self.model)
+
+    def set(self, q_l: Array, q_m: Array, dq_l: Array, dq_m: Array, u: Array) -> None:
+        """Put the arm into a state [rad, rad/s] under efforts u (n,) [N m]."""
+        self.data.qpos[:] = np.concatenate([q_l, q_m])
+        self.data.qvel[:] = np.concatenate([dq_l, dq_m])
+        self.data.qfrc_applied[self.n :] = u
+
+    def acceleration(self) -> Array:
+        """(ddq_l, ddq_m) (2n,) [rad/s^2] of the present state."""
+        mujoco.mj_forward(self.model, self.data)
+        return np.array(self.data.qacc)
+
+
+def mjcf(model: Any, robot: Robot, dt: float) -> str:
+    """The model as XML: the links are nested bodies, the motors are wheels beside them."""
+    flags = " ".join(f'{name}="disable"' for name in OFF)
+    motors = "\n".join(_motor(i, robot) for i in range(robot.n))
+    springs = "\n".join(_spring(i, robot) for i in range(robot.n))
+    return f"""<mujoco>
+  <compiler angle="radian" autolimits="false"/>
+  <option integrator="RK4" timestep="{dt:.17g}" gravity="{_text(model.gravity.linear)}"><flag {flags}/></option>
+  <worldbody>
+    {_links(model, robot)}
+    {motors}
+  </worldbody>
+  <tendon>
+    {springs}
+  </tendon>
+</mujoco>"""
+
+
+def _links(model: Any, robot: Robot) -> str:
+    opened = "".join(_link(model, i, robot) for i in range(robot.n))
+    return opened + "</body>" * robot.n
+
+
+def _link(model: Any, i: int, robot: Robot) -> str:
+    placement, inertia = model.jointPlacements[i + 1], model.inertias[i + 1]
+    x, y, z, w = Quaternion(placement.rotation).coeffs()
+    J = inertia.inertia
+    tensor = [J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2]]
+    return (
+        f'<body pos="{_text(placement.translation)}" quat="{_text([w, x, y, z])}">'
+        f'<inertial pos="{_text(inertia.lever)}" mass="{inertia.mass:.17g}" fullinertia="{_text(tensor)}"/>'
+        f'<joint name="l{i}" axis="{_text(_axis(model, i))}" damping="{robot.D_l[i, i]:.17g}"/>'
+    )
+
+
+def _axis(model: Any, i: int) -> Array:
+    joint = model.joints[i + 1]
+    data = joint.createData()
+    joint.calc(data, np.zeros(joint.nq))
+    return np.asarray(data.S)[3:].ravel()
+
+
+def _motor(i: int, robot: Robot) -> str:
+    M_m = robot.M_m[i, i]
+    return (
+        f'<body><inertial pos="0 0 0" mass="1" diaginertia="{_text([M_m] * 3)}"/>'
+        f'<joint name="m{i}" axis="0 0 1" damping="{robot.D_m[i, i]:.17g}"/></body>'
+    )
+
+
+def _spring(i: int, robot: Robot) -> str:
+    ends = f'<joint joint="l{i}" coef="-1"/><joint joint="m{i}" coef="1"/>'
+    return f'<fixed stiffness="{robot.K[i, i]:.17g}" springlength="0">{ends}</fixed>'
+
+
+def _text(numbers: ArrayLike) -> str:
+    return " ".join(f"{number:.17g}" for number in np.asarray(numbers).ravel())

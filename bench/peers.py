@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Single evaluations against Pinocchio and MuJoCo, all called from Python with arguments that are already there."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import casadi as ca
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+from fjr_core import PAPER_GAINS, TrackingLaw, single_link
+from fjr_core.checks import Array
+from fjr_core.compile import compiled
+from fjr_core.numeric import bind
+
+from .arm import Arm, random_motion
+from .figures import Figure
+from .measure import Call, in_turns, microseconds, ratio
+from .mujoco_arm import MujocoArm
+
+STEP = 2.5e-4  # s
+
+
+def law_over_rnea(arm: Arm) -> list[Figure]:
+    """u(x, x, t) of the law against inverse dynamics; also through the public methods."""
+    q, dq, ddq = random_motion(arm.robot.n, seed=1)
+    x, jets = arm.robot.state(q, q + 0.01, dq, dq), arm.scenario.reference.jets(0.3)
+    calls: dict[str, Call] = {
+        "law": _bound(arm.law.command_function, x, jets),
+        "pin.rnea": partial(pin.rnea, arm.model, arm.model.createData(), q, dq, ddq),
+        "law.command": partial(arm.law.command, x, jets),
+        "law.effort": partial(arm.law.effort, x, x, jets),
+    }
+    times = in_turns(calls)
+    parts = microseconds(times)
+    public = ("law.command", "law.effort")
+    return [
+        Figure(
+            "law, 7 joints, over pin.rnea",
+            ratio(times["law"], times["pin.rnea"]),
+            "",
+            bound=2.0,
+            aim=1.5,
+            parts={key: value for key, value in parts.items() if not key.startswith(public)},
+        ),
+        *(Figure(f"{name}, 7 joints, arrays checked and copied", parts[f"{name} [us]"], "us") for name in public),
+    ]
+
+
+def forward_dynamics_over_aba(arm: Arm) -> list[Figure]:
+    """Forward dynamics of the rigid arm."""
+    q, dq, tau = random_motion(arm.robot.n, seed=2)
+    calls: dict[str, Call] = {
+        "forward dynamics": _bound(compiled(arm.forward_dynamics), q, dq, tau),
+        "pin.aba": partial(pin.aba, arm.model, arm.model.createData(), q, dq, tau),
+    }
+    return [_ratio("forward dynamics, 7 joints, over pin.aba", calls, bound=0.4)]
+
+
+def step_over_mujoco(arm: Arm) -> list[Figure]:
+    """One Runge-Kutta step of the elastic arm, without effort: MuJoCo's goes on from step to step, and swings."""
+    q, dq, _ = random_motion(arm.robot.n, seed=3)
+    u = np.zeros(arm.robot.n)
+    peer = MujocoArm(arm.model, arm.robot, STEP)
+    peer.set(q, q + 0.01, dq, dq, u)
+    x = arm.robot.state(q, q + 0.01, dq, dq)
+    calls: dict[str, Call] = {
+        "plant step": _bound(arm.plant.step_function, x, u, np.array([STEP])),
+        "mj_step": partial(mujoco.mj_step, peer.model, peer.data),
+    }
+    figure = _ratio("RK4 step, elastic arm, over MuJoCo's", calls, bound=0.4)
+    if not np.all(np.isfinite(peer.data.qpos)):
+        raise ArithmeticError("MuJoCo's arm left the finite numbers; expected it to swing")
+    return [figure]
+
+
+def virtual_machine_over_c() -> list[Figure]:
+    """What compiling brings to the paper's joint."""
+    robot = single_link()
+    x, jets = robot.state([0.5], [0.5], [0.0], [0.0]), np.zeros((5, 1))
+    laws = {name: TrackingLaw(robot, PAPER_GAINS, compile=name == "C") for name in ("virtual machine", "C")}
+    calls = {name: _bound(law.command_function, x, jets) for name, law in laws.items()}
+    return [_ratio("law, paper's joint, CasADi's virtual machine over C", calls)]
+
+
+def _ratio(name: str, calls: dict[str, Call], bound: float | None = None) -> Figure:
+    times = in_turns(calls)
+    ours, theirs = times.values()
+    return Figure(name, ratio(ours, theirs), "", bound=bound, parts=microseconds(times))
+
+
+def _bound(function: ca.Function, *arguments: Array) -> Call:
+    results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+    return bind(function, arguments, results)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a new process to the first effort: with an empty cache, with a full one, and by the real controller node."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from fjr_bringup.processes import NodeProcess
+from fjr_bringup.run import set_ros_environment
+from fjr_msgs_py import names
+
+from .arm import ROOT, SCENARIO
+from .figures import Figure
+from .listener import Listener
+
+COLD_REPEATS, WARM_REPEATS, NODE_REPEATS = 3, 3, 7
+LONGEST = 60.0  # s
+DOMAIN = "100"  # beyond the ids that the tests lease
+
+
+def library() -> list[Figure]:
+    """The law from nothing, C compiler included, and again from the cache."""
+    cold, warm = [], []
+    for _ in range(COLD_REPEATS):
+        with _cache() as folder:
+            cold.append(_first_effort(folder))
+            warm += [_first_effort(folder) for _ in range(WARM_REPEATS)]
+    return [
+        _figure("URDF to first effort, nothing cached", cold, bound=10.0),
+        _figure("URDF to first effort, from the cache", warm, bound=1.0),
+    ]
+
+
+def node() -> list[Figure]:
+    """The controller node, its law in the cache, until its first command is received; the plant waits already."""
+    os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
+    set_ros_environment()
+    with _cache() as folder:
+        _first_command(folder)
+        seconds = [_first_command(folder) for _ in range(NODE_REPEATS)]
+    return [_figure("controller node, spawn to first command", seconds, bound=1.0)]
+
+
+def _first_effort(cache: Path) -> float:
+    start = perf_counter()
+    command = [sys.executable, "-m", "bench.first_effort", str(SCENARIO)]
+    subprocess.run(command, cwd=ROOT, env=_environment(cache), check=True, capture_output=True, timeout=LONGEST)
+    return perf_counter() - start
+
+
+def _first_command(cache: Path) -> float:
+    with _node("fjr_plant", "plant_node", cache):
+        with Listener(names.JOINT_STATES, JointState) as states:
+            states.wait(LONGEST)
+        with Listener(names.EFFORT_COMMANDS, Float64MultiArray) as efforts:
+            start = perf_counter()
+            with _node("fjr_controller", "controller_node", cache):
+                efforts.wait(LONGEST)
+                return perf_counter() - start
+
+
+@contextmanager
+def _node(package: str, name: str, cache: Path) -> Iterator[None]:
+    before = dict(os.environ)
+    os.environ.clear()
+    os.environ.update(_environment(cache, before))
+    try:
+        process = NodeProcess(package, name, ["--params-file", str(SCENARIO)], cache / f"{name}.log")
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+    try:
+        yield
+    finally:
+        process.stop()
+
+
+def _environment(cache: Path, base: dict[str, str] | None = None) -> dict[str, str]:
+    """What a shell gives to a new process: without what the start-up hook of the ROS wheels leaves behind."""
+    env = {**(base or os.environ), "XDG_CACHE_HOME": str(cache)}
+    if env.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
+        env.pop("LD_LIBRARY_PATH", None)
+    return env
+
+
+@contextmanager
+def _cache() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder:
+        yield Path(folder)
+
+
+def _figure(name: str, seconds: list[float], bound: float) -> Figure:
+    parts = {"least [s]": min(seconds), "most [s]": max(seconds)}
+    return Figure(name, float(np.median(seconds)), "s", bound=bound, parts=parts)

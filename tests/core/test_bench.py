@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `make bench` compares is the same arm, and a missed bound is not passed over."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import bench.__main__ as command
+from bench.arm import Arm, arm7, random_motion
+from bench.figures import Figure, table
+from bench.measure import in_turns, ratio
+from bench.mujoco_arm import MujocoArm
+from fjr_core import Plant
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return arm7()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pinocchio_and_ours_are_the_same_rigid_arm(arm: Arm, seed: int) -> None:
+    q, dq, tau = random_motion(arm.robot.n, seed)
+    expected = pin.aba(arm.model, arm.model.createData(), q, dq, tau)
+    found = arm.forward_dynamics(q, dq, tau).full().ravel()
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10 * np.max(np.abs(expected)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_mujoco_and_ours_are_the_same_elastic_arm(arm: Arm, seed: int) -> None:
+    state, u = _state(arm, seed)
+    peer = MujocoArm(arm.model, arm.robot, 1e-3)
+    peer.set(*state, u)
+    expected = _acceleration(arm, *state, u)
+    np.testing.assert_allclose(peer.acceleration(), expected, rtol=1e-8, atol=1e-10 * np.max(np.abs(expected)))
+
+
+def test_a_step_of_mujoco_is_a_step_of_ours(arm: Arm) -> None:
+    dt = 1e-5  # the same order of error, in other coordinates: at 10 us both are exact to rounding
+    state, u = _state(arm, seed=9)
+    peer = MujocoArm(arm.model, arm.robot, dt)
+    peer.set(*state, u)
+    mujoco.mj_step(peer.model, peer.data)
+    x = Plant(arm.robot, "rk4").step(arm.robot.state(*state), u, dt)
+    np.testing.assert_allclose(peer.data.qpos, x[: 2 * arm.robot.n], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(peer.data.qvel, np.concatenate(arm.robot.velocities(x)), rtol=0, atol=1e-10)
+
+
+def test_blocks_of_calls_alternate() -> None:
+    order: list[str] = []
+    times = in_turns({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, repeats=3)
+    changes = [name for name, before in zip(order[1:], order[:-1], strict=True) if name != before]
+    assert changes[-5:] == ["b", "a", "b", "a", "b"]
+    assert all(seconds.shape == (3,) for seconds in times.values())
+
+
+def test_a_ratio_is_taken_between_neighbours() -> None:
+    assert ratio(np.array([1.0, 10.0, 3.0]), np.array([2.0, 20.0, 1.0])) == 0.5
+
+
+@pytest.mark.parametrize(("value", "verdict"), [(1.0, "yes"), (1.8, "yes, not the aim"), (2.1, "NO")])
+def test_the_table_says_whether_bound_and_aim_hold(value: float, verdict: str) -> None:
+    figure = Figure("law", value, "", bound=2.0, aim=1.5, parts={"law [us]": 2.5})
+    assert figure.row()[4] == verdict
+    assert "law [us] 2.5" in table([figure])
+
+
+def test_more_is_better_where_at_least_is_asked_for() -> None:
+    assert Figure("loop", 61.0, "x real time", bound=60.0, at_least=True).holds
+    assert not Figure("loop", 59.0, "x real time", bound=60.0, at_least=True).holds
+    assert Figure("free", 1e9, "s").holds
+
+
+@pytest.mark.parametrize(("value", "code"), [(1.0, 0), (3.0, 1)])
+def test_a_missed_bound_is_said_after_all_and_fails_the_command(
+    value: float, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, two = Figure("one", value, "", bound=2.0), Figure("two", 1.0, "s")
+    monkeypatch.setattr(command, "measurements", lambda: {"law": lambda: [one], "step": lambda: [two]})
+    monkeypatch.setattr("sys.argv", ["bench", "--output", str(tmp_path / "deep" / "bench.json")])
+    assert command.main() == code
+    assert ("missed: one" in capsys.readouterr().out) == bool(code)
+    document = json.loads((tmp_path / "deep" / "bench.json").read_text())
+    assert [figure["value"] for figure in document["figures"]] == [value, 1.0]
+    assert document["versions"]["mujoco"] == mujoco.__version__
+
+
+def _state(arm: Arm, seed: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    q_l, dq_l, u = random_motion(arm.robot.n, seed)
+    shift, dq_m, _ = random_motion(arm.robot.n, seed + 100)
+    return (q_l, q_l + 0.01 * shift, dq_l, dq_m), u
+
+
+def _acceleration(
+    arm: Arm, q_l: np.ndarray, q_m: np.ndarray, dq_l: np.ndarray, dq_m: np.ndarray, u: np.ndarray
+) -> np.ndarray:
+    """From the plant's derivative: ddq_l = M_l^-1 (dp_l - dM_l dq_l), ddq_m = M_m^-1 dp_m."""
+    robot, n = arm.robot, arm.robot.n
+    dx = Plant(robot).derivative(robot.state(q_l, q_m, dq_l, dq_m), u)
+    dM_dq = robot.links.dM(q_l, dq_l, dq_l).full().ravel()
+    ddq_l = np.linalg.solve(robot.M_l(q_l), dx[2 * n : 3 * n] - dM_dq)
+    return np.concatenate([ddq_l, np.linalg.solve(robot.M_m, dx[3 * n :])])

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the system may bring beside the pinned packages: useful, not needed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from .console import SetupError, say
+from .debian import apt_install, has_apt
+
+COMPILERS = ("cc", "gcc", "clang")
+
+
+@dataclass(frozen=True)
+class Extra:
+    """title: what it is. packages: of Debian or Ubuntu that bring it. without: what is so where it is not there."""
+
+    title: str
+    packages: tuple[str, ...]
+    without: str
+    is_there: Callable[[], bool]
+
+    def ensure(self, log: Path, env: dict[str, str]) -> None:
+        """See that it is there; where it cannot be, say so in one line and go on."""
+        if self.is_there():
+            return
+        lack = f"{self.title} is missing: {self.without}"
+        names = " ".join(self.packages)
+        if not has_apt():
+            say(f"{lack}; install it if you can")
+        elif os.geteuid() != 0:
+            say(f"{lack}; ask an administrator for `apt-get install {names}`")
+        else:
+            self._install(lack, log, env)
+
+    def _install(self, lack: str, log: Path, env: dict[str, str]) -> None:
+        log.unlink(missing_ok=True)
+        say(f"{self.title} is missing and will be installed")
+        try:
+            apt_install(self.packages, log, env)
+        except SetupError as error:
+            say(f"{lack}; {error}")
+            return
+        if not self.is_there():
+            say(f"{lack}, although {' and '.join(self.packages)} are installed")
+
+
+def compiler(env: dict[str, str]) -> Extra:
+    """The C compiler that law and plant are compiled with."""
+    slow = "law and plant run in CasADi's virtual machine, many times slower"
+    return Extra("a C compiler (cc, gcc or clang)", ("gcc", "libc6-dev"), slow, lambda: has_compiler(env))
+
+
+def pinocchio(python: Path, env: dict[str, str]) -> Extra:
+    """The Pinocchio of a sourced ROS 2."""
+    query = [str(python), "-c", "import pinocchio"]
+    package = ("ros-jazzy-pinocchio",)
+    return Extra("Pinocchio", package, "robots cannot be read from a URDF", lambda: _succeeds(query, env))
+
+
+def has_compiler(env: dict[str, str]) -> bool:
+    """Whether $CC, or else one of COMPILERS on the path, finds the headers of the C library."""
+    wanted = env.get("CC", "").split()
+    commands = [wanted] if wanted else [[name] for name in COMPILERS]
+    check, code = ["-fsyntax-only", "-x", "c", "-"], b"#include <math.h>\n"
+    return any(_succeeds([*command, *check], env, code) for command in commands)
+
+
+def _succeeds(command: list[str], env: dict[str, str], given: bytes = b"") -> bool:
+    try:
+        return subprocess.run(command, input=given, env=env, capture_output=True, check=False).returncode == 0
+    except OSError:
+        return False
