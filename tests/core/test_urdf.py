@@ -63,6 +63,17 @@ def test_kinetic_gradient_keeps_the_named_order() -> None:
     assert relative(robot.links.grad_T(q, v).full().ravel(), oracle.C(q, v).T @ v) < 1e-10
 
 
+def test_links_may_have_the_names_of_joints() -> None:
+    text = ARM7.read_text(encoding="utf-8")
+    named = text
+    for i in range(1, 8):
+        named = named.replace(f'"link{i}"', f'"joint{i}"')
+    assert named != text
+    here, there = (fjr.robot_from_urdf(xml, ARM7_JOINTS, 100.0, 0.1) for xml in (named, text))
+    q = np.linspace(-1, 1, 7)
+    assert np.array_equal(here.M_l(q), there.M_l(q))
+
+
 def test_a_file_a_path_and_the_text_are_the_same_robot(tmp_path: Path) -> None:
     urdf = random_urdf(3, 0)
     file = tmp_path / "arm.urdf"

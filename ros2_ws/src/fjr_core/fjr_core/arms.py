@@ -75,8 +75,10 @@ def planar_two_link(
 
 
 def _robot(links: Links, **constants: ArrayLike) -> Robot:
-    matrices = {name: checks.matrix(name, value, links.n, RobotError) for name, value in constants.items()}
-    return Robot(links, **matrices)
+    M_m, K, D_l, D_m, B_m = (
+        checks.matrix(name, constants[name], links.n, RobotError) for name in ("M_m", "K", "D_l", "D_m", "B_m")
+    )
+    return Robot(links, M_m, K, D_l, D_m, B_m)
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> checks.Array:

@@ -75,7 +75,7 @@ def _ensure(library: Path, source: str, compiler: tuple[str, ...]) -> None:
 
 def _build(source: str, compiler: tuple[str, ...], library: Path) -> None:
     """Compile to a temporary file beside the library and move it there whole."""
-    _log.info("compiling %s, once: some seconds", library.stem.rpartition("-")[0])
+    _log.info("making machine code of '%s' in %s, once: some seconds", library.stem.rpartition("-")[0], library.parent)
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         code, made = Path(folder, "code.c"), Path(folder, "code.so")
         code.write_text(source, encoding="utf-8")

@@ -70,9 +70,8 @@ def bind(function: ca.Function, arguments: Sequence[Array], results: Sequence[Ar
         buffer.set_arg(i, array.data)
     for i, array in enumerate(results):
         buffer.set_res(i, array.data)
-
     trigger.held = (buffer, *arguments, *results)  # as long as it lives, so do they
-    return trigger  # type: ignore[no-any-return]
+    return trigger
 
 
 def _numpy_shape(function: ca.Function, i: int) -> tuple[int, ...]:

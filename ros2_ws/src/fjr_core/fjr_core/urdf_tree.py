@@ -192,14 +192,19 @@ def _attribute(where: str, element: ET.Element, tag: str, name: str) -> str:
 
 
 def _skeleton(root: ET.Element, joints: dict[str, UrdfJoint]) -> str:
-    """The URDF with inertias and placements only; continuous joints count as revolute, limits are left open."""
+    """The URDF with inertias and placements only; continuous joints count as revolute, limits are left open.
+
+    Links get names of their own: Pinocchio keeps links and joints in one list of frames.
+    """
     robot = ET.Element("robot", name=root.get("name", "robot"))
     for link in root.findall("link"):
-        ET.SubElement(robot, "link", name=link.get("name", "")).extend(link.findall("inertial"))
+        ET.SubElement(robot, "link", name=f"link {link.get('name')}").extend(link.findall("inertial"))
     for element in root.findall("joint"):
         joint = joints[element.get("name", "")]
         kind = "revolute" if joint.kind == "continuous" else joint.kind
         bare = ET.SubElement(robot, "joint", name=joint.name, type=kind)
-        bare.extend(child for child in element if child.tag in ("origin", "parent", "child", "axis"))
+        bare.extend(child for child in element if child.tag in ("origin", "axis"))
+        ET.SubElement(bare, "parent", link=f"link {joint.parent}")
+        ET.SubElement(bare, "child", link=f"link {joint.child}")
         ET.SubElement(bare, "limit", lower="0", upper="0", effort="0", velocity="0")
     return ET.tostring(robot, encoding="unicode")
