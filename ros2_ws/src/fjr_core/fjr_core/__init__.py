@@ -19,7 +19,9 @@ from .newton_euler import serial_chain
 from .plant import Plant
 from .reference import Reference, Sine
 from .robot import Robot
+from .sampled_loop import SampledCheck, check, spectral_radius
 from .simulate import Trajectory, simulate
+from .synthesis import synthesize
 from .urdf import robot_from_urdf
 from .vdpbc.law import Evaluation, TrackingLaw
 from .vdpbc.rate import Rate
@@ -39,15 +41,19 @@ __all__ = [
     "Reference",
     "Robot",
     "RobotError",
+    "SampledCheck",
     "Sine",
     "StateError",
     "TrackingLaw",
     "Trajectory",
     "TrajectoryError",
     "VirtualSystem",
+    "check",
     "planar_two_link",
     "robot_from_urdf",
     "serial_chain",
     "simulate",
     "single_link",
+    "spectral_radius",
+    "synthesize",
 ]

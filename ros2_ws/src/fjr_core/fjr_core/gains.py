@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import eigh
 
 from . import checks
 from .checks import Array
@@ -92,10 +91,16 @@ def _position_rate(side: str, Lambda: Array, Gamma: Array, Pi: Array) -> float:
             f"Pi_{side} Gamma_{side} is {product.tolist()}; condition {equation} needs it diagonal and nonnegative"
         )
     linear = Pi @ Lambda
-    beta = float(eigh((linear + linear.T) / 2, Pi, eigvals_only=True)[0])
+    beta = float(relative_eigenvalues((linear + linear.T) / 2, Pi)[0])
     if not beta > 0:
         raise GainsError(
             f"Lambda_{side} with this Pi_{side} gives beta_{side} = {beta:.3g} 1/s; condition {equation} needs "
             f"Pi_{side} Lambda_{side} + Lambda_{side}' Pi_{side} positive definite"
         )
     return beta
+
+
+def relative_eigenvalues(A: Array, B: Array) -> Array:
+    """Eigenvalues (n,), ascending, of symmetric A relative to symmetric positive definite B: A v = lambda B v."""
+    L_inverse = np.linalg.inv(np.linalg.cholesky(B))
+    return np.asarray(np.linalg.eigvalsh(L_inverse @ A @ L_inverse.T), dtype=float)

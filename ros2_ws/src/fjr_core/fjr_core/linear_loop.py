@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plant and law linearised about rest, and what becomes of them under a hold and a delay; exact for small errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .checks import Array
+from .configurations import LOOP_CONFIGURATIONS, checked_configurations
+from .errors import StateError
+from .gains import CheckedGains
+from .plant import Plant
+from .reference import JETS
+from .rest import RestPoints, error_matrices, metric_roots, rest_points
+from .symbolic import directional
+from .vdpbc.law import TrackingLaw
+
+SERIES = 16  # terms: 0.5^16 / 16! = 7e-19
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLoop:
+    """Plant and law linearised at k rest configurations: dz = A z + B u, u = F z, before any sampling.
+
+    z = P^(1/2) (q_tilde_l, q_tilde_m, sigma_l, sigma_m), so that V = |z|^2 / 2. configurations (k, n) [rad],
+    A (k, 4n, 4n), B (k, 4n, n), F (k, n, 4n).
+    """
+
+    configurations: Array
+    A: Array
+    B: Array
+    F: Array
+
+    def radii(self, sample_period: float, delay: float = 0.0) -> Array:
+        """Spectral radii (k,) of the loop sampled every sample_period [s] and delayed by `delay` [s].
+
+        A command computed from z(t_j) is held from t_j + delay to t_j+1 + delay. Exact for the linear loop.
+        """
+        T, (whole, late) = sample_period, _split(delay, sample_period)
+        Phi, Gamma = self._held((1 - late) * T)
+        if not late:
+            return _radii(Phi, {whole: Gamma}, self.F)
+        Phi_late, Gamma_late = self._held(late * T)
+        return _radii(Phi @ Phi_late, {whole: Gamma, whole + 1: Phi @ Gamma_late}, self.F)
+
+    def _held(self, T: float) -> tuple[Array, Array]:
+        """Phi (k, 4n, 4n) and Gamma (k, 4n, n): z(t + T) = Phi z(t) + Gamma u with u held."""
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable plant over a long time
+            Psi = _integrated_exponential(self.A, T)
+            return np.eye(self.A.shape[1]) + self.A @ Psi, Psi @ self.B
+
+
+def _integrated_exponential(A: Array, T: float) -> Array:
+    """Psi (k, N, N), the integral of exp(A s) from 0 to T, for a stack A: a series over T / 2^j, doubled j times.
+
+    Psi(2 h) = Psi(h) + exp(A h) Psi(h), exp(A h) = 1 + A Psi(h). SciPy's expm takes the matrices one by one.
+    """
+    one, norm = np.eye(A.shape[1]), float(np.abs(A).sum(axis=2).max())
+    doublings = max(0, int(np.ceil(np.log2(2 * norm * T)))) if norm * T else 0
+    h = T / 2**doublings
+    Psi = one + A * h / SERIES
+    for i in range(SERIES - 1, 1, -1):
+        Psi = one + A @ Psi * (h / i)
+    Psi = h * Psi
+    for _ in range(doublings):
+        Psi = Psi + Psi + A @ Psi @ Psi
+    return Psi
+
+
+def linearize(law: TrackingLaw, configurations: ArrayLike | None = None, plant: Plant | None = None) -> SampledLoop:
+    """The law on its own robot (or on another plant) about rest at configurations (k, n) [rad].
+
+    The plant rests with its links at the configuration and the reference is there too; for another plant this
+    leaves out that it would settle beside the reference. Raises StateError for shapes that do not fit.
+    """
+    plant = plant or Plant(law.robot)
+    if plant.robot.n != law.robot.n:
+        raise StateError(f"plant and law have {plant.robot.n} and {law.robot.n} joints; expected equal")
+    q_l = checked_configurations(law.robot, configurations, LOOP_CONFIGURATIONS)
+    own, real = rest_points(law.robot, q_l), rest_points(plant.robot, q_l)
+    return in_error_coordinates(own, law.gains, *_jacobians(law, plant, real))
+
+
+def in_error_coordinates(rest: RestPoints, gains: CheckedGains, A: Array, B: Array, F: Array) -> SampledLoop:
+    """The loop dx = A x + B u, u = F x, each a stack (k, ., .) over the rest points, in z = P^(1/2) e."""
+    S = metric_roots(rest, gains) @ error_matrices(rest, gains)
+    S_inverse = np.linalg.inv(S)
+    return SampledLoop(rest.q_l, S @ A @ S_inverse, S @ B, F @ S_inverse)
+
+
+def _jacobians(law: TrackingLaw, plant: Plant, rest: RestPoints) -> tuple[Array, Array, Array]:
+    """A, B and F in the coordinates of the state x, at the rest points of the plant with the reference there."""
+    n = rest.robot.n
+    plant_slope, law_slope = _plant_slope(plant), _law_slope(law)
+    d_x, d_u = np.split(np.eye(5 * n), [4 * n])
+    slopes = [plant_slope(x, u, d_x, d_u).full() for x, u in zip(rest.x, rest.u, strict=True)]
+    F = [law_slope(x, q_l, np.eye(4 * n)).full() for x, q_l in zip(rest.x, rest.q_l, strict=True)]
+    A, B = np.split(np.array(slopes), [4 * n], axis=2)
+    return A, B, np.array(F)
+
+
+def _plant_slope(plant: Plant) -> ca.Function:
+    """(x, u, d_x, d_u) -> derivative of the plant's dx in the direction (d_x, d_u)."""
+    n = plant.robot.n
+    x, u, d_x, d_u = (ca.SX.sym(name, size) for name, size in (("x", 4 * n), ("u", n), ("d_x", 4 * n), ("d_u", n)))
+    slope = directional(plant.dynamics(x, u), ca.vertcat(x, u), ca.vertcat(d_x, d_u))
+    return ca.Function("plant_slope", [x, u, d_x, d_u], [ca.densify(slope)])
+
+
+def _law_slope(law: TrackingLaw) -> ca.Function:
+    """(x, q_ld, d_x) -> derivative of u(x, x, t) in the direction d_x, the reference at rest in q_ld."""
+    n = law.robot.n
+    x, d_x, q_ld = ca.SX.sym("x", 4 * n), ca.SX.sym("d_x", 4 * n), ca.SX.sym("q_ld", n)
+    jets = ca.horzcat(q_ld, ca.SX.zeros(n, JETS - 1))
+    slope = directional(law.function(x, x, jets, ca.SX.zeros(n)), x, d_x)
+    return ca.Function("law_slope", [x, q_ld, d_x], [ca.densify(slope)], {"cse": True})
+
+
+def _radii(Phi: Array, inputs: dict[int, Array], F: Array) -> Array:
+    """Spectral radii (k,) of z+ = Phi z + sum of inputs[i] F z(i samples ago), past efforts being states too."""
+    k, n, N = F.shape
+    past = max(inputs)
+    loop = np.zeros((k, N + n * past, N + n * past))
+    loop[:, :N, :N] = Phi
+    for i, Gamma in inputs.items():
+        if i == 0:
+            loop[:, :N, :N] += Gamma @ F
+        else:
+            loop[:, :N, N + n * (i - 1) : N + n * i] = Gamma
+    if past:
+        loop[:, N : N + n, :N] = F
+        loop[:, N + n :, N:-n] = np.eye(n * (past - 1))
+    radii = np.full(k, np.inf)
+    finite = np.flatnonzero(np.isfinite(loop).all(axis=(1, 2)))
+    radii[finite] = np.abs(np.linalg.eigvals(loop[finite])).max(axis=1)
+    return radii
+
+
+def _split(delay: float, T: float) -> tuple[int, float]:
+    """delay / T as whole samples and a fraction of one; what is a whole number to rounding is one."""
+    samples = delay / T
+    whole = round(samples) if abs(samples - round(samples)) < 1e-9 else int(samples)
+    return whole, max(samples - whole, 0.0)
