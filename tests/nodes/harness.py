@@ -45,10 +45,10 @@ class Ros:
         return self.add(kind(context=self.context, parameter_overrides=overrides, cli_args=arguments))
 
     def plant(self, **parameters: Any) -> PlantNode:
-        return self.start(PlantNode, **parameters)
+        return self.start(PlantNode, **{"compile": False, **parameters})
 
     def controller(self, **parameters: Any) -> ControllerNode:
-        return self.start(ControllerNode, **parameters)
+        return self.start(ControllerNode, **{"compile": False, **parameters})
 
     def until(self, happened: Callable[[], Any], what: str = "the event") -> None:
         """Spin until `happened()` is true."""

@@ -9,8 +9,16 @@ import pytest
 
 import fjr_core as fjr
 from nodes.harness import Ros
+from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
 NAN = float("nan")
+URDF = {
+    "joints": JOINTS,
+    "robot__model": "urdf",
+    "robot__urdf": two_link_urdf(),
+    "robot__joint_stiffness": STIFFNESS,
+    "robot__motor_inertia": MOTOR_INERTIA,
+}
 BAD: list[tuple[str, dict[str, Any], str]] = [
     ("plant", {"robot__joint_stiffness": [31]}, "write 31.0"),
     ("plant", {"robot__joint_stiffness": [-31.0]}, "expected a positive definite matrix"),
@@ -43,6 +51,16 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("controller", {"reference__amplitude": [1.0, 1.0]}, "has 2 entries; expected 1"),
     ("controller", {"reference__frequency": [-1.0]}, "expected at least 0.0 rad/s"),
     ("controller", {"state_timeout": -0.5}, "expected 0.0 to"),
+    ("controller", {"compile": 1}, "expected true or false"),
+    ("plant", {"robot__file": "/there/is/no.yaml"}, "robot.file.*cannot read robot file /there/is/no.yaml"),
+    ("plant", {"robot__file": "package://nobody/arm.yaml"}, "robot.file.*'nobody'.*AMENT_PREFIX_PATH"),
+    ("plant", {"robot__model": "urdf"}, "'joints' is not given"),
+    ("plant", {"robot__model": "urdf", "joints": ["a"]}, "'robot.urdf' is not given"),
+    ("controller", {"robot__model": "urdf", "joints": ["a"], "robot__urdf": "<a/>"}, "joint_stiffness' is not given"),
+    ("controller", {**URDF, "robot__joint_stiffness": [1.0]}, "robot.joint_stiffness' has 1 entries; expected 2"),
+    ("controller", {**URDF, "robot__gravity": [0.0, -9.81]}, "robot.gravity' has 2 entries; expected 3"),
+    ("controller", {**URDF, "joints": ["shoulder", "elbw"]}, "no joint 'elbw'.*did you mean 'elbow'"),
+    ("plant", {**URDF, "robot__locked_joints": ["knee"]}, "robot.urdf.*'knee'"),
 ]
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,16 @@ import fjr_core as fjr
 from fjr_core import config
 from fjr_plant.plant_node import LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds, stamped
+from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
-MODELS = {"single_link": fjr.single_link, "planar_two_link": fjr.planar_two_link}
+URDF = two_link_urdf(wrist_mass=0.5)
+
+
+def from_urdf(**arguments: Any) -> fjr.Robot:
+    return fjr.robot_from_urdf(URDF, JOINTS, **{"stiffness": STIFFNESS, "motor_inertia": MOTOR_INERTIA, **arguments})
+
+
+MODELS = {"single_link": fjr.single_link, "planar_two_link": fjr.planar_two_link, "urdf": from_urdf}
 T, Q_L, Q_M, DQ_L, DQ_M = 0.3, 0.4, 0.45, 0.2, -0.1  # an instant at which every parameter matters
 
 ROBOT_CASES = [  # model, parameter, argument of the model's function, value
@@ -37,6 +46,13 @@ ROBOT_CASES = [  # model, parameter, argument of the model's function, value
     ("planar_two_link", "link_damping", "link_damping", [0.3, 0.1]),
     ("planar_two_link", "motor_damping", "motor_damping", [0.03, 0.01]),
     ("planar_two_link", "input_gain", "input_gain", [1.0, 0.5]),
+    ("urdf", "gravity", "gravity", [0.0, 3.0, -9.0]),
+    ("urdf", "joint_stiffness", "stiffness", [40.0, 3.0, 3.0, 25.0]),
+    ("urdf", "motor_inertia", "motor_inertia", [0.03, 0.01]),
+    ("urdf", "gear_ratio", "gear_ratio", [2.0, 1.5]),
+    ("urdf", "link_damping", "link_damping", [0.3, 0.1]),
+    ("urdf", "motor_damping", "motor_damping", [0.03, 0.01]),
+    ("urdf", "input_gain", "input_gain", [1.0, 0.5]),
 ]
 GAIN_CASES = {
     "Lambda_l": 12.0,
@@ -58,11 +74,18 @@ INITIAL_CASES = {
 
 
 def joints(model: str) -> list[str]:
-    return [f"joint{i + 1}" for i in range(config.joints_of(model))]
+    return {"single_link": ["joint1"], "planar_two_link": ["joint1", "joint2"], "urdf": JOINTS}[model]
 
 
 def model_parameters(model: str) -> dict[str, Any]:
-    return {"robot__model": model, "joints": joints(model)}
+    parameters: dict[str, Any] = {"robot__model": model, "joints": joints(model)}
+    if model == "urdf":
+        parameters |= {"robot__urdf": URDF, "robot__joint_stiffness": STIFFNESS, "robot__motor_inertia": MOTOR_INERTIA}
+    return parameters
+
+
+def given(model: str) -> dict[str, Any]:
+    return {name.replace("__", "."): value for name, value in model_parameters(model).items()}
 
 
 def matrix(value: Any, n: int) -> Any:
@@ -72,7 +95,7 @@ def matrix(value: Any, n: int) -> Any:
 def controller_effort(ros: Ros, model: str = "single_link", **parameters: Any) -> np.ndarray:
     """What a controller node with these parameters answers at the instant T, having started at 0."""
     peer = Peer(ros)
-    ros.controller(**model_parameters(model), **parameters)
+    ros.controller(**{**model_parameters(model), **parameters})
     peer.meet_controller()
     names = [*joints(model), *(f"{joint}_motor" for joint in joints(model))]
     n = len(joints(model))
@@ -84,6 +107,43 @@ def law_effort(robot: fjr.Robot, gains: fjr.Gains, reference: fjr.Sine) -> np.nd
     ones = np.ones(robot.n)
     x = robot.state(Q_L * ones, Q_M * ones, DQ_L * ones, DQ_M * ones)
     return fjr.TrackingLaw(robot, gains).effort(x, x, reference.jets(T))
+
+
+def test_controller_locked_joints(ros: Ros) -> None:
+    bent = {"robot__locked_joints": ["wrist"], "robot__locked_positions": [0.9]}
+    changed = controller_effort(ros, "urdf", **bent)
+    expected = law_effort(from_urdf(locked={"wrist": 0.9}), fjr.PAPER_GAINS, unit_sine(2))
+    assert_changed(changed, expected, law_effort(from_urdf(), fjr.PAPER_GAINS, unit_sine(2)))
+
+
+ROBOT_FILE = f"""/**:
+  ros__parameters:
+    joints: {JOINTS}
+    robot: {{model: urdf, urdf: arm.urdf, joint_stiffness: [50.0, 30.0], motor_inertia: {MOTOR_INERTIA}}}
+"""
+
+
+def test_controller_robot_file_and_what_wins_over_it(ros: Ros, tmp_path: Path) -> None:
+    (tmp_path / "arm.yaml").write_text(ROBOT_FILE)
+    (tmp_path / "arm.urdf").write_text(URDF)
+    peer = Peer(ros)
+    node = ros.controller(robot__file=str(tmp_path / "arm.yaml"), robot__joint_stiffness=STIFFNESS)
+    peer.meet_controller()
+    names = [*JOINTS, *(f"{joint}_motor" for joint in JOINTS)]
+    peer.ask(stamped(0.0, names=names))
+    effort = peer.ask(stamped(T, [Q_L] * 2 + [Q_M] * 2, [DQ_L] * 2 + [DQ_M] * 2, names)).effort
+    np.testing.assert_allclose(effort, law_effort(from_urdf(), fjr.PAPER_GAINS, unit_sine(2)), rtol=1e-9)
+    assert node.get_parameter("joints").value == JOINTS
+    assert node.get_parameter("robot.urdf").value == str(tmp_path / "arm.urdf")
+
+
+def test_compiled_or_not_the_controller_answers_the_same(ros: Ros) -> None:
+    effort = controller_effort(ros, compile=True)
+    np.testing.assert_allclose(effort, law_effort(fjr.single_link(), fjr.PAPER_GAINS, unit_sine(1)), rtol=1e-9)
+
+
+def test_compiled_or_not_the_plant_moves_the_same(ros: Ros) -> None:
+    np.testing.assert_allclose(measured(lockstep_state(ros, compile=True)), simulated(fjr.single_link()), rtol=1e-9)
 
 
 def unit_sine(n: int, **changes: float) -> fjr.Sine:
@@ -98,7 +158,7 @@ def assert_changed(changed: np.ndarray, expected: np.ndarray, default: np.ndarra
 @pytest.mark.parametrize(("model", "parameter", "argument", "value"), ROBOT_CASES)
 def test_controller_robot(ros: Ros, model: str, parameter: str, argument: str, value: Any) -> None:
     changed = controller_effort(ros, model, **{f"robot__{parameter}": value})
-    make, n = MODELS[model], config.joints_of(model)
+    make, n = MODELS[model], len(joints(model))
     expected = law_effort(make(**{argument: matrix(value, n)}), fjr.PAPER_GAINS, unit_sine(n))
     assert_changed(changed, expected, law_effort(make(), fjr.PAPER_GAINS, unit_sine(n)))
 
@@ -127,7 +187,7 @@ def test_controller_joints(ros: Ros) -> None:
 def lockstep_state(ros: Ros, model: str = "single_link", samples: int = 20, **parameters: Any) -> JointState:
     """State of a plant node with these parameters after some samples of a constant effort."""
     peer = Peer(ros)
-    ros.plant(lockstep=True, **model_parameters(model), **parameters)
+    ros.plant(**{"lockstep": True, **model_parameters(model), **parameters})
     peer.meet_plant(lockstep=True)
     names = joints(model)
     for _ in range(samples):
@@ -155,7 +215,7 @@ def measured(state: JointState) -> np.ndarray:
 @pytest.mark.parametrize(("model", "parameter", "argument", "value"), ROBOT_CASES)
 def test_plant_robot(ros: Ros, model: str, parameter: str, argument: str, value: Any) -> None:
     changed = measured(lockstep_state(ros, model, **{f"robot__{parameter}": value}))
-    make, n = MODELS[model], config.joints_of(model)
+    make, n = MODELS[model], len(joints(model))
     assert_changed(changed, simulated(make(**{argument: matrix(value, n)})), simulated(make()))
 
 
@@ -195,7 +255,12 @@ def test_plant_joints(ros: Ros, peer: Peer) -> None:
 
 
 WIRED_ELSEWHERE = {
-    "robot.model",  # every planar_two_link case
+    "robot.model",  # every planar_two_link and urdf case
+    "robot.urdf",  # every urdf case
+    "robot.file",  # test_controller_robot_file_and_what_wins_over_it
+    "robot.locked_joints",  # test_controller_locked_joints
+    "robot.locked_positions",
+    "compile",  # test_compiled_or_not_...
     "reference.type",  # one choice; another is refused (test_parameters)
     "lockstep",  # every lockstep_state
     "state_timeout",  # test_controller_node
@@ -216,14 +281,14 @@ def test_no_parameter_is_left_out(model: str) -> None:
     tested |= {f"robot.{parameter}" for case_model, parameter, _, _ in ROBOT_CASES if case_model == model}
     tested |= {f"gains.{name}" for name in GAIN_CASES} | {f"reference.{name}" for name in REFERENCE_CASES}
     for own in (config.plant_parameters, config.controller_parameters):
-        assert {parameter.name for parameter in config.all_parameters(own, model)} <= tested
+        assert {parameter.name for parameter in config.all_parameters(own, given(model))} <= tested
 
 
 @pytest.mark.parametrize("kind", ["plant", "controller"])
 def test_every_parameter_is_declared_read_only_with_description_unit_and_type(ros: Ros, kind: str) -> None:
     node = getattr(ros, kind)()
     own = {"plant": config.plant_parameters, "controller": config.controller_parameters}[kind]
-    for parameter in config.all_parameters(own, "single_link"):
+    for parameter in config.all_parameters(own, {}):
         descriptor = node.describe_parameter(parameter.name)
         assert descriptor.read_only
         assert parameter.description in descriptor.description

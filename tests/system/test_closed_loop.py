@@ -4,16 +4,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
 from fjr_core.scenario import load_scenario
 from system.executables import fjr, scenario
+from system.recorded import Recorded, reader, record
 
 pytestmark = pytest.mark.system
 
@@ -21,39 +19,9 @@ PEAK = {"paper_k31": 26.203, "paper_k3p1": 255.762}  # N m, by an independent in
 DURATION = 2.5  # s
 
 
-@dataclass(frozen=True)
-class Recorded:
-    folder: Path
-    said: str
-    t: np.ndarray
-    q_l: np.ndarray
-    q_ld: np.ndarray
-    u: np.ndarray
-
-
-def columns(reader: AnyReader, topic: str, field: str) -> dict[int, float]:
-    """First entry of a field by stamp [ns]; the first message of a stamp counts."""
-    found: dict[int, float] = {}
-    connections = [connection for connection in reader.connections if connection.topic == topic]
-    for connection, _, raw in reader.messages(connections):
-        message = reader.deserialize(raw, connection.msgtype)
-        stamp = message.header.stamp
-        found.setdefault(stamp.sec * 10**9 + stamp.nanosec, float(getattr(message, field)[0]))
-    return found
-
-
 @pytest.fixture(scope="module", params=PEAK)
 def recorded(request, tmp_path_factory) -> Recorded:
-    output = tmp_path_factory.mktemp("runs")
-    said = fjr("run", request.param, "--lockstep", "--duration", str(DURATION), "--output", str(output))
-    folder = output / request.param
-    with AnyReader([folder / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-        q_l = columns(reader, "/joint_states", "position")
-        q_ld = columns(reader, "/fjr_controller/reference", "position")
-        u = columns(reader, "/joint_commands", "effort")
-    stamps = sorted(set(q_l) & set(q_ld) & set(u))
-    t = (np.array(stamps) - stamps[0]) * 1e-9
-    return Recorded(folder, said, t, *(np.array([table[s] for s in stamps]) for table in (q_l, q_ld, u)))
+    return record(request.param, DURATION, tmp_path_factory.mktemp("runs"))
 
 
 def test_the_bag_holds_every_sample_of_the_run(recorded: Recorded) -> None:
@@ -62,7 +30,7 @@ def test_the_bag_holds_every_sample_of_the_run(recorded: Recorded) -> None:
 
 
 def test_the_link_is_on_the_reference_after_two_seconds(recorded: Recorded) -> None:
-    assert np.max(np.abs(recorded.q_l - recorded.q_ld)[recorded.t > 2.0]) <= 3e-5
+    assert np.max(recorded.error[recorded.t > 2.0]) <= 3e-5
 
 
 def test_peak_effort_is_the_papers(recorded: Recorded) -> None:
@@ -73,15 +41,15 @@ def test_the_nodes_compute_what_the_mathematics_does(recorded: Recorded) -> None
     """Lock-step over ROS is the sampled loop of fjr_core, to rounding."""
     run = load_scenario(scenario(recorded.folder.name)).simulate(DURATION)
     k = len(run.t)
-    assert np.max(np.abs(recorded.q_l[:k] - run.x[:, 0])) <= 1e-9
-    assert np.max(np.abs(recorded.u[:k] - run.u[:, 0])) <= 1e-9 * np.max(np.abs(run.u))
+    assert np.max(np.abs(recorded.q_l[:k] - run.x[:, :1])) <= 1e-9
+    assert np.max(np.abs(recorded.u[:k] - run.u)) <= 1e-9 * np.max(np.abs(run.u))
 
 
 def test_the_run_leaves_report_and_pictures_made_from_the_bag(recorded: Recorded) -> None:
     report = json.loads((recorded.folder / "report.json").read_text())
     assert report["tracking"]["peak_effort_nm"] == pytest.approx(np.max(np.abs(recorded.u)))
     inside = (recorded.t >= 2.0) & (recorded.t < DURATION - 1e-9)
-    error = np.max(np.abs(recorded.q_l - recorded.q_ld)[inside])
+    error = np.max(recorded.error[inside])
     assert report["tracking"]["max_error_after_2s_rad"] == pytest.approx(error, rel=1e-6)
     counts = report["counts"]
     assert counts["nominal"] == counts["published"] == counts["answered"] == 2500
@@ -95,10 +63,10 @@ def test_the_run_leaves_report_and_pictures_made_from_the_bag(recorded: Recorded
 
 
 def test_the_last_effort_in_the_bag_is_zero(recorded: Recorded) -> None:
-    with AnyReader([recorded.folder / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+    with reader(recorded.folder) as bag:
         topic = "/effort_controller/commands"
-        connections = [connection for connection in reader.connections if connection.topic == topic]
-        efforts = [reader.deserialize(raw, c.msgtype).data[0] for c, _, raw in reader.messages(connections)]
+        connections = [connection for connection in bag.connections if connection.topic == topic]
+        efforts = [bag.deserialize(raw, c.msgtype).data[0] for c, _, raw in bag.messages(connections)]
     assert efforts[-1] == 0.0
 
 

@@ -64,7 +64,7 @@ def test_scenarios_exist_and_fit() -> None:
     (argument,) = (call for call in calls("DeclareLaunchArgument") if constant(call["0"]) == "scenario")
     files = {path.stem: path for path in installed("scenarios").glob("*.yaml")}
     assert constant(argument["default_value"]) in files
-    assert {"paper_k31", "paper_k3p1"} <= set(files)
+    assert {"paper_k31", "paper_k3p1", "two_link", "arm7"} <= set(files)
     for path in files.values():
         assert load_scenario(path).warnings == ()
 
@@ -72,7 +72,7 @@ def test_scenarios_exist_and_fit() -> None:
 def test_parameters_set_by_the_launch_file_are_declared_by_the_node() -> None:
     for call in calls("Node"):
         own = OWN_PARAMETERS[constant(call["package"])]
-        known = {parameter.name for parameter in config.all_parameters(own, str(config.MODEL.default))}
+        known = {parameter.name for parameter in config.all_parameters(own, {})}
         set_here = [node for node in ast.walk(call["parameters"]) if isinstance(node, ast.Dict)]
         for node in set_here:
             assert {constant(key) for key in node.keys if key} <= known

@@ -8,7 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from fjr_bringup.joint_lines import LABEL_GAP, apart
 from fjr_bringup.report import _counts
 from fjr_bringup.tracking_data import TrackingData
 from system.executables import fjr
@@ -20,7 +23,21 @@ MS = 1e-3
 def recorded(stamps: list[float], answers: list[float]) -> TrackingData:
     """Five nominal samples of 1 ms: states at `stamps` [ms], sent at once, answered at `answers` [ms]."""
     t, zeros = MS * np.array(stamps), np.zeros((len(stamps), 1))
-    return TrackingData(("joint1",), MS, 10.0, t, zeros, zeros, zeros, zeros[:, 0], t, MS * np.array(answers), 0.0)
+    return TrackingData(
+        joints=("joint1",),
+        sample_period=MS,
+        beta=10.0,
+        beta_is_proven=True,
+        effort_limit=np.array([np.inf]),
+        t=t,
+        q_l=zeros,
+        q_ld=zeros,
+        u=zeros,
+        V=zeros[:, 0],
+        sent=t,
+        answered=MS * np.array(answers),
+        reference_mismatch=0.0,
+    )
 
 
 def test_a_perfect_run_has_nothing_to_report() -> None:
@@ -40,9 +57,20 @@ def test_missed_late_unanswered_and_lost_are_each_counted() -> None:
     assert counts.lost_by_recorder == {"/joint_states": 7}
 
 
-def test_the_demo_runs_both_scenarios_in_real_time(tmp_path: Path) -> None:
+@given(st.lists(st.floats(-2.0, 3.0), min_size=1, max_size=9))
+def test_names_of_joints_are_moved_apart_in_order_and_only_where_they_must(heights: list[float]) -> None:
+    placed = np.array(apart(np.array(heights)))
+    order = np.argsort(placed)
+    assert np.all(np.diff(np.array(heights)[order]) >= 0)
+    assert np.all(np.diff(placed[order]) >= LABEL_GAP - 1e-9)
+    np.testing.assert_allclose(np.mean(placed), np.mean(heights), atol=1e-9)
+    if np.all(np.diff(np.sort(heights)) >= LABEL_GAP):
+        np.testing.assert_allclose(placed, heights, atol=1e-9)
+
+
+def test_the_demo_runs_the_paper_and_an_arm_in_real_time(tmp_path: Path) -> None:
     said = fjr("demo", "--duration", "0.5", "--output", str(tmp_path))
-    for name in ("paper_k31", "paper_k3p1"):
+    for name in ("paper_k31", "paper_k3p1", "arm7"):
         counts = json.loads((tmp_path / name / "report.json").read_text())["counts"]
         assert counts["nominal"] == counts["published"] + counts["missing"] == 500
         assert counts["published"] == counts["answered_in_time"] + counts["late"] + counts["unanswered"] > 0

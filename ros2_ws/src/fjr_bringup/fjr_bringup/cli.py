@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fjr_bringup.stopping import stoppable
+from fjr_msgs_py.loading import without_blas_threads
 
 DESCRIPTION = "Run scenarios on two real ROS 2 nodes, record everything, show what happened."
 
@@ -15,6 +17,7 @@ DESCRIPTION = "Run scenarios on two real ROS 2 nodes, record everything, show wh
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code: 0 done or stopped by the user, 1 failed, 2 not understood."""
     options = parser().parse_args(arguments)
+    without_blas_threads()
     with stoppable() as stop:
         from fjr_bringup.commands import execute  # ROS, CasADi and matplotlib load here
 
@@ -24,13 +27,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
     top = argparse.ArgumentParser(prog="fjr", description=DESCRIPTION)
-    commands = top.add_subparsers(required=True, dest="command", metavar="{demo,run,scenarios}")
-    demo = commands.add_parser("demo", help="both scenarios of the paper in real time, with a table at the end")
+    commands = top.add_subparsers(required=True, dest="command", metavar="{demo,run,check,gains,scenarios}")
+    demo = commands.add_parser("demo", help="the paper's two scenarios and a 7-joint arm in real time, with a table")
     run = commands.add_parser("run", help="one scenario")
+    check = commands.add_parser("check", help="what is known before a scenario runs: rates, stability as sampled")
+    gains = commands.add_parser("gains", help="gains for a scenario's robot and sample rate, as YAML to paste")
     commands.add_parser("scenarios", help="list the installed scenarios")
-    run.add_argument("scenario", nargs="?", metavar="SCENARIO", help="an installed scenario's name, or a YAML file")
     run.add_argument("--lockstep", action="store_true", help="one sample per answer, whatever the clock says")
-    run.add_argument(
+    run.add_argument("--force", action="store_true", help="run a scenario that is unstable as sampled, too")
+    gains.add_argument("--beta", type=_positive, metavar="B", required=True, help="wanted rate of convergence [1/s]")
+    gains.add_argument(
+        "--delay", type=_samples, metavar="D", default=0.0, help="delay of the loop, in samples (default 0)"
+    )
+    gains.add_argument(
+        "--everywhere", action="store_true", help="for the whole range of the joints, not only along the reference"
+    )
+    for command in (run, check, gains):
+        _add_scenario(command)
+    for command in (demo, run):
+        _add_recording(command)
+    return top
+
+
+def _add_scenario(command: argparse.ArgumentParser) -> None:
+    command.add_argument("scenario", nargs="?", metavar="SCENARIO", help="an installed scenario's name, or a YAML file")
+    command.add_argument(
         "--set",
         dest="overrides",
         metavar="NAME:=VALUE",
@@ -38,25 +59,38 @@ def parser() -> argparse.ArgumentParser:
         default=[],
         help="change a parameter, e.g. robot.joint_stiffness:=[10.0]; may be repeated",
     )
-    for command in (demo, run):
-        command.add_argument(
-            "--duration", type=_seconds, metavar="S", default=5.0, help="seconds of stamped time (default 5)"
-        )
-        command.add_argument(
-            "--output",
-            type=Path,
-            metavar="DIR",
-            default=Path("runs"),
-            help="where folders of runs go (default runs)",
-        )
-    return top
+
+
+def _add_recording(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--duration", type=_seconds, metavar="S", default=5.0, help="seconds of stamped time (default 5)"
+    )
+    command.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        default=Path("runs"),
+        help="where folders of runs go (default runs)",
+    )
 
 
 def _seconds(text: str) -> float:
+    return _number(text, "a duration; expected seconds, more than 0, at most 3600", lambda value: 0 < value <= 3600)
+
+
+def _positive(text: str) -> float:
+    return _number(text, "a rate; expected a positive number", lambda value: 0 < value < math.inf)
+
+
+def _samples(text: str) -> float:
+    return _number(text, "a delay; expected samples, 0 to 20", lambda value: 0 <= value <= 20)
+
+
+def _number(text: str, expected: str, fits: Callable[[float], bool]) -> float:
     try:
         value = float(text)
     except ValueError:
-        value = 0.0
-    if not 0.0 < value <= 3600.0:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a duration; expected seconds, more than 0, at most 3600")
+        value = math.nan
+    if not fits(value):
+        raise argparse.ArgumentTypeError(f"'{text}' is not {expected}")
     return value

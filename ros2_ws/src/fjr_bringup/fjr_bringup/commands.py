@@ -4,26 +4,27 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 import threading
 from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
-from fjr_bringup import scenarios
+from fjr_bringup import gains_block, scenarios, stability
 from fjr_bringup.run import Plan, run
 from fjr_bringup.stopping import Interrupted
 from fjr_bringup.summary import RunSummary, summarise, table, where_to_look
 from fjr_core.errors import FjrError, ParameterError
-from fjr_core.scenario import load_scenario
 
-DEMO = ("paper_k31", "paper_k3p1")
+DEMO = ("paper_k31", "paper_k3p1", "arm7")
 DONE, FAILED, NOT_UNDERSTOOD = 0, 1, 2
 
 
 def execute(options: argparse.Namespace, stop: threading.Event) -> int:
     """Run one command; every error is one sentence on stderr. Returns the exit code."""
-    commands = {"demo": _demo, "run": _run, "scenarios": _scenarios}
+    _tell_what_takes_long()
+    commands = {"demo": _demo, "run": _run, "check": _check, "gains": _gains, "scenarios": _scenarios}
     try:
         commands[options.command](options, stop)
     except Interrupted as interruption:
@@ -38,16 +39,39 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
     return DONE
 
 
+def _tell_what_takes_long() -> None:
+    """fjr_core's log, which says when it compiles and when it cannot."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("fjr: %(message)s"))
+    log = logging.getLogger("fjr_core")
+    log.handlers = [handler]
+    log.setLevel(logging.INFO)
+
+
 def _demo(options: argparse.Namespace, stop: threading.Event) -> None:
     plans = [_plan(name, {}, options) for name in DEMO]
     _tell([_record_and_report(plan, stop) for plan in plans])
 
 
 def _run(options: argparse.Namespace, stop: threading.Event) -> None:
-    overrides = dict(scenarios.parse_assignment(text) for text in options.overrides)
+    overrides = _overrides(options)
     if options.lockstep:
         overrides = {"realtime_priority": 0, **overrides, "lockstep": True}
-    _tell([_record_and_report(_plan(options.scenario, overrides, options), stop)])
+    _tell([_record_and_report(_plan(options.scenario, overrides, options, options.force), stop)])
+
+
+def _check(options: argparse.Namespace, _stop: threading.Event) -> None:
+    _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
+    found = stability.checked(scenario)
+    print(stability.table(scenario, found), flush=True)
+    for warning in scenario.warnings:
+        print(f"fjr: {warning}", file=sys.stderr)
+    stability.refuse_unstable(scenario, found)
+
+
+def _gains(options: argparse.Namespace, _stop: threading.Event) -> None:
+    _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
+    print(gains_block.text(scenario, options.beta, options.delay, options.everywhere), end="")
 
 
 def _scenarios(_options: argparse.Namespace, _stop: threading.Event) -> None:
@@ -55,11 +79,18 @@ def _scenarios(_options: argparse.Namespace, _stop: threading.Event) -> None:
         print(f"{name:12}  {scenarios.summary(path)}")
 
 
-def _plan(name: str | None, overrides: dict[str, Any], options: argparse.Namespace) -> Plan:
+def _overrides(options: argparse.Namespace) -> dict[str, Any]:
+    return dict(scenarios.parse_assignment(text) for text in options.overrides)
+
+
+def _plan(name: str | None, overrides: dict[str, Any], options: argparse.Namespace, force: bool = False) -> Plan:
+    """What to run, once it is known to be stable as sampled or the user insists."""
     path = scenarios.find(name)
-    scenario = load_scenario(path)  # a file that is none is refused before anything is changed in it
-    text = scenarios.with_overrides(path, overrides)
-    lockstep = bool(overrides.get("lockstep", scenario.plant_values["lockstep"]))
+    text, scenario = scenarios.as_run(path, overrides)
+    if not force:
+        stability.refuse_unstable(scenario, stability.checked(scenario))
+    scenario.warm_up()
+    lockstep = bool(scenario.plant_values["lockstep"])
     return Plan(path.stem, text, options.duration, options.output / path.stem, lockstep)
 
 

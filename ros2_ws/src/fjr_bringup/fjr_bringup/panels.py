@@ -8,38 +8,35 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
 from fjr_bringup.bag import Array
+from fjr_bringup.joint_lines import COLOURS, DRAWABLE, colour, drawable, name_joints
 from fjr_bringup.report import STEADY_AFTER, Report
 from fjr_bringup.tracking_data import TrackingData
 
-# Okabe and Ito's palette, told apart by colour-blind readers too
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 GREY = "#666666"
-DRAWABLE = 1e12
+ENLARGED = 2  # joints; of more the enlarged start would hide the rest
 HEALTHY = 1e-3  # of V(0): a loop that leaves its bound above that is disturbed by more than the hold
-
-
-def colour(joint: int) -> str:
-    """Colour of a joint."""
-    return COLOURS[joint % len(COLOURS)]
 
 
 def tracking(ax: Axes, data: TrackingData) -> None:
     """q_l on top of q_ld."""
-    for j, joint in enumerate(data.joints):
+    for j in range(len(data.joints)):
         ax.plot(data.t, data.q_ld[:, j], color=GREY, lw=3.2, alpha=0.35, solid_capstyle="round")
-        ax.plot(data.t, _drawable(data.q_l[:, j]), color=colour(j), lw=1.4)
-        _name(ax, data, joint, data.q_l[:, j], j)
+        ax.plot(data.t, drawable(data.q_l[:, j]), color=colour(j), lw=1.4)
+    name_joints(ax, data, data.q_l)
     error = np.abs(data.error).max(axis=1)
-    verb = "follows" if error[-1] <= error[0] else "does not follow"
-    ax.set(title=f"The link {verb} the reference (grey)", xlabel="t [s]", ylabel="$q_l$, $q_{ld}$ [rad]")
+    follows, many = error[-1] <= error[0], len(data.joints) > 1
+    verb = ("follow" if many else "follows") if follows else ("do not follow" if many else "does not follow")
+    title = f"The {'links' if many else 'link'} {verb} the reference (grey)"
+    ax.set(title=title, xlabel="t [s]", ylabel="$q_l$, $q_{ld}$ [rad]")
 
 
 def error(ax: Axes, data: TrackingData, report: Report) -> None:
     """|q_l - q_ld| on a log axis."""
-    for j, joint in enumerate(data.joints):
-        size = _drawable(np.abs(data.error[:, j]))
-        ax.semilogy(data.t, np.where(size > 0, size, np.nan), color=colour(j), lw=1.0)
-        _name(ax, data, joint, size, j)
+    size = drawable(np.abs(data.error))
+    size = np.where(size > 0, size, np.nan)
+    for j in range(len(data.joints)):
+        ax.semilogy(data.t, size[:, j], color=colour(j), lw=1.0)
+    name_joints(ax, data, size)
     worst = report.tracking.max_error_after_2s_rad
     title = "Tracking error"
     if worst and worst < DRAWABLE:
@@ -53,7 +50,7 @@ def error(ax: Axes, data: TrackingData, report: Report) -> None:
 def storage(ax: Axes, data: TrackingData, report: Report) -> None:
     """V against V(0) exp(-2 beta t) on a log axis, with the reason why it leaves the bound."""
     relative, bound = data.relative_storage, data.bound / (data.V[0] or 1.0)
-    relative = _drawable(relative)
+    relative = drawable(relative)
     shown = relative[relative > 0]
     floor = float(shown.min(initial=1e-3)) / 30.0
     ax.semilogy(data.t, np.where(bound > floor, bound, np.nan), color=GREY, lw=1.4, ls="--")
@@ -81,7 +78,8 @@ def storage(ax: Axes, data: TrackingData, report: Report) -> None:
             color=COLOURS[1],
         )
     rate = report.storage.measured_decay_rate_per_s
-    title = f"V falls at {rate:.3g} 1/s; proven: at least {2 * data.beta:.3g} 1/s" if rate else "V and its bound"
+    basis = "proven" if data.beta_is_proven else "sampled"
+    title = f"V falls at {rate:.3g} 1/s; {basis}: at least {2 * data.beta:.3g} 1/s" if rate else "V and its bound"
     ax.set(title=title, xlabel="t [s]", ylabel="$V(t)\\,/\\,V(0)$")
 
 
@@ -97,17 +95,23 @@ def _why(data: TrackingData, leaves: float, there: float) -> str:
 
 
 def effort(ax: Axes, data: TrackingData, report: Report) -> None:
-    """The commands; the first quarter of a second enlarged."""
-    zoom = ax.inset_axes((0.36, 0.12 if data.u[0].sum() < 0 else 0.52, 0.6, 0.36))
-    for j, joint in enumerate(data.joints):
-        for axis in (ax, zoom):
-            axis.step(data.t, _drawable(data.u[:, j]), where="post", color=colour(j), lw=1.2)
-        _name(ax, data, joint, data.u[:, j], j)
-    zoom.set_xlim(-0.005, 0.25)
-    zoom.set_title("first 0.25 s", fontsize=8, fontweight="normal", color=GREY, loc="center", pad=2)
-    zoom.tick_params(labelsize=7)
-    peak = report.tracking.peak_effort_nm
-    ax.set(title=f"The effort peaks at {peak:.4g} N m", xlabel="t [s]", ylabel="u [N m]")
+    """The commands; of a few joints the first quarter of a second enlarged."""
+    _steps(ax, data)
+    name_joints(ax, data, data.u)
+    if len(data.joints) <= ENLARGED:
+        zoom = ax.inset_axes((0.36, 0.12 if data.u[0].sum() < 0 else 0.52, 0.6, 0.36))
+        _steps(zoom, data)
+        zoom.set_xlim(-0.005, 0.25)
+        zoom.set_title("first 0.25 s", fontsize=8, fontweight="normal", color=GREY, loc="center", pad=2)
+        zoom.tick_params(labelsize=7)
+    tracking, share = report.tracking, report.tracking.largest_share_of_effort_limit
+    of_limit = "" if share is None else f" ({100 * share:.0f} % of limit)"
+    ax.set(title=f"The effort peaks at {tracking.peak_effort_nm:.4g} N m{of_limit}", xlabel="t [s]", ylabel="u [N m]")
+
+
+def _steps(ax: Axes, data: TrackingData) -> None:
+    for j in range(len(data.joints)):
+        ax.step(data.t, drawable(data.u[:, j]), where="post", color=colour(j), lw=1.2)
 
 
 def period(ax: Axes, data: TrackingData, report: Report) -> None:
@@ -148,19 +152,6 @@ def _marks(ax: Axes, microseconds: tuple[float, float, float]) -> None:
     text = "\n".join(f"{name}: {value * 1e-3:.2f} ms" for name, value in zip(names, microseconds, strict=True))
     box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5}
     ax.text(0.98, 0.97, text, transform=ax.transAxes, ha="right", va="top", color=GREY, bbox=box)
-
-
-def _drawable(values: Array) -> Array:
-    """The values without those of a loop that diverged beyond all axes."""
-    return np.where(np.abs(values) < DRAWABLE, values, np.nan)
-
-
-def _name(ax: Axes, data: TrackingData, joint: str, line: Array, j: int) -> None:
-    """A joint's name at the end of its line, where there are several joints."""
-    drawn = np.flatnonzero(np.isfinite(_drawable(line)))
-    if len(data.joints) > 1 and drawn.size:
-        place = (data.t[-1], line[drawn[-1]])
-        ax.annotate(joint, place, (4, 0), textcoords="offset points", color=colour(j), va="center")
 
 
 def _power(value: float) -> str:

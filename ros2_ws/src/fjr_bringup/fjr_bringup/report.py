@@ -28,6 +28,9 @@ class Tracking:
     """How well the joints followed; errors and efforts are the largest of all joints."""
 
     peak_effort_nm: float
+    peak_effort_by_joint_nm: dict[str, float]
+    effort_limit_by_joint_nm: dict[str, float]  # null: none is given
+    largest_share_of_effort_limit: float | None  # of all joints that have a limit; null: none has
     initial_error_rad: float
     max_error_after_2s_rad: float | None
     rms_error_after_2s_rad: float | None
@@ -45,6 +48,7 @@ class Storage:
 
     initial: float
     guaranteed_decay_rate_per_s: float  # 2 beta
+    guarantee_is_proven: bool  # for every configuration; else 2 beta is the least at configurations of the run
     measured_decay_rate_per_s: float | None  # mean rate while V falls from V(0) to 1e-4 V(0)
     leaves_bound_at_s: float | None  # stays above it from then on; null: never
     relative_where_it_leaves: float | None  # V / V(0) there
@@ -121,8 +125,12 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, dur
 def _tracking(data: TrackingData) -> Tracking:
     size = np.abs(data.error).max(axis=1)
     steady = data.error[data.t >= STEADY_AFTER]
+    share = float((data.peak_effort / data.effort_limit).max())
     return Tracking(
-        peak_effort_nm=float(np.nanmax(np.abs(data.u))),
+        peak_effort_nm=float(data.peak_effort.max()),
+        peak_effort_by_joint_nm=dict(zip(data.joints, data.peak_effort.tolist(), strict=True)),
+        effort_limit_by_joint_nm=dict(zip(data.joints, data.effort_limit.tolist(), strict=True)),
+        largest_share_of_effort_limit=share if share > 0 else None,
         initial_error_rad=float(size[0]),
         max_error_after_2s_rad=float(np.abs(steady).max()) if steady.size else None,
         rms_error_after_2s_rad=float(np.sqrt((steady**2).mean())) if steady.size else None,
@@ -148,6 +156,7 @@ def _storage(data: TrackingData) -> Storage:
     return Storage(
         initial=float(data.V[0]),
         guaranteed_decay_rate_per_s=2.0 * data.beta,
+        guarantee_is_proven=data.beta_is_proven,
         measured_decay_rate_per_s=float(-np.log(relative[low[0]]) / data.t[low[0]]) if low.size else None,
         leaves_bound_at_s=None if stays else float(data.t[leaves]),
         relative_where_it_leaves=None if stays else float(relative[leaves]),

@@ -25,8 +25,7 @@ from fjr_bringup.recorder import Recorder
 from fjr_bringup.remote import PlantRemote
 from fjr_bringup.run_folder import RunFolder
 from fjr_bringup.stopping import Interrupted
-from fjr_core.errors import FjrError, ParameterError
-from fjr_core.scenario import load_scenario
+from fjr_core.errors import FjrError
 from fjr_msgs_py.scheduling import prioritised
 
 STATES, COMMANDS, ANSWERS = "/joint_states", "/effort_controller/commands", "/joint_commands"
@@ -66,17 +65,8 @@ def run(plan: Plan, stop: threading.Event) -> None:
     with RunFolder(plan.folder) as kept:
         file = plan.folder / "scenario.yaml"
         file.write_text(plan.scenario, encoding="utf-8")
-        _check(file, plan.name)
         with Recorder(plan.folder / "bag") as recorder:
             _Run(plan, recorder, stop, file).execute(on_go=kept.keep)
-
-
-def _check(file: Path, name: str) -> None:
-    """What the nodes would refuse is refused here, in one sentence that names the scenario."""
-    try:
-        load_scenario(file)
-    except ParameterError as error:
-        raise ParameterError(str(error).replace(str(file), f"scenario {name}")) from None
 
 
 class _Run:

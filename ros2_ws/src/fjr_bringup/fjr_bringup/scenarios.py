@@ -3,20 +3,16 @@
 
 from __future__ import annotations
 
-import copy
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
-from fjr_core import config
+from fjr_core import config, parameter_file, robot_file
 from fjr_core.errors import FjrError, ParameterError
-from fjr_core.scenario import CONTROLLER, PLANT
-
-PARAMETERS = {PLANT: config.plant_parameters, CONTROLLER: config.controller_parameters}
+from fjr_core.scenario import OWN_PARAMETERS, Scenario, parse_scenario, self_contained
 
 
 class ScenarioError(FjrError):
@@ -63,27 +59,42 @@ def parse_assignment(text: str) -> tuple[str, Any]:
     if not (name and separator):
         raise ParameterError(f"'{text}' is not an assignment; expected name:=value, e.g. robot.joint_stiffness:=[31.0]")
     try:
-        return name.strip(), _numbers(yaml.safe_load(value))
-    except yaml.YAMLError as error:
-        raise ParameterError(f"value of '{name}' is not valid YAML: {' '.join(str(error).split())}") from None
+        return name.strip(), parameter_file.parse(value)
+    except ParameterError as error:
+        raise ParameterError(f"value of '{name}' {error}") from None
 
 
-def with_overrides(path: Path, overrides: Mapping[str, Any]) -> str:
-    """Text of the scenario file with parameters changed; unchanged to the byte when there are none."""
-    text = path.read_text(encoding="utf-8")
-    if not overrides:
-        return text
-    document = yaml.safe_load(text)
+def as_run(path: Path, overrides: Mapping[str, Any]) -> tuple[str, Scenario]:
+    """A scenario with parameters changed and all that it needs from other files in it: its text, and what it means.
+
+    Raises ParameterError, naming the scenario.
+    """
+    try:
+        text = _self_contained(path, overrides)
+        return text, parse_scenario(path.stem, text)
+    except ParameterError as error:
+        raise ParameterError(f"scenario {path.stem}: {error}") from None
+
+
+def _self_contained(path: Path, overrides: Mapping[str, Any]) -> str:
+    document = parameter_file.read(path, "scenario")
+    given = {node: parameter_file.values_for(node, document) for node in OWN_PARAMETERS}
     for name, value in overrides.items():
-        for node in _nodes_with(name, document):
-            _assign(document, node, name, value)
-    header = f"# {path.name} with " + ", ".join(f"{name}:={value}" for name, value in overrides.items())
-    return header + "\n" + yaml.safe_dump(document, sort_keys=False)
+        for node in _nodes_with(name, given, path.parent):
+            given[node] |= robot_file.absolute({name: value}, Path.cwd())  # a path is relative to where `fjr` runs
+    changes = "".join(f"\n#   {name}:={_brief(value)}" for name, value in overrides.items())
+    header = f"# {path.name} as it was run" + (f", with{changes}" if changes else "")
+    return f"{header}\n{parameter_file.dump(self_contained(given, path.parent))}"
 
 
-def _nodes_with(name: str, document: Any) -> list[str]:
+def _brief(value: Any) -> str:
+    text = " ".join(str(value).split())
+    return text if len(text) <= 80 else f"{text[:80]} ..."
+
+
+def _nodes_with(name: str, given: Mapping[str, Mapping[str, object]], folder: Path) -> list[str]:
     """The nodes that have a parameter; raises ParameterError for a name that none has."""
-    by_node = {node: _parameter_names(node, document) for node in PARAMETERS}
+    by_node = {node: _parameter_names(node, values, folder) for node, values in given.items()}
     nodes = [node for node, names in by_node.items() if name in names]
     if not nodes:
         everything = sorted(set().union(*by_node.values()))
@@ -93,41 +104,6 @@ def _nodes_with(name: str, document: Any) -> list[str]:
     return nodes
 
 
-def _parameter_names(node: str, document: Any) -> Sequence[str]:
-    model = str(_lookup(document, "robot.model") or config.MODEL.default)
-    if model not in config.MODELS:
-        model = str(config.MODEL.default)
-    return [parameter.name for parameter in config.all_parameters(PARAMETERS[node], model)]
-
-
-def _lookup(document: Any, name: str) -> Any:
-    """Value of a parameter in any section of the file, None when absent."""
-    for content in document.values():
-        tree: Any = content.get("ros__parameters", {})
-        for part in name.split("."):
-            tree = tree.get(part) if isinstance(tree, dict) else None
-        if tree is not None:
-            return tree
-    return None
-
-
-def _assign(document: Any, node: str, name: str, value: Any) -> None:
-    """Set a parameter in the node's own section, which stands after the shared one and so wins."""
-    section = next((key for key in (f"/**/{node}", f"/{node}", node) if key in document), f"/**/{node}")
-    tree = document.setdefault(section, {}).setdefault("ros__parameters", {})
-    *parents, leaf = name.split(".")
-    for part in parents:
-        tree = tree.setdefault(part, {})
-    tree[leaf] = copy.deepcopy(value)  # shared by both nodes it would become a YAML alias, which ROS refuses
-
-
-def _numbers(value: Any) -> Any:
-    """YAML 1.1 reads 1e-3 as text; ROS 2 reads a number."""
-    if isinstance(value, list):
-        return [_numbers(entry) for entry in value]
-    if isinstance(value, str):
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return value
+def _parameter_names(node: str, values: Mapping[str, object], folder: Path) -> list[str]:
+    merged = robot_file.merged(values, node, folder)
+    return [parameter.name for parameter in config.all_parameters(OWN_PARAMETERS[node], merged)]

@@ -55,18 +55,24 @@ def table(summaries: list[RunSummary]) -> str:
 
 def _row(report: Report) -> tuple[str, ...]:
     tracking, storage, counts = report.tracking, report.storage, report.counts
+    basis = "proven" if storage.guarantee_is_proven else "sampled"
     return (
         report.scenario + (" (lock-step)" if report.lockstep else ""),
-        f"{tracking.peak_effort_nm:.2f} N m",
+        f"{tracking.peak_effort_nm:.2f} N m" + _share(tracking.largest_share_of_effort_limit),
         _number(tracking.max_error_after_2s_rad, "{:.1e} rad"),
         f"{100 * counts.answered_in_time_fraction:.2f} % of {counts.nominal}",
-        _number(storage.measured_decay_rate_per_s, "{:.1f}") + f" ({storage.guaranteed_decay_rate_per_s:.1f}) 1/s",
+        _number(storage.measured_decay_rate_per_s, "{:.1f}")
+        + f" ({basis}: {storage.guaranteed_decay_rate_per_s:.1f}) 1/s",
         _until(storage.leaves_bound_at_s, storage.relative_where_it_leaves),
     )
 
 
 def _number(value: float | None, form: str) -> str:
     return "-" if value is None else form.format(value)
+
+
+def _share(value: float | None) -> str:
+    return "" if value is None else f", {100 * value:.0f} % of a limit"
 
 
 def _until(instant: float | None, relative: float | None) -> str:

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from fjr_bringup.bag import Array, Bag, JointTable
 from fjr_core.errors import FjrError
 from fjr_core.scenario import Scenario
+from fjr_core.vdpbc.rate import Rate
 
 STATES, ANSWERS, REFERENCE = "/joint_states", "/joint_commands", "/fjr_controller/reference"
 MOTOR_SUFFIX = "_motor"
+VISITED = 200  # configurations of a run at which the rate is looked at
 
 
 class DataError(FjrError):
@@ -26,7 +28,9 @@ class TrackingData:
 
     joints: tuple[str, ...]
     sample_period: float  # s
-    beta: float  # proven rate [1/s]: V(t) <= V(0) exp(-2 beta t) in continuous time
+    beta: float  # rate [1/s]: V(t) <= V(0) exp(-2 beta t) in continuous time
+    beta_is_proven: bool  # for every configuration; else beta is the least at configurations of the run
+    effort_limit: Array  # (n,) N m, infinite where none is given
     t: Array  # (k,) stamps
     q_l: Array  # (k, n) rad
     q_ld: Array  # (k, n) rad, reference at the stamps
@@ -40,6 +44,11 @@ class TrackingData:
     def error(self) -> Array:
         """q_l - q_ld (k, n) [rad]."""
         return self.q_l - self.q_ld
+
+    @property
+    def peak_effort(self) -> Array:
+        """Largest |u| of each joint (n,) [N m]."""
+        return np.asarray(np.nanmax(np.abs(self.u), axis=0))
 
     @property
     def bound(self) -> Array:
@@ -64,7 +73,7 @@ class TrackingData:
 
 def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData:
     """The `duration` seconds of stamped time from the first answered state; raises DataError or BagError."""
-    joints, n = scenario.joints, scenario.robot.n
+    joints, n, limits = scenario.joints, scenario.robot.n, scenario.robot.limits
     both_sides = [*joints, *(joint + MOTOR_SUFFIX for joint in joints)]
     commands = _first_of_each_stamp(bag.joints(ANSWERS, joints))
     start = commands.stamp[0]
@@ -77,10 +86,13 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
     jets = np.stack([scenario.reference.jets(instant) for instant in t])
     place, found = _answers(stamp, commands.stamp)
     sent = states.publish_time[inside]
+    rate = _rate(scenario, position[:, :n])
     return TrackingData(
         joints=joints,
         sample_period=scenario.sample_period,
-        beta=scenario.law.rate().beta,
+        beta=rate.beta,
+        beta_is_proven=rate.proven,
+        effort_limit=np.full(n, np.inf) if limits is None else limits.effort,
         t=t,
         q_l=position[:, :n],
         q_ld=jets[:, 0],
@@ -90,6 +102,13 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
         answered=np.where(found, (commands.publish_time[place] - sent[0]) * 1e-9, np.nan),
         reference_mismatch=_mismatch(bag.joints(REFERENCE, joints), stamp, jets[:, 0]),
     )
+
+
+def _rate(scenario: Scenario, q_l: Array) -> Rate:
+    """The rate that is proven, else the one at configurations that the links (k, n) went through."""
+    rate = scenario.law.rate()
+    visited = q_l[:: max(1, len(q_l) // VISITED)]
+    return rate if rate.proven or not np.isfinite(visited).all() else scenario.law.rate(visited)
 
 
 def _from_first_answer(states: JointTable, start: np.int64, answer: np.int64) -> JointTable:
@@ -125,7 +144,7 @@ def _storage(scenario: Scenario, position: Array, velocity: Array, jets: Array) 
     storage = np.empty(len(position))
     for k, (q, dq) in enumerate(zip(position, velocity, strict=True)):
         x = state(q[:n], q[n:], dq[:n], dq[n:])
-        storage[k] = law.evaluate(x, x, jets[k]).V
+        storage[k] = law.command_and_storage(x, jets[k])[1]
     return storage
 
 

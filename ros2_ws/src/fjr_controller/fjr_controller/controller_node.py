@@ -35,7 +35,7 @@ class ControllerNode(ParameterNode):
         """Make the law from the parameters and start to answer."""
         values = self.values
         self._robot = config.robot(values)
-        law = TrackingLaw(self._robot, config.gains(values, self._robot.n))
+        law = TrackingLaw(self._robot, config.gains(values, self._robot.n), compile=values["compile"])
         self._tracker = Tracker(law, config.reference(values, self._robot.n), values["state_timeout"])
         self._tracker.warm_up()
         self._health = Health(self, ("states received", "states answered"))

@@ -40,7 +40,7 @@ class Tracker:
         """Build everything that is built once, so that the first state is answered as fast as any other."""
         n = self._law.robot.n
         x = self._law.robot.state(*(np.zeros(n),) * 4)
-        self._law.effort(x, x, self._reference.jets(0.0))
+        self._law.command(x, self._reference.jets(0.0))
 
     def answer(self, stamp: int, x: Array, arrival: int) -> Command | None:
         """Command for the state x (4n,) stamped `stamp` [ns] that arrived at `arrival` [ns, steady clock]."""
@@ -53,7 +53,7 @@ class Tracker:
                 return None
             start = stamp
         jets = self._reference.jets((stamp - start) * 1e-9)
-        command = Command(self._law.effort(x, x, jets), jets, restarted)
+        command = Command(self._law.command(x, jets), jets, restarted)
         if is_sendable(command.u):  # else it is not answered, and leaves no trace here
             self._start, self._last, self._last_arrival = start, stamp, arrival
         return command

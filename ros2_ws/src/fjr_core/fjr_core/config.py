@@ -1,29 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where engineers' words meet the paper's symbols: the parameters of both nodes, and what is built from them."""
+"""Where engineers' words meet the paper's symbols: the parameters of both nodes, and what is built from them.
+
+The words for robots are in robot_parameters.
+"""
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from . import arms
 from .checks import Array
-from .errors import GainsError, ParameterError, RobotError
 from .gains import PAPER_GAINS, Gains
 from .integrators import INTEGRATORS
-from .parameters import Parameter, Value, Values
+from .parameters import Parameter, Values, matrix, named, vector
 from .reference import Sine
 from .robot import Robot
+from .robot_parameters import joints_of, robot, robot_parameters
 
-MODELS: dict[str, Callable[..., Robot]] = {
-    "single_link": arms.single_link,
-    "planar_two_link": arms.planar_two_link,
-}
+__all__ = [
+    "all_parameters",
+    "controller_parameters",
+    "gain_values",
+    "gains",
+    "initial_state",
+    "plant_parameters",
+    "reference",
+    "robot",
+]
 
-JOINTS = Parameter("joints", ("joint1",), "Names of the joints, in the order of all other lists")
 REALTIME_PRIORITY = Parameter(
     "realtime_priority",
     0,
@@ -31,37 +36,7 @@ REALTIME_PRIORITY = Parameter(
     minimum=0,
     maximum=98,
 )
-MODEL = Parameter("robot.model", "single_link", "Which robot this is", choices=tuple(MODELS))
-
-_ROBOT_WORDS = {  # argument of the model -> (parameter, unit, description)
-    "link_inertia": ("robot.link_inertia", "kg m^2", "Link inertia (single_link: about the joint; else the centre)"),
-    "gravity_torque": ("robot.gravity_torque", "N m", "Mass times gravity times distance of the link's centre"),
-    "link_mass": ("robot.link_mass", "kg", "Mass of each link"),
-    "link_length": ("robot.link_length", "m", "Length of each link"),
-    "link_com": ("robot.link_com", "m", "Distance from each joint to its link's centre of mass"),
-    "gravity": ("robot.gravity", "m/s^2", "Acceleration of gravity"),
-    "stiffness": ("robot.joint_stiffness", "N m/rad", "Joint stiffness K, n entries or n*n by rows"),
-    "motor_inertia": ("robot.motor_inertia", "kg m^2", "Motor inertia M_m at the link side, n entries or n*n by rows"),
-    "link_damping": ("robot.link_damping", "N m s/rad", "Link damping D_l, n entries or n*n by rows"),
-    "motor_damping": ("robot.motor_damping", "N m s/rad", "Motor damping D_m, n entries or n*n by rows"),
-    "input_gain": ("robot.input_gain", "1", "Input matrix B_m, n entries or n*n by rows"),
-}
-_MATRICES = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
-_ROBOT_CONSTRAINTS = {
-    "gravity_torque": "finite",
-    "stiffness": "symmetric positive definite",
-    "motor_inertia": "symmetric positive definite",
-    "link_damping": "symmetric positive semidefinite",
-    "motor_damping": "symmetric positive semidefinite",
-    "input_gain": "invertible",
-}
-_SYMBOLS = {
-    "K": "robot.joint_stiffness",
-    "M_m": "robot.motor_inertia",
-    "D_l": "robot.link_damping",
-    "D_m": "robot.motor_damping",
-    "B_m": "robot.input_gain",
-}
+COMPILE = Parameter("compile", True, "Run law and plant as compiled C where a C compiler is found")
 
 _GAIN_CONSTRAINTS = {
     "Lambda_l": "condition (32): Pi_l Lambda_l + Lambda_l' Pi_l positive definite",
@@ -81,25 +56,6 @@ _GAIN_WORDS = {
 }
 
 
-def robot_parameters(model: str) -> list[Parameter]:
-    """The parameters of a robot model; their defaults are those of its function in arms."""
-    signature = inspect.signature(MODELS[model])
-    return [_robot_parameter(model, name, argument.default) for name, argument in signature.parameters.items()]
-
-
-def _robot_parameter(model: str, argument: str, default: Any) -> Parameter:
-    name, unit, description = _ROBOT_WORDS[argument]
-    if argument == "gravity":
-        return Parameter(name, float(default), description, unit, minimum=0.0, maximum=1e3)
-    constraint = _ROBOT_CONSTRAINTS.get(argument, "positive")
-    return Parameter(name, _spread(default, joints_of(model)), description, unit, constraint=constraint)
-
-
-def joints_of(model: str) -> int:
-    """Number of joints of a robot model."""
-    return {"single_link": 1, "planar_two_link": 2}[model]
-
-
 def plant_parameters(n: int) -> list[Parameter]:
     """The plant node's own parameters for n joints."""
     return [
@@ -114,6 +70,7 @@ def plant_parameters(n: int) -> list[Parameter]:
         Parameter("command_timeout", 0.1, "Zero effort when commands stop for longer", "s", minimum=1e-3, maximum=1e3),
         Parameter("lockstep", False, "Advance one sample per stamped /joint_commands instead of with the clock"),
         Parameter("start_paused", False, "Publish nothing until ~/pause is called with false"),
+        COMPILE,
         REALTIME_PRIORITY,
     ]
 
@@ -145,87 +102,43 @@ def controller_parameters(n: int) -> list[Parameter]:
             minimum=0.0,
             maximum=1e3,
         ),
+        COMPILE,
         REALTIME_PRIORITY,
     ]
 
 
-def robot(values: Values) -> Robot:
-    """The robot that the values of JOINTS, MODEL and robot_parameters describe; raises ParameterError."""
-    model = str(values["robot.model"])
-    joints, n = _strings(values["joints"]), joints_of(model)
-    if len(joints) != n or len(set(joints)) != n:
-        raise ParameterError(f"parameter 'joints' is {list(joints)}; {model} has {n}, with different names")
-    arguments: dict[str, Any] = {}
-    for argument in inspect.signature(MODELS[model]).parameters:
-        name = _ROBOT_WORDS[argument][0]
-        if argument == "gravity":
-            arguments[argument] = values[name]
-        else:
-            arguments[argument] = (_matrix if argument in _MATRICES else _vector)(values, name, n)
-    return _named("robot", lambda: MODELS[model](**arguments))
-
-
 def gains(values: Values, n: int) -> Gains:
     """The gains of the values for n joints, with their conditions checked; raises ParameterError."""
-    found = Gains(**{name: _matrix(values, f"gains.{name}", n) for name in _GAIN_WORDS})
-    _named("gains", lambda: found.checked(n))
+    found = Gains(**{name: matrix(values, f"gains.{name}", n) for name in _GAIN_WORDS})
+    named(lambda symbol: f"gains.{symbol}" if symbol in _GAIN_WORDS else "gains", lambda: found.checked(n))
     return found
+
+
+def gain_values(gains: Gains, n: int) -> dict[str, list[float]]:
+    """Values of the parameters that give these gains: n entries where diagonal, else n*n by rows; zeros left out."""
+    values = {}
+    for name, array in ((name, getattr(gains.checked(n), name)) for name in _GAIN_WORDS):
+        diagonal = np.array_equal(array, np.diag(np.diag(array)))
+        if np.any(array):
+            values[f"gains.{name}"] = [float(v) for v in (np.diag(array) if diagonal else array.ravel())]
+    return values
 
 
 def reference(values: Values, n: int) -> Sine:
     """The reference of the values for n joints; raises ParameterError."""
-    return Sine(*(_vector(values, f"reference.{name}", n) for name in ("amplitude", "frequency", "offset", "phase")))
+    return Sine(*(vector(values, f"reference.{name}", n) for name in ("amplitude", "frequency", "offset", "phase")))
 
 
 def initial_state(values: Values, robot: Robot) -> Array:
     """The plant's initial state (4n,) of the values; raises ParameterError."""
     names = [f"initial_{side}_{what}" for what in ("position", "velocity") for side in ("link", "motor")]
-    return robot.state(*(_vector(values, name, robot.n) for name in names))
+    return robot.state(*(vector(values, name, robot.n) for name in names))
 
 
-def _strings(value: Value) -> tuple[str, ...]:
-    return tuple(str(entry) for entry in value) if isinstance(value, tuple) else (str(value),)
+def all_parameters(own: Callable[[int], Sequence[Parameter]], given: Mapping[str, object]) -> list[Parameter]:
+    """All parameters of a node for the given model and joints: `own` is plant_parameters or controller_parameters."""
+    return [*robot_parameters(given), *own(joints_of(given))]
 
 
-def _spread(value: Any, n: int) -> tuple[float, ...]:
-    return tuple(float(v) for v in np.broadcast_to(value, n))
-
-
-def _vector(values: Values, name: str, n: int) -> Array:
-    array = np.asarray(values[name], dtype=float)
-    if array.shape != (n,):
-        raise ParameterError(f"parameter '{name}' has {array.size} entries; expected {n}, one per joint")
-    return array
-
-
-def _matrix(values: Values, name: str, n: int) -> Array:
-    array = np.asarray(values[name], dtype=float)
-    if array.size == n:
-        return np.diag(array)
-    if array.size != n * n:
-        raise ParameterError(f"parameter '{name}' has {array.size} entries; expected {_entries(n)}")
-    return array.reshape(n, n)
-
-
-def _entries(n: int) -> str:
-    return "1, for the one joint" if n == 1 else f"{n}, one per joint, or {n * n}, a matrix by rows"
-
-
-def _named(group: str, build: Callable[[], Any]) -> Any:
-    """Run `build`; an error about a symbol becomes one about the parameter that set it."""
-    try:
-        return build()
-    except (RobotError, GainsError) as error:
-        symbol = str(error).split(" ", 1)[0]
-        name = _SYMBOLS.get(symbol, f"{group}.{symbol}" if group == "gains" else group)
-        raise ParameterError(f"parameter '{name}': {error}") from None
-
-
-def all_parameters(own: Callable[[int], Sequence[Parameter]], model: str) -> list[Parameter]:
-    """All parameters of a node for a robot model: `own` is plant_parameters or controller_parameters."""
-    return [JOINTS, MODEL, *robot_parameters(model), *own(joints_of(model))]
-
-
-def model_of(given: dict[str, object]) -> str:
-    """The robot model among given values (or the default); raises ParameterError when unknown."""
-    return str(MODEL.check(given.get(MODEL.name, MODEL.default)))
+def _spread(value: object, n: int) -> tuple[float, ...]:
+    return tuple(float(v) for v in np.broadcast_to(np.asarray(value, dtype=float), n))

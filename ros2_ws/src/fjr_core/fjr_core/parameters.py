@@ -5,13 +5,18 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
-from .errors import ParameterError
+import numpy as np
+
+from .checks import Array
+from .errors import FjrError, ParameterError
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 Values = Mapping[str, Value]
+Built = TypeVar("Built")
 
 
 @dataclass(frozen=True)
@@ -27,6 +32,15 @@ class Parameter:
     choices: tuple[str, ...] = ()
     constraint: str = ""
     """What else must hold, in words; checked where the values meet."""
+    required: bool = False
+    """Whether it must be given; `default` tells the type only."""
+
+    def standard(self) -> Value:
+        """The default, or ParameterError where there is none."""
+        if self.required:
+            unit = f" [{self.unit}]" if self.unit else ""
+            raise ParameterError(f"parameter '{self.name}' is not given; expected: {self.description}{unit}")
+        return self.default
 
     def check(self, value: object) -> Value:
         """Return `value` as this parameter's type (sequences as tuples), or raise ParameterError."""
@@ -68,7 +82,7 @@ class Parameter:
 
 def complete(parameters: Sequence[Parameter], given: Mapping[str, object]) -> dict[str, Value]:
     """Checked values of all `parameters`: the given ones, defaults for the rest; raises ParameterError."""
-    return {p.name: p.check(given[p.name]) if p.name in given else p.default for p in parameters}
+    return {p.name: p.check(given[p.name]) if p.name in given else p.standard() for p in parameters}
 
 
 def unknown(parameters: Sequence[Parameter], given: Iterable[str]) -> list[str]:
@@ -80,6 +94,42 @@ def unknown(parameters: Sequence[Parameter], given: Iterable[str]) -> list[str]:
         hint = f"; did you mean '{close[0]}'?" if close else ""
         sentences.append(f"unknown parameter '{name}' is ignored{hint}")
     return sentences
+
+
+def names(values: Values, name: str) -> tuple[str, ...]:
+    """A parameter that is a list of strings."""
+    value = values[name]
+    return tuple(str(entry) for entry in value) if isinstance(value, tuple) else (str(value),)
+
+
+def vector(values: Values, name: str, n: int, each: str = "one per joint") -> Array:
+    """A parameter as (n,); raises ParameterError for another length."""
+    array = np.asarray(values[name], dtype=float)
+    if array.shape != (n,):
+        raise ParameterError(f"parameter '{name}' has {array.size} entries; expected {n}, {each}")
+    return array
+
+
+def matrix(values: Values, name: str, n: int) -> Array:
+    """A parameter as (n, n), from n entries of the diagonal or n*n by rows; raises ParameterError otherwise."""
+    array = np.asarray(values[name], dtype=float)
+    if array.size == n:
+        return np.diag(array)
+    if array.size != n * n:
+        entries = "1, for the one joint" if n == 1 else f"{n}, one per joint, or {n * n}, a matrix by rows"
+        raise ParameterError(f"parameter '{name}' has {array.size} entries; expected {entries}")
+    return array.reshape(n, n)
+
+
+def named(name_of: Callable[[str], str], build: Callable[[], Built]) -> Built:
+    """Run `build`; an error that begins with a symbol becomes one about the parameter `name_of(symbol)`."""
+    try:
+        return build()
+    except ParameterError:
+        raise
+    except FjrError as error:
+        symbol = str(error).split(" ", 1)[0]
+        raise ParameterError(f"parameter '{name_of(symbol)}': {error}") from None
 
 
 def _kind(value: object) -> str:

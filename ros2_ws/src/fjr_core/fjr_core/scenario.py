@@ -9,9 +9,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import yaml
+import numpy as np
 
-from . import config, parameters
+from . import config, parameter_file, parameters, robot_file
 from .checks import Array
 from .errors import ParameterError
 from .gains import Gains
@@ -22,6 +22,7 @@ from .simulate import Trajectory, simulate
 from .vdpbc.law import TrackingLaw
 
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
+OWN_PARAMETERS = {PLANT: config.plant_parameters, CONTROLLER: config.controller_parameters}
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Scenario:
     @cached_property
     def law(self) -> TrackingLaw:
         """The controller's law."""
-        return TrackingLaw(self.robot, self.gains)
+        return TrackingLaw(self.robot, self.gains, compile=bool(self.controller_values["compile"]))
 
     @cached_property
     def reference(self) -> Sine:
@@ -66,12 +67,25 @@ class Scenario:
     @cached_property
     def plant(self) -> Plant:
         """The simulated robot with its own parameters."""
-        return Plant(config.robot(self.plant_values), str(self.plant_values["integrator"]))
+        robot, integrator = config.robot(self.plant_values), str(self.plant_values["integrator"])
+        return Plant(robot, integrator, compile=bool(self.plant_values["compile"]))
 
     @cached_property
     def x0(self) -> Array:
         """The plant's initial state (4n,)."""
         return config.initial_state(self.plant_values, self.plant.robot)
+
+    def configurations(self, k: int = 32) -> Array:
+        """Where the links will be (k + 1, n) [rad]: at the start, and at k instants of the slowest joint's period."""
+        frequencies = np.asarray(self.reference.frequency)
+        slowest = float(min(frequencies[frequencies > 0], default=1.0))
+        t = np.linspace(0.0, 2 * np.pi / slowest, k, endpoint=False)
+        return np.vstack([self.x0[: self.robot.n], self.reference.jets(t)[:, 0]])
+
+    def warm_up(self) -> None:
+        """Build law and plant step as the nodes will, so that what is compiled is in the cache when they start."""
+        self.law.command(self.x0, self.reference.jets(0.0))
+        self.plant.step(self.x0, [0.0] * self.robot.n, self.sample_period)
 
     def simulate(self, duration: float) -> Trajectory:
         """The sampled closed loop as the two nodes run it in lock-step, without ROS, for `duration` seconds."""
@@ -82,24 +96,24 @@ class Scenario:
 def load_scenario(path: str | Path) -> Scenario:
     """Read a scenario file; raises ParameterError, naming the file, for anything that does not fit."""
     path = Path(path)
+    document = parameter_file.read(path, "scenario")
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ParameterError(f"cannot read scenario {path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
-    try:
-        return _scenario(path.stem, document)
+        return _scenario(path.stem, document, path.parent)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
 
 
-def _scenario(name: str, document: Any) -> Scenario:
+def parse_scenario(name: str, text: str) -> Scenario:
+    """The same from a scenario's text; relative paths in it are relative to the current directory."""
+    return _scenario(name, parameter_file.parse(text), Path.cwd())
+
+
+def _scenario(name: str, document: Any, folder: Path) -> Scenario:
     warnings: list[str] = []
     checked = {}
-    for node, own in ((PLANT, config.plant_parameters), (CONTROLLER, config.controller_parameters)):
-        given = _given(document, node)
-        known = config.all_parameters(own, config.model_of(given))
+    for node, own in OWN_PARAMETERS.items():
+        given = robot_file.merged(parameter_file.values_for(node, document), node, folder)
+        known = config.all_parameters(own, given)
         checked[node] = parameters.complete(known, given)
         warnings += [f"{node}: {sentence}" for sentence in parameters.unknown(known, given)]
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER], tuple(warnings))
@@ -107,25 +121,25 @@ def _scenario(name: str, document: Any) -> Scenario:
     return scenario
 
 
-def _given(document: Any, node: str) -> dict[str, object]:
-    """The values a parameter file gives to a node, later sections over earlier ones, names joined by dots."""
-    if not isinstance(document, dict):
-        raise ParameterError(f"holds a {type(document).__name__}; expected a ROS 2 parameter file (a mapping)")
-    given: dict[str, object] = {}
-    for section, content in document.items():
-        if section not in ("/**", node, f"/{node}", f"/**/{node}"):
-            continue
-        if not isinstance(content, dict) or not isinstance(content.get("ros__parameters"), dict):
-            raise ParameterError(f"section '{section}' has no 'ros__parameters' mapping")
-        given.update(_flat(content["ros__parameters"]))
-    return given
+def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:
+    """A parameter file with the values given to each node that needs no robot file and no URDF file.
+
+    What the nodes share comes first. Relative paths in `given` are relative to `folder`. Raises ParameterError.
+    """
+    whole = {node: robot_file.inlined(robot_file.merged(values, node, folder)) for node, values in given.items()}
+    first, *others = whole.values()
+    shared = {
+        name: value
+        for name, value in first.items()
+        if all(name in other and _same(value, other[name]) for other in others)
+    }
+    sections = {"/**": shared}
+    for node, values in whole.items():
+        sections[f"/**/{node}"] = {name: value for name, value in values.items() if name not in shared}
+    return {
+        section: {"ros__parameters": parameter_file.tree_of(values)} for section, values in sections.items() if values
+    }
 
 
-def _flat(tree: Mapping[Any, Any], prefix: str = "") -> dict[str, object]:
-    flat: dict[str, object] = {}
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            flat.update(_flat(value, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat
+def _same(first: object, second: object) -> bool:
+    return repr(first) == repr(second)  # nan is as nan, 1 is not 1.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals while a node's process still loads ROS 2 and CasADi; this module itself loads nothing else."""
+"""What must be set before a process loads ROS 2, NumPy and CasADi; this module itself loads none of them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+
+def without_blas_threads() -> None:
+    """One thread for NumPy's linear algebra, unless the user chose: on matrices of a robot's size more only wait."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @contextmanager

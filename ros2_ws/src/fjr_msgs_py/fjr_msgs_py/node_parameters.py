@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType
 from rclpy.node import Node
 
-from fjr_core import ParameterError, config
+from fjr_core import ParameterError, config, robot_file
 from fjr_core.parameters import Parameter, Value, complete, unknown
 
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
@@ -27,6 +28,8 @@ _LIST_TYPES = {float: ParameterType.PARAMETER_DOUBLE_ARRAY, str: ParameterType.P
 class ParameterNode(Node):
     """A node whose parameters are a table of fjr_core.config; `values` holds them, checked.
 
+    Given values win over those of the robot file that they name, and these over defaults; paths of files are
+    relative to the current directory.
     Raises ParameterError for a value that does not fit. Every parameter is read-only: none changes while
     the node runs. A name that no parameter has is reported and ignored.
     """
@@ -48,19 +51,20 @@ class ParameterNode(Node):
         """Make publishers, subscriptions and the rest from the checked values; raises FjrError."""
 
     def _checked_values(self, own: Callable[[int], Sequence[Parameter]]) -> dict[str, Any]:
-        given = {name: self.get_parameter(name).value for name in self.get_parameters_by_prefix("")}
-        given = {name: value for name, value in given.items() if not name.startswith(_FOREIGN)}
-        parameters = config.all_parameters(own, config.model_of(given))
+        own_names = (name for name in self.get_parameters_by_prefix("") if not name.startswith(_FOREIGN))
+        overrides = {name: self.get_parameter(name).value for name in own_names}
+        given = robot_file.merged(overrides, self.get_name(), Path.cwd())
+        parameters = config.all_parameters(own, given)
         for sentence in unknown(parameters, given):
             self.get_logger().warning(sentence)
         values = dict(complete(parameters, given))
         for parameter in parameters:
-            self._declare(parameter, values[parameter.name], parameter.name in given)
+            self._declare(parameter, values[parameter.name], parameter.name in overrides)
         return values
 
-    def _declare(self, parameter: Parameter, value: Value, given: bool) -> None:
-        """Declare a parameter with its descriptor, in place of the bare one that rclpy made for a given value."""
-        if given:
+    def _declare(self, parameter: Parameter, value: Value, overridden: bool) -> None:
+        """Declare a parameter with its descriptor, in place of the bare one that rclpy made for an override."""
+        if overridden:
             self.undeclare_parameter(parameter.name)
         listed = list(value) if isinstance(value, tuple) else value
         self.declare_parameter(parameter.name, listed, descriptor(parameter), ignore_override=True)

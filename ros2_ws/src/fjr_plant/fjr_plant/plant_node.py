@@ -42,7 +42,9 @@ class PlantNode(ParameterNode):
         inner_step = round(1e9 / self.values["publish_rate"] / self.values["inner_steps"])
         self._period = inner_step * self.values["inner_steps"]  # ns
         x0 = config.initial_state(self.values, robot)
-        self._robot = SimulatedRobot(Plant(robot, self.values["integrator"]), x0, inner_step)
+        plant = Plant(robot, self.values["integrator"], compile=self.values["compile"])
+        self._robot = SimulatedRobot(plant, x0, inner_step)
+        self._robot.warm_up()
         self._timeout = round(self.values["command_timeout"] * 1e9)  # ns
         self._paused = self.values["start_paused"]
         self._health = Health(self, ("states published", "commands received", "ticks skipped", "states unanswered"))

@@ -25,6 +25,11 @@ class SimulatedRobot:
         self.x = self._x0.copy()
         self.u: Array = np.zeros(self._plant.robot.n)
 
+    def warm_up(self) -> None:
+        """Build everything that is built once, so that the first step is as fast as any other."""
+        self._plant.step(self._x0, np.zeros(self._plant.robot.n), self._inner_step * 1e-9)
+        self.measure()
+
     def advance_to(self, time: int) -> None:
         """Integrate in whole inner steps up to, and never past, `time` [ns]; raises StateError on divergence."""
         while self.time + self._inner_step <= time:

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Synthesised gains as a block of YAML for a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from fjr_core import config
+from fjr_core.sampled_loop import check
+from fjr_core.scenario import CONTROLLER, Scenario
+from fjr_core.synthesis import synthesize
+from fjr_core.vdpbc.law import TrackingLaw
+
+DIGITS = 4
+INDENT = " " * 6
+
+
+def text(scenario: Scenario, beta: float, delay: float, everywhere: bool) -> str:
+    """Gains for the scenario's robot with rate beta [1/s] at its sample rate and a delay [samples].
+
+    The rate holds along the scenario's reference, or everywhere within the joints' range. Raises GainsError
+    where there are no such gains.
+    """
+    robot, period = scenario.robot, scenario.sample_period
+    where = None if everywhere else scenario.configurations()
+    gains = synthesize(robot, beta, period, delay * period, where)
+    law = TrackingLaw(robot, gains)
+    found, rate = check(law, period, delay * period, where), law.rate(where)
+    place = "everywhere" if everywhere else "along its reference"
+    lines = [
+        f"# for {scenario.name} {place}: beta {rate.beta:.3g} 1/s; at {1 / period:g} Hz spectral radius "
+        f"{found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples",
+        f"/**/{CONTROLLER}:",
+        "  ros__parameters:",
+        "    gains:",
+    ]
+    for name, entries in config.gain_values(gains, robot.n).items():
+        lines.append(_assignment(name.partition(".")[2], entries, robot.n))
+    return "\n".join(lines) + "\n"
+
+
+def _assignment(name: str, entries: Sequence[float], n: int) -> str:
+    """One gain; a matrix has one row a line."""
+    head = f"{INDENT}{name}: ["
+    numbers = [repr(float(f"{entry:.{DIGITS}g}")) for entry in entries]
+    rows = [", ".join(numbers[i : i + n]) for i in range(0, len(numbers), n)]
+    return head + f",\n{' ' * len(head)}".join(rows) + "]"

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known of a scenario before it runs: its rates, its stability as sampled, its room within the limits."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fjr_core.checks import Array
+from fjr_core.errors import FjrError
+from fjr_core.sampled_loop import SampledCheck, check
+from fjr_core.scenario import Scenario
+from fjr_core.vdpbc.law import TrackingLaw
+
+
+class UnstableError(FjrError):
+    """A scenario whose loop is unstable at its sample rate."""
+
+
+def checked(scenario: Scenario) -> SampledCheck:
+    """The scenario's law on its plant, sampled at the plant's rate and answered at once, as in lock-step."""
+    return check(scenario.law, scenario.sample_period, plant=scenario.plant)
+
+
+def refuse_unstable(scenario: Scenario, found: SampledCheck) -> None:
+    """Raise UnstableError in one sentence where the check says unstable."""
+    if found.stable:
+        return
+    rate = found.lowest_stable_rate
+    remedy = f"stable from {rate:.4g} Hz on" if rate else "at no higher rate either"
+    raise UnstableError(
+        f"scenario {scenario.name} is unstable as sampled at {1 / found.sample_period:g} Hz: "
+        f"spectral radius {found.spectral_radius:.4g} at q_l = {_list(found.configuration)} rad; "
+        f"expected less than 1 ({remedy}; other gains: fjr gains)"
+    )
+
+
+def table(scenario: Scenario, found: SampledCheck) -> str:
+    """The figures of a check, one a line."""
+    rate = scenario.law.rate()
+    basis = "proven for every configuration" if rate.proven else "minimum over sampled configurations, not proven"
+    lowest = "none" if found.lowest_stable_rate is None else f"{found.lowest_stable_rate:.4g} Hz"
+    rows = {
+        "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
+        "beta": f"{rate.beta:.4g} 1/s: V falls at least as exp(-2 beta t), {basis}",
+        "beta of eq. (50)": f"{rate.beta_paper:.4g} 1/s, {basis}",
+        "spectral radius": f"{found.spectral_radius:.6f}, the worst of {_count(found)}",
+        "    found at q_l": f"{_list(found.configuration)} rad",
+        "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
+        "lowest stable rate": lowest,
+        "on the reference": _on_the_reference(scenario),
+        **_limits(scenario),
+        "as sampled": "stable" if found.stable else "UNSTABLE",
+    }
+    width = max(len(name) for name in rows)
+    return "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows.items())
+
+
+def _on_the_reference(scenario: Scenario) -> str:
+    """The same figures where the links will be."""
+    where = scenario.configurations()
+    found = check(scenario.law, scenario.sample_period, configurations=where, plant=scenario.plant)
+    return (
+        f"beta {scenario.law.rate(where).beta:.4g} 1/s, spectral radius {found.spectral_radius:.6f}, "
+        f"delay margin {found.delay_margin:.2f} samples"
+    )
+
+
+def _count(found: SampledCheck) -> str:
+    return f"{found.configurations} configurations" if found.configurations > 1 else "1 configuration"
+
+
+def _limits(scenario: Scenario) -> dict[str, str]:
+    """The reference and the first effort against the limits of the joints, where there are any."""
+    limits, sine = scenario.robot.limits, scenario.reference
+    if limits is None:
+        return {}
+    reach, offset = np.abs(sine.amplitude), np.asarray(sine.offset)
+    outside = (offset - reach < limits.lower) | (offset + reach > limits.upper)
+    too_fast = reach * np.asarray(sine.frequency) > limits.velocity
+    law = TrackingLaw(scenario.robot, scenario.gains)  # for one call nothing is compiled
+    first = np.abs(law.command(scenario.x0, sine.jets(0.0)))
+    return {
+        "reference": _within(scenario, "position limits", outside)
+        + "; "
+        + _within(scenario, "velocity limits", too_fast),
+        "first effort": f"{_list(first)} N m; " + _within(scenario, "effort limits", first > limits.effort),
+    }
+
+
+def _within(scenario: Scenario, what: str, broken: NDArray[np.bool_]) -> str:
+    names = [joint for joint, bad in zip(scenario.joints, broken, strict=True) if bad]
+    return f"within the {what}" if not names else f"BEYOND the {what} of {', '.join(names)}"
+
+
+def _list(values: Array) -> str:
+    return "[" + ", ".join(f"{value:.3g}" for value in values) + "]"

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scenario run in lock-step by `fjr`, read from its bag independently of fjr's own report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from system.executables import fjr
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """k stamps of a run, n joints: t (k,) [s] from the first; q_l, q_ld, u (k, n)."""
+
+    folder: Path
+    said: str
+    t: np.ndarray
+    q_l: np.ndarray
+    q_ld: np.ndarray
+    u: np.ndarray
+
+    @property
+    def error(self) -> np.ndarray:
+        """The largest error of all joints (k,) [rad]."""
+        return np.abs(self.q_l - self.q_ld).max(axis=1)
+
+
+def record(name: str, duration: float, output: Path) -> Recorded:
+    said = fjr("run", name, "--lockstep", "--duration", str(duration), "--output", str(output))
+    folder = output / name
+    with reader(folder) as bag:
+        u = columns(bag, "/joint_commands", "effort")
+        n = len(next(iter(u.values())))
+        q_l = columns(bag, "/joint_states", "position")
+        q_ld = columns(bag, "/fjr_controller/reference", "position")
+    stamps = sorted(set(q_l) & set(q_ld) & set(u))
+    t = (np.array(stamps) - stamps[0]) * 1e-9
+    return Recorded(folder, said, t, *(np.array([table[s][:n] for s in stamps]) for table in (q_l, q_ld, u)))
+
+
+def reader(folder: Path) -> AnyReader:
+    return AnyReader([folder / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+
+
+def columns(bag: AnyReader, topic: str, field: str) -> dict[int, np.ndarray]:
+    """A field by stamp [ns]; the first message of a stamp counts."""
+    found: dict[int, np.ndarray] = {}
+    connections = [connection for connection in bag.connections if connection.topic == topic]
+    for connection, _, raw in bag.messages(connections):
+        message = bag.deserialize(raw, connection.msgtype)
+        stamp = message.header.stamp
+        found.setdefault(stamp.sec * 10**9 + stamp.nanosec, np.array(getattr(message, field)))
+    return found

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arms of two and seven joints over ROS 2: two processes in lock-step, judged from the bag."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from fjr_core.scenario import load_scenario
+from system.executables import scenario
+from system.recorded import Recorded, record
+
+pytestmark = pytest.mark.system
+
+ARMS = ("two_link", "arm7")
+DURATION = 3.2  # s
+
+
+@pytest.fixture(scope="module", params=ARMS)
+def recorded(request, tmp_path_factory) -> Recorded:
+    return record(request.param, DURATION, tmp_path_factory.mktemp("runs"))
+
+
+def test_all_links_are_on_the_reference_within_three_seconds(recorded: Recorded) -> None:
+    assert recorded.error[0] >= 0.05 - 1e-9
+    assert np.max(recorded.error[recorded.t >= 3.0]) < 1e-4
+
+
+def test_the_nodes_compute_what_the_mathematics_does(recorded: Recorded) -> None:
+    """Lock-step over ROS is the sampled loop of fjr_core, to rounding."""
+    run = load_scenario(scenario(recorded.folder.name)).simulate(DURATION)
+    k, n = len(run.t), recorded.u.shape[1]
+    assert np.max(np.abs(recorded.q_l[:k] - run.x[:, :n])) <= 1e-9
+    assert np.max(np.abs(recorded.u[:k] - run.u)) <= 1e-8 * np.max(np.abs(run.u))
+
+
+def test_the_report_holds_each_joints_peak_effort_and_its_limit(recorded: Recorded) -> None:
+    tracking = json.loads((recorded.folder / "report.json").read_text())["tracking"]
+    made = load_scenario(recorded.folder / "scenario.yaml")
+    inside = recorded.t < DURATION - 1e-9
+    peaks = dict(zip(made.joints, np.abs(recorded.u[inside]).max(axis=0), strict=True))
+    assert tracking["peak_effort_by_joint_nm"] == pytest.approx(peaks)
+    assert tracking["peak_effort_nm"] == pytest.approx(max(peaks.values()))
+    limits = [None] * made.robot.n if made.robot.limits is None else made.robot.limits.effort.tolist()
+    assert list(tracking["effort_limit_by_joint_nm"].values()) == limits
+    share = tracking["largest_share_of_effort_limit"]
+    assert share is None if made.robot.limits is None else 0.0 < share < 1.0
+
+
+def test_a_rate_is_called_proven_only_where_it_is(recorded: Recorded) -> None:
+    storage = json.loads((recorded.folder / "report.json").read_text())["storage"]
+    proven = recorded.folder.name == "two_link"
+    assert storage["guarantee_is_proven"] is proven
+    assert ("(proven:" in recorded.said) is proven
+    assert ("(sampled:" in recorded.said) is not proven
+
+
+def test_the_kept_scenario_needs_no_other_file(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
+    original = load_scenario(scenario(recorded.folder.name))
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    kept = load_scenario(recorded.folder / "scenario.yaml")
+    assert "package://" not in (recorded.folder / "scenario.yaml").read_text()
+    assert kept.plant_values["lockstep"] is True
+    q_l = np.linspace(0.2, -0.9, kept.robot.n)
+    np.testing.assert_array_equal(kept.robot.M_l(q_l), original.robot.M_l(q_l))
+    np.testing.assert_array_equal(kept.robot.K, original.robot.K)
+    np.testing.assert_array_equal(kept.x0, original.x0)

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr check` says what is known before a run; `fjr run` refuses what it says is unstable, unless forced."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import fjr_core
+from fjr_bringup.cli import main
+from fjr_core.sampled_loop import check
+from fjr_core.scenario import load_scenario
+from system.executables import fjr, scenario
+
+pytestmark = pytest.mark.system
+
+SLOW = ("paper_k31", "--set", "publish_rate:=60.0", "--set", "inner_steps:=200")
+
+
+Say = Callable[..., str]
+
+
+@pytest.fixture
+def say(capsys: pytest.CaptureFixture[str]) -> Say:
+    """The command in this process, which spares it two seconds of imports; what it says."""
+
+    def run(*arguments: str, code: int = 0) -> str:
+        try:
+            ended = main(arguments)
+        except SystemExit as exit:  # argparse's
+            ended = int(str(exit.code))
+        captured = capsys.readouterr()
+        assert ended == code, captured
+        return captured.out + captured.err
+
+    return run
+
+
+def figures(said: str) -> dict[str, str]:
+    """The table's rows by name."""
+    rows = (line.strip().partition("  ") for line in said.splitlines())
+    return {name: text.strip() for name, _, text in rows}
+
+
+def test_the_papers_joint_is_stable_as_sampled_with_a_proven_rate(say: Say) -> None:
+    rows, made = figures(say("check", "paper_k31")), load_scenario(scenario("paper_k31"))
+    found, rate = check(made.law, 1e-3), made.law.rate()
+    assert rows["beta"].startswith(f"{rate.beta:.4g} 1/s")
+    assert rows["beta of eq. (50)"].startswith(f"{rate.beta_paper:.4g} 1/s")
+    assert "proven" in rows["beta"]
+    assert rows["spectral radius"].startswith(f"{found.spectral_radius:.6f}")
+    assert rows["delay margin"].startswith(f"{found.delay_margin:.2f} samples")
+    assert rows["lowest stable rate"] == f"{found.lowest_stable_rate:.4g} Hz"
+    assert rows["as sampled"] == "stable"
+
+
+def test_rates_of_the_arm_are_called_sampled_and_its_limits_are_looked_at(say: Say) -> None:
+    rows = figures(say("check", "arm7"))
+    assert "minimum over sampled configurations, not proven" in rows["beta"]
+    assert "minimum over sampled configurations, not proven" in rows["beta of eq. (50)"]
+    assert rows["reference"] == "within the position limits; within the velocity limits"
+    assert rows["first effort"].endswith("within the effort limits")
+    assert rows["as sampled"] == "stable"
+
+
+def test_the_same_figures_are_given_where_the_links_will_be(say: Say) -> None:
+    made = load_scenario(scenario("two_link"))
+    found = check(made.law, 1e-3, configurations=made.configurations())
+    row = figures(say("check", "two_link"))["on the reference"]
+    assert f"spectral radius {found.spectral_radius:.6f}" in row
+    assert f"delay margin {found.delay_margin:.2f} samples" in row
+
+
+@pytest.mark.parametrize("everywhere", [(), ("--everywhere",)])
+def test_gains_are_printed_as_a_block_that_a_scenario_takes(
+    say: Say, tmp_path: Path, everywhere: tuple[str, ...]
+) -> None:
+    block = say("gains", "two_link", "--beta", "5", "--delay", "1", *everywhere)
+    path = tmp_path / "mine.yaml"
+    robot = "/**:\n  ros__parameters:\n    robot:\n      file: package://fjr_bringup/robots/two_link.yaml\n"
+    path.write_text(robot + block)
+    made = load_scenario(path)
+    where = None if everywhere else load_scenario(scenario("two_link")).configurations()
+    assert made.law.rate(where).beta >= 5.0 * (1 - 1e-3)
+    assert check(made.law, 1e-3, 1e-3, where).stable
+
+
+def test_gains_out_of_reach_are_said_to_be(say: Say) -> None:
+    assert "out of reach at 1000 Hz" in say("gains", "paper_k31", "--beta", "5000", code=1)
+
+
+def test_a_reference_beyond_the_limits_is_named(say: Say) -> None:
+    amplitude = "reference.amplitude:=[0.3, 2.0, 0.3, 0.3, 0.3, 0.3, 0.3]"
+    rows = figures(say("check", "arm7", "--set", amplitude))
+    assert rows["reference"] == "BEYOND the position limits of joint2; BEYOND the velocity limits of joint2"
+
+
+def test_the_papers_gains_on_the_stiff_arm_are_unstable_with_exit_code_1(say: Say) -> None:
+    paper = fjr_core.PAPER_GAINS
+    names = ("Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md")
+    changes = [part for name in names for part in ("--set", f"gains.{name}:={[float(getattr(paper, name))] * 7}")]
+    said = say("check", "arm7", *changes, code=1)
+    assert figures(said)["as sampled"] == "UNSTABLE"
+    assert "fjr: scenario arm7 is unstable as sampled at 1000 Hz: spectral radius" in said
+
+
+def test_an_unstable_scenario_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    said = fjr("run", *SLOW, "--output", str(tmp_path), code=1)
+    assert "unstable as sampled at 60 Hz" in said
+    assert "stable from" in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_force_runs_an_unstable_scenario(tmp_path: Path) -> None:
+    fjr("run", *SLOW, "--force", "--lockstep", "--duration", "0.3", "--output", str(tmp_path))
+    report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
+    assert report["counts"]["answered"] >= 18
+    assert report["storage"]["leaves_bound_at_s"] is not None
+    assert report["tracking"]["settling_time_2_percent_s"] is None
+
+
+def test_a_path_on_the_command_line_is_relative_to_where_it_runs(say: Say, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot = "/**:\n  ros__parameters:\n    joints: [knee]\n    robot: {model: single_link, joint_stiffness: [20.0]}\n"
+    (tmp_path / "mine.yaml").write_text(robot)
+    assert (
+        figures(say("check", "paper_k31", "--set", "robot.file:=mine.yaml"))["scenario"] == "paper_k31: knee; 1000 Hz"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["check"], "no scenario given"),
+        (["check", "paper_k31", "--set", "robot.file:=none.yaml"], "parameter 'robot.file': cannot read robot file"),
+        (
+            ["check", "arm7", "--set", "robot.joint_stiffness:=[1.0]"],
+            "'robot.joint_stiffness' has 1 entries; expected 7",
+        ),
+        (["gains", "arm7", "--beta", "-1"], "'-1' is not a rate; expected a positive number"),
+    ],
+)
+def test_what_is_not_understood_is_one_sentence(say: Say, arguments: list[str], words: str) -> None:
+    assert words in say(*arguments, code=2)
