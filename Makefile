@@ -27,7 +27,7 @@ endif
 help:  ## print this list
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' "$(firstword $(MAKEFILE_LIST))"
 
-demo: ## run both scenarios on two ROS 2 nodes, record and report them in runs/ (DEMO_ARGS="...")
+demo: ## run the paper's joint and a 7-joint arm on two ROS 2 nodes, record and report them in runs/ (DEMO_ARGS="...")
 	$(SETUP) build
 	@$(ENTER) && exec fjr demo $(DEMO_ARGS)
 

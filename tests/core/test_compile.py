@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from cases import LOOPS, Arm, GainSet, random_point
+from chains import arm7, scaled_gains
 
 import fjr_core as fjr
 from fjr_core import compile as compiling
@@ -49,7 +50,10 @@ def libraries(cache: Path) -> list[Path]:
     return sorted(cache.glob("*.so"))
 
 
-@pytest.mark.parametrize(("arm", "gains"), LOOPS[::4], ids=lambda case: case.name)
+SEVEN = (arm7(), scaled_gains(arm7()))
+
+
+@pytest.mark.parametrize(("arm", "gains"), [*LOOPS[::4], SEVEN], ids=lambda case: case.name)
 def test_law_and_plant_are_the_same_numbers_as_machine_code(arm: Arm, gains: GainSet) -> None:
     as_c, in_vm = (fjr.TrackingLaw(arm.robot, gains.gains, compile=flag) for flag in (True, False))
     fast, slow = (fjr.Plant(arm.robot, compile=flag) for flag in (True, False))

@@ -75,7 +75,8 @@ def _ensure(library: Path, source: str, compiler: tuple[str, ...]) -> None:
 
 def _build(source: str, compiler: tuple[str, ...], library: Path) -> None:
     """Compile to a temporary file beside the library and move it there whole."""
-    _log.info("making machine code of '%s' in %s, once: some seconds", library.stem.rpartition("-")[0], library.parent)
+    name, lines = library.stem.rpartition("-")[0], source.count("\n")
+    _log.info("making machine code of %s (%d lines of C) in %s: once, some seconds", name, lines, library.parent)
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         code, made = Path(folder, "code.c"), Path(folder, "code.so")
         code.write_text(source, encoding="utf-8")
