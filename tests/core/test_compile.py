@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +20,7 @@ import fjr_core as fjr
 from fjr_core import compile as compiling
 
 EQUAL = 1e-9
+with_a_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
 
 
 @pytest.fixture(autouse=True)
@@ -69,6 +71,7 @@ def test_law_and_plant_are_the_same_numbers_as_machine_code(arm: Arm, gains: Gai
         assert fast.step(p.x, p.u, 1e-3) == pytest.approx(slow.step(p.x, p.u, 1e-3), rel=EQUAL)
 
 
+@with_a_compiler
 def test_what_is_compiled_comes_from_the_cache_folder(cache: Path) -> None:
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
     assert not cache.exists()  # nothing is compiled before it is used
@@ -76,6 +79,7 @@ def test_what_is_compiled_comes_from_the_cache_folder(cache: Path) -> None:
     assert [path.name.partition("-")[0] for path in libraries(cache)] == ["command"]
 
 
+@with_a_compiler
 def test_a_function_is_built_once_and_another_one_anew(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, function: ca.Function
 ) -> None:
@@ -101,6 +105,7 @@ print(f([1, 2, 3]).full().ravel().tolist())
 """
 
 
+@with_a_compiler
 def test_processes_that_build_at_once_build_once(tmp_path: Path) -> None:
     environment = {**os.environ, "CC": str(logging_compiler(tmp_path)), "PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, "-c", BUILD]
@@ -140,6 +145,7 @@ def test_a_compiler_that_does_not_work_is_said_once(
     assert words in said_once(caplog, function)
 
 
+@with_a_compiler
 def test_a_cache_that_cannot_be_written_is_said_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, function: ca.Function
 ) -> None:
@@ -148,12 +154,14 @@ def test_a_cache_that_cannot_be_written_is_said_once(
     assert str(tmp_path / "file") in said_once(caplog, function)
 
 
+@with_a_compiler
 def test_what_casadi_cannot_write_as_c_runs_in_the_virtual_machine(caplog: pytest.LogCaptureFixture) -> None:
     plant = fjr.Plant(fjr.single_link(), "implicit_midpoint", compile=True)
     assert np.isfinite(plant.step(np.zeros(4), [1.0], 1e-3)).all()
     assert "implicit_midpoint" in caplog.text
 
 
+@with_a_compiler
 def test_a_broken_library_is_built_again(cache: Path, function: ca.Function) -> None:
     compiling.compiled(function)
     (library,) = libraries(cache)
