@@ -18,12 +18,12 @@ import numpy
 import pinocchio
 from tqdm import tqdm
 
-from . import closed_loop, peers, start_up
+from . import closed_loop, peers, real_time, start_up
 from .arm import arm7
 from .figures import Figure, table
 
 RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
-NAMES = ("law", "dynamics", "step", "loop", "virtual-machine", "start", "node")
+NAMES = ("law", "dynamics", "step", "loop", "virtual-machine", "start", "node", "real-time")
 
 Measurement = Callable[[], list[Figure]]
 
@@ -64,6 +64,7 @@ def measurements() -> dict[str, Measurement]:
         peers.virtual_machine_over_c,
         start_up.library,
         start_up.node,
+        real_time.tracking,
     )
     return dict(zip(NAMES, runs, strict=True))
 

@@ -136,7 +136,8 @@ def test_without_a_compiler_the_virtual_machine_runs_and_it_is_said_once(
 
 
 @pytest.mark.parametrize(
-    ("compiler", "words"), [("false", "false failed"), ("no-such-cc", "no C compiler (no-such-cc)")]
+    ("compiler", "words"),
+    [("false", "false failed"), ("no-such-cc", "no C compiler (no-such-cc)"), ('gcc "', "No closing")],
 )
 def test_a_compiler_that_does_not_work_is_said_once(
     compiler: str, words: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, function: ca.Function
@@ -162,8 +163,17 @@ def test_what_casadi_cannot_write_as_c_runs_in_the_virtual_machine(caplog: pytes
 
 
 @with_a_compiler
-def test_a_broken_library_is_built_again(cache: Path, function: ca.Function) -> None:
+@pytest.mark.parametrize("left", [0, 100, 4096, 9000])
+def test_a_library_that_lost_its_end_is_built_again(left: int, cache: Path, function: ca.Function) -> None:
     compiling.compiled(function)
     (library,) = libraries(cache)
-    library.write_bytes(b"not a library")
+    library.write_bytes(library.read_bytes()[:left])
+    assert compiling.compiled(function)([1, 2, 3]).full().shape == (3, 1)
+
+
+@with_a_compiler
+def test_a_library_that_is_none_is_built_again(cache: Path, function: ca.Function) -> None:
+    compiling.compiled(function)
+    (library,) = libraries(cache)
+    library.write_bytes(b"x" * library.stat().st_size)
     assert compiling.compiled(function).class_name() == "External"

@@ -158,6 +158,55 @@ def test_what_is_written_is_read_again() -> None:
     assert parameter_file.parse(text) == document
 
 
+def test_a_section_that_is_there_twice_is_refused() -> None:
+    with pytest.raises(fjr.ParameterError, match="'/\\*\\*/fjr_controller' twice"):
+        parameter_file.parse("/**/fjr_controller: {a: 1}\n/**/fjr_controller: {b: 2}\n")
+
+
+def changed(name: str, **parameters: object) -> Scenario:
+    """A shipped scenario with changed values of both nodes, or of one: plant_..., controller_..."""
+    made = load(name)
+    values = {"plant": dict(made.plant_values), "controller": dict(made.controller_values)}
+    for key, value in parameters.items():
+        node, _, parameter = key.partition("__")
+        values[node][parameter.replace("__", ".")] = value
+    return Scenario(name, values["plant"], values["controller"])
+
+
+@pytest.mark.usefixtures("installed")
+def test_the_plant_is_the_model_unless_one_of_them_is_changed() -> None:
+    assert changed("two_link").plant_is_the_model
+    assert not changed("two_link", plant__robot__motor_inertia=(0.06, 0.03)).plant_is_the_model
+
+
+@pytest.mark.usefixtures("installed")
+def test_configurations_of_a_reference_reach_all_of_every_joints_swing() -> None:
+    """Whatever the frequencies: equal instants of the slowest would see a multiple of it stand still."""
+    swing = {"controller__reference__amplitude": (0.5, 3.0), "controller__reference__phase": (0.0, 0.0)}
+    for frequency in ((0.125, 4.0), (1.0, 1.0), (4.0, 0.125), (0.0, 2.0)):
+        made = changed("two_link", **swing, controller__reference__frequency=frequency)
+        q_l = made.configurations()[1:] - np.asarray(made.reference.offset)
+        for j, amplitude in enumerate((0.5, 3.0)):
+            reached = np.ptp(q_l[:, j]) / (2 * amplitude)
+            assert reached > 0.95 if frequency[j] else reached == 0.0
+
+
+@pytest.mark.usefixtures("installed")
+def test_joints_of_one_frequency_keep_their_phases_in_configurations() -> None:
+    made = changed("two_link", controller__reference__frequency=(2.0, 2.0), controller__reference__phase=(0.0, 0.0))
+    q_l = made.configurations()[1:] - np.asarray(made.reference.offset)
+    first, second = (q_l / np.asarray(made.reference.amplitude)).T
+    assert second == pytest.approx(first)
+
+
+def test_plant_and_controller_with_other_joints_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "order.yaml"
+    node = "/**/{}:\n  ros__parameters: {{joints: [{}], robot: {{model: planar_two_link}}}}\n"
+    path.write_text(node.format("fjr_plant", "a, b") + node.format("fjr_controller", "b, a"))
+    with pytest.raises(fjr.ParameterError, match="'joints' is .* expected the same"):
+        load_scenario(path)
+
+
 def test_an_alias_is_refused_as_ros_refuses_it() -> None:
     with pytest.raises(fjr.ParameterError, match="alias"):
         parameter_file.parse("a: &x [1.0]\nb: *x\n")

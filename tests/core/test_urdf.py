@@ -63,6 +63,13 @@ def test_kinetic_gradient_keeps_the_named_order() -> None:
     assert relative(robot.links.grad_T(q, v).full().ravel(), oracle.C(q, v).T @ v) < 1e-10
 
 
+def test_a_byte_order_mark_is_no_part_of_a_urdf(tmp_path: Path) -> None:
+    path, marked = tmp_path / "arm.urdf", "\ufeff" + ARM7.read_text(encoding="utf-8")
+    path.write_text(marked, encoding="utf-8")
+    for source in (path, marked):
+        assert fjr.robot_from_urdf(source, ARM7_JOINTS, 100.0, 0.1).n == 7
+
+
 def test_links_may_have_the_names_of_joints() -> None:
     text = ARM7.read_text(encoding="utf-8")
     named = text
@@ -269,6 +276,7 @@ REFUSED: dict[str, tuple[str, str]] = {
     "nan in origin": (TWO.replace('"0 0 -0.3"', '"0 0 nan"'), "joint 'elbow' has <origin xyz=\"0 0 nan\">"),
     "nan mass": (TWO.replace('mass value="1.0"', 'mass value="nan"', 1), "link 'upper' has <mass value=\"nan\">"),
     "no mass": (TWO.replace('<mass value="1.0"/>', "", 1), "link 'upper' has <mass value=\"\">; expected a number"),
+    "mass zero": (TWO.replace('value="1.0"', 'value="0"', 1), "link 'upper' has the mass 0 and an inertia; expected"),
     "negative mass": (
         TWO.replace('value="1.0"', 'value="-1"', 1),
         "link 'upper' has the mass -1.0; expected 0",

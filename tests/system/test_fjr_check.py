@@ -81,7 +81,7 @@ def test_gains_are_printed_as_a_block_that_a_scenario_takes(
     block = say("gains", "two_link", "--beta", "5", "--delay", "1", *everywhere)
     path = tmp_path / "mine.yaml"
     robot = "/**:\n  ros__parameters:\n    robot:\n      file: package://fjr_bringup/robots/two_link.yaml\n"
-    path.write_text(robot + block)
+    path.write_text(f"{robot}/**/fjr_controller:\n  ros__parameters:\n{block}")
     made = load_scenario(path)
     where = None if everywhere else load_scenario(scenario("two_link")).configurations()
     assert made.law.rate(where).beta >= 5.0 * (1 - 1e-3)
@@ -90,6 +90,19 @@ def test_gains_are_printed_as_a_block_that_a_scenario_takes(
 
 def test_gains_out_of_reach_are_said_to_be(say: Say) -> None:
     assert "out of reach at 1000 Hz" in say("gains", "paper_k31", "--beta", "5000", code=1)
+
+
+def test_nothing_is_proven_of_a_plant_that_is_not_the_model(say: Say, tmp_path: Path) -> None:
+    path = tmp_path / "other.yaml"
+    path.write_text("/**/fjr_plant:\n  ros__parameters:\n    robot: {motor_inertia: [0.005]}\n")
+    rows = figures(say("check", str(path)))
+    assert "not proven here, the plant is not the law's model" in rows["beta"]
+
+
+def test_too_few_inner_steps_are_refused(say: Say) -> None:
+    said = say("check", "arm7", "--set", "publish_rate:=250.0", "--set", "inner_steps:=1", code=1)
+    assert "inner_steps is 1, too few for rk4" in said
+    assert "expected at least " in said
 
 
 def test_a_reference_beyond_the_limits_is_named(say: Say) -> None:

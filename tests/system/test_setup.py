@@ -243,6 +243,16 @@ def test_a_sourced_ros_without_pinocchio_is_noticed(tmp_path: Path) -> None:
         assert extras.pinocchio(python, env).is_there() == there
 
 
+def test_pinocchios_wheel_gets_the_openmp_library_of_casadis(tmp_path: Path) -> None:
+    site = tmp_path / "lib" / "python3.11" / "site-packages"
+    for folder in (site / "casadi", site / "cmeel.prefix" / "lib"):
+        folder.mkdir(parents=True)
+    assert not extras._lend_openmp(tmp_path / "bin" / "python")
+    (site / "casadi" / "libgomp-1234.so.1.0.0").write_text("")
+    assert extras._lend_openmp(tmp_path / "bin" / "python")
+    assert (site / "cmeel.prefix" / "lib" / "libgomp.so.1").resolve() == site / "casadi" / "libgomp-1234.so.1.0.0"
+
+
 def test_a_stamp_that_is_damaged_counts_as_none(tmp_path: Path) -> None:
     stamp = tmp_path / "stamp.json"
     assert pins.read_stamp(stamp) == {}

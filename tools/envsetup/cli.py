@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from .console import PREFIX, SetupError, say
-from .extras import Extra, compiler, pinocchio
+from .extras import Extra, compiler, openmp, pinocchio
 from .machine import Machine, base_interpreter, ros_candidates, ros_interpreter, uses_sourced_ros
 from .virtualenv import Environment
 from .workspace import Workspace
@@ -74,9 +74,9 @@ def set_up(target: str, sourced_ros: bool) -> None:
 
 
 def extras(environment: Environment) -> list[Extra]:
-    """What the system may bring: a C compiler, and beside a sourced ROS 2 its Pinocchio."""
-    wanted = [compiler(environment.env)]
-    return [*wanted, pinocchio(environment.python, environment.env)] if environment.sourced_ros else wanted
+    """What the system may bring: a C compiler, and what reading a URDF needs."""
+    urdf = pinocchio if environment.sourced_ros else openmp
+    return [compiler(environment.env), urdf(environment.python, environment.env)]
 
 
 def enter_ros_interpreter(arguments: Sequence[str]) -> None:

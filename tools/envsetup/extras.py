@@ -13,6 +13,7 @@ from .console import SetupError, say
 from .debian import apt_install, has_apt
 
 COMPILERS = ("cc", "gcc", "clang")
+NO_URDF = "robots cannot be read from a URDF"
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,32 @@ def compiler(env: dict[str, str]) -> Extra:
 
 def pinocchio(python: Path, env: dict[str, str]) -> Extra:
     """The Pinocchio of a sourced ROS 2."""
-    query = [str(python), "-c", "import pinocchio"]
-    package = ("ros-jazzy-pinocchio",)
-    return Extra("Pinocchio", package, "robots cannot be read from a URDF", lambda: _succeeds(query, env))
+    return Extra("Pinocchio", ("ros-jazzy-pinocchio",), NO_URDF, lambda: _imports_pinocchio(python, env))
+
+
+def openmp(python: Path, env: dict[str, str]) -> Extra:
+    """The OpenMP library that Pinocchio's wheel needs and does not bring; CasADi's wheel brings one, which serves."""
+
+    def is_there() -> bool:
+        return _imports_pinocchio(python, env) or (_lend_openmp(python) and _imports_pinocchio(python, env))
+
+    return Extra("libgomp, which Pinocchio needs,", ("libgomp1",), NO_URDF, is_there)
+
+
+def _lend_openmp(python: Path) -> bool:
+    """Link CasADi's OpenMP library to where Pinocchio's wheel looks for one; whether there are both."""
+    for own in python.parents[1].glob("lib/python*/site-packages/casadi/libgomp*.so*"):
+        place = own.parents[1] / "cmeel.prefix" / "lib"
+        if place.is_dir():
+            link = place / "libgomp.so.1"
+            link.unlink(missing_ok=True)
+            link.symlink_to(own)
+            return True
+    return False
+
+
+def _imports_pinocchio(python: Path, env: dict[str, str]) -> bool:
+    return _succeeds([str(python), "-c", "import pinocchio"], env)
 
 
 def has_compiler(env: dict[str, str]) -> bool:

@@ -66,6 +66,7 @@ def _check(options: argparse.Namespace, _stop: threading.Event) -> None:
     print(stability.table(scenario, found), flush=True)
     for warning in scenario.warnings:
         print(f"fjr: {warning}", file=sys.stderr)
+    stability.refuse_coarse_steps(scenario)
     stability.refuse_unstable(scenario, found)
 
 
@@ -88,6 +89,7 @@ def _plan(name: str | None, overrides: dict[str, Any], options: argparse.Namespa
     path = scenarios.find(name)
     text, scenario = scenarios.as_run(path, overrides)
     if not force:
+        stability.refuse_coarse_steps(scenario)
         stability.refuse_unstable(scenario, stability.checked(scenario))
     scenario.warm_up()
     lockstep = bool(scenario.plant_values["lockstep"])

@@ -27,11 +27,11 @@ def text(scenario: Scenario, beta: float, delay: float, everywhere: bool) -> str
     law = TrackingLaw(robot, gains)
     found, rate = check(law, period, delay * period, where), law.rate(where)
     place = "everywhere" if everywhere else "along its reference"
+    basis = "proven" if rate.proven else "sampled"
     lines = [
-        f"# for {scenario.name} {place}: beta {rate.beta:.3g} 1/s; at {1 / period:g} Hz spectral radius "
-        f"{found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples",
-        f"/**/{CONTROLLER}:",
-        "  ros__parameters:",
+        f"# for {scenario.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / period:g} Hz "
+        f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples",
+        f"# in the place of `gains` below {CONTROLLER}'s ros__parameters:",
         "    gains:",
     ]
     for name, entries in config.gain_values(gains, robot.n).items():

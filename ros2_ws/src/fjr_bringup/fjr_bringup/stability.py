@@ -8,9 +8,13 @@ from numpy.typing import NDArray
 
 from fjr_core.checks import Array
 from fjr_core.errors import FjrError
-from fjr_core.sampled_loop import SampledCheck, check
+from fjr_core.rest import plant_matrices, rest_points
+from fjr_core.sampled_loop import HIGHEST_RATE, SampledCheck, check
 from fjr_core.scenario import Scenario
 from fjr_core.vdpbc.law import TrackingLaw
+from fjr_core.vdpbc.rate import Rate
+
+RK4_REACH = 2.7  # rad: step times frequency up to which Runge-Kutta's method of order 4 is stable
 
 
 class UnstableError(FjrError):
@@ -22,12 +26,25 @@ def checked(scenario: Scenario) -> SampledCheck:
     return check(scenario.law, scenario.sample_period, plant=scenario.plant)
 
 
+def refuse_coarse_steps(scenario: Scenario) -> None:
+    """Raise UnstableError in one sentence where the plant's explicit integrator cannot follow its fastest mode."""
+    values, plant = scenario.plant_values, scenario.plant
+    A, _ = plant_matrices(rest_points(plant.robot, scenario.configurations()))
+    fastest = float(np.abs(np.linalg.eigvals(A)).max())
+    steps = int(values["inner_steps"])  # type: ignore[arg-type]
+    if plant.integrator == "rk4" and fastest * scenario.sample_period / steps > RK4_REACH:
+        raise UnstableError(
+            f"scenario {scenario.name}: inner_steps is {steps}, too few for rk4 and the plant's fastest mode of "
+            f"{fastest:.4g} rad/s; expected at least {np.ceil(fastest * scenario.sample_period / RK4_REACH):.0f}"
+        )
+
+
 def refuse_unstable(scenario: Scenario, found: SampledCheck) -> None:
     """Raise UnstableError in one sentence where the check says unstable."""
     if found.stable:
         return
     rate = found.lowest_stable_rate
-    remedy = f"stable from {rate:.4g} Hz on" if rate else "at no higher rate either"
+    remedy = f"stable from {rate:.4g} Hz on" if rate else f"nor is it at higher rates, up to {HIGHEST_RATE:g} Hz"
     raise UnstableError(
         f"scenario {scenario.name} is unstable as sampled at {1 / found.sample_period:g} Hz: "
         f"spectral radius {found.spectral_radius:.4g} at q_l = {_list(found.configuration)} rad; "
@@ -38,7 +55,7 @@ def refuse_unstable(scenario: Scenario, found: SampledCheck) -> None:
 def table(scenario: Scenario, found: SampledCheck) -> str:
     """The figures of a check, one a line."""
     rate = scenario.law.rate()
-    basis = "proven for every configuration" if rate.proven else "minimum over sampled configurations, not proven"
+    basis = _basis(rate, scenario)
     lowest = "none" if found.lowest_stable_rate is None else f"{found.lowest_stable_rate:.4g} Hz"
     rows = {
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
@@ -56,12 +73,22 @@ def table(scenario: Scenario, found: SampledCheck) -> str:
     return "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows.items())
 
 
+def _basis(rate: Rate, scenario: Scenario) -> str:
+    """What a rate rests on."""
+    if not rate.proven:
+        return "in continuous time; minimum over sampled configurations, not proven"
+    if not scenario.plant_is_the_model:
+        return "in continuous time; not proven here, the plant is not the law's model"
+    return "in continuous time, proven for every configuration"
+
+
 def _on_the_reference(scenario: Scenario) -> str:
     """The same figures where the links will be."""
     where = scenario.configurations()
     found = check(scenario.law, scenario.sample_period, configurations=where, plant=scenario.plant)
     return (
-        f"beta {scenario.law.rate(where).beta:.4g} 1/s, spectral radius {found.spectral_radius:.6f}, "
+        f"beta {scenario.law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it), "
+        f"spectral radius {found.spectral_radius:.6f}, "
         f"delay margin {found.delay_margin:.2f} samples"
     )
 

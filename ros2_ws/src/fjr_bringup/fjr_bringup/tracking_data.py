@@ -91,7 +91,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
         joints=joints,
         sample_period=scenario.sample_period,
         beta=rate.beta,
-        beta_is_proven=rate.proven,
+        beta_is_proven=rate.proven and scenario.plant_is_the_model,
         effort_limit=np.full(n, np.inf) if limits is None else limits.effort,
         t=t,
         q_l=position[:, :n],

@@ -38,7 +38,7 @@ def compiled(function: ca.Function) -> ca.Function:
     """
     try:
         return _external(function)
-    except (CompileError, OSError, RuntimeError) as error:
+    except (CompileError, OSError, RuntimeError, ValueError) as error:
         _say_once(str(error))
         return function
 
@@ -64,13 +64,26 @@ def _external(function: ca.Function) -> ca.Function:
 
 
 def _ensure(library: Path, source: str, compiler: tuple[str, ...]) -> None:
-    """Build the library unless it is there, or while this waits another process does."""
-    if library.exists():
+    """Build the library unless it is there whole, or while this waits another process does.
+
+    The lock's file holds the size of the library: one that lost its end must not be loaded, it would end the process.
+    """
+    lock = library.with_suffix(".lock")
+    if _is_whole(library, lock):
         return
-    with library.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not library.exists():
+    with lock.open("a+") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        if not _is_whole(library, lock):
             _build(source, compiler, library)
+            held.truncate(0)
+            held.write(str(library.stat().st_size))
+
+
+def _is_whole(library: Path, lock: Path) -> bool:
+    try:
+        return lock.read_text(encoding="utf-8") == str(library.stat().st_size)
+    except FileNotFoundError:
+        return False
 
 
 def _build(source: str, compiler: tuple[str, ...], library: Path) -> None:

@@ -22,6 +22,13 @@ class _Loader(yaml.SafeLoader):
 
     bool_values = {**yaml.SafeLoader.bool_values, "y": True, "n": False}
 
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        keys = [key.value for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise ParameterError(f"has '{key}' twice in one place; expected it once")
+        return super().construct_mapping(node, deep)
+
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
             raise ParameterError(f"has a YAML alias (*{self.peek_event().anchor}), which ROS 2 does not read")

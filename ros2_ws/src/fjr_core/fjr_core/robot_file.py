@@ -51,7 +51,7 @@ def inlined(values: Mapping[str, object]) -> dict[str, object]:
     urdf = alone.get(URDF)
     if isinstance(urdf, str) and not is_xml(urdf):
         try:
-            alone[URDF] = Path(urdf).read_text(encoding="utf-8")
+            alone[URDF] = Path(urdf).read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as error:
             raise ParameterError(f"parameter '{URDF}': cannot read {urdf} ({error}); expected a URDF") from None
     return alone
@@ -59,7 +59,7 @@ def inlined(values: Mapping[str, object]) -> dict[str, object]:
 
 def is_xml(urdf: str) -> bool:
     """Whether the value of robot.urdf is the text itself, not a path."""
-    return urdf.lstrip().startswith("<")
+    return urdf.lstrip("\ufeff \t\r\n").startswith("<")
 
 
 def resolve(reference: str, folder: Path) -> Path:

@@ -44,6 +44,12 @@ class Scenario:
         """Period of the plant's states [s]."""
         return 1.0 / float(self.plant_values["publish_rate"])  # type: ignore[arg-type]
 
+    @property
+    def plant_is_the_model(self) -> bool:
+        """Whether the plant is the very robot that the controller believes in: what is proven is proven for that."""
+        names = {name for name in (*self.plant_values, *self.controller_values) if name.startswith("robot.")}
+        return all(self.plant_values.get(name) == self.controller_values.get(name) for name in names - {"robot.file"})
+
     @cached_property
     def robot(self) -> Robot:
         """The robot that the controller believes in."""
@@ -75,12 +81,17 @@ class Scenario:
         """The plant's initial state (4n,)."""
         return config.initial_state(self.plant_values, self.plant.robot)
 
-    def configurations(self, k: int = 32) -> Array:
-        """Where the links will be (k + 1, n) [rad]: at the start, and at k instants of the slowest joint's period."""
-        frequencies = np.asarray(self.reference.frequency)
-        slowest = float(min(frequencies[frequencies > 0], default=1.0))
-        t = np.linspace(0.0, 2 * np.pi / slowest, k, endpoint=False)
-        return np.vstack([self.x0[: self.robot.n], self.reference.jets(t)[:, 0]])
+    def configurations(self, k: int = 64) -> Array:
+        """Where the links will be (k + 1, n) [rad]: at the start, and at k points of the reference.
+
+        Joints of one frequency move together; those of different ones sooner or later take every phase to each other.
+        """
+        reference = self.reference
+        frequencies, place = np.unique(np.asarray(reference.frequency), return_inverse=True)
+        turns = _turns(k, len(frequencies)) * (frequencies > 0)
+        angles = 2 * np.pi * turns[:, place] + np.asarray(reference.phase)
+        q_ld = np.asarray(reference.offset) + np.asarray(reference.amplitude) * np.sin(angles)
+        return np.vstack([self.x0[: self.robot.n], q_ld])
 
     def warm_up(self) -> None:
         """Build law and plant step as the nodes will, so that what is compiled is in the cache when they start."""
@@ -91,6 +102,15 @@ class Scenario:
         """The sampled closed loop as the two nodes run it in lock-step, without ROS, for `duration` seconds."""
         inner = self.sample_period / int(self.plant_values["inner_steps"])  # type: ignore[arg-type]
         return simulate(self.plant, self.law, self.reference, self.x0, duration, self.sample_period, inner)
+
+
+def _turns(k: int, m: int) -> Array:
+    """k points (k, m) of the m-dimensional torus, in turns: evenly along the first, by Roberts' sequence in all."""
+    ratio = 2.0
+    for _ in range(64):
+        ratio = (1.0 + ratio) ** (1.0 / m)
+    steps = np.append(1.0 / k, ratio ** -np.arange(1.0, m))
+    return np.asarray(np.outer(np.arange(k), steps) % 1.0)
 
 
 def load_scenario(path: str | Path) -> Scenario:
@@ -117,6 +137,11 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
         checked[node] = parameters.complete(known, given)
         warnings += [f"{node}: {sentence}" for sentence in parameters.unknown(known, given)]
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER], tuple(warnings))
+    joints = [checked[node]["joints"] for node in OWN_PARAMETERS]
+    if joints[0] != joints[1]:
+        raise ParameterError(
+            f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
+        )
     _ = scenario.law, scenario.reference, scenario.plant, scenario.x0  # what cannot be built is said here
     return scenario
 

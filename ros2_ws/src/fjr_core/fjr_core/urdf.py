@@ -121,9 +121,9 @@ def _reduced_model(tree: UrdfTree, joints: Sequence[str], positions: dict[str, f
     """Pinocchio's model with the joints at `positions` locked."""
     try:
         pin = importlib.import_module("pinocchio")
-    except ImportError:
+    except ImportError as error:
         wanted = "expected it for reading a URDF: pip install pin, or ros-jazzy-pinocchio"
-        raise RobotError(f"Pinocchio cannot be imported; {wanted}") from None
+        raise RobotError(f"Pinocchio cannot be imported ({error}); {wanted}") from None
     try:
         model = pin.buildModelFromXML(tree.skeleton)
     except (RuntimeError, ValueError) as error:

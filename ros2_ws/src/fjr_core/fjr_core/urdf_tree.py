@@ -57,10 +57,10 @@ def read_urdf(path_or_xml: str | os.PathLike[str]) -> UrdfTree:
 
 
 def _root(path_or_xml: str | os.PathLike[str]) -> ET.Element:
-    is_text = isinstance(path_or_xml, str) and path_or_xml.lstrip().startswith("<")
+    is_text = isinstance(path_or_xml, str) and path_or_xml.lstrip("\ufeff \t\r\n").startswith("<")
     source = "the URDF text" if is_text else f"URDF {os.fspath(path_or_xml)}"
     try:
-        root = ET.fromstring(str(path_or_xml).strip()) if is_text else ET.parse(path_or_xml).getroot()
+        root = ET.fromstring(str(path_or_xml).lstrip("\ufeff").strip()) if is_text else ET.parse(path_or_xml).getroot()
     except OSError as error:
         raise RobotError(f"{source} cannot be read ({error.strerror}); expected a file or XML text") from None
     except (ET.ParseError, ValueError) as error:
@@ -154,6 +154,8 @@ def _check_inertial(where: str, link: ET.Element) -> None:
     xx, xy, xz, yy, yz, zz = (_number(where, inertial, "inertia", name, "") for name in INERTIA)
     if mass < 0:
         raise RobotError(f"{where} has the mass {mass}; expected 0 or more")
+    if mass == 0 and any((xx, xy, xz, yy, yz, zz)):
+        raise RobotError(f"{where} has the mass 0 and an inertia; expected a mass, or neither")
     smallest, _, largest = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if smallest < -1e-12 * abs(largest):
         raise RobotError(f"{where} has the principal inertia {smallest:.3g}; expected 0 or more")

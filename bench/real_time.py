@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The arm over ROS in real time, as `fjr run` runs it: how well it tracks, and how much is answered in time."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .figures import Figure
+from .start_up import DOMAIN
+
+REPEATS = 3
+BOUND = 2e-4  # rad, after 2 s
+
+
+def tracking() -> list[Figure]:
+    """Medians of some runs of 5 s; the error is the largest of all joints."""
+    reports = [_report() for _ in range(REPEATS)]
+    errors = [report["tracking"]["max_error_after_2s_rad"] for report in reports]
+    in_time = [100 * report["counts"]["answered_in_time_fraction"] for report in reports]
+    parts = {"answered in time [%]": float(np.median(in_time)), "least [%]": min(in_time), "most [rad]": max(errors)}
+    return [
+        Figure("arm7 over ROS, 1 kHz in real time, error", float(np.median(errors)), "rad", bound=BOUND, parts=parts)
+    ]
+
+
+def _report() -> dict[str, Any]:
+    environment = {"ROS_DOMAIN_ID": DOMAIN, **os.environ}
+    with tempfile.TemporaryDirectory() as folder:
+        command = ["fjr", "run", "arm7", "--output", folder]
+        subprocess.run(command, env=environment, check=True, capture_output=True)
+        report: dict[str, Any] = json.loads(Path(folder, "arm7", "report.json").read_text(encoding="utf-8"))
+    return report
