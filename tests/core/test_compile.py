@@ -137,7 +137,12 @@ def test_without_a_compiler_the_virtual_machine_runs_and_it_is_said_once(
 
 @pytest.mark.parametrize(
     ("compiler", "words"),
-    [("false", "false failed"), ("no-such-cc", "no C compiler (no-such-cc)"), ('gcc "', "No closing")],
+    [
+        ("false", "false failed"),
+        ("true", "true wrote no shared object"),
+        ("no-such-cc", "no C compiler (no-such-cc)"),
+        ('gcc "', "No closing"),
+    ],
 )
 def test_a_compiler_that_does_not_work_is_said_once(
     compiler: str, words: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, function: ca.Function

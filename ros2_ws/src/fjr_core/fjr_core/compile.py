@@ -94,6 +94,8 @@ def _build(source: str, compiler: tuple[str, ...], library: Path) -> None:
         code, made = Path(folder, "code.c"), Path(folder, "code.so")
         code.write_text(source, encoding="utf-8")
         _run([*compiler, *OPTIONS, "-o", str(made), str(code), "-lm"])
+        if not made.exists():
+            raise CompileError(f"{compiler[0]} wrote no shared object")
         os.replace(made, library)
 
 
