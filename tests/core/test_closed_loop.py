@@ -203,3 +203,38 @@ def test_a_compiled_run_is_the_same_run(compile: bool, tmp_path: Path, monkeypat
         run, same = (fjr.simulate(*pair, REFERENCE, x0, 0.05, period) for pair in (here, (plant, law)))
         assert run.x == pytest.approx(same.x, rel=1e-9)
         assert run.u == pytest.approx(same.u, rel=1e-9)
+
+
+@pytest.mark.parametrize("sample_period", [1e-3, None])
+def test_the_law_of_another_inertia_gets_the_plants_velocities(sample_period: float | None) -> None:
+    robot, gains, reference = planar_arm()
+    heavy = fjr.planar_two_link(**{**PLANAR, "link_mass": (2.0, 0.5), "motor_inertia": (0.06, 0.03)})
+    law, x0 = fjr.TrackingLaw(robot, gains), heavy.state([0.5, 0.1], [0.5, 0.2], [0.3, -0.2], [0.1, 0.4])
+    run = fjr.simulate(fjr.Plant(heavy), law, reference, x0, 0.1, sample_period)
+    assert np.array_equal(run.x[0], x0)
+    for x, jets, u, storage in zip(run.x[::20], run.jets[::20], run.u[::20], run.V[::20], strict=True):
+        q_l, q_m = x[:2], x[2:4]
+        seen = robot.state(q_l, q_m, *heavy.velocities(x))
+        assert u == pytest.approx(law.effort(seen, seen, jets), rel=1e-9)
+        assert storage == pytest.approx(law.evaluate(seen, seen, jets).V, rel=1e-9)
+
+
+def test_continuous_run_of_a_law_with_another_inertia_agrees_with_an_independent_integrator() -> None:
+    robot, gains, reference = planar_arm()
+    heavy = fjr.planar_two_link(**{**PLANAR, "motor_inertia": (0.06, 0.03)})
+    plant, law, x0 = fjr.Plant(heavy), fjr.TrackingLaw(robot, gains), heavy.state([0.5, 0.1], [0.5, 0.2], 0, 0)
+
+    def field(t: float, x: np.ndarray) -> np.ndarray:
+        seen = robot.state(x[:2], x[2:4], *heavy.velocities(x))
+        return plant.derivative(x, law.effort(seen, seen, reference.jets(t)))
+
+    run = fjr.simulate(plant, law, reference, x0, 0.1)
+    wanted = solve_ivp(field, (0, run.t[-1]), x0, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+    assert run.x[-1] == pytest.approx(wanted, rel=1e-7, abs=1e-9)
+
+
+def test_an_equal_robot_is_the_same_robot_and_a_view_of_it_changes_nothing() -> None:
+    (robot, gains, reference), (twin, _, _) = planar_arm(), planar_arm()
+    law, x0 = fjr.TrackingLaw(robot, gains), robot.state([0.5, 0.1], [0.5, 0.2], 0, 0)
+    runs = [fjr.simulate(fjr.Plant(r), law, reference, x0, 0.1, 1e-3) for r in (robot, twin)]
+    assert np.array_equal(runs[0].x, runs[1].x)

@@ -14,7 +14,7 @@ from scipy.signal import cont2discrete
 from scipy.stats import qmc
 
 import fjr_core as fjr
-from fjr_core.configurations import sample_configurations
+from fjr_core.configurations import loop_configurations, sample_configurations
 from fjr_core.linear_loop import in_error_coordinates, linearize
 from fjr_core.rest import feedback, plant_matrices, rest_points
 from fjr_core.sampled_loop import check, spectral_radius
@@ -199,6 +199,41 @@ def test_another_plant_is_what_the_law_drives() -> None:
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(real.A)), np.sort(expected), rtol=1e-9)
 
 
+MISTAKEN = {
+    "heavy motors": {"motor_inertia": (0.06, 0.03)},
+    "light motors": {"motor_inertia": (0.008, 0.004)},
+    "heavy first link": {"link_mass": (2.4, 0.5)},
+    "load": {"link_mass": (1.2, 3.0), "link_inertia": (0.02, 0.05)},
+}
+
+
+def simulated_radius(law: fjr.TrackingLaw, plant: fjr.Robot, q_l: np.ndarray, period: float, late: float) -> float:
+    """Of the map z(k) -> z(k + 1) of runs that start 1e-6 off rest, z = (x, u one sample ago, u two ago)."""
+    rest, reference, befores, afters = np.hstack([q_l, q_l, 0 * q_l, 0 * q_l]), fjr.Sine(0 * q_l, 1.0, q_l), [], []
+    for off in 1e-6 * np.eye(4 * plant.n):
+        x0 = plant.state(*np.split(rest + off, 4))
+        run = fjr.simulate(fjr.Plant(plant), law, reference, x0, 5 * period, period, 5e-4, late * period)
+        u = np.vstack([np.zeros((2, plant.n)), run.u])
+        z = np.hstack([run.x - rest, u[1:-1], u[:-2]])
+        befores.append(z[:-1])
+        afters.append(z[1:])
+    before, after = np.vstack(befores), np.vstack(afters)
+    size = np.abs(before).max(axis=0)
+    loop = np.linalg.lstsq(before / size, after / size)[0]
+    return float(np.abs(np.linalg.eigvals(loop)).max())
+
+
+@pytest.mark.parametrize("late", [0.0, 1.5])
+@pytest.mark.parametrize("period", [1e-3, 6e-3])
+@pytest.mark.parametrize("name", MISTAKEN)
+def test_radius_of_a_law_with_another_inertia_is_that_of_its_simulation(name: str, period: float, late: float) -> None:
+    """The law sees velocities, and makes momenta by its own inertia. Without weight both robots rest alike."""
+    own, plant = (fjr.planar_two_link(gravity=0.0, **values) for values in ({}, MISTAKEN[name]))
+    law, q_l = fjr.TrackingLaw(own, fjr.Gains(8.0, 20.0, 2.0, 12.0, 40.0, 0.5)), np.array([0.3, 0.7])
+    (radius,) = spectral_radius(law, period, late * period, [q_l], fjr.Plant(plant))
+    assert simulated_radius(law, plant, q_l, period, late) == pytest.approx(radius, rel=1e-4)
+
+
 # The nonlinear loop.
 
 
@@ -294,6 +329,18 @@ def test_table_1_recipe_on_a_stiff_arm_is_unstable_as_sampled_and_in_simulation(
     assert not rest_run(law, np.full(7, 0.4), 1e-3, samples=100)
 
 
+@pytest.mark.parametrize("delay", [0.0, 1.3e-3])
+def test_of_many_configurations_the_worst_decide(delay: float) -> None:
+    """What is picked by the closed form gives the figures of all."""
+    for law in small_laws():
+        q_l = sample_configurations(law.robot, 150)
+        found, radii = check(law, 1e-3, delay, q_l), spectral_radius(law, 1e-3, delay, q_l)
+        assert found.configurations == 150
+        assert found.spectral_radius == pytest.approx(radii.max(), rel=1e-12)
+        inside, outside = ((found.delay_margin + side) * 1e-3 for side in (-0.025, 0.025))
+        assert spectral_radius(law, 1e-3, inside, q_l).max() < 1 <= spectral_radius(law, 1e-3, outside, q_l).max()
+
+
 # Configurations and bad input.
 
 
@@ -316,6 +363,18 @@ def test_configurations_fill_the_limits_and_begin_with_zero() -> None:
     assert np.all(q_l <= upper)
     np.testing.assert_allclose(q_l[1:].min(axis=0), [-2, -np.pi, 4], atol=0.05)
     np.testing.assert_allclose(q_l[1:].max(axis=0), [-0.5, np.pi, 4 + np.pi], atol=0.05)
+
+
+def test_configurations_of_loops_are_those_of_rates_and_as_many_with_axes_in_line() -> None:
+    infinite = np.full(3, np.inf)
+    limits = fjr.JointLimits(np.array([-2.0, -1.0, 4.0]), np.array([-0.5, 2.0, 5.0]), infinite, infinite)
+    arm = Limited(3, limits)
+    q_l = loop_configurations(arm)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(q_l[:512], sample_configurations(arm, 512))  # type: ignore[arg-type]
+    assert np.all((q_l >= limits.lower) & (q_l <= limits.upper))
+    at_zero = q_l[512:] == [-0.5, 0.0, 4.0]
+    assert len(np.unique(at_zero, axis=0)) == 8
+    np.testing.assert_allclose(at_zero.mean(axis=0), 0.5, atol=0.1)
 
 
 def test_configurations_without_limits_are_the_halton_sequence_and_nested() -> None:

@@ -12,6 +12,7 @@ from chains import arm7
 from test_sampled_loop import chain3, rest_run
 
 import fjr_core as fjr
+from fjr_core.linear_loop import closed_form
 from fjr_core.sampled_loop import check, spectral_radius
 from fjr_core.synthesis import synthesize
 
@@ -39,6 +40,18 @@ def workspace(k: int = 40) -> np.ndarray:
     return HOME + np.random.default_rng(0).uniform(-0.4, 0.4, (k, 7))
 
 
+def elsewhere(arm: fjr.Robot, k: int = 1500) -> np.ndarray:
+    """Random configurations that neither check nor synthesis looks at, a half of them with axes in line."""
+    rng, limits = np.random.default_rng(11), arm.limits
+    lower, upper = (limits.lower, limits.upper) if limits else (-np.pi, np.pi)
+    q_l = rng.uniform(lower, upper, (k, arm.n))
+    q_l[k // 2 :] *= rng.random((k - k // 2, arm.n)) < 0.5
+    return q_l
+
+
+BETWEEN = 3e-3  # by which a radius between the looked-at configurations may be larger
+
+
 @pytest.mark.parametrize(
     ("name", "beta", "period", "delay"),
     [
@@ -48,7 +61,7 @@ def workspace(k: int = 40) -> np.ndarray:
         ("planar", 5.0, 1e-3, 1e-3),
         ("full", 5.0, 2e-3, 0.0),
         ("chain", 3.0, 1e-3, 0.5e-3),
-        ("arm7", 2.0, 1e-3, 0.0),
+        ("arm7", 3.0, 1e-3, 0.0),
     ],
 )
 def test_synthesised_gains_have_the_rate_and_half_a_sample_of_margin(
@@ -60,6 +73,25 @@ def test_synthesised_gains_have_the_rate_and_half_a_sample_of_margin(
     assert found.stable
     assert found.spectral_radius <= np.exp(-beta * period / 2)
     assert found.delay_margin >= delay / period + 0.5
+    loop = closed_form(law, elsewhere(law.robot), fjr.Plant(law.robot))
+    for late in (0.0, 0.2, 0.4, 0.5):
+        assert loop.radii(period, delay + late * period).max() <= np.exp(-beta * period / 2) + BETWEEN
+    assert law.rate(elsewhere(law.robot)).beta >= 0.9 * beta
+
+
+@pytest.mark.parametrize("name", ["planar", "full", "chain", "arm7"])
+def test_margins_hold_where_the_check_has_not_looked(name: str) -> None:
+    """Gains for one place, judged everywhere: the figures are those of a larger, different set."""
+    arm, q_l = robot(name), workspace() if name == "arm7" else np.zeros((1, robot(name).n))
+    law = fjr.TrackingLaw(arm, synthesize(arm, 6.0, 1e-3, configurations=q_l))
+    found, loop = check(law, 1e-3), closed_form(law, elsewhere(arm), fjr.Plant(arm))
+    assert found.configurations >= 1000
+    assert found.lowest_stable_rate is not None
+    assert loop.radii(1e-3).max() == pytest.approx(found.spectral_radius, abs=BETWEEN)
+    assert loop.radii(1e-3, 0.93 * found.delay_margin * 1e-3).max() < 1
+    assert loop.radii(1 / (1.05 * found.lowest_stable_rate)).max() < 1
+    assert loop.radii(1e-3, 1.1 * found.delay_margin * 1e-3).max() > 1
+    assert loop.radii(1 / (0.95 * found.lowest_stable_rate)).max() > 1
 
 
 def test_gains_for_where_the_robot_moves_reach_a_higher_rate() -> None:
@@ -109,6 +141,14 @@ def test_what_is_said_to_be_within_reach_is() -> None:
 def test_hopeless_loops_are_named() -> None:
     with pytest.raises(fjr.GainsError, match="nor is any down to"):
         synthesize(robot("chain"), 1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("beta", [1e300, 1e160, 1e7])
+def test_absurd_rates_are_out_of_reach(beta: float) -> None:
+    with pytest.raises(fjr.GainsError, match=r"out of reach at 1000 Hz .* expected at most [\d.]+ 1/s") as caught:
+        synthesize(robot("planar"), beta, 1e-3)
+    (reached,) = (float(number) for number in re.findall(r"at most ([\d.]+) 1/s", str(caught.value)))
+    assert synthesize(robot("planar"), 0.99 * reached, 1e-3)
 
 
 @pytest.mark.parametrize("beta", [0.0, -1.0, float("nan"), float("inf")])

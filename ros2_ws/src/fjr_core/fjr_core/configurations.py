@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one set of sampled configurations: where rates, gains and sampled loops are looked at when none are given."""
+"""The sampled configurations: where rates, gains and sampled loops are looked at when none are given."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .errors import StateError
 from .robot import Robot
 
 RATE_CONFIGURATIONS = 512  # for rates, which cost little
-LOOP_CONFIGURATIONS = 32  # for sampled loops; the first of the same
+ALIGNED_CONFIGURATIONS = 512  # as many again for sampled loops, with axes in line
 
 
 def sample_configurations(robot: Robot, k: int) -> Array:
@@ -26,10 +26,22 @@ def sample_configurations(robot: Robot, k: int) -> Array:
     return np.vstack([np.clip(0.0, lower, upper), lower + (upper - lower) * halton])
 
 
-def checked_configurations(robot: Robot, configurations: ArrayLike | None, k: int) -> Array:
-    """The given configurations as (k, n), or the sampled set of size k; raises StateError for a wrong shape."""
+def loop_configurations(robot: Robot) -> Array:
+    """Where a sampled loop is looked at (1024, n) [rad]: the sampled set of rates, and as many with axes in line.
+
+    Axes come into line where joints are at zero, and there links are lightest: in the second half each point of the
+    sequence has a random half of its joints put to zero (or what the limits leave nearest to it).
+    """
+    spread = sample_configurations(robot, RATE_CONFIGURATIONS + ALIGNED_CONFIGURATIONS)
+    in_line = np.random.default_rng(0).random((ALIGNED_CONFIGURATIONS, robot.n)) < 0.5
+    aligned = np.where(in_line, spread[0], spread[RATE_CONFIGURATIONS:])
+    return np.vstack([spread[:RATE_CONFIGURATIONS], aligned])
+
+
+def checked_configurations(robot: Robot, configurations: ArrayLike | None, k: int | None = None) -> Array:
+    """The given configurations as (k, n), or the sampled set of size k (None: of loops); StateError: wrong shape."""
     if configurations is None:
-        return sample_configurations(robot, k)
+        return sample_configurations(robot, k) if k else loop_configurations(robot)
     samples = checks.finite("configurations", configurations, StateError)
     if samples.ndim != 2 or samples.shape[1] != robot.n or not len(samples):
         raise StateError(f"configurations has shape {samples.shape}; expected (k, {robot.n}) with k at least 1")

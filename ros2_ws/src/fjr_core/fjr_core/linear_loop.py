@@ -4,21 +4,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import Array
-from .configurations import LOOP_CONFIGURATIONS, checked_configurations
+from .configurations import checked_configurations
 from .errors import StateError
 from .gains import CheckedGains
 from .plant import Plant
 from .reference import JETS
-from .rest import RestPoints, error_matrices, metric_roots, rest_points
+from .rest import Indices, RestPoints, error_matrices, feedback, metric_roots, plant_matrices, rest_points
 from .symbolic import directional
 from .vdpbc.law import TrackingLaw
 
+SCREENED = (0.0, 1.0)  # samples of delay beyond the given one at which the worst configurations are picked
 SERIES = 16  # terms: 0.5^16 / 16! = 7e-19
 
 
@@ -34,6 +36,12 @@ class SampledLoop:
     A: Array
     B: Array
     F: Array
+
+    def critical(self, sample_period: float, delay: float, most: int) -> Indices:
+        """Indices: 0, and those of the `most` largest radii at the delay [s] and one sample more."""
+        delays = (delay + samples * sample_period for samples in SCREENED)
+        worst = [np.argsort(-self.radii(sample_period, late), kind="stable")[:most] for late in delays]
+        return np.unique(np.concatenate([[0], *worst]))
 
     def radii(self, sample_period: float, delay: float = 0.0) -> Array:
         """Spectral radii (k,) of the loop sampled every sample_period [s] and delayed by `delay` [s].
@@ -75,14 +83,38 @@ def linearize(law: TrackingLaw, configurations: ArrayLike | None = None, plant: 
     """The law on its own robot (or on another plant) about rest at configurations (k, n) [rad].
 
     The plant rests with its links at the configuration and the reference is there too; for another plant this
-    leaves out that it would settle beside the reference. Raises StateError for shapes that do not fit.
+    leaves out that it would settle beside the reference. z is in the law's momenta, which are made from the
+    plant's velocities. Raises StateError for shapes that do not fit.
     """
     plant = plant or Plant(law.robot)
     if plant.robot.n != law.robot.n:
         raise StateError(f"plant and law have {plant.robot.n} and {law.robot.n} joints; expected equal")
-    q_l = checked_configurations(law.robot, configurations, LOOP_CONFIGURATIONS)
+    q_l = checked_configurations(law.robot, configurations)
     own, real = rest_points(law.robot, q_l), rest_points(plant.robot, q_l)
-    return in_error_coordinates(own, law.gains, *_jacobians(law, plant, real))
+    A, B, F = _jacobians(law, plant, real)
+    return in_error_coordinates(own, law.gains, *in_momenta_of(own, real, A, B), F)
+
+
+def closed_form(law: TrackingLaw, configurations: Array, plant: Plant) -> SampledLoop:
+    """What linearize gives, at a fraction of its cost, when the law's robot and the plant's are alike.
+
+    Else only near it: the law's slope is that where its own robot would rest, not the plant.
+    """
+    own = rest_points(law.robot, configurations)
+    real = own if plant.robot is law.robot else rest_points(plant.robot, configurations)
+    A, B = in_momenta_of(own, real, *plant_matrices(real))
+    return in_error_coordinates(own, law.gains, A, B, feedback(own, law.gains))
+
+
+def in_momenta_of(own: RestPoints, real: RestPoints, A: Array, B: Array) -> tuple[Array, Array]:
+    """A and B of a plant at rest in the momenta that its velocities make with the inertia of another robot."""
+    T = own.blocks(
+        [np.eye(own.robot.n), 0, 0, 0],
+        [0, np.eye(own.robot.n), 0, 0],
+        [0, 0, own.M_l @ np.linalg.inv(real.M_l), 0],
+        [0, 0, 0, own.robot.M_m @ np.linalg.inv(real.robot.M_m)],
+    )
+    return T @ A @ np.linalg.inv(T), T @ B
 
 
 def in_error_coordinates(rest: RestPoints, gains: CheckedGains, A: Array, B: Array, F: Array) -> SampledLoop:
@@ -103,6 +135,7 @@ def _jacobians(law: TrackingLaw, plant: Plant, rest: RestPoints) -> tuple[Array,
     return A, B, np.array(F)
 
 
+@lru_cache(maxsize=2)
 def _plant_slope(plant: Plant) -> ca.Function:
     """(x, u, d_x, d_u) -> derivative of the plant's dx in the direction (d_x, d_u)."""
     n = plant.robot.n
@@ -111,6 +144,7 @@ def _plant_slope(plant: Plant) -> ca.Function:
     return ca.Function("plant_slope", [x, u, d_x, d_u], [ca.densify(slope)])
 
 
+@lru_cache(maxsize=2)
 def _law_slope(law: TrackingLaw) -> ca.Function:
     """(x, q_ld, d_x) -> derivative of u(x, x, t) in the direction d_x, the reference at rest in q_ld."""
     n = law.robot.n

@@ -13,11 +13,13 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .checks import Array
 from .gains import CheckedGains
 from .robot import Robot
+
+Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,10 @@ class RestPoints:
         """The states at rest (k, 4n): the springs carry the weight."""
         q_m = self.q_l + self.weights @ np.linalg.inv(self.robot.K).T
         return np.hstack([self.q_l, q_m, np.zeros_like(q_m), np.zeros_like(q_m)])
+
+    def at(self, indices: Indices) -> RestPoints:
+        """Some of them."""
+        return RestPoints(self.robot, self.q_l[indices], self.M_l[indices], self.N_l[indices])
 
     def blocks(self, *rows: Sequence[ArrayLike]) -> Array:
         """A stack (k, rows n, columns n) from blocks (n, n) or (k, n, n); 0 is a zero block."""

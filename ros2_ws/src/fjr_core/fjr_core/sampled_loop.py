@@ -9,18 +9,25 @@ of dq_l, small beside K_d / M and the elastic modes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import Array
+from .configurations import checked_configurations
 from .errors import StateError
-from .linear_loop import SampledLoop, linearize
+from .linear_loop import SampledLoop, closed_form, linearize
 from .plant import Plant
+from .rest import Indices
 from .vdpbc.law import TrackingLaw
 
+FEW = 48  # configurations of which all are looked at closely
+KEPT = 16  # configurations of the largest radius at each screened delay: there margins are searched for
 LONGEST_DELAY = 20.0  # samples; no margin above is reported
+WITHIN = 0.02  # samples within the delay margin, and part above the lowest rate, where all are looked at again
+MOST_STATES = 64  # of plant and waiting efforts: the longest delay at which all are looked at
+ROUNDS = 8  # of looks at all
 HIGHEST_RATE = 1e5  # Hz; no rate above is looked at
 LOWEST_RATE = 1.0  # Hz
 MOST_SAMPLES_OF_DELAY = 10  # a rate that makes more of them of the given delay is not looked at either
@@ -69,23 +76,57 @@ def check(
 ) -> SampledCheck:
     """Judge the law sampled every sample_period [s] with a loop delay [s]; see SampledCheck and this module.
 
-    configurations (k, n) [rad]: 32 sampled ones when none are given. plant: what the law really drives, when its
-    robot differs. Raises StateError for times that are not positive (delay: negative) or shapes that do not fit.
+    configurations (k, n) [rad]: 1024 sampled ones when none are given. Of more than 48 the closed form picks the
+    worst, margins are searched for on these, and all are looked at again just within the margins (for delays that
+    make at most MOST_STATES states). plant: what the law really drives, when its robot differs.
+    Raises StateError for times that are not positive (delay: negative) or shapes that do not fit.
     """
     checked_times(sample_period, delay)
-    loop = linearize(law, configurations, plant)
+    q_l, plant = checked_configurations(law.robot, configurations), plant or Plant(law.robot)
+    if len(q_l) <= FEW or plant.robot.n != law.robot.n:
+        return _judged(linearize(law, q_l, plant), sample_period, delay)
+    everywhere = closed_form(law, q_l, plant)
+    few = everywhere.critical(sample_period, delay, KEPT)
+    for _ in range(ROUNDS):
+        found = _judged(linearize(law, q_l[few], plant), sample_period, delay)
+        missed = np.setdiff1d(_unstable(everywhere, found), few)
+        if not len(missed):
+            break
+        few = np.append(few, missed)
+    return replace(found, configurations=len(q_l))
+
+
+def _judged(loop: SampledLoop, sample_period: float, delay: float) -> SampledCheck:
     radii = loop.radii(sample_period, delay)
     worst = int(np.argmax(radii))
+    stable = bool(radii[worst] < 1)
     return SampledCheck(
-        stable=bool(radii[worst] < 1),
+        stable=stable,
         spectral_radius=float(radii[worst]),
         configuration=loop.configurations[worst],
-        delay_margin=_delay_margin(loop, sample_period, delay, bool(radii[worst] < 1)),
-        lowest_stable_rate=_lowest_stable_rate(loop, 1 / sample_period, delay, bool(radii[worst] < 1)),
+        delay_margin=_delay_margin(loop, sample_period, delay, stable),
+        lowest_stable_rate=_lowest_stable_rate(loop, 1 / sample_period, delay, stable),
         sample_period=sample_period,
         delay=delay,
         configurations=len(loop.configurations),
     )
+
+
+def _unstable(everywhere: SampledLoop, found: SampledCheck) -> Indices:
+    """The worst of those that are unstable just within the margins that were found."""
+    T, (_, n, states) = found.sample_period, everywhere.F.shape
+    late = min(found.delay_margin - WITHIN, (MOST_STATES - states) // n)
+    loops = [(T, late * T)] if late > 0 else []
+    if found.lowest_stable_rate is not None:
+        loops.append((1 / (found.lowest_stable_rate * (1 + WITHIN)), found.delay))
+    worst = [_largest(everywhere.radii(*times)) for times in loops]
+    return np.unique(np.concatenate([np.arange(0), *worst]))
+
+
+def _largest(radii: Array) -> Indices:
+    """Indices of the largest that are not below 1."""
+    worst = np.argsort(-radii, kind="stable")[:KEPT]
+    return worst[radii[worst] >= 1]
 
 
 def _delay_margin(loop: SampledLoop, T: float, delay: float, stable: bool) -> float:

@@ -3,19 +3,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import checks
+from . import checks, symbolic
 from .checks import Array
 from .errors import StateError
 from .integrators import rk4_expression
-from .numeric import NumericFunction, bind, not_converged
+from .numeric import NumericFunction, bind, dense_function, not_converged
 from .plant import Plant
 from .reference import JETS, Reference
+from .robot import Robot
 from .vdpbc.law import TrackingLaw
 
 CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
@@ -50,8 +52,9 @@ def simulate(
     multiples of the sample period (of inner_step in continuous time) up to the duration.
     delay [s]: the effort for the state at t acts from t + delay on, none before the first; Trajectory.u is
     what the law said at t. Only for a sampled loop.
-    The plant's robot and the law's may differ (model mismatch). Raises StateError for shapes or numbers
-    that do not fit, and when the loop diverges to non-finite numbers.
+    The plant's robot and the law's may differ (model mismatch): the law then gets the plant's positions and
+    velocities, with momenta by its own inertia, and V is its own; Trajectory.x is the plant's state.
+    Raises StateError for shapes or numbers that do not fit, and when the loop diverges to non-finite numbers.
     """
     x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
     n = {plant.robot.n, law.robot.n, reference.n}
@@ -104,7 +107,8 @@ def _sampled(plant: Plant, law: TrackingLaw, x0: Array, t: Array, jets: Array, s
     run = _empty_trajectory(law, t, jets)
     x, u, now = x0.copy(), np.zeros(law.robot.n), np.zeros(jets.shape[1:])
     x_next, V, command = np.zeros_like(x), np.zeros(1), law.command_function
-    evaluate = bind(command, [x, now], [u, V])
+    seen, look = _bound_view(law_view(plant.robot, law.robot), x)
+    evaluate = bind(command, [seen, now], [u, V])
     held = [np.zeros(law.robot.n) for _ in segments]
     steps = [
         bind(plant.step_function, [x, effort, np.array([segment.dt])], [x_next])
@@ -114,6 +118,7 @@ def _sampled(plant: Plant, law: TrackingLaw, x0: Array, t: Array, jets: Array, s
         if not x.dot(x) < np.inf:
             raise _diverged(t[k])
         now[...] = jets[k]
+        look()
         evaluate()
         run.x[k], run.u[k], run.V[k] = x, u, V[0]
         if k + 1 == len(t):
@@ -139,8 +144,12 @@ def _continuous(plant: Plant, law: TrackingLaw, reference: Reference, x0: Array,
         run.x[k + 1] = step(run.x[k], *stages, dt)[0]
         if not np.isfinite(run.x[k + 1]).all():
             raise _diverged(t[k + 1])
-    for k, (x, jets) in enumerate(zip(run.x, run.jets, strict=True)):
-        run.u[k], run.V[k] = law.command_and_storage(x, jets)
+    x = np.zeros_like(x0)
+    seen, look = _bound_view(law_view(plant.robot, law.robot), x)
+    for k, jets in enumerate(run.jets):
+        x[...] = run.x[k]
+        look()
+        run.u[k], run.V[k] = law.command_and_storage(seen, jets)
     return run
 
 
@@ -149,13 +158,41 @@ def _closed_loop_step(plant: Plant, law: TrackingLaw) -> NumericFunction:
     n = plant.robot.n
     x, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("dt")
     start, middle, end = (ca.MX.sym(name, n, JETS) for name in ("start", "middle", "end"))
+    view = law_view(plant.robot, law.robot)
 
     def f(x: ca.MX, jets: ca.MX) -> ca.MX:
-        return plant.dynamics(x, law.command_function(x, jets)[0])
+        return plant.dynamics(x, law.command_function(view(x) if view else x, jets)[0])
 
     x_next = rk4_expression(f, x, (start, middle, end), dt)
     function = ca.Function("closed_loop_step", [x, start, middle, end, dt], [x_next])
     return NumericFunction(function, ((4 * n,), (JETS, n), (JETS, n), (JETS, n), ()))
+
+
+def law_view(plant: Robot, law: Robot) -> ca.Function | None:
+    """x of the plant -> x of the law: the same velocities, momenta by the law's inertia; None: it is the same x."""
+    if _same_inertia(plant, law):
+        return None
+    x = ca.SX.sym("x", 4 * plant.n)
+    q_l, q_m, _, _ = symbolic.blocks(x, plant.n)
+    dq_l, dq_m = plant.velocity_expressions(x)
+    seen = ca.vertcat(q_l, q_m, law.links.M_l(q_l) @ dq_l, law.M_m @ dq_m)
+    return dense_function("law_view", {"x": x}, {"seen": seen}, cse=True)
+
+
+def _same_inertia(one: Robot, other: Robot) -> bool:
+    """Whether M_m and the expression of M_l are the same; equal functions written otherwise do not count."""
+    if one is other:
+        return True
+    M_l = [robot.links.M_l for robot in (one, other)]
+    return np.array_equal(one.M_m, other.M_m) and M_l[0].serialize() == M_l[1].serialize()
+
+
+def _bound_view(view: ca.Function | None, x: Array) -> tuple[Array, Callable[[], None]]:
+    """The array with the law's state, and what fills it from the plant's state in x."""
+    if view is None:
+        return x, lambda: None
+    seen = np.zeros_like(x)
+    return seen, bind(view, [x], [seen])
 
 
 def _diverged(t: float) -> StateError:
