@@ -10,14 +10,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import checks, symbolic
+from . import checks
 from .checks import Array
 from .errors import StateError
 from .integrators import rk4_expression
-from .numeric import NumericFunction, bind, dense_function, not_converged
+from .measured import law_view
+from .numeric import NumericFunction, bind, not_converged
 from .plant import Plant
 from .reference import JETS, Reference
-from .robot import Robot
 from .vdpbc.law import TrackingLaw
 
 CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
@@ -166,25 +166,6 @@ def _closed_loop_step(plant: Plant, law: TrackingLaw) -> NumericFunction:
     x_next = rk4_expression(f, x, (start, middle, end), dt)
     function = ca.Function("closed_loop_step", [x, start, middle, end, dt], [x_next])
     return NumericFunction(function, ((4 * n,), (JETS, n), (JETS, n), (JETS, n), ()))
-
-
-def law_view(plant: Robot, law: Robot) -> ca.Function | None:
-    """x of the plant -> x of the law: the same velocities, momenta by the law's inertia; None: it is the same x."""
-    if _same_inertia(plant, law):
-        return None
-    x = ca.SX.sym("x", 4 * plant.n)
-    q_l, q_m, _, _ = symbolic.blocks(x, plant.n)
-    dq_l, dq_m = plant.velocity_expressions(x)
-    seen = ca.vertcat(q_l, q_m, law.links.M_l(q_l) @ dq_l, law.M_m @ dq_m)
-    return dense_function("law_view", {"x": x}, {"seen": seen}, cse=True)
-
-
-def _same_inertia(one: Robot, other: Robot) -> bool:
-    """Whether M_m and the expression of M_l are the same; equal functions written otherwise do not count."""
-    if one is other:
-        return True
-    M_l = [robot.links.M_l for robot in (one, other)]
-    return np.array_equal(one.M_m, other.M_m) and M_l[0].serialize() == M_l[1].serialize()
 
 
 def _bound_view(view: ca.Function | None, x: Array) -> tuple[Array, Callable[[], None]]:
