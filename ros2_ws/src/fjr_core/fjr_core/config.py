@@ -12,11 +12,15 @@ import numpy as np
 
 from .checks import Array
 from .gains import PAPER_GAINS, Gains
+from .imperfection_parameters import imperfection_parameters
 from .integrators import INTEGRATORS
+from .measurement_parameters import measurement_parameters
 from .parameters import Parameter, Values, matrix, named, vector
-from .reference import Sine
+from .process_parameters import process_parameters
+from .reference_parameters import reference, reference_parameters
 from .robot import Robot
 from .robot_parameters import joints_of, robot, robot_parameters
+from .safety_parameters import safety_parameters
 
 __all__ = [
     "all_parameters",
@@ -28,15 +32,6 @@ __all__ = [
     "reference",
     "robot",
 ]
-
-REALTIME_PRIORITY = Parameter(
-    "realtime_priority",
-    0,
-    "SCHED_FIFO priority of the node's process where the system allows it; 0: ordinary scheduling",
-    minimum=0,
-    maximum=98,
-)
-COMPILE = Parameter("compile", True, "Run law and plant as compiled C where a C compiler is found")
 
 _GAIN_CONSTRAINTS = {
     "Lambda_l": "condition (32): Pi_l Lambda_l + Lambda_l' Pi_l positive definite",
@@ -70,8 +65,8 @@ def plant_parameters(n: int) -> list[Parameter]:
         Parameter("command_timeout", 0.1, "Zero effort when commands stop for longer", "s", minimum=1e-3, maximum=1e3),
         Parameter("lockstep", False, "Advance one sample per stamped /joint_commands instead of with the clock"),
         Parameter("start_paused", False, "Publish nothing until ~/pause is called with false"),
-        COMPILE,
-        REALTIME_PRIORITY,
+        *imperfection_parameters(n),
+        *process_parameters(),
     ]
 
 
@@ -84,16 +79,15 @@ def controller_parameters(n: int) -> list[Parameter]:
             f"{text}, n entries or n*n by rows",
             unit,
             constraint=_GAIN_CONSTRAINTS.get(name, "symmetric positive definite"),
+            dynamic=True,
         )
         for name, (unit, text) in _GAIN_WORDS.items()
     ]
     return [
         *gains,
-        Parameter("reference.type", "sine", "Kind of reference", choices=("sine",)),
-        Parameter("reference.amplitude", (1.0,) * n, "Amplitude of the sine", "rad"),
-        Parameter("reference.frequency", (1.0,) * n, "Angular frequency of the sine", "rad/s", minimum=0.0),
-        Parameter("reference.offset", (0.0,) * n, "Offset of the sine", "rad"),
-        Parameter("reference.phase", (0.0,) * n, "Phase of the sine", "rad"),
+        *reference_parameters(n),
+        *measurement_parameters(n),
+        *safety_parameters(n),
         Parameter(
             "state_timeout",
             0.5,
@@ -102,8 +96,7 @@ def controller_parameters(n: int) -> list[Parameter]:
             minimum=0.0,
             maximum=1e3,
         ),
-        COMPILE,
-        REALTIME_PRIORITY,
+        *process_parameters(),
     ]
 
 
@@ -122,11 +115,6 @@ def gain_values(gains: Gains, n: int) -> dict[str, list[float]]:
         if np.any(array):
             values[f"gains.{name}"] = [float(v) for v in (np.diag(array) if diagonal else array.ravel())]
     return values
-
-
-def reference(values: Values, n: int) -> Sine:
-    """The reference of the values for n joints; raises ParameterError."""
-    return Sine(*(vector(values, f"reference.{name}", n) for name in ("amplitude", "frequency", "offset", "phase")))
 
 
 def initial_state(values: Values, robot: Robot) -> Array:

@@ -34,6 +34,10 @@ class Parameter:
     """What else must hold, in words; checked where the values meet."""
     required: bool = False
     """Whether it must be given; `default` tells the type only."""
+    dynamic: bool = False
+    """Whether it may change while the node runs."""
+    infinite: bool = False
+    """Whether entries may be infinite, which means "no limit given"."""
 
     def standard(self) -> Value:
         """The default, or ParameterError where there is none."""
@@ -71,7 +75,7 @@ class Parameter:
         return value  # type: ignore[return-value]
 
     def _check_range(self, value: float) -> None:
-        if not math.isfinite(value):
+        if not math.isfinite(value) and not (self.infinite and math.isinf(value)):
             raise ParameterError(f"parameter '{self.name}' holds {value}; expected a finite number")
         if not self.minimum <= value <= self.maximum:
             unit = f" {self.unit}" if self.unit else ""

@@ -12,8 +12,18 @@ JOINT_COMMANDS = "joint_commands"
 REFERENCE = "~/reference"
 TRACKING_ERROR = "~/tracking_error"
 DIAGNOSTICS = "diagnostics"
+EVENTS = "~/events"
+JOINT_TRAJECTORY = "~/joint_trajectory"
+FOLLOW_JOINT_TRAJECTORY = "~/follow_joint_trajectory"
+HOLD = "~/hold"
+PLAY = "~/play"
+RESUME = "~/resume"
+
+CLOCK = "/clock"
+EXTERNAL_TORQUE = "~/external_torque"
 RESET = "~/reset"
 PAUSE = "~/pause"
+ADVANCE = "~/advance"
 
 LATEST = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
