@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType, SetParametersResult
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 
-from fjr_core import ParameterError, config, robot_file
+from fjr_core import FjrError, ParameterError, config, robot_file
 from fjr_core.parameters import Parameter, Value, complete, unknown
 
 _FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
@@ -25,23 +27,39 @@ _TYPES = {
 _LIST_TYPES = {float: ParameterType.PARAMETER_DOUBLE_ARRAY, str: ParameterType.PARAMETER_STRING_ARRAY}
 
 
-class ParameterNode(Node):
-    """A node whose parameters are a table of fjr_core.config; `values` holds them, checked.
+class CheckedParameters(Node):
+    """Mixin of a node whose parameters are a table of fjr_core.config; `values` holds them, checked.
 
     Given values win over those of the robot file that they name, and these over defaults; paths of files are
-    relative to the current directory.
-    Raises ParameterError for a value that does not fit. Every parameter is read-only: none changes while
-    the node runs. A name that no parameter has is reported and ignored.
+    relative to the current directory. A name that no parameter has is reported and ignored.
+    While the node runs, dynamic parameters change all together or not at all (`changed`); the others do not
+    change, except in a managed node that is unconfigured (`is_open`), which reads all again by `recheck`.
+    Raises ParameterError for a value that does not fit, unless the node `may_wait` for a better one.
     """
+
+    values: dict[str, Any]
+    fault: ParameterError | None = None
+    """Why the parameters do not fit, of a node that waits for better ones."""
 
     def __init__(self, name: str, own: Callable[[int], Sequence[Parameter]], **node_kwargs: Any) -> None:
         """own: config.plant_parameters or config.controller_parameters; node_kwargs: as rclpy's Node."""
         try:
-            super().__init__(name, automatically_declare_parameters_from_overrides=True, **node_kwargs)
+            super().__init__(
+                name,
+                automatically_declare_parameters_from_overrides=True,
+                allow_undeclared_parameters=True,
+                **node_kwargs,
+            )
         except ValueError as error:  # rclpy cannot declare a list without entries
             raise ParameterError(f"a parameter is an empty list; expected at least one entry ({error})") from None
+        self._own = own
+        own_names = (name for name in self.get_parameters_by_prefix("") if not name.startswith(_FOREIGN))
+        self._given: dict[str, Any] = {name: self.get_parameter(name).value for name in own_names}
+        self._declaring = False
+        self.values = {}
         try:
-            self.values: dict[str, Any] = self._checked_values(own)
+            self._read()
+            self.add_on_set_parameters_callback(self._on_set)
             self.build()
         except Exception:
             self.destroy_node()  # a node that cannot be built leaves the graph at once
@@ -50,29 +68,111 @@ class ParameterNode(Node):
     def build(self) -> None:
         """Make publishers, subscriptions and the rest from the checked values; raises FjrError."""
 
-    def _checked_values(self, own: Callable[[int], Sequence[Parameter]]) -> dict[str, Any]:
-        own_names = (name for name in self.get_parameters_by_prefix("") if not name.startswith(_FOREIGN))
-        overrides = {name: self.get_parameter(name).value for name in own_names}
-        given = robot_file.merged(overrides, self.get_name(), Path.cwd())
-        parameters = config.all_parameters(own, given)
+    def may_wait(self) -> bool:
+        """Whether the node lives on with parameters that do not fit, until they are mended."""
+        return False
+
+    def is_open(self) -> bool:
+        """Whether every parameter may change now, to be checked later by `recheck`."""
+        return False
+
+    def changed(self, values: dict[str, Any], names: set[str]) -> None:
+        """Take over the complete new values, of which `names` were set; an FjrError refuses them all."""
+
+    def given(self, name: str, default: Any) -> Any:
+        """A parameter as it was given, unchecked."""
+        return self._given.get(name, default)
+
+    def recheck(self) -> None:
+        """Read all parameters again, with what was set since; raises ParameterError and keeps the old values."""
+        self.values = self._checked_values()
+        self.fault = None
+
+    def _read(self) -> None:
+        try:
+            self.values = self._checked_values()
+        except ParameterError as error:
+            if not self.may_wait():
+                raise
+            self.fault = error
+            self._declare_bare()
+
+    def _checked_values(self) -> dict[str, Any]:
+        given = robot_file.merged(self._given, self.get_name(), Path.cwd())
+        parameters = config.all_parameters(self._own, given)
         for sentence in unknown(parameters, given):
             self.get_logger().warning(sentence)
         values = dict(complete(parameters, given))
-        for parameter in parameters:
-            self._declare(parameter, values[parameter.name], parameter.name in overrides)
+        self._parameters_by_name = {parameter.name: parameter for parameter in parameters}
+        self._declaring = True
+        try:
+            for parameter in parameters:
+                self._declare(parameter, values[parameter.name])
+        finally:
+            self._declaring = False
         return values
 
-    def _declare(self, parameter: Parameter, value: Value, overridden: bool) -> None:
-        """Declare a parameter with its descriptor, in place of the bare one that rclpy made for an override."""
-        if overridden:
+    def _declare(self, parameter: Parameter, value: Value) -> None:
+        """Declare a parameter with its descriptor, in place of an earlier or a bare one."""
+        if self.has_parameter(parameter.name):
             self.undeclare_parameter(parameter.name)
         listed = list(value) if isinstance(value, tuple) else value
-        self.declare_parameter(parameter.name, listed, descriptor(parameter), ignore_override=True)
+        read_only = not parameter.dynamic and not self._managed
+        self.declare_parameter(parameter.name, listed, descriptor(parameter, read_only), ignore_override=True)
+
+    def _declare_bare(self) -> None:
+        """Declare what was given as it is, so that a value of any type can take its place."""
+        for name, value in self._given.items():
+            self.undeclare_parameter(name)
+            self.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True), ignore_override=True)
+
+    @property
+    def _managed(self) -> bool:
+        """Whether the node can be unconfigured again."""
+        return isinstance(self, LifecycleNode)
+
+    def _on_set(self, parameters: list[RosParameter]) -> SetParametersResult:
+        if self._declaring:
+            return SetParametersResult(successful=True)
+        new = {p.name: p.value for p in parameters if not p.name.startswith(_FOREIGN)}
+        try:
+            if new and self.is_open():
+                self._refuse_unknown(new)
+            elif new:
+                values = {**self.values, **self._checked_change(new)}
+                self.changed(values, set(new))
+                self.values = values
+        except FjrError as error:
+            return SetParametersResult(successful=False, reason=" ".join(str(error).split()))
+        self._given |= new
+        return SetParametersResult(successful=True)
+
+    def _checked_change(self, new: Mapping[str, object]) -> dict[str, Value]:
+        """The values that are set, checked one by one; raises ParameterError for one that may not change now."""
+        self._refuse_unknown(new)
+        for name in new:
+            if not self._parameters_by_name[name].dynamic:
+                when = "while the node is unconfigured" if self._managed else "before the node starts"
+                raise ParameterError(f"parameter '{name}' can be set only {when}")
+        return {name: self._parameters_by_name[name].check(value) for name, value in new.items()}
+
+    def _refuse_unknown(self, new: Mapping[str, object]) -> None:
+        known = getattr(self, "_parameters_by_name", None)
+        for sentence in unknown(list(known.values()), new) if known else ():
+            raise ParameterError(sentence.replace(" is ignored", ""))
 
 
-def descriptor(parameter: Parameter) -> ParameterDescriptor:
+class ParameterNode(CheckedParameters):
+    """A plain node with checked parameters."""
+
+
+class ManagedParameterNode(CheckedParameters, LifecycleNode):
+    """A managed (lifecycle) node with checked parameters."""
+
+
+def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
     """The ROS descriptor of a parameter."""
-    message = ParameterDescriptor(name=parameter.name, description=_description(parameter), read_only=True)
+    message = ParameterDescriptor(name=parameter.name, description=_description(parameter), read_only=read_only)
     kind = type(parameter.default)
     if isinstance(parameter.default, tuple):
         message.type = _LIST_TYPES[type(parameter.default[0])]
