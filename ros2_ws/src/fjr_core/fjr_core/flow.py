@@ -6,6 +6,7 @@ Written with velocities: dq_lv = M_l(q_l)^-1 p_lv, dq_mv = M_m^-1 p_mv (method: 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -69,13 +70,21 @@ class Flow:
 
         First ddq_l = M_l^-1 (K zeta - C dq_l - D_l dq_l - grad P_l), eqs. (36) and (38), then the velocities.
         """
-        robot, positions, motions = self.robot, 2 * self.robot.n, self._motions
+        robot, positions = self.robot, 2 * self.robot.n
+        states = [ca.vertcat(x[:positions], *robot.velocity_expressions(x))]
+        if len(self._motions) == 2:
+            states.insert(0, ca.vertcat(x_v[:positions], *virtual.velocities(robot, x_v, x)))
+        return self._evaluated(expressions, states)
+
+    def at_velocities(self, measured: ca.SX, *expressions: ca.SX) -> list[ca.SX]:
+        """The expressions at x_v = x as functions of what is measured (4n,): positions and velocities (and of jets)."""
+        return self._evaluated(expressions, [measured])
+
+    def _evaluated(self, expressions: Sequence[ca.SX], inputs: list[ca.SX]) -> list[ca.SX]:
+        motions = self._motions
         accelerations = [symbolic.solve(self.M_l, self._force(motion)) for motion in motions]
         values = ca.substitute(list(expressions), [motion.ddq_l for motion in motions], accelerations)
-        states = [ca.vertcat(x[:positions], *robot.velocity_expressions(x))]
-        if len(motions) == 2:
-            states.insert(0, ca.vertcat(x_v[:positions], *virtual.velocities(robot, x_v, x)))
-        return ca.substitute(values, [motion.inputs for motion in motions], states)
+        return ca.substitute(values, [motion.inputs for motion in motions], inputs)
 
     @property
     def _motions(self) -> list[Motion]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -63,14 +62,6 @@ class CheckedGains:
     Gamma_m: Array
     beta_l: float
     beta_m: float
-
-    def phi_l(self, q_tilde_l: ca.SX) -> ca.SX:
-        """phi_l (n,) [rad/s] of eq. (31)."""
-        return self.Lambda_l @ q_tilde_l + self.Gamma_l @ q_tilde_l**3
-
-    def phi_m(self, q_tilde_m: ca.SX) -> ca.SX:
-        """phi_m (n,) [rad/s] of eq. (40)."""
-        return self.Lambda_m @ q_tilde_m + self.Gamma_m @ q_tilde_m**3
 
 
 PAPER_GAINS = Gains(Lambda_l=10.0, Pi_l=20.0, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=0.3)

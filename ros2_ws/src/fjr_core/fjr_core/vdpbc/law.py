@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..checks import Array
 from ..compile import compiled
 from ..flow import REFERENCE_DERIVATIVES, Flow, flow
+from ..gain_terms import GainSymbols, GainTerms, terms
 from ..gains import Gains
 from ..numeric import NumericFunction, dense_function
 from ..robot import Robot
@@ -56,6 +57,21 @@ class TrackingLaw:
         self.gains = gains.checked(robot.n)
         self._compile = compile
 
+    def with_gains(self, gains: Gains) -> TrackingLaw:
+        """The same law with other gains, whose measured_command is ready at once: nothing is built or compiled.
+
+        Raises GainsError as at birth, and for a matrix with entries off the diagonal where this law's is diagonal.
+        """
+        other = TrackingLaw(self.robot, gains, self._compile)
+        other._symbols, other.measured_function = self._symbols, self.measured_function
+        other._gain_values = self._symbols.values(other.gains)
+        return other
+
+    def measured_command(self, position: ArrayLike, velocity: ArrayLike, jets: ArrayLike) -> tuple[Array, float]:
+        """u(x, x, t) (n,) [N m] and V [J] for positions (q_l, q_m) [rad] and velocities (dq_l, dq_m) [rad/s], (2n,)."""
+        u, V = self._measured_command(position, velocity, jets, self._gain_values)
+        return u, float(V[0])
+
     def command(self, x: ArrayLike, jets: ArrayLike) -> Array:
         """Effort u(x, x, t) (n,) [N m], which the controller applies: effort(x, x, jets) at less cost."""
         return self._command(x, jets)[0]
@@ -91,6 +107,31 @@ class TrackingLaw:
         return self._ready(self._function("command", {"u", "V"}, diagonal=True))
 
     @cached_property
+    def measured_function(self) -> ca.Function:
+        """The CasADi function (position (2n,), velocity (2n,), jets (n, 5), gains) -> u, V; of all gains of a shape."""
+        n = self.robot.n
+        f, symbols = flow(self.robot, diagonal=True), self._symbols
+        outputs = self._expressions(f, symbols.terms, ca.SX.zeros(n))
+        position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
+        u, V = f.at_velocities(ca.vertcat(position, velocity), outputs["u"], outputs["V"])
+        inputs = {"position": position, "velocity": velocity, "jets": f.jets, "gains": symbols.vector}
+        return self._ready(dense_function("measured_command", inputs, {"u": u, "V": V}, cse=True))
+
+    @cached_property
+    def _symbols(self) -> GainSymbols:
+        return GainSymbols(self.gains)
+
+    @cached_property
+    def _gain_values(self) -> Array:
+        return self._symbols.values(self.gains)
+
+    @cached_property
+    def _measured_command(self) -> NumericFunction:
+        n = self.robot.n
+        shapes = ((2 * n,), (2 * n,), (REFERENCE_DERIVATIVES + 1, n), self._gain_values.shape)
+        return NumericFunction(self.measured_function, shapes)
+
+    @cached_property
     def _command(self) -> NumericFunction:
         return NumericFunction(self.command_function, ((4 * self.robot.n,), (REFERENCE_DERIVATIVES + 1, self.robot.n)))
 
@@ -114,15 +155,15 @@ class TrackingLaw:
         n = self.robot.n
         f, omega = flow(self.robot, diagonal), ca.SX.zeros(n) if diagonal else ca.SX.sym("omega", n)
         x_v, x = ca.SX.sym("x_v", 4 * n), ca.SX.sym("x", 4 * n)
-        outputs = {key: value for key, value in self._expressions(f, omega).items() if key in wanted}
+        outputs = {key: value for key, value in self._expressions(f, terms(self.gains), omega).items() if key in wanted}
         values = f.at(x_v, x, *outputs.values())
         inputs = {"x": x, "jets": f.jets} if diagonal else {"x_v": x_v, "x": x, "jets": f.jets, "omega": omega}
         return dense_function(name, inputs, dict(zip(outputs, values, strict=True)), cse=True)
 
-    def _expressions(self, f: Flow, omega: ca.SX) -> dict[str, ca.SX]:
-        link = link_stage(f, self.gains)
-        motor = motor_stage(f, self.gains, link, omega)
-        dissipation = self._dissipation(link, motor)
+    def _expressions(self, f: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.SX]:
+        link = link_stage(f, gains)
+        motor = motor_stage(f, gains, link, omega)
+        dissipation = self._dissipation(gains, link, motor)
         return {
             "u": motor.u,
             "u_l": link.u_l,
@@ -131,21 +172,21 @@ class TrackingLaw:
             "sigma_l": link.sigma_l,
             "q_tilde_m": motor.q_tilde_m,
             "sigma_m": motor.sigma_m,
-            "V": self._storage(link, motor),
+            "V": _storage(gains, link, motor),
             "dissipation": dissipation,
             "dV": -dissipation + ca.dot(motor.s_m, omega),
         }
 
-    def _storage(self, link: LinkStage, motor: MotorStage) -> ca.SX:
-        """V = (qt_l' Pi_l qt_l + s_l' sigma_l + qt_m' Pi_m qt_m + s_m' sigma_m) / 2, eq. (43) integrated."""
-        g = self.gains
-        V_l = ca.dot(link.q_tilde_l, g.Pi_l @ link.q_tilde_l) + ca.dot(link.s_l, link.sigma_l)
-        V_m = ca.dot(motor.q_tilde_m, g.Pi_m @ motor.q_tilde_m) + ca.dot(motor.s_m, motor.sigma_m)
-        return (V_l + V_m) / 2
-
-    def _dissipation(self, link: LinkStage, motor: MotorStage) -> ca.SX:
+    def _dissipation(self, g: GainTerms, link: LinkStage, motor: MotorStage) -> ca.SX:
         """-dV/dt for omega = 0: qt_l' Pi_l phi_l + s_l' (D_l + K_ld) s_l + the same of the motors."""
-        g, r = self.gains, self.robot
+        r = self.robot
         d_l = ca.dot(link.q_tilde_l, g.Pi_l @ g.phi_l(link.q_tilde_l)) + ca.dot(link.s_l, (r.D_l + g.K_ld) @ link.s_l)
         d_m = ca.dot(motor.q_tilde_m, g.Pi_m @ g.phi_m(motor.q_tilde_m))
         return d_l + d_m + ca.dot(motor.s_m, (r.D_m + g.K_md) @ motor.s_m)
+
+
+def _storage(g: GainTerms, link: LinkStage, motor: MotorStage) -> ca.SX:
+    """V = (qt_l' Pi_l qt_l + s_l' sigma_l + qt_m' Pi_m qt_m + s_m' sigma_m) / 2, eq. (43) integrated."""
+    V_l = ca.dot(link.q_tilde_l, g.Pi_l @ link.q_tilde_l) + ca.dot(link.s_l, link.sigma_l)
+    V_m = ca.dot(motor.q_tilde_m, g.Pi_m @ motor.q_tilde_m) + ca.dot(motor.s_m, motor.sigma_m)
+    return (V_l + V_m) / 2

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ..flow import Flow
-from ..gains import CheckedGains
+from ..gain_terms import GainTerms
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class LinkStage:
     u_l: ca.SX
 
 
-def link_stage(flow: Flow, gains: CheckedGains) -> LinkStage:
+def link_stage(flow: Flow, gains: GainTerms) -> LinkStage:
     """The link stage of the law; M_l, C_l, D_l at the measured state, P_l at the virtual q_lv.
 
     With v_lr = M_l^-1 p_lr, the rate and the workless force of eq. (33) are

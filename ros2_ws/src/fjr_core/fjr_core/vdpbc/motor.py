@@ -10,7 +10,7 @@ import numpy as np
 
 from ..checks import Array
 from ..flow import Flow
-from ..gains import CheckedGains
+from ..gain_terms import GainTerms
 from .link import LinkStage
 
 
@@ -25,7 +25,7 @@ class MotorStage:
     u: ca.SX
 
 
-def motor_stage(flow: Flow, gains: CheckedGains, link: LinkStage, omega: ca.SX) -> MotorStage:
+def motor_stage(flow: Flow, gains: GainTerms, link: LinkStage, omega: ca.SX) -> MotorStage:
     """The motor stage of the law; the spring at the virtual state; omega (n,) external input; v_mr = M_m^-1 p_mr."""
     M_m, D_m, K, B_m = flow.robot.M_m, flow.robot.D_m, flow.robot.K, flow.robot.B_m
     q_lv, q_mv, dq_mv = flow.virtual.q_l, flow.virtual.q_m, flow.virtual.dq_m
@@ -33,7 +33,7 @@ def motor_stage(flow: Flow, gains: CheckedGains, link: LinkStage, omega: ca.SX) 
     q_md = q_lv + np.linalg.inv(K) @ link.u_l
     (dq_md,) = flow.d(q_md)
     q_tilde_m = q_mv - q_md  # (39)
-    v_mr = dq_md - gains.phi_m(q_tilde_m) - coupling_velocity(gains.Pi_m, K, flow.M_l, link.s_l)  # (40)
+    v_mr = dq_md - gains.phi_m(q_tilde_m) - coupling_velocity(gains.Pi_m_inverse, K, flow.M_l, link.s_l)  # (40)
     s_m = dq_mv - v_mr  # (39)
     sigma_m = M_m @ s_m
 
@@ -43,6 +43,6 @@ def motor_stage(flow: Flow, gains: CheckedGains, link: LinkStage, omega: ca.SX) 
     return MotorStage(q_md, q_tilde_m, s_m, sigma_m, u=np.linalg.inv(B_m) @ (u_mff + u_mfb))
 
 
-def coupling_velocity(Pi_m: Array, K: Array, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
+def coupling_velocity(Pi_m_inverse: ca.SX, K: Array, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
     """Pi_m^-1 K' M_l^-1 sigma_l (n,), the last term of eq. (40), which prints M_l' (docs/errata.md)."""
-    return np.linalg.inv(Pi_m) @ K.T @ s_l
+    return Pi_m_inverse @ K.T @ s_l

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gains as the law's equations take them: as numbers, or as symbols that get their numbers later."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import casadi as ca
+import numpy as np
+
+from .checks import Array
+from .errors import GainsError
+from .gains import CheckedGains
+
+
+@dataclass(frozen=True, eq=False)
+class GainTerms:
+    """Matrices (n, n) of the law, CasADi numbers or symbols; names as in Gains."""
+
+    Lambda_l: ca.SX
+    Pi_l: ca.SX
+    K_ld: ca.SX
+    Lambda_m: ca.SX
+    Pi_m: ca.SX
+    K_md: ca.SX
+    Gamma_l: ca.SX
+    Gamma_m: ca.SX
+    Pi_m_inverse: ca.SX
+
+    def phi_l(self, q_tilde_l: ca.SX) -> ca.SX:
+        """phi_l (n,) [rad/s] of eq. (31)."""
+        return self.Lambda_l @ q_tilde_l + self.Gamma_l @ q_tilde_l**3
+
+    def phi_m(self, q_tilde_m: ca.SX) -> ca.SX:
+        """phi_m (n,) [rad/s] of eq. (40)."""
+        return self.Lambda_m @ q_tilde_m + self.Gamma_m @ q_tilde_m**3
+
+
+def terms(gains: CheckedGains) -> GainTerms:
+    """The gains as numbers."""
+    return GainTerms(**{f.name: ca.sparsify(ca.DM(_term(gains, f.name))) for f in fields(GainTerms)})
+
+
+class GainSymbols:
+    """Symbols in the place of gains, so that one function serves all gains of a shape.
+
+    A matrix that is diagonal in `gains` stays diagonal, and whatever was zero there but on the diagonal stays zero.
+    """
+
+    def __init__(self, gains: CheckedGains) -> None:
+        self._shapes = {f.name: _shape(_term(gains, f.name)) for f in fields(GainTerms)}
+        symbols = {name: ca.SX.sym(name, shape) for name, shape in self._shapes.items()}
+        self.terms = GainTerms(**symbols)
+        self.vector = ca.vertcat(*(ca.vertcat(*symbol.nonzeros()) for symbol in symbols.values()))
+
+    def values(self, gains: CheckedGains) -> Array:
+        """The numbers of the symbols in `vector`; raises GainsError for gains of another shape."""
+        parts: list[float] = []
+        for name, shape in self._shapes.items():
+            array = _term(gains, name)
+            if shape.is_diag() and np.any(array - np.diag(np.diag(array))):
+                raise GainsError(
+                    f"{name.removesuffix('_inverse')} has entries off the diagonal; expected a diagonal matrix, "
+                    "as when the law was built"
+                )
+            parts += ca.project(ca.DM(array), shape).nonzeros()
+        return np.array(parts, dtype=float)
+
+
+def _term(gains: CheckedGains, name: str) -> Array:
+    return np.asarray(np.linalg.inv(gains.Pi_m) if name == "Pi_m_inverse" else getattr(gains, name), dtype=float)
+
+
+def _shape(array: Array) -> ca.Sparsity:
+    n = len(array)
+    return ca.Sparsity.dense(n, n) if np.any(array - np.diag(np.diag(array))) else ca.Sparsity.diag(n)
