@@ -10,6 +10,7 @@ from properties import loop_of
 
 import fjr_core as fjr
 
+PLANAR = planar("soft", (40.0, 25.0))
 FULL = np.array([[3.0, 0.5], [0.5, 2.0]])
 DIAGONAL = fjr.Gains(10.0, 20.0, 0.6, 15.0, 60.0, 0.3)
 OTHER = fjr.Gains([8.0, 9.0], [16.0, 30.0], 0.4, 12.0, [40.0, 50.0], 0.2, Gamma_l=1.5, Gamma_m=[0.0, 2.0])
@@ -35,7 +36,7 @@ def test_other_gains_give_the_other_law_without_a_new_function() -> None:
     law = fjr.TrackingLaw(robot, DIAGONAL)
     other, wanted = law.with_gains(OTHER), fjr.TrackingLaw(robot, OTHER)
     assert other.measured_function is law.measured_function
-    p = random_point(planar(), 3, True)
+    p = random_point(PLANAR, 3, True)
     seen = [measured(each, p.x, p.jets) for each in (other, wanted)]
     np.testing.assert_allclose(seen[0][0], seen[1][0], rtol=1e-12)
     assert pytest.approx(seen[1][1], rel=1e-12) == seen[0][1]
@@ -45,7 +46,7 @@ def test_other_gains_give_the_other_law_without_a_new_function() -> None:
 def test_a_law_built_for_matrices_takes_diagonal_gains() -> None:
     robot = fjr.planar_two_link()
     law = fjr.TrackingLaw(robot, fjr.Gains(10.0, 10 * FULL, FULL, 15.0, 20 * FULL, 0.1 * FULL)).with_gains(DIAGONAL)
-    p = random_point(planar(), 4, True)
+    p = random_point(PLANAR, 4, True)
     np.testing.assert_allclose(
         measured(law, p.x, p.jets)[0], fjr.TrackingLaw(robot, DIAGONAL).command(p.x, p.jets), rtol=1e-10
     )
