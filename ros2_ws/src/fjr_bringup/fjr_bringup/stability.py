@@ -99,14 +99,14 @@ def _count(found: SampledCheck) -> str:
 
 def _limits(scenario: Scenario) -> dict[str, str]:
     """The reference and the first effort against the limits of the joints, where there are any."""
-    limits, sine = scenario.robot.limits, scenario.reference
+    limits, reference = scenario.robot.limits, scenario.reference
     if limits is None:
         return {}
-    reach, offset = np.abs(sine.amplitude), np.asarray(sine.offset)
-    outside = (offset - reach < limits.lower) | (offset + reach > limits.upper)
-    too_fast = reach * np.asarray(sine.frequency) > limits.velocity
+    reach = reference.extremes(0.0, np.inf)
+    outside = (reach.lower[0] < limits.lower) | (reach.upper[0] > limits.upper)
+    too_fast = np.maximum(reach.upper[1], -reach.lower[1]) > limits.velocity
     law = TrackingLaw(scenario.robot, scenario.gains)  # for one call nothing is compiled
-    first = np.abs(law.command(scenario.x0, sine.jets(0.0)))
+    first = np.abs(law.command(scenario.x0, reference.jets(0.0)))
     return {
         "reference": _within(scenario, "position limits", outside)
         + "; "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""References of class C^4: value and four exact derivatives at every time."""
+"""What a reference of class C^4 is (value and four exact derivatives at every time), and the sine."""
 
 from __future__ import annotations
 
@@ -12,20 +12,31 @@ from numpy.typing import ArrayLike
 from . import checks
 from .checks import Array
 from .errors import TrajectoryError
+from .extremes import ROWS, Extremes
 from .flow import REFERENCE_DERIVATIVES
 
 JETS = REFERENCE_DERIVATIVES + 1
 
 
 class Reference(Protocol):
-    """What the law needs of a reference."""
+    """What the law needs of a reference, and what is asked of it before it is followed."""
 
     @property
     def n(self) -> int:
         """Number of joints."""
 
+    @property
+    def end(self) -> float:
+        """Time [s] from which on it stands still; infinite for an endless one."""
+
     def jets(self, t: ArrayLike) -> Array:
         """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+
+    def configurations(self, k: int) -> Array:
+        """k configurations (k, n) [rad], evenly over where the links will be."""
+
+    def extremes(self, t0: float, t1: float) -> Extremes:
+        """Bounds of position, velocity and acceleration from t0 to t1 [s]; t1 may be infinite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +66,69 @@ class Sine:
         """Number of joints."""
         return int(np.size(self.amplitude))
 
+    @property
+    def end(self) -> float:
+        """Infinite."""
+        return np.inf
+
     def jets(self, t: ArrayLike) -> Array:
         """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
         w = np.asarray(self.frequency)
         angle = np.multiply.outer(np.asarray(t, dtype=float), w) + self.phase
         s, c = self.amplitude * np.sin(angle), self.amplitude * np.cos(angle)
         return np.stack([self.offset + s, w * c, -(w**2) * s, -(w**3) * c, w**4 * s], axis=-2)
+
+    def configurations(self, k: int) -> Array:
+        """k configurations (k, n) [rad]: joints of one frequency together, others with every phase to each other."""
+        angles = phases(k, np.asarray(self.frequency)) + np.asarray(self.phase)
+        return np.asarray(self.offset) + np.asarray(self.amplitude) * np.sin(angles)
+
+    def extremes(self, t0: float, t1: float) -> Extremes:
+        """Bounds of position, velocity and acceleration from t0 to t1 [s], exactly."""
+        a, w = np.asarray(self.amplitude), np.asarray(self.frequency)
+        rows = [_swing(a * w**row, w, np.asarray(self.phase) + row * np.pi / 2, t0, t1) for row in range(ROWS)]
+        lower, upper, lower_at, upper_at = (np.array(values) for values in zip(*rows, strict=True))
+        lower[0] += self.offset
+        upper[0] += self.offset
+        return Extremes(lower, upper, lower_at, upper_at)
+
+
+def phases(k: int, frequency: Array) -> Array:
+    """k angles (k, *frequency.shape) [rad] that the sines of these frequencies take in the long run.
+
+    Sines of one frequency move together; those of different ones sooner or later take every phase to each other.
+    """
+    frequencies, place = np.unique(frequency, return_inverse=True)
+    turns = _turns(k, len(frequencies)) * (frequencies != 0)
+    return 2 * np.pi * turns[:, place.reshape(frequency.shape)]
+
+
+def _turns(k: int, m: int) -> Array:
+    """k points (k, m) of the m-dimensional torus, in turns: evenly along the first, by Roberts' sequence in all."""
+    ratio = 2.0
+    for _ in range(64):
+        ratio = (1.0 + ratio) ** (1.0 / m)
+    steps = np.append(1.0 / k, ratio ** -np.arange(1.0, m))
+    return np.asarray(np.outer(np.arange(k), steps) % 1.0)
+
+
+def _swing(a: Array, w: Array, phase: Array, t0: float, t1: float) -> tuple[Array, Array, Array, Array]:
+    """lower, upper, lower_at, upper_at (n,) of a sin(w t + phase) from t0 to t1 [s]."""
+    edges = np.array([t0, t1 if np.isfinite(t1) else t0])[:, None] + np.zeros_like(a)
+    first = [_first(side * np.sign(a) * np.sign(w), np.abs(w), np.sign(w) * phase, t0) for side in (-1.0, 1.0)]
+    values = a * np.sin(w * edges + phase)
+    low, high, each = values.argmin(axis=0), values.argmax(axis=0), np.arange(len(a))
+    lower, upper = values[low, each], values[high, each]
+    reaches = [(at <= t1) & (a != 0) & (w != 0) for at in first]
+    return (
+        np.where(reaches[0], -np.abs(a), lower),
+        np.where(reaches[1], np.abs(a), upper),
+        np.where(reaches[0], first[0], edges[low, each]),
+        np.where(reaches[1], first[1], edges[high, each]),
+    )
+
+
+def _first(side: Array, w: Array, phase: Array, t0: float) -> Array:
+    """The first time from t0 on when sin(w t + phase) is `side` (1 or -1), w > 0; infinite for w = 0."""
+    angle = (side * np.pi / 2 - phase - w * t0) % (2 * np.pi)
+    return t0 + np.divide(angle, w, out=np.full_like(w, np.inf), where=w > 0)

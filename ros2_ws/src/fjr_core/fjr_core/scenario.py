@@ -16,7 +16,7 @@ from .checks import Array
 from .errors import ParameterError
 from .gains import Gains
 from .plant import Plant
-from .reference import Sine
+from .reference import Reference
 from .robot import Robot
 from .simulate import Trajectory, simulate
 from .vdpbc.law import TrackingLaw
@@ -66,7 +66,7 @@ class Scenario:
         return TrackingLaw(self.robot, self.gains, compile=bool(self.controller_values["compile"]))
 
     @cached_property
-    def reference(self) -> Sine:
+    def reference(self) -> Reference:
         """The reference trajectory; its time 0 is the first answered state."""
         return config.reference(self.controller_values, self.robot.n)
 
@@ -82,16 +82,8 @@ class Scenario:
         return config.initial_state(self.plant_values, self.plant.robot)
 
     def configurations(self, k: int = 64) -> Array:
-        """Where the links will be (k + 1, n) [rad]: at the start, and at k points of the reference.
-
-        Joints of one frequency move together; those of different ones sooner or later take every phase to each other.
-        """
-        reference = self.reference
-        frequencies, place = np.unique(np.asarray(reference.frequency), return_inverse=True)
-        turns = _turns(k, len(frequencies)) * (frequencies > 0)
-        angles = 2 * np.pi * turns[:, place] + np.asarray(reference.phase)
-        q_ld = np.asarray(reference.offset) + np.asarray(reference.amplitude) * np.sin(angles)
-        return np.vstack([self.x0[: self.robot.n], q_ld])
+        """Where the links will be (k + 1, n) [rad]: at the start, and at k points of the reference."""
+        return np.vstack([self.x0[: self.robot.n], self.reference.configurations(k)])
 
     def warm_up(self) -> None:
         """Build law and plant step as the nodes will, so that what is compiled is in the cache when they start."""
@@ -102,15 +94,6 @@ class Scenario:
         """The sampled closed loop as the two nodes run it in lock-step, without ROS, for `duration` seconds."""
         inner = self.sample_period / int(self.plant_values["inner_steps"])  # type: ignore[arg-type]
         return simulate(self.plant, self.law, self.reference, self.x0, duration, self.sample_period, inner)
-
-
-def _turns(k: int, m: int) -> Array:
-    """k points (k, m) of the m-dimensional torus, in turns: evenly along the first, by Roberts' sequence in all."""
-    ratio = 2.0
-    for _ in range(64):
-        ratio = (1.0 + ratio) ** (1.0 / m)
-    steps = np.append(1.0 / k, ratio ** -np.arange(1.0, m))
-    return np.asarray(np.outer(np.arange(k), steps) % 1.0)
 
 
 def load_scenario(path: str | Path) -> Scenario:
