@@ -11,6 +11,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from fjr_core import Measurement
 from fjr_msgs_py.messages import EffortReader, EffortWriter, JointSample, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.names import motor_name, state_names
 
@@ -96,3 +97,93 @@ def test_the_sentence_says_what_was_seen_and_expected(message: JointState, kind:
     with pytest.raises(MessageError, match=words) as caught:
         StateReader(("elbow",)).read(message)
     assert caught.value.kind == kind
+
+
+def state_of(names: list[str], stamp: int = 1, **fields: list[float]) -> JointState:
+    message = JointState(name=names, **fields)
+    message.header.stamp.nanosec = stamp
+    return message
+
+
+def test_without_velocities_a_state_is_refused_with_a_hint_or_read_for_the_observer() -> None:
+    message = state_of(state_names(JOINTS), position=[float(i) for i in range(6)])
+    with pytest.raises(MessageError, match="velocity has 0 entries; expected 6.*measurement.velocity set to observer"):
+        StateReader(JOINTS).read(message)
+    sample = StateReader(JOINTS, Measurement(3, "observer")).read(message)
+    assert [*sample.q_l, *sample.q_m] == [0, 1, 2, 3, 4, 5]
+    assert sample.dq_l is sample.dq_m is None
+
+
+def test_with_an_observer_velocities_are_not_even_looked_at() -> None:
+    names, position = ["elbow", "elbow_motor"], [1.0, 2.0]
+    reader = StateReader(("elbow",), Measurement(1, "observer"))
+    for velocity in ([float("nan")] * 2, [1.0], [1.0] * 5):
+        sample = reader.read(state_of(names, position=position, velocity=velocity))
+        assert (sample.q_l, sample.q_m, sample.dq_l, sample.dq_m) == (1.0, 2.0, None, None)
+
+
+def test_motor_angles_and_velocities_are_divided_by_the_gear_ratio() -> None:
+    message = state_of(
+        [*reversed(state_names(("a", "b")))], position=[-3.0, 200.0, 2.0, 1.0], velocity=[30.0, 400.0, 6.0, 5.0]
+    )
+    sample = StateReader(("a", "b"), Measurement(2, gear_ratio=np.array([100.0, -50.0]))).read(message)
+    assert (sample.q_l.tolist(), sample.q_m.tolist()) == ([1.0, 2.0], [2.0, 0.06])
+    assert (sample.dq_l.tolist(), sample.dq_m.tolist()) == ([5.0, 6.0], [4.0, -0.6])
+
+
+def test_the_motor_side_comes_from_the_torque_of_the_joint_and_needs_no_name() -> None:
+    K = np.array([[20.0, 4.0], [4.0, 10.0]])
+    torque = np.array([3.0, -2.0])
+    message = state_of(["b", "other", "a"], position=[2.0, 9.0, 1.0], effort=[torque[1], 9.0, torque[0]])
+    sample = StateReader(("a", "b"), Measurement(2, "observer", "torque", K=K)).read(message)
+    assert sample.q_l.tolist() == [1.0, 2.0]
+    np.testing.assert_allclose(K @ (sample.q_m - sample.q_l), torque)
+    assert sample.dq_m is None
+
+
+BY_TORQUE = StateReader(("elbow",), Measurement(1, "observer", "torque", K=np.array([[1e-3]])))
+TURNED = StateReader(("elbow",), Measurement(1, gear_ratio=1e-3))
+
+
+@pytest.mark.parametrize(
+    ("reader", "fields", "kind"),
+    [
+        (BY_TORQUE, {"position": [1.0, 2.0]}, "wrong lengths"),
+        (BY_TORQUE, {"position": [1.0, 2.0], "effort": [float("nan"), 0.0]}, "not finite"),
+        (BY_TORQUE, {"position": [1.0, 2.0], "effort": [1e308, 0.0]}, "not finite"),
+        (TURNED, {"position": [1.0, 1e308], "velocity": [0.0, 0.0]}, "not finite"),
+        (TURNED, {"position": [1.0, 1.0], "velocity": [0.0, 1e308]}, "not finite"),
+    ],
+)
+def test_what_becomes_of_a_torque_or_an_angle_is_finite(reader: StateReader, fields: dict, kind: str) -> None:
+    with pytest.raises(MessageError) as caught:
+        reader.read(state_of(["elbow", "elbow_motor"], **fields))
+    assert caught.value.kind == kind
+    assert "\n" not in str(caught.value)
+
+
+def test_huge_numbers_are_read_as_long_as_they_are_finite() -> None:
+    message = state_of(["elbow", "elbow_motor"], position=[1e308, -1e308], velocity=[1e308, 1e308])
+    assert StateReader(("elbow",)).read(message).q_m == -1e308
+
+
+def test_a_sample_keeps_its_numbers_when_the_next_is_read() -> None:
+    reader, writer = StateReader(("elbow",)), JointStateWriter(["elbow", "elbow_motor"])
+    first = reader.read(writer.fill(1, np.ones(2), np.ones(2)))
+    reader.read(writer.fill(2, np.zeros(2), np.zeros(2)))
+    assert (first.q_l, first.q_m, first.dq_l, first.dq_m) == (1, 1, 1, 1)
+
+
+def test_a_writer_fills_one_message_and_empties_what_is_not_given() -> None:
+    writer = JointStateWriter(JOINTS)
+    values = np.arange(3.0)
+    message = writer.fill(2_000_000_003, values, effort=values + 1)
+    values[:] = 9
+    for _ in range(2):
+        assert writer.fill(5_000_000_006, velocity=np.arange(3.0) + 2) is message
+        wire = deserialize_message(serialize_message(message), JointState)
+        assert [wire.position.tolist(), wire.velocity.tolist(), wire.effort.tolist()] == [[], [2, 3, 4], []]
+        assert (wire.header.stamp.sec, wire.header.stamp.nanosec) == (5, 6)
+        writer.fill(1, np.arange(3.0))
+        wire = deserialize_message(serialize_message(message), JointState)
+        assert [wire.position.tolist(), wire.velocity.tolist(), wire.effort.tolist()] == [[0, 1, 2], [], []]

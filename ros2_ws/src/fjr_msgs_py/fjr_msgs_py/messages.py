@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from fjr_core import FjrError
+from fjr_core import FjrError, Measurement
 
+from .array_field import ArrayField
 from .names import state_names
 
 Array = NDArray[np.float64]
@@ -27,15 +29,18 @@ class MessageError(FjrError):
         self.kind = kind
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class JointSample:
-    """A measured state: stamp [ns], positions [rad] and velocities [rad/s] of links and motors, each (n,)."""
+    """A measured state: stamp [ns], positions [rad] and velocities [rad/s] of links and motors, each (n,).
+
+    Velocities are None where the measurement leaves them to an observer. The arrays are the sample's own.
+    """
 
     stamp: int
     q_l: Array
     q_m: Array
-    dq_l: Array
-    dq_m: Array
+    dq_l: Array | None = None
+    dq_m: Array | None = None
 
 
 def nanoseconds(stamp: Time) -> int:
@@ -74,23 +79,56 @@ class NamedColumns:
 
 
 class StateReader:
-    """Reads JointStates of the joints of a robot, in any order and among any others."""
+    """Reads JointStates of the joints of a robot, in any order and among any others, as the measurement says.
 
-    def __init__(self, joints: tuple[str, ...]) -> None:
+    measurement: None is measured velocities and motor positions of ratio 1. With motor "torque" the motors' names
+    need not be there; the joints' own efforts are the sensors' torques [N m].
+    """
+
+    def __init__(self, joints: tuple[str, ...], measurement: Measurement | None = None) -> None:
         self._n = len(joints)
-        self._names = state_names(joints)
+        self._measurement = measurement or Measurement(self._n)
+        self._names = list(joints) if self._measurement.by_torque else state_names(joints)
         self._columns = NamedColumns(self._names)
+        self._ratio = np.asarray(self._measurement.gear_ratio) if self._measurement.geared else None
+        K = self._measurement.K
+        self._compliance = None if K is None else np.linalg.inv(K)
 
     def read(self, message: JointState) -> JointSample:
         """The state in the order of the joints; raises MessageError for anything that is not one."""
         columns = self._columns.columns(message.name)
-        position = _picked(message, "position", columns, self._names)
-        velocity = _picked(message, "velocity", columns, self._names)
+        q_l, q_m = self._positions(message, columns)
+        velocity = None if self._measurement.observed else self._velocities(message, columns)
         stamp = nanoseconds(message.header.stamp)
         if stamp <= 0:
             raise MessageError("no stamp", f"header.stamp is {stamp} ns; expected the time of the measurement")
-        n = self._n
-        return JointSample(stamp, position[:n], position[n:], velocity[:n], velocity[n:])
+        return JointSample(stamp, q_l, q_m) if velocity is None else JointSample(stamp, q_l, q_m, *velocity)
+
+    def _positions(self, message: JointState, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+        position = _picked(message, "position", columns, self._names)
+        if self._compliance is None:
+            return self._sides("position", position)
+        torque = _picked(message, "effort", columns, self._names)
+        q_m = position + self._compliance.dot(torque)
+        return position, _finite("q_l + K^-1 effort", q_m, self._names)
+
+    def _velocities(self, message: JointState, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+        if not message.velocity and message.position:
+            raise MessageError(
+                "wrong lengths",
+                f"velocity has 0 entries; expected {len(message.name)}, one per name, "
+                "or the parameter measurement.velocity set to observer",
+            )
+        return self._sides("velocity", _picked(message, "velocity", columns, self._names))
+
+    def _sides(self, field: str, values: Array) -> tuple[Array, Array]:
+        """Link sides and motor sides (n,), the latter divided by the gear ratio."""
+        link, motor = values[: self._n], values[self._n :]
+        if self._ratio is not None:
+            with np.errstate(over="ignore"):
+                motor /= self._ratio
+            _finite(f"{field} / gear_ratio", motor, self._names[self._n :])
+        return link, motor
 
 
 class EffortReader:
@@ -120,15 +158,19 @@ class JointStateWriter:
 
     def __init__(self, names: Sequence[str]) -> None:
         self._message = JointState(name=list(names))
+        self._stamp = self._message.header.stamp
+        self._position, self._velocity, self._effort = (
+            ArrayField(self._message, name) for name in ("position", "velocity", "effort")
+        )
 
     def fill(
         self, stamp: int, position: Array | None = None, velocity: Array | None = None, effort: Array | None = None
     ) -> JointState:
         """The message with this stamp [ns] and these fields; a field that is None stays empty."""
-        set_stamp(self._message, stamp)
-        self._message.position = [] if position is None else position.tolist()
-        self._message.velocity = [] if velocity is None else velocity.tolist()
-        self._message.effort = [] if effort is None else effort.tolist()
+        self._stamp.sec, self._stamp.nanosec = divmod(stamp, 1_000_000_000)
+        self._position.fill(position)
+        self._velocity.fill(velocity)
+        self._effort.fill(effort)
         return self._message
 
 
@@ -139,24 +181,25 @@ class EffortWriter:
         self._message = Float64MultiArray()
         n = len(joints)
         self._message.layout.dim = [MultiArrayDimension(label=",".join(joints), size=n, stride=n)]
+        self._data = ArrayField(self._message, "data")
 
     def fill(self, effort: Array) -> Float64MultiArray:
         """The message with these efforts (n,) [N m]."""
-        self._message.data = effort.tolist()
+        self._data.fill(effort)
         return self._message
 
 
 def _picked(message: JointState, field: str, columns: NDArray[np.intp], names: Sequence[str]) -> Array:
-    values = np.array(getattr(message, field), dtype=float)
+    values = np.asarray(getattr(message, field), dtype=float)
     if len(values) != len(message.name):
         raise MessageError(
             "wrong lengths", f"{field} has {len(values)} entries; expected {len(message.name)}, one per name"
         )
-    return _finite(field, values[columns], names)
+    return _finite(field, values.take(columns), names)
 
 
 def _finite(field: str, values: Array, names: Sequence[str]) -> Array:
-    if not np.isfinite(values).all():
+    if not values.dot(values) < math.inf and not np.isfinite(values).all():  # the squares may overflow
         bad = [f"{name} = {value}" for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
         raise MessageError("not finite", f"{field} holds {', '.join(bad)}; expected finite numbers")
     return values
