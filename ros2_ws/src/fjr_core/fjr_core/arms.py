@@ -9,8 +9,10 @@ from numpy.typing import ArrayLike
 
 from . import checks
 from .errors import RobotError
-from .links import Links, closed_form
+from .links import Hand, Links, closed_form
 from .robot import Robot
+
+STANDARD_GRAVITY = 9.81  # m/s^2; of a payload where the model has no gravity of its own
 
 
 def single_link(
@@ -26,11 +28,13 @@ def single_link(
 
     M_l = link_inertia [kg m^2] about the joint, P_l = gravity_torque (1 - cos q_l) [N m]; the rest as in
     Robot. The table's figure 2 has stiffness = 3.1 N m/rad. Raises RobotError.
+    A payload hangs in gravity of 9.81 m/s^2, in a vertical plane; the link's x axis points along it.
     """
     (inertia,) = _positive("link_inertia", link_inertia, 1)
     (load,) = checks.vector("gravity_torque", gravity_torque, 1, RobotError)
     M_l = np.array([[inertia]])
-    links = closed_form(1, lambda q_l: ca.SX(M_l), lambda q_l: load * (1 - ca.cos(q_l)), vertices=(M_l,))
+    hand = _planar_hand((), STANDARD_GRAVITY)
+    links = closed_form(1, lambda q_l: ca.SX(M_l), lambda q_l: load * (1 - ca.cos(q_l)), vertices=(M_l,), hand=hand)
     return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
 
@@ -50,6 +54,7 @@ def planar_two_link(
 
     link_mass [kg], link_length and link_com (joint to centre of mass) [m], link_inertia about the centre
     of mass [kg m^2], each (2,); gravity [m/s^2]; the rest as in Robot. Raises RobotError.
+    The second link's x axis points along it.
     Equations: M. W. Spong, S. Hutchinson, M. Vidyasagar, Robot Modeling and Control, sec. 7.4.
     """
     m1, m2 = _positive("link_mass", link_mass, 2)
@@ -70,8 +75,29 @@ def planar_two_link(
         lambda q_l: constant + coupling * ca.cos(q_l[1]),
         potential,
         vertices=(constant + coupling, constant - coupling),
+        hand=_planar_hand((l1,), g),
     )
     return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
+
+
+def _planar_hand(lengths: tuple[float, ...], gravity: float) -> Hand:
+    """The last link of an arm in a vertical plane: x along it, y the way that it swings where it hangs, z normal.
+
+    lengths [m]: of the links before it.
+    """
+    q_l, r = ca.SX.sym("q_l", len(lengths) + 1), ca.SX.sym("r", 3)
+    angles = ca.cumsum(q_l)
+    place = ca.vertcat(0, 0, 0)
+    for i, length in enumerate(lengths):
+        place += length * _along(angles[i])
+    across = ca.vertcat(ca.cos(angles[-1]), 0, ca.sin(angles[-1]))
+    position = place + r[0] * _along(angles[-1]) + r[1] * across + r[2] * ca.vertcat(0, -1, 0)
+    return Hand(ca.Function("position", [q_l, r], [position]), np.array([0.0, 0.0, -gravity]))
+
+
+def _along(angle: ca.SX) -> ca.SX:
+    """The direction of a link that is turned by this angle from straight down, in x forward, z up."""
+    return ca.vertcat(ca.sin(angle), 0, -ca.cos(angle))
 
 
 def _robot(links: Links, **constants: ArrayLike) -> Robot:

@@ -53,7 +53,7 @@ def z_aligned(bodies: Sequence[Body]) -> list[Body]:
     """The same chain with every body's frame turned so that the joint's axis is z; nearly exact rotations exact."""
     aligned, previous = [], np.eye(3)
     for body in bodies:
-        turn = _rotation_to(np.asarray(body.axis))
+        turn = rotation_to(np.asarray(body.axis))
         rotation = previous.T @ np.asarray(body.rotation) @ turn
         aligned.append(
             replace(
@@ -69,7 +69,7 @@ def z_aligned(bodies: Sequence[Body]) -> list[Body]:
     return aligned
 
 
-def _rotation_to(axis: Array) -> Array:
+def rotation_to(axis: Array) -> Array:
     """A rotation whose third column is the axis; a permutation of coordinates where the axis is one of them."""
     z = axis / np.linalg.norm(axis)
     x = np.roll(np.eye(3)[np.argmax(np.abs(z))], 1)

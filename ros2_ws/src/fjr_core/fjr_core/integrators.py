@@ -54,6 +54,11 @@ def step(name: str, f: ca.Function) -> ca.Function:
     return INTEGRATORS[name](f)
 
 
+def step_expression(name: str, f: ca.Function, x: ca.MX, inputs: tuple[ca.MX, ca.MX, ca.MX], dt: ca.MX) -> ca.MX:
+    """The same with the inputs of f at the start, the middle and the end of the step, as an expression."""
+    return rk4_expression(f, x, inputs, dt) if name == "rk4" else step(name, f)(x, inputs[1], dt)
+
+
 def _symbols(f: ca.Function, kind: type) -> tuple[ca.SX, ca.SX, ca.SX]:
     return kind.sym("x", f.size1_in(0)), kind.sym("u", f.size1_in(1)), kind.sym("dt")  # type: ignore[attr-defined]
 

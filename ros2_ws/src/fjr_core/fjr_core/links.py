@@ -6,11 +6,40 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import casadi as ca
 
 from .checks import Array
 from .symbolic import directional
+
+
+class RigidArm(Protocol):
+    """What eq. (36) needs of the link side, on expressions: Links, or Links with a payload (payload.Loaded)."""
+
+    def M_l(self, q_l: ca.SX) -> ca.SX:
+        """Inertia (n, n) [kg m^2]."""
+
+    def P_l(self, q_l: ca.SX) -> ca.SX:
+        """Potential energy [J]."""
+
+    def grad_P_l(self, q_l: ca.SX) -> ca.SX:
+        """Its gradient (n,) [N m]."""
+
+    def grad_T(self, q_l: ca.SX, v: ca.SX) -> ca.SX:
+        """d/dq_l (v' M_l v / 2) (n,), v held."""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """Where a point of the last link is.
+
+    position: (q_l, r) -> (3,) [m] in the base's frame of the point at r (3,) in the last link's frame.
+    gravity (3,) [m/s^2]: in the base's frame.
+    """
+
+    position: ca.Function
+    gravity: Array
 
 
 @dataclass(frozen=True)
@@ -22,6 +51,7 @@ class Links:
     grad_T: (q_l, v) -> d/dq_l (v' M_l v / 2) (n,), v held.
     M_l_vertices: matrices whose convex hull holds M_l(q_l) for every q_l, where they are known: what
     is proven at the vertices is proven everywhere (rates are convex in M_l). None: not known.
+    hand: where a payload can be; None: an arm that cannot carry one.
     """
 
     n: int
@@ -31,6 +61,7 @@ class Links:
     C: ca.Function
     grad_T: ca.Function
     M_l_vertices: tuple[Array, ...] | None = None
+    hand: Hand | None = None
 
     @cached_property
     def dM(self) -> ca.Function:
@@ -48,6 +79,7 @@ def closed_form(
     inertia: Callable[[ca.SX], ca.SX],
     potential: Callable[[ca.SX], ca.SX],
     vertices: tuple[Array, ...] | None = None,
+    hand: Hand | None = None,
 ) -> Links:
     """Links of n joints from M_l(q_l) and P_l(q_l) as expressions; the rest by differentiation.
 
@@ -65,4 +97,5 @@ def closed_form(
         C=ca.Function("C", [q_l, v, w], [C_w]),
         grad_T=ca.Function("grad_T", [q_l, v], [ca.gradient(ca.dot(v, M_l @ v) / 2, q_l)]),
         M_l_vertices=vertices,
+        hand=hand,
     )

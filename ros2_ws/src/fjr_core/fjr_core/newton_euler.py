@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import checks
-from .bodies import Body, z_aligned
+from .bodies import Body, rotation_to, z_aligned
 from .checks import Array
 from .errors import RobotError
-from .links import Links
+from .links import Hand, Links
 
 
 def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81)) -> Links:
@@ -38,7 +38,17 @@ def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81))
         grad_P_l=ca.Function("grad_P_l", [q], [_gravity(chain, frames, composites, g)]),
         C=ca.Function("C", [q, v, w], [_coriolis(chain, frames, v, w)]),
         grad_T=ca.Function("grad_T", [q, v], [_kinetic_gradient(chain, frames, v)]),
+        hand=Hand(_point(q, frames, rotation_to(np.asarray(bodies[-1].axis))), g.full().ravel()),
     )
+
+
+def _point(q: ca.SX, frames: list[_Frame], turn: Array) -> ca.Function:
+    """(q_l, r) -> where in the base's frame the point r of the last body is; turn: from its own frame to frames[-1]."""
+    r = ca.SX.sym("r", 3)
+    here = _sparse(turn.T) @ r
+    for frame in reversed(frames):
+        here = frame.r + frame.inwards(here)
+    return ca.Function("position", [q, r], [here])
 
 
 @dataclass(frozen=True)

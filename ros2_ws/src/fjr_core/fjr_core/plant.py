@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from . import integrators, symbolic
 from .checks import Array
 from .compile import compiled
+from .links import RigidArm
 from .numeric import NumericFunction, dense_function, numeric
 from .robot import Robot
 
@@ -28,19 +29,30 @@ def structure(robot: Robot) -> tuple[Array, Array, Array]:
     return J, R, G
 
 
-def gradient_expression(robot: Robot, x: ca.SX) -> ca.SX:
-    """dH/dx (4n,) as an expression; d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l = -d/dq_l (dq_l' M_l dq_l / 2), (22)."""
+def gradient_expression(robot: Robot, x: ca.SX, links: RigidArm | None = None, cubic: ca.SX | None = None) -> ca.SX:
+    """dH/dx (4n,) as an expression; d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l = -d/dq_l (dq_l' M_l dq_l / 2), (22).
+
+    links: in place of the robot's, e.g. with a payload. cubic (n,) [N m/rad^3]: springs K zeta + cubic zeta^3.
+    """
+    links = links or robot.links
     q_l, q_m, _, _ = symbolic.blocks(x, robot.n)
-    dq_l, dq_m = robot.velocity_expressions(x)
-    spring = robot.K @ (q_m - q_l)
-    dH_dq_l = -robot.links.grad_T(q_l, dq_l) + robot.links.grad_P_l(q_l) - spring
+    dq_l, dq_m = robot.velocity_expressions(x, links)
+    spring = spring_expression(robot, q_m - q_l, cubic)
+    dH_dq_l = -links.grad_T(q_l, dq_l) + links.grad_P_l(q_l) - spring
     return ca.vertcat(dH_dq_l, spring, dq_l, dq_m)
 
 
-def derivative_expression(robot: Robot, x: ca.SX, u: ca.SX) -> ca.SX:
-    """dx/dt (4n,) of eq. (36) as an expression."""
+def spring_expression(robot: Robot, zeta: ca.SX, cubic: ca.SX | None = None) -> ca.SX:
+    """Torque (n,) of the springs: K zeta, or K zeta + cubic zeta^3."""
+    linear = robot.K @ zeta
+    return linear if cubic is None else linear + cubic * zeta**3
+
+
+def derivative_expression(robot: Robot, x: ca.SX, u: ca.SX, dH: ca.SX | None = None) -> ca.SX:
+    """dx/dt (4n,) of eq. (36) as an expression; dH (4n,): another gradient than the robot's."""
     J, R, G = structure(robot)
-    return ca.sparsify(ca.DM(J - R)) @ gradient_expression(robot, x) + ca.sparsify(ca.DM(G)) @ u
+    dH = gradient_expression(robot, x) if dH is None else dH
+    return ca.sparsify(ca.DM(J - R)) @ dH + ca.sparsify(ca.DM(G)) @ u
 
 
 class Plant:
@@ -55,7 +67,7 @@ class Plant:
     def __init__(self, robot: Robot, integrator: str = "rk4", compile: bool = False) -> None:
         self.robot = robot
         self.integrator = integrator
-        self._compile = compile
+        self.compiles = compile
         self._vm_step = integrators.step(integrator, self.dynamics)
 
     @cached_property
@@ -67,7 +79,7 @@ class Plant:
     @cached_property
     def step_function(self) -> ca.Function:
         """The CasADi function (x, u, dt) -> x_next; machine code if that was asked for."""
-        return compiled(self._vm_step) if self._compile else self._vm_step
+        return compiled(self._vm_step) if self.compiles else self._vm_step
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
         """dx/dt (4n,) at state x (4n,) under effort u (n,), eq. (36)."""

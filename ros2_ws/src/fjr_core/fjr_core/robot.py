@@ -14,7 +14,7 @@ from . import checks, symbolic
 from .checks import Array
 from .errors import RobotError, StateError
 from .limits import JointLimits
-from .links import Links
+from .links import Links, RigidArm
 from .numeric import NumericFunction, numeric
 
 
@@ -93,18 +93,22 @@ class Robot:
         dq_l, dq_m = self._velocities(checks.vector("x", x, 4 * self.n, StateError))
         return dq_l, dq_m
 
-    def hamiltonian_expression(self, x: ca.SX) -> ca.SX:
-        """H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eqs. (35), (36)."""
+    def hamiltonian_expression(self, x: ca.SX, links: RigidArm | None = None) -> ca.SX:
+        """H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eqs. (35), (36).
+
+        links: in place of its own, e.g. with a payload; also below.
+        """
         q_l, q_m, p_l, p_m = symbolic.blocks(x, self.n)
-        dq_l, dq_m = self.velocity_expressions(x)
+        dq_l, dq_m = self.velocity_expressions(x, links)
         zeta = q_m - q_l
         kinetic = (ca.dot(p_l, dq_l) + ca.dot(p_m, dq_m)) / 2
-        return kinetic + self.links.P_l(q_l) + ca.dot(zeta, self.K @ zeta) / 2
+        return kinetic + (links or self.links).P_l(q_l) + ca.dot(zeta, self.K @ zeta) / 2
 
-    def velocity_expressions(self, x: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
         """(dq_l, dq_m) = (M_l^-1 p_l, M_m^-1 p_m) as expressions."""
         q_l, _, p_l, p_m = symbolic.blocks(x, self.n)
-        return symbolic.solve(self.links.M_l(q_l), p_l), ca.DM(np.linalg.inv(self.M_m)) @ p_m
+        M_l = (links or self.links).M_l(q_l)
+        return symbolic.solve(M_l, p_l), ca.DM(np.linalg.inv(self.M_m)) @ p_m
 
     def _vector(self, name: str, value: ArrayLike) -> Array:
         return checks.vector(name, value, self.n, StateError)

@@ -17,7 +17,7 @@ from . import checks
 from .bodies import Body
 from .errors import RobotError
 from .limits import JointLimits
-from .links import Links
+from .links import Hand, Links
 from .newton_euler import serial_chain
 from .robot import Robot
 from .urdf_tree import MOVING, UrdfJoint, UrdfTree, read_urdf
@@ -185,6 +185,8 @@ def _in_order(links: Links, order: list[int]) -> Links:
         return links
     named = [ca.SX.sym(name, links.n) for name in ("q_l", "v", "w")]
     q, v, w = (vector[[order.index(i) for i in range(links.n)]] for vector in named)
+    assert links.hand is not None  # every serial chain has one
+    r = ca.SX.sym("r", 3)
     return Links(
         n=links.n,
         M_l=ca.Function("M_l", named[:1], [links.M_l(q)[order, order]]),
@@ -192,4 +194,5 @@ def _in_order(links: Links, order: list[int]) -> Links:
         grad_P_l=ca.Function("grad_P_l", named[:1], [links.grad_P_l(q)[order]]),
         C=ca.Function("C", named, [links.C(q, v, w)[order]]),
         grad_T=ca.Function("grad_T", named[:2], [links.grad_T(q, v)[order]]),
+        hand=Hand(ca.Function("position", [named[0], r], [links.hand.position(q, r)]), links.hand.gravity),
     )

@@ -5,43 +5,144 @@ from __future__ import annotations
 
 import numpy as np
 
-from fjr_core import Plant, StateError
+from fjr_core import ParameterError, Plant, StateError
 from fjr_core.checks import Array
+from fjr_core.imperfect_plant import ImperfectPlant
+from fjr_core.imperfect_signals import SensorErrors
+from fjr_core.imperfections import Imperfections, friction_rate
+
+from .sensors import Sensors
+
+STIFFEST_FRICTION = 2.0
+"""Largest product of friction's rate about rest and the inner step: Runge-Kutta is stable to 2.78, here with room."""
 
 
 class SimulatedRobot:
-    """A plant with a state, a time [ns, integer, exact] and an effort that is held between commands."""
+    """A plant with a state, a time [ns, integer, exact] and an effort that is held between commands.
 
-    def __init__(self, plant: Plant, x0: Array, inner_step: int) -> None:
-        """x0: initial state (4n,); inner_step: integrator step [ns]."""
-        self._plant = plant
+    u (n,) [N m]: the command, external (n,) [N m]: torques on the links; both are set from outside and held.
+    x (4n,): the state; with a payload p_l holds its momenta too.
+    Without imperfections the motion is that of plant.step, bit for bit.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        x0: Array,
+        inner_step: int,
+        imperfections: Imperfections | None = None,
+        sensor_errors: SensorErrors | None = None,
+        seed: int = 0,
+    ) -> None:
+        """x0: initial state (4n,) of the robot without payload; inner_step: integrator step [ns].
+
+        seed: of the sensors' noise. Raises ParameterError for imperfections that do not fit.
+        """
+        self._plant, self._n = plant, plant.robot.n
+        self._imperfect = ImperfectPlant(plant)
         self._x0 = x0
         self._inner_step = inner_step
+        self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed)
+        self._use(imperfections or Imperfections(self._n))
         self.reset()
 
     def reset(self) -> None:
-        """Back to the initial state and time 0, no effort."""
+        """Back to the initial positions and velocities and time 0, no effort, the noise from its start."""
         self.time = 0
+        self.u: Array = np.zeros(self._n)
+        self.external: Array = np.zeros(self._n)
+        self._output: Array = np.zeros(self._n)  # of the actuators
         self.x = self._x0.copy()
-        self.u: Array = np.zeros(self._plant.robot.n)
+        if np.any(self._imperfections.payload_mass):
+            self.x = self._moving(np.concatenate(self._plant.robot.velocities(self._x0)))
+        self._sensors.reset()
 
     def warm_up(self) -> None:
-        """Build everything that is built once, so that the first step is as fast as any other."""
-        self._plant.step(self._x0, np.zeros(self._plant.robot.n), self._inner_step * 1e-9)
+        """Build everything that is built once, so that the first step is as fast as any other, whatever is changed."""
+        nothing, dt = np.zeros(self._n), self._inner_step * 1e-9
+        self._plant.step(self._x0, nothing, dt)
+        self._imperfect.step(np.concatenate([self._x0, nothing]), nothing, nothing, self._parameters, dt)
+        self._imperfect.applied(nothing, nothing, self._parameters)
+        self._moving(self._imperfect.measure(self._x0, self._parameters)[0])
         self.measure()
+        self._sensors.reset()
+
+    def change(self, imperfections: Imperfections, sensor_errors: SensorErrors | None = None) -> None:
+        """Other imperfections from now on; sensor_errors: other ones, None leaves them as they are.
+
+        Positions and velocities go on without a jump: a payload is taken and let go at the speed of the hand.
+        Raises ParameterError and changes nothing for imperfections that do not fit.
+        """
+        velocity, output, before = self._ideal()[1], self._applied(), self._imperfections
+        self._use(imperfections)
+        self._output = output
+        if not _same_load(before, imperfections):
+            self.x = self._moving(velocity)
+        if sensor_errors is not None:
+            self._sensors.change(sensor_errors)
 
     def advance_to(self, time: int) -> None:
         """Integrate in whole inner steps up to, and never past, `time` [ns]; raises StateError on divergence."""
-        while self.time + self._inner_step <= time:
-            self.x = self._plant.step(self.x, self.u, self._inner_step * 1e-9)
-            self.time += self._inner_step
+        if self._perfect and not self.external.any():
+            while self.time + self._inner_step <= time:
+                self.x = self._plant.step(self.x, self.u, self._inner_step * 1e-9)
+                self.time += self._inner_step
+        else:
+            self._advance_imperfect(time)
         if not np.isfinite(self.x).all():
             raise StateError(f"the robot's state is not finite after {self.time * 1e-9:.3f} s: the motion diverged")
 
     def measure(self) -> tuple[Array, Array, Array]:
-        """Positions (q_l, q_m) [rad], velocities [rad/s] and efforts (K zeta, applied u) [N m], each (2n,)."""
-        n, robot = self._plant.robot.n, self._plant.robot
+        """Positions (q_l, q_m) [rad], velocities [rad/s] and efforts (spring torque, applied torque) [N m], (2n,) each.
+
+        Velocities are (0,) where the sensors have none. The same at one time, however often it is asked for.
+        """
+        position, velocity, spring = self._ideal()
+        if not self._sensors.perfect:
+            position, velocity = self._sensors.measured(self.time, position, velocity)
+        return position, velocity, np.concatenate([spring, self._plant.robot.B_m @ self._applied()])
+
+    def _use(self, imperfections: Imperfections) -> None:
+        self._imperfect.check(imperfections)
+        self._check_friction(imperfections)
+        self._imperfections, self._perfect = imperfections, imperfections.off
+        self._parameters = imperfections.vector
+
+    def _check_friction(self, imperfections: Imperfections) -> None:
+        robot, dt = self._plant.robot, self._inner_step * 1e-9
+        rate = friction_rate(imperfections, robot.M_l(self._x0[: self._n]), robot.M_m)
+        if self._plant.integrator == "rk4" and rate * dt > STIFFEST_FRICTION:
+            raise ParameterError(
+                f"friction damps with {rate:.4g} 1/s about rest; expected at most {STIFFEST_FRICTION / dt:.4g} 1/s for "
+                "inner steps of this length: raise imperfections.friction_smoothing_velocity or inner_steps"
+            )
+
+    def _advance_imperfect(self, time: int) -> None:
+        state = np.concatenate([self.x, self._applied() if self._perfect else self._output])
+        while self.time + self._inner_step <= time:
+            state = self._imperfect.step(state, self.u, self.external, self._parameters, self._inner_step * 1e-9)
+            self.time += self._inner_step
+        self.x, self._output = np.split(state, [4 * self._n])
+
+    def _ideal(self) -> tuple[Array, Array, Array]:
+        """Positions, velocities (2n,) and spring torques (n,) as they are."""
+        n, robot = self._n, self._plant.robot
         position = self.x[: 2 * n]
-        spring = robot.K @ (position[n:] - position[:n])
-        applied = robot.B_m @ self.u
-        return position, np.concatenate(robot.velocities(self.x)), np.concatenate([spring, applied])
+        if self._perfect:
+            return position, np.concatenate(robot.velocities(self.x)), robot.K @ (position[n:] - position[:n])
+        return position, *self._imperfect.measure(self.x, self._parameters)
+
+    def _applied(self) -> Array:
+        """What the actuators give now (n,)."""
+        return self.u if self._perfect else self._imperfect.applied(self._output, self.u, self._parameters)
+
+    def _moving(self, velocity: Array) -> Array:
+        """The state (4n,) here with these velocities (2n,), payload and all."""
+        return self._imperfect.state(self.x[: 2 * self._n], velocity, self._parameters)
+
+
+def _same_load(one: Imperfections, other: Imperfections) -> bool:
+    if not (np.any(one.payload_mass) or np.any(other.payload_mass)):
+        return True
+    same = (np.array_equal(getattr(one, name), getattr(other, name)) for name in ("payload_mass", "payload_position"))
+    return all(same)

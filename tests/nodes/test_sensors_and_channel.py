@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What sensors and messages do to a run, without ROS: seeded, the same every time, each error by itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from fjr_core import ParameterError
+from fjr_core.imperfect_signals import ChannelErrors, SensorErrors
+from fjr_plant.channel import COMMANDS, PERIOD, SENSORS, STATES, Channel, SampleTimes, channel, generator
+from fjr_plant.sensors import Sensors, sensors
+
+MS = 1_000_000  # ns
+N = 20_000
+CHANCE = 1e-9  # that a fair sequence fails a statistical test; the seeds are fixed, so it does not
+
+
+def arrivals(link: Channel[int], pushes: int = 200, period: int = MS) -> list[tuple[int, int]]:
+    """(time, item) of all that arrives, item k pushed at k periods and everything taken as it becomes due."""
+    seen = []
+    for k in range(pushes):
+        while (due := link.next_due) is not None and due <= k * period:
+            seen += [(due, item) for item in link.due(due)]
+        link.push(k * period, k)
+    while (due := link.next_due) is not None:
+        seen += [(due, item) for item in link.due(due)]
+    return seen
+
+
+def within(count: int, probability: float, trials: int = N) -> bool:
+    low, high = stats.binom.ppf([CHANCE, 1 - CHANCE], trials, probability)
+    return bool(low <= count <= high)
+
+
+# Channels.
+
+
+def test_a_perfect_channel_is_none() -> None:
+    assert channel(ChannelErrors(), 0, STATES) is None
+    assert channel(None, 0, STATES) is None
+    assert ChannelErrors(in_order=False).off
+    for errors in (ChannelErrors(delay=1e-3), ChannelErrors(jitter=1e-3), ChannelErrors(loss=0.1)):
+        assert channel(errors, 0, STATES) is not None
+    assert not ChannelErrors(repetition=0.1).off
+
+
+def test_a_delay_is_exact() -> None:
+    assert arrivals(Channel(ChannelErrors(delay=3.25e-3))) == [(k * MS + 3_250_000, k) for k in range(200)]
+
+
+def test_what_is_due_is_given_once_and_not_before() -> None:
+    link: Channel[str] = Channel(ChannelErrors(delay=2e-3))
+    assert link.next_due is None
+    link.push(0, "a")
+    link.push(MS, "b")
+    assert link.next_due == 2 * MS
+    assert link.due(2 * MS - 1) == []
+    assert link.due(2 * MS) == ["a"]
+    assert link.next_due == 3 * MS
+    assert link.due(10 * MS) == ["b"]
+    assert link.due(10 * MS) == []
+    assert link.next_due is None
+
+
+@pytest.mark.parametrize("probability", [0.01, 0.1, 0.5])
+def test_so_many_are_lost_and_repeated_as_the_probability_says(probability: float) -> None:
+    lost = N - len(arrivals(Channel(ChannelErrors(loss=probability), seed=3), N))
+    assert within(lost, probability)
+    more = len(arrivals(Channel(ChannelErrors(repetition=probability), seed=3), N)) - N
+    assert within(more, probability)
+
+
+@pytest.mark.parametrize("probability", [0.0, 1.0])
+def test_never_and_always_are_exact(probability: float) -> None:
+    assert len(arrivals(Channel(ChannelErrors(delay=1e-3, loss=probability)))) == (0 if probability else 200)
+    assert len(arrivals(Channel(ChannelErrors(delay=1e-3, repetition=probability)))) == (400 if probability else 200)
+
+
+def test_losses_do_not_come_in_groups() -> None:
+    """The fates of neighbours are independent: both lost as often as the product says."""
+    kept = {item for _, item in arrivals(Channel(ChannelErrors(loss=0.3), seed=5), N)}
+    pairs = sum(k not in kept and k + 1 not in kept for k in range(0, N, 2))
+    assert within(pairs, 0.09, N // 2)
+
+
+def test_jitter_is_uniform() -> None:
+    late = [due - item * MS for due, item in arrivals(Channel(ChannelErrors(jitter=0.9e-3), seed=1), N)]
+    assert min(late) >= 0
+    assert max(late) <= 900_000
+    assert stats.kstest(late, stats.uniform(0, 900_000).cdf).pvalue > 1e-6
+
+
+def test_jitter_keeps_the_order_unless_it_may_not() -> None:
+    errors = ChannelErrors(delay=1e-3, jitter=5e-3, repetition=0.2)
+    kept = [item for _, item in arrivals(Channel(errors, seed=2))]
+    assert kept == sorted(kept)
+    mixed = [item for _, item in arrivals(Channel(replace(errors, in_order=False), seed=2))]
+    assert mixed != sorted(mixed)
+    assert sorted(mixed) == kept
+    times = [due for due, _ in arrivals(Channel(replace(errors, in_order=False), seed=2))]
+    assert times == sorted(times)
+
+
+EVERYTHING = ChannelErrors(delay=2e-3, jitter=4e-3, loss=0.2, repetition=0.3, in_order=False)
+
+
+def test_a_run_repeats_and_another_seed_or_stream_does_not() -> None:
+    link: Channel[int] = Channel(EVERYTHING, seed=7, stream=COMMANDS)
+    first = arrivals(link)
+    link.push(0, 99)
+    link.reset()
+    assert link.next_due is None
+    assert arrivals(link) == first
+    assert arrivals(Channel(EVERYTHING, seed=7, stream=COMMANDS)) == first
+    assert arrivals(Channel(EVERYTHING, seed=8, stream=COMMANDS)) != first
+    assert arrivals(Channel(EVERYTHING, seed=7, stream=STATES)) != first
+
+
+def test_streams_of_a_seed_differ() -> None:
+    assert len({generator(0, stream).random() for stream in (STATES, COMMANDS, SENSORS, PERIOD)}) == 4
+
+
+def test_each_error_leaves_the_fate_by_the_others_alone() -> None:
+    lost = set(range(200)) - {item for _, item in arrivals(Channel(ChannelErrors(loss=0.2)))}
+    late = {item: due - item * MS for due, item in arrivals(Channel(ChannelErrors(jitter=1e-3)))}
+    both = arrivals(Channel(ChannelErrors(delay=5e-3, jitter=1e-3, loss=0.2)))
+    assert {item for _, item in both} == set(range(200)) - lost
+    assert {item: due - item * MS - 5 * MS for due, item in both} == {k: late[k] for k in late if k not in lost}
+    twice = [item for _, item in arrivals(Channel(ChannelErrors(repetition=0.2)))]
+    repeated = {item for item in twice if twice.count(item) == 2}
+    all_of_it = [item for _, item in arrivals(Channel(ChannelErrors(loss=0.2, repetition=0.2)))]
+    assert {item for item in all_of_it if all_of_it.count(item) == 2} == repeated - lost
+
+
+def test_a_change_while_running_meets_only_what_is_pushed_later() -> None:
+    link: Channel[str] = Channel(ChannelErrors(delay=3e-3))
+    link.push(0, "slow")
+    link.change(ChannelErrors())
+    link.push(MS, "held back by the order")
+    link.change(ChannelErrors(in_order=False))
+    link.push(2 * MS, "quick")
+    assert link.due(2 * MS) == ["quick"]
+    assert link.next_due == 3 * MS
+    assert link.due(3 * MS) == ["slow", "held back by the order"]
+
+
+@pytest.mark.parametrize(
+    "bad", [{"delay": -1e-3}, {"jitter": float("nan")}, {"loss": 1.5}, {"repetition": -0.1}, {"delay": float("inf")}]
+)
+def test_bad_errors_of_a_channel_are_named(bad: dict[str, float]) -> None:
+    with pytest.raises(ParameterError, match=f"^{next(iter(bad))} is .*; expected"):
+        ChannelErrors(**bad)
+
+
+# Sample times.
+
+
+def test_sample_times_without_jitter_are_the_periods() -> None:
+    times = SampleTimes(MS, 250_000, 0.0)
+    assert [times.next() for _ in range(5)] == [k * MS for k in range(1, 6)]
+
+
+def test_late_samples_are_whole_inner_steps_in_order_and_lateness_does_not_add_up() -> None:
+    times = SampleTimes(MS, 50_000, 0.9e-3, seed=1)
+    instants = np.array([0] + [times.next() for _ in range(N)])
+    late = instants[1:] - MS * np.arange(1, N + 1)
+    assert np.all(instants % 50_000 == 0)
+    assert np.all(np.diff(instants) >= 50_000)
+    assert 0 <= late.min() < late.max() <= 900_000
+    counts = np.bincount(late // 50_000, minlength=18)[:18]
+    assert all(within(int(count), 1 / 18) for count in counts)
+    assert times.now == instants[-1]
+
+
+def test_sample_times_repeat_after_a_reset() -> None:
+    times = SampleTimes(MS, 250_000, 0.5e-3, seed=4)
+    first = [times.next() for _ in range(100)]
+    times.reset()
+    assert times.now == 0
+    assert [times.next() for _ in range(100)] == first
+    assert [SampleTimes(MS, 250_000, 0.5e-3, seed=5).next() for _ in range(100)] != first
+
+
+# Sensors.
+
+POSITION, VELOCITY = np.array([0.3, -1.2, 0.31, -1.19]), np.array([0.5, -0.25, 0.4, 0.1])
+
+
+def measured(sensor: Sensors, instants: int = N) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities (k, 4) at so many instants."""
+    pairs = [sensor.measured(k, POSITION, VELOCITY) for k in range(instants)]
+    return np.array([q for q, _ in pairs]), np.array([dq for _, dq in pairs])
+
+
+def test_perfect_sensors_are_none() -> None:
+    assert sensors(SensorErrors(2), 0) is None
+    assert sensors(None, 0) is None
+    assert sensors(SensorErrors(2, velocities=False), 0) is not None
+
+
+def test_the_encoder_gives_the_nearest_step_of_its_turn() -> None:
+    sensor = Sensors(SensorErrors(2, bits_l=(12, 0), bits_m=(16.5, 8)))
+    turn, q = 2 * np.pi, np.linspace(-4, 4, 501)
+    for value in q:
+        position, velocity = sensor.measured(0, np.full(4, value), VELOCITY)
+        for seen, bits in zip(position[[0, 2, 3]], (12, 16.5, 8), strict=True):
+            step = turn / 2**bits
+            assert abs(seen - value) <= step / 2 * (1 + 1e-9)
+            assert seen / step == pytest.approx(round(seen / step), abs=1e-6)
+        assert position[1] == value
+        assert np.array_equal(velocity, VELOCITY)
+
+
+def test_the_noise_has_its_deviations_and_no_mean() -> None:
+    deviations = {"position_l": (1e-3, 0.0), "position_m": 2e-3, "velocity_l": 0.1, "velocity_m": (0.0, 0.3)}
+    q, dq = measured(Sensors(SensorErrors(2, **deviations), seed=2))
+    wanted = np.array([1e-3, 0, 2e-3, 2e-3, 0.1, 0.1, 0, 0.3])
+    noise = np.hstack([q - POSITION, dq - VELOCITY])
+    assert np.array_equal(noise[:, wanted == 0], np.zeros((N, 2)))
+    for column, deviation in zip(noise.T[wanted > 0], wanted[wanted > 0], strict=True):
+        assert stats.kstest(column, stats.norm(0, deviation).cdf).pvalue > 1e-6
+    correlation = np.corrcoef(noise[:, wanted > 0].T) - np.eye(6)
+    assert np.max(np.abs(correlation)) < 6 / np.sqrt(N)
+
+
+def test_the_encoder_comes_after_the_noise() -> None:
+    q, _ = measured(Sensors(SensorErrors(2, bits_l=10, bits_m=10, position_l=0.01, position_m=0.01)), 100)
+    counts = q / (2 * np.pi / 2**10)
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
+    assert len(np.unique(counts[:, 0])) > 3
+
+
+def test_one_instant_is_measured_once_however_often_it_is_asked_for() -> None:
+    errors = SensorErrors(2, position_l=0.01, velocity_m=0.1)
+    often, once = Sensors(errors), Sensors(errors)
+    for time in range(0, 50):
+        seen = [np.concatenate(often.measured(time, POSITION, VELOCITY)) for _ in range(1 + time % 3)]
+        wanted = np.concatenate(once.measured(time, POSITION, VELOCITY))
+        assert all(np.array_equal(one, wanted) for one in seen)
+
+
+def test_noise_repeats_after_a_reset_and_with_the_same_seed_only() -> None:
+    errors = SensorErrors(2, position_l=0.01)
+    sensor = Sensors(errors, seed=6)
+    first, _ = measured(sensor, 50)
+    sensor.reset()
+    assert np.array_equal(measured(sensor, 50)[0], first)
+    assert np.array_equal(measured(Sensors(errors, seed=6), 50)[0], first)
+    assert not np.array_equal(measured(Sensors(errors, seed=5), 50)[0], first)
+
+
+def test_without_velocities_the_field_is_empty_and_positions_are_as_before() -> None:
+    errors = SensorErrors(2, position_m=0.01)
+    position, velocity = Sensors(replace(errors, velocities=False)).measured(0, POSITION, VELOCITY)
+    assert velocity.shape == (0,)
+    assert np.array_equal(position, Sensors(errors).measured(0, POSITION, VELOCITY)[0])
+
+
+@pytest.mark.parametrize(
+    "name", ["bits_l", "bits_m", "position_l", "position_m", "velocity_l", "velocity_m", "velocities"]
+)
+def test_each_error_of_a_sensor_touches_its_own_numbers_only(name: str) -> None:
+    """Among other errors that stay, and with the same random numbers as without it."""
+    base = SensorErrors(2, **dict.fromkeys(("position_l", "position_m", "velocity_l", "velocity_m"), 0.01))
+    value: Any = {"bits_l": 8, "bits_m": 8, "velocities": False}.get(name, 0.02)
+    q, dq = measured(Sensors(base), 20)
+    q_other, dq_other = measured(Sensors(replace(base, **{name: value})), 20)
+    touched = {"bits_l": 0, "position_l": 0, "bits_m": 1, "position_m": 1, "velocity_l": 2, "velocity_m": 3}.get(name)
+    if touched is None:
+        assert dq_other.shape == (20, 0)
+        dq_other = dq
+    changed = [not np.array_equal(a, b) for a, b in zip(blocks(q, dq), blocks(q_other, dq_other), strict=True)]
+    assert changed == [k == touched for k in range(4)]
+
+
+def blocks(q: np.ndarray, dq: np.ndarray) -> list[np.ndarray]:
+    return [*np.split(q, 2, axis=1), *np.split(dq, 2, axis=1)]
+
+
+@pytest.mark.parametrize("bad", [{"bits_l": -1}, {"bits_m": 60}, {"position_l": [1.0] * 3}, {"velocity_m": np.nan}])
+def test_bad_errors_of_sensors_are_named(bad: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=f"^{next(iter(bad))} .*; expected"):
+        SensorErrors(2, **bad)

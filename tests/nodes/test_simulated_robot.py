@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot in motion: exactly the plant while all is well, and each parameter imperfections.* by itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_core import config
+from fjr_core import imperfection_parameters as words
+from fjr_core.imperfect_signals import SensorErrors
+from fjr_core.imperfections import Imperfections
+from fjr_core.links import closed_form
+from fjr_core.parameters import complete
+from fjr_plant.channel import COMMANDS, STATES, Channel, SampleTimes
+from fjr_plant.simulated_robot import SimulatedRobot
+
+INNER = 250_000  # ns
+START = {"q_l": [0.4], "q_m": [0.5], "dq_l": [0.3], "dq_m": [-0.2]}
+
+
+def simulated(
+    imperfections: Imperfections | None = None, robot: fjr.Robot | None = None, **options: Any
+) -> SimulatedRobot:
+    robot = robot or fjr.single_link()
+    x0 = robot.state(*START.values())
+    integrator = options.pop("integrator", "rk4")
+    made = SimulatedRobot(fjr.Plant(robot, integrator), x0, INNER, imperfections, **options)
+    made.warm_up()
+    return made
+
+
+def run(robot: SimulatedRobot, milliseconds: int = 40) -> np.ndarray:
+    """Everything measured, once a millisecond, under an effort that changes."""
+    rows = []
+    for k in range(robot.time // 1_000_000 + 1, robot.time // 1_000_000 + milliseconds + 1):
+        robot.u = np.array([2.0 * np.sin(0.3 * k)])
+        robot.advance_to(k * 1_000_000)
+        rows.append(np.concatenate(robot.measure()))
+    return np.array(rows)
+
+
+def test_with_everything_off_it_is_the_plant_bit_for_bit() -> None:
+    robot, plant = simulated(), fjr.Plant(fjr.single_link())
+    x = fjr.single_link().state(*START.values())
+    for k in range(1, 41):
+        robot.u = np.array([0.3 * k])
+        robot.advance_to(k * 1_000_000)
+        for _ in range(4):
+            x = plant.step(x, [0.3 * k], INNER * 1e-9)
+        assert np.array_equal(robot.x, x)
+    position, velocity, effort = robot.measure()
+    assert np.array_equal(position, x[:2])
+    assert np.array_equal(velocity, np.concatenate(fjr.single_link().velocities(x)))
+    assert np.array_equal(effort, [(31.0 * np.diff(x[:2]))[0], 0.3 * 40])
+
+
+def test_it_never_goes_past_the_time_asked_for() -> None:
+    robot = simulated(Imperfections(1, coulomb_m=0.1))
+    robot.advance_to(INNER * 3 - 1)
+    assert robot.time == INNER * 2
+
+
+NOISY = SensorErrors(1, bits_l=14, position_m=1e-4, velocity_l=0.01)
+BAD = Imperfections(1, coulomb_m=0.05, static_m=0.1, smoothing=0.05, cubic=100, ripple=0.1, effort_limit=1.5, lag=2e-3)
+
+
+def test_a_run_repeats_after_a_reset_bit_for_bit() -> None:
+    robot = simulated(BAD, sensor_errors=NOISY, seed=3)
+    first = run(robot)
+    robot.external = np.array([0.4])
+    run(robot, 5)
+    robot.reset()
+    assert robot.time == 0
+    assert not robot.u.any()
+    assert not robot.external.any()
+    assert np.array_equal(run(robot), first)
+    assert np.array_equal(run(simulated(BAD, sensor_errors=NOISY, seed=3)), first)
+    assert not np.array_equal(run(simulated(BAD, sensor_errors=NOISY, seed=4)), first)
+
+
+def test_a_reset_with_a_payload_begins_with_the_same_velocities() -> None:
+    robot = simulated(Imperfections(1, payload_mass=0.5, payload_position=(0.2, 0, 0)))
+    for _ in range(2):
+        position, velocity, _ = robot.measure()
+        np.testing.assert_allclose([*position, *velocity], [0.4, 0.5, 0.3, -0.2], rtol=1e-13)
+        assert robot.x[2] == pytest.approx((0.031 + 0.5 * 0.2**2) * 0.3)
+        run(robot, 3)
+        robot.reset()
+
+
+def test_a_payload_is_taken_and_let_go_without_a_jump() -> None:
+    robot = simulated()
+    run(robot, 10)
+    before = robot.x.copy()
+    seen = [np.concatenate(robot.measure())]
+    for mass, position in ((0.5, (0.2, 0.0, 0.0)), (0.5, (0.1, 0.1, 0.0)), (0.0, (0.1, 0.1, 0.0))):
+        robot.change(Imperfections(1, payload_mass=mass, payload_position=position))
+        seen.append(np.concatenate(robot.measure()))
+    np.testing.assert_allclose(seen, np.broadcast_to(seen[0], np.shape(seen)), rtol=1e-12)
+    np.testing.assert_allclose(robot.x, before, rtol=1e-12)
+
+
+def test_a_change_while_running_goes_on_as_a_robot_that_was_always_so() -> None:
+    robot, other = simulated(), simulated(BAD)
+    run(robot, 10)
+    robot.change(BAD)
+    other.x, other.time, other.u = robot.x.copy(), robot.time, robot.u
+    other._output = robot.u
+    assert np.array_equal(run(robot, 10), run(other, 10))
+    robot.change(Imperfections(1))
+    other.change(Imperfections(1))
+    assert np.array_equal(run(robot, 10), run(other, 10))
+
+
+def test_a_lag_that_is_switched_on_begins_at_the_torque_that_acts() -> None:
+    robot = simulated(Imperfections(1, effort_limit=1.0))
+    robot.u = np.array([3.0])
+    robot.advance_to(4 * INNER)
+    robot.change(Imperfections(1, lag=0.01))
+    assert robot.measure()[2][1] == 1.0
+    robot.advance_to(8 * INNER)
+    assert robot.measure()[2][1] == pytest.approx(3 - 2 * np.exp(-0.1), rel=1e-12)
+
+
+def test_the_torque_that_acts_is_measured() -> None:
+    for imperfections, applied in (
+        (None, 2.0),
+        (Imperfections(1, effort_limit=0.7), 0.7),
+        (Imperfections(1, lag=1), 0),
+    ):
+        robot = simulated(imperfections)
+        robot.u = np.array([2.0])
+        assert robot.measure()[2][1] == applied
+
+
+def test_a_push_works_without_any_imperfection_and_ends_exactly() -> None:
+    pushed, plain = simulated(), simulated()
+    pushed.external = np.array([0.5])
+    assert not np.allclose(run(pushed, 1), run(plain, 1))
+    pushed.external = np.zeros(1)
+    plain.x = pushed.x.copy()
+    assert np.array_equal(run(pushed), run(plain))
+
+
+def test_a_push_is_felt_as_gravity_of_that_size_would_be() -> None:
+    robot = simulated()
+    robot.external = np.array([0.8 * np.sin(0.4)])  # holds the link's weight where it is
+    robot._x0 = fjr.single_link().state([0.4], [0.4], [0.0], [0.0])
+    robot.x = robot._x0.copy()
+    robot.advance_to(10_000_000)
+    np.testing.assert_allclose(robot.x, robot._x0, atol=1e-15)
+
+
+@pytest.mark.parametrize("side", ["l", "m"])
+def test_friction_too_steep_for_the_step_is_refused_and_nothing_changes(side: str) -> None:
+    robot = simulated(BAD)
+    steep = Imperfections(1, **{f"coulomb_{side}": 1.0, "smoothing": 1e-4})
+    with pytest.raises(fjr.ParameterError, match="friction_smoothing_velocity"):
+        robot.change(steep)
+    assert np.array_equal(run(robot), run(simulated(BAD)))
+    with pytest.raises(fjr.ParameterError, match="friction damps with"):
+        simulated(steep)
+    simulated(steep, integrator="implicit_midpoint")
+
+
+def test_friction_at_its_steepest_brakes_without_a_change_of_sign() -> None:
+    """At the steepest slope that is allowed a slow motor loses speed in every step, and never turns back."""
+    steepest = 0.5 / 0.004 * INNER * 1e-9 / 1.999
+    robot = simulated(Imperfections(1, coulomb_m=0.5, smoothing=steepest), fjr.single_link(gravity_torque=0.0))
+    robot.x = fjr.single_link().state([0.0], [0.0], [0.0], [0.1 * steepest])
+    speeds = [robot.measure()[1][1]]
+    for k in range(1, 6):
+        robot.advance_to(k * INNER)
+        speeds.append(robot.measure()[1][1])
+    ratios = np.divide(speeds[1:], speeds[:-1])
+    assert np.all((ratios > 0.2) & (ratios < 0.5))
+
+
+def test_a_payload_where_there_is_no_hand_is_refused() -> None:
+    links = closed_form(1, lambda q: 0.1 + 0 * q, lambda q: -q[0])
+    robot = fjr.Robot(links, *([[value]] for value in (0.1, 10.0, 0.1, 0.1, 1.0)))
+    made = simulated(robot=robot)
+    with pytest.raises(fjr.ParameterError, match="payload_mass"):
+        made.change(Imperfections(1, payload_mass=0.1))
+    with pytest.raises(fjr.ParameterError, match=r"imperfections\.payload_mass"):
+        words.imperfections(values(**{"imperfections.payload_mass": 0.1}), robot)
+
+
+# The parameters in words.
+
+
+def values(**given: Any) -> dict[str, Any]:
+    return complete(config.all_parameters(config.plant_parameters, {}), given)
+
+
+def test_all_are_off_by_default() -> None:
+    found, robot = values(), fjr.single_link()
+    assert words.imperfections(found, robot).off
+    assert words.sensor_errors(found, 1).off
+    assert all(errors.off for errors in words.channel_errors(found))
+    assert words.period_jitter(found) == 0.0
+
+
+BASE = {  # every parameter that only shapes another one has something to shape
+    "link_coulomb_friction": (0.05,),
+    "link_static_friction": (0.1,),
+    "link_stribeck_velocity": (0.3,),
+    "motor_coulomb_friction": (0.05,),
+    "motor_static_friction": (0.1,),
+    "motor_stribeck_velocity": (0.3,),
+    "friction_smoothing_velocity": (0.1,),
+    "torque_ripple": (0.05,),
+    "payload_mass": 0.1,
+    "payload_position": (0.1, 0.0, 0.0),
+    "link_position_noise": (1e-4,),
+    "state_jitter": 5e-3,
+    "state_repetition": 0.2,
+    "command_jitter": 5e-3,
+}
+CASES = {
+    "link_coulomb_friction": (0.08,),
+    "link_static_friction": (0.2,),
+    "link_stribeck_velocity": (0.6,),
+    "motor_coulomb_friction": (0.08,),
+    "motor_static_friction": (0.2,),
+    "motor_stribeck_velocity": (0.6,),
+    "friction_smoothing_velocity": (0.2,),
+    "cubic_stiffness": (500.0,),
+    "torque_ripple": (0.1,),
+    "torque_ripple_periods": (24.0,),
+    "torque_ripple_phase": (1.0,),
+    "effort_limit": (1.0,),
+    "actuator_lag": (2e-3,),
+    "payload_mass": 0.2,
+    "payload_position": (0.2, 0.0, 0.0),
+    "link_encoder_bits": (12.0,),
+    "motor_encoder_bits": (12.0,),
+    "link_position_noise": (2e-4,),
+    "motor_position_noise": (1e-4,),
+    "link_velocity_noise": (1e-2,),
+    "motor_velocity_noise": (1e-2,),
+    "publish_velocity": False,
+    "state_delay": 1e-3,
+    "state_jitter": 7e-3,
+    "state_loss": 0.2,
+    "state_repetition": 0.4,
+    "command_delay": 1e-3,
+    "command_jitter": 7e-3,
+    "command_loss": 0.2,
+    "command_repetition": 0.2,
+    "messages_in_order": False,
+    "period_jitter": 0.5e-3,
+    "seed": 1,
+}
+MEASURED, STATE, COMMAND, PERIOD = "what is measured", "states", "commands", "sample times"
+
+
+def stream(errors: Any, seed: int, which: int) -> list[tuple[int, int]]:
+    link: Channel[int] = Channel(errors, seed, which)
+    for k in range(50):
+        link.push(k * 1_000_000, k)
+    found = []
+    while (due := link.next_due) is not None:
+        found += [(due, item) for item in link.due(due)]
+    return found
+
+
+def behaviour(**given: Any) -> dict[str, bytes]:
+    """All that a run shows, by kind."""
+    found = values(**{f"imperfections.{name}": value for name, value in {**BASE, **given}.items()})
+    robot, seed = fjr.single_link(), words.seed(found)
+    made = simulated(words.imperfections(found, robot), sensor_errors=words.sensor_errors(found, 1), seed=seed)
+    states, commands = words.channel_errors(found)
+    times = SampleTimes(1_000_000, INNER, words.period_jitter(found), seed)
+    return {
+        MEASURED: run(made).tobytes(),
+        STATE: repr(stream(states, seed, STATES)).encode(),
+        COMMAND: repr(stream(commands, seed, COMMANDS)).encode(),
+        PERIOD: repr([times.next() for _ in range(50)]).encode(),
+    }
+
+
+@pytest.fixture(scope="module")
+def usual() -> dict[str, bytes]:
+    return behaviour()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_each_parameter_changes_what_it_names_and_nothing_else(name: str, usual: dict[str, bytes]) -> None:
+    changed = behaviour(**{name: CASES[name]})
+    seen = {kind for kind in usual if usual[kind] != changed[kind]}
+    wanted = {"seed": {MEASURED, STATE, COMMAND}, "messages_in_order": {STATE, COMMAND}, "period_jitter": {PERIOD}}
+    side = {"state": {STATE}, "command": {COMMAND}}.get(name.split("_")[0], {MEASURED})
+    assert seen == wanted.get(name, side)
+
+
+def test_the_seed_is_also_that_of_the_sample_times() -> None:
+    assert behaviour(period_jitter=0.5e-3)[PERIOD] != behaviour(period_jitter=0.5e-3, seed=1)[PERIOD]
+
+
+def test_no_parameter_is_left_out() -> None:
+    assert {f"imperfections.{name}" for name in CASES} == {p.name for p in words.imperfection_parameters(1)}
+
+
+def test_everything_but_the_seed_may_change_while_the_robot_runs() -> None:
+    assert [p.name for p in words.imperfection_parameters(2) if not p.dynamic] == ["imperfections.seed"]
+
+
+def test_lateness_of_samples_stays_below_the_period() -> None:
+    with pytest.raises(fjr.ParameterError, match=r"period_jitter.*expected less than the period, 0\.001 s"):
+        words.period_jitter(values(**{"imperfections.period_jitter": 1e-3}))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("actuator_lag", (-1.0,)),
+        ("link_encoder_bits", (60.0,)),
+        ("state_loss", 1.1),
+        ("link_stribeck_velocity", (0.0,)),
+    ],
+)
+def test_a_value_out_of_range_is_refused_by_its_name(name: str, value: Any) -> None:
+    with pytest.raises(fjr.ParameterError, match=f"imperfections.{name}"):
+        values(**{f"imperfections.{name}": value})
+
+
+def test_lists_need_one_entry_for_each_joint() -> None:
+    with pytest.raises(fjr.ParameterError, match=r"imperfections\.torque_ripple.*expected 1"):
+        words.imperfections(values(**{"imperfections.torque_ripple": (1.0, 2.0)}), fjr.single_link())
