@@ -12,15 +12,23 @@ Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstr
 
 from .arms import planar_two_link, single_link
 from .bodies import Body
+from .circle import Circle
 from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError
 from .gains import PAPER_GAINS, Gains
+from .joining import join, shifted
 from .limits import JointLimits
+from .measurement import Measurement
+from .motion_limits import MotionLimits, check_motion
+from .multi_sine import MultiSine
 from .newton_euler import serial_chain
+from .observer import VelocityObserver
 from .plant import Plant
 from .reference import Reference, Sine
+from .references import Hold, PointToPoint, standing
 from .robot import Robot
 from .sampled_loop import SampledCheck, check, spectral_radius
 from .simulate import Trajectory, simulate
+from .spline import Spline
 from .synthesis import synthesize
 from .urdf import robot_from_urdf
 from .vdpbc.law import Evaluation, TrackingLaw
@@ -30,30 +38,42 @@ from .virtual import VirtualSystem
 __all__ = [
     "PAPER_GAINS",
     "Body",
+    "Circle",
     "Evaluation",
     "FjrError",
     "Gains",
     "GainsError",
+    "Hold",
     "JointLimits",
+    "Measurement",
+    "MotionLimits",
+    "MultiSine",
     "ParameterError",
     "Plant",
+    "PointToPoint",
     "Rate",
     "Reference",
     "Robot",
     "RobotError",
     "SampledCheck",
     "Sine",
+    "Spline",
     "StateError",
     "TrackingLaw",
     "Trajectory",
     "TrajectoryError",
+    "VelocityObserver",
     "VirtualSystem",
     "check",
+    "check_motion",
+    "join",
     "planar_two_link",
     "robot_from_urdf",
     "serial_chain",
+    "shifted",
     "simulate",
     "single_link",
     "spectral_radius",
+    "standing",
     "synthesize",
 ]

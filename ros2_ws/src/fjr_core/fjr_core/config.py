@@ -15,7 +15,9 @@ from .gains import PAPER_GAINS, Gains
 from .imperfection_parameters import imperfection_parameters
 from .integrators import INTEGRATORS
 from .measurement_parameters import measurement_parameters
+from .motion_parameters import motion_parameters
 from .parameters import Parameter, Values, matrix, named, vector
+from .plant_timing_parameters import plant_timing_parameters
 from .process_parameters import process_parameters
 from .reference_parameters import reference, reference_parameters
 from .robot import Robot
@@ -65,6 +67,7 @@ def plant_parameters(n: int) -> list[Parameter]:
         Parameter("command_timeout", 0.1, "Zero effort when commands stop for longer", "s", minimum=1e-3, maximum=1e3),
         Parameter("lockstep", False, "Advance one sample per stamped /joint_commands instead of with the clock"),
         Parameter("start_paused", False, "Publish nothing until ~/pause is called with false"),
+        *plant_timing_parameters(),
         *imperfection_parameters(n),
         *process_parameters(),
     ]
@@ -88,14 +91,8 @@ def controller_parameters(n: int) -> list[Parameter]:
         *reference_parameters(n),
         *measurement_parameters(n),
         *safety_parameters(n),
-        Parameter(
-            "state_timeout",
-            0.5,
-            "A stamp that jumps back by more restarts the reference",
-            "s",
-            minimum=0.0,
-            maximum=1e3,
-        ),
+        *motion_parameters(n),
+        Parameter("autostart", True, "Configure and activate at the start, without waiting to be asked"),
         *process_parameters(),
     ]
 

@@ -4,33 +4,47 @@
 from __future__ import annotations
 
 import sys
-import time
 from typing import Any
 
-import numpy as np
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from fjr_core import Plant, config
+from fjr_core import imperfection_parameters as words
 from fjr_msgs_py import names, process
 from fjr_msgs_py.health import Health
-from fjr_msgs_py.messages import EffortReader, JointStateWriter, MessageError
+from fjr_msgs_py.messages import EffortReader, MessageError
 from fjr_msgs_py.node_parameters import ParameterNode
+from fjr_msgs_py.torques import TorqueReader
 
+from .deferred import Answer, DeferredTrigger
+from .lock_step import START as LOCKSTEP_START
+from .lock_step import LockStep
+from .pace import Pace, Rig
+from .real_time import RealTime
 from .simulated_robot import SimulatedRobot
+from .states import StatePublisher
+from .transport import Transport
 
-LOCKSTEP_START = 1_000_000_000  # ns; stamp of the first state in lock-step, the same in every run
-LONGEST_BACKLOG = 200_000_000  # ns that are integrated at once when late
-RESEND_PERIOD = 0.1  # s; a lock-step state without an answer is sent again
+__all__ = ["LOCKSTEP_START", "PlantNode", "main"]
+
+EXPECTED = (
+    "states published",
+    "commands received",
+    "ticks skipped",
+    "states unanswered",
+    "states sent again",
+    "answers to other states",
+    "external torques received",
+)
 
 
 class PlantNode(ParameterNode):
-    """Publishes /joint_states; obeys /effort_controller/commands, or /joint_commands in lock-step.
+    """Publishes /joint_states; obeys /effort_controller/commands, or /joint_commands in lock-step (and owns /clock).
 
-    A state is stamped with its exact time: the start stamp plus the time integrated. The robot's time
-    stands still until the first command has come (wait_for_command) and while paused.
+    The robot's time stands still until the first command has come (wait_for_command) and while paused.
+    Services: ~/reset, ~/pause, ~/advance by advance_samples while paused. Torques on ~/external_torque act on the
+    links that are named until the next message or a reset.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -38,163 +52,68 @@ class PlantNode(ParameterNode):
 
     def build(self) -> None:
         """Make the robot from the parameters and start to publish."""
-        robot = config.robot(self.values)
-        inner_step = round(1e9 / self.values["publish_rate"] / self.values["inner_steps"])
-        self._period = inner_step * self.values["inner_steps"]  # ns
-        x0 = config.initial_state(self.values, robot)
-        plant = Plant(robot, self.values["integrator"], compile=self.values["compile"])
-        self._robot = SimulatedRobot(plant, x0, inner_step)
-        self._robot.warm_up()
-        self._timeout = round(self.values["command_timeout"] * 1e9)  # ns
-        self._paused = self.values["start_paused"]
-        self._health = Health(self, ("states published", "commands received", "ticks skipped", "states unanswered"))
-        self._writer = JointStateWriter(names.state_names(self.values["joints"]))
-        self._reader = EffortReader(self.values["joints"])
-        self._states = self.create_publisher(JointState, names.JOINT_STATES, names.LATEST)
+        joints = self.values["joints"]
+        self._health = Health(self, EXPECTED)
+        self._model = config.robot(self.values)
+        self._robot, self._transport = self._simulated()
+        states, reader = StatePublisher(self, joints), EffortReader(joints)
+        self._torques = TorqueReader(joints)
+        rig = Rig(self, self.values, self._robot, self._transport, states, reader, self._health)
+        self._pace: Pace = (LockStep if self.values["lockstep"] else RealTime)(rig)
+        self.create_subscription(JointState, names.EXTERNAL_TORQUE, self._on_torque, names.LATEST)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.PAUSE, self._on_pause)
-        self._rest()
-        (self._start_lockstep if self.values["lockstep"] else self._start_realtime)()
+        self._advance = DeferredTrigger(self, names.ADVANCE, self._on_advance)
 
     def stop(self) -> None:
         """Report the last counters."""
         self._health.publish()
 
-    def _rest(self) -> None:
-        """Back to the initial state, standing still until the next command where one is waited for."""
-        self._robot.reset()
-        self._last_command = 0  # robot's time, ns
-        self._answered = True
-        now = time.monotonic_ns()
-        self._paused_at = now
-        self._restart_ticks(now)
-        self._origin: int | None = None if self.values["wait_for_command"] else now
+    def changed(self, values: dict[str, Any], names: set[str]) -> None:
+        """Let the robot be as imperfect as the new values say, from now on; an FjrError refuses them."""
+        if any(name.startswith("imperfections.") for name in names):
+            motion, sensors = words.imperfections(values, self._model), words.sensor_errors(values, self._model.n)
+            messages, jitter = words.channel_errors(values), words.period_jitter(values)
+            self._pace.catch_up()
+            self._robot.change(motion, sensors)
+            self._transport.change(*messages, jitter)
 
-    def _restart_ticks(self, now: int) -> None:
-        self._first_tick, self._ticks = now, 0
+    def _simulated(self) -> tuple[SimulatedRobot, Transport]:
+        values, model = self.values, self._model
+        inner_step = round(1e9 / values["publish_rate"] / values["inner_steps"])  # ns
+        plant = Plant(model, values["integrator"], compile=values["compile"])
+        motion, sensors = words.imperfections(values, model), words.sensor_errors(values, model.n)
+        seed, x0 = words.seed(values), config.initial_state(values, model)
+        robot = SimulatedRobot(plant, x0, inner_step, motion, sensors, seed)
+        robot.warm_up()
+        transport = Transport(inner_step * values["inner_steps"], inner_step, seed)
+        transport.change(*words.channel_errors(values), words.period_jitter(values))
+        return robot, transport
 
-    def _publish(self) -> None:
-        if not self._answered:
-            self._health.count["states unanswered"] += 1
-        self._answered = self._origin is None
-        self._health.count["states published"] += 1
-        self._states.publish(self._writer.fill(self._start_stamp + self._robot.time, *self._robot.measure()))
-
-    # Real time: the robot's time follows the steady clock from the first command on.
-
-    def _start_realtime(self) -> None:
-        self._start_stamp = self.get_clock().now().nanoseconds
-        self.create_subscription(Float64MultiArray, names.EFFORT_COMMANDS, self._on_command, names.LATEST)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(self._period * 1e-9, self._on_tick, clock=steady)
-
-    def _on_command(self, message: Float64MultiArray) -> None:
+    def _on_torque(self, message: JointState) -> None:
         try:
-            effort = self._reader.read_array(message)
+            torque = self._torques.read(message)
         except MessageError as error:
-            self._health.refuse("command", error)
+            self._health.refuse("external torque", error)
             return
-        self._health.count["commands received"] += 1
-        if self._paused:
-            return
-        self._answered = True
-        if self._origin is None:
-            self._origin = time.monotonic_ns()
-        self._advance()
-        self._robot.u = effort
-        self._last_command = self._robot.time
-
-    def _on_tick(self) -> None:
-        now = time.monotonic_ns()
-        if self._paused:
-            return
-        due = round((now - self._first_tick) / self._period)
-        self._health.count["ticks skipped"] += max(0, due - self._ticks - 1)
-        self._ticks = max(due, self._ticks)
-        self._advance()
-        self._publish()
-
-    def _advance(self) -> None:
-        """Integrate to the measured time, without effort once the last command is too old."""
-        if self._origin is None:
-            return
-        now = time.monotonic_ns() - self._origin
-        if now - self._robot.time > LONGEST_BACKLOG:  # slower than real time: the rest is lost, not piled up
-            lost = now - self._robot.time - LONGEST_BACKLOG
-            self._origin += lost
-            now -= lost
-            self._health.warn("time lost", "too far behind real time: part of it is skipped, stamps stay exact")
-        expiry = self._last_command + self._timeout
-        if now > expiry and self._robot.u.any():
-            self._robot.advance_to(expiry)
-            self._robot.u = np.zeros_like(self._robot.u)
-            self._health.warn("command timeouts", "no command for longer than command_timeout: effort set to zero")
-        self._robot.advance_to(now)
-
-    # Lock-step: one sample per stamped answer to the state that was sent.
-
-    def _start_lockstep(self) -> None:
-        self._start_stamp = LOCKSTEP_START
-        self._last_sent = 0.0
-        self.create_subscription(JointState, names.JOINT_COMMANDS, self._on_answer, names.LATEST)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(RESEND_PERIOD, self._on_resend, clock=steady)
-        self._on_resend()
-
-    def _on_answer(self, message: JointState) -> None:
-        try:
-            stamp, effort = self._reader.read_named(message)
-        except MessageError as error:
-            self._health.refuse("command", error)
-            return
-        if self._paused or stamp != self._start_stamp + self._robot.time:
-            return  # an answer to a state that was sent again, or to an earlier run
-        self._health.count["commands received"] += 1
-        self._answered = True
-        self._robot.u = effort
-        self._robot.advance_to(self._robot.time + self._period)
-        self._send()
-
-    def _on_resend(self) -> None:
-        if not self._paused and time.monotonic() - self._last_sent >= RESEND_PERIOD:
-            self._answered = True
-            self._send()
-
-    def _send(self) -> None:
-        self._last_sent = time.monotonic()
-        self._publish()
-
-    # Services.
+        self._health.count["external torques received"] += 1
+        self._pace.catch_up()
+        self._robot.external = torque
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._rest()
-        if self.values["lockstep"] and not self._paused:
-            self._send()
+        self._pace.reset()
         response.success = True
         response.message = "the robot is back at its initial state"
         return response
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if request.data != self._paused:
-            (self._pause if request.data else self._resume)()
+        self._pace.pause(request.data)
         response.success = True
-        response.message = "paused" if self._paused else "running"
+        response.message = "paused" if self._pace.paused else "running"
         return response
 
-    def _pause(self) -> None:
-        if not self.values["lockstep"]:
-            self._advance()
-        self._paused = True
-        self._paused_at = time.monotonic_ns()
-
-    def _resume(self) -> None:
-        self._paused = False
-        now = time.monotonic_ns()
-        self._restart_ticks(now)
-        if self._origin is not None:
-            self._origin += now - self._paused_at
-        if self.values["lockstep"]:
-            self._send()
+    def _on_advance(self, answer: Answer) -> None:
+        self._pace.advance(self.values["advance_samples"], answer)
 
 
 def main(args: list[str] | None = None) -> int:

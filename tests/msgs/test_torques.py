@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Torques from outside: by name, any subset of the joints; anything else is refused with a sentence."""
+
+from __future__ import annotations
+
+import pytest
+from sensor_msgs.msg import JointState
+
+from fjr_msgs_py.clock import ClockWriter
+from fjr_msgs_py.messages import MessageError
+from fjr_msgs_py.torques import TorqueReader
+
+JOINTS = ("a", "b", "c")
+CASES = {
+    "all": (["a", "b", "c"], [1.0, 2.0, 3.0], [1.0, 2.0, 3.0]),
+    "another order": (["c", "a", "b"], [3.0, 1.0, 2.0], [1.0, 2.0, 3.0]),
+    "some": (["b"], [2.0], [0.0, 2.0, 0.0]),
+    "none": ([], [], [0.0, 0.0, 0.0]),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_joint_that_is_not_named_has_no_torque(case: str) -> None:
+    names, effort, expected = CASES[case]
+    torque = TorqueReader(JOINTS).read(JointState(name=names, effort=effort))
+    assert torque.tolist() == expected
+
+
+BAD = {
+    "unknown joints": (["a", "d"], [1.0, 2.0], "expected some of"),
+    "duplicate joints": (["a", "a"], [1.0, 2.0], "only once"),
+    "wrong lengths": (["a"], [1.0, 2.0], "expected 1, one per name"),
+    "not finite": (["a", "b"], [1.0, float("nan")], "finite"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_what_is_no_torque_is_refused(kind: str) -> None:
+    names, effort, words = BAD[kind]
+    with pytest.raises(MessageError, match=words) as refused:
+        TorqueReader(JOINTS).read(JointState(name=names, effort=effort))
+    assert refused.value.kind == kind
+
+
+def test_the_clock_message_holds_the_nanoseconds() -> None:
+    clock = ClockWriter().fill(12_345_678_901).clock
+    assert (clock.sec, clock.nanosec) == (12, 345_678_901)

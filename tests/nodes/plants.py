@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests of the plant node share: the paper's joint integrated by fjr_core, its messages, its services."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+import fjr_core as fjr
+from fjr_msgs_py.names import LATEST
+from fjr_plant.lock_step import START
+from nodes.harness import Peer, Ros, nanoseconds
+
+INNER = 250_000  # ns, the default 1 kHz in 4 steps
+PERIOD = 1_000_000  # ns
+
+
+def integrate(x: np.ndarray, u: float, steps: int, plant: fjr.Plant | None = None) -> np.ndarray:
+    plant = plant or fjr.Plant(fjr.single_link())
+    for _ in range(steps):
+        x = plant.step(x, [u], INNER * 1e-9)
+    return x
+
+
+def state_of(message: JointState) -> np.ndarray:
+    return fjr.single_link().state(*(np.array([v]) for v in (*message.position, *message.velocity)))
+
+
+def command(*efforts: float) -> Float64MultiArray:
+    return Float64MultiArray(data=list(efforts))
+
+
+def answer(state: JointState, effort: float, names: tuple[str, ...] = ("joint1",)) -> JointState:
+    message = JointState(name=list(names), effort=[effort] * len(names))
+    message.header.stamp.sec, message.header.stamp.nanosec = state.header.stamp.sec, state.header.stamp.nanosec
+    return message
+
+
+def call(ros: Ros, peer: Peer, kind: Any, name: str, **request: Any) -> Any:
+    future = ask(ros, peer, kind, name, **request)
+    ros.until(future.done, f"the answer of {name}")
+    return future.result()
+
+
+def ask(ros: Ros, peer: Peer, kind: Any, name: str, **request: Any) -> Any:
+    """Call a service without waiting for its answer."""
+    client = peer.create_client(kind, name)
+    ros.until(client.service_is_ready, f"service {name}")
+    return client.call_async(kind.Request(**request))
+
+
+class Answering:
+    """A peer that answers each state by a function of its numbers, except those that it is told to ignore."""
+
+    def __init__(
+        self,
+        peer: Peer,
+        ignores: tuple[int, ...] = (),
+        effort: Callable[[JointState], float] = lambda s: -0.2 * s.position[0] - 0.01 * s.velocity[1],
+    ) -> None:
+        """ignores: numbers of states, the first that the peer hears is 1."""
+        self._peer = peer
+        self._ignored = ignores
+        self._effort = effort
+        self._seen = 0
+
+    def listen(self) -> None:
+        """Answer whatever comes, as it comes."""
+        self._peer.create_subscription(JointState, "joint_states", self._answer, LATEST)
+
+    def until(self, ros: Ros, samples: int) -> None:
+        """Answer all states before that of so many samples after the start, and wait for this one."""
+        end = START + samples * PERIOD
+
+        def done() -> bool:
+            for state in self._peer.states[self._seen :]:
+                self._seen += 1
+                if self._seen not in self._ignored and nanoseconds(state) < end:
+                    self._answer(state)
+            return nanoseconds(self._peer.states[-1]) == end
+
+        ros.until(done, f"sample {samples}")
+
+    def _answer(self, state: JointState) -> None:
+        self._peer.command_publisher.publish(answer(state, self._effort(state)))
+
+
+def numbers(states: list[JointState]) -> list[tuple[int, bytes]]:
+    """Stamps and all numbers, bit by bit, of the states without those that were sent again."""
+    fields = ("position", "velocity", "effort")
+    return list({nanoseconds(s): b"".join(getattr(s, f).tobytes() for f in fields) for s in states}.items())

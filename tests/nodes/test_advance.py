@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""~/advance: so many samples and no more, the same states as when the robot runs; on both executors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool, Trigger
+
+from fjr_plant.lock_step import START
+from nodes.harness import Peer, Ros, nanoseconds
+from nodes.plants import PERIOD, Answering, answer, ask, call, command, integrate, numbers, state_of
+
+try:
+    from rclpy.experimental.events_executor import EventsExecutor
+except ImportError:
+    EventsExecutor = None
+
+
+@pytest.fixture(params=["single-threaded", "events"])
+def ros(request, ros: Ros) -> Ros:
+    """As the nodes' tests have it, on each executor."""
+    if request.param == "events":
+        if EventsExecutor is None:
+            pytest.skip("this rclpy has no events executor")
+        ros.executor.shutdown()
+        ros.executor = EventsExecutor(context=ros.context)
+    else:
+        assert isinstance(ros.executor, SingleThreadedExecutor)
+    return ros
+
+
+FALLEN = integrate(np.array([0.5, 0.5, 0.0, 0.0]), 0.0, 160)
+
+
+def advance(ros: Ros, peer: Peer) -> Any:
+    return call(ros, peer, Trigger, "fjr_plant/advance")
+
+
+def test_lockstep_advances_by_exactly_so_many_answers(ros: Ros, peer: Peer) -> None:
+    ros.plant(lockstep=True, start_paused=True, advance_samples=7)
+    Answering(peer).listen()
+    response = advance(ros, peer)
+    assert response.success
+    assert response.message == "advanced by 7 samples: the time is 1.007000000 s"
+    ros.settle()
+    assert nanoseconds(peer.states[-1]) == START + 7 * PERIOD
+    assert advance(ros, peer).message == "advanced by 7 samples: the time is 1.014000000 s"
+    ros.settle()
+    assert sorted({nanoseconds(state) for state in peer.states}) == [START + k * PERIOD for k in range(15)]
+
+
+def test_lockstep_in_strides_gives_the_states_of_a_run_bit_by_bit(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(lockstep=True, start_paused=True, advance_samples=10)
+    Answering(peer).listen()
+    for _ in range(3):
+        assert advance(ros, peer).success
+    strides = numbers(peer.states)
+    del peer.states[:]
+    call(ros, peer, Trigger, "fjr_plant/reset")
+    assert not peer.states, "a paused robot sends nothing"
+    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    ros.until(lambda: node._robot.time > 30 * PERIOD)
+    run = dict(numbers(peer.states))
+    ros.until(lambda: len(strides) == 31)
+    assert [(stamp, run[stamp]) for stamp, _ in strides] == strides
+
+
+def test_real_time_advances_at_once_with_the_held_effort(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(command_timeout=100.0, advance_samples=25)
+    peer.meet_plant()
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: peer.states[-1].effort[1] == 0.3)
+    call(ros, peer, SetBool, "fjr_plant/pause", data=True)
+    ros.settle()
+    time, x, count = node._robot.time, node._robot.x, len(peer.states)
+    assert advance(ros, peer).success
+    assert node._robot.time == time + 25 * PERIOD
+    np.testing.assert_array_equal(node._robot.x, integrate(x, 0.3, 100))
+    ros.until(lambda: nanoseconds(peer.states[-1]) == node._pace.stamp)
+    stamps = [nanoseconds(state) for state in peer.states[count:]]
+    assert stamps == [node._pace.stamp - (24 - k) * PERIOD for k in range(25)]
+    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    count = len(peer.states)
+    ros.until(lambda: len(peer.states) > count)
+    assert nanoseconds(peer.states[count]) - stamps[-1] < 50 * PERIOD, "the time goes on from where it is"
+
+
+def test_real_time_advances_without_effort_before_the_first_command(ros: Ros, peer: Peer) -> None:
+    ros.plant(start_paused=True, advance_samples=40)
+    assert advance(ros, peer).success
+    ros.until(lambda: len(peer.states) == 40)
+    np.testing.assert_array_equal(state_of(peer.states[-1]), FALLEN)
+
+
+def test_lockstep_advances_to_the_same_states_as_real_time(ros: Ros, peer: Peer) -> None:
+    ros.plant(lockstep=True, start_paused=True, advance_samples=40)
+    Answering(peer, effort=lambda _: 0.0).listen()
+    assert advance(ros, peer).success
+    ros.until(lambda: nanoseconds(peer.states[-1]) == START + 40 * PERIOD)
+    np.testing.assert_array_equal(state_of(peer.states[-1]), FALLEN)
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_a_running_robot_is_not_advanced(ros: Ros, peer: Peer, lockstep: bool) -> None:
+    ros.plant(lockstep=lockstep)
+    response = advance(ros, peer)
+    assert not response.success
+    assert response.message == "the robot's time runs; expected a paused robot: call ~/pause with true first"
+
+
+INTERRUPTIONS = {
+    "reset": (Trigger, "fjr_plant/reset", {}, "reset after 2 of 5 samples: the time is 1.002000000 s"),
+    "pause": (SetBool, "fjr_plant/pause", {"data": True}, "paused after 2 of 5 samples: the time is 1.002000000 s"),
+    "go": (SetBool, "fjr_plant/pause", {"data": False}, "let go after 2 of 5 samples: the time is 1.002000000 s"),
+}
+
+
+@pytest.mark.parametrize("case", INTERRUPTIONS)
+def test_an_advance_that_is_interrupted_fails_with_a_sentence(ros: Ros, peer: Peer, case: str) -> None:
+    kind, name, request, sentence = INTERRUPTIONS[case]
+    node = ros.plant(lockstep=True, start_paused=True, advance_samples=5)
+    pending = ask(ros, peer, Trigger, "fjr_plant/advance")
+    for k in range(2):
+        ros.until(lambda k=k: peer.states and nanoseconds(peer.states[-1]) == START + k * PERIOD)
+        peer.command_publisher.publish(answer(peer.states[-1], 0.1))
+    ros.until(lambda: node._robot.time == 2 * PERIOD)
+    again = advance(ros, peer)
+    assert (again.success, again.message) == (False, "already advancing: 3 of 5 samples are left")
+    assert call(ros, peer, kind, name, **request).success
+    ros.until(pending.done, "the answer")
+    assert (pending.result().success, pending.result().message) == (False, sentence)
+    assert node._pace.paused == (case != "go")
+    peer.command_publisher.publish(answer(peer.states[-1], 0.1))
+    ros.settle()
+    assert node._robot.time == {"reset": 0, "pause": 2 * PERIOD, "go": 3 * PERIOD}[case]
+
+
+def test_advance_samples_changes_while_the_node_runs(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(start_paused=True)
+    assert advance(ros, peer).success
+    assert node._robot.time == PERIOD
+    assert node.set_parameters([Parameter("advance_samples", value=9)])[0].successful
+    assert advance(ros, peer).success
+    assert node._robot.time == 10 * PERIOD
+    assert not node.set_parameters([Parameter("advance_samples", value=0)])[0].successful
+    assert node.values["advance_samples"] == 9
+
+
+def test_a_client_that_went_away_harms_nobody(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(lockstep=True, start_paused=True)
+    client = peer.create_client(Trigger, "fjr_plant/advance")
+    ros.until(client.service_is_ready)
+    client.call_async(Trigger.Request())
+    ros.until(lambda: peer.states)
+    peer.destroy_client(client)
+    peer.command_publisher.publish(answer(peer.states[-1], 0.1))
+    ros.until(lambda: node._robot.time == PERIOD)
+    Answering(peer).listen()
+    assert advance(ros, peer).success

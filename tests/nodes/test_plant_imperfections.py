@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant's imperfections as a node has them: each changes while it runs, nonsense is refused, runs repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+from scipy.integrate import solve_ivp
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+import fjr_core as fjr
+from fjr_core.imperfection_parameters import imperfection_parameters
+from fjr_plant.lock_step import START
+from nodes.harness import Peer, Ros, nanoseconds
+from nodes.plants import INNER, PERIOD, Answering, call, command, integrate, numbers, state_of
+
+STRIDE = 8  # samples
+TABLE = {parameter.name.removeprefix("imperfections."): parameter for parameter in imperfection_parameters(1)}
+DEFAULTS = {
+    name: list(parameter.default) if isinstance(parameter.default, tuple) else parameter.default
+    for name, parameter in TABLE.items()
+    if parameter.dynamic
+}
+
+
+def put(node: Any, **imperfections: Any) -> Any:
+    """Set imperfections while the node runs; the result that a client of the parameter service gets."""
+    named = [Parameter(f"imperfections.{name}", value=value) for name, value in imperfections.items()]
+    return node.set_parameters_atomically(named)
+
+
+class Run:
+    """A plant in lock-step and a peer that answers it; every run begins with a perfect robot and a reset."""
+
+    def __init__(self, ros: Ros) -> None:
+        self.ros, self.peer = ros, Peer(ros)
+        self.node = ros.plant(lockstep=True, start_paused=True, advance_samples=STRIDE, initial_link_velocity=[3.0])
+        Answering(self.peer, effort=lambda s: 0.5 - 0.2 * s.position[0]).listen()
+
+    def __call__(self, base: dict[str, Any], later: dict[str, Any]) -> tuple[list, list, int]:
+        """Stamps and numbers before and after the change to `later`, and how many states were published."""
+        defaults = {
+            name.removeprefix("imperfections."): value for name, value in DEFAULTS.items() if "seed" not in name
+        }
+        assert put(self.node, **{**defaults, **base}).successful
+        call(self.ros, self.peer, Trigger, "fjr_plant/reset")
+        published = self.node._health.count["states published"]
+        before = self.stride()
+        assert put(self.node, **later).successful
+        after = self.stride()
+        return before, after, self.node._health.count["states published"] - published
+
+    def stride(self) -> list[tuple[int, bytes]]:
+        del self.peer.states[:]
+        response = call(self.ros, self.peer, Trigger, "fjr_plant/advance")
+        assert response.success
+        self.ros.settle(10)
+        return numbers(self.peer.states)
+
+
+@pytest.fixture(scope="module")
+def run() -> Iterator[Run]:
+    ros = Ros()
+    yield Run(ros)
+    ros.close()
+
+
+FRICTION = {"friction_smoothing_velocity": [0.1]}
+RIPPLE = {"torque_ripple": [0.05]}
+PAYLOAD = {"payload_mass": 0.2}
+CASES: dict[str, tuple[dict[str, Any], Any]] = {  # parameter: what is on before it, its new value
+    "link_coulomb_friction": (FRICTION, [0.02]),
+    "link_static_friction": ({**FRICTION, "link_stribeck_velocity": [5.0]}, [0.02]),
+    "link_stribeck_velocity": ({**FRICTION, "link_static_friction": [0.02]}, [5.0]),
+    "motor_coulomb_friction": (FRICTION, [0.002]),
+    "motor_static_friction": ({**FRICTION, "motor_stribeck_velocity": [5.0]}, [0.002]),
+    "motor_stribeck_velocity": ({**FRICTION, "motor_static_friction": [0.002]}, [5.0]),
+    "friction_smoothing_velocity": ({**FRICTION, "link_coulomb_friction": [0.02]}, [0.3]),
+    "cubic_stiffness": ({}, [500.0]),
+    "torque_ripple": ({}, [0.05]),
+    "torque_ripple_periods": (RIPPLE, [5.0]),
+    "torque_ripple_phase": (RIPPLE, [1.0]),
+    "effort_limit": ({}, [0.1]),
+    "actuator_lag": ({}, [0.01]),
+    "payload_mass": ({"payload_position": [0.1, 0.0, -0.2]}, 0.2),
+    "payload_position": (PAYLOAD, [0.1, 0.0, -0.2]),
+    "link_encoder_bits": ({}, [12.0]),
+    "motor_encoder_bits": ({}, [12.0]),
+    "link_position_noise": ({}, [1e-3]),
+    "motor_position_noise": ({}, [1e-3]),
+    "link_velocity_noise": ({}, [1e-2]),
+    "motor_velocity_noise": ({}, [1e-2]),
+    "publish_velocity": ({}, False),
+    "state_delay": ({}, 0.002),
+    "state_jitter": ({}, 0.004),
+    "state_loss": ({}, 0.5),
+    "state_repetition": ({}, 1.0),
+    "command_delay": ({}, 0.0015),
+    "command_jitter": ({}, 0.004),
+    "command_loss": ({}, 0.5),
+    "command_repetition": ({"command_jitter": 0.003}, 1.0),
+    "messages_in_order": ({"command_jitter": 0.005}, False),
+    "period_jitter": ({}, 0.0009),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_an_imperfection_shows_from_its_change_on(run: Run, name: str) -> None:
+    base, value = CASES[name]
+    unchanged, changed = run(base, {}), run(base, {name: value})
+    assert changed[0] == unchanged[0], "a run repeats bit by bit until then"
+    assert changed[1:] != unchanged[1:]
+
+
+def test_every_imperfection_is_in_a_test() -> None:
+    assert set(CASES) | {"seed"} == set(TABLE)
+
+
+def test_the_seed_chooses_the_noise(ros: Ros, peer: Peer) -> None:
+    seen = []
+    for seed in (0, 0, 1):
+        node = ros.plant(start_paused=True, imperfections__seed=seed, imperfections__link_position_noise=[1e-3])
+        seen.append(node._robot.measure()[0].tolist())
+        node.destroy_node()
+    assert seen[0] == seen[1] != seen[2]
+
+
+NONSENSE = {
+    "link_coulomb_friction": ([-1.0], "0.0"),
+    "cubic_stiffness": ([1.0, 2.0], "expected 1, one per joint"),
+    "torque_ripple": ([float("nan")], "finite"),
+    "link_encoder_bits": ([60.0], "48"),
+    "state_loss": (1.5, "out of range"),
+    "state_delay": (-0.1, "0.0"),
+    "command_repetition": (1, "DOUBLE"),
+    "period_jitter": (0.001, "less than the period"),
+    "motor_coulomb_friction": ([1e6], "friction damps with"),
+    "seed": (3, "read-only"),
+}
+
+
+@pytest.mark.parametrize("name", NONSENSE)
+def test_nonsense_is_refused_with_a_sentence_and_the_old_values_stay(run: Run, name: str) -> None:
+    value, words = NONSENSE[name]
+    before = run({}, {})
+    old = dict(run.node.values)
+    result = put(run.node, link_velocity_noise=[0.1], **{name: value})
+    assert not result.successful
+    assert words in result.reason
+    assert run.node.values == old
+    call(run.ros, run.peer, Trigger, "fjr_plant/reset")
+    assert (run.stride(), run.stride()) == before[:2], "not even the value beside it is taken"
+
+
+def test_a_command_with_delay_acts_later_by_exactly_that(run: Run) -> None:
+    """Two and a half samples: the effort on u_k begins in the middle of a sample."""
+    later, x = [], fjr.single_link().state([0.5], [0.5], [3.0], [0.0])
+    before, after, _ = run({"command_delay": 0.0025}, {})
+    states = dict(before + after)
+    efforts = []
+    for k in range(2 * STRIDE):
+        efforts.append(0.5 - 0.2 * float(np.frombuffer(states[START + k * PERIOD])[0]))
+        for step in range(4):
+            due = (4 * k + step - 10) // 4
+            x = integrate(x, efforts[due] if due >= 0 else 0.0, 1)
+        later.append(x)
+    position = [np.frombuffer(states[START + k * PERIOD])[:2] for k in range(1, 2 * STRIDE + 1)]
+    np.testing.assert_allclose(position, [x[:2] for x in later], rtol=1e-13)
+
+
+def test_a_state_on_its_way_is_answered_when_it_arrives(run: Run) -> None:
+    """Each state comes, two samples late; the robot does not wait for it meanwhile."""
+    before, after, _ = run({"state_delay": 0.002}, {})
+    assert list(dict(before + after)) == [START + k * PERIOD for k in range(2 * STRIDE - 1)]
+    assert run.node._robot.time == 2 * STRIDE * PERIOD
+
+
+def test_a_lost_state_is_not_waited_for_and_a_run_with_losses_repeats(run: Run) -> None:
+    losses = {"state_loss": 0.4, "command_loss": 0.2, "state_jitter": 0.002, "link_position_noise": [1e-3]}
+    one, other = run(losses, {}), run(losses, {})
+    assert one == other
+    assert len(one[0] + one[1]) < 2 * STRIDE
+    assert run.node._robot.time == 2 * STRIDE * PERIOD
+
+
+def test_a_plant_that_loses_everything_can_still_be_stopped(run: Run) -> None:
+    run({}, {"state_loss": 1.0})
+    call(run.ros, run.peer, SetBool, "fjr_plant/pause", data=False)
+    time = run.node._robot.time
+    run.ros.until(lambda: run.node._robot.time > time + 1200 * PERIOD, "the passing of samples")
+    call(run.ros, run.peer, SetBool, "fjr_plant/pause", data=True)
+    time = run.node._robot.time
+    run.ros.settle()
+    assert run.node._robot.time == time
+
+
+# Real time.
+
+
+def start_moving(ros: Ros, peer: Peer, **parameters: Any) -> Any:
+    node = ros.plant(command_timeout=1000.0, **parameters)
+    peer.meet_plant()
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: peer.states[-1].effort[1] == 0.3)
+    return node
+
+
+def test_real_time_states_come_late_and_complete(ros: Ros, peer: Peer) -> None:
+    node = start_moving(ros, peer)
+    ages = []
+    peer.create_subscription(JointState, "joint_states", lambda m: ages.append(node._pace.stamp - nanoseconds(m)), 1000)
+    assert put(node, state_delay=0.05).successful
+    count = len(peer.states)
+    ros.until(lambda: len(peer.states) > count + 30, "delayed states")
+    assert min(ages[-20:]) >= 50 * PERIOD - INNER
+    assert put(node, state_delay=0.0).successful
+    ros.until(lambda: node._pace.stamp - nanoseconds(peer.states[-1]) < 50 * PERIOD)
+    stamps = [nanoseconds(state) for state in peer.states]
+    assert stamps == sorted(stamps)
+
+
+def test_real_time_commands_act_late_by_exactly_the_delay(ros: Ros, peer: Peer) -> None:
+    node = start_moving(ros, peer)
+    assert put(node, command_delay=0.02).successful
+    sent_at = node._robot.time
+    peer.effort_publisher.publish(command(0.1))
+    ros.until(lambda: node._health.count["commands received"] == 2)
+    came_at = node._robot.time
+    ros.until(lambda: peer.states[-1].effort[1] == 0.1, "the delayed effort")
+    assert sent_at + 20 * PERIOD <= node._pace._last_command == came_at + 20 * PERIOD
+
+
+def test_real_time_losses_and_copies(ros: Ros, peer: Peer) -> None:
+    node = start_moving(ros, peer)
+    assert put(node, state_loss=1.0, command_loss=1.0).successful
+    ros.settle()
+    count = len(peer.states)
+    peer.effort_publisher.publish(command(0.1))
+    ros.until(lambda: node._health.count["commands received"] == 2)
+    ros.settle()
+    assert len(peer.states) == count
+    assert put(node, state_loss=0.0, state_repetition=1.0).successful
+    ros.until(lambda: len(peer.states) > count + 20, "states again")
+    stamps = [nanoseconds(state) for state in peer.states[count:]]
+    assert stamps[0:20:2] == stamps[1:20:2]
+    assert peer.states[-1].effort[1] == 0.3, "the second command was lost"
+
+
+# Torques from outside.
+
+
+def pushed(x: np.ndarray, torque: float, seconds: float) -> np.ndarray:
+    """Eq. (36) with a torque on the link, by SciPy."""
+    plant = fjr.Plant(fjr.single_link())
+    push = np.array([0.0, 0.0, torque, 0.0])
+    solved = solve_ivp(lambda _, x: plant.derivative(x, [0.0]) + push, (0, seconds), x, rtol=1e-11, atol=1e-13)
+    return solved.y[:, -1]
+
+
+def test_a_torque_from_outside_moves_the_link_until_the_next_message_or_a_reset(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(start_paused=True, advance_samples=100)
+    publisher = peer.create_publisher(JointState, "fjr_plant/external_torque", 1)
+    ros.until(publisher.get_subscription_count)
+    x = np.array([0.5, 0.5, 0.0, 0.0])
+    for count, (names, effort) in enumerate(((["joint1"], [0.8]), (["joint1"], [-0.3]), ([], [])), 1):
+        publisher.publish(JointState(name=names, effort=effort))
+        ros.until(lambda count=count: node._health.count["external torques received"] == count)
+        assert call(ros, peer, Trigger, "fjr_plant/advance").success
+        x = pushed(x, sum(effort), 0.1)
+        ros.until(lambda count=count: len(peer.states) == 100 * count)
+        np.testing.assert_allclose(state_of(peer.states[-1]), x, rtol=1e-6, atol=1e-8)
+    publisher.publish(JointState(name=["joint1"], effort=[0.8]))
+    ros.until(lambda: node._health.count["external torques received"] == 4)
+    call(ros, peer, Trigger, "fjr_plant/reset")
+    assert not node._robot.external.any()
+
+
+def test_a_torque_on_an_unknown_joint_is_refused(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(start_paused=True)
+    publisher = peer.create_publisher(JointState, "fjr_plant/external_torque", 1)
+    ros.until(publisher.get_subscription_count)
+    publisher.publish(JointState(name=["elbow"], effort=[0.8]))
+    ros.until(lambda: node._health.count["external torque refused: unknown joints"] == 1)
+    assert not node._robot.external.any()

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""With use_sim_time, not in lock-step, the robot's time is that of a /clock that somebody else plays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool, Trigger
+
+from fjr_plant.real_time import LONGEST_BACKLOG
+from nodes.harness import Peer, Ros, nanoseconds
+from nodes.plants import INNER, PERIOD, call, command, integrate, state_of
+
+SECOND = 1_000_000_000
+
+
+class Player:
+    """Plays /clock to a plant, one message at a time."""
+
+    def __init__(self, ros: Ros, peer: Peer, **parameters: object) -> None:
+        self._ros, self._peer = ros, peer
+        self.node = ros.plant(use_sim_time=True, **parameters)
+        self._publisher = peer.create_publisher(Clock, "/clock", 1)
+        ros.until(lambda: self._publisher.get_subscription_count() and peer.effort_publisher.get_subscription_count())
+
+    def play(self, time: int) -> None:
+        """Show a time [ns], and wait until the plant has done what it does about it."""
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(time, SECOND)
+        self._publisher.publish(message)
+        self._ros.until(lambda: self.node.get_clock().now().nanoseconds == time, "the clock")
+        self._ros.settle(5)
+
+    def run(self, start: int, samples: int) -> list[int]:
+        """Play so many periods from `start` on; the stamps of the states that came meanwhile."""
+        before = len(self._peer.states)
+        for k in range(samples + 1):
+            self.play(start + k * PERIOD)
+        return [nanoseconds(state) for state in self._peer.states[before:]]
+
+
+def assert_one_motion(states: list, effort: float = 0.0) -> None:
+    """Between two states lies as much motion as between their stamps."""
+    x, stamp = state_of(states[0]), nanoseconds(states[0])
+    for state in states[1:]:
+        steps, rest = divmod(nanoseconds(state) - stamp, INNER)
+        assert rest == 0
+        x, stamp = integrate(x, effort, steps), nanoseconds(state)
+        np.testing.assert_allclose(state_of(state), x, rtol=1e-12, atol=1e-15)
+
+
+def test_nothing_is_sent_until_the_clock_shows_a_time(ros: Ros, peer: Peer) -> None:
+    player = Player(ros, peer)
+    ros.settle(100)
+    player.play(0)
+    assert not peer.states
+    assert player.node._health.count["states published"] == 0
+    player.run(50 * SECOND, 3)
+    assert {nanoseconds(state) for state in peer.states} == {50 * SECOND}, "it stands still until the first command"
+
+
+def test_stamps_follow_the_clock_and_stop_with_it(ros: Ros, peer: Peer) -> None:
+    player = Player(ros, peer, wait_for_command=False)
+    player.play(50 * SECOND)
+    stamps = player.run(50 * SECOND, 30)
+    assert stamps[-30:] == [50 * SECOND + (k + 1) * PERIOD for k in range(30)]
+    count = len(peer.states)
+    for _ in range(5):
+        player.play(50 * SECOND + 30 * PERIOD)
+    assert len(peer.states) == count
+    player.play(50 * SECOND + 31 * PERIOD)
+    player.play(50 * SECOND + 41 * PERIOD)
+    assert [nanoseconds(state) for state in peer.states[count:]] == [50 * SECOND + k * PERIOD for k in (31, 41)]
+    assert_one_motion(peer.states)
+
+
+def test_commands_act_and_end_by_the_clock(ros: Ros, peer: Peer) -> None:
+    player = Player(ros, peer, command_timeout=0.005)
+    player.run(50 * SECOND, 2)
+    start = state_of(peer.states[-1])
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: player.node._health.count["commands received"] == 1)
+    ros.settle(200)
+    assert nanoseconds(peer.states[-1]) == 50 * SECOND, "the clock has not moved"
+    player.run(50 * SECOND + 2 * PERIOD, 20)
+    expected = integrate(integrate(start, 0.3, 20), 0.0, 60)
+    np.testing.assert_allclose(state_of(peer.states[-1]), expected, rtol=1e-12)
+    assert player.node._health.count["command timeouts"] == 1
+
+
+def test_a_jump_forward_is_integrated_in_part_and_counted(ros: Ros, peer: Peer) -> None:
+    player = Player(ros, peer, wait_for_command=False)
+    player.play(50 * SECOND)
+    player.run(50 * SECOND, 5)
+    count, before = len(peer.states), nanoseconds(peer.states[-1])
+    player.play(60 * SECOND)
+    assert [nanoseconds(state) for state in peer.states[count:]] == [before + LONGEST_BACKLOG]
+    player.run(60 * SECOND + PERIOD, 4)
+    assert nanoseconds(peer.states[-1]) == before + LONGEST_BACKLOG + 5 * PERIOD
+    assert player.node._health.count["time lost"] == 1
+    assert_one_motion(peer.states)
+
+
+def test_after_a_jump_back_the_stamps_go_on_from_the_new_time(ros: Ros, peer: Peer, capfd) -> None:
+    player = Player(ros, peer, wait_for_command=False)
+    player.play(50 * SECOND)
+    player.run(50 * SECOND, 5)
+    for start in (20 * SECOND, 10 * SECOND):
+        count, x = len(peer.states), state_of(peer.states[-1])
+        stamps = player.run(start, 10)
+        assert start < stamps[0] <= start + 2 * PERIOD, "by the first tick after the jump"
+        np.testing.assert_array_equal(state_of(peer.states[count]), x)
+        assert stamps[-1] == start + 10 * PERIOD
+        assert_one_motion(peer.states[count:])
+    assert player.node._health.count["clock jumps back"] == 2
+    assert capfd.readouterr().err.count("jumped back") == 1
+
+
+def test_a_clock_that_shows_zero_again_stands_still(ros: Ros, peer: Peer) -> None:
+    player = Player(ros, peer, wait_for_command=False)
+    player.play(50 * SECOND)
+    player.run(50 * SECOND, 5)
+    last = nanoseconds(peer.states[-1])
+    player.play(0)
+    assert nanoseconds(peer.states[-1]) == last
+    stamps = player.run(SECOND, 5)
+    assert stamps[-1] == SECOND + 5 * PERIOD
+    assert all(nanoseconds(state) > 0 for state in peer.states)
+
+
+def test_a_reset_after_a_jump_back_returns_to_a_time_of_the_clock(ros: Ros, peer: Peer) -> None:
+    player = Player(ros, peer, wait_for_command=False)
+    player.play(50 * SECOND)
+    for k in range(20):
+        player.play(50 * SECOND + k * 100 * PERIOD)
+    zero = player.run(SECOND, 10)[0]
+    assert call(ros, peer, Trigger, "fjr_plant/reset").success
+    player.play(SECOND + 11 * PERIOD)
+    assert nanoseconds(peer.states[-1]) == zero + PERIOD
+    np.testing.assert_allclose(state_of(peer.states[-1]), integrate(np.array([0.5, 0.5, 0, 0]), 0.0, 4), rtol=1e-12)
+
+
+@pytest.mark.parametrize("jump", [1, -1])
+def test_a_pause_outlasts_a_jump_of_the_clock(ros: Ros, peer: Peer, jump: int) -> None:
+    player = Player(ros, peer, wait_for_command=False)
+    player.play(50 * SECOND)
+    player.run(50 * SECOND, 5)
+    x, count = state_of(peer.states[-1]), len(peer.states)
+    call(ros, peer, SetBool, "fjr_plant/pause", data=True)
+    start = (50 + 40 * jump) * SECOND
+    player.run(start, 5)
+    assert len(peer.states) == count
+    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    player.run(start + 6 * PERIOD, 5)
+    np.testing.assert_allclose(state_of(peer.states[-1]), integrate(x, 0.0, 24), rtol=1e-12)
+
+
+def test_the_robot_is_not_advanced_before_the_clock_shows_a_time(ros: Ros, peer: Peer) -> None:
+    player = Player(ros, peer, start_paused=True, advance_samples=3)
+    response = call(ros, peer, Trigger, "fjr_plant/advance")
+    assert (response.success, response.message) == (False, "no time has come on /clock yet; expected one first")
+    player.play(SECOND)
+    response = call(ros, peer, Trigger, "fjr_plant/advance")
+    assert (response.success, response.message) == (True, "advanced by 3 samples: the time is 1.003000000 s")
+
+
+def test_samples_are_late_by_the_jitter_of_the_period_while_it_is_on(ros: Ros, peer: Peer) -> None:
+    """Ticks every 20 ms, shown to the millisecond; the lateness of a sample rounds up to what the clock shows next."""
+    player = Player(ros, peer, wait_for_command=False, publish_rate=50.0, inner_steps=80)
+    player.play(50 * SECOND)
+    assert set(np.diff(player.run(50 * SECOND, 60))) == {20 * PERIOD}
+    assert player.node.set_parameters([Parameter("imperfections.period_jitter", value=0.015)])[0].successful
+    late = np.array(player.run(50 * SECOND + 61 * PERIOD, 140)) % (20 * PERIOD)
+    assert len(set(late)) > 2
+    assert late.max() <= 16 * PERIOD
+    assert_one_motion(peer.states)

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lock-step between two processes: two runs are one run bit by bit, and a silent controller ends it with a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fjr_plant.lock_step import START
+from nodes.harness import Peer, Ros, nanoseconds
+from nodes.plants import PERIOD, Answering
+from system.executables import NODES, Executable
+from system.recorded import reader, record
+
+pytestmark = pytest.mark.system
+
+DURATION = 1.0  # s
+SAMPLES = 1000
+STAMPED = ("/joint_states", "/joint_commands", "/fjr_controller/reference", "/fjr_controller/tracking_error")
+EFFORTS = "/effort_controller/commands"
+
+
+def payloads(folder: Path) -> dict[str, dict[int, bytes]]:
+    """All numbers of each topic by stamp [ns], bit by bit; of what was sent again the first, so that times do not tell.
+
+    An effort has no stamp: it is that of the stamped command that was published with it.
+    """
+    found: dict[str, dict[int, bytes]] = {}
+    with reader(folder) as bag:
+        messages: dict[str, list] = {topic: [] for topic in (*STAMPED, EFFORTS)}
+        connections = [connection for connection in bag.connections if connection.topic in messages]
+        for connection, _, raw in bag.messages(connections):
+            messages[connection.topic].append(bag.deserialize(raw, connection.msgtype))
+    stamps = {topic: [nanoseconds(message) for message in messages[topic]] for topic in STAMPED}
+    for topic in STAMPED:
+        found[topic] = first(stamps[topic], [numbers(message) for message in messages[topic]])
+    assert len(messages[EFFORTS]) == len(messages["/joint_commands"])
+    found[EFFORTS] = first(stamps["/joint_commands"], [message.data.tobytes() for message in messages[EFFORTS]])
+    return found
+
+
+def numbers(message) -> bytes:
+    names = "".join(message.name).encode()
+    return names + b"".join(getattr(message, field).tobytes() for field in ("position", "velocity", "effort"))
+
+
+def first(stamps: list[int], data: list[bytes]) -> dict[int, bytes]:
+    """The first of each stamp, of the first samples: how far a run goes on beyond its duration is nobody's business."""
+    return {stamp: bits for stamp, bits in reversed(list(zip(stamps, data, strict=True))) if stamp < END}
+
+
+END = START + SAMPLES * PERIOD
+
+
+def test_two_runs_of_two_processes_are_bit_identical(tmp_path: Path) -> None:
+    one, other = (payloads(record("paper_k31", DURATION, tmp_path / name).folder) for name in ("one", "other"))
+    expected = {START + k * PERIOD for k in range(SAMPLES)}
+    for topic in (*STAMPED, EFFORTS):
+        assert set(one[topic]) == expected, topic
+        assert one[topic] == other[topic], topic
+
+
+@pytest.fixture
+def plant() -> Iterator[Executable]:
+    started = Executable(*NODES["plant"], "--ros-args", "-p", "lockstep:=true", "-p", "lockstep_timeout:=0.5")
+    yield started
+    started.kill()
+
+
+def test_a_controller_that_falls_silent_ends_the_plant_with_a_sentence_and_code_1(ros: Ros, plant) -> None:
+    peer = Peer(ros)
+    peer.meet_plant(lockstep=True)
+    Answering(peer).until(ros, 20)
+    code, said = plant.end()
+    assert code == 1
+    assert "ended: the state of 1.020000000 s was not answered for 0.5 s (lockstep_timeout); expected" in said
+    assert "Traceback" not in said
