@@ -1,18 +1,81 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node says when the system refuses real-time scheduling."""
+"""What a node's process asks of the system is really so, read back from the kernel, or is said to be refused."""
 
 from __future__ import annotations
 
+import ctypes
+import json
 import os
+import resource
+import subprocess
+import sys
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from fjr_msgs_py.scheduling import take_priority
+from fjr_core import ParameterError
+from fjr_core.process_parameters import ProcessCare, cores, process_care, process_parameters
+from fjr_msgs_py import scheduling
+from fjr_msgs_py.scheduling import take_care, take_priority
+
+NOBODY = 65534
+
+# Takes care with a thread already running; prints what is said and what the kernel says of every thread.
+TAKE_CARE = """
+import json, os, resource, sys, threading
+from pathlib import Path
+from fjr_core.process_parameters import ProcessCare
+from fjr_msgs_py.scheduling import take_care
+care, user, memlock = json.loads(sys.argv[1])
+thread = threading.Thread(target=threading.Event().wait, daemon=True).start()
+if memlock is not None:
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, (memlock, memlock))
+if user is not None:
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+    os.setuid(user)
+care["cores"] = frozenset(care.get("cores", ()))
+said = take_care(ProcessCare(**care))
+status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+threads = [int(thread) for thread in os.listdir("/proc/self/task")]
+print(json.dumps({
+    "said": said,
+    "locked": int(status["VmLck"].split()[0]),
+    "policies": [[os.sched_getscheduler(t), os.sched_getparam(t).sched_priority] for t in threads],
+    "cores": [sorted(os.sched_getaffinity(t)) for t in threads],
+}))
+"""
+
+# A node that interrupts itself from the fifth call of its timer, through process.run.
+INTERRUPTED = """
+import os, signal, sys
+from rclpy.node import Node
+from fjr_core.process_parameters import process_parameters
+from fjr_msgs_py import process
+class Counting(Node):
+    def __init__(self):
+        super().__init__("counting")
+        self.values = {p.name: p.default for p in process_parameters()} | eval(sys.argv[1])
+        self.count = 0
+        self.create_timer(0.001, self.tick)
+    def tick(self):
+        self.count += 1
+        if self.count == 5:
+            os.kill(os.getpid(), signal.SIGINT)
+    def stop(self):
+        print("last words", self.count >= 5, flush=True)
+sys.exit(process.run(Counting))
+"""
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="reads Linux's /proc")
+root = pytest.mark.skipif(os.name != "posix" or os.getuid() != 0, reason="only root may become somebody else")
 
 
 def test_zero_asks_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_setscheduler", lambda *_: pytest.fail("asked"))
-    assert take_priority(0) == ""
+    monkeypatch.setattr(os, "sched_setaffinity", lambda *_: pytest.fail("asked"))
+    assert take_care(ProcessCare()) == []
 
 
 def test_a_refusal_is_one_sentence_that_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,3 +87,122 @@ def test_a_refusal_is_one_sentence_that_says_what_to_do(monkeypatch: pytest.Monk
     assert "realtime_priority 50 is refused" in sentence
     assert "rtprio" in sentence
     assert "\n" not in sentence
+
+
+@linux
+def test_priority_holds_for_threads_that_run_already_or_is_said_to_be_refused() -> None:
+    found = _take_care({"priority": 7})
+    granted = [[os.SCHED_FIFO, 7]] * 2
+    assert (found["policies"] == granted) == (found["said"] == [])
+
+
+@linux
+def test_memory_is_locked_or_said_to_be_refused() -> None:
+    found = _take_care({"lock_memory": True})
+    assert (found["locked"] > 1000) == (found["said"] == [])
+
+
+@linux
+def test_all_threads_keep_to_the_core() -> None:
+    core = max(os.sched_getaffinity(0))
+    found = _take_care({"cores": [core]})
+    assert found["said"] == []
+    assert found["cores"] == [[core]] * 2
+
+
+@linux
+def test_a_core_that_is_not_there_is_refused_in_one_sentence() -> None:
+    allowed = sorted(os.sched_getaffinity(0))
+    found = _take_care({"cores": [4000]})
+    assert found["cores"] == [allowed] * 2
+    assert len(found["said"]) == 1
+    assert "cpu_affinity '4000' is refused" in found["said"][0]
+    assert "\n" not in found["said"][0]
+
+
+@linux
+def test_cores_that_are_there_only_in_part_are_said() -> None:
+    core = min(os.sched_getaffinity(0))
+    found = _take_care({"cores": [core, 4000]})
+    assert found["cores"] == [[core]] * 2
+    assert f"the node may use '{core}'" in found["said"][0]
+
+
+@linux
+@root
+def test_a_user_without_rights_goes_on_with_two_sentences() -> None:
+    found = _take_care({"priority": 50, "lock_memory": True}, user=NOBODY, memlock=4 << 20)
+    assert found["locked"] == 0
+    assert found["policies"] == [[os.SCHED_OTHER, 0]] * 2
+    memory, priority = found["said"]
+    assert "lock_memory is refused (the memlock limit is 4096 kB)" in memory
+    assert "realtime_priority 50 is refused" in priority
+
+
+def test_a_limit_that_the_process_could_outgrow_counts_as_a_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (8 << 30, 8 << 30))
+    monkeypatch.setattr(scheduling, "_capable", lambda _: False)
+    monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: pytest.fail("asked"))
+    assert "memlock limit is 8388608 kB" in scheduling.lock_memory()
+
+
+@pytest.mark.parametrize("executor", ["events", "single"])
+def test_a_signal_ends_either_executor_with_last_words(executor: str) -> None:
+    done = _run(INTERRUPTED, repr({"executor": executor}))
+    assert (done.returncode, done.stdout, done.stderr) == (0, "last words True\n", "")
+
+
+def test_what_is_refused_is_logged_and_the_node_runs() -> None:
+    done = _run(INTERRUPTED, repr({"cpu_affinity": "4000"}))
+    assert (done.returncode, done.stdout) == (0, "last words True\n")
+    assert done.stderr.count("cpu_affinity '4000' is refused") == 1
+
+
+def test_cores_that_are_no_cores_end_the_node_with_one_sentence() -> None:
+    done = _run(INTERRUPTED, repr({"cpu_affinity": "both"}))
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("cannot start: parameter 'cpu_affinity' is 'both'; expected core numbers")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("", set()), ("1", {1}), ("0,2-3", {0, 2, 3}), ("3-2, 0", {0, 2, 3}), (" 1 , 1", {1})]
+)
+def test_cores_are_written_as_for_taskset(text: str, expected: set[int]) -> None:
+    assert cores(text) == expected
+
+
+@given(st.frozensets(st.integers(0, 1023), min_size=1))
+def test_any_list_of_cores_is_read(wanted: frozenset[int]) -> None:
+    assert cores(",".join(str(core) for core in wanted)) == wanted
+
+
+@pytest.mark.parametrize("text", ["-1", "all", "1;2", "0x1", "1,,2", "1.0", ",", "99999"])
+def test_what_is_no_list_of_cores_is_refused(text: str) -> None:
+    with pytest.raises(ParameterError, match="cpu_affinity"):
+        cores(text)
+
+
+def test_lock_step_takes_no_priority_and_the_defaults_ask_for_nothing() -> None:
+    defaults: dict[str, Any] = {parameter.name: parameter.default for parameter in process_parameters()}
+    assert process_care(defaults) == ProcessCare()
+    assert process_care({**defaults, "realtime_priority": 50}).priority == 50
+    assert process_care({**defaults, "realtime_priority": 50, "lockstep": True}).priority == 0
+
+
+def _take_care(care: dict[str, Any], user: int | None = None, memlock: int | None = None) -> dict[str, Any]:
+    done = _run(TAKE_CARE, json.dumps([care, user, memlock]))
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def _run(code: str, argument: str) -> subprocess.CompletedProcess[str]:
+    quiet = {
+        **os.environ,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF",
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONWARNINGS": "ignore",
+    }
+    command = [sys.executable, "-c", code, argument]
+    return subprocess.run(command, env=quiet, capture_output=True, text=True, timeout=60)

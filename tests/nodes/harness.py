@@ -23,6 +23,7 @@ from fjr_msgs_py.names import LATEST
 from fjr_plant.plant_node import PlantNode
 
 TIME_LIMIT = 30.0  # s; a test that waits longer for an event has failed
+PATIENCE = 60.0  # s; a state_timeout that passes in no test, however busy the machine is
 
 
 class Ros:
@@ -48,7 +49,7 @@ class Ros:
         return self.start(PlantNode, **{"compile": False, **parameters})
 
     def controller(self, **parameters: Any) -> ControllerNode:
-        return self.start(ControllerNode, **{"compile": False, **parameters})
+        return self.start(ControllerNode, **{"compile": False, "state_timeout": PATIENCE, **parameters})
 
     def until(self, happened: Callable[[], Any], what: str = "the event") -> None:
         """Spin until `happened()` is true."""

@@ -40,7 +40,8 @@ def pins(text: str) -> dict[str, str]:
 
 def requirement_files(root: Path, level: str, wheels: bool) -> list[Path]:
     """The requirement files of a level, with ROS 2 itself where it comes as wheels."""
-    names = (*LEVELS[level], "ros-wheels") if wheels else LEVELS[level]
+    ros = ("ros-wheels", "ros-wheels-test") if level == "test" else ("ros-wheels",)
+    names = (*LEVELS[level], *ros) if wheels else LEVELS[level]
     return [root / "requirements" / f"{name}.txt" for name in names]
 
 

@@ -1,91 +1,152 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The v-dPBC tracking controller as a ROS 2 node: one effort command u(x, x, t) for every JointState."""
+"""The v-dPBC tracking controller as a managed ROS 2 node: one effort command u(x, x, t) for every JointState."""
 
 from __future__ import annotations
 
 import sys
-import time
+import traceback
+from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
-from fjr_core import TrackingLaw, config
-from fjr_core.checks import Array
+from fjr_core import FjrError, config
+from fjr_core.process_parameters import process_parameters
 from fjr_msgs_py import names, process
-from fjr_msgs_py.health import Health
-from fjr_msgs_py.messages import EffortWriter, JointSample, JointStateWriter, MessageError, StateReader
-from fjr_msgs_py.node_parameters import ParameterNode
+from fjr_msgs_py.node_parameters import ManagedParameterNode
 
-from .tracker import Command, Tracker, is_sendable
+from .answering import RIVALS, RivalError
+from .control import Control
+from .events import Event
+
+SUCCESS, FAILURE, ERROR = (getattr(TransitionCallbackReturn, name) for name in ("SUCCESS", "FAILURE", "ERROR"))
 
 
-class ControllerNode(ParameterNode):
+class ControllerNode(ManagedParameterNode):
     """Answers /joint_states with /effort_controller/commands and, stamped and named, /joint_commands.
 
-    Publishes ~/reference and ~/tracking_error after each command. A message that is refused is not
-    answered; an effort that is not finite is not sent.
+    unconfigured: all parameters may change. inactive: the law is built; nothing is computed or sent. active: every
+    state is answered, trajectories and services are taken, gains and limits may change between two states. Whatever
+    ends that sends a last command by `on_stop`. With `autostart` it is active from birth, or raises what is wrong.
     """
 
+    trouble: Exception | None = None
+    """Why the last transition failed."""
+
     def __init__(self, **node_kwargs: Any) -> None:
+        self._control: Control | None = None
+        self._at_birth = False  # the parameters have just been read, and what is wrong is raised instead of logged
         super().__init__(names.CONTROLLER, config.controller_parameters, **node_kwargs)
 
+    def may_wait(self) -> bool:
+        """Parameters that do not fit may be mended, unless the node is to start at once."""
+        return self.given("autostart", True) is False
+
+    def is_open(self) -> bool:
+        """Whether every parameter may change."""
+        return self.state == "unconfigured"
+
+    @property
+    def state(self) -> str:
+        """Label of the lifecycle's state."""
+        return str(self._state_machine.current_state[1])
+
     def build(self) -> None:
-        """Make the law from the parameters and start to answer."""
-        values = self.values
-        self._robot = config.robot(values)
-        law = TrackingLaw(self._robot, config.gains(values, self._robot.n), compile=values["compile"])
-        self._tracker = Tracker(law, config.reference(values, self._robot.n), values["state_timeout"])
-        self._tracker.warm_up()
-        self._health = Health(self, ("states received", "states answered"))
-        joints = values["joints"]
-        self._reader = StateReader(joints)
-        self._effort, self._command = EffortWriter(joints), JointStateWriter(joints)
-        self._reference, self._error = JointStateWriter(joints), JointStateWriter(joints)
-        self._last_stamp: int | None = None
-        self._efforts = self.create_publisher(Float64MultiArray, names.EFFORT_COMMANDS, names.LATEST)
-        self._commands = self.create_publisher(JointState, names.JOINT_COMMANDS, names.LATEST)
-        self._references = self.create_publisher(JointState, names.REFERENCE, names.LATEST)
-        self._errors = self.create_publisher(JointState, names.TRACKING_ERROR, names.LATEST)
-        self.create_subscription(JointState, names.JOINT_STATES, self._on_state, names.LATEST)
+        """With autostart: configure and activate, or raise why that is not possible."""
+        if self.fault is not None:
+            self.values = {parameter.name: parameter.default for parameter in process_parameters()}
+            self.get_logger().error(f"waits for better parameters: {self.fault}")
+        elif self.values["autostart"]:
+            self._at_birth = True
+            for trigger in (self.trigger_configure, self.trigger_activate):
+                if trigger() != SUCCESS and self.trouble is not None:
+                    raise self.trouble
+            self._at_birth = False
+
+    def changed(self, values: dict[str, Any], names: set[str]) -> None:
+        """Take over gains, limits and the built-in reference together, or raise FjrError."""
+        if self._control is not None:
+            self._control.change(values, names)
 
     def stop(self) -> None:
-        """Send a last zero effort and the counters."""
-        if self._last_stamp is not None:
-            self._send(self._last_stamp, np.zeros(self._robot.n))
-        self._health.publish()
-        process.flush(self._efforts, self._commands)
+        """Shut down: the last command, and the counters."""
+        if self.state in ("unconfigured", "inactive", "active"):
+            self.trigger_shutdown()
 
-    def _on_state(self, message: JointState) -> None:
-        self._health.count["states received"] += 1
+    def destroy_node(self) -> None:
+        """As of rclpy's Node, which knows nothing of actions."""
+        if self._control is not None:
+            self._control.withdraw()
+        super().destroy_node()
+
+    # Transitions.
+
+    def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Check all parameters and build the law."""
+        return self._attempt(self._configure)
+
+    def on_activate(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Answer from the next state on."""
+        return self._attempt(self._activate)
+
+    def on_deactivate(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Send the last command."""
+        return self._attempt(self._deactivate)
+
+    def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Give everything back."""
+        return self._attempt(self._clean_up)
+
+    def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Send the last command and the counters."""
+        return self._attempt(self._deactivate)
+
+    def on_error(self, _: LifecycleState) -> TransitionCallbackReturn:
+        """Send the last command where one is due, give everything back, and be unconfigured."""
+        return self._attempt(self._clean_up)
+
+    def _attempt(self, act: Callable[[], None]) -> TransitionCallbackReturn:
+        """SUCCESS; FAILURE with one sentence in the log; ERROR with a traceback where nobody foresaw it."""
+        self.trouble = None
         try:
-            sample = self._reader.read(message)
-        except MessageError as error:
-            self._health.refuse("state", error)
-            return
-        x = self._robot.state(sample.q_l, sample.q_m, sample.dq_l, sample.dq_m)
-        command = self._tracker.answer(sample.stamp, x, time.monotonic_ns())
-        if command is None:
-            self._health.warn("states older than the last", "dropped a state older than the last one")
-        elif not is_sendable(command.u):
-            self._health.warn("efforts not finite", f"effort {command.u.tolist()} is not finite: not sent")
-        else:
-            self._answer(sample, command)
+            act()
+        except FjrError as error:
+            self.trouble = error
+            if not self._at_birth:
+                self.get_logger().error(str(error))
+            return FAILURE
+        except Exception as error:
+            self.trouble = error
+            self.get_logger().error("".join(traceback.format_exception(error)))
+            return ERROR
+        return SUCCESS
 
-    def _answer(self, sample: JointSample, command: Command) -> None:
-        if command.restarted:
-            self._health.warn("reference restarts", "the time of the states jumped back: the reference starts again")
-        self._send(sample.stamp, command.u)
-        self._last_stamp = sample.stamp
-        self._health.count["states answered"] += 1
-        q_ld, dq_ld = command.jets[0], command.jets[1]
-        self._references.publish(self._reference.fill(sample.stamp, q_ld, dq_ld))
-        self._errors.publish(self._error.fill(sample.stamp, sample.q_l - q_ld, sample.dq_l - dq_ld))
+    def _configure(self) -> None:
+        if not self._at_birth:
+            self.recheck()
+        self._control = Control(self, self.values, self._on_rival)
 
-    def _send(self, stamp: int, u: Array) -> None:
-        self._efforts.publish(self._effort.fill(u))
-        self._commands.publish(self._command.fill(stamp, effort=u))
+    def _activate(self) -> None:
+        assert self._control is not None
+        self._control.start()
+
+    def _deactivate(self) -> None:
+        if self._control is not None:
+            self._control.stop()
+
+    def _clean_up(self) -> None:
+        if self._control is not None:
+            self._control.close()
+            self._control = None
+
+    def _on_rival(self, error: RivalError) -> None:
+        """Another process commands the robot, as it turned out before the first answer."""
+        assert self._control is not None
+        self._control.reports.event(Event("error", RIVALS, str(error)))
+        self.trigger_deactivate()
+        self.trouble = error
+        if self.values["autostart"]:
+            raise error
 
 
 def main(args: list[str] | None = None) -> int:

@@ -1,64 +1,333 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a measured state to an effort: the reference's clock and the law u(x, x, t); without ROS."""
+"""From a measured sample to an effort: the reference's clock, the law u(x, x, t) and what keeps it safe; without ROS.
+
+sample -> order of the stamps -> limits of the state -> law -> ramp or blend -> effort limits -> rate limit -> u
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from fjr_core import Reference, TrackingLaw
+from fjr_core import Reference, StateError, TrackingLaw, TrajectoryError
 from fjr_core.checks import Array
+from fjr_core.safety_parameters import Settings
+
+from .certificate import Certificate
+from .course import Course
+from .events import ERROR, INFO, WARN, Journal, State
+from .safety import EffortLimits, StateLimits, StopPolicy
+from .stamps import Order, Stamps
+
+if TYPE_CHECKING:
+    from fjr_msgs_py.messages import JointSample
+
+OBSERVED = 5  # samples that an observer gets after a silence before its velocities count
 
 
-@dataclass(frozen=True)
+class Observer(Protocol):
+    """What the tracker needs of an observer of the velocities."""
+
+    def reset(self) -> None:
+        """Begin anew."""
+
+    @property
+    def state(self) -> Array:
+        """The estimate (4n,): q_l, q_m [rad], dq_l, dq_m [rad/s]."""
+
+    def update(self, stamp: int, q_l: Array, q_m: Array, u: Array) -> object:
+        """Make the estimate for positions (n,) [rad] measured at the stamp [ns]; u (n,) [N m] acted till then."""
+
+
+@dataclass(slots=True)
 class Command:
-    """Effort u (n,) [N m] for a state, with the reference jets (5, n) it was computed from."""
+    """The answer to a sample; its arrays are good until the next answer.
+
+    u (n,) [N m]: the effort to send, always finite and within its limits. jets (5, n): the reference at the
+    sample's stamp. V [J]: the storage, nan where u is not the law's answer (a stop, an effort that was not finite).
+    velocity (2n,): dq_l, dq_m that the law saw, measured or observed. state: what the tracker does now.
+    restarted: the stamps jumped back and the reference began again with this sample.
+    """
 
     u: Array
     jets: Array
+    V: float
+    velocity: Array
+    state: State
     restarted: bool
 
 
 class Tracker:
-    """Answers stamped states with efforts; the reference's time 0 is the first answered state's stamp.
+    """Answers stamped samples with efforts.
 
-    A state older than the last one is not answered (None), unless its stamp jumped back by more than
-    `state_timeout` [s] or nothing newer came for that long (a robot that was reset, a bag that loops):
-    then the reference starts again. A repeated stamp is answered again.
+    States. waiting: before the first sample. joining: the effort is ramped or blended, or the reference leads
+    from the measured state into the wanted one. tracking. stopped: a limit of position, velocity, deflection or
+    tracking error was broken, or the start was refused; latched: every sample is answered by the stop policy
+    (`Settings.on_stop`; gravity_hold damps the motors by K_md) until resume().
+
+    Order of stamps. A sample older than the last one is not answered (None), a repeated stamp is answered again.
+    A stamp that jumped back by more than state_timeout, or an older one after nothing newer came for that long,
+    is another beginning (a robot that was reset, a bag that loops), as after start(); but a stop stays latched.
+    Where time is simulated a pause between arrivals is no silence.
+    A stamp that jumped forward by more than state_timeout, or a sample after a silence of that length by the
+    arrival clock, is a recovery: the reference's clock goes on, the reference is joined from the measured positions
+    and velocities over recovery.join_time, and the effort leaves the last one sent without a step, in a twentieth of
+    that time: u = u_law + (1 - s) (u_last - u_law(0)) with a C^1 smoothstep s (fading.Fade). With
+    an observer the last effort stays for OBSERVED samples before that. The reference's time is 0 at the first
+    answered stamp.
+
+    Effort. Ramp (from the stop policy's effort) or blend, then the effort limits, then the rate limit against the
+    last effort sent, over the difference of the stamps (at most state_timeout; the first effort comes from zero). A
+    stop's effort passes both limits too; the single efforts of silence() and stop_effort() pass the first only. Where
+    the law's effort is not finite the stop policy's without a sample leaves; the sample leaves no other trace.
+
+    events: what happened, for the caller to take out. counters, with stable names:
+    "states older than the last", "states repeated", "reference restarts", "silences", "forward jumps", "recoveries",
+    "starts refused", "stops" and of these "stops: link position", "stops: motor position", "stops: link velocity",
+    "stops: motor velocity", "stops: deflection", "stops: tracking error"; "resumes", "efforts not finite",
+    "efforts saturated" and of these "efforts saturated: <joint>", "efforts rate limited", "gains changed",
+    "settings changed", "references changed", "holds".
     """
 
-    def __init__(self, law: TrackingLaw, reference: Reference, state_timeout: float) -> None:
-        self._law = law
-        self._reference = reference
-        self._timeout = round(state_timeout * 1e9)
-        self._start: int | None = None
-        self._last = 0
-        self._last_arrival = 0
+    def __init__(
+        self,
+        law: TrackingLaw,
+        reference: Reference,
+        settings: Settings,
+        observer: Observer | None = None,
+        simulated_time: bool = False,
+    ) -> None:
+        journal = Journal()
+        self.events, self.counters = journal.events, journal.counters
+        self._law, self._observer, self._settings, self._journal = law, observer, settings, journal
+        self._stamps, self._limits = Stamps(settings.state_timeout, simulated_time), StateLimits(settings)
+        self._course = Course(reference, settings, self._limits, journal)
+        self._efforts, self._policy = EffortLimits(settings), StopPolicy(law, settings)
+        self._observed = 0 if observer is None else OBSERVED
+        self._stopped, self._bad, self._clipped = 0, False, False
+
+    @property
+    def state(self) -> State:
+        """What the tracker does with samples now."""
+        if self._course.reason:
+            return State.STOPPED
+        if self._stamps.last is None:
+            return State.WAITING
+        return State.JOINING if self._course.joining else State.TRACKING
+
+    @property
+    def reason(self) -> str:
+        """Why it is stopped, one sentence; empty otherwise."""
+        return self._course.reason
+
+    @property
+    def last_stamp(self) -> int | None:
+        """Stamp [ns] of the last sample that was answered by the law or a stop; None before the first."""
+        return self._stamps.last
+
+    @property
+    def end(self) -> float:
+        """Stamp [ns] from which on the running reference stands still; inf for never or before the first sample."""
+        return self._course.reference.end
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """Where the bound on V began and where V is; None while the effort sent is not the law's own."""
+        return self._course.watch.certificate
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Times by the stamps [s]: "in saturation", "in saturation: <joint>", "stopped"."""
+        joints = zip(self._settings.joints, self._efforts.seconds, strict=True)
+        each = {f"in saturation: {joint}": float(seconds) for joint, seconds in joints}
+        return {"in saturation": self._efforts.seconds_any, **each, "stopped": self._stopped * 1e-9}
 
     def warm_up(self) -> None:
-        """Build everything that is built once, so that the first state is answered as fast as any other."""
+        """Build everything that is built once, so that the first sample is answered as fast as any other."""
         n = self._law.robot.n
-        x = self._law.robot.state(*(np.zeros(n),) * 4)
-        self._law.command(x, self._reference.jets(0.0))
+        self._law.measured_command(np.zeros(2 * n), np.zeros(2 * n), self._course.reference.jets(0))
+        self._policy.moving(np.zeros(n), np.zeros(n))
+        if self._observer is not None:
+            for stamp in (0, 1_000_000):
+                self._observer.update(stamp, *(np.zeros(n),) * 3)
+            self._observer.reset()
 
-    def answer(self, stamp: int, x: Array, arrival: int) -> Command | None:
-        """Command for the state x (4n,) stamped `stamp` [ns] that arrived at `arrival` [ns, steady clock]."""
-        start, restarted = self._start, False
-        if start is None:
-            start = stamp
-        elif stamp < self._last:
-            restarted = self._last - stamp > self._timeout or arrival - self._last_arrival > self._timeout
-            if not restarted:
-                return None
-            start = stamp
-        jets = self._reference.jets((stamp - start) * 1e-9)
-        command = Command(self._law.command(x, jets), jets, restarted)
-        if is_sendable(command.u):  # else it is not answered, and leaves no trace here
-            self._start, self._last, self._last_arrival = start, stamp, arrival
-        return command
+    def start(self) -> None:
+        """Begin afresh, as at birth: the next sample is the first. Law, reference, events and counters stay."""
+        self._stamps.forget()
+        self._course.forget()
 
+    def answer(self, sample: JointSample, arrival: int) -> Command | None:
+        """The command for a sample that arrived at `arrival` [ns, steady clock]; None: too old, nothing is to be sent.
 
-def is_sendable(u: Array) -> bool:
-    """Whether an effort may leave the node: finite in every entry."""
-    return bool(np.isfinite(u).all())
+        Raises StateError where the sample has no velocities and there is no observer.
+        """
+        stamp = sample.stamp
+        order = self._stamps.judge(stamp, arrival)
+        if order is Order.OLDER:
+            self._journal.count("states older than the last")
+            return None
+        if not self._measure(sample, order):
+            return self._unanswerable(stamp)
+        if order is Order.FIRST or order is Order.BACK:
+            self._policy.remember(self._limits.q_l)  # a ramp begins with the weight here
+        try:
+            jets = self._course.jets(order, stamp, self._observed)
+        except TrajectoryError:  # a state so far out that no motion leads back from it
+            return self._unanswerable(stamp)
+        wanted, V = self._wanted(jets)
+        if not wanted.dot(wanted) < np.inf:
+            return self._unanswerable(stamp)
+        u = self._send(wanted, V, stamp)
+        self._accept(stamp, arrival)
+        return Command(u, jets, V, self._limits.velocity, self.state, order is Order.BACK)
+
+    def silence(self, now: int) -> Array | None:
+        """The stop effort (n,) when nothing came for state_timeout, once; else None.
+
+        now [ns]: of the arrival clock, or of the stamps' where time is simulated.
+        """
+        if not self._stamps.silent(now):
+            return None
+        seconds = self._stamps.timeout * 1e-9
+        self._journal.say(WARN, "silences", f"no state for more than {seconds:g} s: the stop effort is sent")
+        return self.stop_effort()
+
+    def stop_effort(self) -> Array:
+        """The stop policy's effort (n,) without a sample, finite and within the limits; it counts as sent.
+
+        zero: zeros. gravity_hold: the weight B_m^-1 grad P_l(q_l) at the last good sample, zeros before the first.
+        """
+        u = self._efforts.cut(self._policy.standing())
+        self._efforts.replace(u)
+        self._course.watch.void()
+        return u
+
+    def settings(self, settings: Settings) -> None:
+        """Other settings from the next sample on; stops stay latched, what is under way stays as it is."""
+        self._settings = self._course.settings = settings
+        self._stamps.limit(settings.state_timeout)
+        self._limits.limit(settings)
+        self._efforts.limit(settings)
+        self._policy.limit(self._law, settings)
+        self._journal.say(INFO, "settings changed", "limits and stop policy changed")
+
+    def use(self, law: TrackingLaw) -> None:
+        """Another law (other gains) from the next sample on; the certificate begins anew."""
+        n = law.robot.n
+        law.measured_command(np.zeros(2 * n), np.zeros(2 * n), self._course.reference.jets(0))
+        self._law = law
+        self._policy.limit(law, self._settings)
+        self._course.watch.void()
+        self._journal.say(INFO, "gains changed", "gains changed: the certificate begins anew")
+
+    def jets_at(self, stamp: int) -> Array | None:
+        """Jets (5, n) that the running reference has at `stamp` [ns]; None before the first sample.
+
+        With these a trajectory that is to follow begins: Spline(..., start=tracker.jets_at(start)).
+        """
+        return self._course.reference.jets(stamp) if self._course.reference.begun else None
+
+    def follow(self, reference: Reference, start: int | None = None) -> None:
+        """Another reference whose time 0 is at the stamp `start` [ns], None: the next sample's.
+
+        Until `start` the running one goes on. Where its jets at time 0 are those of the running one at `start` to
+        rounding (1e-6) it takes over as it is, and u has no step; else it is joined from the running one over
+        recovery.join_time (with 0 it takes over all the same). Before the first sample it takes the place of the
+        reference, with time 0 at that sample. It replaces what was to follow and has not begun, also a hold. While
+        stopped it is taken too, and resume() joins it from the measured state.
+        """
+        self._course.follow(reference, start)
+
+    def hold(self) -> None:
+        """Come to rest from the next sample on, C^4 from the running reference, and stand there.
+
+        The speed dq is lost within T = max |dq| / hold.deceleration (0.2 s to 2 s), on dq T / 2. While stopped or
+        before the first sample: stand where the links are at the next sample.
+        """
+        self._course.hold()
+
+    def resume(self) -> None:
+        """End a stop: the next sample is answered by the law, the reference joined from the measured state.
+
+        As a recovery does it, over recovery.join_time; with 0 at once. Where that is 0, a refused start begins again
+        instead, and is checked again. Nothing happens where nothing is stopped.
+        """
+        self._course.resume()
+
+    def _measure(self, sample: JointSample, order: Order) -> bool:
+        """Take the sample's positions and velocities in, or an observer's; False where they are not finite."""
+        m = self._limits
+        if self._observer is None:
+            if sample.dq_l is None or sample.dq_m is None:
+                raise StateError("the sample has no velocities; expected them, or an observer")
+            m.q_l[...], m.q_m[...] = sample.q_l, sample.q_m
+            m.dq_l[...], m.dq_m[...] = sample.dq_l, sample.dq_m
+        elif order is not Order.REPEATED:
+            if order is not Order.NEXT:
+                self._observer.reset()
+            self._observer.update(sample.stamp, sample.q_l, sample.q_m, self._efforts.sent)
+            m.state[...] = self._observer.state
+        return bool(m.state.dot(m.state) < np.inf)
+
+    def _wanted(self, jets: Array) -> tuple[Array, float]:
+        """What is to be sent before ramp, blend and limits, with V; the law is not asked while stopped or blind."""
+        m = self._limits
+        if self._course.reason:
+            return self._policy.moving(m.q_l, m.dq_m), math.nan
+        if self._course.blind:
+            return self._efforts.sent.copy(), math.nan
+        return self._law.measured_command(m.position, m.velocity, jets)
+
+    def _send(self, wanted: Array, V: float, stamp: int) -> Array:
+        """The effort that leaves; the certificate goes on only where it is the law's own."""
+        efforts, watch = self._efforts, self._course.watch
+        u = efforts.send(self._course.fade.apply(wanted, efforts.sent, self._policy.standing, stamp), stamp)
+        if u is wanted and math.isfinite(V):
+            watch.see(stamp, V)
+        else:
+            watch.void()
+        if efforts.clipped or self._clipped:
+            self._report_saturation()
+        if efforts.slowed:
+            self._journal.count("efforts rate limited")
+        return u
+
+    def _report_saturation(self) -> None:
+        """Count each sample and joint; an event where it begins."""
+        efforts, began = self._efforts, not self._clipped
+        self._clipped = efforts.clipped
+        if not efforts.clipped:
+            return
+        joints = [joint for joint, over in zip(self._settings.joints, efforts.saturated, strict=True) if over]
+        for joint in joints:
+            self._journal.count(f"efforts saturated: {joint}")
+        if began:
+            sentence = f"the effort of {', '.join(joints)} is at its limit"
+            self._journal.say(WARN, "efforts saturated", sentence, joint=joints[0])
+        else:
+            self._journal.count("efforts saturated")
+
+    def _accept(self, stamp: int, arrival: int) -> None:
+        if self._course.reason and self._stamps.last is not None:
+            self._stopped += min(max(stamp - self._stamps.last, 0), self._stamps.timeout)
+        self._policy.remember(self._limits.q_l)
+        self._stamps.accept(stamp, arrival)
+        self._bad = False
+
+    def _unanswerable(self, stamp: int) -> Command:
+        """The stop policy's effort without a sample, for one that has no finite effort."""
+        sentence = "the effort is not finite for a state: the stop effort is sent instead"
+        if self._bad:
+            self._journal.count("efforts not finite")
+        else:
+            self._journal.say(ERROR, "efforts not finite", sentence)
+        self._bad = True
+        if self._observer is not None:
+            self._observer.reset()
+        u = self._send(self._policy.standing(), math.nan, stamp)
+        jets = self._course.reference.jets(stamp)
+        return Command(u, jets, math.nan, self._limits.velocity, self.state, False)

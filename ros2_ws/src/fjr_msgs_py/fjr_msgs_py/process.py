@@ -18,8 +18,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from fjr_core import FjrError
+from fjr_core.process_parameters import process_care
 
-from .scheduling import take_priority
+from .scheduling import freeze_garbage, take_care
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
@@ -53,33 +54,33 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
     stopped: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda received, _: stopped.append(received))
+    node = None
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
+        care = process_care(node.values)
     except (FjrError, *_ROS_ERRORS) as error:
         print(_sentence(error), file=sys.stderr, flush=True)
-        rclpy.try_shutdown()
+        _end(node)
         return 1
-    in_lockstep = node.values.get("lockstep", False)
-    refusal = take_priority(0 if in_lockstep else node.values["realtime_priority"])
-    if refusal:
+    for refusal in take_care(care):
         node.get_logger().warning(refusal)
+    freeze_garbage()
     code = 0
     try:
-        _spin(node, stopped)
+        _spin(node, care.executor, stopped)
     except FjrError as error:
         print(f"ended: {error}", file=sys.stderr, flush=True)
         code = 1
     try:
         node.stop()
     finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+        _end(node)
     return code
 
 
-def _spin(node: StoppableNode, stopped: list[int]) -> None:
-    executor, spin = _executor()
+def _spin(node: StoppableNode, kind: str, stopped: list[int]) -> None:
+    executor, spin = _executor(kind)
     executor.add_node(node)
     try:
         while not stopped and rclpy.ok():
@@ -89,17 +90,23 @@ def _spin(node: StoppableNode, stopped: list[int]) -> None:
     executor.remove_node(node)
 
 
-def _executor() -> tuple[Executor, Callable[[], None]]:
-    """The events executor (half the processor time) where rclpy has it, with a spin that returns within POLL.
+def _executor(kind: str) -> tuple[Executor, Callable[[], None]]:
+    """The executor that is asked for, or "single" where rclpy has no other, with a spin that returns within POLL.
 
-    Without a time limit that executor runs no callback and ignores signals in rclpy 7.1.6; a future kept
+    Without a time limit the events executor runs no callback and ignores signals in rclpy 7.1.6; a future kept
     from one spin to the next would collect callbacks.
     """
-    if EventsExecutor is None:
+    if kind == "single" or EventsExecutor is None:
         single = SingleThreadedExecutor()
         return single, lambda: single.spin_once(timeout_sec=POLL)
     events = EventsExecutor()
     return events, lambda: events.spin_until_future_complete(Future(), POLL)
+
+
+def _end(node: StoppableNode | None) -> None:
+    if node is not None:
+        node.destroy_node()
+    rclpy.try_shutdown()
 
 
 def flush(*publishers: Publisher, seconds: float = 0.2) -> None:

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits of the state and of the effort, and the effort of a stop; everything is compared at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from fjr_core import TrackingLaw
+from fjr_core.checks import Array
+from fjr_core.numeric import numeric
+from fjr_core.safety_parameters import GRAVITY_HOLD, Settings
+
+_KINDS = (
+    ("link position", "q_l", "rad"),
+    ("motor position", "q_m", "rad"),
+    ("link velocity", "dq_l", "rad/s"),
+    ("motor velocity", "dq_m", "rad/s"),
+    ("deflection", "q_m - q_l", "rad"),
+    ("tracking error", "q_l - q_ld", "rad"),
+)
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A limit of the state that is broken: which (one of "link position" .. "tracking error"), where, by what."""
+
+    kind: str
+    joint: str
+    value: float
+    limit: float
+    sentence: str
+
+
+class StateLimits:
+    """The measured state of n joints with its limits, kept in one row of six blocks of n.
+
+    position (2n,) = (q_l, q_m) and velocity (2n,) = (dq_l, dq_m) are views of that row.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        n = settings.n
+        self._row = np.zeros(6 * n)
+        self.state, self.position, self.velocity = self._row[: 4 * n], self._row[: 2 * n], self._row[2 * n : 4 * n]
+        self.q_l, self.q_m, self.dq_l, self.dq_m, self._zeta, self._error = self._row.reshape(6, n)
+        self._below, self._above = np.zeros(6 * n, dtype=bool), np.zeros(6 * n, dtype=bool)
+        self.limit(settings)
+
+    def limit(self, settings: Settings) -> None:
+        """Other limits."""
+        sizes = [settings.link_velocity, settings.motor_velocity, settings.deflection, settings.tracking_error]
+        self._upper = np.concatenate([settings.link_position_upper, settings.motor_position_upper, *sizes])
+        lower = [settings.link_position_lower, settings.motor_position_lower]
+        self._lower = np.concatenate([*lower, *(-np.asarray(size) for size in sizes)])
+        self._joints = settings.joints
+        self._on = bool(np.isfinite([self._lower, self._upper]).any())
+
+    def violation(self, q_ld: Array) -> Violation | None:
+        """The first limit that the state breaks, with the reference q_ld (n,); a value at its limit is within."""
+        if not self._on:
+            return None
+        np.subtract(self.q_m, self.q_l, out=self._zeta)
+        np.subtract(self.q_l, q_ld, out=self._error)
+        np.less(self._row, self._lower, out=self._below)
+        np.greater(self._row, self._upper, out=self._above)
+        np.logical_or(self._below, self._above, out=self._above)
+        return self._worst() if np.count_nonzero(self._above) else None
+
+    def _worst(self) -> Violation:
+        i = int(np.argmax(self._above))
+        kind, symbol, unit = _KINDS[i // len(self._joints)]
+        joint, value = self._joints[i % len(self._joints)], float(self._row[i])
+        limit = float(self._lower[i] if self._below[i] else self._upper[i])
+        side = "at least" if self._below[i] else "at most"
+        sentence = f"{kind} of {joint}: {symbol} = {value:.6g} {unit}; expected {side} {limit:.6g} {unit}"
+        return Violation(kind, joint, value, limit, sentence)
+
+
+class EffortLimits:
+    """Cuts efforts to their limits and their change to its rate, and counts for how long.
+
+    sent (n,) [N m] is the last effort that left, zero before the first. Of it: clipped and slowed, whether the
+    limits or the rate changed it, saturated (n,), which joints. seconds (n,), seconds_any: time spent so [s].
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        n = settings.n
+        self.sent = np.zeros(n)
+        self.saturated = np.zeros(n, dtype=bool)
+        self.seconds, self.seconds_any = np.zeros(n), 0.0
+        self.clipped = self.slowed = False
+        self._stamp: int | None = None
+        self._work, self._step, self._over = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
+        self.limit(settings)
+
+    def limit(self, settings: Settings) -> None:
+        """Other limits; the last effort sent counts as within them."""
+        self._limit, rate = np.asarray(settings.effort), np.asarray(settings.effort_rate)
+        limited = np.isfinite(rate)
+        self._limited, self._rated = bool(np.isfinite(self._limit).any()), bool(limited.any())
+        self._rate, self._free = np.where(limited, rate, 0.0), np.where(limited, 0.0, np.inf)
+        self._longest = round(settings.state_timeout * 1e9)
+        self.clipped = self.clipped and self._limited
+        self.slowed = self.slowed and self._rated
+        self.sent[...] = self.cut(self.sent)
+
+    def cut(self, u: Array) -> Array:
+        """The effort u (n,) within the effort limits."""
+        return np.clip(u, -self._limit, self._limit) if self._limited else u
+
+    def send(self, u: Array, stamp: int) -> Array:
+        """What leaves for the finite effort u (n,) in answer to `stamp` [ns]: u itself where nothing limits it."""
+        dt = 0.0 if self._stamp is None else min(max(stamp - self._stamp, 0), self._longest) * 1e-9
+        if self.clipped:
+            self.seconds += dt * self.saturated
+            self.seconds_any += dt
+        if self._limited:
+            u = self._within(u)
+        if self._rated:
+            u = self._slow(u, dt)
+        self._stamp = stamp
+        np.copyto(self.sent, u)
+        return u
+
+    def _within(self, u: Array) -> Array:
+        np.abs(u, out=self._work)
+        np.greater(self._work, self._limit, out=self.saturated)
+        self.clipped = np.count_nonzero(self.saturated) > 0
+        return self.cut(u) if self.clipped else u
+
+    def _slow(self, u: Array, dt: float) -> Array:
+        np.multiply(self._rate, dt, out=self._step)
+        self._step += self._free
+        np.subtract(u, self.sent, out=self._work)
+        np.abs(self._work, out=self._work)
+        np.greater(self._work, self._step, out=self._over)
+        self.slowed = np.count_nonzero(self._over) > 0
+        return np.clip(u, self.sent - self._step, self.sent + self._step) if self.slowed else u
+
+    def replace(self, u: Array) -> None:
+        """An effort that left without an answer (a silence, the end)."""
+        np.copyto(self.sent, u)
+        self.clipped = self.slowed = False
+
+
+class StopPolicy:
+    """Efforts of a stop: none, or the weight of the links, B_m^-1 (grad P_l(q_l) - K_md dq_m) while states come."""
+
+    def __init__(self, law: TrackingLaw, settings: Settings) -> None:
+        q_l = ca.SX.sym("q_l", law.robot.n)
+        self._grad_P_l = numeric("grad_P_l", {"q_l": q_l}, {"grad_P_l": law.robot.links.grad_P_l(q_l)})
+        self._q_l = np.zeros(law.robot.n)
+        self._known = False
+        self.limit(law, settings)
+
+    def limit(self, law: TrackingLaw, settings: Settings) -> None:
+        """Other gains or settings."""
+        self._holds = settings.on_stop == GRAVITY_HOLD
+        self._B_inv, self._K_md = np.linalg.inv(law.robot.B_m), law.gains.K_md
+
+    def remember(self, q_l: Array) -> None:
+        """The links were here in a good sample."""
+        np.copyto(self._q_l, q_l)
+        self._known = True
+
+    def moving(self, q_l: Array, dq_m: Array) -> Array:
+        """The effort (n,) for a sample, finite; the motors' motion is damped by K_md."""
+        if not self._holds:
+            return np.zeros(len(q_l))
+        u = self._B_inv @ (self._grad_P_l(q_l)[0] - self._K_md @ dq_m)
+        return u if u.dot(u) < np.inf else self.standing()
+
+    def standing(self) -> Array:
+        """The effort (n,) without a sample, finite: the weight where the links were last; zero before that."""
+        if not (self._holds and self._known):
+            return np.zeros(len(self._q_l))
+        return self._B_inv @ self._grad_P_l(self._q_l)[0]

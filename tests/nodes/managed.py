@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A peer that also manages the controller: lifecycle, parameters and services, as the ROS 2 tools do it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from nodes.harness import Peer, Ros
+
+CONTROLLER = "fjr_controller"
+TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+}
+
+
+class Manager(Peer):
+    def __init__(self, ros: Ros) -> None:
+        super().__init__(ros)
+        self.events: list[DiagnosticStatus] = []
+        self.create_subscription(DiagnosticStatus, f"{CONTROLLER}/events", self.events.append, QoSProfile(depth=100))
+        self.trajectories = self.create_publisher(JointTrajectory, f"{CONTROLLER}/joint_trajectory", 10)
+        self._clients_by_name: dict[str, Any] = {}
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """A service's answer."""
+        client = self._clients_by_name.get(name) or self.create_client(kind, f"{CONTROLLER}/{name}")
+        self._clients_by_name[name] = client
+        self._ros.until(client.service_is_ready, f"the service {name}")
+        future = client.call_async(request)
+        self._ros.until(future.done, f"an answer of {name}")
+        return future.result()
+
+    def state(self) -> str:
+        return str(self.call(GetState, "get_state", GetState.Request()).current_state.label)
+
+    def change(self, transition: str) -> bool:
+        """Whether a transition by its id succeeds."""
+        request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
+        return bool(self.call(ChangeState, "change_state", request).success)
+
+    def labels(self) -> list[str]:
+        answer = self.call(GetAvailableStates, "get_available_states", GetAvailableStates.Request())
+        return [state.label for state in answer.available_states]
+
+    def transitions(self) -> set[str]:
+        request = GetAvailableTransitions.Request()
+        answer = self.call(GetAvailableTransitions, "get_available_transitions", request)
+        return {description.transition.label for description in answer.available_transitions}
+
+    def set(self, **values: Any) -> tuple[bool, str]:
+        """Set parameters together; `__` stands for a dot. Success and reason."""
+        parameters = [Parameter(name.replace("__", "."), value=v).to_parameter_msg() for name, v in values.items()]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        result = self.call(SetParametersAtomically, "set_parameters_atomically", request).result
+        return result.successful, result.reason
+
+    def set_one(self, name: str, value: Any) -> tuple[bool, str]:
+        """Set one parameter, as `ros2 param set` does it."""
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        (result,) = self.call(SetParameters, "set_parameters", request).results
+        return result.successful, result.reason
+
+    def trigger(self, name: str) -> tuple[bool, str]:
+        """Call ~/hold, ~/play or ~/resume."""
+        answer = self.call(Trigger, name, Trigger.Request())
+        return answer.success, answer.message
+
+    def send(self, message: JointTrajectory) -> DiagnosticStatus:
+        """Publish a trajectory; the event with which it is met."""
+        self._ros.until(lambda: self.trajectories.get_subscription_count(), "the trajectory's subscription")
+        before = len(self.events)
+        self.trajectories.publish(message)
+        self._ros.until(lambda: len(self.events) > before, "an event")
+        return self.events[-1]
+
+    def kinds(self) -> list[str]:
+        return [event.name for event in self.events]
+
+
+def trajectory(
+    *points: tuple[float, Any], joints: tuple[str, ...] = ("joint1",), start: int = 0, **fields: Any
+) -> JointTrajectory:
+    """A trajectory of (time [s], positions) from the stamp `start` [ns]; velocities=.. and the like: a row a point."""
+    message = JointTrajectory(joint_names=list(joints))
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(start, 10**9)
+    for i, (t, q) in enumerate(points):
+        point = JointTrajectoryPoint(positions=listed(q), **{name: listed(rows[i]) for name, rows in fields.items()})
+        sec, nanosec = divmod(round(t * 1e9), 10**9)
+        point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
+        message.points.append(point)
+    return message
+
+
+def listed(values: Any) -> list[float]:
+    return [float(v) for v in (values if isinstance(values, (list, tuple)) else [values])]

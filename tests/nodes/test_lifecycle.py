@@ -1,0 +1,322 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller as a managed node: its states, and what each of them does and does not do."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Float64MultiArray
+
+import fjr_core as fjr
+from fjr_controller.answering import RivalError
+from nodes.harness import Peer, Ros, nanoseconds, stamped
+from nodes.managed import Manager
+
+GRAVITY = 0.8 * np.sin(0.5)  # N m; the paper's link at 0.5 rad
+
+
+@pytest.fixture
+def manager(ros: Ros) -> Manager:
+    return Manager(ros)
+
+
+def effort(t: float, gains: fjr.Gains = fjr.PAPER_GAINS) -> float:
+    """The law's effort t [s] after the first state, resting at 0.5 rad."""
+    robot = fjr.single_link()
+    x = robot.state(0.5, 0.5, 0.0, 0.0)
+    return float(fjr.TrackingLaw(robot, gains).effort(x, x, fjr.Sine(1.0, 1.0).jets(t))[0])
+
+
+def test_by_default_the_node_is_active_from_birth(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    assert manager.state() == "active"
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+
+
+def test_the_lifecycle_is_that_of_a_managed_node(ros: Ros, manager: Manager) -> None:
+    ros.controller(autostart=False)
+    for transition, state in (
+        (None, "unconfigured"),
+        ("configure", "inactive"),
+        ("activate", "active"),
+        ("deactivate", "inactive"),
+        ("activate", "active"),
+        ("deactivate", "inactive"),
+        ("cleanup", "unconfigured"),
+        ("configure", "inactive"),
+    ):
+        assert transition is None or manager.change(transition)
+        assert manager.state() == state
+    assert {"unconfigured", "inactive", "active", "finalized"} <= set(manager.labels())
+    assert manager.transitions() == {"activate", "cleanup", "shutdown"}
+
+
+def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager, monkeypatch) -> None:
+    asked: list[float] = []
+    command = fjr.TrackingLaw.measured_command
+
+    def counted(self, *args):
+        asked.append(0.0)
+        return command(self, *args)
+
+    monkeypatch.setattr(fjr.TrackingLaw, "measured_command", counted)
+    ros.controller(autostart=False)
+    manager.ask(stamped(0.0), answered=False)
+    assert manager.change("configure")
+    asked.clear()
+    ros.until(lambda: manager.state_publisher.get_subscription_count() == 2, "the controller")
+    for _ in range(3):
+        manager.ask(stamped(0.0), answered=False)
+    assert not asked
+    assert not manager.efforts
+    assert manager.change("activate")
+    manager.meet_controller()
+    manager.ask(stamped(0.1))
+    assert manager.change("deactivate")
+    ros.until(lambda: len(manager.commands) == 2, "the last command")
+    asked.clear()
+    manager.ask(stamped(0.2), answered=False)
+    assert not asked
+    assert len(manager.efforts) == 2
+
+
+@pytest.mark.parametrize("transition", ["deactivate", "shutdown", "stop"])
+@pytest.mark.parametrize(("on_stop", "last"), [("zero", 0.0), ("gravity_hold", GRAVITY)])
+def test_the_last_command_is_that_of_on_stop(ros: Ros, manager: Manager, transition: str, on_stop: str, last) -> None:
+    node = ros.controller(on_stop=on_stop)
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+    end = {"deactivate": lambda: manager.change("deactivate"), "shutdown": node.trigger_shutdown, "stop": node.stop}
+    end[transition]()
+    ros.until(lambda: len(manager.efforts) == len(manager.commands) == 2, "the last command")
+    assert list(manager.efforts[-1].data) == list(manager.commands[-1].effort)
+    np.testing.assert_allclose(manager.commands[-1].effort, [last], atol=1e-12)
+    assert nanoseconds(manager.commands[-1]) == nanoseconds(manager.commands[0])
+    node.stop()  # once more does nothing
+    ros.settle()
+    assert len(manager.efforts) == 2
+
+
+def test_without_an_answered_state_there_is_no_last_command(ros: Ros, manager: Manager) -> None:
+    node = ros.controller()
+    manager.meet_controller()
+    node.stop()
+    ros.settle()
+    assert not manager.efforts
+
+
+def test_activated_again_the_reference_begins_again(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    manager.meet_controller()
+    first = manager.ask(stamped(0.0))
+    manager.ask(stamped(0.3))
+    assert manager.change("deactivate")
+    assert manager.change("activate")
+    manager.meet_controller()
+    ros.until(lambda: len(manager.commands) == 3, "the last command")
+    manager.state_publisher.publish(stamped(5.0))
+    ros.until(lambda: len(manager.commands) == 4, "the answer")
+    assert list(manager.commands[-1].effort) == list(first.effort)
+
+
+def test_bad_parameters_are_mended_while_unconfigured(ros: Ros, manager: Manager, capfd) -> None:
+    node = ros.controller(autostart=False, gains__Pi_l=[-20.0], robot__joint_stiffness=[3.1])
+    assert not manager.change("configure")
+    assert manager.state() == "unconfigured"
+    assert "gains.Pi_l" in str(node.trouble)
+    assert "gains.Pi_l" in capfd.readouterr().err
+    assert manager.set(gains__Pi_l=[20.0], robot__joint_stiffness=[31.0])[0]
+    assert manager.change("configure")
+    assert node.trouble is None
+    assert manager.change("activate")
+    manager.meet_controller()
+    np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0)], rtol=1e-9)
+
+
+def test_parameters_of_a_wrong_type_are_mended_while_unconfigured(ros: Ros, manager: Manager) -> None:
+    ros.controller(autostart=False, gains__K_ld="much")
+    assert not manager.change("configure")
+    assert manager.set(gains__K_ld=[0.6])[0]
+    assert manager.change("configure")
+
+
+def test_a_robot_may_change_only_while_unconfigured(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    for transition in (None, "deactivate"):
+        assert transition is None or manager.change(transition)
+        done, reason = manager.set(robot__joint_stiffness=[3.1])
+        assert not done
+        assert "robot.joint_stiffness" in reason
+        assert "unconfigured" in reason
+
+
+def test_gains_change_between_two_states(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    manager.meet_controller()
+    np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0)], rtol=1e-9)
+    assert manager.set(gains__K_ld=[0.9], gains__Pi_l=[30.0]) == (True, "")
+    other = fjr.Gains(10.0, 30.0, 0.9, 15.0, 60.0, 0.3)
+    np.testing.assert_allclose(manager.ask(stamped(0.001)).effort, [effort(0.001, other)], rtol=1e-9)
+    assert manager.set_one("gains.K_ld", [0.6])[0]
+    assert manager.set_one("gains.Pi_l", [20.0])[0]
+    np.testing.assert_allclose(manager.ask(stamped(0.002)).effort, [effort(0.002)], rtol=1e-9)
+    ros.until(lambda: manager.kinds().count("gains changed") == 3, "the events")
+    event = next(event for event in manager.events if event.name == "gains changed")
+    assert event.level == event.OK
+    assert event.message
+    assert event.hardware_id == ""
+
+
+def test_gains_that_are_nonsense_change_nothing(ros: Ros, manager: Manager) -> None:
+    node = ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+    for values in (
+        {"gains__Pi_l": [-20.0]},
+        {"gains__Pi_l": [float("nan")]},
+        {"gains__Pi_l": [30.0], "gains__K_ld": [-1.0]},
+        {"gains__Pi_l": [30.0, 30.0]},
+        {"gains__Pi_l": "stiff"},
+        {"gains__Pi_l": [30.0], "gains__K": [1.0]},
+        {"limits__effort": [-1.0]},
+        {"gains__Pi_l": [30.0], "limits__link_position_upper": [-1.0], "limits__link_position_lower": [1.0]},
+    ):
+        done, reason = manager.set(**values)
+        assert not done, values
+        assert reason
+        assert "\n" not in reason
+    np.testing.assert_allclose(manager.ask(stamped(0.001)).effort, [effort(0.001)], rtol=1e-9)
+    assert list(node.get_parameter("gains.Pi_l").value) == [20.0]
+    assert "gains changed" not in manager.kinds()
+
+
+def test_limits_change_between_two_states(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+    assert manager.set(limits__effort=[2.0])[0]
+    assert list(manager.ask(stamped(0.001)).effort) == [np.sign(effort(0.001)) * 2.0]
+    assert manager.set(limits__effort=[float("inf")])[0]
+    np.testing.assert_allclose(manager.ask(stamped(0.002)).effort, [effort(0.002)], rtol=1e-9)
+
+
+def test_gains_changed_while_inactive_hold_when_active(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    assert manager.change("deactivate")
+    assert manager.set(gains__K_ld=[0.9])[0]
+    assert manager.change("activate")
+    manager.meet_controller()
+    other = fjr.Gains(10.0, 20.0, 0.9, 15.0, 60.0, 0.3)
+    np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0, other)], rtol=1e-9)
+
+
+def test_silence_is_met_by_the_stop_effort_once(ros: Ros, manager: Manager) -> None:
+    ros.controller(state_timeout=0.05, on_stop="gravity_hold")
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+    ros.until(lambda: "silences" in manager.kinds(), "the silence")
+    ros.settle()
+    assert len(manager.efforts) == 2
+    np.testing.assert_allclose(manager.efforts[-1].data, [GRAVITY], atol=1e-12)
+
+
+def test_with_simulated_time_silence_is_judged_by_it(ros: Ros, manager: Manager) -> None:
+    ros.controller(state_timeout=0.5, use_sim_time=True)
+    clock = manager.create_publisher(Clock, "/clock", 1)
+    manager.meet_controller()
+    ros.until(clock.get_subscription_count, "the clock's reader")
+    manager.ask(stamped(0.0))
+    clock.publish(Clock(clock=stamped(0.4).header.stamp))
+    ros.settle()
+    assert "silences" not in manager.kinds()
+    for t in (0.6, 0.7, 0.8):
+        clock.publish(Clock(clock=stamped(t).header.stamp))
+        ros.settle()
+    ros.until(lambda: "silences" in manager.kinds(), "the silence")
+    assert nanoseconds(manager.commands[-1]) == nanoseconds(manager.commands[0])
+
+
+class Rival:
+    """Another process, for all that the middleware tells: a context of its own."""
+
+    def __init__(self) -> None:
+        self.ros = Ros()
+        self.peer = Peer(self.ros)
+
+    @contextmanager
+    def talking(self) -> Iterator[None]:
+        """Publish efforts inside the block."""
+        quiet = threading.Event()
+
+        def talk() -> None:
+            while not quiet.wait(0.01):
+                self.peer.effort_publisher.publish(Float64MultiArray(data=[1.0]))
+
+        thread = threading.Thread(target=talk)
+        thread.start()
+        yield
+        quiet.set()
+        thread.join()
+
+
+@pytest.fixture
+def rival() -> Iterator[Rival]:
+    made = Rival()
+    yield made
+    made.ros.close()
+
+
+def test_a_second_controller_is_refused(ros: Ros, manager: Manager, rival: Rival) -> None:
+    ros.until(lambda: manager.count_publishers("effort_controller/commands") == 2, "the rival")
+    node = ros.controller(autostart=False)
+    assert manager.change("configure")
+    with rival.talking():
+        with pytest.raises(RivalError, match=r"node .* publishes on /effort_controller/commands; expected nobody"):
+            ros.controller()
+        assert not manager.change("activate")
+        assert manager.state() == "inactive"
+        assert "effort_controller" in str(node.trouble)
+    assert manager.change("activate")
+
+
+def test_one_that_is_found_with_the_first_state_ends_the_start(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    manager.meet_controller()
+    rival = Rival()
+    try:
+        ros.until(lambda: manager.count_publishers("effort_controller/commands") == 3, "the rival")
+        manager.state_publisher.publish(stamped(0.0))
+        with rival.talking(), pytest.raises(RivalError):
+            ros.until(lambda: manager.commands)
+        assert manager.state() == "inactive"
+        assert not manager.commands
+    finally:
+        rival.ros.close()
+
+
+def test_one_that_is_silent_is_borne(ros: Ros, manager: Manager, rival: Rival) -> None:
+    ros.until(lambda: manager.count_publishers("effort_controller/commands") == 2, "the rival")
+    ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+
+
+def test_one_that_appears_later_is_reported(ros: Ros, manager: Manager) -> None:
+    node = ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+    rival = Rival()
+    try:
+        ros.until(lambda: "other controllers" in manager.kinds(), "the report")
+        node.stop()
+        ros.until(lambda: manager.count("other controllers", "fjr_controller") == 1, "the counter")
+        status = manager.diagnostics[-1].status[0]
+        assert status.level == status.ERROR
+    finally:
+        rival.ros.close()

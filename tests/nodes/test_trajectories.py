@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""JointTrajectories as joint_trajectory_controller takes them, and the services that move, hold and go on."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from trajectory_msgs.msg import JointTrajectory
+
+import fjr_core as fjr
+from fjr_msgs_py.messages import MessageError
+from fjr_msgs_py.trajectories import TrajectoryReader
+from nodes.harness import Ros, stamped
+from nodes.managed import Manager, trajectory
+
+NAN, INF = float("nan"), float("inf")
+SECOND = 10**9
+ZERO = 100 * SECOND  # stamp of the first state
+TWO = ("a", "b")
+STEP = 0.001  # s
+
+
+@pytest.fixture
+def manager(ros: Ros) -> Manager:
+    return Manager(ros)
+
+
+def reference_at(manager: Manager, t: float) -> tuple[np.ndarray, np.ndarray]:
+    """Reference's position and velocity for a state at t [s]."""
+    manager.ask(stamped(t, 0.0))
+    return np.array(manager.references[-1].position), np.array(manager.references[-1].velocity)
+
+
+# What a message says.
+
+
+def test_joints_are_mapped_by_name() -> None:
+    message = trajectory((1.0, [1.0, 2.0]), (2.0, [3.0, 4.0]), joints=("b", "a"), velocities=[[5.0, 6.0], [0.0, 0.0]])
+    waypoints = TrajectoryReader(TWO).read(message)
+    np.testing.assert_array_equal(waypoints.positions, [[2.0, 1.0], [4.0, 3.0]])
+    np.testing.assert_array_equal(waypoints.velocities, [[6.0, 5.0], [0.0, 0.0]])
+    assert waypoints.accelerations is None
+    assert waypoints.times.tolist() == [SECOND, 2 * SECOND]
+    assert waypoints.start is None
+
+
+def test_joints_that_are_left_out_hold_where_that_is_allowed() -> None:
+    message = trajectory((1.0, [1.0]), joints=("b",), velocities=[[0.0]])
+    waypoints = TrajectoryReader(TWO, allow_partial=True).read(message).completed(np.array([7.0, 8.0]))
+    np.testing.assert_array_equal(waypoints.positions, [[7.0, 1.0]])
+    np.testing.assert_array_equal(waypoints.velocities, [[0.0, 0.0]])
+
+
+def bad_time(sec: int) -> JointTrajectory:
+    message = trajectory((1.0, 0.0))
+    message.points[0].time_from_start.sec = sec
+    return message
+
+
+BAD: dict[str, tuple[JointTrajectory, str, str]] = {
+    "unknown joint": (trajectory((1.0, 0.0), joints=("elbow",)), "unknown joints", "elbow.*expected some of.*joint1"),
+    "no joints": (trajectory((1.0, []), joints=()), "unknown joints", "expected some of"),
+    "joint twice": (trajectory((1.0, [0.0, 0.0]), joints=("joint1",) * 2), "duplicate joints", "joint1.*only once"),
+    "equal times": (trajectory((1.0, 0.0), (1.0, 0.1)), "bad times", "point 1 is at 1 s; expected.*after point 0"),
+    "falling times": (trajectory((1.0, 0.0), (2.0, 0.1), (1.5, 0.0)), "bad times", "point 2 is at 1.5 s"),
+    "negative time": (bad_time(-1), "bad times", "point 0 is at -1 s"),
+    "negative stamp": (trajectory((1.0, 0.0), start=-5 * SECOND), "bad times", "header.stamp is -5"),
+    "too many positions": (trajectory((1.0, [0.0, 0.0])), "wrong lengths", "point 0 has 2 positions; expected 1"),
+    "no positions": (trajectory((1.0, []), velocities=[[0.0]]), "wrong lengths", "point 0 has 0 positions"),
+    "too many velocities": (trajectory((1.0, 0.0), velocities=[[0.0, 0.0]]), "wrong lengths", "2 velocities"),
+    "some velocities": (trajectory((1.0, 0.0), (2.0, 0.0), velocities=[[], [0.0]]), "wrong lengths", "point 0 has no"),
+    "accelerations alone": (trajectory((1.0, 0.0), accelerations=[[0.0]]), "wrong lengths", "without velocities"),
+    "nan": (trajectory((1.0, 0.0), (2.0, NAN)), "not finite", "positions of point 1 hold nan for joint1"),
+    "infinite": (trajectory((1.0, 0.0), velocities=[INF]), "not finite", "velocities of point 0 hold inf for joint1"),
+    "effort": (trajectory((1.0, 0.0), effort=[[1.0]]), "efforts", "point 0 has efforts"),
+    "last velocity": (trajectory((1.0, 0.0), velocities=[0.5]), "moving end", "point, 0, gives joint1 0.5 rad/s"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_cannot_be_asked_for_is_refused_in_one_sentence(case: str) -> None:
+    message, kind, sentence = BAD[case]
+    with pytest.raises(MessageError, match=sentence) as caught:
+        TrajectoryReader(("joint1",)).read(message)
+    assert caught.value.kind == kind
+    assert "\n" not in str(caught.value)
+
+
+def test_some_joints_only_are_refused_unless_allowed() -> None:
+    with pytest.raises(MessageError, match=r"expected \['a'\] too, or the parameter allow_partial_joints"):
+        TrajectoryReader(TWO).read(trajectory((1.0, [1.0]), joints=("b",)))
+
+
+def test_a_last_velocity_that_is_zero_in_single_precision_is_zero() -> None:
+    waypoints = TrajectoryReader(("joint1",)).read(trajectory((1.0, 0.0), velocities=[1e-8]))
+    assert waypoints.velocities.tolist() == [[0.0]]
+
+
+def test_points_in_the_past_are_dropped_and_times_count_from_now() -> None:
+    message = trajectory((0.0, 0.0), (1.0, 1.0), (2.0, 2.0), start=ZERO)
+    left = TrajectoryReader(("joint1",)).read(message).upcoming(ZERO + SECOND)
+    assert left.start == ZERO + SECOND
+    assert left.times.tolist() == [SECOND]
+    assert left.positions.tolist() == [[2.0]]
+    with pytest.raises(MessageError, match="0.5 s before the newest state"):
+        TrajectoryReader(("joint1",)).read(message).upcoming(ZERO + 5 * SECOND // 2)
+
+
+# What the controller does.
+
+
+def move(**fields: Any) -> JointTrajectory:
+    return trajectory((0.5, 0.3), (1.0, -0.2), **fields)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{}, {"velocities": [0.4, 0.0]}, {"velocities": [0.4, 0.0], "accelerations": [1.0, 0.0]}],
+    ids=["positions", "velocities", "accelerations"],
+)
+def test_a_trajectory_goes_through_its_points_and_stays_at_the_last(
+    ros: Ros, manager: Manager, fields: dict[str, Any]
+) -> None:
+    ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    assert manager.send(move(**fields)).name == "references changed"
+    q, dq = reference_at(manager, 0.5)
+    np.testing.assert_allclose(q, [0.3], atol=1e-9)
+    if fields:
+        np.testing.assert_allclose(dq, [0.4], atol=1e-9)
+    for t in (1.0, 1.7):
+        q, dq = reference_at(manager, t)
+        np.testing.assert_allclose([*q, *dq], [-0.2, 0.0], atol=1e-9)
+
+
+def test_a_replacement_makes_no_step_of_u(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    manager.meet_controller()
+    k = 20
+    efforts = [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(k)]
+    assert manager.send(move()).name == "references changed"
+    efforts += [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(k, 2 * k)]
+    steps = np.abs(np.diff(efforts))
+    assert steps[k - 1] <= 2 * max(steps[k - 2], steps[k])
+
+
+def test_a_replacement_while_moving_begins_with_the_running_jets(ros: Ros, manager: Manager) -> None:
+    node = ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    manager.send(move())
+    manager.ask(stamped(0.3, 0.0))
+    tracker = node._control.tracker
+    before = tracker.jets_at(tracker.last_stamp)
+    manager.send(trajectory((1.0, 0.7)))
+    manager.ask(stamped(0.3, 0.0))
+    np.testing.assert_allclose(tracker.jets_at(tracker.last_stamp), before, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(reference_at(manager, 1.3)[0], [0.7], atol=1e-9)
+
+
+def test_a_start_to_come_is_waited_for(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    manager.send(trajectory((0.5, 0.1), start=ZERO + SECOND // 2))
+    for t in (0.2, 0.4, 0.5):
+        np.testing.assert_allclose(reference_at(manager, t), [[np.sin(t)], [np.cos(t)]], atol=1e-9)
+    np.testing.assert_allclose(reference_at(manager, 1.0)[0], [0.1], atol=1e-9)
+
+
+def test_a_start_in_the_past_is_joined_in_and_what_is_over_is_refused(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    manager.ask(stamped(1.0, 0.0))
+    event = manager.send(trajectory((0.5, 0.1), start=ZERO))
+    assert event.name == "trajectory refused: in the past"
+    manager.send(trajectory((0.5, 0.1), (1.5, 0.2), start=ZERO))
+    np.testing.assert_allclose(reference_at(manager, 1.0), [[np.sin(1.0)], [np.cos(1.0)]], atol=1e-9)
+    np.testing.assert_allclose(reference_at(manager, 1.5)[0], [0.2], atol=1e-9)
+
+
+def test_no_points_stop_the_motion(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    assert manager.send(JointTrajectory()).name == "holds"
+    np.testing.assert_allclose(reference_at(manager, 0.1)[1], [np.cos(0.1)], atol=0.2)
+    q, dq = reference_at(manager, 3.0)
+    assert abs(dq[0]) < 1e-9
+    np.testing.assert_allclose(reference_at(manager, 4.0)[0], q)
+
+
+def test_a_refused_trajectory_changes_nothing(ros: Ros, manager: Manager) -> None:
+    node = ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    for message, kind, _ in BAD.values():
+        event = manager.send(message)
+        assert event.name == f"trajectory refused: {kind}"
+        assert event.level == event.WARN
+    np.testing.assert_allclose(reference_at(manager, 0.2), [[np.sin(0.2)], [np.cos(0.2)]])
+    node.stop()
+    ros.until(lambda: manager.count("trajectory refused: efforts", "fjr_controller") == 1, "the counter")
+
+
+@pytest.mark.parametrize(
+    ("limits", "sentence"),
+    [
+        ({"limits__link_position_upper": [0.2]}, r"point 0 .*joint1.*0\.3 rad.*0\.2"),
+        ({"limits__link_velocity": [0.5]}, r"joint1.*rad/s.*0\.5"),
+        ({"limits__acceleration": [1.0]}, r"joint1.*rad/s\^2.*1"),
+    ],
+)
+def test_limits_are_checked_and_named(ros: Ros, manager: Manager, limits: dict[str, Any], sentence: str) -> None:
+    ros.controller(reference__amplitude=[0.0], recovery__join_time=0.0)
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    assert manager.set(**limits)[0]
+    manager.ask(stamped(0.001, 0.0))
+    event = manager.send(move())
+    assert event.name == "trajectory refused: cannot be followed", event
+    assert re.search(sentence, event.message), event.message
+
+
+def test_the_robots_own_limits_hold_for_trajectories(ros: Ros, manager: Manager) -> None:
+    from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
+
+    robot = {"robot__model": "urdf", "robot__urdf": two_link_urdf(), "robot__joint_stiffness": STIFFNESS}
+    upper = fjr.robot_from_urdf(two_link_urdf(), JOINTS, STIFFNESS, MOTOR_INERTIA).limits.upper
+    if not np.isfinite(upper).all():
+        pytest.skip("the arm has no limits")
+    ros.controller(joints=JOINTS, robot__motor_inertia=MOTOR_INERTIA, reference__amplitude=[0.0, 0.0], **robot)
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0, names=[*JOINTS, *(f"{joint}_motor" for joint in JOINTS)]))
+    event = manager.send(trajectory((5.0, [0.0, float(upper[1]) + 0.1]), joints=tuple(JOINTS)))
+    assert event.name == "trajectory refused: cannot be followed"
+    assert JOINTS[1] in event.message
+
+
+def test_joints_left_out_hold_where_the_parameter_allows_it(ros: Ros, manager: Manager) -> None:
+    names = ["joint1", "joint2", "joint1_motor", "joint2_motor"]
+    ros.controller(
+        robot__model="planar_two_link",
+        joints=["joint1", "joint2"],
+        reference__amplitude=[0.0, 0.0],
+        reference__offset=[0.1, 0.2],
+    )
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.1, names=names))
+    message = trajectory((1.0, 0.4), joints=("joint2",))
+    assert manager.send(message).name == "trajectory refused: partial joints"
+    assert manager.set_one("allow_partial_joints", True)[0]
+    manager.ask(stamped(0.001, 0.1, names=names))
+    manager.events.clear()
+    assert manager.send(message).name == "references changed"
+    manager.ask(stamped(1.2, 0.1, names=names))
+    np.testing.assert_allclose(manager.references[-1].position, [0.1, 0.4], atol=1e-9)
+
+
+def test_before_a_state_while_inactive_and_while_stopped_trajectories_are_refused(ros: Ros, manager: Manager) -> None:
+    ros.controller(limits__tracking_error=[0.1])
+    manager.meet_controller()
+    assert manager.send(move()).name == "trajectory refused: no state"
+    manager.ask(stamped(0.0, 0.0))
+    manager.ask(stamped(0.001, 0.5))
+    ros.until(lambda: "stops" in manager.kinds(), "the stop")
+    assert manager.send(move()).name == "trajectory refused: stopped"
+    assert manager.change("deactivate")
+    assert manager.send(move()).name == "trajectory refused: inactive"
+
+
+# Services.
+
+
+def test_hold_comes_to_rest_and_play_goes_on(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    assert manager.trigger("hold")[0]
+    manager.ask(stamped(0.001, 0.0))
+    assert reference_at(manager, 2.5)[1] == pytest.approx(0.0, abs=1e-9)
+    assert manager.set(reference__amplitude=[0.4], reference__frequency=[2.0])[0]
+    assert reference_at(manager, 2.6)[1] == pytest.approx(0.0, abs=1e-9)
+    assert manager.trigger("play")[0]
+    start = 2.7
+    manager.ask(stamped(start, 0.0))
+    for t in (4.0, 5.0):
+        q, dq = reference_at(manager, t)
+        np.testing.assert_allclose(q, [0.4 * np.sin(2.0 * (t - start))], atol=1e-9)
+        np.testing.assert_allclose(dq, [0.8 * np.cos(2.0 * (t - start))], atol=1e-9)
+
+
+def test_play_refuses_what_leaves_the_limits(ros: Ros, manager: Manager) -> None:
+    ros.controller(limits__link_velocity=[0.5], reference__amplitude=[0.1])
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    assert manager.set(reference__frequency=[9.0])[0]
+    done, sentence = manager.trigger("play")
+    assert not done
+    assert "joint1" in sentence
+
+
+def test_resume_ends_a_stop(ros: Ros, manager: Manager) -> None:
+    ros.controller(limits__tracking_error=[0.1])
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    assert manager.trigger("resume") == (False, "nothing is stopped; expected a controller that a limit has stopped")
+    assert list(manager.ask(stamped(0.001, 0.5)).effort) == [0.0]
+    assert list(manager.ask(stamped(0.002, 0.0)).effort) == [0.0]
+    assert manager.trigger("resume")[0]
+    assert manager.ask(stamped(0.003, 0.0)).effort is not None
+    ros.until(lambda: "recoveries" in manager.kinds(), "the recovery")
+
+
+def test_services_are_refused_while_inactive(ros: Ros, manager: Manager) -> None:
+    ros.controller()
+    assert manager.change("deactivate")
+    for name in ("hold", "play", "resume"):
+        done, sentence = manager.trigger(name)
+        assert not done
+        assert "inactive" in sentence
