@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import time
@@ -108,6 +109,20 @@ def test_a_node_that_dies_ends_the_run_with_code_1_and_keeps_the_bag(
     assert "Traceback" not in said
     assert not any(is_alive(pid) for pid in nodes.values())
     assert len(efforts(tmp_path / "paper_k31" / "bag")) > 50
+    report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
+    assert node in report["failure"]
+    assert report["counts"]["answered"] > 50
+
+
+def test_a_run_that_diverges_has_a_report_and_pictures(tmp_path: Path) -> None:
+    unstable = ("--force", "--set", "gains.K_md:=[90.0]")
+    said = fjr("run", "paper_k31", "--lockstep", *unstable, "--output", str(tmp_path), code=1)
+    report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
+    assert "plant_node" in said
+    assert "diverged" in said
+    assert "plant_node" in report["failure"]
+    assert 0 < report["duration_s"] < 5
+    assert (tmp_path / "paper_k31" / "overview.png").stat().st_size > 10_000
 
 
 def test_no_node_outlives_a_command_that_is_killed(ros: Ros, start, tmp_path: Path) -> None:

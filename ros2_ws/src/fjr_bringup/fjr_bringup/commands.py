@@ -7,12 +7,13 @@ import argparse
 import logging
 import sys
 import threading
+from contextlib import suppress
 from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from fjr_bringup import gains_block, scenarios, stability
-from fjr_bringup.run import Plan, run
+from fjr_bringup.run import Plan, RunError, run
 from fjr_bringup.stopping import Interrupted
 from fjr_bringup.summary import RunSummary, summarise, table, where_to_look
 from fjr_core.errors import FjrError, ParameterError
@@ -97,8 +98,20 @@ def _plan(name: str | None, overrides: dict[str, Any], options: argparse.Namespa
 
 
 def _record_and_report(plan: Plan, stop: threading.Event) -> RunSummary:
-    run(plan, stop)
-    return summarise(plan.name, plan.folder, plan.duration)
+    try:
+        skipped = run(plan, stop)
+    except RunError as error:
+        if error.kept:
+            _report_of_failure(plan, error)
+        raise
+    return summarise(plan.name, plan.folder, plan.duration, skipped)
+
+
+def _report_of_failure(plan: Plan, error: RunError) -> None:
+    """Report and pictures of what was recorded before a run failed, as far as there is anything to show."""
+    with suppress(FjrError):
+        summary = summarise(plan.name, plan.folder, None, failure=str(error).partition("\n")[0])
+        print(where_to_look([summary]), file=sys.stderr)
 
 
 def _tell(summaries: list[RunSummary]) -> None:

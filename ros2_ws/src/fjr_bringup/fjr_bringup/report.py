@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -100,6 +100,8 @@ class Report:
     counts: Counts
     diagnostics: dict[str, dict[str, str]]  # last counters of each node
     versions: dict[str, str]
+    not_recorded: dict[str, str] = field(default_factory=dict)  # topic -> why the recorder left it out
+    failure: str = ""  # why the run ended before its time
 
     def write(self, path: Path) -> None:
         """Write the report as JSON with finite numbers only."""

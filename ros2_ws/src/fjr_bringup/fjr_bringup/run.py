@@ -26,10 +26,11 @@ from fjr_bringup.remote import PlantRemote
 from fjr_bringup.run_folder import RunFolder
 from fjr_bringup.stopping import Interrupted
 from fjr_core.errors import FjrError
+from fjr_msgs_py import names
 from fjr_msgs_py.scheduling import prioritised
 
-STATES, COMMANDS, ANSWERS = "/joint_states", "/effort_controller/commands", "/joint_commands"
-PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
+PLANT, CONTROLLER = names.PLANT, names.CONTROLLER
+STATES, COMMANDS, ANSWERS = (f"/{topic}" for topic in (names.JOINT_STATES, names.EFFORT_COMMANDS, names.JOINT_COMMANDS))
 STARTUP_LIMIT = 30.0  # s until both nodes are there and connected
 SILENCE_LIMIT = 5.0  # s without a new answered state
 POLL = 0.02  # s
@@ -38,7 +39,11 @@ RECORDER_PRIORITY = 1  # in lock-step nothing paces the nodes: the recorder come
 
 
 class RunError(FjrError):
-    """A run that could not start or could not be finished."""
+    """A run that could not start or could not be finished. `kept`: whether something of it was recorded."""
+
+    def __init__(self, sentence: str, kept: bool = False) -> None:
+        super().__init__(sentence)
+        self.kept = kept
 
 
 @dataclass(frozen=True)
@@ -59,14 +64,18 @@ def set_ros_environment() -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def run(plan: Plan, stop: threading.Event) -> None:
-    """Run the plan; bag, scenario and logs are in its folder then. Raises FjrError or Interrupted."""
+def run(plan: Plan, stop: threading.Event) -> dict[str, str]:
+    """Run the plan; bag, scenario and logs are in its folder then. Raises FjrError or Interrupted.
+
+    Returns the topics that could not be recorded, with the reason.
+    """
     set_ros_environment()
     with RunFolder(plan.folder) as kept:
         file = plan.folder / "scenario.yaml"
         file.write_text(plan.scenario, encoding="utf-8")
         with Recorder(plan.folder / "bag") as recorder:
             _Run(plan, recorder, stop, file).execute(on_go=kept.keep)
+    return dict(recorder.skipped)
 
 
 class _Run:
@@ -87,7 +96,8 @@ class _Run:
             self._start(PLANT, "fjr_plant", "plant_node", "-p", "start_paused:=true")
             self._wait(lambda: self._connected(PLANT, STATES), STARTUP_LIMIT, "the plant to appear")
             self._refuse_others()
-            self._start(CONTROLLER, "fjr_controller", "controller_node")
+            clock = ("-p", "use_sim_time:=true") if self.plan.lockstep else ()
+            self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)
             self._wait(lambda: self._connected(CONTROLLER, ANSWERS), STARTUP_LIMIT, "the controller to appear")
             self._wait(self._matched, STARTUP_LIMIT, "plant and controller to find each other")
             self._refuse_others()
@@ -99,7 +109,7 @@ class _Run:
                 self._follow()
         except FjrError as error:
             kept = f"\nwhat was recorded is in {self.plan.folder}" if self.going else ""
-            raise RunError(f"{error}{kept}") from None
+            raise RunError(f"{error}{kept}", kept=self.going) from None
         finally:
             self._end()
 
@@ -114,20 +124,22 @@ class _Run:
         return signature in topics and all(self.recorder.matched(t) >= graph.count_publishers(t) for t in topics)
 
     def _matched(self) -> bool:
-        """States and commands have a publisher and a reader in the graph; the plant itself waits for its controller."""
-        graph = self.recorder.node
-        ends = (graph.count_publishers, graph.count_subscribers)
-        return all(end(topic) for topic in (STATES, COMMANDS) for end in ends)
+        """The controller reads the plant's states and the plant its commands, as the graph tells it."""
+        obeyed = ANSWERS if self.plan.lockstep else COMMANDS
+        return self._reads(CONTROLLER, STATES) and self._reads(PLANT, obeyed)
+
+    def _reads(self, node: str, topic: str) -> bool:
+        return node in (info.node_name for info in self.recorder.node.get_subscriptions_info_by_topic(topic))
 
     def _refuse_others(self) -> None:
         """Raise RunError when anyone but our two nodes publishes states or commands in this domain."""
         for topic, owner in ((STATES, PLANT), (COMMANDS, CONTROLLER), (ANSWERS, CONTROLLER)):
             publishers = [info.node_name for info in self.recorder.node.get_publishers_info_by_topic(topic)]
             if (owner in self.nodes and publishers.count(owner) > 1) or set(publishers) - {owner}:
-                names = ", ".join(sorted(publishers))
+                found = ", ".join(sorted(publishers))
                 raise RunError(
                     f"{topic} has other publishers in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')} "
-                    f"({names}): stop them or set another ROS_DOMAIN_ID"
+                    f"({found}): stop them or set another ROS_DOMAIN_ID"
                 )
 
     def _follow(self) -> None:

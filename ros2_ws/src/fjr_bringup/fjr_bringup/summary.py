@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,14 +25,23 @@ class RunSummary:
     report: Report
 
 
-def summarise(name: str, folder: Path, duration: float) -> RunSummary:
-    """Write report.json and the pictures into a run's folder, also of a run that diverged or hardly began."""
+def summarise(
+    name: str, folder: Path, duration: float | None, skipped: Mapping[str, str] | None = None, failure: str = ""
+) -> RunSummary:
+    """Write report.json and the pictures into a run's folder, also of a run that diverged or hardly began.
+
+    duration: how long it was to run [s], None for as long as it was recorded; skipped: topics that could not be
+    recorded; failure: why it ended early.
+    """
     scenario = load_scenario(folder / "scenario.yaml")
     bag = read_bag(folder / "bag")
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of numpy and matplotlib, about values that are not finite
-        data = tracking_data(bag, scenario, duration)
-        report = make_report(name, bag, scenario, data, duration)
+        data = tracking_data(bag, scenario, duration or np.inf)
+        lasted = duration or float(data.t[-1]) + data.sample_period
+        report = replace(
+            make_report(name, bag, scenario, data, lasted), not_recorded=dict(skipped or {}), failure=failure
+        )
         report.write(folder / "report.json")
         draw_all(name, data, report, folder)
     return RunSummary(folder, report)

@@ -12,9 +12,10 @@ from fjr_bringup.bag import Array, Bag, JointTable
 from fjr_core.errors import FjrError
 from fjr_core.scenario import Scenario
 from fjr_core.vdpbc.rate import Rate
+from fjr_msgs_py import names
 
-STATES, ANSWERS, REFERENCE = "/joint_states", "/joint_commands", "/fjr_controller/reference"
-MOTOR_SUFFIX = "_motor"
+STATES, ANSWERS = f"/{names.JOINT_STATES}", f"/{names.JOINT_COMMANDS}"
+REFERENCE = names.REFERENCE.replace("~", f"/{names.CONTROLLER}")
 VISITED = 200  # configurations of a run at which the rate is looked at
 
 
@@ -74,11 +75,11 @@ class TrackingData:
 def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData:
     """The `duration` seconds of stamped time from the first answered state; raises DataError or BagError."""
     joints, n, limits = scenario.joints, scenario.robot.n, scenario.robot.limits
-    both_sides = [*joints, *(joint + MOTOR_SUFFIX for joint in joints)]
+    both_sides = names.state_names(joints)
     commands = _first_of_each_stamp(bag.joints(ANSWERS, joints))
     start = commands.stamp[0]
     states = _first_of_each_stamp(_from_first_answer(bag.joints(STATES, both_sides), start, commands.publish_time[0]))
-    inside = (states.stamp >= start) & (states.stamp < start + round(duration * 1e9))
+    inside = (states.stamp >= start) & ((states.stamp - start) * 1e-9 < duration - 1e-9)
     if not inside.any() or np.isnan(states.position[inside]).any() or np.isnan(states.velocity[inside]).any():
         raise DataError(f"{bag.path} holds no complete state of {', '.join(both_sides)} after the first command")
     stamp, position, velocity = states.stamp[inside], states.position[inside], states.velocity[inside]
