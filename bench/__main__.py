@@ -18,12 +18,17 @@ import numpy
 import pinocchio
 from tqdm import tqdm
 
-from . import closed_loop, peers, real_time, start_up
+from . import closed_loop, lock_step, memory, peers, periods, real_time, round_trip, start_up
 from .arm import arm7
 from .figures import Figure, table
 
 RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
-NAMES = ("law", "dynamics", "step", "loop", "virtual-machine", "start", "node", "real-time")
+LONG = ("memory",)
+USUAL = (
+    *("law", "dynamics", "step", "loop", "virtual-machine", "start", "node", "real-time"),
+    *("round-trip", "periods", "lock-step"),
+)
+NAMES = (*USUAL, *LONG)
 
 Measurement = Callable[[], list[Figure]]
 
@@ -31,7 +36,8 @@ Measurement = Callable[[], list[Figure]]
 def main() -> int:
     """Run the measurements that are wanted."""
     arguments = parser().parse_args()
-    figures = measured({name: run for name, run in measurements().items() if name in (arguments.only or NAMES)})
+    all_of_them = measurements(arguments.quick)
+    figures = measured({name: run for name, run in all_of_them.items() if name in (arguments.only or USUAL)})
     print(f"{processor()}, {os.cpu_count()} cores\n\n{table(figures)}")
     write(figures, arguments.output)
     missed = [figure.name for figure in figures if not figure.holds]
@@ -53,8 +59,8 @@ def measured(wanted: dict[str, Measurement]) -> list[Figure]:
     return figures
 
 
-def measurements() -> dict[str, Measurement]:
-    """All measurements by name."""
+def measurements(quick: bool = False) -> dict[str, Measurement]:
+    """All measurements by name; quick: those of running nodes for a few seconds only."""
     arm = arm7()
     runs: tuple[Measurement, ...] = (
         lambda: peers.law_over_rnea(arm),
@@ -65,6 +71,10 @@ def measurements() -> dict[str, Measurement]:
         start_up.library,
         start_up.node,
         real_time.tracking,
+        lambda: round_trip.over_echo(arm, *((3,) if quick else ())),
+        lambda: periods.late(*((10.0,) if quick else ())),
+        lambda: lock_step.over_ping_pong(*((2, 3.0) if quick else ())),
+        lambda: memory.flat(*((0.5,) if quick else ())),
     )
     return dict(zip(NAMES, runs, strict=True))
 
@@ -72,7 +82,14 @@ def measurements() -> dict[str, Measurement]:
 def parser() -> argparse.ArgumentParser:
     """Command-line arguments."""
     made = argparse.ArgumentParser(prog="bench", description="Measure against peers, in turns, and check the bounds.")
-    made.add_argument("--only", nargs="+", choices=NAMES, metavar="NAME", help=f"some of {', '.join(NAMES)}")
+    made.add_argument(
+        "--only",
+        nargs="+",
+        choices=NAMES,
+        metavar="NAME",
+        help=f"some of {', '.join(NAMES)} (default: all but {', '.join(LONG)})",
+    )
+    made.add_argument("--quick", action="store_true", help="run nodes for a few seconds only; no bound is for these")
     made.add_argument("--output", type=Path, default=RESULTS, help=f"where the JSON goes (default: {RESULTS})")
     return made
 

@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import mujoco
@@ -12,10 +15,12 @@ import pinocchio as pin
 import pytest
 
 import bench.__main__ as command
+from bench import driver, lock_step, memory, periods
 from bench.arm import Arm, arm7, random_motion
 from bench.figures import Figure, table
 from bench.measure import in_turns, ratio
 from bench.mujoco_arm import MujocoArm
+from bench.tap import Seen
 from fjr_core import Plant
 
 
@@ -82,13 +87,59 @@ def test_a_missed_bound_is_said_after_all_and_fails_the_command(
     value: float, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one, two = Figure("one", value, "", bound=2.0), Figure("two", 1.0, "s")
-    monkeypatch.setattr(command, "measurements", lambda: {"law": lambda: [one], "step": lambda: [two]})
+    monkeypatch.setattr(command, "measurements", lambda quick: {"law": lambda: [one], "step": lambda: [two]})
     monkeypatch.setattr("sys.argv", ["bench", "--output", str(tmp_path / "deep" / "bench.json")])
     assert command.main() == code
     assert ("missed: one" in capsys.readouterr().out) == bool(code)
     document = json.loads((tmp_path / "deep" / "bench.json").read_text())
     assert [figure["value"] for figure in document["figures"]] == [value, 1.0]
     assert document["versions"]["mujoco"] == mujoco.__version__
+
+
+def test_every_measurement_has_its_name() -> None:
+    assert tuple(command.measurements(quick=True)) == command.NAMES
+
+
+@pytest.mark.parametrize(("late_bare", "bound"), [(0, 0.1), (1, 1.25), (40, 50.0)])
+def test_late_periods_are_counted_against_the_bare_node_or_a_tenth_of_a_per_cent(late_bare: int, bound: float) -> None:
+    ours = np.array([1_500_000] * 199 + [1_500_001])
+    bare = np.array([3_000_000] * late_bare + [1_000_000] * (100 - late_bare))
+    found = periods.figure("states", ours, bare)
+    assert found.value == pytest.approx(0.5)
+    assert found.bound == pytest.approx(bound)
+    assert found.holds == (bound > 0.5)
+
+
+def test_sides_take_turns_by_blocks_and_the_first_round_is_not_counted() -> None:
+    blocks = [[float(i)] for i in range(3 * 2 * driver.BLOCKS)]
+    found = driver.rounds(blocks, ["ours", "bare"], 3)
+    assert found["ours"] == [[8.0, 10.0, 12.0, 14.0], [16.0, 18.0, 20.0, 22.0]]
+    assert found["bare"] == [[9.0, 11.0, 13.0, 15.0], [17.0, 19.0, 21.0, 23.0]]
+
+
+def test_samples_are_counted_by_their_stamps() -> None:
+    assert lock_step.samples_per_second(Seen(5_000_000, 100), Seen(2_005_000_000, 500_000_100)) == pytest.approx(4000)
+
+
+def test_growth_is_a_slope_after_the_first_minute() -> None:
+    seconds = np.arange(0.0, 300.0)
+    kilobytes = np.where(seconds < 60, 50_000 + 100 * seconds, 56_000 + 0.5 * seconds)
+    found = memory.figure("plant", seconds, kilobytes)
+    assert found.value == pytest.approx(30.0)
+    assert found.holds
+
+
+def test_the_memory_of_a_process_is_read() -> None:
+    before = memory.resident(os.getpid())
+    held = np.ones(8 << 20)
+    assert memory.resident(os.getpid()) - before == pytest.approx(held.nbytes / 1024, rel=0.2)
+
+
+def test_a_node_that_ended_is_said() -> None:
+    with subprocess.Popen([sys.executable, "-S", "-c", ""]) as process:
+        process.wait()
+    with pytest.raises(RuntimeError, match="has ended"):
+        memory.resident(process.pid)
 
 
 def _state(arm: Arm, seed: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:

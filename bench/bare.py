@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bare rclpy nodes that send what ours send and compute nothing, each a process of its own: what ROS itself takes.
+
+    python -m bench.bare echo|timer|ping|pong --ros-args ...
+
+They run as ours do: the same executor, garbage collection and priority (fjr_msgs_py.process), messages made once.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from fjr_core.process_parameters import process_parameters
+from fjr_msgs_py import names, process
+
+JOINTS = tuple(f"joint{i}" for i in range(1, 8))
+PERIOD = 1_000_000  # ns
+RESEND = 0.1  # s
+
+
+class Bare(Node):
+    """A node with the process parameters of ours."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        given = {key: value.value for key, value in self.get_parameters_by_prefix("").items()}
+        self.values: dict[str, Any] = {p.name: given.get(p.name, p.default) for p in process_parameters()}
+        self.build()
+
+    def build(self) -> None:
+        """Make publishers, subscriptions and timers."""
+
+    def stop(self) -> None:
+        """No last words."""
+
+    def publisher(self, topic: str, kind: Any = JointState) -> Publisher:
+        """A publisher as those of our nodes."""
+        return self.create_publisher(kind, topic, names.LATEST)
+
+    def every(self, seconds: float, call: Any) -> None:
+        """A timer of the steady clock."""
+        self.create_timer(seconds, call, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+class Echo(Bare):
+    """Answers a JointState with the four messages of the controller."""
+
+    def build(self) -> None:
+        """As the controller node."""
+        self._effort = Float64MultiArray()
+        self._effort.layout.dim = [MultiArrayDimension(label=",".join(JOINTS), size=7, stride=7)]
+        self._command, self._reference, self._error = (JointState(name=JOINTS) for _ in range(3))
+        self._efforts = self.publisher(names.EFFORT_COMMANDS, Float64MultiArray)
+        self._commands = self.publisher(names.JOINT_COMMANDS)
+        self._references, self._errors = self.publisher(names.REFERENCE), self.publisher(names.TRACKING_ERROR)
+        self.create_subscription(JointState, names.JOINT_STATES, self._answer, names.LATEST)
+
+    def _answer(self, message: JointState) -> None:
+        position, velocity, effort = message.position[:7], message.velocity[:7], message.effort[:7]
+        self._effort.data = effort
+        self._efforts.publish(self._effort)
+        self._command.header.stamp, self._command.effort = message.header.stamp, effort
+        self._commands.publish(self._command)
+        for values, publisher in ((self._reference, self._references), (self._error, self._errors)):
+            values.header.stamp, values.position, values.velocity = message.header.stamp, position, velocity
+            publisher.publish(values)
+
+
+class Timer(Bare):
+    """Publishes a JointState a thousand times a second."""
+
+    def build(self) -> None:
+        """As the plant node in real time."""
+        self._state = full_state()
+        self._states = self.publisher(names.JOINT_STATES)
+        self.every(PERIOD * 1e-9, self._tick)
+
+    def _tick(self) -> None:
+        stamp(self._state, self.get_clock().now().nanoseconds)
+        self._states.publish(self._state)
+
+
+class Ping(Bare):
+    """Sends a JointState, and the next, a period later by its stamp, when the answer comes."""
+
+    def build(self) -> None:
+        """As the plant node in lock-step."""
+        self._state = full_state()
+        self._sent = self._seen = 0
+        self._states = self.publisher(names.JOINT_STATES)
+        self.create_subscription(JointState, names.JOINT_COMMANDS, self._send, names.LATEST)
+        self.every(RESEND, self._resend)
+
+    def _send(self, _: JointState | None) -> None:
+        self._sent += 1
+        stamp(self._state, self._sent * PERIOD)
+        self._states.publish(self._state)
+
+    def _resend(self) -> None:
+        if self._sent == self._seen:
+            self._send(None)
+        self._seen = self._sent
+
+
+class Pong(Bare):
+    """Answers a JointState with a JointState of efforts."""
+
+    def build(self) -> None:
+        """As the controller node, without all that nobody waits for."""
+        self._command = JointState(name=JOINTS)
+        self._commands = self.publisher(names.JOINT_COMMANDS)
+        self.create_subscription(JointState, names.JOINT_STATES, self._answer, names.LATEST)
+
+    def _answer(self, message: JointState) -> None:
+        self._command.header.stamp, self._command.effort = message.header.stamp, message.effort[:7]
+        self._commands.publish(self._command)
+
+
+def full_state() -> JointState:
+    """A JointState as the arm's: 14 names and three fields."""
+    zeros = [0.0] * 14
+    return JointState(name=names.state_names(JOINTS), position=zeros, velocity=zeros, effort=zeros)
+
+
+def stamp(message: JointState, nanoseconds: int) -> None:
+    """Stamp a message."""
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(nanoseconds, 1_000_000_000)
+
+
+KINDS = {"echo": Echo, "timer": Timer, "ping": Ping, "pong": Pong}
+
+if __name__ == "__main__":
+    kind = sys.argv[1]
+    sys.exit(process.run(lambda: KINDS[kind](f"bare_{kind}"), sys.argv[2:]))

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples per second in lock-step, against two bare nodes that exchange a state and an answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from fjr_msgs_py import names
+
+from .bare import PERIOD
+from .figures import Figure
+from .measure import ratio
+from .nodes import bare, controller, plant, running, scenario_file
+from .tap import Seen, Tap
+
+REPEATS = 5
+SECONDS = 5.0
+BOUND = 0.7
+WARM_UP = 1.0  # s
+LONGEST = 60.0  # s until they run
+
+
+def over_ping_pong(repeats: int = REPEATS, seconds: float = SECONDS) -> list[Figure]:
+    """Rates of both, in turns; the nodes are started anew each time."""
+    with scenario_file() as file:
+        lockstep = (plant(file, "-p", "lockstep:=true"), controller(file, "-p", "realtime_priority:=0"))
+        ping_pong = (bare("ping", priority=0), bare("pong", priority=0))
+        rates = np.array([[_rate(commands, seconds) for commands in (lockstep, ping_pong)] for _ in range(repeats)])
+    ours, theirs = rates.T
+    parts = {
+        "ours [samples/s]": float(np.median(ours)),
+        "bare [samples/s]": float(np.median(theirs)),
+        "least": float(np.min(ours / theirs)),
+    }
+    return [Figure("lock-step over a bare ping-pong", ratio(ours, theirs), "", bound=BOUND, at_least=True, parts=parts)]
+
+
+def _rate(commands: Sequence[Sequence[str]], seconds: float) -> float:
+    """Samples per second, by the stamps of two states; nobody else listens between them."""
+    with running(*commands), Tap() as tap:
+        tap.next(names.JOINT_STATES, LONGEST)
+        time.sleep(WARM_UP)
+        first = tap.next(names.JOINT_STATES, LONGEST)
+        time.sleep(seconds)
+        last = tap.next(names.JOINT_STATES, LONGEST)
+    return samples_per_second(first, last)
+
+
+def samples_per_second(first: Seen, last: Seen) -> float:
+    """By stamps, a period apart from sample to sample, and by the times of sending."""
+    return (last.stamp - first.stamp) / PERIOD / ((last.sent - first.sent) * 1e-9)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the memory of both nodes stays the same while they run in real time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fjr_core.checks import Array
+from fjr_msgs_py import names
+
+from .figures import Figure
+from .nodes import controller, plant, running, scenario_file
+from .tap import Tap
+
+MINUTES = 10.0
+SETTLED = 1.0  # minutes that do not count
+BOUND = 32.0  # kB/min; half a byte a sample at 1 kHz
+PERIOD = 1.0  # s
+LONGEST = 60.0  # s until both run
+
+
+def flat(minutes: float = MINUTES) -> list[Figure]:
+    """How fast the resident memory of each node grows, a line through all of it after the first minute."""
+    with scenario_file() as file, running(plant(file), controller(file)) as pids:
+        with Tap() as tap:
+            tap.next(names.JOINT_COMMANDS, LONGEST)
+        seconds, kilobytes = _watched(pids, 60 * minutes)
+    return [figure(name, seconds, column) for name, column in zip(("plant", "controller"), kilobytes.T, strict=True)]
+
+
+def _watched(pids: Sequence[int], duration: float) -> tuple[Array, Array]:
+    """Times (k,) [s] and resident memory (k, processes) [kB]."""
+    start, rows = time.monotonic(), []
+    while (now := time.monotonic() - start) < duration:
+        rows.append([now, *(resident(pid) for pid in pids)])
+        time.sleep(PERIOD)
+    table = np.array(rows)
+    return table[:, 0], table[:, 1:]
+
+
+def resident(pid: int) -> float:
+    """Resident memory of a process [kB]; RuntimeError when it has ended."""
+    try:
+        text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="utf-8")
+    except (FileNotFoundError, ProcessLookupError):
+        raise RuntimeError(f"process {pid} has ended; expected it to run on") from None
+    return float(next(line for line in text.splitlines() if line.startswith("Rss:")).split()[1])
+
+
+def figure(name: str, seconds: Array, kilobytes: Array) -> Figure:
+    """The slope of a line through the resident memory (k,) [kB] of times (k,) [s], without the first minute."""
+    late = seconds >= min(60 * SETTLED, seconds[-1] / 2)
+    slope = 60 * float(np.polyfit(seconds[late], kilobytes[late], 1)[0])
+    parts = {
+        "after 1 min [MB]": float(kilobytes[late][0]) / 1024,
+        "at the end [MB]": float(kilobytes[-1]) / 1024,
+        "minutes": float(seconds[-1]) / 60,
+    }
+    return Figure(f"memory of the {name} node, growth", slope, "kB/min", bound=BOUND, parts=parts)

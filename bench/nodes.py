@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Our nodes and bare ones as processes, on the arm of the scenario `arm7`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from fjr_bringup import scenarios
+from fjr_bringup.processes import executable
+from fjr_bringup.run import set_ros_environment
+
+from .arm import ROOT, SCENARIO
+from .start_up import DOMAIN
+
+PRIORITY = 50  # as in the scenario; taken where the system allows it
+GRACE = 5.0  # s
+
+
+@contextmanager
+def scenario_file(overrides: Mapping[str, Any] | None = None) -> Iterator[Path]:
+    """The scenario as a parameter file, with some parameters changed; sets what ROS needs in the environment."""
+    os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
+    set_ros_environment()
+    with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder:
+        path = Path(folder, "scenario.yaml")
+        path.write_text(scenarios.as_run(SCENARIO, overrides or {})[0], encoding="utf-8")
+        yield path
+
+
+def plant(file: Path, *arguments: str) -> list[str]:
+    """Command of the plant node."""
+    return _ours("fjr_plant", "plant_node", file, arguments)
+
+
+def controller(file: Path, *arguments: str) -> list[str]:
+    """Command of the controller node."""
+    return _ours("fjr_controller", "controller_node", file, arguments)
+
+
+def bare(kind: str, *arguments: str, priority: int = PRIORITY) -> list[str]:
+    """Command of a bare node."""
+    return _module("bench.bare", kind, arguments=(*arguments, "-p", f"realtime_priority:={priority}"))
+
+
+def driver(*arguments: str) -> list[str]:
+    """Command of the driver."""
+    return _module("bench.driver", arguments=(*arguments, "-p", f"realtime_priority:={PRIORITY}"))
+
+
+@contextmanager
+def running(*commands: Sequence[str]) -> Iterator[list[int]]:
+    """Process ids of the commands, which run inside the block; RuntimeError when one does not end well after it."""
+    with ExitStack() as stack:
+        yield [stack.enter_context(_running(command)) for command in commands]
+
+
+def output(command: Sequence[str], longest: float) -> str:
+    """What a command prints until it ends by itself."""
+    done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True, timeout=longest)
+    return done.stdout
+
+
+@contextmanager
+def _running(command: Sequence[str]) -> Iterator[int]:
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, start_new_session=True) as process:
+        try:
+            yield process.pid
+            if process.poll() is not None:
+                raise RuntimeError(f"{Path(command[0]).name} ended with {process.returncode}; expected it to run on")
+        finally:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(GRACE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+def _ours(package: str, name: str, file: Path, arguments: Sequence[str]) -> list[str]:
+    return [str(executable(package, name)), "--ros-args", "--params-file", str(file), *arguments]
+
+
+def _module(*command: str, arguments: Sequence[str]) -> list[str]:
+    return [sys.executable, "-m", *command, "--ros-args", *arguments]
