@@ -283,7 +283,7 @@ WIRED_ELSEWHERE = {
 WIRED_BY_GROUP = (
     "reference.",  # tests/core/test_reference_parameters.py, test_lifecycle
     "imperfections.",  # test_plant_imperfections, test_simulated_robot
-    "measurement.",  # tests/core/test_measurement.py, test_observed_states
+    "measurement.",  # tests/core/test_measurement.py, test_limits_over_ros
     "limits.",  # test_safety, test_tracker, test_limits_over_ros
     "on_stop",
     "start.",

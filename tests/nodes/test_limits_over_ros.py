@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each parameter of safety and measurement, given to the node, changes what the node does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from nodes.harness import Peer, Ros, stamped
+from nodes.managed import Manager
+
+ROBOT = fjr.single_link()
+PLACE = ([0.5, 0.52], [0.3, -0.2])  # positions and velocities of link and motor
+STOPS = [  # parameter, a value that PLACE breaks, one that it keeps, kind
+    ("link_position_lower", 0.51, 0.49, "link position"),
+    ("link_position_upper", 0.49, 0.51, "link position"),
+    ("motor_position_lower", 0.53, 0.51, "motor position"),
+    ("motor_position_upper", 0.51, 0.53, "motor position"),
+    ("link_velocity", 0.29, 0.31, "link velocity"),
+    ("motor_velocity", 0.19, 0.21, "motor velocity"),
+    ("deflection", 0.019, 0.021, "deflection"),
+    ("tracking_error", 0.49, 0.51, "tracking error"),
+]
+
+
+def at(t: float = 0.0) -> Any:
+    return stamped(t, *PLACE)
+
+
+def effort(ros: Ros, peer: Peer, **parameters: Any) -> float:
+    """The first effort of a controller with these parameters."""
+    ros.controller(**parameters)
+    peer.meet_controller()
+    return float(peer.ask(at()).effort[0])
+
+
+@pytest.mark.parametrize(("name", "broken", "kept", "kind"), STOPS, ids=[stop[0] for stop in STOPS])
+def test_a_limit_of_the_state_stops_when_it_is_broken(
+    ros: Ros, name: str, broken: float, kept: float, kind: str
+) -> None:
+    manager = Manager(ros)
+    ros.controller(**{f"limits__{name}": [kept], "on_stop": "gravity_hold"})
+    manager.meet_controller()
+    law = float(manager.ask(at()).effort[0])
+    assert abs(law) > 5.0
+    assert manager.set(**{f"limits__{name}": [broken]}) == (True, "")
+    held = ROBOT.grad_P_l([0.5])[0] - 0.3 * -0.2
+    assert float(manager.ask(at(0.001)).effort[0]) == pytest.approx(held)
+    ros.until(lambda: any(event.name == "stops" and kind in event.message for event in manager.events), "the event")
+    assert manager.set(**{f"limits__{name}": [kept], "on_stop": "zero"})[0]
+    assert float(manager.ask(at(0.002)).effort[0]) == 0.0, "a stop is latched"
+    assert manager.trigger("resume")[0]
+    assert float(manager.ask(at(0.003)).effort[0]) == 0.0, "the first effort is the last one sent"
+    assert float(manager.ask(at(0.05)).effort[0]) != 0.0
+
+
+def test_the_effort_is_cut_at_its_limit(ros: Ros, peer: Peer) -> None:
+    assert effort(ros, peer, limits__effort=[1.5]) == pytest.approx(-1.5)
+
+
+def test_the_effort_changes_no_faster_than_its_rate(ros: Ros, peer: Peer) -> None:
+    assert effort(ros, peer, limits__effort_rate=[100.0]) == 0.0
+    efforts = [float(peer.ask(at(0.001 * k)).effort[0]) for k in range(1, 4)]
+    np.testing.assert_allclose(efforts, [-0.1, -0.2, -0.3])
+
+
+def test_a_start_too_far_away_is_refused(ros: Ros, peer: Peer) -> None:
+    assert effort(ros, peer, limits__start_error=[0.4]) == 0.0
+
+
+def test_a_robot_without_limits_has_none_to_give(ros: Ros) -> None:
+    with pytest.raises(fjr.ParameterError, match="from_robot' is true; expected false for a robot without limits"):
+        ros.controller(limits__from_robot=True)
+
+
+def test_the_effort_is_ramped_from_a_stops_effort(ros: Ros, peer: Peer) -> None:
+    assert effort(ros, peer, start__ramp_time=0.1) == 0.0
+    assert float(peer.ask(at(0.05)).effort[0]) != 0.0
+
+
+def test_the_reference_is_joined_from_the_measured_state(ros: Ros, peer: Peer) -> None:
+    effort(ros, peer, start__join_time=0.5)
+    first, wanted = peer.references[-1], fjr.Sine(1.0, 1.0)
+    assert (first.position[0], first.velocity[0]) == (0.5, 0.3)
+    peer.ask(at(0.5))
+    assert peer.references[-1].position[0] == pytest.approx(wanted.jets(0.5)[0, 0])
+
+
+@pytest.mark.parametrize("join_time", [0.0, 1.0])
+def test_a_recovery_joins_the_reference_within_its_time(ros: Ros, peer: Peer, join_time: float) -> None:
+    effort(ros, peer, recovery__join_time=join_time, state_timeout=0.2)
+    peer.ask(at(1.0))
+    wanted = fjr.Sine(1.0, 1.0).jets(1.0)[0, 0]
+    assert peer.references[-1].position[0] == pytest.approx(0.5 if join_time else wanted)
+    peer.ask(at(1.1))
+    assert peer.count("forward jumps", "fjr_controller") <= 1
+
+
+@pytest.mark.parametrize(("deceleration", "seconds"), [(2.0, 0.5), (0.5, 2.0)])
+def test_a_hold_brakes_as_it_is_told(ros: Ros, deceleration: float, seconds: float) -> None:
+    manager = Manager(ros)
+    ros.controller(hold__deceleration=deceleration)
+    manager.meet_controller()
+    manager.ask(at())
+    assert manager.trigger("hold")[0]
+    for t in (0.0, 0.9 * seconds, seconds, 3.0):
+        manager.ask(at(t))
+    velocities = [message.velocity[0] for message in manager.references[-3:]]
+    assert velocities[0] > 1e-6
+    assert velocities[1:] == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_positions_alone_are_answered_with_an_observer(ros: Ros, peer: Peer) -> None:
+    ros.controller(measurement__velocity="observer")
+    peer.meet_controller()
+    bare = at()
+    bare.velocity = []
+    law = fjr.TrackingLaw(ROBOT, fjr.PAPER_GAINS)
+    expected = law.command(ROBOT.state(0.5, 0.52, 0.0, 0.0), fjr.Sine(1.0, 1.0).jets(0.0))
+    np.testing.assert_allclose(peer.ask(bare).effort, expected, rtol=1e-9)
+
+
+def test_motor_turns_are_divided_by_the_gear_ratio(ros: Ros, peer: Peer) -> None:
+    plain = effort(ros, peer, measurement__gear_ratio=[50.0])
+    law = fjr.TrackingLaw(ROBOT, fjr.PAPER_GAINS)
+    x = ROBOT.state(0.5, 0.52 / 50, 0.3, -0.2 / 50)
+    assert plain == pytest.approx(float(law.command(x, fjr.Sine(1.0, 1.0).jets(0.0))[0]))
+
+
+def test_a_torque_sensor_takes_the_place_of_the_motor_side(ros: Ros, peer: Peer) -> None:
+    ros.controller(measurement__motor="torque", measurement__velocity="observer")
+    peer.meet_controller()
+    state = stamped(0.0, 0.5, names=["joint1"])
+    state.velocity, state.effort = [], [31.0 * 0.02]
+    law = fjr.TrackingLaw(ROBOT, fjr.PAPER_GAINS)
+    expected = law.command(ROBOT.state(0.5, 0.52, 0.0, 0.0), fjr.Sine(1.0, 1.0).jets(0.0))
+    np.testing.assert_allclose(peer.ask(state).effort, expected, rtol=1e-9)
+
+
+def test_the_observers_bandwidth_reaches_it(ros: Ros) -> None:
+    seen = []
+    for bandwidth in (50.0, 300.0):
+        peer = Peer(ros)
+        node = ros.controller(measurement__velocity="observer", measurement__observer_bandwidth=bandwidth)
+        peer.meet_controller()
+        for k in range(40):
+            state = stamped(0.001 * k, [0.5 + 1e-5 * k**2, 0.52])
+            state.velocity = []
+            seen.append(float(peer.ask(state).effort[0]))
+        for each in (node, peer):
+            ros.executor.remove_node(each)
+            each.destroy_node()
+        ros._nodes = [each for each in ros._nodes if each not in (node, peer)]
+    assert seen[0] == pytest.approx(seen[40])
+    assert seen[39] != pytest.approx(seen[79], rel=1e-3)
