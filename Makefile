@@ -5,6 +5,7 @@
 PYTHON ?= python3
 DEMO_ARGS ?=
 BENCH_ARGS ?=
+FAULTS_ARGS ?=
 PYTEST_ARGS ?=
 TEST_WORKERS ?= 2
 # A file that receives pytest's exit code; make itself then succeeds (.ci/run).
@@ -21,7 +22,7 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
-.PHONY: help demo test bench lint build check clean
+.PHONY: help demo test bench faults lint build check clean
 .DEFAULT_GOAL := help
 
 help:  ## print this list
@@ -40,6 +41,10 @@ test: ## run the whole suite (PYTEST_ARGS="...", TEST_WORKERS=2)
 bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.json (BENCH_ARGS="...")
 	$(SETUP) bench
 	@$(ENTER) && exec "$(VENV)/bin/python" -m bench $(BENCH_ARGS)
+
+faults: ## do faults to real processes and write the table into docs/faults.md (FAULTS_ARGS="...")
+	$(SETUP) test
+	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.faults $(FAULTS_ARGS)
 
 lint: ## ruff and mypy on all packages
 	$(SETUP) lint
