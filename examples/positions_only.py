@@ -23,6 +23,5 @@ for k in range(4000):
     errors.append(x[0] - reference.jets(k * PERIOD)[0, 0])
     x = plant.step(x, u, PERIOD)
 
-print(
-    f"tracking error: {errors[0]:.2f} rad at the start, RMS after 1 s {np.sqrt(np.mean(np.square(errors[1000:]))):.1e} rad"
-)
+rms = np.sqrt(np.mean(np.square(errors[1000:])))
+print(f"tracking error: {errors[0]:.2f} rad at the start, RMS after 1 s {rms:.1e} rad")
