@@ -12,16 +12,18 @@ from collections.abc import Sequence
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
+from rclpy.task import Future
 
-from fjr_core import FjrError
 from fjr_msgs_py import names
 from fjr_msgs_py.follow_messages import FollowMessages, Progress
 from fjr_msgs_py.messages import JointSample
 
 from .events import State
 from .goals import Code, Goal, Outcome, Tolerances
-from .motion import Motion, Plan
+from .motion import Motion
+from .planning import Plan
 from .tracker import Command
 
 FEEDBACK_PERIOD = 50_000_000  # ns, as there
@@ -52,6 +54,7 @@ class FollowAction:
             goal_callback=self._on_goal,
             handle_accepted_callback=self._on_accepted,
             cancel_callback=self._on_cancel,
+            callback_group=ReentrantCallbackGroup(),  # states are answered while a goal is planned
         )
 
     def watch(self, sample: JointSample, command: Command) -> None:
@@ -79,17 +82,20 @@ class FollowAction:
         """Take no more goals."""
         self._server.destroy()
 
-    def _on_goal(self, request: Any) -> GoalResponse:
-        try:
-            self._plan = self._motion.plan(self._messages.trajectory(request))
-        except FjrError as error:
-            self._motion.refuse(error)
-            return GoalResponse.REJECT
-        return GoalResponse.ACCEPT
+    async def _on_goal(self, request: Any) -> GoalResponse:
+        """Wait until it is planned; it is followed from then on."""
+        planned = Future()
+
+        def told(plan: Plan | None) -> None:
+            self._plan = plan or self._plan
+            planned.set_result(plan)
+
+        self._motion.take(self._messages.trajectory(request), "another goal was taken", told)
+        plan = await planned
+        return GoalResponse.ACCEPT if plan is not None and plan is self._plan else GoalResponse.REJECT
 
     def _on_accepted(self, handle: Any) -> None:
         assert self._plan is not None
-        self._motion.begin(self._plan, "another goal was taken")
         tolerances = self._tolerances.asked(self._joints, *self._messages.tolerances(handle.request))
         self._goal = Goal(self._joints, self._plan.end, tolerances)
         self._handle, self._told = handle, 0
@@ -100,6 +106,7 @@ class FollowAction:
         return CancelResponse.ACCEPT
 
     def _on_replaced(self, reason: str) -> None:
+        self._plan = None
         if self._handle is not None:
             self._end(Outcome(Code.INVALID_GOAL, f"given up: {reason}"))
 

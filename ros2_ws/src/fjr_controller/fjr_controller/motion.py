@@ -4,37 +4,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from fjr_core import FjrError, Reference, Spline
+from fjr_core import FjrError, Reference
 from fjr_core.motion_limits import MotionLimits, check_motion
 from fjr_msgs_py import names
 from fjr_msgs_py.messages import MessageError
-from fjr_msgs_py.trajectories import SECOND, TrajectoryReader, Waypoints
+from fjr_msgs_py.trajectories import TrajectoryReader
 
 from .events import Event, State
+from .planning import Outcome, Plan, Planner, Rules
 from .reports import Reports
 from .tracker import Tracker
 
-REFUSED = "trajectory refused"
+REFUSED, GIVEN_UP = "trajectory refused", "trajectories given up"
 
 
-@dataclass(frozen=True)
-class Plan:
-    """A checked trajectory whose time 0 is at the stamp `start` [ns]; None is a stop."""
-
-    reference: Reference | None
-    start: int
-
-    @property
-    def end(self) -> float:
-        """Stamp [ns] of its last point."""
-        return self.start if self.reference is None else self.start + self.reference.end * SECOND
+def _nobody(plan: Plan | None) -> None:
+    """Nobody waits for it."""
 
 
 class Motion:
@@ -55,6 +46,7 @@ class Motion:
         """built_in: makes the reference that the node's parameters describe now."""
         self._node, self._joints, self._tracker, self._reports = node, joints, tracker, reports
         self._is_active, self._built_in = is_active, built_in
+        self._planner = Planner(node, tracker, is_active)
         self.replaced: Callable[[str], None] = lambda reason: None
         self._subscription = node.create_subscription(JointTrajectory, names.JOINT_TRAJECTORY, self._on_trajectory, 10)
         self._services = [
@@ -65,22 +57,39 @@ class Motion:
     def limit(self, limits: MotionLimits, allow_partial: bool) -> None:
         """Check what is asked for from now on by these."""
         self._limits = limits
-        self._reader = TrajectoryReader(self._joints, allow_partial)
+        self._planner.limit(Rules(self._joints, limits, TrajectoryReader(self._joints, allow_partial)))
 
-    def plan(self, message: JointTrajectory) -> Plan:
-        """What the message asks for, as it can be followed from the running reference on; raises FjrError."""
-        now = self._now()
-        waypoints = self._reader.read(message)
-        if not waypoints.times.size:
-            return Plan(None, now)
-        waypoints = waypoints.upcoming(now)
-        assert waypoints.start is not None
-        spline = self._spline(waypoints, waypoints.start)
-        check_motion(spline, self._limits, 0.0, spline.end, self._joints)
-        return Plan(spline, waypoints.start)
+    def take(self, message: JointTrajectory, reason: str, told: Callable[[Plan | None], None] = _nobody) -> None:
+        """Follow what the message asks for as soon as it is planned, in place of what is followed, for that reason.
 
-    def begin(self, plan: Plan, reason: str) -> None:
-        """Follow the plan, or hold where it is a stop."""
+        `told` then gets the plan that is followed from then on, or None where the message is refused or given up
+        for a newer one, after that was reported.
+        """
+
+        def end(outcome: Outcome) -> None:
+            if isinstance(outcome, Plan):
+                self._begin(outcome, reason)
+            elif outcome is None:
+                self._reports.event(Event("info", GIVEN_UP, "a trajectory is given up for something newer"))
+            else:
+                self._refuse(outcome)
+            told(outcome if isinstance(outcome, Plan) else None)
+
+        self._planner.ask(message, end)
+
+    def hold(self) -> None:
+        """Come to rest and stand, until what is being planned can be followed."""
+        self._tracker.hold()
+        self._reports.empty()
+
+    def close(self) -> None:
+        """Take no more."""
+        self._planner.close()
+        self._node.destroy_subscription(self._subscription)
+        for service in self._services:
+            self._node.destroy_service(service)
+
+    def _begin(self, plan: Plan, reason: str) -> None:
         self.replaced(reason)
         if plan.reference is None:
             self._tracker.hold()
@@ -89,47 +98,12 @@ class Motion:
         self._reports.count["trajectories accepted"] += 1
         self._reports.empty()
 
-    def hold(self) -> None:
-        """Come to rest and stand."""
-        self._tracker.hold()
-        self._reports.empty()
-
-    def refuse(self, error: FjrError) -> None:
-        """Say why a trajectory is refused."""
+    def _refuse(self, error: FjrError) -> None:
         kind = error.kind if isinstance(error, MessageError) else "cannot be followed"
         self._reports.event(Event("warn", f"{REFUSED}: {kind}", f"{REFUSED}: {error}"))
 
-    def close(self) -> None:
-        """Take no more."""
-        self._node.destroy_subscription(self._subscription)
-        for service in self._services:
-            self._node.destroy_service(service)
-
-    def _now(self) -> int:
-        """The newest answered state's stamp [ns]; raises MessageError where nothing can begin there."""
-        if not self._is_active():
-            raise MessageError("inactive", "the controller is inactive; expected an active one")
-        if self._tracker.state is State.STOPPED:
-            raise MessageError(
-                "stopped", f"the controller has stopped ({self._tracker.reason}); expected ~/resume first"
-            )
-        if self._tracker.last_stamp is None:
-            raise MessageError("no state", "no state has been answered yet; expected one to begin from")
-        return self._tracker.last_stamp
-
-    def _spline(self, waypoints: Waypoints, start: int) -> Spline:
-        jets = self._tracker.jets_at(start)
-        assert jets is not None
-        full = waypoints.completed(jets[0])
-        return Spline(full.times / SECOND, full.positions, full.velocities, full.accelerations, start=jets)
-
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        try:
-            plan = self.plan(message)
-        except FjrError as error:
-            self.refuse(error)
-        else:
-            self.begin(plan, "another trajectory was taken")
+        self.take(message, "another trajectory was taken")
 
     def _served(self, act: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
         def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -146,6 +120,7 @@ class Motion:
         return answer
 
     def _hold(self) -> str:
+        self._planner.drop()
         self.replaced("~/hold was called")
         self._tracker.hold()
         return "the motion comes to rest"
@@ -153,6 +128,7 @@ class Motion:
     def _play(self) -> str:
         reference = self._built_in()
         check_motion(reference, self._limits, 0.0, np.inf, self._joints)
+        self._planner.drop()
         self.replaced("~/play was called")
         self._tracker.follow(reference)
         return "the built-in reference is joined"

@@ -26,6 +26,7 @@ EXPECTED = (
     "references changed",
     "holds",
     "trajectories accepted",
+    "trajectories given up",
 )
 
 

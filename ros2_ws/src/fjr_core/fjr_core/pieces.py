@@ -120,8 +120,8 @@ class Pieces:
     def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
         """lower, upper (3, n) that position, velocity and acceleration do not leave between t0 and t1 [s].
 
-        They are those of the Bezier points of all half pieces that are met: not wide of the extremes by more than
-        what a quarter of the pieces' largest second difference of these points makes, and much cheaper.
+        Those of the Bezier points of all half pieces of the pieces that are met: wide of these pieces' extremes by at
+        most 10/9 of the largest second difference of such points (Nairn, Peters and Lutterkort, 1999), and cheap.
         """
         last = len(self.times) - 2
         first, end = np.clip(np.searchsorted(self.times, [t0, t1], side="right") - 1, 0, last)

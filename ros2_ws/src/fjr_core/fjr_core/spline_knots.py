@@ -53,8 +53,9 @@ def least_jerk(times: Array, jets: Array, free: NDArray[np.bool_]) -> Array:
 
 
 def _roots_of_jerk(h: Array, units: Array) -> Array:
-    """Matrices (k - 1, 7, 10): their products with the Taylor coefficients (in `units`) of the two knots of each
-    piece have the square norm of its jerk, but for a factor that all have in common."""
+    """Matrices W (k - 1, 7, 10): |W y|^2, y the Taylor coefficients (10, n) of a piece's two knots in `units`, is the
+    integral of its squared jerk, but for a factor that all pieces have in common.
+    """
     knots = np.arange(len(h))[:, None] + [0, 1]
     scales = (h[:, None, None] / units[knots][:, :, None]) ** np.arange(JETS)
     weights = (h / h.max())[:, None, None] ** -(JERK - 0.5)

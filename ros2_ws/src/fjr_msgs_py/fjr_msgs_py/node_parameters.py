@@ -190,6 +190,9 @@ def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
 def _constraints(parameter: Parameter) -> str:
     if parameter.choices:
         return f"one of {', '.join(parameter.choices)}"
+    if parameter.infinite:
+        least = f"at least {parameter.minimum}, " if math.isfinite(parameter.minimum) else ""
+        return f"{least}infinite for none"
     if math.isfinite(parameter.minimum) and not math.isfinite(parameter.maximum):
         return f"finite, at least {parameter.minimum}"
     example = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
