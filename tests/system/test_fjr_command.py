@@ -115,13 +115,13 @@ def test_a_node_that_dies_ends_the_run_with_code_1_and_keeps_the_bag(
 
 
 def test_a_run_that_diverges_has_a_report_and_pictures(tmp_path: Path) -> None:
-    unstable = ("--force", "--set", "gains.K_md:=[90.0]")
+    unstable = ("--force", "--duration", "60", "--set", "publish_rate:=20.0", "--set", "inner_steps:=1")
     said = fjr("run", "paper_k31", "--lockstep", *unstable, "--output", str(tmp_path), code=1)
     report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
     assert "plant_node" in said
     assert "diverged" in said
     assert "plant_node" in report["failure"]
-    assert 0 < report["duration_s"] < 5
+    assert 0 < report["duration_s"] < 60
     assert (tmp_path / "paper_k31" / "overview.png").stat().st_size > 10_000
 
 

@@ -68,13 +68,17 @@ def _row(report: Report) -> tuple[str, ...]:
     basis = "proven" if storage.guarantee_is_proven else "sampled"
     return (
         report.scenario + (" (lock-step)" if report.lockstep else ""),
-        f"{tracking.peak_effort_nm:.2f} N m" + _share(tracking.largest_share_of_effort_limit),
+        f"{_plain(tracking.peak_effort_nm)} N m" + _share(tracking.largest_share_of_effort_limit),
         _number(tracking.max_error_after_2s_rad, "{:.1e} rad"),
         f"{100 * counts.answered_in_time_fraction:.2f} % of {counts.nominal}",
         _number(storage.measured_decay_rate_per_s, "{:.1f}")
         + f" ({basis}: {storage.guaranteed_decay_rate_per_s:.1f}) 1/s",
         _until(storage.leaves_bound_at_s, storage.relative_where_it_leaves),
     )
+
+
+def _plain(value: float) -> str:
+    return f"{value:.2f}" if value < 1e6 else f"{value:.1e}"
 
 
 def _number(value: float | None, form: str) -> str:
