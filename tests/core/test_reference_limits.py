@@ -63,6 +63,23 @@ def test_extremes_of_wild_trajectories_are_not_missed(seed: int) -> None:
     assert np.all(e.upper >= samples.max(axis=0) - 1e-6 * np.ptp(samples, axis=0))
 
 
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(("t0", "t1"), [(0.0, np.inf), (0.7, 1.3)])
+def test_hulls_hold_the_extremes_and_those_of_even_points_are_near(seed: int, t0: float, t1: float) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(10.0 ** rng.uniform(-1.5, 0.7, 8))
+    wild = fjr.Spline(times, rng.normal(size=(8, 2)), start=rng.normal(size=(5, 2)))
+    even = 0.1 * np.arange(1, 41)
+    tame = fjr.Spline(even, np.sin(even[:, None] + rng.uniform(0, 6, 2)), start=fjr.standing(rng.normal(size=2)))
+    for reference in (wild, tame):
+        e, (lower, upper) = reference.extremes(t0, t1), reference.hull(t0, t1)
+        rounding = 1e-9 * (1.0 + np.abs(e.upper) + np.abs(e.lower))
+        assert np.all(lower <= e.lower + rounding)
+        assert np.all(upper >= e.upper - rounding)
+        if reference is tame and t0 == 0.0:
+            assert np.all(upper - lower < np.array([[1.1], [1.1], [2.0]]) * (e.upper - e.lower))
+
+
 def test_sums_of_sines_stay_within_their_bounds_and_come_near() -> None:
     reference = fjr.MultiSine([[0.5], [0.3]], [[1.0], [np.sqrt(7)]], 0.2, (0.1,))
     samples = reference.jets(np.linspace(0.0, 600.0, 100001))[:, :3]

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import re
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 from trajectory_msgs.msg import JointTrajectory
 
 import fjr_core as fjr
+from fjr_controller.planning import Question
 from fjr_msgs_py.messages import MessageError
 from fjr_msgs_py.trajectories import TrajectoryReader
 from nodes.harness import Ros, stamped
@@ -272,6 +275,120 @@ def test_before_a_state_while_inactive_and_while_stopped_trajectories_are_refuse
     assert manager.send(move()).name == "trajectory refused: stopped"
     assert manager.change("deactivate")
     assert manager.send(move()).name == "trajectory refused: inactive"
+
+
+# While a trajectory is planned.
+
+
+class Gate:
+    """Plans are made only while it is open."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.waiting, self.threads = 0, set()
+        self._open, self._answer = threading.Event(), Question.answer
+        monkeypatch.setattr(Question, "answer", lambda question: self._pass(question))
+        self.open = self._open.set
+
+    def _pass(self, question: Question) -> Any:
+        self.threads.add(threading.current_thread())
+        self.waiting += 1
+        assert self._open.wait(30.0)
+        return self._answer(question)
+
+
+@pytest.fixture
+def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
+    gate = Gate(monkeypatch)
+    yield gate
+    gate.open()
+
+
+def planned(ros: Ros, manager: Manager, gate: Gate, *messages: JointTrajectory, **parameters: Any) -> Any:
+    """A controller that has answered a state and plans the first message at a closed gate."""
+    node = ros.controller(**parameters)
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
+    for message in messages:
+        manager.trajectories.publish(message)
+    ros.until(lambda: gate.waiting, "the planning")
+    return node
+
+
+def test_states_are_answered_while_a_trajectory_is_planned(ros: Ros, manager: Manager, gate: Gate) -> None:
+    planned(ros, manager, gate, move())
+    for i in range(1, 21):  # by the reference that is running
+        t = STEP * i
+        np.testing.assert_allclose(reference_at(manager, t), [[np.sin(t)], [np.cos(t)]], atol=1e-9)
+    assert "references changed" not in manager.kinds()
+    gate.open()
+    ros.until(lambda: "references changed" in manager.kinds(), "the plan")
+    for t, q in ((0.5, 0.3), (1.0, -0.2)):  # times count from when the message came
+        np.testing.assert_allclose(reference_at(manager, t)[0], [q], atol=1e-9)
+    assert threading.current_thread() not in gate.threads
+
+
+def test_a_plan_that_comes_late_makes_no_step_of_u(ros: Ros, manager: Manager, gate: Gate) -> None:
+    node = planned(ros, manager, gate, move())
+    k = 20
+    efforts = [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(1, k + 1)]
+    before = node._control.tracker.jets_at(ZERO + round(STEP * k * SECOND))
+    gate.open()
+    ros.until(lambda: "references changed" in manager.kinds(), "the plan")
+    manager.ask(stamped(STEP * k, 0.0))
+    after = node._control.tracker.jets_at(ZERO + round(STEP * k * SECOND))
+    np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-9)
+    efforts += [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(k + 1, 2 * k)]
+    steps = np.abs(np.diff(efforts))
+    assert steps[k - 1] <= 2 * max(steps[k - 2], steps[k])
+
+
+@pytest.mark.parametrize("service", ["hold", "play"])
+def test_what_is_asked_for_during_the_planning_wins(ros: Ros, manager: Manager, gate: Gate, service: str) -> None:
+    planned(ros, manager, gate, move())
+    assert manager.trigger(service)[0]
+    ros.until(lambda: "trajectories given up" in manager.kinds(), "the event")
+    gate.open()
+    ros.settle()
+    manager.ask(stamped(0.1, 0.0))
+    q, dq = reference_at(manager, 3.0)
+    if service == "hold":
+        assert dq == pytest.approx(0.0, abs=1e-9)
+    else:
+        np.testing.assert_allclose([q, dq], [[np.sin(2.9)], [np.cos(2.9)]], atol=1e-9)
+
+
+def test_of_two_trajectories_in_a_row_the_later_one_is_followed(ros: Ros, manager: Manager, gate: Gate) -> None:
+    planned(ros, manager, gate, move())
+    manager.trajectories.publish(trajectory((1.0, 0.7)))
+    ros.until(lambda: "trajectories given up" in manager.kinds(), "the event")
+    gate.open()
+    ros.until(lambda: "references changed" in manager.kinds(), "the plan")
+    ros.settle()
+    assert manager.kinds().count("references changed") == 1
+    np.testing.assert_allclose(reference_at(manager, 1.5), [[0.7], [0.0]], atol=1e-9)
+
+
+def test_limits_that_change_during_the_planning_count(ros: Ros, manager: Manager, gate: Gate) -> None:
+    planned(ros, manager, gate, move(), reference__amplitude=[0.0])
+    assert manager.set(limits__link_velocity=[0.5])[0]
+    gate.open()
+    ros.until(lambda: "trajectory refused: cannot be followed" in manager.kinds(), "the refusal")
+    assert "references changed" not in manager.kinds()
+
+
+def test_a_controller_that_was_deactivated_meanwhile_follows_nothing(ros: Ros, manager: Manager, gate: Gate) -> None:
+    planned(ros, manager, gate, move())
+    assert manager.change("deactivate")
+    gate.open()
+    ros.until(lambda: "trajectory refused: inactive" in manager.kinds(), "the refusal")
+
+
+def test_in_simulated_time_a_trajectory_is_planned_at_once(ros: Ros, manager: Manager, gate: Gate) -> None:
+    gate.open()
+    planned(ros, manager, gate, move(), use_sim_time=True)
+    assert gate.threads == {threading.current_thread()}
+    np.testing.assert_allclose(reference_at(manager, 0.5)[0], [0.3], atol=1e-9)
 
 
 # Services.

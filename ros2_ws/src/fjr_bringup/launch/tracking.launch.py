@@ -46,7 +46,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="fjr_controller",
                 executable="controller_node",
                 output="screen",
-                parameters=[scenario_file],
+                parameters=[scenario_file, {"use_sim_time": lockstep}],
             ),
         ]
     )

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from .checks import Array
 from .errors import TrajectoryError
 from .limits import JointLimits
+from .pieces import Pieces
 from .reference import Reference
 from .reference_checks import freeze
 from .spline import Spline
@@ -69,7 +70,7 @@ class MotionLimits:
 
 
 def check_motion(
-    reference: Reference,
+    reference: Reference | Pieces,
     limits: MotionLimits,
     t0: float = 0.0,
     t1: float = np.inf,
@@ -78,8 +79,8 @@ def check_motion(
     """Raise TrajectoryError when the reference leaves the limits between t0 and t1 [s] (may be infinite).
 
     The sentence names the joint (by `joints`, else by its number), the point of a Spline or the time, the value
-    and the limit. The given points are looked at first, then all between them, by Reference.extremes; a Spline whose
-    hull is within the limits needs no such look.
+    and the limit. The given points are looked at first, then all between them, by Reference.extremes; polynomials
+    whose hull is within the limits need no such look.
     """
     if limits.n != reference.n:
         raise TrajectoryError(f"limits are of {limits.n} joints; expected those of the reference, {reference.n}")
@@ -88,8 +89,9 @@ def check_motion(
         given = (reference.positions, reference.velocities, reference.accelerations)
         q, dq, ddq = (None if rows is None else np.asarray(rows)[later:] for rows in given)
         check_points(limits, np.asarray(q), dq, ddq, joints, later)
-        if not any(_beyond(bounds, limits).any() for bounds in reference.hull(t0, t1)):
-            return
+    hull = reference.hull(t0, t1) if isinstance(reference, (Spline, Pieces)) else ()
+    if hull and not any(_beyond(bounds, limits).any() for bounds in hull):
+        return
     e = reference.extremes(t0, t1)
     for values, at in ((e.lower, e.lower_at), (e.upper, e.upper_at)):
         wrong = np.argwhere(_beyond(values, limits))
