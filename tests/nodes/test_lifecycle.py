@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -59,13 +60,13 @@ def test_the_lifecycle_is_that_of_a_managed_node(ros: Ros, manager: Manager) -> 
 
 def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager, monkeypatch) -> None:
     asked: list[float] = []
-    command = fjr.TrackingLaw.measured_command
+    bound = fjr.TrackingLaw.bound
 
     def counted(self, *args):
-        asked.append(0.0)
-        return command(self, *args)
+        command = bound(self, *args)
+        return replace(command, evaluate=lambda: (asked.append(0.0), command.evaluate()))
 
-    monkeypatch.setattr(fjr.TrackingLaw, "measured_command", counted)
+    monkeypatch.setattr(fjr.TrackingLaw, "bound", counted)
     ros.controller(autostart=False)
     manager.ask(stamped(0.0), answered=False)
     assert manager.change("configure")
@@ -78,6 +79,7 @@ def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager, m
     assert manager.change("activate")
     manager.meet_controller()
     manager.ask(stamped(0.1))
+    assert len(asked) == 1
     assert manager.change("deactivate")
     ros.until(lambda: len(manager.commands) == 2, "the last command")
     asked.clear()

@@ -82,6 +82,7 @@ def test_clock_comes_with_every_state_and_never_goes_back(ros: Ros, peer: Peer) 
     before = len(peer.states) - len(clocks)
     Answering(peer).until(ros, 30)
     ros.settle()
+    ros.until(lambda: len(clocks) == len(peer.states) - before, "a clock for each state")
     assert clocks == [nanoseconds(state) for state in peer.states[before:]]
     assert clocks == sorted(clocks)
 

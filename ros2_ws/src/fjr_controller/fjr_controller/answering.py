@@ -15,6 +15,7 @@ from fjr_core import FjrError
 from fjr_core.checks import Array
 from fjr_msgs_py import names, process
 from fjr_msgs_py.messages import EffortWriter, JointSample, JointStateWriter, MessageError, StateReader
+from fjr_msgs_py.serialised import SerialisedStates
 
 from .events import Event
 from .reports import ANSWERED, RECEIVED, Reports
@@ -47,7 +48,8 @@ class Answering:
         reports: Reports,
         refused: Callable[[RivalError], None],
     ) -> None:
-        self._node, self._tracker, self._reader, self._reports = node, tracker, reader, reports
+        self._node, self._tracker, self._reports = node, tracker, reports
+        self._reader = SerialisedStates(reader)
         self._refused = refused
         self._n = len(joints)
         self._by_stamps = bool(node.get_parameter("use_sim_time").value)
@@ -55,7 +57,7 @@ class Answering:
         self._reference, self._error = JointStateWriter(joints), JointStateWriter(joints)
         self._references = node.create_publisher(JointState, names.REFERENCE, names.LATEST)
         self._errors = node.create_publisher(JointState, names.TRACKING_ERROR, names.LATEST)
-        self._states = node.create_subscription(JointState, names.JOINT_STATES, self._on_state, names.LATEST)
+        self._states = node.create_subscription(JointState, names.JOINT_STATES, self._on_state, names.LATEST, raw=True)
         self._listeners: list[Callable[[JointSample, Command], None]] = []
         self.active = False
 
@@ -106,7 +108,7 @@ class Answering:
         for publisher in (self._references, self._errors):
             self._node.destroy_publisher(publisher)
 
-    def _on_state(self, message: JointState) -> None:
+    def _on_state(self, message: bytes) -> None:
         if not self.active:
             return
         try:
@@ -115,7 +117,7 @@ class Answering:
             self.stop()  # whatever it was: the robot is not left with the last effort
             raise
 
-    def _take(self, message: JointState, arrival: int) -> None:
+    def _take(self, message: bytes, arrival: int) -> None:
         self._reports.count[RECEIVED] += 1
         try:
             sample = self._reader.read(message)
@@ -143,8 +145,11 @@ class Answering:
             listener(sample, command)
 
     def _send(self, stamp: int, u: Array) -> None:
+        if self._by_stamps:  # lock-step waits for this one
+            self._commands.publish(self._command.fill(stamp, effort=u))
         self._efforts.publish(self._effort.fill(u))
-        self._commands.publish(self._command.fill(stamp, effort=u))
+        if not self._by_stamps:
+            self._commands.publish(self._command.fill(stamp, effort=u))
 
     def _on_silence(self) -> None:
         now = self._node.get_clock().now().nanoseconds if self._by_stamps else time.monotonic_ns()

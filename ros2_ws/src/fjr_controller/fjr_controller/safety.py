@@ -92,7 +92,9 @@ class EffortLimits:
         self.seconds, self.seconds_any = np.zeros(n), 0.0
         self.clipped = self.slowed = False
         self._stamp: int | None = None
-        self._work, self._step, self._over = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
+        self._pair = np.zeros((2, n))  # |u| and |u - sent|
+        self._most = np.zeros((2, n))  # of these
+        self._above, self._dt = np.zeros((2, n), dtype=bool), 0.0
         self.limit(settings)
 
     def limit(self, settings: Settings) -> None:
@@ -101,6 +103,7 @@ class EffortLimits:
         limited = np.isfinite(rate)
         self._limited, self._rated = bool(np.isfinite(self._limit).any()), bool(limited.any())
         self._rate, self._free = np.where(limited, rate, 0.0), np.where(limited, 0.0, np.inf)
+        self._most[:] = self._limit, self._steps(self._dt)
         self._longest = round(settings.state_timeout * 1e9)
         self.clipped = self.clipped and self._limited
         self.slowed = self.slowed and self._rated
@@ -116,28 +119,39 @@ class EffortLimits:
         if self.clipped:
             self.seconds += dt * self.saturated
             self.seconds_any += dt
-        if self._limited:
-            u = self._within(u)
-        if self._rated:
-            u = self._slow(u, dt)
+        if (self._limited or self._rated) and self._exceeds(u, dt):
+            u = self._slow(self._within(u))
         self._stamp = stamp
         np.copyto(self.sent, u)
         return u
 
+    def _exceeds(self, u: Array, dt: float) -> bool:
+        """Whether u is above a limit or too far from the last one, over dt [s]."""
+        if dt != self._dt:
+            self._dt, self._most[1] = dt, self._steps(dt)
+        pair = self._pair
+        np.copyto(pair[0], u)
+        np.subtract(u, self.sent, out=pair[1])
+        np.abs(pair, out=pair)
+        np.greater(pair, self._most, out=self._above)
+        if np.count_nonzero(self._above):
+            return True
+        self.clipped = self.slowed = False
+        return False
+
+    def _steps(self, dt: float) -> Array:
+        """How far each effort may be from the last one after dt [s]."""
+        return self._rate * dt + self._free
+
     def _within(self, u: Array) -> Array:
-        np.abs(u, out=self._work)
-        np.greater(self._work, self._limit, out=self.saturated)
-        self.clipped = np.count_nonzero(self.saturated) > 0
+        np.copyto(self.saturated, self._above[0])
+        self.clipped = bool(self.saturated.any())
         return self.cut(u) if self.clipped else u
 
-    def _slow(self, u: Array, dt: float) -> Array:
-        np.multiply(self._rate, dt, out=self._step)
-        self._step += self._free
-        np.subtract(u, self.sent, out=self._work)
-        np.abs(self._work, out=self._work)
-        np.greater(self._work, self._step, out=self._over)
-        self.slowed = np.count_nonzero(self._over) > 0
-        return np.clip(u, self.sent - self._step, self.sent + self._step) if self.slowed else u
+    def _slow(self, u: Array) -> Array:
+        step = self._most[1]
+        self.slowed = bool((np.abs(u - self.sent) > step).any())
+        return np.clip(u, self.sent - step, self.sent + step) if self.slowed else u
 
     def replace(self, u: Array) -> None:
         """An effort that left without an answer (a silence, the end)."""

@@ -14,7 +14,9 @@ import numpy as np
 
 from fjr_core import Reference, StateError, TrackingLaw, TrajectoryError
 from fjr_core.checks import Array
+from fjr_core.reference import JETS
 from fjr_core.safety_parameters import Settings
+from fjr_core.vdpbc.law import BoundCommand
 
 from .certificate import Certificate
 from .course import Course
@@ -106,6 +108,8 @@ class Tracker:
         self._stamps, self._limits = Stamps(settings.state_timeout, simulated_time), StateLimits(settings)
         self._course = Course(reference, settings, self._limits, journal)
         self._efforts, self._policy = EffortLimits(settings), StopPolicy(law, settings)
+        self._jets = np.zeros((JETS, law.robot.n))
+        self._bound = self._bind(law)
         self._observed = 0 if observer is None else OBSERVED
         self._stopped, self._bad, self._clipped = 0, False, False
 
@@ -148,7 +152,7 @@ class Tracker:
     def warm_up(self) -> None:
         """Build everything that is built once, so that the first sample is answered as fast as any other."""
         n = self._law.robot.n
-        self._law.measured_command(np.zeros(2 * n), np.zeros(2 * n), self._course.reference.jets(0))
+        self._course.reference.jets(0)
         self._policy.moving(np.zeros(n), np.zeros(n))
         if self._observer is not None:
             for stamp in (0, 1_000_000):
@@ -217,9 +221,7 @@ class Tracker:
 
     def use(self, law: TrackingLaw) -> None:
         """Another law (other gains) from the next sample on; the certificate begins anew."""
-        n = law.robot.n
-        law.measured_command(np.zeros(2 * n), np.zeros(2 * n), self._course.reference.jets(0))
-        self._law = law
+        self._law, self._bound = law, self._bind(law)
         self._policy.limit(law, self._settings)
         self._course.watch.void()
         self._journal.say(INFO, "gains changed", "gains changed: the certificate begins anew")
@@ -280,7 +282,15 @@ class Tracker:
             return self._policy.moving(m.q_l, m.dq_m), math.nan
         if self._course.blind:
             return self._efforts.sent.copy(), math.nan
-        return self._law.measured_command(m.position, m.velocity, jets)
+        np.copyto(self._jets, jets)
+        self._bound.evaluate()
+        return self._bound.u.copy(), self._bound.V.item()
+
+    def _bind(self, law: TrackingLaw) -> BoundCommand:
+        """The law from the measured state and the jets, evaluated once: built, and as fast as any other time."""
+        bound = law.bound(self._limits.position, self._limits.velocity, self._jets)
+        bound.evaluate()
+        return bound
 
     def _send(self, wanted: Array, V: float, stamp: int) -> Array:
         """The effort that leaves; the certificate goes on only where it is the law's own."""

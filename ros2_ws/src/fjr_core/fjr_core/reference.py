@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +17,7 @@ from .extremes import ROWS, Extremes
 from .flow import REFERENCE_DERIVATIVES
 
 JETS = REFERENCE_DERIVATIVES + 1
+_SIDES = np.array([0, 1, 0, 1, 0])  # sine or cosine in each of the five
 
 
 class Reference(Protocol):
@@ -73,10 +75,27 @@ class Sine:
 
     def jets(self, t: ArrayLike) -> Array:
         """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        w, phase, offset = self._line
+        angle = w * t if isinstance(t, float) else np.multiply.outer(np.asarray(t, dtype=float), w)
+        angle += phase
+        sides = np.empty((*angle.shape[:-1], 2, len(w)))
+        np.sin(angle, out=sides[..., 0, :])
+        np.cos(angle, out=sides[..., 1, :])
+        sides *= self.amplitude
+        jets = sides.take(_SIDES, axis=-2)
+        jets *= self._factors
+        jets[..., 0, :] += offset
+        return jets
+
+    @cached_property
+    def _line(self) -> tuple[Array, Array, Array]:
+        return np.asarray(self.frequency), np.asarray(self.phase), np.asarray(self.offset)
+
+    @cached_property
+    def _factors(self) -> Array:
+        """The powers of the frequency (5, n) that the derivatives have before sine or cosine."""
         w = np.asarray(self.frequency)
-        angle = np.multiply.outer(np.asarray(t, dtype=float), w) + self.phase
-        s, c = self.amplitude * np.sin(angle), self.amplitude * np.cos(angle)
-        return np.stack([self.offset + s, w * c, -(w**2) * s, -(w**3) * c, w**4 * s], axis=-2)
+        return np.stack([np.ones_like(w), w, -(w**2), -(w**3), w**4])
 
     def configurations(self, k: int) -> Array:
         """k configurations (k, n) [rad]: joints of one frequency together, others with every phase to each other."""

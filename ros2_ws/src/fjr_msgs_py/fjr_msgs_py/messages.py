@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -15,10 +15,12 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from fjr_core import FjrError, Measurement
 
-from .array_field import ArrayField
 from .names import state_names
+from .wire import FIELDS, Template
 
 Array = NDArray[np.float64]
+EMPTY: Array = np.zeros(0)
+FIRST_UNSENDABLE = 2**31 * 10**9  # ns: the seconds of a stamp have 31 bits, and an answer has its state's stamp
 
 
 class MessageError(FjrError):
@@ -29,11 +31,10 @@ class MessageError(FjrError):
         self.kind = kind
 
 
-@dataclass(frozen=True, slots=True)
-class JointSample:
+class JointSample(NamedTuple):
     """A measured state: stamp [ns], positions [rad] and velocities [rad/s] of links and motors, each (n,).
 
-    Velocities are None where the measurement leaves them to an observer. The arrays are the sample's own.
+    Velocities are None where the measurement leaves them to an observer.
     """
 
     stamp: int
@@ -58,7 +59,7 @@ class NamedColumns:
 
     def __init__(self, wanted: Sequence[str]) -> None:
         self._wanted = list(wanted)
-        self._seen: list[str] = []
+        self._seen: list[str] | None = None
         self._columns = np.array([], dtype=int)
 
     def columns(self, names: list[str]) -> NDArray[np.intp]:
@@ -95,14 +96,23 @@ class StateReader:
         self._compliance = None if K is None else np.linalg.inv(K)
 
     def read(self, message: JointState) -> JointSample:
-        """The state in the order of the joints; raises MessageError for anything that is not one."""
+        """The state in the order of the joints, in arrays of its own; MessageError for anything that is not one."""
         columns = self._columns.columns(message.name)
         q_l, q_m = self._positions(message, columns)
         velocity = None if self._measurement.observed else self._velocities(message, columns)
         stamp = nanoseconds(message.header.stamp)
-        if stamp <= 0:
+        if not 0 < stamp < FIRST_UNSENDABLE:
             raise MessageError("no stamp", f"header.stamp is {stamp} ns; expected the time of the measurement")
         return JointSample(stamp, q_l, q_m) if velocity is None else JointSample(stamp, q_l, q_m, *velocity)
+
+    def takes_as_is(self, message: JointState) -> bool:
+        """Whether a state is the message's numbers as they are, in their order."""
+        return message.name == self._names and self._ratio is None and self._compliance is None
+
+    def sides(self, position: Array, velocity: Array, **_: Array) -> tuple[Array, ...]:
+        """A sample's views of numbers (2n,) that are taken as they are."""
+        fields = (position,) if self._measurement.observed else (position, velocity)
+        return tuple(side for field in fields for side in (field[: self._n], field[self._n :]))
 
     def _positions(self, message: JointState, columns: NDArray[np.intp]) -> tuple[Array, Array]:
         position = _picked(message, "position", columns, self._names)
@@ -147,6 +157,10 @@ class EffortReader:
             )
         return _finite("data", effort, self._joints)
 
+    def takes_as_is(self, message: JointState) -> bool:
+        """Whether a command is the message's numbers as they are, in their order."""
+        return message.name == self._joints
+
     def read_named(self, message: JointState) -> tuple[int, Array]:
         """Stamp [ns] of the answered state and efforts (n,) [N m] of a stamped command; raises MessageError."""
         columns = self._columns.columns(message.name)
@@ -154,39 +168,38 @@ class EffortReader:
 
 
 class JointStateWriter:
-    """One JointState message, filled again and again; valid until the next fill."""
+    """A serialised JointState, filled again and again."""
 
     def __init__(self, names: Sequence[str]) -> None:
-        self._message = JointState(name=list(names))
-        self._stamp = self._message.header.stamp
-        self._position, self._velocity, self._effort = (
-            ArrayField(self._message, name) for name in ("position", "velocity", "effort")
-        )
+        self._names = list(names)
+        self._lengths: tuple[int, ...] = ()
 
-    def fill(
-        self, stamp: int, position: Array | None = None, velocity: Array | None = None, effort: Array | None = None
-    ) -> JointState:
-        """The message with this stamp [ns] and these fields; a field that is None stays empty."""
-        self._stamp.sec, self._stamp.nanosec = divmod(stamp, 1_000_000_000)
-        self._position.fill(position)
-        self._velocity.fill(velocity)
-        self._effort.fill(effort)
-        return self._message
+    def fill(self, stamp: int, position: Array = EMPTY, velocity: Array = EMPTY, effort: Array = EMPTY) -> bytes:
+        """The message with this stamp [ns] and these fields, for a publisher."""
+        lengths = len(position), len(velocity), len(effort)
+        if lengths != self._lengths:
+            self._template = Template(JointState(name=self._names), dict(zip(FIELDS, lengths, strict=True)))
+            self._lengths = lengths
+        template = self._template
+        template.stamp(stamp)
+        for own, values in zip(template.fields, (position, velocity, effort), strict=True):
+            own[:] = values
+        return template.serialised()
 
 
 class EffortWriter:
-    """One Float64MultiArray message in the order of the joints, filled again and again."""
+    """A serialised Float64MultiArray in the order of the joints, filled again and again."""
 
     def __init__(self, joints: tuple[str, ...]) -> None:
-        self._message = Float64MultiArray()
         n = len(joints)
-        self._message.layout.dim = [MultiArrayDimension(label=",".join(joints), size=n, stride=n)]
-        self._data = ArrayField(self._message, "data")
+        message = Float64MultiArray()
+        message.layout.dim = [MultiArrayDimension(label=",".join(joints), size=n, stride=n)]
+        self._template = Template(message, {"data": n})
 
-    def fill(self, effort: Array) -> Float64MultiArray:
-        """The message with these efforts (n,) [N m]."""
-        self._data.fill(effort)
-        return self._message
+    def fill(self, effort: Array) -> bytes:
+        """The message with these efforts (n,) [N m], for a publisher."""
+        self._template.fields[0][:] = effort
+        return self._template.serialised()
 
 
 def _picked(message: JointState, field: str, columns: NDArray[np.intp], names: Sequence[str]) -> Array:

@@ -14,6 +14,7 @@ from fjr_core import FjrError
 from fjr_msgs_py import names
 from fjr_msgs_py.clock import ClockWriter
 from fjr_msgs_py.messages import MessageError
+from fjr_msgs_py.serialised import SerialisedEfforts
 
 from .pace import Pace, Rig, seconds
 from .states import Sample
@@ -28,7 +29,7 @@ class LockStepError(FjrError):
 
 
 class LockStep(Pace):
-    """Sends a state, /clock before it, and waits for the /joint_commands with its stamp and an effort for each joint.
+    """Sends a state and /clock, and waits for the /joint_commands with its stamp and an effort for each joint.
 
     What is not answered is sent again, with the very same numbers, and never skipped. From the first answer
     on (after a start or a reset) LockStepError ends a silence of lockstep_timeout; until then the robot waits.
@@ -48,14 +49,15 @@ class LockStep(Pace):
         self._clock_writer = ClockWriter()
         self._clock = node.create_publisher(ClockMessage, names.CLOCK, names.LATEST)
         self._topic = node.resolve_topic_name(names.JOINT_COMMANDS)
-        node.create_subscription(JointState, names.JOINT_COMMANDS, self._on_answer, names.LATEST)
+        self._reader = SerialisedEfforts(rig.reader)
+        node.create_subscription(JointState, names.JOINT_COMMANDS, self._on_answer, names.LATEST, raw=True)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(RESEND_PERIOD / 2, self._watch, clock=steady)
         self._restart()
 
-    def _on_answer(self, message: JointState) -> None:
+    def _on_answer(self, message: bytes) -> None:
         try:
-            stamp, effort = self._rig.reader.read_named(message)
+            stamp, effort = self._reader.read(message)
         except MessageError as error:
             self._health.refuse("command", error)
             return
@@ -94,8 +96,8 @@ class LockStep(Pace):
         while self._arrived:
             sample = self._arrived.popleft()
             self._awaited = sample[0]
-            self._clock.publish(self._clock_writer.fill(self.stamp))
             self._rig.states.send(sample)
+            self._clock.publish(self._clock_writer.fill(self.stamp))
             self._sent_at = self._first_sent_at = time.monotonic()
             self._health.count["states published"] += 1
             if sample[0] >= self._newest:
@@ -105,8 +107,8 @@ class LockStep(Pace):
         return False
 
     def _send_again(self) -> None:
-        self._clock.publish(self._clock_writer.fill(self.stamp))
         self._rig.states.send_again()
+        self._clock.publish(self._clock_writer.fill(self.stamp))
         self._sent_at = time.monotonic()
         self._health.count["states sent again"] += 1
 

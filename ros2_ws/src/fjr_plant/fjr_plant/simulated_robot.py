@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from fjr_core import ParameterError, Plant, StateError
@@ -12,6 +14,7 @@ from fjr_core.imperfect_signals import SensorErrors
 from fjr_core.imperfections import Imperfections, friction_rate
 
 from .sensors import Sensors
+from .stepping import Stepper, Velocities
 
 STIFFEST_FRICTION = 2.0
 """Largest product of friction's rate about rest and the inner step: Runge-Kutta is stable to 2.78, here with room."""
@@ -42,6 +45,7 @@ class SimulatedRobot:
         self._imperfect = ImperfectPlant(plant)
         self._x0 = x0
         self._inner_step = inner_step
+        self._velocities = Velocities(plant.robot)
         self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed)
         self._use(imperfections or Imperfections(self._n))
         self.reset()
@@ -50,7 +54,7 @@ class SimulatedRobot:
         """Back to the initial positions and velocities and time 0, no effort, the noise from its start."""
         self.time = 0
         self.u: Array = np.zeros(self._n)
-        self.external: Array = np.zeros(self._n)
+        self.external = np.zeros(self._n)
         self._output: Array = np.zeros(self._n)  # of the actuators
         self.x = self._x0.copy()
         if np.any(self._imperfections.payload_mass):
@@ -59,9 +63,9 @@ class SimulatedRobot:
 
     def warm_up(self) -> None:
         """Build everything that is built once, so that the first step is as fast as any other, whatever is changed."""
-        nothing, dt = np.zeros(self._n), self._inner_step * 1e-9
-        self._plant.step(self._x0, nothing, dt)
-        self._imperfect.step(np.concatenate([self._x0, nothing]), nothing, nothing, self._parameters, dt)
+        nothing = np.zeros(self._n)
+        self._step.after(1, self._x0, nothing)
+        self._imperfect_step.after(1, np.concatenate([self._x0, nothing]), nothing, nothing, self._parameters)
         self._imperfect.applied(nothing, nothing, self._parameters)
         self._moving(self._imperfect.measure(self._x0, self._parameters)[0])
         self.measure()
@@ -83,13 +87,15 @@ class SimulatedRobot:
 
     def advance_to(self, time: int) -> None:
         """Integrate in whole inner steps up to, and never past, `time` [ns]; raises StateError on divergence."""
-        if self._perfect and not self.external.any():
-            while self.time + self._inner_step <= time:
-                self.x = self._plant.step(self.x, self.u, self._inner_step * 1e-9)
-                self.time += self._inner_step
+        steps = max((time - self.time) // self._inner_step, 0)
+        if self._perfect and not self._pushed:
+            self.x = self._step.after(steps, self.x, self.u)
         else:
-            self._advance_imperfect(time)
-        if not np.isfinite(self.x).all():
+            state = np.concatenate([self.x, self._applied() if self._perfect else self._output])
+            state = self._imperfect_step.after(steps, state, self.u, self.external, self._parameters)
+            self.x, self._output = np.split(state, [4 * self._n])
+        self.time += steps * self._inner_step
+        if not self.x.dot(self.x) < np.inf and not np.isfinite(self.x).all():  # the squares may overflow
             raise StateError(f"the robot's state is not finite after {self.time * 1e-9:.3f} s: the motion diverged")
 
     def measure(self) -> tuple[Array, Array, Array]:
@@ -100,7 +106,24 @@ class SimulatedRobot:
         position, velocity, spring = self._ideal()
         if not self._sensors.perfect:
             position, velocity = self._sensors.measured(self.time, position, velocity)
-        return position, velocity, np.concatenate([spring, self._plant.robot.B_m @ self._applied()])
+        return position, velocity, np.concatenate([spring, self._plant.robot.B_m.dot(self._applied())])
+
+    @property
+    def external(self) -> Array:
+        """Torques on the links (n,) [N m]; to be replaced as a whole."""
+        return self._external
+
+    @external.setter
+    def external(self, torque: Array) -> None:
+        self._external, self._pushed = torque, bool(torque.any())
+
+    @cached_property
+    def _step(self) -> Stepper:
+        return Stepper(self._plant.step_function, self._inner_step * 1e-9)
+
+    @cached_property
+    def _imperfect_step(self) -> Stepper:
+        return Stepper(self._imperfect.step_function, self._inner_step * 1e-9)
 
     def _use(self, imperfections: Imperfections) -> None:
         self._imperfect.check(imperfections)
@@ -117,19 +140,12 @@ class SimulatedRobot:
                 "inner steps of this length: raise imperfections.friction_smoothing_velocity or inner_steps"
             )
 
-    def _advance_imperfect(self, time: int) -> None:
-        state = np.concatenate([self.x, self._applied() if self._perfect else self._output])
-        while self.time + self._inner_step <= time:
-            state = self._imperfect.step(state, self.u, self.external, self._parameters, self._inner_step * 1e-9)
-            self.time += self._inner_step
-        self.x, self._output = np.split(state, [4 * self._n])
-
     def _ideal(self) -> tuple[Array, Array, Array]:
         """Positions, velocities (2n,) and spring torques (n,) as they are."""
         n, robot = self._n, self._plant.robot
         position = self.x[: 2 * n]
         if self._perfect:
-            return position, np.concatenate(robot.velocities(self.x)), robot.K @ (position[n:] - position[:n])
+            return position, self._velocities.of(self.x), robot.K.dot(position[n:] - position[:n])
         return position, *self._imperfect.measure(self.x, self._parameters)
 
     def _applied(self) -> Array:

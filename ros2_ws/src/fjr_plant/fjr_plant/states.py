@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
@@ -17,12 +15,12 @@ Sample = tuple[int, Array, Array, Array]
 
 
 class StatePublisher:
-    """Publishes samples in one reused message."""
+    """Publishes samples."""
 
     def __init__(self, node: Node, joints: tuple[str, ...]) -> None:
         self._writer = JointStateWriter(names.state_names(joints))
         self._publisher = node.create_publisher(JointState, names.JOINT_STATES, names.LATEST)
-        self._message: Any = None
+        self._message = b""
 
     def send(self, sample: Sample) -> None:
         """Publish a sample."""

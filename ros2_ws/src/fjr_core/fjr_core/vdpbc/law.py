@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Callable, Set
 from dataclasses import dataclass, fields
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import Array
@@ -15,7 +16,7 @@ from ..compile import compiled
 from ..flow import REFERENCE_DERIVATIVES, Flow, flow
 from ..gain_terms import GainSymbols, GainTerms, terms
 from ..gains import Gains
-from ..numeric import NumericFunction, dense_function
+from ..numeric import NumericFunction, bind, dense_function
 from ..robot import Robot
 from .link import LinkStage, link_stage
 from .motor import MotorStage, motor_stage
@@ -40,6 +41,15 @@ class Evaluation:
     V: float
     dissipation: float
     dV: float
+
+
+@dataclass(frozen=True, eq=False)
+class BoundCommand:
+    """The law's measured command from and into its own arrays: `evaluate` writes u (n,) [N m] and V (1,) [J]."""
+
+    evaluate: Callable[[], None]
+    u: Array
+    V: Array
 
 
 class TrackingLaw:
@@ -71,6 +81,11 @@ class TrackingLaw:
         """u(x, x, t) (n,) [N m] and V [J] for positions (q_l, q_m) [rad] and velocities (dq_l, dq_m) [rad/s], (2n,)."""
         u, V = self._measured_command(position, velocity, jets, self._gain_values)
         return u, float(V[0])
+
+    def bound(self, position: Array, velocity: Array, jets: Array) -> BoundCommand:
+        """measured_command of these contiguous arrays, which each evaluation reads; not for two threads at once."""
+        u, V = np.zeros(self.robot.n), np.zeros(1)
+        return BoundCommand(bind(self.measured_function, (position, velocity, jets, self._gain_values), (u, V)), u, V)
 
     def command(self, x: ArrayLike, jets: ArrayLike) -> Array:
         """Effort u(x, x, t) (n,) [N m], which the controller applies: effort(x, x, jets) at less cost."""
