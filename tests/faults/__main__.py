@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Do all faults and write their table: `python -m tests.faults [words of a row]`, with the workspace sourced.
+
+With words, only the rows that contain one of them are done and printed, and nothing is written.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(TESTS))
+
+import conftest  # noqa: E402, F401 (a ROS domain of its own)
+from faults.outcome import Outcome, outcome  # noqa: E402
+from faults.rows import ROWS, Row  # noqa: E402
+from faults.table import table, written  # noqa: E402
+
+DOCUMENT = TESTS.parent / "docs" / "faults.md"
+
+
+def main(words: list[str]) -> int:
+    """The exit code: 0 where all efforts were good."""
+    rows = [row for row in ROWS if not words or any(word in row.name for word in words)]
+    done: list[tuple[Row, Outcome]] = []
+    for number, row in enumerate(rows, start=1):
+        print(f"[{number}/{len(rows)}] {row.name}", file=sys.stderr, flush=True)
+        done.append((row, outcome(row)))
+    text = table(done)
+    print(text)
+    if not words:
+        DOCUMENT.write_text(written(DOCUMENT.read_text(encoding="utf-8"), text), encoding="utf-8")
+    return 1 if any(seen.bad for _, seen in done) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

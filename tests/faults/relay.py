@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A relay between plant and controller that passes messages on and, between two stamps, tampers with them."""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections.abc import Callable, Iterable
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+
+from fjr_msgs_py.names import LATEST
+
+try:
+    from rclpy.experimental.events_executor import EventsExecutor
+except ImportError:  # an older rclpy
+    EventsExecutor = SingleThreadedExecutor
+
+Tamper = Callable[[JointState], Iterable[JointState]]
+"""What is sent in place of a message."""
+
+
+class Relay:
+    """Passes JointStates from one topic to another in a thread of its own."""
+
+    def __init__(self, source: str, target: str) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node("relay", context=self._context, enable_rosout=False)
+        self._publisher = self._node.create_publisher(JointState, target, LATEST)
+        self._tampering: tuple[int, int, Tamper] | None = None
+        self._node.create_subscription(JointState, source, self._pass_on, LATEST, raw=True)
+        self._executor: Executor = EventsExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._stop: Future = Future()
+        self._thread = threading.Thread(target=self._spin, name="relay", daemon=True)
+        self._thread.start()
+
+    def tamper(self, begin: int, end: int, how: Tamper) -> None:
+        """Send `how(message)` in place of each message stamped from `begin` to before `end` [ns]."""
+        self._tampering = (begin, end, how)
+
+    def connected(self) -> bool:
+        """Whether somebody reads what is passed on."""
+        return bool(self._publisher.get_subscription_count() >= 2)  # the watcher and the controller
+
+    def close(self) -> None:
+        self._executor.create_task(lambda: self._stop.set_result(None))
+        self._thread.join()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _spin(self) -> None:
+        while not self._stop.done():
+            self._executor.spin_until_future_complete(self._stop, 0.25)
+
+    def _pass_on(self, raw: bytes) -> None:
+        sec, nanosec = struct.unpack_from("<iI", raw, 4)
+        begin, end, how = self._tampering or (0, 0, iter)
+        if begin <= sec * 10**9 + nanosec < end:
+            for message in how(deserialize_message(raw, JointState)):
+                self._publisher.publish(message)
+        else:
+            self._publisher.publish(raw)

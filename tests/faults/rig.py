@@ -1,0 +1,305 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plant and controller as real processes under an independent watcher, to be disturbed while the arm moves."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import yaml
+from ament_index_python.packages import get_package_share_directory
+
+from faults.measures import THRESHOLD, Anchor, Motion, Sine
+from faults.relay import Relay, Tamper
+from faults.remote import Remote
+from faults.watcher import COMMANDS, DIAGNOSTICS, EFFORTS, REFERENCE, STATES, TRUE_STATES, Heard, Watcher
+from fjr_msgs_py.scheduling import prioritised
+from fjr_plant.plant_node import LOCKSTEP_START
+from system.executables import NODES, Executable, scenario
+
+LIMIT = 40.0  # s; longer waits for an event are failures
+LOOK = 0.002  # s between looks at the queues
+SECOND = 10**9  # ns
+PRIORITY = 10  # of the watcher and the relay, where the system allows it: below the nodes, above all others
+CALM = 3 * SECOND // 10  # the error stays small for so long before a motion counts as recovered
+LOOK_AHEAD = SECOND // 10
+PROFILE = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
+
+
+DIRECT, RELAYED, STEPPED = "direct", "relayed", "stepped"
+"""How the pair runs: in real time; in real time with a relay in between; sample by sample, as long as that takes."""
+NOTHING: Mapping[str, Mapping[str, Any]] = {}
+STEPS = {"plant": {"lockstep": True, "start_paused": True}, "controller": {"use_sim_time": True}}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A scenario and what is set besides in each node, by dotted names.
+
+    limit (n,): of the efforts that this allows [N m]. full_motion [s]: a reference's time of great speed.
+    """
+
+    scenario: str
+    limit: tuple[float, ...]
+    full_motion: float
+    plant: Mapping[str, Any] = field(default_factory=dict)
+    controller: Mapping[str, Any] = field(default_factory=dict)
+
+    def document(self, more: Mapping[str, Mapping[str, Any]] = NOTHING) -> dict[str, Any]:
+        """The parameter file of the scenario with what is set here and `more` for each node."""
+        document: dict[str, Any] = yaml.safe_load(Path(scenario(self.scenario)).read_text())
+        for node in NODES:
+            parameters = document[f"/**/fjr_{node}"]["ros__parameters"]
+            for name, value in {**getattr(self, node), **more.get(node, {})}.items():
+                _set(parameters, name, value)
+        return document
+
+    def parameters(self, node: str) -> dict[str, Any]:
+        """The parameters of a node, by groups."""
+        parameters: dict[str, Any] = self.document()[f"/**/fjr_{node}"]["ros__parameters"]
+        return parameters
+
+    @property
+    def reference(self) -> Sine:
+        values = self.parameters("controller")["reference"]
+        return Sine(*(np.array(values[name]) for name in ("amplitude", "frequency", "offset", "phase")))
+
+
+class Process(Executable):
+    """An executable that can be listened to while it runs."""
+
+    def said(self) -> str:
+        return os.pread(self._said.fileno(), 1_000_000, 0).decode()  # leaves the place where the child writes alone
+
+
+class Rig:
+    """A watched pair of nodes; a context manager that leaves no process behind."""
+
+    def __init__(self, setting: Setting, mode: str) -> None:
+        self._environment = mock.patch.dict(os.environ, {"FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE)})
+        self._environment.start()
+        self.setting = setting
+        self.watcher = Watcher()
+        self.mode = mode
+        self.truth = TRUE_STATES if mode == RELAYED else STATES
+        self.relay = Relay(TRUE_STATES, STATES) if mode == RELAYED else None
+        self.remote = Remote()
+        self.anchors: list[Anchor] = []
+        self._folder = tempfile.TemporaryDirectory(prefix="fjr-faults-")
+        self._file = Path(self._folder.name, "scenario.yaml")
+        self._file.write_text(yaml.safe_dump(setting.document(STEPS if mode == STEPPED else NOTHING)))
+        self._steps = 0
+        self._cleanup = ExitStack()
+        self._period = round(SECOND / setting.parameters("plant")["publish_rate"])
+        self._running: dict[str, Process] = {}
+        self._ended: list[Process] = []
+
+    def start(self, node: str, *arguments: str, key: str = "") -> str:
+        """Start "plant" or "controller"; `key` names another process of the same kind. Its key."""
+        remaps = ["-r", f"joint_states:={TRUE_STATES}"] if self.relay and node == "plant" else []
+        self._running[key or node] = Process(
+            *NODES[node], "--ros-args", "--params-file", str(self._file), *remaps, *arguments
+        )
+        return key or node
+
+    def start_both(self) -> None:
+        """Start both; return when the arm is on its way into the reference."""
+        self.start("controller")
+        self.until(lambda: all(map(self.watcher.senders, (EFFORTS, COMMANDS, REFERENCE))), "the controller")
+        self.start("plant")
+        self.until(lambda: self.watcher.senders(self.truth), "the plant")
+        self._cleanup.enter_context(prioritised(PRIORITY))
+        if self.mode == STEPPED:
+            self._step(1)
+            self._step(round(self.setting.parameters("controller")["start"]["join_time"] * SECOND / self._period))
+        self.anchor_in_reference(0)
+
+    def anchor_in_reference(self, sent: int) -> int:
+        """Learn the reference's time 0 from one sent from `sent` [ns] on, once joined; the first one's stamp [ns].
+
+        The very first may be missed: whoever publishes it may not know the watcher yet.
+        """
+        sine = self.setting.reference
+        first = self.first(REFERENCE, lambda heard: heard.sent >= sent, "the first answer").stamp
+        joined = self.first(
+            REFERENCE, lambda heard: heard.sent >= sent and sine.holds(*_of_first_joint(heard)), "the end of the join"
+        )
+        self.anchor(joined.stamp - sine.time(*_of_first_joint(joined)), first)
+        return first
+
+    def kill(self, node: str) -> None:
+        """kill -9."""
+        executable = self._running.pop(node)
+        executable.signal(signal.SIGKILL)
+        executable.process.wait()
+        self._ended.append(executable)
+
+    def ended(self, key: str) -> tuple[int, str]:
+        """Wait until a process has ended of itself; its exit code and what it said."""
+        executable = self._running.pop(key)
+        self._ended.append(executable)
+        self.until(lambda: executable.process.poll() is not None, f"the end of {key}")
+        return executable.end()
+
+    @property
+    def now(self) -> int:
+        """The newest stamp of the robot itself [ns], 0 before the first."""
+        self.watcher.look()
+        heard = self.watcher.heard[self.truth]
+        return heard[-1].stamp if heard else 0
+
+    def anchor(self, zero: int, begin: int) -> None:
+        """From the true stamp `begin` on the wanted motion is the reference of stamp - zero [ns]."""
+        self.anchors.append(Anchor(begin, zero))
+
+    def until(self, happened: Callable[[], Any], what: str) -> None:
+        """Look until `happened()` is true; an ended node or a long wait is a failure."""
+        end = time.monotonic() + LIMIT
+        pause = threading.Event()
+        self.watcher.look()
+        while not happened():
+            assert time.monotonic() < end, f"{what} did not come within {LIMIT:g} s\n{self.words()}"
+            for name, executable in self._running.items():
+                assert executable.process.poll() is None, f"{name} has ended\n{self.words()}"
+            pause.wait(LOOK)
+            self.remote.work()
+            self.watcher.look()
+
+    @property
+    def full_motion(self) -> int:
+        """The true stamp [ns] of the reference's time of great speed."""
+        return self.anchors[-1].zero + round(self.setting.full_motion * SECOND)
+
+    def until_full_motion(self, later: float = 0.0) -> int:
+        """Wait until full motion or so many seconds later; that stamp [ns]."""
+        stamp = self.full_motion + round(later * SECOND)
+        self.until_stamp(stamp)
+        return stamp
+
+    def first_stamp_from(self, stamp: int) -> int:
+        """The first true stamp at or after another [ns]."""
+        return self.first(self.truth, lambda heard: heard.stamp >= stamp, f"a state stamped {stamp}").stamp
+
+    def until_stamp(self, stamp: int) -> None:
+        """Wait until the robot's time is `stamp` [ns]; make it pass where it is ours."""
+        if self.mode == STEPPED:
+            self._step(math.ceil((stamp - self.robot_time) / self._period))
+        else:
+            self.until(lambda: self.now >= stamp, f"a state stamped {stamp}")
+
+    @property
+    def robot_time(self) -> int:
+        """The stamp of the robot's time [ns]; states that tell of it may still be on their way."""
+        if self.mode != STEPPED:
+            return self.now
+        return LOCKSTEP_START + self._steps * self._period
+
+    def until_calm(self, limit: float) -> None:
+        """Let the time go on until the error has been small for CALM seconds, at most `limit` seconds."""
+        end = self.robot_time + round(limit * SECOND)
+        while not self._is_calm() and self.robot_time < end:
+            self.until_stamp(self.robot_time + LOOK_AHEAD)
+
+    def _is_calm(self) -> bool:
+        newest = self.now
+        tail = [h for h in self.watcher.heard[self.truth][-2000:] if h.stamp > newest - CALM]
+        motion = self._motion(tail)
+        return newest - int(motion.stamps[0]) > 0.9 * CALM and bool(np.all(motion.error < THRESHOLD))
+
+    def _step(self, samples: int) -> None:
+        """Let the robot's time go on by so many samples."""
+        if samples > 0:
+            future = self.remote.advance(samples)
+            self.until(future.done, f"{samples} samples")
+            assert future.result().success, future.result().message
+            self._steps += samples
+
+    def tamper(self, begin: int, seconds: float, how: Tamper) -> int:
+        """Let the relay tamper from the stamp `begin` [ns] on and wait until it is over; the end's stamp [ns]."""
+        assert self.relay
+        end = begin + round(seconds * SECOND)
+        self.relay.tamper(begin, end, how)
+        self.until_stamp(end)
+        return end
+
+    def first(self, topic: str, fits: Callable[[Heard], bool], what: str) -> Heard:
+        """Wait for the first message of a topic that fits."""
+        found: list[Heard] = []
+        seen = 0
+
+        def happened() -> bool:
+            nonlocal seen
+            new = self.watcher.heard[topic][seen:]
+            seen += len(new)
+            found.extend(heard for heard in new if fits(heard))
+            return bool(found)
+
+        self.until(happened, what)
+        return found[0]
+
+    def last_report(self, node: str) -> Mapping[str, int]:
+        """The counters in a report that the node makes from now on."""
+        sent = time.time_ns()
+        name = f"fjr_{node}"
+        if self.mode == STEPPED:  # there, reports go by the stamps
+            self.until_stamp(self.robot_time + SECOND)
+        self.first(DIAGNOSTICS, lambda h: h.sent >= sent and h.message().status[0].name.endswith(name), "a report")
+        return self.watcher.counters(name)
+
+    def words(self) -> str:
+        """What the nodes said."""
+        return "\n".join(f"{name} says:\n{executable.said()}" for name, executable in self._running.items())
+
+    def motion(self) -> Motion:
+        """What the arm did so far."""
+        self.watcher.look()
+        return self._motion(self.watcher.heard[self.truth])
+
+    def _motion(self, states: list[Heard]) -> Motion:
+        joints = len(self.setting.reference.amplitude)
+        q_l = np.array([heard.message().position[:joints] for heard in states])
+        stamps = np.array([heard.stamp for heard in states])
+        return Motion(stamps, q_l, tuple(self.anchors), self.setting.reference)
+
+    def efforts(self) -> list[list[float]]:
+        """All efforts that were sent, on both topics."""
+        self.watcher.look()
+        plain = [list(message.data) for message in self.watcher.messages(EFFORTS)]
+        return plain + [list(message.effort) for message in self.watcher.messages(COMMANDS)]
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._cleanup.close()
+        for executable in (*self._running.values(), *self._ended):
+            executable.kill()
+        if self.relay:
+            self.relay.close()
+        self.remote.close()
+        self.watcher.close()
+        self._environment.stop()
+        self._folder.cleanup()
+
+
+def _of_first_joint(heard: Heard) -> tuple[float, float]:
+    message = heard.message()
+    return message.position[0], message.velocity[0]
+
+
+def _set(parameters: dict[str, Any], name: str, value: Any) -> None:
+    *groups, last = name.split(".")
+    for group in groups:
+        parameters = parameters.setdefault(group, {})
+    parameters[last] = value

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of faults: what is done to the pair of nodes, and what must come of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from faults import acts
+from faults.acts import Act
+from faults.rig import DIRECT, RELAYED, STEPPED, Setting
+
+STATE_TIMEOUT, JOIN_TIME = 0.1, 0.5  # s
+SAFE = {"state_timeout": STATE_TIMEOUT, "start.join_time": JOIN_TIME, "recovery.join_time": JOIN_TIME}
+
+JOINT = Setting(
+    "paper_k31",
+    controller={**SAFE, "reference.frequency": [3.0], "limits.effort": [5.0]},
+    limit=(5.0,),
+    full_motion=math.pi / 3,  # sin(3 t) passes through the middle with 3 rad/s
+)
+ARM = Setting(
+    "arm7",
+    plant={"command_timeout": 0.5},
+    controller={**SAFE, "recovery.join_time": 1.0, "limits.from_robot": True, "on_stop": "gravity_hold"},
+    limit=(176.0, 176.0, 110.0, 110.0, 110.0, 40.0, 40.0),  # of arm7.urdf
+    full_motion=1.5,  # all joints pass through the middle with 0.94 rad/s
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A fault, what the arm does, how that is seen, and the bounds of its figures.
+
+    peak: of |q_tilde_l| [rad] from the fault on. recovery: seconds after its end, None: it stays stopped.
+    counted: what the controller must have counted. mode: how the pair runs.
+    """
+
+    name: str
+    arm: str
+    act: Act
+    peak: float
+    recovery: float | None = 5.0
+    counted: tuple[str, ...] = ()
+    mode: str = RELAYED
+    setting: Setting = JOINT
+
+
+def lossy(share: float) -> Act:
+    return acts.plant_set(2.0, state_loss=share, command_loss=share)
+
+
+def late(seconds: float) -> Act:
+    return acts.plant_set(2.0, state_delay=seconds)
+
+
+FALLS = "swings down without effort, is joined to the reference again over 0.5 s"
+LATER = ("silences", "recoveries")
+ROWS = [
+    Row("nothing, for comparison", "tracks", acts.nothing, 0.1),
+    Row("kill -9 of the controller and its return", FALLS, acts.controller_killed, 2.5, mode=DIRECT),
+    Row(
+        "kill -9 of the plant and its return",
+        "is back where it was first, is joined to the reference from there",
+        acts.plant_killed,
+        2.5,
+        counted=LATER,
+        mode=DIRECT,
+    ),
+    Row("no states for 200 ms", FALLS, acts.silence(0.2), 1.0, counted=LATER),
+    Row("no states for 2 s", FALLS, acts.silence(2.0), 2.0, counted=LATER),
+    Row("1 % of states and of commands lost, 2 s", "tracks", lossy(0.01), 1e-3, 0.0, mode=STEPPED),
+    Row("10 % of states and of commands lost, 2 s", "tracks", lossy(0.1), 1e-3, 0.0, mode=STEPPED),
+    Row("states 1 ms late, 2 s", "tracks", late(0.001), 1e-3, 0.0, mode=STEPPED),
+    Row("states 3 ms late, 2 s", "tracks", late(0.003), 1e-3, 0.0, mode=STEPPED),
+    Row("states 5 ms late, 2 s", "tracks", late(0.005), 1e-3, 0.0, mode=STEPPED),
+    Row(
+        "states 8 ms late, 2 s (margin: 5.45 ms)",
+        "swings about the reference between the effort limits",
+        late(0.008),
+        0.8,
+        1.0,
+        counted=("efforts saturated",),
+        mode=STEPPED,
+    ),
+    Row(
+        "NaN and infinity in every state, 200 ms",
+        FALLS,
+        acts.not_a_number(0.2),
+        1.0,
+        counted=("state refused: not finite", *LATER),
+    ),
+    Row(
+        "names of another arm, 200 ms",
+        FALLS,
+        acts.renamed(0.2),
+        1.0,
+        counted=("state refused: missing joints", *LATER),
+    ),
+    Row("every state twice, 1 s", "tracks", acts.twice(1.0), 0.1, counted=("states repeated",)),
+    Row(
+        "one state again and again, 200 ms",
+        "keeps the effort of that state, is joined to the reference again",
+        acts.frozen(0.2),
+        1.0,
+        counted=("states repeated", "forward jumps", "recoveries"),
+    ),
+    Row(
+        "before every state one that is 50 ms older, 1 s",
+        "tracks",
+        acts.aged(1.0, 50),
+        0.1,
+        counted=("states older than the last",),
+    ),
+    Row(
+        "stamps jump 10 s forward, after 0.5 s back",
+        "is joined to where the reference is then; after the jump back to its beginning",
+        acts.clock_jumped(0.5, 10),
+        2.5,
+        counted=("forward jumps", "recoveries", "reference restarts"),
+    ),
+    Row(
+        "a second controller is started",
+        "tracks; the second is refused and ends",
+        acts.second_controller,
+        0.1,
+        mode=DIRECT,
+    ),
+    Row(
+        "another node sends zero efforts, 1 s",
+        "tracks worse; the controller reports the other node",
+        acts.intruder(1.0),
+        1.0,
+        counted=("other controllers",),
+        mode=DIRECT,
+    ),
+    Row(
+        "parameters are set to nonsense", "tracks; each is refused, the old one stays", acts.nonsense, 0.1, mode=DIRECT
+    ),
+    Row(
+        "arm7: no states till the controller notices, 0.1 s",
+        "goes on with its weight held, is joined to the reference again over 1 s",
+        acts.silent_till_noticed,
+        1.0,
+        counted=LATER,
+        mode=DIRECT,
+        setting=ARM,
+    ),
+    Row(
+        "arm7: no states for 2 s",
+        "falls, as it has no brakes; out of its range the controller stops and holds the weight",
+        acts.silence(2.0),
+        10.0,
+        None,
+        counted=("silences", "stops"),
+        setting=ARM,
+    ),
+    Row(
+        "arm7: kill -9 of the plant and its return",
+        "is joined to the reference",
+        acts.plant_killed,
+        1.5,
+        mode=DIRECT,
+        setting=ARM,
+    ),
+    Row("arm7: 10 % of states and of commands lost, 2 s", "tracks", lossy(0.1), 2e-3, 0.0, mode=STEPPED, setting=ARM),
+    Row("arm7: states 1 ms late, 2 s", "tracks", late(0.001), 2e-3, 0.0, mode=STEPPED, setting=ARM),
+]

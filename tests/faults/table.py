@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of docs/faults.md, between two markers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from faults.outcome import Outcome
+from faults.rows import Row
+
+BEGIN = "<!-- python -m tests.faults writes from here -->"
+END = "<!-- to here -->"
+HEAD = (
+    "| fault | what the arm does | peak q_tilde_l [rad] | recovered after [s] | bad efforts |\n"
+    "| --- | --- | ---: | ---: | ---: |"
+)
+
+
+def table(done: Iterable[tuple[Row, Outcome]]) -> str:
+    """Markdown, a line for each row."""
+    return "\n".join([HEAD, *(_line(row, seen) for row, seen in done)])
+
+
+def written(document: str, text: str) -> str:
+    """The document with the text between its markers."""
+    before, rest = document.split(BEGIN)
+    after = rest.split(END)[1]
+    return f"{before}{BEGIN}\n{text}\n{END}{after}"
+
+
+def _line(row: Row, seen: Outcome) -> str:
+    figures = f"{seen.peak:.2g} | {_recovery(seen)} | {seen.bad} of {seen.efforts}"
+    return f"| {row.name} | {row.arm} | {figures} |"
+
+
+def _recovery(seen: Outcome) -> str:
+    if math.isinf(seen.recovery):
+        return "stays stopped"
+    return "0" if seen.recovery == 0 else f"{seen.recovery:.2f}"

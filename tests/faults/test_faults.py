@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each row of docs/faults.md: real processes, disturbed in full motion, judged by an independent watcher."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from faults.outcome import outcome
+from faults.rows import ROWS, Row
+
+pytestmark = pytest.mark.system
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_a_fault_is_survived(row: Row) -> None:
+    seen = outcome(row)
+    assert seen.bad == 0, f"{seen.bad} of {seen.efforts} efforts are not finite or over the limit"
+    assert {kind for kind in row.counted if not seen.counters[kind]} == set(), f"counted were {dict(seen.counters)}"
+    assert seen.peak <= row.peak
+    if row.recovery is None:
+        assert seen.recovery == math.inf
+    else:
+        assert seen.recovery <= row.recovery

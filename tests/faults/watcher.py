@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An independent watcher of plant and controller: hears every topic, publishes nothing, keeps every message."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.context import Context
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+EFFORTS, COMMANDS = "effort_controller/commands", "joint_commands"
+REFERENCE, ERROR = "fjr_controller/reference", "fjr_controller/tracking_error"
+STATES, DIAGNOSTICS, EVENTS = "joint_states", "diagnostics", "fjr_controller/events"
+TRUE_STATES = "true_states"  # the plant's, where a relay stands between it and the controller
+
+KINDS: dict[str, Any] = {
+    STATES: JointState,
+    TRUE_STATES: JointState,
+    EFFORTS: Float64MultiArray,
+    COMMANDS: JointState,
+    REFERENCE: JointState,
+    ERROR: JointState,
+    DIAGNOSTICS: DiagnosticArray,
+    EVENTS: DiagnosticStatus,
+}
+DEPTH = 5000  # messages of a topic between two looks: 5 s at 1 kHz
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A message as it came over the wire, and when it was sent [ns, system clock]."""
+
+    topic: str
+    sent: int
+    raw: bytes
+
+    @property
+    def stamp(self) -> int:
+        """Stamp of the header that the message begins with [ns]."""
+        sec, nanosec = struct.unpack_from("<iI", self.raw, 4)
+        return int(sec) * 10**9 + int(nanosec)
+
+    def message(self) -> Any:
+        return deserialize_message(self.raw, KINDS[self.topic])
+
+
+class Watcher:
+    """Keeps all messages in order of arrival; `look` empties the queues."""
+
+    def __init__(self) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node("watcher", context=self._context, enable_rosout=False)
+        deep = QoSProfile(depth=DEPTH)
+        self._subscriptions = {
+            topic: self.node.create_subscription(kind, topic, lambda _: None, deep) for topic, kind in KINDS.items()
+        }
+        self.heard: dict[str, list[Heard]] = {topic: [] for topic in KINDS}
+
+    def look(self) -> None:
+        """Take all that waits."""
+        for topic, subscription in self._subscriptions.items():
+            take, kind, keep = subscription.handle.take_message, KINDS[topic], self.heard[topic]
+            while (taken := take(kind, True)) is not None:
+                raw, info = taken
+                keep.append(Heard(topic, info["source_timestamp"], raw))
+
+    def senders(self, topic: str) -> int:
+        """How many publishers of a topic this watcher is connected to."""
+        return int(self._subscriptions[topic].get_publisher_count())
+
+    def messages(self, topic: str) -> list[Any]:
+        return [heard.message() for heard in self.heard[topic]]
+
+    def counters(self, node: str) -> Counter[str]:
+        """The newest counters that a node reported."""
+        for message in reversed(self.messages(DIAGNOSTICS)):
+            for status in message.status:
+                if status.name.endswith(node):
+                    return Counter({pair.key: int(pair.value) for pair in status.values if pair.value.isdigit()})
+        return Counter()
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self._context.try_shutdown()

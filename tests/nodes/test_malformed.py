@@ -1,0 +1,305 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A thousand malformed messages of each kind: no exception, nothing said that is not finite or over a limit.
+
+Messages take the form that they have on the wire and are then given to the node's own subscription callback, as an
+executor would: all thousand are handled, one by one and in order, where a queue of depth one would lose most of them.
+What the node answers goes over the middleware, and each example ends with a good message that is answered.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Duration, Time
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from fjr_msgs_py.messages import EffortReader, MessageError, StateReader
+from fjr_msgs_py.names import state_names
+from fjr_msgs_py.torques import TorqueReader
+from fjr_msgs_py.trajectories import TrajectoryReader
+from fjr_plant.plant_node import LOCKSTEP_START
+from nodes.harness import Listener, Ros, stamped
+
+JOINTS = ("shoulder", "elbow")
+NAMES = state_names(JOINTS)
+LIMIT = (20.0, 10.0)  # N m
+EACH, EXAMPLES = 10, 100  # a thousand messages
+THOUSAND = settings(
+    max_examples=EXAMPLES,
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+
+# Messages.
+
+odd = st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 1e200, 5e-324, -0.0])
+plain = st.floats(-3.0, 3.0)
+number = st.one_of(plain, odd, st.floats(width=64))
+name = st.one_of(
+    st.sampled_from(NAMES), st.just(""), st.text(max_size=5), st.just("Ellbogen_\N{GREEK SMALL LETTER ZETA}")
+)
+stamp = st.one_of(
+    st.builds(Time, sec=st.integers(95, 105), nanosec=st.integers(0, 10**9 - 1)),
+    st.builds(Time, sec=st.sampled_from([0, -1, -(2**31), 2**31 - 1, 1]), nanosec=st.sampled_from([0, 1, 2**32 - 1])),
+)
+
+
+def column(size: int, entry: st.SearchStrategy[float] = number) -> st.SearchStrategy[list[float]]:
+    """A list of this size, mostly."""
+    right = st.lists(entry, min_size=size, max_size=size)
+    return st.one_of(right, right, st.just([]), st.lists(entry, max_size=2 * size + 1))
+
+
+@st.composite
+def states(draw: st.DrawFn) -> JointState:
+    names = draw(st.one_of(st.just(NAMES), st.permutations(NAMES), st.lists(name, max_size=6)))
+    entry = draw(st.sampled_from([number, plain]))
+    message = JointState(name=list(names))
+    message.header.stamp = draw(stamp)
+    for field in ("position", "velocity", "effort"):
+        setattr(message, field, draw(column(len(names), entry)))
+    return message
+
+
+@st.composite
+def points(draw: st.DrawFn, size: int) -> JointTrajectoryPoint:
+    entry = draw(st.sampled_from([number, plain, st.just(0.0)]))
+    point = JointTrajectoryPoint(positions=draw(column(size, entry)))
+    for field in ("velocities", "accelerations", "effort"):
+        if draw(st.booleans()):
+            setattr(point, field, draw(column(size, entry)))
+    seconds = st.one_of(st.integers(0, 10), st.sampled_from([-1, -(2**31), 2**31 - 1]))
+    point.time_from_start = Duration(sec=draw(seconds), nanosec=draw(st.sampled_from([0, 1, 10**6, 2**32 - 1])))
+    return point
+
+
+@st.composite
+def good_trajectories(draw: st.DrawFn) -> JointTrajectory:
+    """Points with positions only, from now on."""
+    rows = draw(st.lists(st.lists(plain, min_size=2, max_size=2), min_size=1, max_size=4))
+    message = JointTrajectory(joint_names=list(draw(st.permutations(JOINTS))))
+    for second, row in enumerate(rows, start=1):
+        message.points.append(JointTrajectoryPoint(positions=row, time_from_start=Duration(sec=second)))
+    return message
+
+
+@st.composite
+def any_trajectories(draw: st.DrawFn) -> JointTrajectory:
+    names = draw(st.one_of(st.just(JOINTS), st.permutations(JOINTS), st.lists(name, max_size=4)))
+    message = JointTrajectory(joint_names=list(names), points=draw(st.lists(points(len(names)), max_size=4)))
+    message.header.stamp = draw(st.one_of(st.just(Time()), stamp))
+    return message
+
+
+trajectories = st.one_of(good_trajectories(), any_trajectories(), any_trajectories())
+efforts = st.builds(lambda data: Float64MultiArray(data=data), column(2))
+
+
+@st.composite
+def answers(draw: st.DrawFn) -> JointState:
+    """Commands with names; the first stamps of a run among theirs."""
+    names = draw(st.one_of(st.just(JOINTS), st.permutations(JOINTS), st.lists(name, max_size=4)))
+    message = JointState(name=list(names), effort=draw(column(len(names))))
+    first = st.integers(0, 100).map(lambda k: Time(sec=LOCKSTEP_START // 10**9, nanosec=k * 10**6))
+    message.header.stamp = draw(st.one_of(first, stamp))
+    return message
+
+
+# Readers.
+
+
+def finite(*arrays: Any) -> bool:
+    return all(np.isfinite(array).all() for array in arrays if array is not None)
+
+
+def read(reader: Callable[[Any], Any], message: Any) -> Any:
+    """What is read, or None where it is refused."""
+    try:
+        return reader(message)
+    except MessageError as error:
+        return None if error.kind and str(error) else pytest.fail("a refusal without a reason")
+
+
+@settings(THOUSAND, max_examples=1000)
+@given(states())
+def test_a_state_is_read_as_finite_numbers_or_refused(message: JointState) -> None:
+    sample = read(StateReader(JOINTS).read, message)
+    if sample is not None:
+        values = (sample.q_l, sample.q_m, sample.dq_l, sample.dq_m)
+        assert [value.shape for value in values] == [(2,)] * 4
+        assert finite(*values)
+        assert 0 < sample.stamp < 2**31 * 10**9
+
+
+@settings(THOUSAND, max_examples=1000)
+@given(trajectories, st.booleans())
+def test_a_trajectory_is_read_as_finite_numbers_in_order_or_refused(message: JointTrajectory, partial: bool) -> None:
+    found = read(TrajectoryReader(JOINTS, partial).read, message)
+    if found is not None:
+        full = found.completed(np.zeros(2))
+        assert finite(full.positions, full.velocities, full.accelerations)
+        assert full.positions.shape == (len(found.times), 2)
+        assert np.all(np.diff(found.times) > 0)
+
+
+@settings(THOUSAND, max_examples=1000)
+@given(efforts, answers())
+def test_efforts_and_torques_are_read_as_finite_numbers_or_refused(plain: Float64MultiArray, named: JointState) -> None:
+    found = read(EffortReader(JOINTS).read_array, plain), read(TorqueReader(JOINTS).read, named)
+    assert finite(*found)
+    assert all(array.shape == (2,) for array in found if array is not None)
+    answer = read(EffortReader(JOINTS).read_named, named)
+    assert answer is None or finite(answer[1])
+
+
+# Nodes.
+
+
+def deliver(node: Node, topic: str, message: Any) -> None:
+    """Let the node's subscription have the message as it comes off the wire."""
+    subscription = next(s for s in node.subscriptions if s.topic_name == topic)
+    wire = serialize_message(message)
+    subscription.callback(wire if subscription.raw else deserialize_message(wire, type(message)))
+
+
+TWO_LINK = {
+    "joints": list(JOINTS),
+    "robot__model": "planar_two_link",
+    "reference__amplitude": [0.5, 0.5],
+    "limits__effort": list(LIMIT),
+}
+GUARDED = {
+    "limits__effort_rate": [1000.0, 1000.0],
+    "limits__link_position_lower": [-4.0, -4.0],
+    "limits__link_position_upper": [4.0, 4.0],
+    "limits__motor_velocity": [50.0, 50.0],
+    "limits__deflection": [2.0, 2.0],
+    "limits__tracking_error": [6.0, 6.0],
+    "on_stop": "gravity_hold",
+    "start__ramp_time": 0.2,
+    "start__join_time": 0.5,
+}
+CONTROLLERS: dict[str, dict[str, Any]] = {
+    "effort limit": {},
+    "all limits": GUARDED,
+    "observer": {"measurement__velocity": "observer"},
+}
+
+
+class Answered:
+    """A controller in process, what it says, and good states for it."""
+
+    def __init__(self, ros: Ros, parameters: dict[str, Any]) -> None:
+        self.ros = ros
+        self.heard = Listener(ros)
+        self.node = ros.controller(**TWO_LINK, **parameters)
+        topics = ("effort_controller/commands", "joint_commands")
+        ros.until(lambda: all(map(self.heard.heard, topics)), "the controller")
+        self._seconds = 200.0
+
+    def state(self, message: JointState) -> None:
+        deliver(self.node, "/joint_states", message)
+
+    def plan(self, message: JointTrajectory) -> None:
+        """Ask for a trajectory; return when it is known what becomes of it."""
+        known = self._planned
+        deliver(self.node, "/fjr_controller/joint_trajectory", message)
+        self.ros.until(lambda: self._planned > known, "the trajectory's fate")
+
+    @property
+    def _planned(self) -> int:
+        counted = self.node._control.reports.count
+        return sum(number for kind, number in counted.items() if kind.startswith("traject"))
+
+    def answer(self, later: float) -> None:
+        """Send a good state so many seconds later; wait for its answer and judge what came till then."""
+        self._seconds += later
+        good = stamped(self._seconds, 0.1, 0.0, NAMES)
+        self.state(good)
+        commands, wanted = self.heard.commands, good.header.stamp
+        self.ros.until(lambda: commands and commands[-1].header.stamp == wanted, "the answer to a good state")
+        self.ros.until(lambda: len(self.heard.efforts) == len(commands), "the effort of that answer")
+        for effort in (*(m.data for m in self.heard.efforts), *(m.effort for m in commands)):
+            assert len(effort) == 2
+            assert all(abs(u) <= limit for u, limit in zip(effort, LIMIT, strict=True)), effort
+        self.heard.efforts.clear()
+        commands.clear()
+
+
+@pytest.fixture(params=CONTROLLERS)
+def answered(ros: Ros, request) -> Answered:
+    return Answered(ros, CONTROLLERS[request.param])
+
+
+@THOUSAND
+@given(messages=st.lists(states(), min_size=EACH, max_size=EACH))
+def test_malformed_states_get_no_bad_effort(answered: Answered, messages: list[JointState]) -> None:
+    for message in messages:
+        answered.state(message)
+    answered.answer(1.0)  # further than state_timeout: no stamp before makes it an old one
+
+
+@THOUSAND
+@given(messages=st.lists(trajectories, min_size=EACH, max_size=EACH))
+def test_malformed_trajectories_get_no_bad_effort(answered: Answered, messages: list[JointTrajectory]) -> None:
+    answered.answer(0.01)
+    for message in messages:
+        answered.plan(message)
+        answered.answer(0.01)
+
+
+class Commanded:
+    """A plant in process whose motors have a limit, what it says, and good commands for it.
+
+    Without that limit a finite effort of 1e308 N m may well end a simulation.
+    """
+
+    def __init__(self, ros: Ros, lockstep: bool) -> None:
+        self.ros = ros
+        self.heard = Listener(ros)
+        robot = {"joints": list(JOINTS), "robot__model": "planar_two_link"}
+        limit = {"imperfections__effort_limit": list(LIMIT)}
+        self.node = ros.plant(**robot, **limit, lockstep=lockstep, lockstep_timeout=0.0)
+        self.topic = "/joint_commands" if lockstep else "/effort_controller/commands"
+        ros.until(lambda: self.heard.states, "a state")
+
+    def answer(self) -> None:
+        """Give the newest state a good answer and judge the states till the next."""
+        last = self.heard.states[-1]
+        if self.topic == "/joint_commands":
+            good: Any = JointState(header=last.header, name=list(JOINTS), effort=[0.0, 0.0])
+        else:
+            good = Float64MultiArray(data=[0.0, 0.0])
+        self.heard.states.clear()
+        deliver(self.node, self.topic, good)
+        self.ros.until(lambda: self.heard.states, "a state")
+        assert all(finite(state.position, state.velocity, state.effort) for state in self.heard.states)
+
+
+@pytest.fixture(params=[False, True], ids=["real time", "lock-step"])
+def commanded(ros: Ros, request) -> Commanded:
+    return Commanded(ros, request.param)
+
+
+@THOUSAND
+@given(
+    plain=st.lists(efforts, min_size=EACH, max_size=EACH),
+    named=st.lists(answers(), min_size=EACH, max_size=EACH),
+)
+def test_malformed_commands_leave_the_plant_finite(
+    commanded: Commanded, plain: list[Float64MultiArray], named: list[JointState]
+) -> None:
+    for message in named if commanded.topic == "/joint_commands" else plain:
+        deliver(commanded.node, commanded.topic, message)
+    commanded.answer()

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two network namespaces joined by a veth pair, each like a computer of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import IO
+
+TIME_LIMIT = 30.0  # s
+ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+
+
+class RefusedError(Exception):
+    """Why there are no namespaces here."""
+
+
+class Network:
+    """The namespaces `left` and `right`; a context manager that removes them. Raises RefusedError."""
+
+    def __init__(self) -> None:
+        self.left, self.right = (f"fjr-{side}-{os.getpid()}" for side in ("left", "right"))
+        self._started: list[tuple[subprocess.Popen[bytes], IO[bytes]]] = []
+
+    def __enter__(self) -> Network:
+        if not shutil.which("ip"):
+            raise RefusedError("`ip` is not installed")
+        try:
+            self._build()
+        except RefusedError:
+            self._remove()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process, said in self._started:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            said.close()
+        self._remove()
+
+    def start(self, namespace: str, *command: str, out: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
+        """Start a command in a namespace; `out` is where its standard output goes."""
+        said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed at the exit)
+        process = subprocess.Popen(
+            ["ip", "netns", "exec", namespace, *command],
+            stdout=out,
+            stderr=said,
+            start_new_session=True,
+            env={**os.environ, **ENVIRONMENT},
+        )
+        self._started.append((process, said))
+        return process
+
+    def words(self) -> str:
+        """What all that was started said on standard error."""
+        return "\n".join(os.pread(said.fileno(), 100_000, 0).decode() for _, said in self._started)
+
+    def sent(self, namespace: str) -> int:
+        """Packets that have left a namespace."""
+        shown = ip("-n", namespace, "-s", "-j", "link", "show", "dev", "veth")
+        return int(json.loads(shown)[0]["stats64"]["tx"]["packets"])
+
+    def impair(self, delay: str, loss: str) -> None:
+        """Delay and lose packets in both directions with `tc netem`; raises RefusedError."""
+        for namespace in (self.left, self.right):
+            netem = ("qdisc", "add", "dev", "veth", "root", "netem", "delay", delay, "loss", loss)
+            _run("tc", "-n", namespace, *netem)
+
+    def _build(self) -> None:
+        ip("netns", "add", self.left)
+        ip("netns", "add", self.right)
+        ip("link", "add", "veth", "netns", self.left, "type", "veth", "peer", "name", "veth", "netns", self.right)
+        for number, namespace in enumerate((self.left, self.right), start=1):
+            ip("-n", namespace, "address", "add", f"10.77.0.{number}/24", "dev", "veth")
+            for device in ("lo", "veth"):
+                ip("-n", namespace, "link", "set", device, "up")
+            ip("-n", namespace, "route", "add", "default", "dev", "veth")  # multicast, which discovery uses, needs one
+
+    def _remove(self) -> None:
+        for namespace in (self.left, self.right):
+            subprocess.run(["ip", "netns", "del", namespace], capture_output=True)
+
+
+def ip(*arguments: str) -> str:
+    """Run `ip`; raises RefusedError with its words."""
+    return _run("ip", *arguments)
+
+
+def _run(*command: str) -> str:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT)
+    except FileNotFoundError:
+        raise RefusedError(f"`{command[0]}` is not installed") from None
+    if done.returncode:
+        raise RefusedError(f"`{' '.join(command)}`: {done.stderr.strip()}")
+    return done.stdout
+
+
+def installed(package: str, name: str) -> str:
+    """The file that `ros2 run package name` starts."""
+    from ament_index_python.packages import get_package_prefix
+
+    return str(Path(get_package_prefix(package), "lib", package, name))
