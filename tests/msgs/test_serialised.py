@@ -3,17 +3,22 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from fjr_core import Measurement
-from fjr_msgs_py.messages import EffortReader, JointStateWriter, MessageError, StateReader
+from fjr_msgs_py.messages import EffortReader, EffortWriter, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.names import state_names
 from fjr_msgs_py.serialised import SerialisedEfforts, SerialisedStates
+from fjr_msgs_py.wire import FIELDS
 
 JOINTS = ("elbow", "wr")
 NAMES = state_names(JOINTS)
@@ -94,6 +99,44 @@ def test_bytes_that_are_no_state_are_refused_in_one_sentence(cut: int) -> None:
     reader.read(writer.fill(1, q, q, q))
     with pytest.raises(MessageError, match="expected"):
         reader.read(whole[:cut])
+
+
+@given(st.lists(st.text("ab_", min_size=1, max_size=9), min_size=1, max_size=7, unique=True), st.integers(0, 7))
+def test_what_is_written_is_whole_and_no_byte_longer(names: list[str], fields: int) -> None:
+    """rosbags, which reads the bags, is strict: bytes behind the end are an error."""
+    filled = {name: np.arange(float(len(names))) for i, name in enumerate(FIELDS) if fields >> i & 1}
+    store = get_typestore(Stores.ROS2_JAZZY)
+    state = JointStateWriter(names).fill(3_000_000_004, **filled)
+    read = store.deserialize_cdr(state, "sensor_msgs/msg/JointState")
+    assert bytes(store.serialize_cdr(read, "sensor_msgs/msg/JointState")) == state
+    assert {name: getattr(read, name).tolist() for name in filled} == {name: filled[name].tolist() for name in filled}
+    effort = EffortWriter(tuple(names)).fill(np.arange(float(len(names))))
+    array = store.deserialize_cdr(effort, "std_msgs/msg/Float64MultiArray")
+    assert bytes(store.serialize_cdr(array, "std_msgs/msg/Float64MultiArray")) == effort
+    assert array.data.tolist() == list(range(len(names)))
+    dim = MultiArrayDimension(label=",".join(names), size=len(names), stride=len(names))
+    wanted = Float64MultiArray(layout=MultiArrayLayout(dim=[dim]), data=array.data)
+    assert deserialize_message(effort, Float64MultiArray) == wanted
+
+
+def big_endian(stamp: int, numbers: list[float]) -> bytes:
+    """A state of NAMES as a machine of the other byte order writes it."""
+    pattern, values = ">4xiII4sI", [*divmod(stamp, 10**9), 1, b"", len(NAMES)]
+    for name in NAMES:
+        text = name.encode() + b"\0"
+        pattern, values = f"{pattern}I{len(text) + -len(text) % 4}s", [*values, len(text), text]
+    for _ in FIELDS:
+        gap = -(struct.calcsize(pattern)) % 8  # the header of 4 bytes counts here, the length of 4 comes
+        pattern, values = f"{pattern}I{gap}x{len(numbers)}d", [*values, len(numbers), *numbers]
+    data = struct.pack(pattern, *values)
+    return b"\x00\x00" + data[2:]
+
+
+def test_states_of_the_other_byte_order_are_read_right() -> None:
+    reader = SerialisedStates(StateReader(JOINTS))
+    for stamp, value in ((5, 0.0), (6_000_000_007, 1.25), (8, -0.5)):
+        sample = reader.read(big_endian(stamp, [value] * 4))
+        assert (sample.stamp, *sample.q_l, *sample.dq_m) == (stamp, value, value, value, value)
 
 
 def test_an_effort_keeps_its_numbers_when_the_next_is_read() -> None:

@@ -11,12 +11,12 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray
 
 from fjr_core import FjrError, Measurement
 
 from .names import state_names
-from .wire import FIELDS, Template
+from .wire import Template, float_array, joint_state
 
 Array = NDArray[np.float64]
 EMPTY: Array = np.zeros(0)
@@ -178,7 +178,7 @@ class JointStateWriter:
         """The message with this stamp [ns] and these fields, for a publisher."""
         lengths = len(position), len(velocity), len(effort)
         if lengths != self._lengths:
-            self._template = Template(JointState(name=self._names), dict(zip(FIELDS, lengths, strict=True)))
+            self._template = Template(joint_state(self._names, lengths), lengths)
             self._lengths = lengths
         template = self._template
         template.stamp(stamp)
@@ -192,9 +192,7 @@ class EffortWriter:
 
     def __init__(self, joints: tuple[str, ...]) -> None:
         n = len(joints)
-        message = Float64MultiArray()
-        message.layout.dim = [MultiArrayDimension(label=",".join(joints), size=n, stride=n)]
-        self._template = Template(message, {"data": n})
+        self._template = Template(float_array(",".join(joints), n), [n])
 
     def fill(self, effort: Array) -> bytes:
         """The message with these efforts (n,) [N m], for a publisher."""

@@ -3,46 +3,86 @@
 
 A message of a thousand a second has the same names and lengths each time: only its stamp and its numbers are new.
 CDR aligns numbers from the end of its header of 4 bytes on; buffers here begin 4 bytes earlier, so that numbers are
-where NumPy wants them.
+where NumPy wants them. What only aligns is zero, so that equal messages are equal bytes.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 Array = NDArray[np.float64]
 
 HEADER = 4
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # the header of all that is written here
 FIELDS = ("position", "velocity", "effort")
-_STAMP = struct.Struct("=iI")
+_STAMP = struct.Struct("<iI")
+
+
+class Floats(NamedTuple):
+    """A sequence of so many numbers."""
+
+    length: int
+
+
+Part = int | str | Floats
+"""Of a message: an unsigned number of 4 bytes, a text, or a sequence of numbers, one after another."""
+
+
+class Form:
+    """Where the parts of a serialised message are: a format (of struct) for all but the numbers, and their words."""
+
+    def __init__(self, parts: Iterable[Part]) -> None:
+        """starts: of each Floats, counted in words of 8 bytes from HEADER before the message."""
+        self.values: list[int | bytes] = []
+        self.starts: list[int] = []
+        pattern, at = "<4s", 0  # `at` counts from the end of the header
+        for part in parts:
+            pad = -at % 4
+            pattern, at = f"{pattern}{pad}xI", at + pad + 4
+            if isinstance(part, int):
+                self.values.append(part)
+                continue
+            text = b"" if isinstance(part, Floats) else part.encode(errors="replace") + b"\0"
+            self.values.append(part.length if isinstance(part, Floats) else len(text))
+            if isinstance(part, Floats):
+                gap = -at % 8 if part.length else 0
+                self.starts.append((2 * HEADER + at + gap) // 8)
+                size = gap + 8 * part.length
+                pattern, at = f"{pattern}{size}x", at + size
+            else:
+                self.values.append(text)
+                pattern, at = f"{pattern}{len(text)}s", at + len(text)
+        self.struct = struct.Struct(pattern)
+
+    def empty(self) -> bytes:
+        """The message with all numbers zero."""
+        return self.struct.pack(LITTLE_ENDIAN, *self.values)
+
+
+def joint_state(names: Sequence[str], lengths: Iterable[int], frame: str = "") -> Form:
+    """A JointState with these names and so many positions, velocities and efforts; its stamp comes first."""
+    return Form([0, 0, frame, len(names), *names, *map(Floats, lengths)])
+
+
+def float_array(label: str, length: int) -> Form:
+    """A Float64MultiArray of one dimension."""
+    return Form([1, label, length, length, 0, Floats(length)])
 
 
 class Template:
-    """A serialised message whose float fields, and stamp where it has one, are overwritten again and again."""
+    """A serialised message whose numbers, and stamp where it has one, are overwritten again and again."""
 
-    def __init__(self, message: Any, lengths: Mapping[str, int]) -> None:
-        """message: with everything else in place. lengths: of its float fields, which `fields` are views of."""
-        marks = {name: _mark(i, k) for i, (name, k) in enumerate(lengths.items())}
-        for name, mark in marks.items():
-            setattr(message, name, mark.tolist())
-        serialised = serialize_message(message)
-        self._buffer = bytearray(HEADER) + serialised
+    def __init__(self, form: Form, lengths: Iterable[int]) -> None:
+        """lengths: of the sequences of numbers, which `fields` are views of."""
+        self._buffer = bytearray(HEADER) + form.empty()
         self._bytes = memoryview(self._buffer)[HEADER:]
-        self.fields = [self._found(serialised, mark) for mark in marks.values()]
-
-    def _found(self, serialised: bytes, mark: Array) -> Array:
-        """The numbers, writeable, that are these now."""
-        if not len(mark):
-            return mark
-        offset = HEADER + serialised.index(mark.tobytes())
-        return np.frombuffer(self._buffer, dtype=np.float64, count=len(mark), offset=offset)
+        self.fields = [_numbers(self._buffer, start, k) for start, k in zip(form.starts, lengths, strict=True)]
 
     def stamp(self, stamp: int) -> None:
         """Write the stamp [ns] of the header that the message begins with."""
@@ -53,9 +93,9 @@ class Template:
         return bytes(self._bytes)
 
 
-def _mark(i: int, k: int) -> Array:
-    """k numbers by which field i is found."""
-    return np.arange(k, dtype=np.float64) + 0.123456789 + 1e6 * (i + 1)
+def _numbers(buffer: bytearray, start: int, k: int) -> Array:
+    """The k numbers (a view) from a word on."""
+    return np.frombuffer(buffer, dtype="<f8", count=k, offset=8 * start) if k else np.zeros(0)
 
 
 class StateLayout:
@@ -67,53 +107,33 @@ class StateLayout:
 
     def __init__(self, data: bytes, message: JointState) -> None:
         """data: a serialised message, message: the same as rclpy reads it."""
-        pattern, starts = _pattern(message)
-        self._pattern, self._size = struct.Struct(pattern), len(data)
+        lengths = [len(getattr(message, name)) for name in FIELDS]
+        form = joint_state(message.name, lengths, message.header.frame_id)
+        self._struct, self._size = form.struct, len(data)
         words = np.zeros(-(-(HEADER + self._size) // 8))
         self._copy = words.data.cast("B")[HEADER : HEADER + self._size]
-        ends = {name: start + len(getattr(message, name)) for name, start in starts.items()}
-        self.values = {name: words[start : ends[name]] for name, start in starts.items()}
-        self.moving = words[starts["position"] : max(ends["position"], ends["velocity"])]
-        self._words, self._between = words, ends["position"] if message.velocity else 0
+        self._key = tuple(form.values[2:])
+        ends = [start + k for start, k in zip(form.starts, lengths, strict=True)]
+        self.values = {name: words[a:b] for name, a, b in zip(FIELDS, form.starts, ends, strict=True)}
+        self.moving = words[form.starts[0] : max(ends[:2])]
+        self._words, self._between = words, ends[0] if lengths[1] else 0
         self.stamp = 0
-        self._key: tuple[Any, ...] = ()
-        self.trusted = self._pattern.size <= self._size and self._learn(data, message)
+        self.trusted = self._struct.size <= self._size and self._agrees(data, message)
 
     def taken(self, data: bytes) -> bool:
         """Whether `data` has the same names and lengths; then its stamp and values are here."""
         if len(data) != self._size:
             return False
-        found = self._pattern.unpack_from(data)
-        if found[2:] != self._key:
+        found = self._struct.unpack_from(data)
+        if found[0] != LITTLE_ENDIAN or found[3:] != self._key:
             return False
         self._copy[:] = data
         self._words[self._between] = 0.0  # there it has a length, and bytes that mean nothing
-        self.stamp = found[0] * 1_000_000_000 + found[1]
+        self.stamp = found[1] * 1_000_000_000 + found[2]
         return True
 
-    def _learn(self, data: bytes, message: JointState) -> bool:
+    def _agrees(self, data: bytes, message: JointState) -> bool:
         """Whether what is found in `data` is the message, bit by bit."""
-        self._key = self._pattern.unpack_from(data)[2:]
-        texts = [part for part in self._key if isinstance(part, bytes)]
-        names = [text.encode(errors="replace") + b"\0" for text in (message.header.frame_id, *message.name)]
+        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         numbers = (values.tobytes() == bytes(getattr(message, name)) for name, values in self.values.items())
-        return texts == names and self.taken(data) and all(numbers)
-
-
-def _pattern(message: JointState) -> tuple[str, dict[str, int]]:
-    """The format (of struct) of such a serialised message but for its numbers, and the words that these begin at."""
-    pattern, at, starts = "=4xiI", 8, {}  # the stamp comes first; `at` counts from the end of the header
-    for text in (message.header.frame_id, None, *message.name):
-        pattern += f"{-at % 4}xI"
-        at += -at % 4 + 4
-        if text is not None:
-            k = len(text.encode(errors="replace")) + 1
-            pattern, at = pattern + f"{k}s", at + k
-    for name in FIELDS:
-        k = len(getattr(message, name))
-        pattern += f"{-at % 4}xI"
-        at += -at % 4 + 4
-        gap = -at % 8 if k else 0
-        starts[name] = (2 * HEADER + at + gap) // 8
-        pattern, at = pattern + f"{gap + 8 * k}x", at + gap + 8 * k
-    return pattern, starts
+        return self.taken(data) and self.stamp == stamp and all(numbers)
