@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import atexit
+import fcntl
 import os
 import shutil
 import socket
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -37,6 +39,17 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="fjr-test-log-")
 atexit.register(shutil.rmtree, os.environ["ROS_LOG_DIR"], ignore_errors=True)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+
+
+TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
+
+
+@pytest.fixture
+def turn() -> Iterator[None]:
+    """Tests whose nodes must keep up with the clock take turns, across all test processes: two pairs are too many."""
+    with TURN.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 @pytest.fixture

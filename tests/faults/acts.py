@@ -11,7 +11,6 @@ from typing import Any
 from faults import tampering
 from faults.relay import Tamper
 from faults.rig import SECOND, Rig
-from faults.watcher import EVENTS
 
 Act = Callable[[Rig], tuple[int, int]]
 """Disturbs; the true stamps [ns] at which the fault began and ended."""
@@ -100,16 +99,6 @@ def plant_set(seconds: float, **imperfections: Any) -> Act:
         return begin, rig.robot_time
 
     return act
-
-
-def silent_till_noticed(rig: Rig) -> tuple[int, int]:
-    """All states are lost until the controller has noticed the silence."""
-    begin = rig.until_full_motion()
-    lost = {"imperfections.state_loss": 1.0}
-    assert rig.remote.set("fjr_plant", lost) == ""
-    rig.first(EVENTS, lambda heard: heard.message().name == "silences", "the event of the silence")
-    assert rig.remote.set("fjr_plant", dict.fromkeys(lost, 0.0)) == ""
-    return begin, rig.first_stamp_from(rig.now + 1)
 
 
 NONSENSE = {

@@ -12,10 +12,12 @@ from faults.rig import DIRECT, RELAYED, STEPPED, Setting
 
 STATE_TIMEOUT, JOIN_TIME = 0.1, 0.5  # s
 SAFE = {"state_timeout": STATE_TIMEOUT, "start.join_time": JOIN_TIME, "recovery.join_time": JOIN_TIME}
+FIRST = {"realtime_priority": 50}  # where the system allows it; the processes of a test are more than two cores
 
 JOINT = Setting(
     "paper_k31",
-    controller={**SAFE, "reference.frequency": [3.0], "limits.effort": [5.0]},
+    plant=FIRST,
+    controller={**FIRST, **SAFE, "reference.frequency": [3.0], "limits.effort": [5.0]},
     limit=(5.0,),
     full_motion=math.pi / 3,  # sin(3 t) passes through the middle with 3 rad/s
 )
@@ -138,12 +140,11 @@ ROWS = [
         "parameters are set to nonsense", "tracks; each is refused, the old one stays", acts.nonsense, 0.1, mode=DIRECT
     ),
     Row(
-        "arm7: no states till the controller notices, 0.1 s",
+        "arm7: no states for 200 ms",
         "goes on with its weight held, is joined to the reference again over 1 s",
-        acts.silent_till_noticed,
+        acts.silence(0.2),
         1.0,
         counted=LATER,
-        mode=DIRECT,
         setting=ARM,
     ),
     Row(

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.system
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
-def test_a_fault_is_survived(row: Row) -> None:
+def test_a_fault_is_survived(row: Row, turn: None) -> None:
     seen = outcome(row)
     assert seen.bad == 0, f"{seen.bad} of {seen.efforts} efforts are not finite or over the limit"
     assert {kind for kind in row.counted if not seen.counters[kind]} == set(), f"counted were {dict(seen.counters)}"

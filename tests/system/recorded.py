@@ -30,8 +30,9 @@ class Recorded:
         return np.abs(self.q_l - self.q_ld).max(axis=1)
 
 
-def record(name: str, duration: float, output: Path) -> Recorded:
-    said = fjr("run", name, "--lockstep", "--duration", str(duration), "--output", str(output))
+def record(name: str, duration: float, output: Path, *overrides: str) -> Recorded:
+    changes = [part for override in overrides for part in ("--set", override)]
+    said = fjr("run", name, "--lockstep", "--duration", str(duration), "--output", str(output), *changes)
     folder = output / name
     with reader(folder) as bag:
         u = columns(bag, "/joint_commands", "effort")

@@ -72,7 +72,7 @@ def test_scenarios_exist_and_fit() -> None:
 def test_parameters_set_by_the_launch_file_are_declared_by_the_node() -> None:
     for call in calls("Node"):
         own = OWN_PARAMETERS[constant(call["package"])]
-        known = {parameter.name for parameter in config.all_parameters(own, {})}
+        known = {"use_sim_time", *(parameter.name for parameter in config.all_parameters(own, {}))}  # ROS 2's, ours
         set_here = [node for node in ast.walk(call["parameters"]) if isinstance(node, ast.Dict)]
         for node in set_here:
             assert {constant(key) for key in node.keys if key} <= known

@@ -48,7 +48,7 @@ class Seen:
 
 
 @pytest.fixture
-def network(monkeypatch) -> Iterator[Network]:
+def network(monkeypatch, turn: None) -> Iterator[Network]:
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "")
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
     set_ros_environment()
