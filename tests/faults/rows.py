@@ -12,12 +12,10 @@ from faults.rig import DIRECT, RELAYED, STEPPED, Setting
 
 STATE_TIMEOUT, JOIN_TIME = 0.1, 0.5  # s
 SAFE = {"state_timeout": STATE_TIMEOUT, "start.join_time": JOIN_TIME, "recovery.join_time": JOIN_TIME}
-FIRST = {"realtime_priority": 50}  # where the system allows it; the processes of a test are more than two cores
 
 JOINT = Setting(
     "paper_k31",
-    plant=FIRST,
-    controller={**FIRST, **SAFE, "reference.frequency": [3.0], "limits.effort": [5.0]},
+    controller={**SAFE, "reference.frequency": [3.0], "limits.effort": [5.0]},
     limit=(5.0,),
     full_motion=math.pi / 3,  # sin(3 t) passes through the middle with 3 rad/s
 )
