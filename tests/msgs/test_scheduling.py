@@ -7,7 +7,6 @@ import ctypes
 import json
 import os
 import resource
-import subprocess
 import sys
 from typing import Any
 
@@ -19,6 +18,7 @@ from fjr_core import ParameterError
 from fjr_core.process_parameters import ProcessCare, cores, process_care, process_parameters
 from fjr_msgs_py import scheduling
 from fjr_msgs_py.scheduling import take_care, take_priority
+from msgs.child import run
 
 NOBODY = 65534
 
@@ -148,18 +148,18 @@ def test_a_limit_that_the_process_could_outgrow_counts_as_a_refusal(monkeypatch:
 
 @pytest.mark.parametrize("executor", ["events", "single"])
 def test_a_signal_ends_either_executor_with_last_words(executor: str) -> None:
-    done = _run(INTERRUPTED, repr({"executor": executor}))
+    done = run(INTERRUPTED, repr({"executor": executor}))
     assert (done.returncode, done.stdout, done.stderr) == (0, "last words True\n", "")
 
 
 def test_what_is_refused_is_logged_and_the_node_runs() -> None:
-    done = _run(INTERRUPTED, repr({"cpu_affinity": "4000"}))
+    done = run(INTERRUPTED, repr({"cpu_affinity": "4000"}))
     assert (done.returncode, done.stdout) == (0, "last words True\n")
     assert done.stderr.count("cpu_affinity '4000' is refused") == 1
 
 
 def test_cores_that_are_no_cores_end_the_node_with_one_sentence() -> None:
-    done = _run(INTERRUPTED, repr({"cpu_affinity": "both"}))
+    done = run(INTERRUPTED, repr({"cpu_affinity": "both"}))
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("cannot start: parameter 'cpu_affinity' is 'both'; expected core numbers")
     assert done.stderr.count("\n") == 1
@@ -191,18 +191,7 @@ def test_lock_step_takes_no_priority_and_the_defaults_ask_for_nothing() -> None:
 
 
 def _take_care(care: dict[str, Any], user: int | None = None, memlock: int | None = None) -> dict[str, Any]:
-    done = _run(TAKE_CARE, json.dumps([care, user, memlock]))
+    done = run(TAKE_CARE, json.dumps([care, user, memlock]))
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
     return found
-
-
-def _run(code: str, argument: str) -> subprocess.CompletedProcess[str]:
-    quiet = {
-        **os.environ,
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF",
-        "OPENBLAS_NUM_THREADS": "1",
-        "PYTHONWARNINGS": "ignore",
-    }
-    command = [sys.executable, "-c", code, argument]
-    return subprocess.run(command, env=quiet, capture_output=True, text=True, timeout=60)

@@ -144,6 +144,13 @@ class Peer(Listener):
         assert len(self.commands) == before, f"answered {self.commands[-1]}"
         return None
 
+    def answer(self, state: JointState) -> JointState:
+        """Publish a state; the command with its stamp, also where others came meanwhile (a stop, the last one)."""
+        self.state_publisher.publish(state)
+        heard = (self.commands, self.references, self.errors)
+        self._ros.until(lambda: all(each and each[-1].header == state.header for each in heard), "the answer")
+        return self.commands[-1]
+
 
 def stamped(t: float, q: Any = 0.5, dq: Any = 0.0, names: list[str] | None = None) -> JointState:
     """A JointState of the paper's joint (or of `names`), stamped 100 s + t."""

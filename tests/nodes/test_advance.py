@@ -11,7 +11,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
-from fjr_plant.lock_step import START
+from fjr_core import StateError
+from fjr_plant.lock_step import START, LockStepError
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, Answering, answer, ask, call, command, integrate, numbers, state_of
 
@@ -138,6 +139,32 @@ def test_an_advance_that_is_interrupted_fails_with_a_sentence(ros: Ros, peer: Pe
     peer.command_publisher.publish(answer(peer.states[-1], 0.1))
     ros.settle()
     assert node._robot.time == {"reset": 0, "pause": 2 * PERIOD, "go": 3 * PERIOD}[case]
+
+
+def test_an_advance_that_the_end_of_the_node_interrupts_fails_with_a_sentence(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(lockstep=True, lockstep_timeout=0.2, start_paused=True, advance_samples=5)
+    pending = ask(ros, peer, Trigger, "fjr_plant/advance")
+    ros.until(lambda: peer.states, "a state")
+    peer.command_publisher.publish(answer(peer.states[-1], 0.1))
+    ros.until(pending.done, "the answer")
+    assert isinstance(node.ended, LockStepError)
+    assert not pending.result().success
+    assert pending.result().message == "ended after 1 of 5 samples: the time is 1.001000000 s"
+
+
+def test_a_motion_that_diverges_in_an_advance_ends_the_node_and_tells(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(advance_samples=100, command_timeout=100.0)
+    peer.meet_plant()
+    call(ros, peer, SetBool, "fjr_plant/pause", data=True)
+    node._robot.u = np.array([1e308])
+    response = advance(ros, peer)
+    assert isinstance(node.ended, StateError)
+    assert not response.success
+    assert response.message.startswith("ended after ")
+    count = len(peer.states)
+    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    ros.settle()
+    assert len(peer.states) == count, "it does nothing more"
 
 
 def test_advance_samples_changes_while_the_node_runs(ros: Ros, peer: Peer) -> None:

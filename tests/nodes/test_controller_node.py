@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rosgraph_msgs.msg import Clock
 
 import fjr_core as fjr
 from fjr_controller.controller_node import ControllerNode
 from nodes.harness import Peer, Ros, nanoseconds, stamped
+from nodes.managed import Manager
 
 NAN, INF = float("nan"), float("inf")
 
@@ -125,6 +127,7 @@ def test_a_jump_back_beyond_state_timeout_restarts_the_reference(ros: Ros, peer:
     first = peer.ask(stamped(0.0))
     peer.ask(stamped(4.0))
     later = peer.ask(stamped(8.0))
+    peer.ask(stamped(1.999), answered=False)
     again = peer.ask(stamped(2.0))
     assert list(again.effort) == list(first.effort) != list(later.effort)
     node.stop()
@@ -174,3 +177,76 @@ def test_namespace_and_remap(ros: Ros) -> None:
     ros.start(ControllerNode, arguments)
     peer.meet_controller()
     np.testing.assert_allclose(peer.ask(stamped(0.0)).effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
+
+
+def test_the_clock_that_it_follows_changes_only_while_it_is_unconfigured(ros: Ros) -> None:
+    manager = Manager(ros)
+    ros.controller(autostart=False, state_timeout=0.5)
+    assert manager.set(use_sim_time=True) == (True, "")
+    assert manager.change("configure")
+    refusal = "parameter 'use_sim_time' can be set only while the node is unconfigured"
+    assert manager.set(use_sim_time=False) == (False, refusal)
+    assert manager.change("activate")
+    assert manager.set(use_sim_time=False) == (False, refusal)
+    assert manager.set_one("use_sim_time", False) == (False, refusal)
+    assert manager.set(use_sim_time=True)[0]
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+    manager.ask(stamped(0.6))
+    ros.until(lambda: "silences" in manager.kinds(), "the silence by the stamps")
+
+
+class Host:
+    """The process of a node, as the node sees it."""
+
+    def __init__(self) -> None:
+        self.cared_for: list[dict] = []
+
+    def take_care(self, values: dict) -> None:
+        self.cared_for.append(values)
+
+    def end(self, error: Exception) -> None:
+        raise AssertionError(error)
+
+
+def test_the_process_cares_for_what_configure_builds(ros: Ros) -> None:
+    manager = Manager(ros)
+    node = ros.controller(autostart=False, cpu_affinity="both")
+    node.host = Host()
+    assert not manager.change("configure"), "cores that are none"
+    assert not node.host.cared_for
+    assert manager.set(cpu_affinity="0", realtime_priority=3) == (True, "")
+    assert manager.change("configure")
+    (values,) = node.host.cared_for
+    assert (values["cpu_affinity"], values["realtime_priority"]) == ("0", 3)
+
+
+def answers_across_a_silence(clock_first: bool) -> list[float]:
+    """The efforts after the first one, with the clock that shows the silence before or after the state that ends it."""
+    ros = Ros()
+    try:
+        manager = Manager(ros)
+        node = ros.controller(state_timeout=0.5, use_sim_time=True)
+        clock = manager.create_publisher(Clock, "/clock", 1)
+        manager.meet_controller()
+        ros.until(clock.get_subscription_count, "the clock's reader")
+        manager.ask(stamped(0.0))
+        for k, t in enumerate((0.6, 0.601, 0.602, 0.7)):
+            if clock_first:
+                clock.publish(Clock(clock=stamped(t).header.stamp))
+                ros.until(lambda: node.get_clock().now().nanoseconds == nanoseconds(stamped(t)), "the clock")  # noqa: B023
+                ros.until(lambda: "silences" in manager.kinds(), "the silence")
+            manager.state_publisher.publish(stamped(t, 0.4))
+            ros.until(lambda: len(manager.commands) == k + 3, "an answer")  # noqa: B023
+        ros.until(lambda: "silences" in manager.kinds(), "the silence")
+        assert manager.kinds().count("silences") == 1
+        return [command.effort[0] for command in manager.commands[1:]]
+    finally:
+        ros.close()
+
+
+def test_in_simulated_time_the_answer_after_a_silence_does_not_depend_on_the_clock() -> None:
+    efforts = answers_across_a_silence(clock_first=True)
+    assert len(efforts) == 5
+    assert efforts[:2] == [0.0, 0.0], "the stop effort of the silence, and on from there"
+    assert answers_across_a_silence(clock_first=False) == efforts

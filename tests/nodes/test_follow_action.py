@@ -143,6 +143,18 @@ def test_a_stop_ends_a_goal(ros: Ros, manager: Manager) -> None:
     assert client.result(handle) == (GoalStatus.STATUS_ABORTED, Code.PATH_TOLERANCE_VIOLATED)
 
 
+def test_after_a_stop_the_trajectory_of_an_aborted_goal_does_not_go_on(ros: Ros, manager: Manager) -> None:
+    client = started(ros, manager, limits__tracking_error=[0.5], recovery__join_time=0.1)
+    handle = client.send(1000)
+    manager.ask(stamped(0.1, 0.6))
+    assert client.result(handle)[0] == GoalStatus.STATUS_ABORTED
+    manager.ask(stamped(0.2, 0.7))
+    assert manager.trigger("resume")[0]
+    for t in (0.3, 0.5, 2.0):
+        manager.ask(stamped(t, 0.7))
+    np.testing.assert_allclose(manager.references[-1].position, [0.7], atol=1e-9)
+
+
 def test_the_action_goes_and_comes_with_the_configuration(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager)
     assert manager.change("deactivate")

@@ -3,20 +3,16 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Float64MultiArray
+from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
-from fjr_controller.answering import RivalError
-from nodes.harness import Peer, Ros, nanoseconds, stamped
-from nodes.managed import Manager
+from nodes.harness import Ros, nanoseconds, stamped
+from nodes.managed import Manager, trajectory
 
 GRAVITY = 0.8 * np.sin(0.5)  # N m; the paper's link at 0.5 rad
 
@@ -127,6 +123,74 @@ def test_activated_again_the_reference_begins_again(ros: Ros, manager: Manager) 
     assert list(manager.commands[-1].effort) == list(first.effort)
 
 
+def test_activated_again_nothing_is_left_of_what_was_asked_for(ros: Ros, manager: Manager) -> None:
+    ros.controller(limits__tracking_error=[0.6], limits__start_error=[0.6])
+    manager.meet_controller()
+    first = manager.ask(stamped(0.0))
+    assert manager.send(trajectory((0.5, 0.3))).name == "references changed"
+    manager.ask(stamped(0.1))
+    manager.send(trajectory((0.5, 0.3), start=104 * 10**9))  # to come
+    manager.ask(stamped(0.2, 2.0))
+    ros.until(lambda: "stops" in manager.kinds(), "the stop")
+    assert activated_again(manager, 5.0).effort == first.effort
+    manager.answer(stamped(5.5))
+    np.testing.assert_allclose(manager.references[-1].position, [np.sin(0.5)], rtol=1e-9)
+    assert list(activated_again(manager, 6.0, 2.0).effort) == [0.0]
+    ros.until(lambda: "starts refused" in manager.kinds(), "the refusal")
+
+
+def test_a_reference_that_is_set_while_inactive_is_followed_when_active(ros: Ros, manager: Manager) -> None:
+    ros.controller(limits__link_velocity=[2.0])
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+    assert manager.change("deactivate")
+    assert manager.set(reference__amplitude=[0.4], reference__offset=[0.1])[0]
+    assert manager.change("activate")
+    activated_again(manager, 5.0)
+    manager.answer(stamped(5.5))
+    np.testing.assert_allclose(manager.references[-1].position, [0.1 + 0.4 * np.sin(0.5)], rtol=1e-9)
+    assert manager.change("deactivate")
+    assert manager.set(reference__frequency=[9.0])[0]
+    assert not manager.change("activate")
+    assert manager.state() == "inactive"
+
+
+def activated_again(manager: Manager, t: float, q: float = 0.5) -> JointState:
+    """The first answer, to a state at t [s], after the controller was deactivated and activated."""
+    if manager.state() == "active":
+        assert manager.change("deactivate")
+        assert manager.change("activate")
+    manager.meet_controller()
+    return manager.answer(stamped(t, q))
+
+
+def test_a_reference_that_leaves_its_limits_is_refused_by_configure(ros: Ros) -> None:
+    with pytest.raises(fjr.ParameterError, match=r"'reference\.\*': joint 'joint1' would reach 1 rad/s.* limit is 0.5"):
+        ros.controller(limits__link_velocity=[0.5])
+
+
+def test_a_refused_configure_leaves_nothing_on_the_node(ros: Ros, manager: Manager) -> None:
+    node = ros.controller(autostart=False)
+
+    def parts() -> list[int]:
+        return [len(list(each)) for each in (node.publishers, node.subscriptions, node.services, node.timers)]
+
+    before = parts()
+    for name, bad, good in (
+        ("constraints.goal", [0.1, 0.1], [0.1]),  # also without control_msgs
+        ("constraints.trajectory", [0.1, 0.1], [0.1]),
+        ("limits.acceleration", [1.0, 1.0], [9.0]),
+        ("limits.link_position_upper", [0.5], [2.0]),
+        ("measurement.gear_ratio", [0.0], [1.0]),
+    ):
+        assert manager.set_one(name, bad)[0]
+        assert not manager.change("configure")
+        assert name.split(".")[0] in str(node.trouble) or "reference.*" in str(node.trouble)
+        assert parts() == before
+        assert manager.set_one(name, good)[0]
+    assert manager.change("configure")
+
+
 def test_bad_parameters_are_mended_while_unconfigured(ros: Ros, manager: Manager, capfd) -> None:
     node = ros.controller(autostart=False, gains__Pi_l=[-20.0], robot__joint_stiffness=[3.1])
     assert not manager.change("configure")
@@ -187,6 +251,8 @@ def test_gains_that_are_nonsense_change_nothing(ros: Ros, manager: Manager) -> N
         {"gains__Pi_l": "stiff"},
         {"gains__Pi_l": [30.0], "gains__K": [1.0]},
         {"limits__effort": [-1.0]},
+        {"gains__Pi_l": [1e160]},
+        {"gains__Lambda_m": [1e300]},
         {"gains__Pi_l": [30.0], "limits__link_position_upper": [-1.0], "limits__link_position_lower": [1.0]},
     ):
         done, reason = manager.set(**values)
@@ -242,83 +308,3 @@ def test_with_simulated_time_silence_is_judged_by_it(ros: Ros, manager: Manager)
         ros.settle()
     ros.until(lambda: "silences" in manager.kinds(), "the silence")
     assert nanoseconds(manager.commands[-1]) == nanoseconds(manager.commands[0])
-
-
-class Rival:
-    """Another process, for all that the middleware tells: a context of its own."""
-
-    def __init__(self) -> None:
-        self.ros = Ros()
-        self.peer = Peer(self.ros)
-
-    @contextmanager
-    def talking(self) -> Iterator[None]:
-        """Publish efforts inside the block."""
-        quiet = threading.Event()
-
-        def talk() -> None:
-            while not quiet.wait(0.01):
-                self.peer.effort_publisher.publish(Float64MultiArray(data=[1.0]))
-
-        thread = threading.Thread(target=talk)
-        thread.start()
-        yield
-        quiet.set()
-        thread.join()
-
-
-@pytest.fixture
-def rival() -> Iterator[Rival]:
-    made = Rival()
-    yield made
-    made.ros.close()
-
-
-def test_a_second_controller_is_refused(ros: Ros, manager: Manager, rival: Rival) -> None:
-    ros.until(lambda: manager.count_publishers("effort_controller/commands") == 2, "the rival")
-    node = ros.controller(autostart=False)
-    assert manager.change("configure")
-    with rival.talking():
-        with pytest.raises(RivalError, match=r"node .* publishes on /effort_controller/commands; expected nobody"):
-            ros.controller()
-        assert not manager.change("activate")
-        assert manager.state() == "inactive"
-        assert "effort_controller" in str(node.trouble)
-    assert manager.change("activate")
-
-
-def test_one_that_is_found_with_the_first_state_ends_the_start(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    manager.meet_controller()
-    rival = Rival()
-    try:
-        ros.until(lambda: manager.count_publishers("effort_controller/commands") == 3, "the rival")
-        manager.state_publisher.publish(stamped(0.0))
-        with rival.talking(), pytest.raises(RivalError):
-            ros.until(lambda: manager.commands)
-        assert manager.state() == "inactive"
-        assert not manager.commands
-    finally:
-        rival.ros.close()
-
-
-def test_one_that_is_silent_is_borne(ros: Ros, manager: Manager, rival: Rival) -> None:
-    ros.until(lambda: manager.count_publishers("effort_controller/commands") == 2, "the rival")
-    ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
-
-
-def test_one_that_appears_later_is_reported(ros: Ros, manager: Manager) -> None:
-    node = ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
-    rival = Rival()
-    try:
-        ros.until(lambda: "other controllers" in manager.kinds(), "the report")
-        node.stop()
-        ros.until(lambda: manager.count("other controllers", "fjr_controller") == 1, "the counter")
-        status = manager.diagnostics[-1].status[0]
-        assert status.level == status.ERROR
-    finally:
-        rival.ros.close()

@@ -8,10 +8,11 @@ import pytest
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
 from fjr_plant.lock_step import START, LockStepError
-from nodes.harness import Peer, Ros, nanoseconds
-from nodes.plants import PERIOD, Answering, answer, integrate, numbers, state_of
+from nodes.harness import Listener, Peer, Ros, nanoseconds
+from nodes.plants import PERIOD, Answering, answer, call, integrate, numbers, state_of
 
 
 @pytest.mark.parametrize("ignored", [(2,), (3, 4, 5), (2, 4, 7, 11)])
@@ -71,34 +72,97 @@ def test_two_runs_are_bit_identical_whatever_is_lost(ros: Ros, peer: Peer) -> No
         other_ros.close()
 
 
-def test_clock_comes_with_every_state_and_never_goes_back(ros: Ros, peer: Peer) -> None:
-    clocks: list[int] = []
+def clocks(peer: Peer) -> list[int]:
+    """What comes on /clock [ns]."""
+    times: list[int] = []
     peer.create_subscription(
-        Clock, "/clock", lambda m: clocks.append(m.clock.sec * 10**9 + m.clock.nanosec), QoSProfile(depth=1000)
+        Clock, "/clock", lambda m: times.append(m.clock.sec * 10**9 + m.clock.nanosec), QoSProfile(depth=1000)
     )
+    return times
+
+
+def test_clock_comes_with_every_state_and_never_goes_back(ros: Ros, peer: Peer) -> None:
+    shown = clocks(peer)
     ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)
-    ros.until(lambda: clocks, "the clock")
-    before = len(peer.states) - len(clocks)
+    ros.until(lambda: shown, "the clock")
+    before = len(peer.states) - len(shown)
     Answering(peer).until(ros, 30)
     ros.settle()
-    ros.until(lambda: len(clocks) == len(peer.states) - before, "a clock for each state")
-    assert clocks == [nanoseconds(state) for state in peer.states[before:]]
-    assert clocks == sorted(clocks)
+    ros.until(lambda: len(shown) == len(peer.states) - before, "a clock for each state")
+    assert shown == [nanoseconds(state) for state in peer.states[before:]]
+    assert shown == sorted(shown)
 
 
-def test_a_controller_that_falls_silent_ends_the_plant_with_a_sentence(ros: Ros, peer: Peer) -> None:
-    ros.plant(lockstep=True, lockstep_timeout=0.3)
+def test_what_is_lost_on_the_way_still_shows_on_the_clock(ros: Ros, peer: Peer) -> None:
+    shown = clocks(peer)
+    ros.plant(lockstep=True, start_paused=True, advance_samples=40, imperfections__state_loss=0.5)
+    Answering(peer).listen()
+    assert call(ros, peer, Trigger, "fjr_plant/advance").success
+    times = [START + k * PERIOD for k in range(41)]
+    ros.until(lambda: shown[-1:] == times[-1:], "the last time")
+    assert sorted(set(shown)) == times
+    assert shown == sorted(shown)
+    assert len({nanoseconds(state) for state in peer.states}) < 35, "as many states are lost"
+
+
+def test_an_effort_that_grows_old_while_states_are_lost_acts_no_more(ros: Ros, peer: Peer) -> None:
+    """The first state comes through, and its answer acts for command_timeout of the robot's time."""
+    options = {"start_paused": True, "advance_samples": 30, "command_timeout": 0.02, "imperfections__state_loss": 1.0}
+    node = ros.plant(lockstep=True, **options)
+    Answering(peer, effort=lambda _: 0.3).listen()
+    for _ in range(2):  # and again after a reset
+        assert call(ros, peer, Trigger, "fjr_plant/advance").success
+        expected = integrate(integrate(np.array([0.5, 0.5, 0.0, 0.0]), 0.3, 80), 0.0, 40)
+        np.testing.assert_array_equal(node._robot.x, expected)
+        call(ros, peer, Trigger, "fjr_plant/reset")
+    assert node._health.count["command timeouts"] == 2
+
+
+def run_with_losses() -> tuple[list[tuple[int, bytes]], int]:
+    """The states of 600 samples that the controller answers, most of them lost; and how many silences it saw."""
+    ros = Ros()
+    try:
+        listener = Listener(ros)
+        controller = ros.controller(use_sim_time=True, state_timeout=0.02, autostart=False)
+        node = ros.plant(lockstep=True, start_paused=True, advance_samples=600, imperfections__state_loss=0.9)
+        ros.until(lambda: listener.heard("joint_states"), "the plant")
+        controller.trigger_configure()
+        controller.trigger_activate()
+        assert call(ros, listener, Trigger, "fjr_plant/advance").success
+        assert node._robot.time == 600 * PERIOD
+        ros.settle()
+        return numbers(listener.states), controller._control.tracker.counters["silences"]
+    finally:
+        ros.close()
+
+
+def test_two_runs_with_silences_in_simulated_time_are_bit_identical() -> None:
+    one, other = run_with_losses(), run_with_losses()
+    assert one == other
+    assert len(one[0]) > 30
+    assert one[1] > 3
+
+
+def test_a_controller_that_falls_silent_ends_the_plant_with_a_sentence(ros: Ros, peer: Peer, capfd) -> None:
+    node = ros.plant(lockstep=True, lockstep_timeout=0.3)
     peer.meet_plant(lockstep=True)
     resent = len(peer.states)
     ros.until(lambda: len(peer.states) > resent + 5, "more than the timeout without a first answer")
     Answering(peer).until(ros, 3)
-    with pytest.raises(LockStepError) as ended:
-        ros.until(lambda: False)
-    assert str(ended.value) == (
+    ros.until(lambda: node.ended, "the end")
+    assert isinstance(node.ended, LockStepError)
+    assert str(node.ended) == (
         "the state of 1.003000000 s was not answered for 0.3 s (lockstep_timeout); expected a message on "
         "/joint_commands with that stamp and an effort for every joint, none has come"
     )
+    assert f"ended: {node.ended}" in capfd.readouterr().err, "nobody else tells it here"
+    ros.settle()
+    count = len(peer.states)
+    peer.command_publisher.publish(answer(peer.states[-1], 1.0))
+    ros.settle(100)
+    assert len(peer.states) == count
+    assert node._robot.time == 3 * PERIOD
 
 
 def test_a_paused_plant_does_not_count_the_silence(ros: Ros, peer: Peer) -> None:

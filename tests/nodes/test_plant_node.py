@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from fjr_plant.plant_node import LOCKSTEP_START
@@ -196,3 +197,20 @@ def test_lockstep_sends_an_unanswered_state_again(ros: Ros, peer: Peer) -> None:
     ros.plant(lockstep=True)
     ros.until(lambda: len(peer.states) >= 3, "the state again")
     assert {nanoseconds(state) for state in peer.states} == {LOCKSTEP_START}
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_the_clock_that_it_follows_does_not_change_while_it_runs(ros: Ros, peer: Peer, simulated: bool) -> None:
+    node = ros.plant(use_sim_time=simulated)
+    (result,) = node.set_parameters([Parameter("use_sim_time", value=not simulated)])
+    assert (result.successful, result.reason) == (
+        False,
+        "parameter 'use_sim_time' can be set only before the node starts",
+    )
+    assert node.get_parameter("use_sim_time").value == simulated
+    assert node.get_clock().ros_time_is_active == simulated
+    assert node.set_parameters([Parameter("use_sim_time", value=simulated)])[0].successful
+    assert not node.set_parameters_atomically(
+        [Parameter("advance_samples", value=7), Parameter("use_sim_time", value=not simulated)]
+    ).successful
+    assert node.values["advance_samples"] == 1

@@ -102,15 +102,53 @@ def test_an_older_sample_is_not_answered_and_a_repeated_one_alike() -> None:
     assert tracker.counters == {"states older than the last": 1, "states repeated": 2}
 
 
-@pytest.mark.parametrize(("stamp", "arrival"), [(300 * MS, 901 * MS), (890 * MS, 1_500 * MS)], ids=["back", "stale"])
-def test_another_time_line_is_another_beginning(stamp: int, arrival: int) -> None:
+@pytest.mark.parametrize(
+    ("before", "stamp", "arrival"),
+    [(299 * MS, 300 * MS, 902 * MS), (300 * MS, 300 * MS, 902 * MS), (None, 890 * MS, 1_500 * MS)],
+    ids=["back", "back, repeated", "stale"],
+)
+def test_another_time_line_is_another_beginning(before: int | None, stamp: int, arrival: int) -> None:
     tracker = tracker_at(0, 400 * MS, 900 * MS)
+    if before is not None:
+        assert tracker.answer(sample(before, 0.5, 0.5), arrival - MS) is None
+        assert tracker.counters.pop("jumps doubted") == 1
     again = tracker.answer(sample(stamp, 0.5, 0.5), arrival)
     assert again is not None
     assert again.restarted
     np.testing.assert_array_equal(again.jets, SINE.jets(0.0))
     np.testing.assert_array_equal(again.u, tracker_at(0).answer(sample(0, 0.5, 0.5), 0).u)  # type: ignore[union-attr]
     assert tracker.counters == {"reference restarts": 1}
+
+
+@pytest.mark.parametrize("jump", [10 * SECOND, -10 * SECOND, -600 * MS])
+def test_one_state_with_a_wrong_stamp_changes_nothing(jump: int) -> None:
+    tracker, twin = tracker_at(20 * SECOND), tracker_at(20 * SECOND)
+    for k in range(1, 5):
+        stamp = 20 * SECOND + k * MS
+        if k % 2:
+            assert tracker.answer(sample(stamp + jump, 0.4, 0.5), stamp) is None
+            continue
+        commands = [t.answer(sample(stamp, 0.5, 0.5), stamp) for t in (tracker, twin)]
+        np.testing.assert_array_equal(commands[0].u, commands[1].u)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)  # type: ignore[union-attr]
+    assert tracker.counters == {"jumps doubted": 2}
+
+
+def test_jumps_that_do_not_confirm_each_other_are_doubted_until_a_silence() -> None:
+    tracker = tracker_at(SECOND)
+    for k, stamp in enumerate((9 * SECOND, 3 * SECOND, 12 * SECOND)):
+        assert tracker.answer(sample(stamp, 0.5, 0.5), SECOND + k * MS) is None
+    assert tracker.silence(2 * SECOND) is not None
+    assert tracker.answer(sample(30 * SECOND, 0.5, 0.5), 2 * SECOND) is not None
+    assert tracker.counters == {"jumps doubted": 3, "silences": 1, "recoveries": 1}
+
+
+def test_in_simulated_time_a_jump_counts_at_once() -> None:
+    tracker = Tracker(LAW, SINE, settings(), simulated_time=True)
+    tracker.answer(sample(20 * SECOND, 0.5, 0.5), 0)
+    assert tracker.answer(sample(30 * SECOND, 0.5, 0.5), MS) is not None
+    assert tracker.answer(sample(0, 0.5, 0.5), 2 * MS).restarted  # type: ignore[union-attr]
+    assert tracker.counters == {"forward jumps": 1, "recoveries": 1, "reference restarts": 1}
 
 
 def test_start_begins_afresh() -> None:
@@ -123,6 +161,36 @@ def test_start_begins_afresh() -> None:
     assert command is not None
     np.testing.assert_array_equal(command.jets, SINE.jets(0.0))
     assert command.state is State.TRACKING
+
+
+@pytest.mark.parametrize("asked", ["nothing", "a trajectory", "a later one", "to hold"])
+def test_a_start_leaves_nothing_of_what_was_asked_for(asked: str) -> None:
+    tracker = tracker_at(0, 100 * MS)
+    if asked == "to hold":
+        tracker.hold()
+    elif asked != "nothing":
+        start = 2 * SECOND if asked == "a later one" else 100 * MS
+        tracker.follow(Spline([0.5], [[0.84]], start=SINE.jets(start * 1e-9)), start)
+        tracker.answer(sample(101 * MS, 0.5, 0.5), 101 * MS)
+    tracker.stop_effort()
+    tracker.start()
+    birth = tracker_at()
+    for k in range(5):
+        stamp = SECOND + 400 * k * MS
+        commands = [t.answer(sample(stamp, 2.0, 2.0), stamp) for t in (tracker, birth)]
+        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(commands[0].u, commands[1].u)  # type: ignore[union-attr]
+
+
+def test_a_start_may_bring_another_reference_and_checks_it() -> None:
+    tracker = tracker_at(0, link_velocity=1.0, start_error=0.4)
+    tracker.start(Hold([0.3]))
+    command = tracker.answer(sample(SECOND, 0.5, 0.5), SECOND)
+    np.testing.assert_array_equal(command.jets, standing([0.3]))  # type: ignore[union-attr]
+    tracker.start()
+    command = tracker.answer(sample(2 * SECOND, 0.8, 0.8), SECOND)
+    np.testing.assert_array_equal(command.jets, standing([0.3]))  # type: ignore[union-attr]
+    assert "start refused" in tracker.reason
 
 
 # ---- silence and recovery
@@ -170,13 +238,35 @@ def test_a_silence_is_seen_again_after_states_were_back() -> None:
 def test_stamps_that_jump_forward_are_a_recovery_too() -> None:
     tracker = tracker_at(0, MS)
     last = tracker.answer(sample(2 * MS, 0.5, 0.5), 2 * MS)
-    command = tracker.answer(sample(5 * SECOND, 0.4, 0.5), 3 * MS)
+    assert tracker.answer(sample(5 * SECOND - MS, 0.4, 0.5), 3 * MS) is None
+    command = tracker.answer(sample(5 * SECOND, 0.4, 0.5), 4 * MS)
     assert last is not None
     assert command is not None
     assert command.state is State.JOINING
     np.testing.assert_allclose(command.u, last.u, atol=1e-12)
     np.testing.assert_allclose(command.jets, standing([0.4]), atol=1e-12)
-    assert tracker.counters == {"forward jumps": 1, "recoveries": 1}
+    assert tracker.counters == {"jumps doubted": 1, "forward jumps": 1, "recoveries": 1}
+
+
+@pytest.mark.parametrize("ahead", [0, MS])
+def test_in_simulated_time_a_silence_that_was_met_ends_with_a_recovery(ahead: int) -> None:
+    tracker = Tracker(LAW, SINE, settings(), simulated_time=True)
+    tracker.answer(sample(SECOND, 0.5, 0.5), 0)
+    stop = tracker.silence(2 * SECOND)
+    assert stop is not None
+    command = tracker.answer(sample(SECOND + ahead, 0.5, 0.5), MS)
+    assert command is not None
+    np.testing.assert_allclose(command.u, stop, atol=1e-12)
+    assert command.state is State.JOINING
+    assert tracker.counters == {"silences": 1, "recoveries": 1}
+
+
+def test_a_recovery_does_not_begin_outside_the_limits() -> None:
+    tracker = tracker_at(0, link_position_upper=1.0)
+    command = tracker.answer(sample(SECOND, 1.1, 1.1), SECOND)
+    assert "stopped: link position of joint1" in tracker.reason
+    np.testing.assert_allclose(command.jets, SINE.jets(1.0), rtol=1e-12)  # type: ignore[union-attr]
+    assert "recoveries" not in tracker.counters
 
 
 def test_without_a_joining_time_tracking_goes_on_at_once() -> None:
@@ -356,6 +446,64 @@ def test_a_stopped_arm_resumes_without_a_step(arm: str, policy: str) -> None:
     assert loop.error < 2e-3
 
 
+@pytest.mark.parametrize("bad", [float("nan"), 1e153])
+@pytest.mark.parametrize("asked", ["resume", "hold", "follow"])
+def test_what_is_asked_for_waits_for_a_state_that_is_answered(asked: str, bad: float) -> None:
+    trackers = [tracker_at(0, 100 * MS) for _ in range(2)]
+    tracker, twin = trackers
+    for t in trackers:
+        if asked == "resume":
+            t.settings(settings(link_velocity=0.1))
+            t.answer(sample(101 * MS, 0.5, 0.5, 0.2), 101 * MS)
+            t.settings(settings())
+        if asked == "follow":
+            t.follow(Hold([0.2]))
+        else:
+            getattr(t, asked)()
+        t.events.clear()
+    before, counters = (tracker.state, tracker.reason), dict(tracker.counters)
+    wild = tracker.answer(sample(102 * MS, bad, 0.5), 102 * MS)
+    assert wild is not None
+    assert not wild.u.any()
+    assert (tracker.state, tracker.reason) == before
+    assert tracker.counters == {**counters, "efforts not finite": 1}
+    assert kinds(tracker) == ["efforts not finite"]
+    for k in (103, 300):
+        commands = [t.answer(sample(k * MS, 0.5, 0.5), k * MS) for t in trackers]
+        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)  # type: ignore[union-attr]
+        assert not tracker.reason
+
+
+def test_a_recovery_waits_for_a_state_that_is_answered() -> None:
+    tracker = tracker_at(0)
+    tracker.answer(sample(SECOND, 1e153, 0.5), SECOND)
+    assert tracker.state is State.TRACKING
+    command = tracker.answer(sample(SECOND + MS, 0.5, 0.5), SECOND + MS)
+    assert command is not None
+    np.testing.assert_allclose(command.jets, standing([0.5]), atol=1e-12)
+    assert tracker.counters == {"efforts not finite": 1, "recoveries": 1}
+
+
+@pytest.mark.parametrize("name", ["link_position_upper", "motor_position_lower", "motor_velocity", "deflection"])
+def test_a_stop_is_not_resumed_outside_the_limits(name: str) -> None:
+    kind, state = STATES[name]
+    limit = -0.3 if name.endswith("lower") else 0.3
+    tracker = Tracker(LAW, Hold([0.0]), settings(**{name: limit}))
+    for k in range(2):
+        tracker.answer(sample(k * MS, *state(0.4)), k * MS)
+        tracker.resume()
+    command = tracker.answer(sample(2 * MS, *state(0.5)), 2 * MS)
+    assert f"{kind} of joint1" in tracker.reason
+    assert "0.5" in tracker.reason
+    np.testing.assert_array_equal(command.jets, standing([0.0]))  # type: ignore[union-attr]
+    assert tracker.counters == {"stops": 3, f"stops: {kind}": 3}
+    tracker.answer(sample(3 * MS, *state(0.2)), 3 * MS)
+    assert tracker.state is State.STOPPED
+    tracker.resume()
+    tracker.answer(sample(4 * MS, *state(0.2)), 4 * MS)
+    assert tracker.state is State.JOINING
+
+
 def test_resume_does_nothing_where_nothing_is_stopped() -> None:
     tracker = tracker_at(0)
     tracker.resume()
@@ -453,6 +601,7 @@ calm = st.tuples(st.just(MS), st.just(MS), *(st.tuples(small, small),) * 4)
 acts = st.sampled_from(["silence", "resume", "hold", "follow", "follow later", "start", "use"])
 policies = st.sampled_from(["zero", "gravity_hold"])
 OTHER = fjr.TrackingLaw(TWO.robot, replace(TWO_LINK_GAINS, Lambda_l=8.0))
+OBSERVER = fjr.VelocityObserver(TWO.robot, 150.0)
 
 
 def act(tracker: Tracker, name: str, stamp: int, arrival: int) -> Any:
@@ -469,9 +618,9 @@ def act(tracker: Tracker, name: str, stamp: int, arrival: int) -> Any:
 
 
 @effort_spent(max_examples=60, deadline=None, derandomize=True)
-@given(st.lists(st.one_of(calm, calm, calm, samples, acts), max_size=60), policies, st.booleans())
+@given(st.lists(st.one_of(calm, calm, calm, samples, acts), max_size=60), policies, st.booleans(), st.booleans())
 def test_whatever_comes_efforts_are_finite_and_within_limit_and_rate(
-    happenings: list[Any], policy: str, joins: bool
+    happenings: list[Any], policy: str, joins: bool, observes: bool
 ) -> None:
     limit, rate = np.array([3.0, 2.0]), np.array([100.0, 500.0])
     given = settings(
@@ -486,7 +635,8 @@ def test_whatever_comes_efforts_are_finite_and_within_limit_and_rate(
         start_join_time=0.3 if joins else 0.0,
         recovery_join_time=0.2 if joins else 0.0,
     )
-    tracker = Tracker(TWO, TWO_SINES, given)
+    OBSERVER.reset()
+    tracker = Tracker(TWO, TWO_SINES, given, OBSERVER if observes else None)
     stamp = arrival = SECOND
     last, last_stamp = np.zeros(2), None
     for happening in happenings:
@@ -530,6 +680,26 @@ def test_other_gains_act_from_the_next_sample_and_the_certificate_begins_anew() 
     assert new is not None
     assert (new.start, new.V0) == (SECOND + 50 * MS, V)
     assert kinds(loop.tracker) == ["gains changed"]
+
+
+@pytest.mark.parametrize(("name", "value"), [("Pi_l", 1e160), ("Lambda_m", 1e300), ("K_md", 1e170)])
+def test_gains_without_a_finite_effort_are_refused_and_the_old_law_stays(name: str, value: float) -> None:
+    tracker, twin = tracker_at(0), tracker_at(0)
+    law = LAW.with_gains(replace(fjr.PAPER_GAINS, **{name: value}))
+    with pytest.raises(fjr.GainsError, match="an effort that is not finite; expected smaller gains"):
+        tracker.use(law)
+    commands = [t.answer(sample(MS, 0.5, 0.5), MS) for t in (tracker, twin)]
+    np.testing.assert_array_equal(commands[0].u, commands[1].u)  # type: ignore[union-attr]
+    assert not tracker.counters
+    with pytest.raises(fjr.GainsError, match="not finite"):
+        Tracker(law, SINE, settings())
+
+
+def test_gains_may_change_after_a_state_that_is_not_finite() -> None:
+    tracker = tracker_at(0)
+    tracker.answer(sample(MS, float("nan"), 0.5), MS)
+    tracker.use(LAW.with_gains(replace(fjr.PAPER_GAINS, Lambda_l=5.0)))
+    assert "gains changed" in kinds(tracker)
 
 
 def test_the_bound_of_the_certificate_holds_while_the_law_alone_acts() -> None:
@@ -609,9 +779,6 @@ def test_hold_comes_to_rest_without_a_step_and_stands(arm: str) -> None:
     np.testing.assert_allclose(resting, standing(jets[0] + jets[1] * time / 2), atol=1e-12)
     np.testing.assert_array_equal(loop.commands[-1].jets, resting)
     assert loop.error < 2e-3
-    loop.tracker.start()
-    again = loop.tracker.answer(loop.sample(), loop.now)
-    np.testing.assert_array_equal(again.jets, resting)  # type: ignore[union-attr]
 
 
 def test_hold_before_the_first_sample_stands_where_the_links_are() -> None:
@@ -629,8 +796,8 @@ def test_hold_while_stopped_keeps_the_arm_where_it_is_when_resumed() -> None:
     tracker.hold()
     tracker.answer(sample(2 * MS, 0.6, 0.6), 2 * MS)
     tracker.resume()
-    for k in (3, 1500):
-        command = tracker.answer(sample(k * MS, 0.6, 0.6), 3 * MS)
+    for k in (3, 400, 800, 1200, 1500):
+        command = tracker.answer(sample(k * MS, 0.6, 0.6), k * MS)
         np.testing.assert_allclose(command.jets, standing([0.6]), atol=1e-12)  # type: ignore[union-attr]
 
 
@@ -646,39 +813,47 @@ def test_a_reference_given_before_the_first_sample_begins_there() -> None:
 
 
 class Recorder:
-    """An observer that knows the velocities and writes down what it is told."""
+    """An observer that knows the velocities and writes down what it is told; it begins anew after resets only."""
 
     def __init__(self) -> None:
         self.resets, self.updates = 0, []  # type: ignore[var-annotated]
         self.state = np.array([0.5, 0.5, 0.1, 0.2])
+        self._begun, self.fresh = False, True
 
     def reset(self) -> None:
-        self.resets += 1
+        self.resets, self._begun = self.resets + 1, False
 
     def update(self, stamp: int, q_l: Any, q_m: Any, u: Any) -> None:
         self.updates.append((stamp, float(u[0])))
+        self.state[:2] = float(q_l[0]), float(q_m[0])
+        self.fresh, self._begun = not self._begun, True
+
+
+def bare_sample(stamp: int, q: float = 0.5) -> Any:
+    bare = sample(stamp, q, q)
+    bare.dq_l = bare.dq_m = None
+    return bare
 
 
 def test_an_observer_is_fed_with_the_effort_that_was_sent() -> None:
     recorder = Recorder()
     tracker = Tracker(LAW, SINE, settings(effort=1.0), recorder)
     sent = [0.0]
-    for k in range(3):
-        bare = sample(k * MS, 0.5, 0.5)
-        bare.dq_l = bare.dq_m = None
-        command = tracker.answer(bare, k * MS)
+    for k in range(OBSERVED + 3):
+        command = tracker.answer(bare_sample(k * MS), k * MS)
         assert command is not None
         np.testing.assert_array_equal(command.velocity, [0.1, 0.2])
         sent.append(float(command.u[0]))
-    assert recorder.updates == [(k * MS, sent[k]) for k in range(3)]
-    tracker.answer(sample(2 * MS, 0.5, 0.5), 2 * MS)
-    assert len(recorder.updates) == 3
+    assert recorder.updates == [(k * MS, sent[k]) for k in range(OBSERVED + 3)]
+    assert sent[-1]
+    tracker.answer(bare_sample((OBSERVED + 2) * MS), OBSERVED * MS)
+    assert len(recorder.updates) == OBSERVED + 3
 
 
 def test_an_observer_begins_anew_after_a_break_and_gets_time_before_its_velocities_count() -> None:
     recorder = Recorder()
     tracker = Tracker(LAW, SINE, settings(), recorder)
-    for k in range(3):
+    for k in range(OBSERVED + 2):
         tracker.answer(sample(k * MS, 0.5, 0.5), k * MS)
     resets = recorder.resets
     stop = tracker.silence(SECOND)
@@ -695,6 +870,102 @@ def test_an_observer_begins_anew_after_a_break_and_gets_time_before_its_velociti
     assert command is not None
     assert np.isfinite(command.V)
     np.testing.assert_allclose(command.jets[:2], [[0.5], [0.1]], rtol=1e-9)
+
+
+@pytest.mark.parametrize("policy", ["zero", "gravity_hold"])
+def test_with_an_observer_a_start_waits_for_the_velocities_with_the_effort_of_a_stop(policy: str) -> None:
+    tracker = Tracker(LAW, SINE, settings(on_stop=policy, start_join_time=0.5), Recorder())
+    for beginning in (SECOND, 0):  # the second is a jump back
+        tracker.answer(bare_sample(beginning), 2 * SECOND)  # doubted where it is a jump
+        for k in range(1, OBSERVED + 1):
+            command = tracker.answer(bare_sample(beginning + k * MS), 2 * SECOND)
+            assert command is not None
+            if k < OBSERVED:
+                np.testing.assert_allclose(command.u, LAW.robot.grad_P_l([0.5]) if policy != "zero" else 0.0)
+                assert command.state is State.JOINING
+                assert np.isnan(command.V)
+        if beginning == 0:
+            command = tracker.answer(bare_sample((OBSERVED + 1) * MS), 2 * SECOND)
+        assert np.isfinite(command.V)  # type: ignore[union-attr]
+        np.testing.assert_allclose(command.jets[:2], [[0.5], [0.1]], rtol=1e-9)  # type: ignore[union-attr]
+
+
+def test_repeated_states_are_no_samples_of_the_observer() -> None:
+    tracker = Tracker(LAW, Hold([0.0]), settings(), Recorder())
+    for k in range(OBSERVED):
+        for _ in range(3):
+            command = tracker.answer(bare_sample(k * MS), k * MS)
+            assert not command.u.any()  # type: ignore[union-attr]
+    assert tracker.answer(bare_sample(OBSERVED * MS), OBSERVED * MS).u.any()  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("name", ["link_position_upper", "motor_position_upper"])
+def test_limits_of_positions_hold_while_the_velocities_are_not_known(name: str) -> None:
+    tracker = Tracker(LAW, SINE, settings(**{name: 0.6}), Recorder())
+    for k in range(OBSERVED + 1):
+        tracker.answer(bare_sample(k * MS), k * MS)
+    for k, q in enumerate((0.5, 0.7)):  # after a silence
+        tracker.answer(bare_sample(SECOND + k * MS, q), SECOND + k * MS)
+    assert STATES[name][0] in tracker.reason
+
+
+def test_limits_of_velocities_wait_for_the_observer_and_that_of_the_error_for_the_reference() -> None:
+    """After a silence the reference is led from where the arm has gone meanwhile."""
+    recorder = Recorder()
+    tracker = Tracker(LAW, Hold([0.5]), settings(link_velocity=1.0, tracking_error=0.1), recorder)
+    for k in range(OBSERVED + 1):
+        tracker.answer(bare_sample(k * MS), k * MS)
+    recorder.state[2] = 2.0  # what a difference of encoder steps may be
+    for k in range(OBSERVED + 1):
+        recorder.state[2] *= k < OBSERVED - 1
+        tracker.answer(bare_sample(SECOND + k * MS, 0.9), SECOND + k * MS)
+        assert not tracker.reason
+    assert tracker.counters["recoveries"] == 1
+    recorder.state[2] = 2.0
+    stamp = SECOND + (OBSERVED + 1) * MS
+    tracker.answer(bare_sample(stamp, 0.9), stamp)
+    assert "link velocity" in tracker.reason
+
+
+BREAKS = {
+    "a gap": lambda loop: loop.run(0.2, answered=False),
+    "a state that is not finite": lambda loop: loop.tracker.answer(bare_sample(loop.now - MS // 2, np.nan), loop.now),
+    "a silence": lambda loop: loop.run(0.6, answered=False),
+}
+
+
+@pytest.mark.parametrize("stop", BREAKS)
+def test_with_an_observer_the_effort_has_no_step_after_it_began_anew(stop: str) -> None:
+    loop = Loop(
+        LAW, SINE, settings(), LAW.robot.state(0.0, 0.0, 1.0, 1.0), observer=fjr.VelocityObserver(LAW.robot, 150.0)
+    )
+    loop.run(1.0)
+    BREAKS[stop](loop)
+    loop.u = loop.tracker._efforts.sent.copy()
+    before = len(loop.efforts)
+    loop.run(2.0)
+    assert largest_step(loop.efforts[before:]) < 0.2
+    assert loop.tracker.counters["recoveries"] == 1
+    assert loop.tracker.counters["observer restarts"] == (stop != "a silence")
+    assert loop.tracker.state is State.TRACKING
+    assert loop.error < 2e-3
+
+
+def test_the_law_sees_no_velocities_of_an_observer_that_are_not_known() -> None:
+    x0 = LAW.robot.state(0.0, 0.0, 1.0, 1.0)
+    loop = Loop(LAW, SINE, settings(), x0, observer=fjr.VelocityObserver(LAW.robot, 150.0))
+    for beginning in (20 * SECOND, SECOND):
+        loop.x, loop.now = x0, beginning
+        if beginning == SECOND:  # a jump back, whose first sample is doubted
+            assert loop.tracker.answer(loop.sample(), loop.now) is None
+            loop.now += MS
+        for k in range(30):
+            velocity = np.concatenate(LAW.robot.velocities(loop.x))
+            command = loop.step()
+            assert command is not None
+            if np.isfinite(command.V):
+                np.testing.assert_allclose(command.velocity, velocity, atol=0.05)
+            assert np.isfinite(command.V) == (k >= OBSERVED)
 
 
 def test_no_velocities_and_no_observer_is_said() -> None:

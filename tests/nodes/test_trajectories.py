@@ -355,7 +355,7 @@ def test_what_is_asked_for_during_the_planning_wins(ros: Ros, manager: Manager, 
     if service == "hold":
         assert dq == pytest.approx(0.0, abs=1e-9)
     else:
-        np.testing.assert_allclose([q, dq], [[np.sin(2.9)], [np.cos(2.9)]], atol=1e-9)
+        np.testing.assert_allclose([q, dq], [[np.sin(3.0)], [np.cos(3.0)]], atol=1e-9)
 
 
 def test_of_two_trajectories_in_a_row_the_later_one_is_followed(ros: Ros, manager: Manager, gate: Gate) -> None:
@@ -380,8 +380,53 @@ def test_limits_that_change_during_the_planning_count(ros: Ros, manager: Manager
 def test_a_controller_that_was_deactivated_meanwhile_follows_nothing(ros: Ros, manager: Manager, gate: Gate) -> None:
     planned(ros, manager, gate, move())
     assert manager.change("deactivate")
+    ros.until(lambda: "trajectories given up" in manager.kinds(), "the event")
+    assert manager.change("activate")
+    manager.meet_controller()
     gate.open()
-    ros.until(lambda: "trajectory refused: inactive" in manager.kinds(), "the refusal")
+    manager.answer(stamped(1.0, 0.0))
+    ros.settle()
+    manager.answer(stamped(2.0, 0.0))
+    np.testing.assert_allclose(manager.references[-1].position, [np.sin(1.0)], atol=1e-9)
+    assert "references changed" not in manager.kinds()
+
+
+@pytest.mark.parametrize("simulated", [False, True], ids=["real time", "simulated time"])
+def test_a_planning_that_fails_unforeseen_is_refused_and_logged(
+    ros: Ros, manager: Manager, simulated: bool, monkeypatch: pytest.MonkeyPatch, capfd
+) -> None:
+    def failing(question: Question) -> None:
+        raise ZeroDivisionError("a fault of ours")
+
+    ros.controller(use_sim_time=simulated)
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    monkeypatch.setattr(Question, "answer", failing)
+    event = manager.send(move())
+    assert event.name == "trajectory refused: failed"
+    assert "a fault of ours" in event.message
+    assert "Traceback" in capfd.readouterr().err
+    np.testing.assert_allclose(reference_at(manager, 0.5), [[np.sin(0.5)], [np.cos(0.5)]], atol=1e-9)
+    monkeypatch.undo()
+    assert manager.send(move()).name == "references changed"
+
+
+def test_who_waits_for_a_plan_and_fails_ends_nothing(ros: Ros, manager: Manager, monkeypatch, capfd) -> None:
+    node = ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+
+    def failing(reason: str) -> None:
+        raise ZeroDivisionError("a fault of ours")
+
+    motion = node._control._motion
+    monkeypatch.setattr(motion, "replaced", failing)
+    ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
+    manager.trajectories.publish(move())
+    ros.until(lambda: "a fault of ours" in capfd.readouterr().err, "the log")
+    monkeypatch.undo()
+    np.testing.assert_allclose(reference_at(manager, 0.5), [[np.sin(0.5)], [np.cos(0.5)]], atol=1e-9)
+    assert manager.send(move()).name == "references changed"
 
 
 def test_in_simulated_time_a_trajectory_is_planned_at_once(ros: Ros, manager: Manager, gate: Gate) -> None:
@@ -404,8 +449,8 @@ def test_hold_comes_to_rest_and_play_goes_on(ros: Ros, manager: Manager) -> None
     assert manager.set(reference__amplitude=[0.4], reference__frequency=[2.0])[0]
     assert reference_at(manager, 2.6)[1] == pytest.approx(0.0, abs=1e-9)
     assert manager.trigger("play")[0]
-    start = 2.7
-    manager.ask(stamped(start, 0.0))
+    start = 2.6  # of the newest state
+    np.testing.assert_allclose(reference_at(manager, start)[1], [0.0], atol=1e-9)
     for t in (4.0, 5.0):
         q, dq = reference_at(manager, t)
         np.testing.assert_allclose(q, [0.4 * np.sin(2.0 * (t - start))], atol=1e-9)
@@ -420,6 +465,23 @@ def test_play_refuses_what_leaves_the_limits(ros: Ros, manager: Manager) -> None
     done, sentence = manager.trigger("play")
     assert not done
     assert "joint1" in sentence
+
+
+def test_play_refuses_a_way_into_the_reference_that_leaves_the_limits(ros: Ros, manager: Manager) -> None:
+    ros.controller(reference__amplitude=[0.1], limits__link_velocity=[1.0], recovery__join_time=0.5)
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    assert manager.set(reference__offset=[1.0])[0]
+    done, sentence = manager.trigger("play")
+    assert not done
+    assert "joint 'joint1' would reach" in sentence
+    assert "its limit is 1 rad/s" in sentence
+    assert manager.set(recovery__join_time=3.0)[0]
+    assert manager.trigger("play")[0]
+    manager.ask(stamped(0.001, 0.0))
+    for t in (0.4, 1.5, 2.9):
+        assert abs(reference_at(manager, t)[1]) < 1.0
+    np.testing.assert_allclose(reference_at(manager, 4.0)[0], 1.0 + 0.1 * np.sin(4.0), atol=1e-9)
 
 
 def test_resume_ends_a_stop(ros: Ros, manager: Manager) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from nodes.harness import Peer, Ros, stamped
@@ -37,7 +38,10 @@ def test_a_signal_ends_the_controller_with_a_last_zero_effort_and_code_0(ros: Ro
     peer = Peer(ros)
     controller = start("controller")
     peer.meet_controller()
-    np.testing.assert_allclose(peer.ask(stamped(0.0)).effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
+    while not peer.commands:  # the first state is not answered while the controller listens for rivals
+        peer.state_publisher.publish(stamped(0.0))
+        ros.settle(1)
+    np.testing.assert_allclose(peer.commands[-1].effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
     controller.signal(number)
     ros.until(lambda: peer.efforts[-1].data[0] == 0.0 and peer.commands[-1].effort[0] == 0.0, "the last effort")
     code, said = controller.end()
@@ -110,9 +114,29 @@ def test_a_plant_that_diverges_ends_with_one_sentence(ros: Ros, start) -> None:
         ros.settle(1)
     code, said = plant.end()
     assert code == 1
+    ended = [line for line in said.splitlines() if "not finite" in line]
+    assert len(ended) == 1, said
+    assert ended[0].startswith("ended: the robot's state is not finite after ")
     assert "Traceback" not in said
-    assert "diverged" in said
+    assert "FATAL" not in said
     assert all(np.isfinite(state.position).all() for state in peer.states)
+
+
+def test_a_rival_that_is_met_with_the_first_state_ends_the_controller_with_one_sentence(ros: Ros, start) -> None:
+    peer = Peer(ros)
+    controller = start("controller")
+    ros.until(lambda: peer.state_publisher.get_subscription_count() >= 2, "the controller")
+    while controller.process.poll() is None:
+        peer.command_publisher.publish(JointState(name=["joint1"], effort=[1.0]))
+        peer.state_publisher.publish(stamped(0.0))
+        ros.settle(1)
+    code, said = controller.end()
+    assert code == 1
+    (ended,) = [line for line in said.splitlines() if line.startswith("ended: ")]
+    assert "publishes on /joint_commands; expected nobody else to command the robot" in ended
+    assert "Traceback" not in said
+    assert "FATAL" not in said
+    assert not peer.references, "nothing was sent"
 
 
 MIXED = "/**:\n  ros__parameters:\n    robot:\n      joint_stiffness: [1, 2.0]\n"

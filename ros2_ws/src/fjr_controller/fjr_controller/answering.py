@@ -22,6 +22,7 @@ from .reports import ANSWERED, RECEIVED, Reports
 from .rivals import Rivals
 from .tracker import Command, Tracker
 
+TOPICS = {names.EFFORT_COMMANDS: Float64MultiArray, names.JOINT_COMMANDS: JointState}
 RIVALS = "other controllers"
 ALONE = "expected nobody else to command the robot"
 LOOK_PERIOD = 1.0  # s
@@ -35,7 +36,7 @@ class RivalError(FjrError):
 class Answering:
     """Answers states on both command topics from `start` to `stop`; otherwise it computes and sends nothing.
 
-    Other processes that publish efforts are looked for at the start, at the first state and once a second. One that
+    Other processes on either topic are looked for at the start, at the first state and once a second. One that
     sends before the first answer is met by `refused`; one that comes later is reported.
     """
 
@@ -67,14 +68,13 @@ class Answering:
 
     def start(self, state_timeout: float) -> None:
         """Answer from the next state on; raises RivalError where another process commands the robot."""
-        self._rivals = Rivals(self._node, Float64MultiArray, names.EFFORT_COMMANDS, qos_profile=names.LATEST)
+        self._rivals = Rivals(self._node, TOPICS, names.LATEST)
         try:
             self._refuse_rivals()
         except RivalError:
             self._rivals.close()
             raise
-        self._efforts = self._rivals.publisher
-        self._commands = self._node.create_publisher(JointState, names.JOINT_COMMANDS, names.LATEST)
+        self._efforts, self._commands = self._rivals.publishers
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         own_time = self._node.get_clock() if self._by_stamps else steady
         period = state_timeout / SILENCE_CHECKS
@@ -82,7 +82,6 @@ class Answering:
             self._node.create_timer(period, self._on_silence, clock=own_time),
             self._node.create_timer(LOOK_PERIOD, self._look_for_rivals, clock=steady),
         ]
-        self._tracker.start()
         self._last_stamp: int | None = None
         self._alone = False
         self.active = True
@@ -99,7 +98,6 @@ class Answering:
         self._reports.empty()
         process.flush(self._efforts, self._commands)
         self._rivals.close()
-        self._node.destroy_publisher(self._commands)
 
     def close(self) -> None:
         """Give back everything."""
@@ -126,6 +124,8 @@ class Answering:
             return
         if not (self._alone or self._is_alone()):
             return
+        if self._by_stamps:  # the same answer whether the clock shows a silence before or after the state ends it
+            self._watch_silence(sample.stamp)
         command = self._tracker.answer(sample, arrival)
         if command is not None:
             self._answer(sample, command)
@@ -153,10 +153,14 @@ class Answering:
 
     def _on_silence(self) -> None:
         now = self._node.get_clock().now().nanoseconds if self._by_stamps else time.monotonic_ns()
+        self._watch_silence(now)
+        self._reports.empty()
+
+    def _watch_silence(self, now: int) -> None:
+        """Send the stop effort once in a silence; now [ns]: of the stamps where time is simulated, else steady."""
         u = self._tracker.silence(now)
         if u is not None and self._last_stamp is not None:
             self._send(self._last_stamp, u)
-        self._reports.empty()
 
     def _is_alone(self) -> bool:
         """Look for rivals before the first answer; false where that took so long that the state is old."""
@@ -169,13 +173,15 @@ class Answering:
 
     def _refuse_rivals(self) -> bool:
         """Whether others were listened to and silent (a killed node is not forgotten at once); else RivalError."""
-        listened = self._rivals.appeared()
-        if listened and self._rivals.is_heard():
-            raise RivalError(f"{self._rivals.named()} publishes on {self._rivals.topic}; {ALONE}")
-        return listened
+        appeared = self._rivals.appeared()
+        topic = self._rivals.heard() if appeared else ""
+        if topic:
+            raise RivalError(f"{self._rivals.named(topic)} publishes on {topic}; {ALONE}")
+        return bool(appeared)
 
     def _look_for_rivals(self) -> None:
-        if self._alone and self._rivals.appeared():
-            named = self._rivals.named()
-            sentence = f"{named} has begun to publish on {self._rivals.topic}; {ALONE}"
+        topics = self._rivals.appeared() if self._alone else ()
+        if topics:
+            named = self._rivals.named(*topics)
+            sentence = f"{named} has begun to publish on {' and '.join(topics)}; {ALONE}"
             self._reports.event(Event("error", RIVALS, sentence, {"nodes": named}))

@@ -10,14 +10,16 @@ from rclpy.node import Node
 
 from fjr_core import Reference, TrackingLaw, config
 from fjr_core.measurement_parameters import measurement, observer
+from fjr_core.motion_limits import check_motion
 from fjr_core.motion_parameters import motion_limits
+from fjr_core.parameters import named
 from fjr_core.safety_parameters import safety
 from fjr_msgs_py.follow_messages import follow_messages
 from fjr_msgs_py.messages import StateReader
 
 from .answering import Answering, RivalError
 from .follow_action import FollowAction
-from .goals import tolerances
+from .goals import Tolerances, tolerances
 from .motion import Motion
 from .reports import Reports
 from .tracker import Tracker
@@ -33,24 +35,30 @@ class Control:
     def __init__(self, node: Node, values: dict[str, Any], refused: Callable[[RivalError], None]) -> None:
         self._values, joints = values, values["joints"]
         self._robot = robot = config.robot(values)
-        settings, limits = safety(values, robot), motion_limits(values, robot)
+        settings, allowed = safety(values, robot), tolerances(values, robot.n)
         reader = StateReader(joints, measurement(values, robot))
         self._law = TrackingLaw(robot, config.gains(values, robot.n), compile=values["compile"])
-        reference, simulated = config.reference(values, robot.n), bool(node.get_parameter("use_sim_time").value)
-        self.tracker = Tracker(self._law, reference, settings, observer(values, robot), simulated)
+        simulated = bool(node.get_parameter("use_sim_time").value)
+        self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated)
         self.tracker.warm_up()
+        # Nothing above is made on the node, nothing below is refused.
         self.reports = Reports(node, self.tracker)
         self._answering = Answering(node, joints, self.tracker, reader, self.reports, refused)
         self._motion = Motion(node, joints, self.tracker, self.reports, self._is_active, self._built_in)
-        self._motion.limit(limits, values["allow_partial_joints"])
-        self._action = self._offered(node)
+        self._limit_motion()
+        self._action = self._offered(node, allowed)
 
     def start(self) -> None:
-        """Answer from the next state on; raises RivalError where another process commands the robot."""
+        """Answer from the next state on, as at birth, with the reference that the parameters describe.
+
+        Raises ParameterError where that leaves its limits, RivalError where another process commands the robot.
+        """
+        self.tracker.start(self._built_in())
         self._answering.start(self._values["state_timeout"])
 
     def stop(self) -> None:
         """Send the last command, where one is due, and the counters; answer no more."""
+        self._motion.drop()
         self._motion.replaced("the controller was deactivated")
         self._answering.stop()
         self.reports.publish()
@@ -71,29 +79,40 @@ class Control:
     def change(self, values: dict[str, Any], changed: set[str]) -> None:
         """Take over gains, limits and the built-in reference, from the next state on; all or, by FjrError, none."""
         robot, groups = self._robot, {name.split(".", 1)[0] for name in changed}
-        settings, limits = safety(values, robot), motion_limits(values, robot)
+        settings = safety(values, robot)
+        motion_limits(values, robot)
         config.reference(values, robot.n)
         if "gains" in groups:
-            self._law = self._law.with_gains(config.gains(values, robot.n))
-            self.tracker.use(self._law)
+            law = self._law.with_gains(config.gains(values, robot.n))
+            self.tracker.use(law)
+            self._law = law
+        self._values = values
         if groups - {"gains", "reference"}:
             self.tracker.settings(settings)
-            self._motion.limit(limits, values["allow_partial_joints"])
-        self._values = values
+            self._limit_motion()
         self.reports.empty()
 
     def _is_active(self) -> bool:
         return self._answering.active
 
     def _built_in(self) -> Reference:
-        return config.reference(self._values, self._robot.n)
+        """The reference that the parameters describe; raises ParameterError where it leaves its limits."""
+        reference = config.reference(self._values, self._robot.n)
+        limits = motion_limits(self._values, self._robot)
+        named(lambda _: "reference.*", lambda: check_motion(reference, limits, joints=self._values["joints"]))
+        return reference
 
-    def _offered(self, node: Node) -> FollowAction | None:
+    def _limit_motion(self) -> None:
+        values = self._values
+        limits = motion_limits(values, self._robot)
+        self._motion.limit(limits, values["recovery.join_time"], values["allow_partial_joints"])
+
+    def _offered(self, node: Node, allowed: Tolerances) -> FollowAction | None:
         """The action, where its messages are installed."""
         joints = self._values["joints"]
         messages = follow_messages(joints)
         if messages is None:
             return None
-        action = FollowAction(node, joints, self._motion, tolerances(self._values, len(joints)), messages)
+        action = FollowAction(node, joints, self._motion, allowed, messages)
         self._answering.tell(action.watch)
         return action

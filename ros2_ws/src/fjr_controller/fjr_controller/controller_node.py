@@ -11,7 +11,7 @@ from typing import Any
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from fjr_core import FjrError, config
-from fjr_core.process_parameters import process_parameters
+from fjr_core.process_parameters import process_care, process_parameters
 from fjr_msgs_py import names, process
 from fjr_msgs_py.node_parameters import ManagedParameterNode
 
@@ -67,6 +67,12 @@ class ControllerNode(ManagedParameterNode):
         """Take over gains, limits and the built-in reference together, or raise FjrError."""
         if self._control is not None:
             self._control.change(values, names)
+
+    def end(self, error: FjrError) -> None:
+        """Be inactive, with the last command out, and do nothing more."""
+        if self.state == "active":
+            self.trigger_deactivate()
+        super().end(error)
 
     def stop(self) -> None:
         """Shut down: the last command, and the counters."""
@@ -124,7 +130,9 @@ class ControllerNode(ManagedParameterNode):
     def _configure(self) -> None:
         if not self._at_birth:
             self.recheck()
+        process_care(self.values)
         self._control = Control(self, self.values, self._on_rival)
+        self.built()
 
     def _activate(self) -> None:
         assert self._control is not None
@@ -140,13 +148,13 @@ class ControllerNode(ManagedParameterNode):
             self._control = None
 
     def _on_rival(self, error: RivalError) -> None:
-        """Another process commands the robot, as it turned out before the first answer."""
+        """Another process commands the robot, as it turned out before the first answer: be inactive, or end."""
         assert self._control is not None
         self._control.reports.event(Event("error", RIVALS, str(error)))
         self.trigger_deactivate()
         self.trouble = error
         if self.values["autostart"]:
-            raise error
+            self.end(error)
 
 
 def main(args: list[str] | None = None) -> int:

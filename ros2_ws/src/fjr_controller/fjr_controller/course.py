@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from fjr_core import Reference
@@ -24,27 +26,21 @@ class Course:
     """The reference with its clock, the fade of the effort and the stop, moved on sample by sample.
 
     reason: why it is stopped, one sentence; empty otherwise. blind: samples left in which the velocities do not
-    count yet. The state is looked up in `limits`, what happens is written into `journal`.
+    count yet. starting: tracking has not begun on this time line. The state is looked up in `limits`, what happens is
+    written into `journal`.
     """
 
     def __init__(self, reference: Reference, settings: Settings, limits: StateLimits, journal: Journal) -> None:
         self.settings, self.reference = settings, RunningReference(reference)
         self.fade, self.watch = Fade(), Watch()
-        self.reason, self.blind = "", 0
+        self.reason, self.blind, self.starting = "", 0, True
         self._limits, self._journal = limits, journal
-        self._resuming = self._holding = self._refused = self._joining = False
+        self._resuming = self._holding = self._joining = False
 
     @property
     def joining(self) -> bool:
         """Whether the effort or the reference is still led into the wanted one."""
         return self.fade.active or self.blind > 0 or self._joining
-
-    def forget(self) -> None:
-        """As before the first sample."""
-        self.reference.forget()
-        self.fade.stop()
-        self.watch.void()
-        self.reason, self.blind, self._resuming, self._refused = "", 0, False, False
 
     def follow(self, reference: Reference, start: int | None) -> None:
         """See Tracker.follow."""
@@ -62,49 +58,116 @@ class Course:
         """See Tracker.resume."""
         self._resuming = bool(self.reason)
 
-    def jets(self, order: Order, stamp: int, observed: int) -> Array:
-        """The reference (5, n) for the state, after everything that this sample is the occasion for.
+    def is_even(self, order: Order, stamp: int, observed: int) -> bool:
+        """Whether the sample is the occasion for nothing: what is under way goes on."""
+        asked = self._resuming or self._holding or self.reference.is_due(stamp)
+        return order is Order.NEXT and not (observed or self.blind or asked)
 
-        observed: samples that the velocities need after a break.
+    def turned(self, order: Order, stamp: int, observed: int) -> Course:
+        """A course after everything that the sample is the occasion for, with a journal of its own; this one stays.
+
+        observed: samples that the velocities need before they count, because their observer has begun anew.
+        Raises TrajectoryError for a state from which no motion leads back.
         """
-        if order is not Order.NEXT:
-            self._arrange(order, stamp, observed)
-        if self._resuming or self._holding or self.blind or self.reference.waits:
-            self._advance(stamp)
+        course = copy(self)
+        course.reference, course.fade, course.watch = copy(self.reference), copy(self.fade), copy(self.watch)
+        course._journal = Journal()
+        course._arrange(order, stamp, observed)
+        course._advance(order, stamp)
+        return course
+
+    def taken(self, journal: Journal) -> Course:
+        """This course, which writes into `journal`, also what it has written so far."""
+        journal.take(self._journal)
+        self._journal = journal
+        return self
+
+    def jets(self, stamp: int) -> Array:
+        """The reference (5, n) for the state, whose limits are checked with it."""
         jets, self._joining = self.reference.jets(stamp), stamp < self.reference.joined_at
-        if not self.reason and not self.blind:
-            self._check(jets[0])
+        if not self.reason:
+            self._check(None if self.blind else jets[0])
         return jets
 
     def _arrange(self, order: Order, stamp: int, observed: int) -> None:
         if order is Order.REPEATED:
             self._journal.count("states repeated")
-        elif order is Order.FIRST:
+            return
+        if order is Order.FIRST:
             self._begin(stamp)
         elif order is Order.BACK:
             text = "the time of the states jumped back: the reference starts again"
             self._journal.say(WARN, "reference restarts", text)
             self._begin(stamp)
-        else:
-            if order is Order.FORWARD:
-                self._journal.say(WARN, "forward jumps", "the time of the states jumped forward")
+        elif order is Order.FORWARD:
+            self._journal.say(WARN, "forward jumps", "the time of the states jumped forward")
+        elif order is Order.NEXT and observed:
+            text = "the observer of the velocities began anew: a gap, or a state without an effort"
+            self._journal.say(WARN, "observer restarts", text)
+        if order is not Order.NEXT or observed:
+            self.fade.stop()
             self.blind = 1 + observed
 
     def _begin(self, stamp: int) -> None:
         """The reference's time 0 is here."""
-        m, self.blind = self._limits, 0
         if self._holding:
-            self.reference.stand(m.q_l, stamp)
+            self.reference.stand(self._limits.q_l, stamp)
             self._holding = False
         self.reference.begin(stamp)
         self.watch.void()
+        self.starting = True
+
+    def _advance(self, order: Order, stamp: int) -> None:
+        """What was asked for since the last sample, and a start or a recovery when its time has come."""
+        ready = False
+        if self.blind and order is not Order.REPEATED:
+            self.blind -= 1
+            ready = not self.blind
+        if self._resuming:
+            ready = self._resume(stamp)
+        if ready and not self.reason:
+            self._lead(stamp)
+        if self._holding:
+            self._hold(stamp)
+        self.reference.advance(stamp, 0.0 if self.reason else self.settings.recovery_join_time)
+
+    def _hold(self, stamp: int) -> None:
+        if self.reason:
+            self.reference.stand(self._limits.q_l, stamp)
+        else:
+            self.reference.brake(stamp, self.settings.hold_deceleration)
+        self._holding = False
+
+    def _resume(self, stamp: int) -> bool:
+        """End the stop, unless the state is outside its limits; whether the reference can be led from it."""
+        self.reason, self._resuming = "", False
+        self._check(None)
+        if self.reason:
+            return False
+        self._journal.count("resumes")
+        self.starting = self.starting and self.settings.recovery_join_time == 0
+        if self.starting:
+            self._begin(stamp)
+        return self.blind == 0
+
+    def _lead(self, stamp: int) -> None:
+        """Lead reference and effort from the measured state, unless that is outside its limits."""
+        self._check(None)
         if self.reason:
             return
+        if self.starting:
+            self._start(stamp)
+        else:
+            self._recover(stamp)
+
+    def _start(self, stamp: int) -> None:
+        m = self._limits
         self.fade.ramp(stamp, self.settings.ramp_time)
         if self.settings.start_join_time > 0:
             self.reference.join(standing(m.q_l, m.dq_l), stamp, self.settings.start_join_time)
         else:
             self._check_start(self.reference.jets(stamp)[0])
+        self.starting = bool(self.reason)
 
     def _check_start(self, q_ld: Array) -> None:
         error, limit = np.abs(self._limits.q_l - q_ld), np.asarray(self.settings.start_error)
@@ -117,49 +180,21 @@ class Course:
             f"start refused: |q_l - q_ld| of {joint} is {error[i]:.6g} rad; "
             f"expected at most {limit[i]:.6g} rad, or a start.join_time above 0"
         )
-        self._refused = True
         self._stop("starts refused", sentence, joint, float(error[i]), float(limit[i]))
 
-    def _advance(self, stamp: int) -> None:
-        """What was asked for since the last sample, and a recovery when its time has come."""
-        if self._resuming:
-            self._resume(stamp)
-        if self._holding:
-            self._hold(stamp)
-        self.reference.advance(stamp, 0.0 if self.reason else self.settings.recovery_join_time)
-        if self.blind:
-            self.blind -= 1
-            if not self.blind and not self.reason:
-                self._recover(stamp, "states are back")
-
-    def _hold(self, stamp: int) -> None:
-        if self.reason:
-            self.reference.stand(self._limits.q_l, stamp)
-        else:
-            self.reference.brake(stamp, self.settings.hold_deceleration)
-        self._holding = False
-
-    def _resume(self, stamp: int) -> None:
-        again = self._refused and self.settings.recovery_join_time == 0
-        self.reason, self._resuming, self._refused = "", False, False
-        self._journal.count("resumes")
-        if again:
-            self._begin(stamp)
-        elif not self.blind:
-            self._recover(stamp, "resumed")
-
-    def _recover(self, stamp: int, cause: str) -> None:
+    def _recover(self, stamp: int) -> None:
         """Lead the reference from the measured state, and the effort from the last one sent."""
         self.watch.void()
         seconds = self.settings.recovery_join_time
         if seconds > 0:
             self.reference.join(standing(self._limits.q_l, self._limits.dq_l), stamp, seconds)
             self.fade.blend(stamp, BLEND * seconds)
-        text = f"{cause}: the reference is joined within {seconds:g} s" if seconds else f"{cause}: tracking goes on"
+        text = f"recovery: the reference is joined within {seconds:g} s" if seconds else "recovery: tracking goes on"
         self._journal.say(INFO, "recoveries", text)
 
-    def _check(self, q_ld: Array) -> None:
-        v = self._limits.violation(q_ld)
+    def _check(self, q_ld: Array | None) -> None:
+        """Stop at a broken limit; of the tracking error where q_ld (n,) is given, of the velocities unless blind."""
+        v = self._limits.violation(q_ld, velocities=not self.blind)
         if v is not None:
             self._journal.count(f"stops: {v.kind}")
             self._stop("stops", f"stopped: {v.sentence}", v.joint, v.value, v.limit)

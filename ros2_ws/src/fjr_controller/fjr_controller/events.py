@@ -45,3 +45,8 @@ class Journal:
     def count(self, kind: str) -> None:
         """Count `kind`."""
         self.counters[kind] += 1
+
+    def take(self, other: Journal) -> None:
+        """What another journal holds happened, too."""
+        self.events.extend(other.events)
+        self.counters.update(other.counters)

@@ -3,7 +3,7 @@
 
 A goal that cannot be followed is rejected. One that is followed ends when it is reached, when a tolerance is broken,
 the controller stops or is asked for something else, or when it is cancelled; then, unless something else was asked
-for, the motion is held.
+for, the motion is held, after a stop from ~/resume on.
 """
 
 from __future__ import annotations
@@ -65,6 +65,7 @@ class FollowAction:
             self._end(Outcome(Code.SUCCESSFUL, "cancelled"))
             return
         if command.state is State.STOPPED:
+            self._motion.hold()  # ~/resume is not to go on with the trajectory
             self._end(Outcome(Code.PATH_TOLERANCE_VIOLATED, "the controller has stopped"))
             return
         n = len(self._joints)

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from fjr_core import FjrError, Reference
+from fjr_core.joining import join
 from fjr_core.motion_limits import MotionLimits, check_motion
 from fjr_msgs_py import names
 from fjr_msgs_py.messages import MessageError
@@ -43,7 +43,7 @@ class Motion:
         is_active: Callable[[], bool],
         built_in: Callable[[], Reference],
     ) -> None:
-        """built_in: makes the reference that the node's parameters describe now."""
+        """built_in: makes the reference that the parameters describe; raises FjrError where it leaves its limits."""
         self._node, self._joints, self._tracker, self._reports = node, joints, tracker, reports
         self._is_active, self._built_in = is_active, built_in
         self._planner = Planner(node, tracker, is_active)
@@ -54,9 +54,9 @@ class Motion:
             for name, act in ((names.HOLD, self._hold), (names.PLAY, self._play), (names.RESUME, self._resume))
         ]
 
-    def limit(self, limits: MotionLimits, allow_partial: bool) -> None:
-        """Check what is asked for from now on by these."""
-        self._limits = limits
+    def limit(self, limits: MotionLimits, join_time: float, allow_partial: bool) -> None:
+        """Check what is asked for from now on by these; join_time [s]: of the built-in reference."""
+        self._limits, self._join_time = limits, join_time
         self._planner.limit(Rules(self._joints, limits, TrajectoryReader(self._joints, allow_partial)))
 
     def take(self, message: JointTrajectory, reason: str, told: Callable[[Plan | None], None] = _nobody) -> None:
@@ -70,7 +70,7 @@ class Motion:
             if isinstance(outcome, Plan):
                 self._begin(outcome, reason)
             elif outcome is None:
-                self._reports.event(Event("info", GIVEN_UP, "a trajectory is given up for something newer"))
+                self._reports.event(Event("info", GIVEN_UP, "a trajectory is given up before it was planned"))
             else:
                 self._refuse(outcome)
             told(outcome if isinstance(outcome, Plan) else None)
@@ -81,6 +81,10 @@ class Motion:
         """Come to rest and stand, until what is being planned can be followed."""
         self._tracker.hold()
         self._reports.empty()
+
+    def drop(self) -> None:
+        """Give up what is being planned."""
+        self._planner.drop()
 
     def close(self) -> None:
         """Take no more."""
@@ -120,18 +124,28 @@ class Motion:
         return answer
 
     def _hold(self) -> str:
-        self._planner.drop()
+        self.drop()
         self.replaced("~/hold was called")
         self._tracker.hold()
         return "the motion comes to rest"
 
     def _play(self) -> str:
-        reference = self._built_in()
-        check_motion(reference, self._limits, 0.0, np.inf, self._joints)
-        self._planner.drop()
+        reference, start = self._joined(self._built_in())
+        self.drop()
         self.replaced("~/play was called")
-        self._tracker.follow(reference)
+        self._tracker.follow(reference, start)
         return "the built-in reference is joined"
+
+    def _joined(self, reference: Reference) -> tuple[Reference, int | None]:
+        """The reference with a checked way to it from the newest state's jets, and its start; as it is before that."""
+        start = self._tracker.last_stamp
+        if start is None or not self._join_time or self._tracker.state is State.STOPPED:
+            return reference, None
+        jets = self._tracker.jets_at(start)
+        assert jets is not None
+        joined = join(jets, 0.0, reference, self._join_time)
+        check_motion(joined.way, self._limits, 0.0, self._join_time, self._joints)
+        return joined, start
 
     def _resume(self) -> str:
         if self._tracker.state is not State.STOPPED:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -48,7 +49,7 @@ class Plan:
 
 
 Outcome = Plan | FjrError | None
-"""A plan that can be followed, the reason why there is none, or None: something newer was asked for meanwhile."""
+"""A plan that can be followed, the reason why there is none, or None: it was given up meanwhile."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,20 +188,21 @@ class Planner:
             executor.create_task(self._judge, question, number, outcome)
 
     def _judge(self, question: Question, number: int, outcome: Plan | Exception) -> None:
+        """End the wish, or plan once more; nothing is raised: in a task of the events executor it ends the process."""
         if question.wish is not self._wish:
             return
         try:
             newest = self.newest()
             plan = self._judged(question, outcome, newest)
+            if plan is None and number < ATTEMPTS:
+                self._attempt(question.wish, newest, number + 1)
+                return
+            self._end(plan or MessageError("restless", f"the reference changed {ATTEMPTS} times; expected it to go on"))
         except FjrError as error:
             self._end(error)
-            return
-        if plan is not None:
-            self._end(plan)
-        elif number < ATTEMPTS:
-            self._attempt(question.wish, newest, number + 1)
-        else:
-            self._end(MessageError("restless", f"the reference changed {ATTEMPTS} times; expected it to go on"))
+        except Exception as error:
+            self._log(error)
+            self._end(MessageError("failed", f"the planning failed by {error!r}; expected a plan or a reason"))
 
     def _judged(self, question: Question, outcome: Plan | Exception, newest: int) -> Plan | None:
         """The plan as it can be followed now; None where it is to be made once more; else what is wrong is raised."""
@@ -219,8 +221,16 @@ class Planner:
 
     def _end(self, outcome: Outcome) -> None:
         wish, self._wish = self._wish, None
-        if wish is not None:
+        if wish is None:
+            return
+        try:
             wish.told(outcome)
+        except Exception as error:  # the wish has ended all the same
+            self._log(error)
+
+    def _log(self, error: Exception) -> None:
+        """An error that nobody foresaw."""
+        self._node.get_logger().error("".join(traceback.format_exception(error)))
 
 
 def _give_way() -> None:

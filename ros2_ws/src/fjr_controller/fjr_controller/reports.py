@@ -46,8 +46,7 @@ class Reports(Health):
         """Publish an event, and count and log it by its level and kind."""
         if event.level == "info":
             self.count[event.kind] += 1
-            if event.kind not in self._said:
-                self._said.add(event.kind)
+            if self.is_new(event.kind):
                 self._node.get_logger().info(event.sentence)
         elif event.level == "error":
             self.error(event.kind, event.sentence)

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
@@ -16,67 +18,88 @@ _PARTICIPANT = 12  # bytes of an endpoint's GID that all endpoints of one partic
 _ANY = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # hears reliable publishers, too
 
 
+@dataclass(frozen=True)
+class Other:
+    """A publisher in another process: its topic and its node, "" where that is not known."""
+
+    topic: str
+    node: str
+
+
 class Rivals:
-    """Watches the topic of a publisher of ours for publishers in other processes.
+    """Watches the topics of publishers of ours for publishers in other processes, each known by its GID.
 
     Those of this process's own context are no rivals: what runs in it was put together on purpose.
     """
 
-    def __init__(self, node: Node, kind: type, topic: str, **qos: Any) -> None:
-        """Create the publisher of messages `kind` on `topic`; what is said on it is also listened to here."""
-        self._node, self._kind = node, kind
-        before = self._gids(node.resolve_topic_name(topic))
-        self.publisher: Publisher = node.create_publisher(kind, topic, **qos)
-        self.topic = self.publisher.topic_name
-        self._family = {gid[:_PARTICIPANT] for gid in self._gids(self.topic) - before}
-        self._count = 1
-        self._others: dict[bytes, str] = {}
+    def __init__(self, node: Node, kinds: Mapping[str, type], qos: QoSProfile) -> None:
+        """Create a publisher on each topic; kinds: their messages by name of the topic."""
+        self._node = node
+        self._kinds = {node.resolve_topic_name(topic): kind for topic, kind in kinds.items()}
+        self._family: set[bytes] = set()
+        self._others: dict[bytes, Other] = {}
+        self.publishers = [self._publisher(topic, kind, qos) for topic, kind in self._kinds.items()]
 
-    def appeared(self) -> bool:
-        """Whether a publisher is there that was not at the last call; cheap where their number is the same."""
-        count = self._node.count_publishers(self.topic)
-        if count == self._count:
-            return False
-        self._count = count
+    def appeared(self) -> list[str]:
+        """The topics on which a publisher is there that was not at the last call."""
         before, self._others = self._others, self._found()
-        return not set(self._others) <= set(before)
+        return sorted({other.topic for gid, other in self._others.items() if gid not in before})
 
-    def named(self) -> str:
-        """The nodes of all that are there, in words."""
+    def named(self, *topics: str) -> str:
+        """The nodes of all that are there on these topics, in words."""
         others = self._found() or self._others
-        nodes = sorted(set(others.values()) - {""})
+        nodes = sorted({other.node for other in others.values() if other.topic in topics} - {""})
         return f"{'node' if len(nodes) == 1 else 'one of the nodes'} {', '.join(nodes)}" if nodes else "an unknown node"
 
-    def _found(self) -> dict[bytes, str]:
-        """GIDs of the publishers in other processes, with the names of their nodes where these are known."""
-        infos = self._node.get_publishers_info_by_topic(self.topic)
-        return {
-            gid: "" if "UNKNOWN" in info.node_name else f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in infos
-            if (gid := bytes(info.endpoint_gid))[:_PARTICIPANT] not in self._family
-        }
-
-    def is_heard(self) -> bool:
-        """Whether anybody publishes on the topic within LISTENING seconds, in which everything else waits.
+    def heard(self) -> str:
+        """The topic on which anybody publishes within LISTENING seconds, "" for none; everything else waits.
 
         Of two that listen to each other the one with the higher GID waits twice as long, and hears the other.
         """
-        subscription = self._node.create_subscription(self._kind, self.topic, lambda _: None, _ANY)
+        listening = [(topic, kind, self._listen(topic, kind)) for topic, kind in self._kinds.items()]
         try:
             yields = max(self._family, default=b"") > min(self._others, default=b"\xff")
             end = time.monotonic() + LISTENING * (2 if yields else 1)
             while time.monotonic() < end:
-                with subscription.handle:
-                    if subscription.handle.take_message(self._kind, True) is not None:
-                        return True
+                for topic, kind, subscription in listening:
+                    with subscription.handle:
+                        if subscription.handle.take_message(kind, True) is not None:
+                            return topic
                 time.sleep(_POLL)
-            return False
+            return ""
         finally:
-            self._node.destroy_subscription(subscription)
+            for *_, subscription in listening:
+                self._node.destroy_subscription(subscription)
 
     def close(self) -> None:
-        """End the publisher."""
-        self._node.destroy_publisher(self.publisher)
+        """End the publishers."""
+        for publisher in self.publishers:
+            self._node.destroy_publisher(publisher)
 
-    def _gids(self, topic: str) -> set[bytes]:
-        return {bytes(info.endpoint_gid) for info in self._node.get_publishers_info_by_topic(topic)}
+    def _publisher(self, topic: str, kind: type, qos: QoSProfile) -> Publisher:
+        """A publisher, made again where another one appeared at the same time, so that ours is known."""
+        while True:
+            before = self._on(topic)
+            publisher = self._node.create_publisher(kind, topic, qos)
+            new = self._on(topic).keys() - before.keys()
+            if len(new) <= 1:
+                self._family |= {gid[:_PARTICIPANT] for gid in new}
+                return publisher
+            self._node.destroy_publisher(publisher)
+
+    def _found(self) -> dict[bytes, Other]:
+        """The publishers in other processes by their GIDs."""
+        publishers = {gid: other for topic in self._kinds for gid, other in self._on(topic).items()}
+        return {gid: other for gid, other in publishers.items() if gid[:_PARTICIPANT] not in self._family}
+
+    def _on(self, topic: str) -> dict[bytes, Other]:
+        """All publishers on a topic by their GIDs."""
+        infos = self._node.get_publishers_info_by_topic(topic)
+        return {bytes(info.endpoint_gid): Other(topic, _name(info.node_namespace, info.node_name)) for info in infos}
+
+    def _listen(self, topic: str, kind: type) -> Any:
+        return self._node.create_subscription(kind, topic, lambda _: None, _ANY)
+
+
+def _name(namespace: str, node: str) -> str:
+    return "" if "UNKNOWN" in node else f"{namespace.rstrip('/')}/{node}"

@@ -32,18 +32,13 @@ class RunningReference:
         return self._zero is not None
 
     @property
-    def waits(self) -> bool:
-        """Whether something is to follow."""
-        return self._next is not None
-
-    @property
     def end(self) -> float:
         """Stamp [ns] from which on it stands still; inf for never or before it begins."""
         return np.inf if self._zero is None else self._zero + self._reference.end * 1e9
 
-    def forget(self) -> None:
-        """Its clock begins anew at the next begin()."""
-        self._zero = None
+    def is_due(self, stamp: int) -> bool:
+        """Whether something is to follow from this stamp on."""
+        return self._next is not None and (self._next[1] is None or stamp >= self._next[1])
 
     def begin(self, stamp: int) -> None:
         """Time 0 is at this stamp; what was to follow at a stamp of another time line is dropped."""
@@ -74,11 +69,9 @@ class RunningReference:
 
     def advance(self, stamp: int, join_time: float) -> bool:
         """Take over what is to follow, if its time has come; joined within join_time [s] where it does not match."""
-        if self._next is None:
+        if self._next is None or not self.is_due(stamp):
             return False
         reference, start = self._next[0], stamp if self._next[1] is None else self._next[1]
-        if stamp < start:
-            return False
         fits = join_time == 0 or _match(self.jets(start), reference.jets(0.0))
         jets0 = self.jets(stamp)
         self._take(reference, start)

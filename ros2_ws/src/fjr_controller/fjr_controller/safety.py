@@ -57,15 +57,20 @@ class StateLimits:
         self._joints = settings.joints
         self._on = bool(np.isfinite([self._lower, self._upper]).any())
 
-    def violation(self, q_ld: Array) -> Violation | None:
-        """The first limit that the state breaks, with the reference q_ld (n,); a value at its limit is within."""
+    def violation(self, q_ld: Array | None, velocities: bool = True) -> Violation | None:
+        """The first limit that the state breaks, with the reference q_ld (n,); a value at its limit is within.
+
+        None: that of the tracking error is not looked at. velocities: whether those of the velocities are.
+        """
         if not self._on:
             return None
         np.subtract(self.q_m, self.q_l, out=self._zeta)
-        np.subtract(self.q_l, q_ld, out=self._error)
+        np.subtract(self.q_l, self.q_l if q_ld is None else q_ld, out=self._error)
         np.less(self._row, self._lower, out=self._below)
         np.greater(self._row, self._upper, out=self._above)
         np.logical_or(self._below, self._above, out=self._above)
+        if not velocities:
+            self._above[2 * len(self._joints) : 4 * len(self._joints)] = False
         return self._worst() if np.count_nonzero(self._above) else None
 
     def _worst(self) -> Violation:
@@ -188,6 +193,8 @@ class StopPolicy:
 
     def standing(self) -> Array:
         """The effort (n,) without a sample, finite: the weight where the links were last; zero before that."""
-        if not (self._holds and self._known):
-            return np.zeros(len(self._q_l))
-        return self._B_inv @ self._grad_P_l(self._q_l)[0]
+        return self.at(self._q_l) if self._known else np.zeros(len(self._q_l))
+
+    def at(self, q_l: Array) -> Array:
+        """The effort (n,) for links at rest at q_l (n,) [rad]."""
+        return self._B_inv @ self._grad_P_l(q_l)[0] if self._holds else np.zeros(len(q_l))

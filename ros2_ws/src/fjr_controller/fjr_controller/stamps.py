@@ -15,7 +15,8 @@ class Order(Enum):
     OLDER = auto()  # by so little, and so soon, that it only came late
     BACK = auto()  # by more than the timeout, or after nothing newer came for that long
     FORWARD = auto()  # newer by more than the timeout, though no such time has passed
-    LATE = auto()  # after a silence by the arrival clock
+    LATE = auto()  # after a silence
+    DOUBTED = auto()  # as BACK or FORWARD, but no other sample confirms the jump yet
 
 
 class Stamps:
@@ -23,6 +24,8 @@ class Stamps:
 
     simulated: time is that of the stamps, which may stand still as long as they like; a pause between arrivals is
     no silence then. That nothing newer arrives where stamps are older is judged by the arrivals all the same.
+    Where time is real, stamps that jump count from the second one on: the first is doubted, and forgotten when the
+    stamps go on as before.
     """
 
     def __init__(self, timeout: float, simulated: bool = False) -> None:
@@ -31,24 +34,31 @@ class Stamps:
         self.last: int | None = None
         self._arrival = 0
         self._silent = False
+        self._doubted: int | None = None
 
     def limit(self, timeout: float) -> None:
         """Another timeout [s]."""
         self.timeout = round(timeout * 1e9)
 
     def judge(self, stamp: int, arrival: int) -> Order:
-        """Where a sample with this stamp that arrived then stands; nothing is remembered."""
-        last = self.last
-        if last is None:
+        """Where a sample with this stamp that arrived then stands; of it only a jump that is doubted is remembered."""
+        before, self._doubted = self._doubted, None
+        if self.last is None:
             return Order.FIRST
-        late = arrival - self._arrival > self.timeout
-        if stamp < last:
-            return Order.BACK if late or last - stamp > self.timeout else Order.OLDER
-        if late and not self._simulated:
+        ahead, late = stamp - self.last, arrival - self._arrival > self.timeout
+        if ahead < 0 and late:
+            return Order.BACK
+        if ahead >= 0 and (self._silent or (late and not self._simulated)):
             return Order.LATE
-        if stamp - last > self.timeout:
-            return Order.FORWARD
-        return Order.NEXT if stamp > last else Order.REPEATED
+        if abs(ahead) > self.timeout:
+            return self._jumped(stamp, before, Order.BACK if ahead < 0 else Order.FORWARD)
+        return Order.OLDER if ahead < 0 else Order.NEXT if ahead else Order.REPEATED
+
+    def _jumped(self, stamp: int, before: int | None, order: Order) -> Order:
+        """The order, if the sample before was doubted and this one follows it, or time is simulated."""
+        self._doubted = stamp
+        confirmed = before is not None and 0 <= stamp - before <= self.timeout
+        return order if confirmed or self._simulated else Order.DOUBTED
 
     def accept(self, stamp: int, arrival: int) -> None:
         """The sample counts: later ones are judged by it."""
@@ -66,4 +76,4 @@ class Stamps:
 
     def forget(self) -> None:
         """The next sample is the first."""
-        self.last, self._silent = None, False
+        self.last, self._silent, self._doubted = None, False, None

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a measured sample to an effort: the reference's clock, the law u(x, x, t) and what keeps it safe; without ROS.
 
-sample -> order of the stamps -> limits of the state -> law -> ramp or blend -> effort limits -> rate limit -> u
+sample -> order of the stamps -> limits of the state -> law -> finite -> ramp or blend -> effort limits -> rate -> u
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from fjr_core import Reference, StateError, TrackingLaw, TrajectoryError
+from fjr_core import GainsError, Reference, StateError, TrackingLaw, TrajectoryError
 from fjr_core.checks import Array
 from fjr_core.reference import JETS
 from fjr_core.safety_parameters import Settings
@@ -27,7 +27,7 @@ from .stamps import Order, Stamps
 if TYPE_CHECKING:
     from fjr_msgs_py.messages import JointSample
 
-OBSERVED = 5  # samples that an observer gets after a silence before its velocities count
+OBSERVED = 5  # samples that an observer gets when it begins anew before its velocities count
 
 
 class Observer(Protocol):
@@ -39,6 +39,10 @@ class Observer(Protocol):
     @property
     def state(self) -> Array:
         """The estimate (4n,): q_l, q_m [rad], dq_l, dq_m [rad/s]."""
+
+    @property
+    def fresh(self) -> bool:
+        """Whether the last update began anew, so that the velocities are not known yet."""
 
     def update(self, stamp: int, q_l: Array, q_m: Array, u: Array) -> object:
         """Make the estimate for positions (n,) [rad] measured at the stamp [ns]; u (n,) [N m] acted till then."""
@@ -68,26 +72,32 @@ class Tracker:
     States. waiting: before the first sample. joining: the effort is ramped or blended, or the reference leads
     from the measured state into the wanted one. tracking. stopped: a limit of position, velocity, deflection or
     tracking error was broken, or the start was refused; latched: every sample is answered by the stop policy
-    (`Settings.on_stop`; gravity_hold damps the motors by K_md) until resume().
+    (`Settings.on_stop`; gravity_hold damps the motors by K_md) until resume() or start().
 
     Order of stamps. A sample older than the last one is not answered (None), a repeated stamp is answered again.
     A stamp that jumped back by more than state_timeout, or an older one after nothing newer came for that long,
     is another beginning (a robot that was reset, a bag that loops), as after start(); but a stop stays latched.
-    Where time is simulated a pause between arrivals is no silence.
+    Where time is simulated a pause between arrivals is no silence; where it is not, the first sample of a jump is not
+    answered (None): it counts only when the next one confirms it.
     A stamp that jumped forward by more than state_timeout, or a sample after a silence of that length by the
     arrival clock, is a recovery: the reference's clock goes on, the reference is joined from the measured positions
     and velocities over recovery.join_time, and the effort leaves the last one sent without a step, in a twentieth of
-    that time: u = u_law + (1 - s) (u_last - u_law(0)) with a C^1 smoothstep s (fading.Fade). With
-    an observer the last effort stays for OBSERVED samples before that. The reference's time is 0 at the first
-    answered stamp.
+    that time: u = u_law + (1 - s) (u_last - u_law(0)) with a C^1 smoothstep s (fading.Fade). The reference's time is
+    0 at the first answered stamp.
+
+    With an observer that begins anew, at a break or by itself, velocities count from the OBSERVED-th sample after that
+    on: till then the effort stays as it is, at a beginning as after a stop, and then tracking begins or recovers.
+    Meanwhile the limits of velocities are not looked at, nor is the tracking error: the reference is joined later.
 
     Effort. Ramp (from the stop policy's effort) or blend, then the effort limits, then the rate limit against the
     last effort sent, over the difference of the stamps (at most state_timeout; the first effort comes from zero). A
     stop's effort passes both limits too; the single efforts of silence() and stop_effort() pass the first only. Where
-    the law's effort is not finite the stop policy's without a sample leaves; the sample leaves no other trace.
+    the law's effort is not finite the stop policy's without a sample leaves; the sample leaves no other trace: what
+    it was the occasion for waits for the next one. Outside the limits of the state nothing is joined or resumed.
 
     events: what happened, for the caller to take out. counters, with stable names:
-    "states older than the last", "states repeated", "reference restarts", "silences", "forward jumps", "recoveries",
+    "states older than the last", "states repeated", "jumps doubted", "reference restarts", "silences",
+    "forward jumps", "observer restarts", "recoveries",
     "starts refused", "stops" and of these "stops: link position", "stops: motor position", "stops: link velocity",
     "stops: motor velocity", "stops: deflection", "stops: tracking error"; "resumes", "efforts not finite",
     "efforts saturated" and of these "efforts saturated: <joint>", "efforts rate limited", "gains changed",
@@ -106,11 +116,10 @@ class Tracker:
         self.events, self.counters = journal.events, journal.counters
         self._law, self._observer, self._settings, self._journal = law, observer, settings, journal
         self._stamps, self._limits = Stamps(settings.state_timeout, simulated_time), StateLimits(settings)
-        self._course = Course(reference, settings, self._limits, journal)
+        self._reference, self._course = reference, Course(reference, settings, self._limits, journal)
         self._efforts, self._policy = EffortLimits(settings), StopPolicy(law, settings)
         self._jets = np.zeros((JETS, law.robot.n))
         self._bound = self._bind(law)
-        self._observed = 0 if observer is None else OBSERVED
         self._stopped, self._bad, self._clipped = 0, False, False
 
     @property
@@ -159,10 +168,15 @@ class Tracker:
                 self._observer.update(stamp, *(np.zeros(n),) * 3)
             self._observer.reset()
 
-    def start(self) -> None:
-        """Begin afresh, as at birth: the next sample is the first. Law, reference, events and counters stay."""
+    def start(self, reference: Reference | None = None) -> None:
+        """Begin afresh, as at birth: the next sample is the first, and the rules of the start apply to it.
+
+        reference: to be followed, whose time 0 is there; None: that of the last start. Nothing else that was asked
+        for is left, nor a stop. Law, settings, events and counters stay.
+        """
+        self._reference = self._reference if reference is None else reference
         self._stamps.forget()
-        self._course.forget()
+        self._course = Course(self._reference, self._settings, self._limits, self._journal)
 
     def answer(self, sample: JointSample, arrival: int) -> Command | None:
         """The command for a sample that arrived at `arrival` [ns, steady clock]; None: too old, nothing is to be sent.
@@ -174,17 +188,24 @@ class Tracker:
         if order is Order.OLDER:
             self._journal.count("states older than the last")
             return None
+        if order is Order.DOUBTED:
+            self._journal.count("jumps doubted")
+            return None
         if not self._measure(sample, order):
             return self._unanswerable(stamp)
-        if order is Order.FIRST or order is Order.BACK:
-            self._policy.remember(self._limits.q_l)  # a ramp begins with the weight here
-        try:
-            jets = self._course.jets(order, stamp, self._observed)
-        except TrajectoryError:  # a state so far out that no motion leads back from it
-            return self._unanswerable(stamp)
-        wanted, V = self._wanted(jets)
+        course, observed = self._course, self._unknown(order)
+        if not course.is_even(order, stamp, observed):
+            try:
+                course = course.turned(order, stamp, observed)
+            except TrajectoryError:  # a state so far out that no motion leads back from it
+                return self._unanswerable(stamp)
+        jets = course.jets(stamp)
+        wanted, V = self._wanted(course, jets)
         if not wanted.dot(wanted) < np.inf:
             return self._unanswerable(stamp)
+        if course is not self._course:
+            self._course = course.taken(self._journal)
+        self._policy.remember(self._limits.q_l)
         u = self._send(wanted, V, stamp)
         self._accept(stamp, arrival)
         return Command(u, jets, V, self._limits.velocity, self.state, order is Order.BACK)
@@ -220,8 +241,12 @@ class Tracker:
         self._journal.say(INFO, "settings changed", "limits and stop policy changed")
 
     def use(self, law: TrackingLaw) -> None:
-        """Another law (other gains) from the next sample on; the certificate begins anew."""
-        self._law, self._bound = law, self._bind(law)
+        """Another law (other gains) from the next sample on; the certificate begins anew.
+
+        Raises GainsError where its efforts are not finite; then the law stays.
+        """
+        self._bound = self._bind(law)
+        self._law = law
         self._policy.limit(law, self._settings)
         self._course.watch.void()
         self._journal.say(INFO, "gains changed", "gains changed: the certificate begins anew")
@@ -256,7 +281,8 @@ class Tracker:
         """End a stop: the next sample is answered by the law, the reference joined from the measured state.
 
         As a recovery does it, over recovery.join_time; with 0 at once. Where that is 0, a refused start begins again
-        instead, and is checked again. Nothing happens where nothing is stopped.
+        instead, and is checked again. A sample outside the limits stops again. Nothing happens where nothing is
+        stopped.
         """
         self._course.resume()
 
@@ -275,21 +301,40 @@ class Tracker:
             m.state[...] = self._observer.state
         return bool(m.state.dot(m.state) < np.inf)
 
-    def _wanted(self, jets: Array) -> tuple[Array, float]:
+    def _unknown(self, order: Order) -> int:
+        """Samples that the velocities need before they count."""
+        if self._observer is None or order is Order.REPEATED:
+            return 0
+        return OBSERVED if self._observer.fresh else 0
+
+    def _wanted(self, course: Course, jets: Array) -> tuple[Array, float]:
         """What is to be sent before ramp, blend and limits, with V; the law is not asked while stopped or blind."""
         m = self._limits
-        if self._course.reason:
+        if course.reason:
             return self._policy.moving(m.q_l, m.dq_m), math.nan
-        if self._course.blind:
+        if course.blind and course.starting:
+            return self._policy.at(m.q_l), math.nan
+        if course.blind:
             return self._efforts.sent.copy(), math.nan
         np.copyto(self._jets, jets)
         self._bound.evaluate()
         return self._bound.u.copy(), self._bound.V.item()
 
     def _bind(self, law: TrackingLaw) -> BoundCommand:
-        """The law from the measured state and the jets, evaluated once: built, and as fast as any other time."""
-        bound = law.bound(self._limits.position, self._limits.velocity, self._jets)
-        bound.evaluate()
+        """The law from the measured state and the jets, evaluated: built, and as fast as any other time.
+
+        Raises GainsError where its effort is not finite there, or with every position and velocity at 1.
+        """
+        state = self._limits.state
+        bound, measured = law.bound(self._limits.position, self._limits.velocity, self._jets), state.copy()
+        finite = True
+        for place in (np.ones_like(state), measured if measured.dot(measured) < np.inf else 0.0):
+            state[...] = place
+            bound.evaluate()
+            finite = finite and bool(bound.u.dot(bound.u) < np.inf)
+        state[...] = measured
+        if not finite:
+            raise GainsError("parameters 'gains.*' give an effort that is not finite; expected smaller gains")
         return bound
 
     def _send(self, wanted: Array, V: float, stamp: int) -> Array:
@@ -324,7 +369,6 @@ class Tracker:
     def _accept(self, stamp: int, arrival: int) -> None:
         if self._course.reason and self._stamps.last is not None:
             self._stopped += min(max(stamp - self._stamps.last, 0), self._stamps.timeout)
-        self._policy.remember(self._limits.q_l)
         self._stamps.accept(stamp, arrival)
         self._bad = False
 

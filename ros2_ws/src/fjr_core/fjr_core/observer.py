@@ -90,6 +90,11 @@ class VelocityObserver:
         """The estimate (4n,): q_l, q_m [rad] smoothed, dq_l, dq_m [rad/s]; good until the next update."""
         return self._x_hat
 
+    @property
+    def fresh(self) -> bool:
+        """Whether the last update began anew: the velocities are 0 because nothing is known of them."""
+        return self._k == 0
+
     @cached_property
     def function(self) -> ca.Function:
         """The CasADi function (x_hat, y, u, dt, gain) -> x_hat at the next sample; machine code if asked for.

@@ -44,20 +44,23 @@ class Health:
         self.warn(kind, f"{what} refused: {error} (said once; counted on /{DIAGNOSTICS})")
 
     def warn(self, kind: str, sentence: str) -> None:
-        """Count an unwanted event and say the sentence the first time."""
+        """Count an unwanted event and log the sentence as a warning, the first time that this kind comes."""
         self.count[kind] += 1
-        self.say_once(kind, sentence)
+        if self.is_new(kind):
+            self._node.get_logger().warning(sentence)
 
     def error(self, kind: str, sentence: str) -> None:
-        """Count an event that makes the node's status ERROR, and say the sentence the first time."""
+        """Count an event that makes the node's status ERROR, and log the sentence as an error, the first time."""
         self._errors.add(kind)
-        self.warn(kind, sentence)
+        self.count[kind] += 1
+        if self.is_new(kind):
+            self._node.get_logger().error(sentence)
 
-    def say_once(self, kind: str, sentence: str) -> None:
-        """Log the sentence as a warning, the first time that this kind comes."""
-        if kind not in self._said:
-            self._said.add(kind)
-            self._node.get_logger().warning(sentence)
+    def is_new(self, kind: str) -> bool:
+        """Whether this is the first time that this kind is asked for."""
+        new = kind not in self._said
+        self._said.add(kind)
+        return new
 
     def value(self, key: str, text: str) -> None:
         """Report a value besides the counters, from the next report on."""

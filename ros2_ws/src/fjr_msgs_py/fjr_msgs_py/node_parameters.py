@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType, SetParametersResult
 from rclpy.lifecycle import LifecycleNode
@@ -16,7 +17,8 @@ from rclpy.parameter import Parameter as RosParameter
 from fjr_core import FjrError, ParameterError, config, robot_file
 from fjr_core.parameters import Parameter, Value, complete, unknown
 
-_FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+_SIM_TIME = "use_sim_time"
+_FOREIGN = (_SIM_TIME, "start_type_description_service", "qos_overrides.")
 
 _TYPES = {
     bool: ParameterType.PARAMETER_BOOL,
@@ -27,6 +29,16 @@ _TYPES = {
 _LIST_TYPES = {float: ParameterType.PARAMETER_DOUBLE_ARRAY, str: ParameterType.PARAMETER_STRING_ARRAY}
 
 
+class Host(Protocol):
+    """The process of a node."""
+
+    def end(self, error: FjrError) -> None:
+        """The node has ended: let the process end with the error's sentence."""
+
+    def take_care(self, values: Mapping[str, Any]) -> None:
+        """Something large was built from these values: care for the cycles that follow; raises ParameterError."""
+
+
 class CheckedParameters(Node):
     """Mixin of a node whose parameters are a table of fjr_core.config; `values` holds them, checked.
 
@@ -35,9 +47,17 @@ class CheckedParameters(Node):
     While the node runs, dynamic parameters change all together or not at all (`changed`); the others do not
     change, except in a managed node that is unconfigured (`is_open`), which reads all again by `recheck`.
     Raises ParameterError for a value that does not fit, unless the node `may_wait` for a better one.
+    use_sim_time changes only while `is_open`: what is built follows one clock.
+
+    An FjrError that a callback of a timer, a subscription or a service raises ends the node: no such callback does
+    anything from then on, and the process around it ends with the error's sentence.
     """
 
     values: dict[str, Any]
+    host: Host | None = None
+    """The process, where the node has one of its own (fjr_msgs_py/process.py)."""
+    ended: FjrError | None = None
+    """Why the node has ended."""
     fault: ParameterError | None = None
     """Why the parameters do not fit, of a node that waits for better ones."""
 
@@ -76,12 +96,49 @@ class CheckedParameters(Node):
         """Whether every parameter may change now, to be checked later by `recheck`."""
         return False
 
+    def end(self, error: FjrError) -> None:
+        """Do nothing more; without a process of its own the node says why in the log."""
+        self.ended = error
+        if self.host is None:
+            self.get_logger().error(f"ended: {error}")
+        else:
+            self.host.end(error)
+
+    def built(self) -> None:
+        """Tell the process that what answers messages is built, again if need be; raises ParameterError."""
+        if self.host is not None:
+            self.host.take_care(self.values)
+
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
         """Take over the complete new values, of which `names` were set; an FjrError refuses them all."""
 
     def given(self, name: str, default: Any) -> Any:
         """A parameter as it was given, unchecked."""
         return self._given.get(name, default)
+
+    def create_timer(self, seconds: float, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """As of rclpy's Node; an FjrError of the callback ends the node."""
+        return super().create_timer(seconds, self._ending(callback), *args, **kwargs)
+
+    def create_subscription(self, kind: Any, name: str, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """As of rclpy's Node; an FjrError of the callback ends the node."""
+        return super().create_subscription(kind, name, self._ending(callback), *args, **kwargs)
+
+    def create_service(self, kind: Any, name: str, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """As of rclpy's Node; an FjrError of the callback ends the node, and the response is sent as it is then."""
+        return super().create_service(kind, name, self._ending(callback), *args, **kwargs)
+
+    def _ending(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(callback)
+        def call(*arguments: Any) -> Any:
+            if self.ended is None:
+                try:
+                    return callback(*arguments)
+                except FjrError as error:
+                    self.end(error)
+            return arguments[-1] if arguments else None
+
+        return call
 
     def recheck(self) -> None:
         """Read all parameters again, with what was set since; raises ParameterError and keeps the old values."""
@@ -131,11 +188,16 @@ class CheckedParameters(Node):
         """Whether the node can be unconfigured again."""
         return isinstance(self, LifecycleNode)
 
+    @property
+    def _when_open(self) -> str:
+        return "while the node is unconfigured" if self._managed else "before the node starts"
+
     def _on_set(self, parameters: list[RosParameter]) -> SetParametersResult:
         if self._declaring:
             return SetParametersResult(successful=True)
         new = {p.name: p.value for p in parameters if not p.name.startswith(_FOREIGN)}
         try:
+            self._check_clock(parameters)
             if new and self.is_open():
                 self._refuse_unknown(new)
             elif new:
@@ -147,13 +209,18 @@ class CheckedParameters(Node):
         self._given |= new
         return SetParametersResult(successful=True)
 
+    def _check_clock(self, parameters: list[RosParameter]) -> None:
+        """Raise ParameterError for another use_sim_time than the one that the node is built for."""
+        built_for = self.get_parameter(_SIM_TIME).value
+        if not self.is_open() and any(p.name == _SIM_TIME and p.value != built_for for p in parameters):
+            raise ParameterError(f"parameter '{_SIM_TIME}' can be set only {self._when_open}")
+
     def _checked_change(self, new: Mapping[str, object]) -> dict[str, Value]:
         """The values that are set, checked one by one; raises ParameterError for one that may not change now."""
         self._refuse_unknown(new)
         for name in new:
             if not self._parameters_by_name[name].dynamic:
-                when = "while the node is unconfigured" if self._managed else "before the node starts"
-                raise ParameterError(f"parameter '{name}' can be set only {when}")
+                raise ParameterError(f"parameter '{name}' can be set only {self._when_open}")
         return {name: self._parameters_by_name[name].check(value) for name, value in new.items()}
 
     def _refuse_unknown(self, new: Mapping[str, object]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import rclpy
@@ -20,6 +20,7 @@ from rclpy.task import Future
 from fjr_core import FjrError
 from fjr_core.process_parameters import process_care
 
+from .node_parameters import CheckedParameters
 from .scheduling import freeze_garbage, take_care
 
 try:
@@ -48,8 +49,10 @@ class StoppableNode(Protocol):
 def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -> int:
     """Run a node until SIGINT or SIGTERM; return the exit code.
 
-    0: ended by a signal. 1: could not start or go on; one sentence on standard error says why. A node that
-    has started has its last words (node.stop()) either way.
+    0: ended by a signal. 1: could not start, or ended by an FjrError of its own; one sentence on standard error
+    says why. A node that has started has its last words (node.stop()) whatever ends it; an exception that nobody
+    foresaw goes on to the caller after them. Only what a task of the events executor raises cannot be met: rclpy
+    7.1.6 crashes the process then, so a task must let nothing escape.
     """
     stopped: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -58,49 +61,77 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
-        care = process_care(node.values)
+        host = _Host(node)
     except (FjrError, *_ROS_ERRORS) as error:
         print(_sentence(error), file=sys.stderr, flush=True)
         _end(node)
         return 1
-    for refusal in take_care(care):
-        node.get_logger().warning(refusal)
-    freeze_garbage()
-    code = 0
     try:
-        _spin(node, care.executor, stopped)
-    except FjrError as error:
-        print(f"ended: {error}", file=sys.stderr, flush=True)
-        code = 1
-    try:
-        node.stop()
+        host.spin(stopped)
+        if host.ended is not None:
+            print(f"ended: {host.ended}", file=sys.stderr, flush=True)
     finally:
-        _end(node)
-    return code
+        try:
+            node.stop()
+        finally:
+            _end(node)
+    return 0 if host.ended is None else 1
 
 
-def _spin(node: StoppableNode, kind: str, stopped: list[int]) -> None:
-    executor, spin = _executor(kind)
-    executor.add_node(node)
-    try:
-        while not stopped and rclpy.ok():
-            spin()
-    except ExternalShutdownException:
-        pass
-    executor.remove_node(node)
+class _Host:
+    """The process as its node sees it (node_parameters.Host), and the loop that serves the node's callbacks."""
 
+    ended: FjrError | None = None
 
-def _executor(kind: str) -> tuple[Executor, Callable[[], None]]:
-    """The executor that is asked for, or "single" where rclpy has no other, with a spin that returns within POLL.
+    def __init__(self, node: StoppableNode) -> None:
+        """Take care for the node's cycles; raises ParameterError."""
+        self._node = node
+        self._kind = process_care(node.values).executor
+        self._round: Future = Future()
+        self.take_care(node.values)
+        if isinstance(node, CheckedParameters):
+            node.host = self
 
-    Without a time limit the events executor runs no callback and ignores signals in rclpy 7.1.6; a future kept
-    from one spin to the next would collect callbacks.
-    """
-    if kind == "single" or EventsExecutor is None:
-        single = SingleThreadedExecutor()
-        return single, lambda: single.spin_once(timeout_sec=POLL)
-    events = EventsExecutor()
-    return events, lambda: events.spin_until_future_complete(Future(), POLL)
+    def take_care(self, values: Mapping[str, Any]) -> None:
+        """Give the process what the values ask for, and freeze what is built."""
+        for refusal in take_care(process_care(values)):
+            self._node.get_logger().warning(refusal)
+        freeze_garbage()
+
+    def end(self, error: FjrError) -> None:
+        """Serve no further callback; for a callback."""
+        self.ended = error
+        self._round.set_result(None)
+
+    def spin(self, stopped: list[int]) -> None:
+        """Serve callbacks until a signal is in `stopped` or the node has ended."""
+        executor, spin = self._executor()
+        executor.add_node(self._node)
+        try:
+            while not stopped and self.ended is None and rclpy.ok():
+                spin()
+        except ExternalShutdownException:
+            pass
+        except FjrError as error:  # of a callback that the node does not know of, as an action's
+            self.ended = error
+        executor.remove_node(self._node)
+
+    def _executor(self) -> tuple[Executor, Callable[[], None]]:
+        """The executor that is asked for, or "single" where rclpy has no other, with a spin that ends within POLL.
+
+        Without a time limit the events executor runs no callback and ignores signals in rclpy 7.1.6; a future kept
+        from one spin to the next would collect callbacks.
+        """
+        if self._kind == "single" or EventsExecutor is None:
+            single = SingleThreadedExecutor()
+            return single, lambda: single.spin_once(timeout_sec=POLL)
+        events = EventsExecutor()
+
+        def spin() -> None:
+            self._round = Future()
+            events.spin_until_future_complete(self._round, POLL)
+
+        return events, spin
 
 
 def _end(node: StoppableNode | None) -> None:

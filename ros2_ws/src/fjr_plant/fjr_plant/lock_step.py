@@ -34,7 +34,7 @@ class LockStep(Pace):
     What is not answered is sent again, with the very same numbers, and never skipped. From the first answer
     on (after a start or a reset) LockStepError ends a silence of lockstep_timeout; until then the robot waits.
     What an imperfect channel loses or still holds at a sample's time has nobody to wait for: the sample passes
-    with the effort that is held, the same in every run.
+    with the effort that is held, the same in every run, and /clock shows its time.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -79,6 +79,8 @@ class LockStep(Pace):
             self._integrate(self._transport.times.next())
             self._measure()
             sent = self._send_arrived()
+            if not sent:
+                self._show_time()
             self._health.at(self.stamp)
             self._count_sample()
 
@@ -97,7 +99,7 @@ class LockStep(Pace):
             sample = self._arrived.popleft()
             self._awaited = sample[0]
             self._rig.states.send(sample)
-            self._clock.publish(self._clock_writer.fill(self.stamp))
+            self._show_time()
             self._sent_at = self._first_sent_at = time.monotonic()
             self._health.count["states published"] += 1
             if sample[0] >= self._newest:
@@ -108,9 +110,13 @@ class LockStep(Pace):
 
     def _send_again(self) -> None:
         self._rig.states.send_again()
-        self._clock.publish(self._clock_writer.fill(self.stamp))
+        self._show_time()
         self._sent_at = time.monotonic()
         self._health.count["states sent again"] += 1
+
+    def _show_time(self) -> None:
+        """Publish /clock; after the state of that time, so that its readers have the state first."""
+        self._clock.publish(self._clock_writer.fill(self.stamp))
 
     def _watch(self) -> None:
         """Look for an answer that is missing; raises LockStepError."""

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from rclpy.node import Node
 
 from fjr_core.checks import Array
@@ -33,7 +34,10 @@ class Rig:
 
 
 class Pace(ABC):
-    """Lets the robot's time run, rest, or go on by so many samples; a sample is stamped `offset` + robot's time."""
+    """Lets the robot's time run, rest, or go on by so many samples; a sample is stamped `offset` + robot's time.
+
+    An effort acts until the next one, but no longer than command_timeout of the robot's time: then there is none.
+    """
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
@@ -41,6 +45,8 @@ class Pace(ABC):
         self._period = rig.transport.period  # ns
         self.paused = bool(rig.values["start_paused"])
         self.offset = 0  # ns, the stamp of the robot's time 0
+        self._command_timeout = round(rig.values["command_timeout"] * 1e9)  # ns
+        self._last_command = 0  # robot's time, ns
         self._samples = self._left = 0
         self._answer: Answer | None = None
 
@@ -58,6 +64,7 @@ class Pace(ABC):
         """Back to the initial state, with nothing on its way."""
         self._end_advance(False, "reset")
         self._robot.reset()
+        self._last_command = 0
         self._transport.reset()
         self._restart()
 
@@ -80,6 +87,10 @@ class Pace(ABC):
         self._samples = self._left = samples
         self._answer = answer
         self._begin_advance()
+
+    def end(self) -> None:
+        """Tell whoever waits for the end of an advance that there is none."""
+        self._end_advance(False, "ended")
 
     @abstractmethod
     def catch_up(self) -> None:
@@ -131,11 +142,17 @@ class Pace(ABC):
 
     def _integrate_held(self, time: int) -> None:
         """Advance the robot to `time` [ns] without a new command."""
+        expiry = self._last_command + self._command_timeout
+        if time > expiry and self._robot.u.any():
+            self._robot.advance_to(expiry)
+            self._robot.u = np.zeros_like(self._robot.u)
+            self._health.warn("command timeouts", "no command for longer than command_timeout: effort set to zero")
         self._robot.advance_to(time)
 
     def _apply(self, effort: Array) -> None:
         """Let an effort act from the robot's time on."""
         self._robot.u = effort
+        self._last_command = self._robot.time
 
     @abstractmethod
     def _restart(self) -> None:

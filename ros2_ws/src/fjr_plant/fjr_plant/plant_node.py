@@ -9,7 +9,7 @@ from typing import Any
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from fjr_core import Plant, config
+from fjr_core import FjrError, Plant, config
 from fjr_core import imperfection_parameters as words
 from fjr_msgs_py import names, process
 from fjr_msgs_py.health import Health
@@ -68,6 +68,11 @@ class PlantNode(ParameterNode):
     def stop(self) -> None:
         """Report the last counters."""
         self._health.publish()
+
+    def end(self, error: FjrError) -> None:
+        """Let the robot's time stand still, with an answer to whoever waits for it."""
+        self._pace.end()
+        super().end(error)
 
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
         """Let the robot be as imperfect as the new values say, from now on; an FjrError refuses them."""

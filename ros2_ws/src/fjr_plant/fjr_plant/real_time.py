@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import time
 
-import numpy as np
 from rclpy.clock import Clock, ClockType
 from std_msgs.msg import Float64MultiArray
 
-from fjr_core.checks import Array
 from fjr_msgs_py import names
 from fjr_msgs_py.messages import MessageError
 
@@ -32,7 +30,6 @@ class RealTime(Pace):
     def __init__(self, rig: Rig) -> None:
         super().__init__(rig)
         node = rig.node
-        self._timeout = round(rig.values["command_timeout"] * 1e9)  # ns
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._ros_clock = node.get_clock()
         clock = self._ros_clock if self._simulated else Clock(clock_type=ClockType.STEADY_TIME)
@@ -93,7 +90,6 @@ class RealTime(Pace):
         if not self._started:
             return
         self.offset = self._zero
-        self._last_command = 0  # robot's time, ns
         self._answered = True
         now = self._read_clock()
         self._restart_ticks(now)
@@ -110,7 +106,7 @@ class RealTime(Pace):
         return super()._refusal() or ("" if self._started else "no time has come on /clock yet; expected one first")
 
     def _begin_advance(self) -> None:
-        """All samples at once, with the effort that is held."""
+        """All samples at once: nobody is asked in between, the effort that is held acts."""
         while self._left:
             self._integrate(self._robot.time + self._period)
             self._publish_sample()
@@ -180,17 +176,3 @@ class RealTime(Pace):
         self._health.count["states published"] += 1
         self._rig.states.send(sample)
         self._health.at(sample[0])
-
-    # The effort.
-
-    def _integrate_held(self, time: int) -> None:
-        expiry = self._last_command + self._timeout
-        if time > expiry and self._robot.u.any():
-            self._robot.advance_to(expiry)
-            self._robot.u = np.zeros_like(self._robot.u)
-            self._health.warn("command timeouts", "no command for longer than command_timeout: effort set to zero")
-        self._robot.advance_to(time)
-
-    def _apply(self, effort: Array) -> None:
-        super()._apply(effort)
-        self._last_command = self._robot.time

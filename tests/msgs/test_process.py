@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ends a node's process: a sentence or a traceback, and the last words before either; on both executors."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from msgs.child import run
+
+# A node whose callback number 5 does what argument 2 says, through process.run with the executor of argument 1.
+FALLING = """
+import sys
+from fjr_core import FjrError
+from fjr_core.process_parameters import process_parameters
+from fjr_msgs_py import process
+from fjr_msgs_py.node_parameters import ParameterNode
+from rclpy.parameter import Parameter
+from std_msgs.msg import Empty
+from std_srvs.srv import Trigger
+executor, act = sys.argv[1:]
+class Falling(ParameterNode):
+    def __init__(self):
+        super().__init__("falling", lambda n: process_parameters(),
+                         parameter_overrides=[Parameter("executor", value=executor)])
+    def build(self):
+        self.calls = []
+        self.create_timer(0.001, self.tick)
+        self.create_subscription(Empty, "fall", self.fall, 1)
+        self.create_service(Trigger, "fall", self.fall)
+        self.publisher = self.create_publisher(Empty, "fall", 1)
+        self.client = self.create_client(Trigger, "fall")
+    def tick(self):
+        self.calls.append("tick")
+        if len(self.calls) == 5:
+            getattr(self, act)()
+    def subscription(self):
+        self.publisher.publish(Empty())
+    def service(self):
+        self.client.call_async(Trigger.Request())
+    def fall(self, *_):
+        self.timer()
+    def timer(self):
+        self.calls.append("fell")
+        raise FjrError("it fell")
+    def surprise(self):
+        raise RuntimeError("nobody thought of it")
+    def stop(self):
+        print("last words", "fell" in self.calls, self.calls[-1], flush=True)
+sys.exit(process.run(Falling))
+"""
+
+# A node that asks for other care once it is built again, and then ends.
+REBUILT = """
+import gc, os, sys
+from fjr_core import FjrError
+from fjr_core.process_parameters import process_parameters
+from fjr_msgs_py import process
+from fjr_msgs_py.node_parameters import ParameterNode
+class Rebuilt(ParameterNode):
+    def __init__(self):
+        super().__init__("rebuilt", lambda n: process_parameters())
+    def build(self):
+        self.built()  # not in a process yet: nobody cares
+        self.create_timer(0.001, self.tick)
+    def tick(self):
+        before = gc.get_freeze_count()
+        self.large = [[k] for k in range(100_000)]
+        core = max(os.sched_getaffinity(0))
+        self.values = {**self.values, "cpu_affinity": str(core)}
+        self.built()
+        print(gc.get_freeze_count() - before > 90_000, os.sched_getaffinity(0) == {core})
+        self.end(FjrError("enough"))
+    def stop(self):
+        pass
+sys.exit(process.run(Rebuilt))
+"""
+
+executors = pytest.mark.parametrize("executor", ["events", "single"])
+
+
+@executors
+@pytest.mark.parametrize("where", ["timer", "subscription", "service"])
+def test_an_error_of_ours_ends_the_process_with_one_sentence(executor: str, where: str) -> None:
+    done = run(FALLING, executor, where)
+    assert done.stderr == "ended: it fell\n"
+    assert done.stdout == "last words True fell\n", "and no callback after it"
+    assert done.returncode == 1
+
+
+@executors
+def test_what_nobody_foresaw_is_a_traceback_after_the_last_words(executor: str) -> None:
+    done = run(FALLING, executor, "surprise")
+    assert done.stdout == "last words False tick\n"
+    assert done.stderr.rstrip().endswith("RuntimeError: nobody thought of it")
+    assert "Traceback" in done.stderr
+    assert done.returncode == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for the cores")
+def test_what_is_built_later_gets_the_same_care() -> None:
+    done = run(REBUILT)
+    assert (done.returncode, done.stdout, done.stderr) == (1, "True True\n", "ended: enough\n")

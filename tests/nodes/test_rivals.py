@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Other processes that command the same robot, on either topic: refused before the first answer, then reported."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from fjr_controller.answering import TOPICS, RivalError
+from fjr_controller.rivals import Rivals
+from fjr_msgs_py.names import LATEST
+from nodes.harness import Ros, stamped
+from nodes.managed import Manager
+
+MESSAGES = {
+    "/effort_controller/commands": Float64MultiArray(data=[1.0]),
+    "/joint_commands": JointState(name=["joint1"], effort=[1.0]),
+}
+EFFORTS = "/effort_controller/commands"
+
+
+class Rival:
+    """Another process that publishes on one topic, for all that the middleware tells: a context of its own."""
+
+    def __init__(self, topic: str) -> None:
+        self._ros = Ros()
+        self._message = MESSAGES[topic]
+        node = self._ros.add(Node("rival", context=self._ros.context))
+        self._publisher = node.create_publisher(type(self._message), topic, LATEST)
+
+    @contextmanager
+    def talking(self) -> Iterator[None]:
+        """Publish efforts inside the block."""
+        quiet = threading.Event()
+
+        def talk() -> None:
+            while not quiet.wait(0.01):
+                self._publisher.publish(self._message)
+
+        thread = threading.Thread(target=talk)
+        thread.start()
+        try:
+            yield
+        finally:
+            quiet.set()
+            thread.join()
+
+    def close(self) -> None:
+        self._ros.close()
+
+
+@pytest.fixture
+def manager(ros: Ros) -> Manager:
+    return Manager(ros)
+
+
+Appear = Callable[[str], Rival]
+
+
+@pytest.fixture
+def appear(ros: Ros, manager: Manager) -> Iterator[Appear]:
+    """Makes a rival on a topic and waits until it is discovered, with its name."""
+    made = []
+
+    def there(topic: str) -> int:
+        return sum(info.node_name == "rival" for info in manager.get_publishers_info_by_topic(topic))
+
+    def make(topic: str) -> Rival:
+        count = there(topic)
+        made.append(Rival(topic))
+        ros.until(lambda: there(topic) == count + 1, "the rival")
+        return made[-1]
+
+    yield make
+    for rival in made:
+        rival.close()
+
+
+topics = pytest.mark.parametrize("topic", MESSAGES)
+
+
+@topics
+def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
+    rival = appear(topic)
+    node = ros.controller(autostart=False)
+    assert manager.change("configure")
+    with rival.talking():
+        with pytest.raises(RivalError, match=f"node /rival publishes on {topic}; expected nobody else"):
+            ros.controller()
+        assert not manager.change("activate")
+        assert manager.state() == "inactive"
+        assert topic in str(node.trouble)
+    assert manager.change("activate")
+
+
+@topics
+def test_one_that_is_found_with_the_first_state_ends_the_node(ros: Ros, manager: Manager, appear, topic: str) -> None:
+    node = ros.controller()
+    manager.meet_controller()
+    with appear(topic).talking():
+        manager.state_publisher.publish(stamped(0.0))
+        ros.until(lambda: node.ended, "the end")
+    assert isinstance(node.ended, RivalError)
+    assert node.trouble is node.ended
+    assert manager.state() == "inactive"
+    manager.state_publisher.publish(stamped(0.1))
+    ros.settle()
+    assert not manager.references, "nothing was sent"
+
+
+def test_one_that_is_found_with_the_first_state_leaves_a_managed_start_inactive(
+    ros: Ros, manager: Manager, appear: Appear
+) -> None:
+    node = ros.controller(autostart=False)
+    assert manager.change("configure")
+    assert manager.change("activate")
+    manager.meet_controller()
+    with appear(EFFORTS).talking():
+        manager.state_publisher.publish(stamped(0.0))
+        ros.until(lambda: node.trouble, "the refusal")
+    assert manager.state() == "inactive"
+    assert node.ended is None
+    assert manager.change("activate")
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+
+
+@topics
+def test_one_that_is_silent_is_borne(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
+    appear(topic)
+    ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+
+
+@topics
+def test_one_that_appears_later_is_reported(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
+    node = ros.controller()
+    manager.meet_controller()
+    manager.ask(stamped(0.0))
+    appear(topic)
+    ros.until(lambda: "other controllers" in manager.kinds(), "the report")
+    event = next(event for event in manager.events if event.name == "other controllers")
+    assert f"has begun to publish on {topic}; expected nobody else" in event.message
+    node.stop()
+    ros.until(lambda: manager.count("other controllers", "fjr_controller") == 1, "the counter")
+    status = manager.diagnostics[-1].status[0]
+    assert status.level == status.ERROR
+
+
+def test_one_in_the_place_of_another_has_appeared(ros: Ros, manager: Manager, appear: Appear) -> None:
+    rivals = Rivals(manager, TOPICS, LATEST)
+    assert rivals.appeared() == []
+    one = appear(EFFORTS)
+    assert rivals.appeared() == [EFFORTS]
+    assert rivals.appeared() == []
+    count = manager.count_publishers(EFFORTS)
+    one.close()
+    ros.until(lambda: manager.count_publishers(EFFORTS) == count - 1, "the end of the first")
+    appear(EFFORTS)
+    assert manager.count_publishers(EFFORTS) == count
+    assert rivals.appeared() == [EFFORTS]
+    assert rivals.named(EFFORTS) == "node /rival"
+    rivals.close()
+
+
+@topics
+def test_one_that_appears_together_with_our_publisher_is_not_taken_for_ours(
+    ros: Ros, manager: Manager, appear: Appear, topic: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    create, coming = manager.create_publisher, [topic]
+
+    def create_late(kind: type, name: str, qos: object) -> object:
+        if f"/{name}".endswith(coming[0] if coming else "nobody"):
+            appear(coming.pop())
+        return create(kind, name, qos)
+
+    monkeypatch.setattr(manager, "create_publisher", create_late)
+    rivals = Rivals(manager, TOPICS, LATEST)
+    assert not coming
+    assert rivals.appeared() == [topic]
+    rivals.close()
+    assert manager.count_publishers(topic) == 2, "the manager's own and the rival's"
