@@ -53,6 +53,8 @@ class Relay:
     def close(self) -> None:
         self._executor.create_task(lambda: self._stop.set_result(None))
         self._thread.join()
+        self._executor.remove_node(self._node)
+        self._executor.shutdown()  # else it keeps the node's publisher in the graph until garbage is collected
         self._node.destroy_node()
         self._context.try_shutdown()
 

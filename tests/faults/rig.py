@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import signal
@@ -101,6 +102,8 @@ class Rig:
         self._file.write_text(yaml.safe_dump(setting.document(STEPS if mode == STEPPED else NOTHING)))
         self._steps = 0
         self._cleanup = ExitStack()
+        self._cleanup.callback(gc.enable)
+        gc.disable()  # a collection in a big test process would stop the relay for longer than state_timeout
         self._period = round(SECOND / setting.parameters("plant")["publish_rate"])
         self._running: dict[str, Process] = {}
         self._ended: list[Process] = []

@@ -120,8 +120,12 @@ class _Run:
     def _connected(self, node: str, signature: str) -> bool:
         """The node's `signature` topic is there and the recorder is connected to all that it publishes."""
         topics = self.remote.published_by(node)
-        graph = self.recorder.node
-        return signature in topics and all(self.recorder.matched(t) >= graph.count_publishers(t) for t in topics)
+        return signature in topics and all(self.recorder.matched(topic) >= self._ours(topic) for topic in topics)
+
+    def _ours(self, topic: str) -> int:
+        """How many publishers the nodes of this run have on a topic; others may be there that answer nobody."""
+        infos = self.recorder.node.get_publishers_info_by_topic(topic)
+        return sum(info.node_name in self.nodes for info in infos)
 
     def _matched(self) -> bool:
         """The controller reads the plant's states and the plant its commands, as the graph tells it."""
