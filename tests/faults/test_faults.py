@@ -10,11 +10,11 @@ import pytest
 from faults.outcome import outcome
 from faults.rows import ROWS, Row
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
-def test_a_fault_is_survived(row: Row, turn: None) -> None:
+def test_a_fault_is_survived(row: Row) -> None:
     seen = outcome(row)
     assert seen.bad == 0, f"{seen.bad} of {seen.efforts} efforts are not finite or over the limit"
     assert {kind for kind in row.counted if not seen.counters[kind]} == set(), f"counted were {dict(seen.counters)}"

@@ -19,7 +19,7 @@ from fjr_bringup.run import set_ros_environment
 from system.executables import NODES, scenario
 from system.network import Network, RefusedError, installed
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 SECONDS = 4.0  # of stamped time
 FAULTS = {"delay": 0.001, "loss": 0.05}
@@ -48,7 +48,7 @@ class Seen:
 
 
 @pytest.fixture
-def network(monkeypatch, turn: None) -> Iterator[Network]:
+def network(monkeypatch) -> Iterator[Network]:
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "")
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
     set_ros_environment()

@@ -68,7 +68,8 @@ def test_names_of_joints_are_moved_apart_in_order_and_only_where_they_must(heigh
         np.testing.assert_allclose(placed, heights, atol=1e-9)
 
 
-def test_the_demo_runs_the_paper_and_an_arm_in_real_time(tmp_path: Path, turn: None) -> None:
+@pytest.mark.real_time
+def test_the_demo_runs_the_paper_and_an_arm_in_real_time(tmp_path: Path) -> None:
     said = fjr("demo", "--duration", "0.5", "--output", str(tmp_path))
     for name in ("paper_k31", "paper_k3p1", "arm7"):
         counts = json.loads((tmp_path / name / "report.json").read_text())["counts"]
