@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
-from nodes.harness import Ros, nanoseconds, stamped
+from nodes.harness import Listener, Ros, nanoseconds, stamped
 from nodes.managed import Manager, trajectory
 
 GRAVITY = 0.8 * np.sin(0.5)  # N m; the paper's link at 0.5 rad
@@ -308,3 +309,19 @@ def test_with_simulated_time_silence_is_judged_by_it(ros: Ros, manager: Manager)
         ros.settle()
     ros.until(lambda: "silences" in manager.kinds(), "the silence")
     assert nanoseconds(manager.commands[-1]) == nanoseconds(manager.commands[0])
+
+
+def test_a_destroyed_node_leaves_the_graph_without_the_garbage_collector(ros: Ros) -> None:
+    looking = ros.add(Listener(ros))
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        node = ros.controller()
+        ros.until(lambda: "fjr_controller" in looking.get_node_names(), "the node")
+        ros.executor.remove_node(node)
+        node.destroy_node()
+        del node
+        ros.until(lambda: "fjr_controller" not in looking.get_node_names(), "its leaving")
+    finally:
+        if collecting:
+            gc.enable()

@@ -94,11 +94,11 @@ class _Run:
         """Start, run and end; `on_go` is called when everything is in place and the run begins."""
         try:
             self._start(PLANT, "fjr_plant", "plant_node", "-p", "start_paused:=true")
-            self._wait(lambda: self._connected(PLANT, STATES), STARTUP_LIMIT, "the plant to appear")
+            self._wait_for(PLANT, STATES)
             self._refuse_others()
             clock = ("-p", "use_sim_time:=true") if self.plan.lockstep else ()
             self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)
-            self._wait(lambda: self._connected(CONTROLLER, ANSWERS), STARTUP_LIMIT, "the controller to appear")
+            self._wait_for(CONTROLLER, ANSWERS)
             self._wait(self._matched, STARTUP_LIMIT, "plant and controller to find each other")
             self._refuse_others()
             self._wait(self.remote.ready, STARTUP_LIMIT, "the plant's pause service")
@@ -117,10 +117,26 @@ class _Run:
         log = self.plan.folder / f"{name}.log"
         self.nodes[node] = NodeProcess(package, name, ["--params-file", str(self.file), *arguments], log)
 
-    def _connected(self, node: str, signature: str) -> bool:
-        """The node's `signature` topic is there and the recorder is connected to all that it publishes."""
+    def _wait_for(self, node: str, signature: str) -> None:
+        """Wait until the node publishes `signature`, and the recorder is connected to all that it publishes."""
+        try:
+            self._wait(lambda: signature in self.remote.published_by(node), STARTUP_LIMIT, f"{node} to appear")
+            self._wait(lambda: not self._unconnected(node), STARTUP_LIMIT, f"{node} to be heard")
+        except RunError as error:
+            head, _, words = str(error).partition("\n")
+            raise RunError(f"{head}; {self._graph(node)}\n{words}") from None
+
+    def _unconnected(self, node: str) -> list[str]:
+        """Topics of the node that the recorder is not connected to."""
         topics = self.remote.published_by(node)
-        return signature in topics and all(self.recorder.matched(topic) >= self._ours(topic) for topic in topics)
+        return [topic for topic in topics if self.recorder.matched(topic) < self._ours(topic)]
+
+    def _graph(self, node: str) -> str:
+        """What is seen of a node that is waited for."""
+        topics, silent = self.remote.published_by(node), self._unconnected(node)
+        seen = f"it publishes {', '.join(topics) or 'nothing'}; not connected to {', '.join(silent) or 'none of these'}"
+        others = ", ".join(sorted(self.recorder.node.get_node_names())) or "none"
+        return f"{seen}; nodes in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: {others}"
 
     def _ours(self, topic: str) -> int:
         """How many publishers the nodes of this run have on a topic; others may be there that answer nobody."""

@@ -25,7 +25,7 @@ from .tracker import Command, Tracker
 TOPICS = {names.EFFORT_COMMANDS: Float64MultiArray, names.JOINT_COMMANDS: JointState}
 RIVALS = "other controllers"
 ALONE = "expected nobody else to command the robot"
-LOOK_PERIOD = 1.0  # s
+LOOK_PERIOD = 0.5  # s
 SILENCE_CHECKS = 10  # in each state_timeout
 
 
@@ -36,7 +36,7 @@ class RivalError(FjrError):
 class Answering:
     """Answers states on both command topics from `start` to `stop`; otherwise it computes and sends nothing.
 
-    Other processes on either topic are looked for at the start, at the first state and once a second. One that
+    Other processes on either topic are looked for at the start, at the first state and twice a second. One that
     sends before the first answer is met by `refused`; one that comes later is reported.
     """
 

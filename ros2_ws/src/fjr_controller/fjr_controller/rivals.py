@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 LISTENING = 0.25  # s
+MATCHING = 1.0  # s
 _POLL = 0.005  # s
 _PARTICIPANT = 12  # bytes of an endpoint's GID that all endpoints of one participant share
 _ANY = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # hears reliable publishers, too
@@ -54,13 +56,17 @@ class Rivals:
     def heard(self) -> str:
         """The topic on which anybody publishes within LISTENING seconds, "" for none; everything else waits.
 
-        Of two that listen to each other the one with the higher GID waits twice as long, and hears the other.
+        They count from the moment on that all publishers are connected, MATCHING seconds later at most. Of two that
+        listen to each other the one with the higher GID waits twice as long, and hears the other.
         """
         listening = [(topic, kind, self._listen(topic, kind)) for topic, kind in self._kinds.items()]
         try:
             yields = max(self._family, default=b"") > min(self._others, default=b"\xff")
-            end = time.monotonic() + LISTENING * (2 if yields else 1)
+            latest = time.monotonic() + MATCHING
+            end = math.inf
             while time.monotonic() < end:
+                if end == math.inf and (time.monotonic() > latest or self._connected(listening)):
+                    end = time.monotonic() + LISTENING * (2 if yields else 1)
                 for topic, kind, subscription in listening:
                     with subscription.handle:
                         if subscription.handle.take_message(kind, True) is not None:
@@ -96,6 +102,9 @@ class Rivals:
         """All publishers on a topic by their GIDs."""
         infos = self._node.get_publishers_info_by_topic(topic)
         return {bytes(info.endpoint_gid): Other(topic, _name(info.node_namespace, info.node_name)) for info in infos}
+
+    def _connected(self, listening: Sequence[tuple[str, type, Any]]) -> bool:
+        return all(heard.get_publisher_count() >= self._node.count_publishers(topic) for topic, _, heard in listening)
 
     def _listen(self, topic: str, kind: type) -> Any:
         return self._node.create_subscription(kind, topic, lambda _: None, _ANY)

@@ -236,6 +236,11 @@ class ParameterNode(CheckedParameters):
 class ManagedParameterNode(CheckedParameters, LifecycleNode):
     """A managed (lifecycle) node with checked parameters."""
 
+    def destroy_node(self) -> None:
+        """As of rclpy's Node, which leaves the state machine, and with it the node in the graph, to the collector."""
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()
+
 
 def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
     """The ROS descriptor of a parameter."""
