@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How old the effort is that acts: what the motor equation needs, regressed on efforts shifted in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checks import Array
+from .intervals import Intervals, needed
+from .robot import Robot
+from .thresholds import CLIPPED_BY, CLIPPED_FOR, CLIPPED_LEVEL, EXPLAINED, LATE, NO_WORSE, OLDEST, SAME_OLDER
+
+
+@dataclass(frozen=True)
+class EffortAge:
+    """Which effort acts: `whole` samples late and then for a `fraction` of the interval the one before.
+
+    measured: found from the measured torque, so that `whole` is 0 and any torque may have acted.
+    """
+
+    whole: int = 0
+    fraction: float = 0.0
+    measured: bool = False
+
+
+@dataclass(frozen=True)
+class Acting:
+    """What acted in each interval in place of the effort sent: the difference (k, n) [N m], by its reason."""
+
+    cut: Array
+    late: Array
+    lost: Array
+    age: float  # samples, of most efforts
+
+
+def effort_age(found: Intervals, robot: Robot) -> EffortAge:
+    """The age that explains best what the motors' equation needs; by changes in time, so that what is slow is out."""
+    wanted = needed(found, robot)
+    nothing = _spread(wanted - found.sent)
+    shifted = [_shifted(found.sent, d) for d in range(OLDEST + 1)]
+    fits = [_fit(wanted, newer, older) for newer, older in pairwise(shifted)]
+    whole = min(range(OLDEST), key=lambda d: fits[d][1])
+    fraction, left = fits[whole]
+    believed = left < (1 - EXPLAINED) * nothing
+    if np.isfinite(found.after).all() and np.isfinite(found.before).all():
+        own, rest = _fit(wanted, found.after, found.before)
+        if rest <= NO_WORSE * left or not believed:
+            mixed = rest < (1 - EXPLAINED) * _spread(wanted - found.after)
+            return EffortAge(0, own if mixed else 0.0, True)
+    return EffortAge(whole, fraction) if believed else EffortAge()
+
+
+def acting(found: Intervals, age: EffortAge) -> Acting:
+    """What acted, sorted: cut off by a limit of the motor, late, or an older one because the newer was lost."""
+    if age.measured:
+        difference = (1 - age.fraction) * found.after + age.fraction * found.before - found.sent
+        samples = _samples(found)
+        cut = _clipped(found.sent, found.after)
+    else:
+        newer, older = _shifted(found.sent, age.whole), _shifted(found.sent, age.whole + 1)
+        difference = (1 - age.fraction) * newer + age.fraction * older - found.sent
+        samples, cut = np.full(len(found), age.whole), np.zeros_like(found.sent, dtype=bool)
+    usual = float(np.median(samples)) if len(samples) else 0.0
+    total = usual + age.fraction
+    limit = 0.5 if total < LATE else usual + 1.5
+    lost = np.broadcast_to((samples > limit)[:, None], cut.shape) & ~cut
+    zero = np.zeros_like(difference)
+    return Acting(
+        cut=np.where(cut, difference, zero),
+        late=np.where(cut | lost, zero, difference),
+        lost=np.where(lost, difference, zero),
+        age=total,
+    )
+
+
+def _fit(wanted: Array, newer: Array, older: Array) -> tuple[float, float]:
+    """The fraction of `older`, 0 to 1, with which the mixture is nearest to what is wanted, and what is left."""
+    y, b = np.diff((wanted - newer)[OLDEST:], axis=0), np.diff((older - newer)[OLDEST:], axis=0)
+    power = float((b * b).sum())
+    fraction = float(np.clip((b * y).sum() / power, 0.0, 1.0)) if power > 0 else 0.0
+    return fraction, float(((y - fraction * b) ** 2).sum())
+
+
+def _spread(residual: Array) -> float:
+    """Of the changes, but for the first, before which efforts are not known."""
+    return float((np.diff(residual[OLDEST:], axis=0) ** 2).sum())
+
+
+def _shifted(u: Array, samples: int) -> Array:
+    """Each effort's predecessor by so many samples; the first where there is none."""
+    return u[np.maximum(np.arange(len(u)) - samples, 0)]
+
+
+def _samples(found: Intervals) -> Array:
+    """The age (k,) of the measured torque: samples back to the newest effort sent that it is; 0 where it is none."""
+    distances = np.array([np.abs(found.after - _shifted(found.sent, j)).max(axis=1) for j in range(OLDEST + 1)])
+    nearest: Array = np.argmin(distances, axis=0)
+    return np.where(distances.min(axis=0) <= SAME_OLDER * distances[0], nearest, 0)
+
+
+def _clipped(sent: Array, gave: Array) -> NDArray[np.bool_]:
+    """Where (k, n) the motor gave its most, for some intervals in a row, and was asked for more."""
+    size = np.abs(gave)
+    at_most = size >= (1 - CLIPPED_LEVEL) * size.max(axis=0, initial=0.0)
+    more = (np.abs(sent) > (1 + CLIPPED_BY) * size) & (sent * gave > 0)
+    return _runs(at_most & more, CLIPPED_FOR)
+
+
+def _runs(flags: NDArray[np.bool_], length: int) -> NDArray[np.bool_]:
+    """The flags (k, n) that stand in a row of at least `length` along the first axis."""
+    kept = np.zeros_like(flags)
+    for j, column in enumerate(flags.T):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))
+        for start, end in edges.reshape(-1, 2):
+            kept[start:end, j] = end - start >= length
+    return kept
