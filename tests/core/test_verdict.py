@@ -71,7 +71,7 @@ def test_another_robot_is_a_mismatch(name: str, value: float) -> None:
 def test_a_delay_is_found_and_measured_from_the_motion_alone(delay: float) -> None:
     seen = record(delay=delay)
     found = intervals(seen, Balance(LAW), Prediction(LAW))
-    age = acting(found, effort_age(found, LAW.robot)).age
+    age = acting(found, effort_age(found, LAW.robot), needed(found, LAW.robot)).age
     assert age * PERIOD == pytest.approx(delay, abs=0.02 * PERIOD)
     verdict = judge(seen, LAW)
     assert (verdict.kind, verdict.causes) == ("violated", ("delay",))

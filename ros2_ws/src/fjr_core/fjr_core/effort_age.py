@@ -36,6 +36,10 @@ class Acting:
     lost: Array
     age: float  # samples, of most efforts
 
+    def last(self, count: int) -> Acting:
+        """Of the last intervals only."""
+        return Acting(self.cut[-count:], self.late[-count:], self.lost[-count:], self.age)
+
 
 def effort_age(found: Intervals, robot: Robot) -> EffortAge:
     """The age that explains best what the motors' equation needs; by changes in time, so that what is slow is out."""
@@ -54,16 +58,19 @@ def effort_age(found: Intervals, robot: Robot) -> EffortAge:
     return EffortAge(whole, fraction) if believed else EffortAge()
 
 
-def acting(found: Intervals, age: EffortAge) -> Acting:
-    """What acted, sorted: cut off by a limit of the motor, late, or an older one because the newer was lost."""
+def acting(found: Intervals, age: EffortAge, wanted: Array) -> Acting:
+    """What acted, sorted: cut off by a limit of the motor, late, or an older one because the newer was lost.
+
+    wanted (k, n) [N m]: what the motors' equation needs, to see from what was not measured.
+    """
     if age.measured:
         difference = (1 - age.fraction) * found.after + age.fraction * found.before - found.sent
-        samples = _samples(found)
+        samples = _samples(found.sent, found.after)
         cut = _clipped(found.sent, found.after)
     else:
-        newer, older = _shifted(found.sent, age.whole), _shifted(found.sent, age.whole + 1)
+        samples, cut = age.whole + _samples(found.sent, wanted, age.whole), np.zeros_like(found.sent, dtype=bool)
+        newer, older = (_shifted(found.sent, samples + more) for more in (0, 1))
         difference = (1 - age.fraction) * newer + age.fraction * older - found.sent
-        samples, cut = np.full(len(found), age.whole), np.zeros_like(found.sent, dtype=bool)
     usual = float(np.median(samples)) if len(samples) else 0.0
     total = usual + age.fraction
     limit = 0.5 if total < LATE else usual + 1.5
@@ -90,15 +97,15 @@ def _spread(residual: Array) -> float:
     return float((np.diff(residual[OLDEST:], axis=0) ** 2).sum())
 
 
-def _shifted(u: Array, samples: int) -> Array:
-    """Each effort's predecessor by so many samples; the first where there is none."""
+def _shifted(u: Array, samples: int | NDArray[np.intp]) -> Array:
+    """Each effort's predecessor by so many samples, or by its own number of them; the first where there is none."""
     return u[np.maximum(np.arange(len(u)) - samples, 0)]
 
 
-def _samples(found: Intervals) -> Array:
-    """The age (k,) of the measured torque: samples back to the newest effort sent that it is; 0 where it is none."""
-    distances = np.array([np.abs(found.after - _shifted(found.sent, j)).max(axis=1) for j in range(OLDEST + 1)])
-    nearest: Array = np.argmin(distances, axis=0)
+def _samples(sent: Array, gave: Array, whole: int = 0) -> NDArray[np.intp]:
+    """The age (k,) of what the motors gave beyond `whole` samples: back to the effort sent that it is; 0: to none."""
+    distances = np.array([np.abs(gave - _shifted(sent, whole + j)).max(axis=1) for j in range(OLDEST + 1)])
+    nearest = np.argmin(distances, axis=0)
     return np.where(distances.min(axis=0) <= SAME_OLDER * distances[0], nearest, 0)
 
 

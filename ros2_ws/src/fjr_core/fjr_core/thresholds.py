@@ -39,5 +39,7 @@ LONGEST_GAP = 20.0
 """Sample periods above which an interval says nothing."""
 JUDGED = 0.2
 """Share of the intervals that must be the law's, for a verdict."""
+GROWN = 100.0
+"""Growth of V over the blocks of a running verdict, from block to block, that only too slow a sampling explains."""
 FALLEN = 0.01
 """Largest V of the last third of a run over that of the first, below which an unstable linear loop is not blamed."""

@@ -11,7 +11,7 @@ import numpy as np
 from .certificate import Balance
 from .checks import Array
 from .effort_age import Acting, acting, effort_age
-from .intervals import Intervals, Record, intervals
+from .intervals import Intervals, Record, intervals, needed
 from .linear_loop import linearize
 from .prediction import Prediction
 from .supplies import CAUSES, Supplies, supplies
@@ -47,10 +47,10 @@ def judge(record: Record, law: TrackingLaw, beta: float | None = None) -> Verdic
         return unknown("no two states follow one another of which the first was answered")
     visited = _visited(record.jets[:, 0])
     radius = float(linearize(law, visited).radii(float(np.median(found.dt))).max())
-    acted = acting(found, effort_age(found, law.robot))
+    acted = acting(found, effort_age(found, law.robot), needed(found, law.robot))
     figures = {**_figures(found, acted, record), "spectral radius": radius}
     if radius >= 1 and _stays(found.V1):
-        return _violated((SAMPLING,), figures)
+        return violated((SAMPLING,), figures)
     if len(found) < FEWEST * BLOCK:
         return unknown(f"{len(found)} answered states follow one another; expected {FEWEST * BLOCK}", figures)
     beta = law.rate(visited).beta if beta is None else beta
@@ -65,15 +65,15 @@ def conclude(blocks: Supplies, figures: dict[str, float] | None = None) -> Verdi
         return unknown("the effort sent was seldom the law's", figures)
     causes = np.maximum(blocks.causes[blocks.judged], 0.0)
     allowed = blocks.slack + PREDICTED * (blocks.hold + blocks.noise)
-    violated = causes.sum(axis=1) > allowed[blocks.judged]
-    share = float(violated.mean())
+    above = causes.sum(axis=1) > allowed[blocks.judged]
+    share = float(above.mean())
     figures = {**(figures or {}), "blocks": float(judged), "violated share": share}
-    strongest = np.bincount(np.argmax(causes[violated], axis=1), minlength=len(CAUSES)) / max(1, int(violated.sum()))
+    strongest = np.bincount(np.argmax(causes[above], axis=1), minlength=len(CAUSES)) / max(1, int(above.sum()))
     figures |= {f"violated by {cause}": float(strongest[i] * share) for i, cause in enumerate(CAUSES)}
-    if share < SHARE or violated.sum() < FEWEST:
+    if share < SHARE or above.sum() < FEWEST:
         return Verdict("holding", (), "V falls as proven, down to the floor that hold and noise predict", figures)
     order = np.argsort(-strongest, kind="stable")
-    return _violated(tuple(CAUSES[i] for i in order if strongest[i] >= CAUSE_SHARE), figures)
+    return violated(tuple(CAUSES[i] for i in order if strongest[i] >= CAUSE_SHARE), figures)
 
 
 def unknown(reason: str, figures: dict[str, float] | None = None) -> Verdict:
@@ -90,7 +90,8 @@ _WORDS = {
 }
 
 
-def _violated(causes: tuple[str, ...], figures: dict[str, float]) -> Verdict:
+def violated(causes: tuple[str, ...], figures: dict[str, float]) -> Verdict:
+    """V does not fall as proven, with the causes, the strongest first."""
     why = "; ".join(_WORDS[cause] for cause in causes) or "no cause can be told"
     return Verdict("violated", causes, f"V does not fall as proven: {why}", figures)
 
