@@ -64,7 +64,8 @@ class Witness:
     def status(self) -> DiagnosticStatus:
         """The verdict on the last second."""
         verdict: Verdict = self._running.verdict()
-        self._beta = self._rate()
+        if self._law.robot.links.M_l_vertices is None:
+            self._beta = self._rate()
         said = {"verdict": verdict.kind, "causes": ", ".join(verdict.causes)}
         figures = {name: f"{value:.6g}" for name, value in verdict.figures.items()}
         return DiagnosticStatus(

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +79,10 @@ class Intervals:
 
     def rows(self, rows: slice | Array) -> Intervals:
         """Some of them."""
-        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+        return Intervals(*(getattr(self, name)[rows] for name in _NAMES))
+
+
+_NAMES = tuple(f.name for f in fields(Intervals))
 
 
 def intervals(record: Record, balance: Balance, prediction: Prediction) -> Intervals:
@@ -121,6 +125,11 @@ def needed(intervals: Intervals, robot: Robot) -> Array:
     their prediction, as A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta,
     ICRA 2003.
     """
-    momenta = intervals.error[:, 3 * robot.n :] @ robot.M_m
-    residual: Array = momenta @ np.linalg.inv(robot.B_m).T / intervals.dt[:, None]
+    residual: Array = intervals.error[:, 3 * robot.n :] @ _effort(robot) / intervals.dt[:, None]
     return intervals.sent + residual
+
+
+@lru_cache(maxsize=8)
+def _effort(robot: Robot) -> Array:
+    """(B_m^-1 M_m)' (n, n): what makes efforts of accelerations."""
+    return np.asarray(np.linalg.solve(robot.B_m, robot.M_m).T)

@@ -28,7 +28,7 @@ class RunningVerdict:
         """limit (n,) [N m]: of the efforts, inf for none."""
         self._law, self._limit, self._forecast = law, limit, forecast
         self._blocks: deque[Supplies] = deque(maxlen=BLOCKS)
-        self._age, self._new = EffortAge(), 0
+        self._age, self._new, self._period = EffortAge(), 0, 0.0
         self.beta = np.inf
 
     def use(self, law: TrackingLaw, limit: Array) -> None:
@@ -39,7 +39,7 @@ class RunningVerdict:
     def forget(self) -> None:
         """Nothing was seen."""
         self._blocks.clear()
-        self._new = 0
+        self._new, self._period = 0, 0.0
 
     def look(self, beta: float) -> None:
         """There is one more interval; beta [1/s]: the rate to judge it by."""
@@ -54,7 +54,7 @@ class RunningVerdict:
         seen = self._forecast.last(LOOKED_AT)
         if not self._blocks:
             return unknown("too few states were answered by the law")
-        self._age = effort_age(seen, self._law.robot)
+        self._age, self._period = effort_age(seen, self._law.robot), _usual(seen.dt)
         found = conclude(_together(list(self._blocks)), self._figures())
         V = np.array([block.V[0] for block in self._blocks])
         if found.kind == "holding" and len(V) > 2 and V[-1] > GROWN * V[0] and np.mean(np.diff(V) > 0) > 0.75:
@@ -66,13 +66,19 @@ class RunningVerdict:
         seen = self._forecast.last(BLOCK + OLDEST)
         acted = acting(seen, self._age, needed(seen, self._law.robot)).last(BLOCK)
         found = seen.rows(slice(-BLOCK, None))
-        period = float(np.quantile(self._forecast.last(LOOKED_AT).dt, 0.25))  # gaps are fewer than that
-        return supplies(found, acted, self._law.robot, beta, period, self._limit)
+        if not self._period:
+            self._period = _usual(found.dt)
+        return supplies(found, acted, self._law.robot, beta, self._period, self._limit)
 
     def _figures(self) -> dict[str, float]:
         seen = self._forecast.last(LOOKED_AT)
         samples = self._age.whole + self._age.fraction
         return {"effort age": samples * float(np.median(seen.dt)), "beta": self.beta, "last V": float(seen.V1[-1])}
+
+
+def _usual(dt: Array) -> float:
+    """The sample period [s]: longer than a quarter of the intervals, of which fewer are gaps."""
+    return float(np.quantile(dt, 0.25))
 
 
 def _together(blocks: list[Supplies]) -> Supplies:

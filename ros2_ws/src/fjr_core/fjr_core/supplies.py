@@ -9,6 +9,7 @@ V(second state) - V(first) = [what the law's own effort, held, makes of V in the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -45,12 +46,12 @@ def supplies(found: Intervals, acted: Acting, robot: Robot, beta: float, period:
     foreign = (differs & ~at_limit).any(axis=1) & found.answered
     saturation, unanswered = (_gain(found, other * mask[:, None], robot) for mask in (found.answered, ~found.answered))
     cut, late, lost = (_gain(found, part, robot) for part in (acted.cut, acted.late, acted.lost))
+    rest = found.V1 - found.foretold - cut - late - lost
     ideal = found.foretold - saturation - unanswered
     excess = ideal - np.exp(-2 * beta * found.dt) * found.V0
     gap = found.dt > GAP * period
     lost = lost + unanswered + np.where(gap, np.maximum(excess, 0.0), 0.0)
     excess = np.where(gap, 0.0, excess)
-    rest = found.V1 - found.foretold - cut - late - _gain(found, acted.lost, robot)
     mismatch, uncertain = _persistent(found, acted, robot)
     causes = np.stack([mismatch, _sums(saturation + cut), _sums(late), _sums(lost)], axis=1)
     return Supplies(
@@ -68,18 +69,25 @@ def _gain(found: Intervals, effort: Array, robot: Robot) -> Array:
 
     They change dq_m by dv = M_m^-1 B_m effort dt, q_m by dv dt / 2; V is quadratic in dq_m with the matrix M_m.
     """
-    dv = effort @ (np.linalg.inv(robot.M_m) @ robot.B_m).T * found.dt[:, None]
-    n = robot.n
+    if not np.count_nonzero(effort):
+        return np.zeros(len(found))
+    dv, n = effort @ _acceleration(robot) * found.dt[:, None], robot.n
     q, v = found.slope[:, n : 2 * n], found.slope[:, 3 * n :]
     linear = ((v + q * found.dt[:, None] / 2) * dv).sum(axis=1)
     gain: Array = linear - ((dv @ robot.M_m) * dv).sum(axis=1) / 2
     return gain
 
 
+@lru_cache(maxsize=8)
+def _acceleration(robot: Robot) -> Array:
+    """(M_m^-1 B_m)' (n, n)."""
+    return np.asarray(np.linalg.solve(robot.M_m, robot.B_m).T)
+
+
 def _persistent(found: Intervals, acted: Acting, robot: Robot) -> tuple[Array, Array]:
     """What V gained (b,) by the mean residual of each block, without the effort that acted; its deviation (b,)."""
     effort = acted.cut + acted.late + acted.lost
-    dv = effort @ (np.linalg.inv(robot.M_m) @ robot.B_m).T * found.dt[:, None]
+    dv = effort @ _acceleration(robot) * found.dt[:, None]
     error = found.error.copy()
     error[:, robot.n : 2 * robot.n] -= dv * found.dt[:, None] / 2
     error[:, 3 * robot.n :] -= dv
