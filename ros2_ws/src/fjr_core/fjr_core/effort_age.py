@@ -12,7 +12,19 @@ from numpy.typing import NDArray
 from .checks import Array
 from .intervals import Intervals, needed
 from .robot import Robot
-from .thresholds import CLIPPED_BY, CLIPPED_FOR, CLIPPED_LEVEL, EXPLAINED, LATE, NO_WORSE, OLDEST, SAME_OLDER
+from .thresholds import (
+    CLIPPED_BY,
+    CLIPPED_FOR,
+    CLIPPED_LEVEL,
+    EXACT,
+    EXPLAINED,
+    LATE,
+    MIXED,
+    NEGLIGIBLE,
+    NO_WORSE,
+    OLDEST,
+    SAME_OLDER,
+)
 
 
 @dataclass(frozen=True)
@@ -52,10 +64,13 @@ def effort_age(found: Intervals, robot: Robot) -> EffortAge:
     believed = left < (1 - EXPLAINED) * nothing
     if np.isfinite(found.after).all() and np.isfinite(found.before).all():
         own, rest = _fit(wanted, found.after, found.before)
-        if rest <= NO_WORSE * left or not believed:
-            mixed = rest < (1 - EXPLAINED) * _spread(wanted - found.after)
+        if rest <= max(NO_WORSE * left, EXACT * nothing) or not believed:
+            plain = _spread(wanted - found.after)
+            mixed = rest < (1 - EXPLAINED) * plain and plain > NEGLIGIBLE * _spread(found.sent)
             return EffortAge(0, own if mixed else 0.0, True)
-    return EffortAge(whole, fraction) if believed else EffortAge()
+    if not believed:
+        return EffortAge()
+    return EffortAge(whole + 1) if fraction > 1 - EXACT else EffortAge(whole, fraction)
 
 
 def acting(found: Intervals, age: EffortAge, wanted: Array) -> Acting:
@@ -64,17 +79,17 @@ def acting(found: Intervals, age: EffortAge, wanted: Array) -> Acting:
     wanted (k, n) [N m]: what the motors' equation needs, to see from what was not measured.
     """
     if age.measured:
-        difference = (1 - age.fraction) * found.after + age.fraction * found.before - found.sent
-        samples = _samples(found.sent, found.after)
+        samples, newer, older = _samples(found.sent, found.after), found.after, found.before
         cut = _clipped(found.sent, found.after)
     else:
         samples, cut = age.whole + _samples(found.sent, wanted, age.whole), np.zeros_like(found.sent, dtype=bool)
         newer, older = (_shifted(found.sent, samples + more) for more in (0, 1))
-        difference = (1 - age.fraction) * newer + age.fraction * older - found.sent
+    difference = (1 - age.fraction) * newer + age.fraction * older - found.sent
     usual = float(np.median(samples)) if len(samples) else 0.0
     total = usual + age.fraction
-    limit = 0.5 if total < LATE else usual + 1.5
-    lost = np.broadcast_to((samples > limit)[:, None], cut.shape) & ~cut
+    whole = _spread(wanted - newer) <= MIXED * _spread(newer - older)  # no effort came within an interval
+    limit = np.inf if not whole else 0.5 if total < LATE else usual + 1.5
+    lost = (samples > limit)[:, None] & ~cut
     zero = np.zeros_like(difference)
     return Acting(
         cut=np.where(cut, difference, zero),

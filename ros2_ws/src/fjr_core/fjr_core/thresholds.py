@@ -23,14 +23,20 @@ CLIPPED_LEVEL = 1e-3
 """Relative width of the level that a motor at its limit gives."""
 CLIPPED_FOR = 5
 """Intervals at that level in a row that make it a limit."""
-EXPLAINED = 0.5
+EXPLAINED = 0.7
 """Share of the motors' residual that an age of the effort must explain, to be believed."""
+EXACT = 0.01
+"""Share of the motors' residual that the measured torque may leave, to be believed whatever another age leaves."""
 NO_WORSE = 1.1
 """Residual that the measured torque leaves, over that of the best age, up to which it is believed instead."""
 OLDEST = 6
 """Samples of age that are looked for."""
 SAME_OLDER = 0.1
 """Distance of the measured torque from an older effort, over that from the newest, up to which it is that one."""
+MIXED = 0.02
+"""Changes of what the motors' equation needs beside one effort, over those of the efforts, above which two acted."""
+NEGLIGIBLE = 1e-8
+"""Changes beside the efforts, over those of the efforts, that are rounding."""
 LATE = 0.5
 """Samples of age of most efforts from which on it is a delay, below which older ones are lost ones."""
 GAP = 1.85
