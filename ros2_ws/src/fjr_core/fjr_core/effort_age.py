@@ -18,6 +18,7 @@ from .thresholds import (
     CLIPPED_LEVEL,
     EXACT,
     EXPLAINED,
+    HALF_WAY,
     LATE,
     MIXED,
     NEGLIGIBLE,
@@ -66,7 +67,7 @@ def effort_age(found: Intervals, robot: Robot) -> EffortAge:
         own, rest = _fit(wanted, found.after, found.before)
         if rest <= max(NO_WORSE * left, EXACT * nothing) or not believed:
             plain = _spread(wanted - found.after)
-            mixed = rest < (1 - EXPLAINED) * plain and plain > NEGLIGIBLE * _spread(found.sent)
+            mixed = rest < (1 - HALF_WAY) * plain and plain > NEGLIGIBLE * _spread(found.sent)
             return EffortAge(0, own if mixed else 0.0, True)
     if not believed:
         return EffortAge()

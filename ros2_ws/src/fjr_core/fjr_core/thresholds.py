@@ -3,7 +3,7 @@
 
 BLOCK = 20
 """Intervals that are judged together: noise averages out, a mismatch does not."""
-SHARE = 0.05
+SHARE = 0.035
 """Violated blocks, as a share of the judged ones, above which the run is."""
 FEWEST = 3
 """Violated blocks below which a run is not."""
@@ -23,10 +23,12 @@ CLIPPED_LEVEL = 1e-3
 """Relative width of the level that a motor at its limit gives."""
 CLIPPED_FOR = 5
 """Intervals at that level in a row that make it a limit."""
-EXPLAINED = 0.7
+EXPLAINED = 0.5
 """Share of the motors' residual that an age of the effort must explain, to be believed."""
 EXACT = 0.01
 """Share of the motors' residual that the measured torque may leave, to be believed whatever another age leaves."""
+HALF_WAY = 0.3
+"""The same of a torque that changed within the interval, both ends being measured."""
 NO_WORSE = 1.1
 """Residual that the measured torque leaves, over that of the best age, up to which it is believed instead."""
 OLDEST = 6
