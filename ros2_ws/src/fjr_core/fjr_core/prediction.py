@@ -37,6 +37,9 @@ class Prediction:
     @cached_property
     def function(self) -> ca.Function:
         """The CasADi function (position, velocity, u, dt) -> next position, next velocity."""
+        return self._law.derived("prediction", self._derived)
+
+    def _derived(self) -> ca.Function:
         robot = self._law.robot
         n = robot.n
         symbols = {name: ca.MX.sym(name, size) for name, size in (("position", 2 * n), ("velocity", 2 * n), ("u", n))}
@@ -47,7 +50,7 @@ class Prediction:
         for _ in range(STEPS):
             x = rk4_expression(dynamics, x, (u, u, u), dt / STEPS)
         outputs = {"next_position": x[: 2 * n], "next_velocity": to_velocity(x)}
-        return self._law.ready(dense_function("prediction", {**symbols, "dt": dt}, outputs))
+        return dense_function("prediction", {**symbols, "dt": dt}, outputs)
 
     def _momenta(self) -> tuple[ca.Function, ca.Function]:
         """(position, velocity) -> x, and x -> velocity."""

@@ -17,6 +17,7 @@ from ..flow import REFERENCE_DERIVATIVES, Flow, flow
 from ..gain_terms import GainSymbols, GainTerms, terms
 from ..gains import Gains
 from ..numeric import NumericFunction, bind, dense_function
+from ..recall import recalled
 from ..robot import Robot
 from .link import LinkStage, link_stage
 from .motor import MotorStage, motor_stage
@@ -142,6 +143,10 @@ class TrackingLaw:
     def ready(self, function: ca.Function) -> ca.Function:
         """The function as machine code where this law is."""
         return compiled(function) if self._compile else function
+
+    def derived(self, name: str, build: Callable[[], ca.Function]) -> ca.Function:
+        """What `build` derives from robot and shape of the gains; as machine code, which is found again, where so."""
+        return recalled(name, self.robot, self._symbols.pattern, build) if self._compile else build()
 
     @property
     def gain_values(self) -> Array:
