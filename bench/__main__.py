@@ -18,7 +18,7 @@ import numpy
 import pinocchio
 from tqdm import tqdm
 
-from . import closed_loop, lock_step, memory, peers, periods, real_time, round_trip, start_up
+from . import certificate, closed_loop, lock_step, memory, peers, periods, real_time, round_trip, start_up
 from .arm import arm7
 from .figures import Figure, table
 
@@ -26,7 +26,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
 LONG = ("memory",)
 USUAL = (
     *("law", "dynamics", "step", "loop", "virtual-machine", "start", "node", "real-time"),
-    *("round-trip", "periods", "lock-step"),
+    *("round-trip", "certificate", "periods", "lock-step"),
 )
 NAMES = (*USUAL, *LONG)
 
@@ -72,6 +72,7 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         start_up.node,
         real_time.tracking,
         lambda: round_trip.over_echo(arm, *((3,) if quick else ())),
+        lambda: certificate.over_none(arm, *((3,) if quick else ())),
         lambda: periods.late(*((10.0,) if quick else ())),
         lambda: lock_step.over_ping_pong(*((2, 3.0) if quick else ())),
         lambda: memory.flat(*((0.5,) if quick else ())),

@@ -36,10 +36,11 @@ def over_echo(arm: Arm, rounds: int = ROUNDS) -> list[Figure]:
 
 
 def _figure(name: str, percent: int, times: dict[str, list[list[float]]]) -> Figure:
-    ours, theirs = (_percentiles(times[side], percent) for side in (OURS, BARE))
+    ours, theirs = (percentiles(times[side], percent) for side in (OURS, BARE))
     parts = {"ours [us]": float(np.median(ours)), "bare [us]": float(np.median(theirs))}
     return Figure(f"state to effort over a bare echo, {name}", ratio(ours, theirs), "", bound=BOUND, parts=parts)
 
 
-def _percentiles(rounds: list[list[float]], percent: int) -> Array:
+def percentiles(rounds: list[list[float]], percent: int) -> Array:
+    """A percentile [us] of each round."""
     return np.array([np.percentile(times, percent) for times in rounds])

@@ -6,9 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from rclpy.node import Node
 
 from fjr_core import Reference, TrackingLaw, config
+from fjr_core.checks import Array
 from fjr_core.measurement_parameters import measurement, observer
 from fjr_core.motion_limits import check_motion
 from fjr_core.motion_parameters import motion_limits
@@ -23,6 +25,7 @@ from .goals import Tolerances, tolerances
 from .motion import Motion
 from .reports import Reports
 from .tracker import Tracker
+from .witness import Witness
 
 
 class Control:
@@ -47,6 +50,7 @@ class Control:
         self._motion = Motion(node, joints, self.tracker, self.reports, self._is_active, self._built_in)
         self._limit_motion()
         self._action = self._offered(node, allowed)
+        self._witness = self._heard(node, np.asarray(settings.effort)) if values["certificate"] else None
 
     def start(self) -> None:
         """Answer from the next state on, as at birth, with the reference that the parameters describe.
@@ -67,8 +71,9 @@ class Control:
         """Stop, and give everything back."""
         self.stop()
         self.withdraw()
-        for part in (self._motion, self._answering, self.reports):
-            part.close()
+        for part in (self._motion, self._answering, self.reports, self._witness):
+            if part is not None:
+                part.close()
 
     def withdraw(self) -> None:
         """Offer the action no more."""
@@ -90,6 +95,8 @@ class Control:
         if groups - {"gains", "reference"}:
             self.tracker.settings(settings)
             self._limit_motion()
+        if self._witness is not None:
+            self._witness.use(self._law, np.asarray(settings.effort))
         self.reports.empty()
 
     def _is_active(self) -> bool:
@@ -106,6 +113,13 @@ class Control:
         values = self._values
         limits = motion_limits(values, self._robot)
         self._motion.limit(limits, values["recovery.join_time"], values["allow_partial_joints"])
+
+    def _heard(self, node: Node, limit: Array) -> Witness:
+        """The witness of all answers."""
+        witness = Witness(node, self._law, self.tracker, limit)
+        self._answering.tell(witness.see)
+        self.reports.besides(witness.status)
+        return witness
 
     def _offered(self, node: Node, allowed: Tolerances) -> FollowAction | None:
         """The action, where its messages are installed."""

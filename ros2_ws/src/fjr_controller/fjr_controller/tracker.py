@@ -54,7 +54,7 @@ class Command:
 
     u (n,) [N m]: the effort to send, always finite and within its limits. jets (5, n): the reference at the
     sample's stamp. V [J]: the storage, nan where u is not the law's answer (a stop, an effort that was not finite).
-    velocity (2n,): dq_l, dq_m that the law saw, measured or observed. state: what the tracker does now.
+    velocity, position (2n,): dq_l, dq_m and q_l, q_m that the law saw. state: what the tracker does now.
     restarted: the stamps jumped back and the reference began again with this sample.
     """
 
@@ -64,6 +64,7 @@ class Command:
     velocity: Array
     state: State
     restarted: bool
+    position: Array
 
 
 class Tracker:
@@ -208,7 +209,7 @@ class Tracker:
         self._policy.remember(self._limits.q_l)
         u = self._send(wanted, V, stamp)
         self._accept(stamp, arrival)
-        return Command(u, jets, V, self._limits.velocity, self.state, order is Order.BACK)
+        return self._command(u, jets, V, order is Order.BACK)
 
     def silence(self, now: int) -> Array | None:
         """The stop effort (n,) when nothing came for state_timeout, once; else None.
@@ -384,4 +385,7 @@ class Tracker:
             self._observer.reset()
         u = self._send(self._policy.standing(), math.nan, stamp)
         jets = self._course.reference.jets(stamp)
-        return Command(u, jets, math.nan, self._limits.velocity, self.state, False)
+        return self._command(u, jets, math.nan, False)
+
+    def _command(self, u: Array, jets: Array, V: float, restarted: bool) -> Command:
+        return Command(u, jets, V, self._limits.velocity, self.state, restarted, self._limits.position)

@@ -12,9 +12,11 @@ Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstr
 
 from .arms import planar_two_link, single_link
 from .bodies import Body
+from .certificate import Balance
 from .circle import Circle
 from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError
 from .gains import PAPER_GAINS, Gains
+from .intervals import Record
 from .joining import join, shifted
 from .limits import JointLimits
 from .measurement import Measurement
@@ -33,10 +35,12 @@ from .synthesis import synthesize
 from .urdf import robot_from_urdf
 from .vdpbc.law import Evaluation, TrackingLaw
 from .vdpbc.rate import Rate
+from .verdict import Verdict, judge
 from .virtual import VirtualSystem
 
 __all__ = [
     "PAPER_GAINS",
+    "Balance",
     "Body",
     "Circle",
     "Evaluation",
@@ -52,6 +56,7 @@ __all__ = [
     "Plant",
     "PointToPoint",
     "Rate",
+    "Record",
     "Reference",
     "Robot",
     "RobotError",
@@ -63,10 +68,12 @@ __all__ = [
     "Trajectory",
     "TrajectoryError",
     "VelocityObserver",
+    "Verdict",
     "VirtualSystem",
     "check",
     "check_motion",
     "join",
+    "judge",
     "planar_two_link",
     "robot_from_urdf",
     "serial_chain",

@@ -36,11 +36,27 @@ def compiled(function: ca.Function) -> ca.Function:
     Derivatives of the result are not available. Says once, as a warning of the logger "fjr_core.compile", why
     nothing is compiled.
     """
+    return made(function)[0]
+
+
+def made(function: ca.Function) -> tuple[ca.Function, Path | None]:
+    """The same with the shared object that it is in; None where nothing was compiled."""
     try:
         return _external(function)
     except (CompileError, OSError, RuntimeError, ValueError) as error:
         _say_once(str(error))
-        return function
+        return function, None
+
+
+def machine() -> list[str]:
+    """What decides, beside the C code, what machine code is made: compiler, options, processor; CompileError."""
+    compiler = _compiler()
+    return [*compiler, _version(compiler), *OPTIONS, _processor()]
+
+
+def is_whole(library: Path) -> bool:
+    """Whether a shared object is there, as it was made."""
+    return _is_whole(library, library.with_suffix(".lock"))
 
 
 def cache_folder() -> Path:
@@ -49,18 +65,18 @@ def cache_folder() -> Path:
     return Path(base) / "fjr"
 
 
-def _external(function: ca.Function) -> ca.Function:
+def _external(function: ca.Function) -> tuple[ca.Function, Path]:
     compiler, source = _compiler(), _c_code(function)
-    key = hashlib.sha256("\n".join([source, *compiler, _version(compiler), *OPTIONS, _processor()]).encode())
+    key = hashlib.sha256("\n".join([source, *machine()]).encode())
     library = cache_folder() / f"{function.name()}-{key.hexdigest()[:32]}.so"
     library.parent.mkdir(parents=True, exist_ok=True)
     _ensure(library, source, compiler)
     try:
-        return ca.external(function.name(), str(library))
+        return ca.external(function.name(), str(library)), library
     except RuntimeError:  # not what was written there
         library.unlink(missing_ok=True)
         _ensure(library, source, compiler)
-        return ca.external(function.name(), str(library))
+        return ca.external(function.name(), str(library)), library
 
 
 def _ensure(library: Path, source: str, compiler: tuple[str, ...]) -> None:

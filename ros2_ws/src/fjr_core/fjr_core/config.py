@@ -93,6 +93,7 @@ def controller_parameters(n: int) -> list[Parameter]:
         *safety_parameters(n),
         *motion_parameters(n),
         Parameter("autostart", True, "Configure and activate at the start, without waiting to be asked"),
+        Parameter("certificate", True, "Publish the law's certificate of each state, and judge it on the diagnostics"),
         *process_parameters(),
     ]
 

@@ -53,6 +53,11 @@ class GainSymbols:
         self.terms = GainTerms(**symbols)
         self.vector = ca.vertcat(*(ca.vertcat(*symbol.nonzeros()) for symbol in symbols.values()))
 
+    @property
+    def pattern(self) -> str:
+        """Which gains are diagonal."""
+        return str({name: shape.is_diag() for name, shape in self._shapes.items()})
+
     def values(self, gains: CheckedGains) -> Array:
         """The numbers of the symbols in `vector`; raises GainsError for gains of another shape."""
         parts: list[float] = []

@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 
 from . import config, parameter_file, parameters, robot_file
+from .certificate import Balance
 from .checks import Array
 from .errors import ParameterError
 from .gains import Gains
 from .plant import Plant
+from .prediction import Prediction
 from .reference import Reference
 from .robot import Robot
 from .simulate import Trajectory, simulate
@@ -88,6 +90,8 @@ class Scenario:
     def warm_up(self) -> None:
         """Build law and plant step as the nodes will, so that what is compiled is in the cache when they start."""
         self.law.command(self.x0, self.reference.jets(0.0))
+        if self.controller_values["certificate"]:
+            _ = Balance(self.law).function, Prediction(self.law).function
         self.plant.step(self.x0, [0.0] * self.robot.n, self.sample_period)
 
     def simulate(self, duration: float) -> Trajectory:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -31,6 +32,7 @@ class Health:
         self._expected = set(expected)
         self._errors: set[str] = set()
         self._values: dict[str, str] = {}
+        self._others: list[Callable[[], DiagnosticStatus]] = []
         self._said: set[str] = set()
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._by_stamps = bool(node.get_parameter("use_sim_time").value)
@@ -66,6 +68,10 @@ class Health:
         """Report a value besides the counters, from the next report on."""
         self._values[key] = text
 
+    def besides(self, status: Callable[[], DiagnosticStatus]) -> None:
+        """Publish another status beside the counters, asked for at each report."""
+        self._others.append(status)
+
     def at(self, stamp: int) -> None:
         """Tell the time [ns] of what has just been handled: with use_sim_time a report goes out once a second of it."""
         if self._by_stamps:
@@ -90,7 +96,7 @@ class Health:
             values=[KeyValue(key=key, value=str(value)) for key, value in self.count.items()]
             + [KeyValue(key=key, value=text) for key, text in self._values.items()],
         )
-        message = DiagnosticArray(status=[status])
+        message = DiagnosticArray(status=[status, *(other() for other in self._others)])
         message.header.stamp = self._now()
         self._publisher.publish(message)
 

@@ -17,6 +17,7 @@ from ..flow import REFERENCE_DERIVATIVES, Flow, flow
 from ..gain_terms import GainSymbols, GainTerms, terms
 from ..gains import Gains
 from ..numeric import NumericFunction, bind, dense_function
+from ..recall import recalled
 from ..robot import Robot
 from .link import LinkStage, link_stage
 from .motor import MotorStage, motor_stage
@@ -119,18 +120,38 @@ class TrackingLaw:
     @cached_property
     def command_function(self) -> ca.Function:
         """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; machine code if that was asked for."""
-        return self._ready(self._function("command", {"u", "V"}, diagonal=True))
+        return self.ready(self._function("command", {"u", "V"}, diagonal=True))
 
     @cached_property
     def measured_function(self) -> ca.Function:
         """The CasADi function (position (2n,), velocity (2n,), jets (n, 5), gains) -> u, V; of all gains of a shape."""
+        inputs, outputs = self.measured_expressions()
+        return self.ready(
+            dense_function("measured_command", inputs, {key: outputs[key] for key in ("u", "V")}, cse=True)
+        )
+
+    def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+        """The arguments of measured_function, and all that Evaluation names, with s_m, as expressions of them."""
         n = self.robot.n
         f, symbols = flow(self.robot, diagonal=True), self._symbols
         outputs = self._expressions(f, symbols.terms, ca.SX.zeros(n))
         position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
-        u, V = f.at_velocities(ca.vertcat(position, velocity), outputs["u"], outputs["V"])
+        values = f.at_velocities(ca.vertcat(position, velocity), *outputs.values())
         inputs = {"position": position, "velocity": velocity, "jets": f.jets, "gains": symbols.vector}
-        return self._ready(dense_function("measured_command", inputs, {"u": u, "V": V}, cse=True))
+        return inputs, dict(zip(outputs, values, strict=True))
+
+    def ready(self, function: ca.Function) -> ca.Function:
+        """The function as machine code where this law is."""
+        return compiled(function) if self._compile else function
+
+    def derived(self, name: str, build: Callable[[], ca.Function]) -> ca.Function:
+        """What `build` derives from robot and shape of the gains; as machine code, which is found again, where so."""
+        return recalled(name, self.robot, self._symbols.pattern, build) if self._compile else build()
+
+    @property
+    def gain_values(self) -> Array:
+        """The argument `gains` of measured_function."""
+        return self._gain_values
 
     @cached_property
     def _symbols(self) -> GainSymbols:
@@ -160,10 +181,7 @@ class TrackingLaw:
 
     def _numeric(self, function: ca.Function) -> NumericFunction:
         n = self.robot.n
-        return NumericFunction(self._ready(function), ((4 * n,), (4 * n,), (REFERENCE_DERIVATIVES + 1, n), (n,)))
-
-    def _ready(self, function: ca.Function) -> ca.Function:
-        return compiled(function) if self._compile else function
+        return NumericFunction(self.ready(function), ((4 * n,), (4 * n,), (REFERENCE_DERIVATIVES + 1, n), (n,)))
 
     def _function(self, name: str, wanted: Set[str], diagonal: bool = False) -> ca.Function:
         """(x_v, x, jets, omega) -> the wanted values in Evaluation's order; (x, jets) -> at x_v = x, omega = 0."""
@@ -187,6 +205,7 @@ class TrackingLaw:
             "sigma_l": link.sigma_l,
             "q_tilde_m": motor.q_tilde_m,
             "sigma_m": motor.sigma_m,
+            "s_m": motor.s_m,
             "V": _storage(gains, link, motor),
             "dissipation": dissipation,
             "dV": -dissipation + ca.dot(motor.s_m, omega),

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the certificate costs: the controller node's process with it against the same without, from state to effort."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from .arm import Arm
+from .figures import Figure
+from .measure import ratio
+from .nodes import controller, driver, output, running, scenario_file
+from .round_trip import LONGEST, PATIENCE, ROUNDS, percentiles
+
+WITH, WITHOUT = "certified", "plain"
+BOUND = 1.10
+
+
+def over_none(arm: Arm, rounds: int = ROUNDS) -> list[Figure]:
+    """Median and 99th percentile of both, round by round; the arm stands at its reference."""
+    n = arm.robot.n
+    offset = arm.scenario.reference.jets(0.0)[0]
+    still = {"reference.amplitude": [0.0] * n, "reference.offset": offset.tolist(), "state_timeout": PATIENCE}
+    arguments = ["-p", f"rounds:={rounds}", "-p", f"sides:=[{WITH}, {WITHOUT}]"]
+    position = ["-p", f"position:={np.tile(offset, 2).tolist()}"]
+    with scenario_file(still) as file, scenario_file({**still, "certificate": False}) as plain:
+        commands = (controller(file, "-r", f"__ns:=/{WITH}"), controller(plain, "-r", f"__ns:=/{WITHOUT}"))
+        with running(*commands):
+            times = json.loads(output(driver(*arguments, *position), LONGEST + 4 * rounds))
+    return [_figure("median", 50, BOUND, times), _figure("99th percentile", 99, None, times)]
+
+
+def _figure(name: str, percent: int, bound: float | None, times: dict[str, list[list[float]]]) -> Figure:
+    ours, plain = (percentiles(times[side], percent) for side in (WITH, WITHOUT))
+    parts = {"with [us]": float(np.median(ours)), "without [us]": float(np.median(plain))}
+    return Figure(f"state to effort with certificate, {name}", ratio(ours, plain), "", bound=bound, parts=parts)

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sees every answered state after its effort left: the certificate on ~/certificate, the verdict on /diagnostics."""
+
+from __future__ import annotations
+
+import math
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from std_msgs.msg import Float64MultiArray
+
+from fjr_core import TrackingLaw
+from fjr_core.checks import Array
+from fjr_core.forecast import Forecast
+from fjr_core.running_verdict import RunningVerdict
+from fjr_core.thresholds import LONGEST_GAP
+from fjr_core.verdict import Verdict
+from fjr_msgs_py import names
+from fjr_msgs_py.certificates import CertificateValues, CertificateWriter
+from fjr_msgs_py.messages import JointSample
+
+from .tracker import Command, Tracker
+
+LEVELS = {"holding": DiagnosticStatus.OK, "violated": DiagnosticStatus.WARN, "unknown": DiagnosticStatus.OK}
+LONGEST = LONGEST_GAP * 1e-2  # s between two states, above which they have nothing to do with each other
+
+
+class Witness:
+    """A listener of Answering: publishes a certificate for each state, and keeps what the verdict is drawn from."""
+
+    def __init__(self, node: Node, law: TrackingLaw, tracker: Tracker, limit: Array) -> None:
+        """limit (n,) [N m]: of the efforts."""
+        self._node, self._law, self._tracker = node, law, tracker
+        self._forecast = Forecast(law)
+        self._running = RunningVerdict(law, limit, self._forecast)
+        self._writer = CertificateWriter()
+        self._publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.LATEST)
+        self._name = f"{node.get_name()}: certificate"
+        self._stamp, self._start, self._bound = 0, -1, math.nan
+        self._beta = self._rate()
+
+    def use(self, law: TrackingLaw, limit: Array) -> None:
+        """Another law, made by `with_gains`, or other limits."""
+        if law is not self._law:
+            self._law = law
+            self._forecast.use(law)
+        self._running.use(law, limit)
+        self._start, self._beta = -1, self._rate()
+
+    def see(self, sample: JointSample, command: Command) -> None:
+        """A state and its answer, which was sent."""
+        dt = (sample.stamp - self._stamp) * 1e-9
+        if command.restarted or not 0 < dt < LONGEST:
+            self._forecast.skip()
+        before, count = self._forecast.V, self._forecast.count
+        self._forecast.take(dt, command.position, command.velocity, command.jets, command.u)
+        follows = self._forecast.count != count
+        rate = (self._forecast.V - before) / dt if follows else math.nan
+        self._stamp = sample.stamp
+        if follows:
+            self._running.look(self._beta)
+        self._publisher.publish(self._writer.fill(sample.stamp, self._values(rate, dt)))
+
+    def status(self) -> DiagnosticStatus:
+        """The verdict on the last second."""
+        verdict: Verdict = self._running.verdict()
+        if self._law.robot.links.M_l_vertices is None:
+            self._beta = self._rate()
+        said = {"verdict": verdict.kind, "causes": ", ".join(verdict.causes)}
+        figures = {name: f"{value:.6g}" for name, value in verdict.figures.items()}
+        return DiagnosticStatus(
+            level=LEVELS[verdict.kind],
+            name=self._name,
+            message=verdict.sentence,
+            values=[KeyValue(key=key, value=value) for key, value in (said | figures).items()],
+        )
+
+    def close(self) -> None:
+        """Publish no more."""
+        self._node.destroy_publisher(self._publisher)
+
+    def _values(self, rate: float, dt: float) -> CertificateValues:
+        f, certificate = self._forecast, self._tracker.certificate
+        if certificate is None:
+            self._start, self._bound = -1, math.nan
+        elif certificate.start != self._start:
+            self._start, self._bound = certificate.start, f.V
+        else:
+            self._bound *= math.exp(-2 * self._beta * dt)
+        return CertificateValues(f.V, f.dV, rate, self._bound, f.H, f.supplied, f.dissipated)
+
+    def _rate(self) -> float:
+        """beta [1/s]: proven where it can be, else that of the present configuration."""
+        law = self._law
+        known = law.robot.links.M_l_vertices is not None
+        return law.rate(None if known else self._forecast.position[None, : law.robot.n]).beta

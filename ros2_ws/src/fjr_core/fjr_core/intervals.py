@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A record cut into intervals between two states: what the model foretold for the second, and what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .certificate import Balance
+from .checks import Array
+from .errors import StateError
+from .prediction import Prediction
+from .reference import JETS
+from .robot import Robot
+from .thresholds import LONGEST_GAP
+
+
+@dataclass(frozen=True)
+class Record:
+    """What was measured and sent at k instants, by the stamps.
+
+    t (k,) [s]. position, velocity (k, 2n): of links, then motors. jets (k, 5, n): of the reference. u (k, n) [N m]:
+    the effort that answered each state, nan: none did. u_applied (k, n) [N m]: what the motors gave at each state, by
+    measurement, or None. sent, answered (k,) [s]: when states and answers went, or None. sample_period [s].
+    effort_limit (n,) [N m]: inf for none. Raises StateError for shapes that do not fit.
+    """
+
+    t: Array
+    position: Array
+    velocity: Array
+    jets: Array
+    u: Array
+    u_applied: Array | None
+    sent: Array | None
+    answered: Array | None
+    sample_period: float
+    effort_limit: Array
+
+    def __post_init__(self) -> None:
+        k, n = np.shape(self.u) if np.ndim(self.u) == 2 else (-1, -1)
+        shapes = {"t": (k,), "position": (k, 2 * n), "velocity": (k, 2 * n), "jets": (k, JETS, n), "u": (k, n)}
+        optional = {"u_applied": (k, n), "sent": (k,), "answered": (k,)}
+        shapes |= {name: shape for name, shape in optional.items() if getattr(self, name) is not None}
+        for name, shape in {**shapes, "effort_limit": (n,)}.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise StateError(f"{name} has shape {np.shape(getattr(self, name))}; expected {shape}")
+        if not (np.isfinite(self.sample_period) and self.sample_period > 0):
+            raise StateError(f"sample_period is {self.sample_period} s; expected a positive finite number")
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """k intervals of a record, in order.
+
+    dt (k,) [s]. V0, V1, foretold (k,) [J]: the storage at the first and second state, and at the second by the model,
+    the effort sent being held. sent, law (k, n) [N m]: that effort, and the law's at the first state. before, after
+    (k, n) [N m]: what the motors gave at both states, nan where it was not measured. error (k, 4n): second state,
+    positions and velocities, measured less foretold. slope (k, 4n): dV/d of these at the second state. answered (k,):
+    whether the first state was.
+    """
+
+    dt: Array
+    V0: Array
+    V1: Array
+    foretold: Array
+    sent: Array
+    law: Array
+    before: Array
+    after: Array
+    error: Array
+    slope: Array
+    answered: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.dt)
+
+    def rows(self, rows: slice | Array) -> Intervals:
+        """Some of them."""
+        return Intervals(*(getattr(self, name)[rows] for name in _NAMES))
+
+
+_NAMES = tuple(f.name for f in fields(Intervals))
+
+
+def intervals(record: Record, balance: Balance, prediction: Prediction) -> Intervals:
+    """Those of a record in which everything was measured and no gap is longer than LONGEST_GAP sample periods."""
+    series = balance.along(record.position, record.velocity, record.jets)
+    sent, dt = held(record.u), np.diff(record.t)
+    known = np.isfinite(series.V) & np.isfinite(record.position).all(axis=1) & np.isfinite(record.velocity).all(axis=1)
+    good = known[:-1] & known[1:] & np.isfinite(sent[:-1]).all(axis=1)
+    first = np.flatnonzero(good & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
+    second, q, dq = first + 1, record.position, record.velocity
+    q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
+    foretold = balance.along(q_next, dq_next, record.jets[second]).V
+    applied = np.full_like(record.u, np.nan) if record.u_applied is None else record.u_applied
+    return Intervals(
+        dt=dt[first],
+        V0=series.V[first],
+        V1=series.V[second],
+        foretold=foretold,
+        sent=sent[first],
+        law=series.u_law[first],
+        before=applied[first],
+        after=applied[second],
+        error=np.hstack([q[second] - q_next, dq[second] - dq_next]),
+        slope=series.slope[second],
+        answered=np.asarray(np.isfinite(record.u[first]).all(axis=1)),
+    )
+
+
+def held(u: Array) -> Array:
+    """Efforts (k, n) with the last one where none came (nan)."""
+    came = np.isfinite(u).all(axis=1)
+    last = np.maximum.accumulate(np.where(came, np.arange(len(u)), -1))
+    return np.where((last >= 0)[:, None], u[np.maximum(last, 0)], np.nan)
+
+
+def needed(intervals: Intervals, robot: Robot) -> Array:
+    """Mean effort (k, n) [N m] that the motor equation needs in each interval, from the measured velocities.
+
+    M_m ddq_m + K zeta + D_m dq_m = B_m u, integrated over the interval: the motors' generalised momenta against
+    their prediction, as A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta,
+    ICRA 2003.
+    """
+    residual: Array = intervals.error[:, 3 * robot.n :] @ _effort(robot) / intervals.dt[:, None]
+    return intervals.sent + residual
+
+
+@lru_cache(maxsize=8)
+def _effort(robot: Robot) -> Array:
+    """(B_m^-1 M_m)' (n, n): what makes efforts of accelerations."""
+    return np.asarray(np.linalg.solve(robot.B_m, robot.M_m).T)

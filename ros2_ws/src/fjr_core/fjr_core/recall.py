@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Machine code found again without deriving anything: by what a function would be made of, not by what it is.
+
+compile.compiled needs the function to find its machine code, and a seven-joint arm's certificate takes a third of a
+second to derive and write as C. What it is derived from, robot and gains, is read in milliseconds.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from .compile import CompileError, cache_folder, compiled, is_whole, machine, made
+from .robot import Robot
+
+LINKS = ("M_l", "P_l", "grad_P_l", "C", "grad_T")
+MATRICES = ("M_m", "K", "D_l", "D_m", "B_m")
+
+
+def recalled(name: str, robot: Robot, pattern: str, build: Callable[[], ca.Function]) -> ca.Function:
+    """compiled(build()); where that was done before for such a robot and pattern, its machine code at once.
+
+    pattern: all else that the function depends on. This package's own source belongs to what is compared.
+    """
+    try:
+        note = _note(name, robot, pattern)
+        found = cache_folder() / note.read_text(encoding="utf-8") if note.exists() else None
+        if found is not None and is_whole(found):
+            return ca.external(name, str(found))
+    except (CompileError, OSError, RuntimeError):
+        return compiled(build())
+    function, library = made(build())
+    if library is not None:
+        note.write_text(library.name, encoding="utf-8")
+    return function
+
+
+def _note(name: str, robot: Robot, pattern: str) -> Path:
+    parts = [name, pattern, ca.__version__, _source(), *machine()]
+    parts += [getattr(robot.links, field).serialize() for field in LINKS]
+    digest = hashlib.sha256("\n".join(parts).encode())
+    for field in MATRICES:
+        digest.update(np.ascontiguousarray(getattr(robot, field)).tobytes())
+    return cache_folder() / f"{name}-{digest.hexdigest()[:32]}.note"
+
+
+@cache
+def _source() -> str:
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

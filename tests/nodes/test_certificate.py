@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live certificate: plant and controller in lock-step, each cause put in, the verdict read on /diagnostics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_msgs.msg import Float64MultiArray
+
+import fjr_core as fjr
+from fjr_core.certificate import Balance
+from fjr_msgs_py.certificates import LABELS, CertificateValues, CertificateWriter, read_certificate
+from fjr_msgs_py.messages import MessageError
+from nodes.harness import Listener, Ros, nanoseconds
+
+STATUS = "fjr_controller: certificate"
+LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
+
+
+class Hearer(Listener):
+    """Hears certificates, too."""
+
+    def __init__(self, ros: Ros) -> None:
+        super().__init__(ros)
+        self.certificates: list[Float64MultiArray] = []
+        self.create_subscription(Float64MultiArray, "fjr_controller/certificate", self.certificates.append, 1000)
+
+    def verdicts(self) -> list[tuple[str, str]]:
+        """(verdict, causes) of each report with one."""
+        found = [status for message in self.diagnostics for status in message.status if status.name == STATUS]
+        values = [{value.key: value.value for value in status.values} for status in found]
+        return [(value["verdict"], value["causes"]) for value in values]
+
+    def levels(self) -> dict[str, bytes]:
+        """Level of the last report by verdict."""
+        found = [status for message in self.diagnostics for status in message.status if status.name == STATUS]
+        return {status.values[0].value: status.level for status in found}
+
+
+def running(ros: Ros, seconds: int, plant: dict[str, Any], controller: dict[str, Any]) -> Hearer:
+    """The paper's joint in lock-step until that many verdicts have come."""
+    hearer = Hearer(ros)
+    ros.controller(use_sim_time=True, compile=True, **controller)
+    ros.plant(lockstep=True, compile=True, initial_link_position=[0.5], initial_motor_position=[0.5], **plant)
+    ros.until(lambda: len(hearer.verdicts()) > seconds, f"{seconds} verdicts")
+    return hearer
+
+
+def test_each_state_has_its_certificate(ros: Ros) -> None:
+    hearer = running(ros, 1, {}, {})
+    ros.until(lambda: len(hearer.certificates) > 900)
+    answered = {nanoseconds(command): command.effort[0] for command in hearer.commands}
+    states = {nanoseconds(state): state for state in hearer.states}
+    seen = dict(read_certificate(message) for message in hearer.certificates)
+    start, balance = min(answered), Balance(LAW)
+    for stamp in sorted(set(seen) & set(states) & set(answered))[:50]:
+        state, values = states[stamp], seen[stamp]
+        jets = fjr.Sine(1.0, 1.0).jets((stamp - start) * 1e-9)
+        wanted = balance.at(state.position, state.velocity, jets, [answered[stamp]])
+        for name, value in (
+            ("V", wanted.V),
+            ("H", wanted.H),
+            ("supplied", wanted.supplied),
+            ("dissipated", wanted.dissipated),
+        ):
+            assert getattr(values, name) == pytest.approx(value, rel=1e-9), name
+        assert values.dV_predicted == pytest.approx(wanted.dV, rel=1e-8)
+        assert values.bound * (1 + 1e-9) >= values.V
+    one, other = sorted(set(seen))[10:12]
+    rate = (seen[other].V - seen[one].V) / ((other - one) * 1e-9)
+    assert seen[other].dV_measured == pytest.approx(rate, rel=1e-9)
+
+
+def test_a_healthy_loop_holds(ros: Ros) -> None:
+    hearer = running(ros, 3, {}, {})
+    assert hearer.verdicts()[1:] == [("holding", "")] * len(hearer.verdicts()[1:])
+    assert hearer.levels()["holding"] == DiagnosticStatus.OK
+
+
+@pytest.mark.parametrize(
+    ("cause", "plant", "controller"),
+    [
+        ("model mismatch", {"imperfections__motor_coulomb_friction": [0.05]}, {}),
+        ("model mismatch", {"robot__joint_stiffness": [22.0]}, {}),
+        ("delay", {"imperfections__command_delay": 0.002}, {}),
+        ("delay", {"imperfections__state_delay": 0.002}, {}),
+        ("loss", {"imperfections__state_loss": 0.4}, {}),
+        ("loss", {"imperfections__command_loss": 0.4}, {}),
+    ],
+)
+def test_a_cause_is_told_on_the_diagnostics(ros: Ros, cause: str, plant: Any, controller: Any) -> None:
+    hearer = running(ros, 3, plant, controller)
+    assert hearer.verdicts()[-1] == ("violated", cause)
+    assert hearer.levels()["violated"] == DiagnosticStatus.WARN
+
+
+def test_saturation_is_told_while_it_lasts(ros: Ros) -> None:
+    hearer = running(ros, 2, {}, {"limits__effort": [0.7]})
+    assert ("violated", "saturation") in hearer.verdicts()
+
+
+def test_a_sample_period_that_is_too_long_is_told(ros: Ros) -> None:
+    """At 65 Hz an error grows by an eighth in a sample; it begins with none."""
+    hearer = Hearer(ros)
+    ros.controller(use_sim_time=True, compile=True)
+    moving = {"initial_link_velocity": [1.0], "initial_motor_velocity": [1.0]}
+    ros.plant(lockstep=True, compile=True, publish_rate=65.0, initial_link_position=[0.0], **moving)
+    ros.until(lambda: ("violated", "sampling") in hearer.verdicts(), "the verdict")
+
+
+def test_it_may_be_left_out(ros: Ros) -> None:
+    hearer = Hearer(ros)
+    ros.controller(use_sim_time=True, certificate=False)
+    ros.plant(lockstep=True)
+    ros.until(lambda: len(hearer.commands) > 20)
+    assert not hearer.certificates
+    assert not hearer.verdicts()
+
+
+def test_a_certificate_is_read_as_it_was_written() -> None:
+    from rclpy.serialization import deserialize_message
+
+    values = CertificateValues(*np.linspace(0.1, 0.7, 7))
+    message = deserialize_message(CertificateWriter().fill(12_000_000_034, values), Float64MultiArray)
+    assert message.layout.dim[0].label.split(",") == list(LABELS)
+    assert read_certificate(message) == (12_000_000_034, values)
+    message.layout.dim[0].label = "V,H"
+    with pytest.raises(MessageError, match="expected sec, nanosec, V"):
+        read_certificate(message)

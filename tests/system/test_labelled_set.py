@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The verdict is right on every bag of the labelled set, and on bags of the real nodes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tools"))
+
+from fjr_core.scenario import load_scenario  # noqa: E402
+from fjr_core.verdict import judge  # noqa: E402
+from labelled_bags import read_record  # noqa: E402
+from labelled_set import FOUND_ON, TRIED_ON, Case, cases  # noqa: E402
+from system.executables import fjr  # noqa: E402
+from verdict_table import BEGIN, NAMES, judged, said, table  # noqa: E402
+
+pytestmark = pytest.mark.system
+SET = cases(TRIED_ON)
+
+
+def test_the_set_holds_what_it_should() -> None:
+    assert len(SET) >= 40
+    assert len({case.name for case in SET}) == len(SET)
+    assert {case.scenario for case in SET if not case.changes and not case.robot} == {
+        "paper_k31",
+        "paper_k3p1",
+        "two_link",
+        "arm7",
+    }
+    words = [word for case in SET for word in case.changes if word.startswith("imperfections.")]
+    strengths = {word: words.count(word) for word in words if not word.endswith(("seed", "payload_position"))}
+    assert len(strengths) >= 24
+    assert min(strengths.values()) >= 2
+    assert TRIED_ON != FOUND_ON
+
+
+@pytest.mark.parametrize("case", SET, ids=lambda case: case.name)
+def test_the_verdict_on_each_bag_is_its_label(case: Case, tmp_path: Path) -> None:
+    label, verdict = judged(case, tmp_path / "bag")
+    assert said(verdict) == label, verdict
+
+
+def test_the_page_shows_the_set() -> None:
+    """Every bag right is a table with numbers on its diagonal only; the numbers are those of the set."""
+    page = (ROOT / "docs" / "verdict.md").read_text(encoding="utf-8").partition(BEGIN)[2]
+    rows = [line for line in page.splitlines() if line.startswith("| ")]
+    counts = [int(cell) for line in rows[2 : 2 + len(NAMES)] for cell in line.split("|")[2:-1] if cell.strip()]
+    assert sum(counts) == len(SET)
+    assert table([("delay", "delay"), ("loss", "unknown")])[0].endswith("| sampling | unknown |")
+
+
+@pytest.mark.parametrize(
+    ("assignments", "wanted"),
+    [
+        ((), "holding"),
+        (("imperfections.motor_coulomb_friction:=[0.05]",), "model mismatch"),
+        (("imperfections.command_delay:=0.002",), "delay"),
+        (("imperfections.command_loss:=0.4",), "loss"),
+        (("imperfections.effort_limit:=[0.75]",), "saturation"),
+        (("limits.effort:=[0.75]",), "saturation"),
+        (("publish_rate:=50.0",), "sampling"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_the_verdict_on_bags_of_the_real_nodes(assignments: tuple[str, ...], wanted: str, tmp_path: Path) -> None:
+    changes = [part for assignment in assignments for part in ("--set", assignment)]
+    force = ["--force"] if wanted == "sampling" else []
+    duration = "0.5" if wanted == "sampling" else "2.5"
+    arguments = ["run", "paper_k31", "--lockstep", "--duration", duration, "--output", str(tmp_path)]
+    fjr(*arguments, *changes, *force)
+    folder = tmp_path / "paper_k31"
+    scenario = load_scenario(folder / "scenario.yaml")
+    verdict = judge(read_record(folder / "bag", scenario), scenario.law)
+    assert said(verdict) == wanted, verdict

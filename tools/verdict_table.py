@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write the confusion table of docs/verdict.md anew, between its markers: every run of the labelled set as a bag.
+
+. ros2_ws/install/setup.sh && .venv/bin/python tools/verdict_table.py
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+from fjr_core.verdict import Verdict, judge
+from labelled_bags import read_record, write_bag
+from labelled_set import FOUND_ON, HOLDING, TRIED_ON, Case, cases, label, run
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "verdict.md"
+BEGIN = "<!-- confusion: written by tools/verdict_table.py -->"
+END = "<!-- end of confusion -->"
+NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
+OTHER = "several or none"
+
+
+def judged(case: Case, folder: Path) -> tuple[str, Verdict]:
+    """The label of a case and the verdict on its bag, which is written into `folder`."""
+    scenario, log = run(case)
+    write_bag(log, scenario, folder)
+    record = read_record(folder, scenario)
+    return label(case, record), judge(record, scenario.law)
+
+
+def said(verdict: Verdict) -> str:
+    """The verdict in a word: "holding", its only cause, or what else it is."""
+    if verdict.kind != "violated":
+        return verdict.kind
+    return verdict.causes[0] if len(verdict.causes) == 1 else OTHER
+
+
+def table(pairs: Iterable[tuple[str, str]]) -> list[str]:
+    """Labels down, verdicts across, as lines of Markdown."""
+    counts = Counter(pairs)
+    columns = (*NAMES, *sorted({verdict for _, verdict in counts} - set(NAMES)))
+    lines = ["| label | " + " | ".join(columns) + " |", "| --- " * (len(columns) + 1) + "|"]
+    for name in NAMES:
+        cells = (str(counts[name, column] or "") for column in columns)
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def confusion(seed: int) -> list[str]:
+    """The table of the set of a seed; lines on what is not right go to stderr."""
+    pairs = []
+    with tempfile.TemporaryDirectory(prefix="fjr-verdicts-") as folder:
+        for i, case in enumerate(cases(seed)):
+            wanted, verdict = judged(case, Path(folder, str(i)))
+            pairs.append((wanted, said(verdict)))
+            if pairs[-1][0] != pairs[-1][1]:
+                print(f"seed {seed}: {case.name}: {wanted}, not {verdict.sentence}", file=sys.stderr)
+    return table(pairs)
+
+
+def main() -> int:
+    """Rewrite the page."""
+    page = PAGE.read_text(encoding="utf-8")
+    before, rest = page.split(BEGIN)
+    _, after = rest.split(END)
+    words = {TRIED_ON: "Tried on", FOUND_ON: "The thresholds were found on"}
+    parts = [["", f"{what} the set of seed {seed}:", "", *confusion(seed)] for seed, what in words.items()]
+    lines = [line for part in parts for line in part]
+    PAGE.write_text("\n".join([before + BEGIN, *lines, "", END + after]), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
