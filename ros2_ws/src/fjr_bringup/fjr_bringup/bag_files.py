@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import sqlite3
 import struct
+import tempfile
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
+import yaml
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError
 from mcap.records import Channel, DataEnd, Message, Schema
 from mcap.stream_reader import StreamReader
@@ -20,8 +22,6 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 
 from fjr_bringup.bag_topic import BagError, Topic, Topics, topic_of
 from fjr_bringup.schemas import typestore
-
-COMPRESSED = (".mcap.zstd", ".db3.zstd")
 
 
 def read_mcap(path: Path, topics: Topics) -> bool:
@@ -52,19 +52,39 @@ def read_mcap(path: Path, topics: Topics) -> bool:
 
 def read_sqlite(path: Path, topics: Topics) -> bool:
     """The same of a SQLite file, which knows one time of each message: when it was received."""
+    whole = _read_tables(path, topics)
+    if not whole and not any(topic.messages for topic in topics.values()):
+        with tempfile.TemporaryDirectory() as folder:  # a file that was cut off is refused as it is
+            _read_tables(_mended(path, Path(folder)), topics)
+    for topic in topics.values():
+        topic.messages.sort(key=lambda message: message.log_time)
+    return whole
+
+
+def _read_tables(path: Path, topics: Topics) -> bool:
+    """Add what can be read; false where the end is missing. Raises BagError for what is no SQLite bag."""
     numbers: dict[int, Topic] = {}
     try:
         with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
             for number, name, type_name in database.execute("SELECT id, name, type FROM topics"):
                 numbers[number] = topic_of(topics, name, type_name, "")
-            rows = database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id")
-            for number, time, data in rows:
+            for number, time, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id"):
                 numbers[number].messages.append(Message(number, time, data, time, 0))
-    except (sqlite3.DatabaseError, KeyError) as error:
-        if not any(topic.messages for topic in topics.values()):
-            raise BagError(f"{path} is not a readable SQLite bag: {error}") from error
-        return False
+    except sqlite3.DatabaseError as error:
+        if "malformed" in str(error):
+            return False
+        raise BagError(f"{path} is not a readable SQLite bag: {error}") from error
     return True
+
+
+def _mended(path: Path, folder: Path) -> Path:
+    """A copy whose header says the number of pages that there are."""
+    content = bytearray(path.read_bytes())
+    page = int.from_bytes(content[16:18], "big") or 1
+    content[28:32] = (len(content) // page).to_bytes(4, "big")
+    copy = folder / path.name
+    copy.write_bytes(content[: len(content) // page * page])
+    return copy
 
 
 def read_compressed(folder: Path, topics: Topics) -> bool:
@@ -90,12 +110,21 @@ def files_of(path: Path) -> list[Path]:
         if path.suffix in READERS:
             return [path]
         raise BagError(f"{path} is not a bag: expected an .mcap or .db3 file, or a folder that holds some")
+    if _is_compressed(path):
+        return [path]
     files = sorted(file for suffix in READERS for file in path.glob(f"*{suffix}"))
     if files:
         return files
-    if any(file for suffix in COMPRESSED for file in path.glob(f"*{suffix}")):
-        return [path]
     raise BagError(f"{path} is not a bag: expected a folder with .mcap or .db3 files in it, or such a file")
+
+
+def _is_compressed(folder: Path) -> bool:
+    """Whether rosbag2 compressed the files of a bag, or each message."""
+    try:
+        found = yaml.safe_load((folder / "metadata.yaml").read_text(encoding="utf-8"))
+        return bool(found["rosbag2_bagfile_information"].get("compression_mode", ""))
+    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+        return False
 
 
 def read_file(path: Path, topics: Topics) -> bool:

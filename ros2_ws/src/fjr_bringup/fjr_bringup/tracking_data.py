@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_bringup.bag import Array, Bag, Times
-from fjr_bringup.recorded_certificate import series
 from fjr_bringup.recorded_commands import recorded_commands
 from fjr_bringup.recorded_reference import recorded_reference
 from fjr_bringup.recorded_states import STATES, States, recorded_states, with_velocities, without_jumps
+from fjr_core.certificate import Balance
 from fjr_core.errors import FjrError
 from fjr_core.scenario import Scenario
 from fjr_core.vdpbc.rate import Rate
@@ -105,7 +105,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
     t, sent = (states.stamp - states.stamp[0]) * 1e-9, states.publish_time
     states = with_velocities(states, u, scenario)
     tracked = recorded_reference(bag, scenario, states.stamp, t)
-    found = series(scenario.law, states.position, states.velocity, tracked.jets)
+    found = Balance(scenario.law).along(states.position, states.velocity, tracked.jets)
     rate, (period, odd) = _rate(scenario, states.position[:, :n]), _sample_period(scenario, t)
     torn = () if bag.complete else ("the bag was not closed: shown is what was written until then",)
     return TrackingData(

@@ -1,24 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict on a recorded run, by fjr_core."""
+"""The verdict on a recorded run: fjr_core's, on what the bag holds."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import numpy as np
 
 from fjr_bringup.tracking_data import TrackingData
 from fjr_core.scenario import Scenario
+from fjr_core.verdict import Record, Verdict, judge, unknown
 
-
-@dataclass(frozen=True)
-class Verdict:
-    """As in fjr_core."""
-
-    kind: str
-    causes: tuple[str, ...]
-    sentence: str
-    figures: dict[str, float] = field(default_factory=dict)
+__all__ = ["Verdict", "record", "verdict"]
 
 
 def verdict(data: TrackingData, scenario: Scenario) -> Verdict:
-    """Whether the certificate held, and why not."""
-    return Verdict("unknown", (), "no verdict yet")
+    """Whether V fell as proven, and why not."""
+    if not np.isfinite(data.V).any():
+        return unknown("V is not known, for want of both sides of each joint")
+    if not np.isfinite(data.u).any():
+        return unknown("no effort of the controller was recorded")
+    return judge(record(data, scenario), scenario.law, data.beta)
+
+
+def record(data: TrackingData, scenario: Scenario) -> Record:
+    """The recorded run as fjr_core judges it."""
+    known = bool(np.isfinite(data.torque).any())
+    return Record(
+        t=data.t,
+        position=data.position,
+        velocity=data.velocity,
+        jets=data.jets,
+        u=data.u,
+        u_applied=data.torque @ np.linalg.inv(scenario.robot.B_m).T if known else None,
+        sent=data.sent,
+        answered=data.answered,
+        sample_period=data.sample_period,
+        effort_limit=data.effort_limit,
+    )
