@@ -212,6 +212,13 @@ def test_a_bag_cut_off_while_it_was_written_gives_what_is_in_it(
     assert 100 < made["counts"]["published"] < 1000
 
 
+def test_two_bags_of_a_name_have_a_page_each(run: Path, tmp_path: Path) -> None:
+    said = fjr("report", str(run), str(run), "--output", str(tmp_path))
+    assert sorted(path.parent.name for path in tmp_path.glob("*/report.html")) == ["two_link", "two_link-2"]
+    assert f"{tmp_path / 'two_link-2'} (lock-step)" in said
+    assert (tmp_path / "comparison.html").read_text().count('href="two_link-2/report.html"') == 1
+
+
 def test_what_gives_nothing_is_one_sentence_and_the_others_are_reported(run: Path, tmp_path: Path) -> None:
     given = ("--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"))
     nothing = tmp_path / "nothing.mcap"

@@ -44,7 +44,8 @@ def report_bags(
     failures: list[str] = []
     for path in bags:
         try:
-            summaries.append(_report(_source(path, scenario, output), namespace))
+            taken = [each.folder for each in summaries]
+            summaries.append(_report(_apart(_source(path, scenario, output), taken), namespace))
         except (FjrError, OSError) as error:
             failures.append(str(error) if str(path) in str(error) else f"{path}: {error}")
     return _labelled(summaries), failures
@@ -97,6 +98,15 @@ def _source(path: Path, scenario: str | None, output: Path | None) -> Source:
     name = (run or path).resolve().name if run or scenario is None else path.resolve().stem
     beside = run if run is not None else path.with_name(f"{path.resolve().stem}_report")
     return Source(path, name, file, beside if output is None else output / name)
+
+
+def _apart(source: Source, taken: Sequence[Path]) -> Source:
+    """The same with a folder that no other bag has: a number follows the name where several share it."""
+    folder, number = source.folder, 2
+    while folder in taken:
+        folder = source.folder.with_name(f"{source.folder.name}-{number}")
+        number += 1
+    return replace(source, folder=folder)
 
 
 def _run_folder(path: Path) -> Path | None:
