@@ -37,7 +37,7 @@ def recorded(stamps: list[float], answers: list[float]) -> TrackingData:
         u=one,
         torque=one,
         V=one[:, 0],
-        dV=one[:, 0],
+        dV=one[1:, 0],
         H=one[:, 0],
         dissipated=one[:, 0],
         sent=t,

@@ -81,7 +81,10 @@ def tiles(report: Report) -> list[tuple[str, str]]:
     return [
         *shown,
         (percent(counts.answered_in_time_fraction), f"answered in time, of {counts.nominal}"),
-        (f"{milliseconds(timing.latency_p50_us)}", f"state to command; 99 %: {milliseconds(timing.latency_p99_us)}"),
+        (
+            f"{milliseconds(timing.latency_p50_us)}",
+            f"state to command; 99\N{NO-BREAK SPACE}%: {milliseconds(timing.latency_p99_us)}",
+        ),
     ]
 
 

@@ -46,7 +46,7 @@ class TrackingData:
     u: Array  # (k, n) N m, command that answers each state, NaN where none came
     torque: Array  # (k, n) N m, measured at the motors
     V: Array  # (k,) J, storage of the law at each recorded state, x_v = x
-    dV: Array  # (k,) W, its exact rate in the law's closed loop
+    dV: Array  # (k - 1,) W, its rate over each step as the model has it with the effort sent, held
     H: Array  # (k,) J, energy of the robot
     dissipated: Array  # (k,) W, by the damping of links and motors
     sent: Array  # (k,) s, send time of each state since that of the first
@@ -105,7 +105,8 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
     t, sent = (states.stamp - states.stamp[0]) * 1e-9, states.publish_time
     states = with_velocities(states, u, scenario)
     tracked = recorded_reference(bag, scenario, states.stamp, t)
-    found = Balance(scenario.law).along(states.position, states.velocity, tracked.jets)
+    balance = Balance(scenario.law)
+    found = balance.along(states.position, states.velocity, tracked.jets, u)
     rate, (period, odd) = _rate(scenario, states.position[:, :n]), _sample_period(scenario, t)
     torn = () if bag.complete else ("the bag was not closed: shown is what was written until then",)
     return TrackingData(
@@ -121,7 +122,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
         u=u,
         torque=states.torque,
         V=found.V,
-        dV=found.dV,
+        dV=_held_rate(balance, states, tracked.jets, u, found.dV),
         H=found.H,
         dissipated=found.dissipated,
         sent=(sent - sent[0]) * 1e-9,
@@ -164,6 +165,14 @@ def _to_last_answer(rows: NDArray[np.intp], states: States, sent: Times) -> tupl
     end = (states.stamp[rows[last]] - states.stamp[rows[0]]) * 1e-9
     said = (f"no state after {end:.3f} s is answered: the last {rest:.3g} s are not shown",) if rest > MOMENT else ()
     return rows[: last + 1], said
+
+
+def _held_rate(balance: Balance, states: States, jets: Array, u: Array, dV: Array) -> Array:
+    """dV/dt (k - 1,) over each step, by the trapezoidal rule: dV (k,) at its begin, and at its end with the same u."""
+    if len(u) < 2:
+        return np.zeros(0)
+    end = balance.along(states.position[1:], states.velocity[1:], jets[1:], u[:-1])
+    return np.asarray((dV[:-1] + end.dV) / 2)
 
 
 def _sample_period(scenario: Scenario, t: Array) -> tuple[float, tuple[str, ...]]:
