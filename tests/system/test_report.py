@@ -27,6 +27,7 @@ def recorded(stamps: list[float], answers: list[float]) -> TrackingData:
     return TrackingData(
         joints=("joint1",),
         sample_period=MS,
+        lockstep=False,
         beta=10.0,
         beta_is_proven=True,
         effort_limit=np.array([np.inf]),

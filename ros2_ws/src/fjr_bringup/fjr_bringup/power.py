@@ -31,11 +31,11 @@ class Power:
         return self.stored - self.supplied + self.dissipated
 
 
-def power(data: TrackingData, B_m: Array, lockstep: bool) -> Power:
+def power(data: TrackingData, B_m: Array) -> Power:
     """The balance between the recorded states; the effort is the motors' own torque where that was measured."""
     n, dt = len(data.joints), np.diff(data.t)
     way = np.diff(data.position[:, n:], axis=0)
-    held = _torque(data, B_m, lockstep)
+    held = _torque(data, B_m)
     with np.errstate(divide="ignore", invalid="ignore"):
         return Power(
             t=data.t[:-1],
@@ -46,10 +46,10 @@ def power(data: TrackingData, B_m: Array, lockstep: bool) -> Power:
         )
 
 
-def _torque(data: TrackingData, B_m: Array, lockstep: bool) -> Array:
+def _torque(data: TrackingData, B_m: Array) -> Array:
     """Mean torque at the motors over each step (k - 1, n) [N m]: a new effort acts from when it came."""
     after = data.torque if np.isfinite(data.torque).any() else np.vstack([0 * data.u[:1], data.u[:-1] @ B_m.T])
-    if lockstep:
+    if data.lockstep:
         return after[1:]
     late = np.clip(np.nan_to_num(data.latency) / data.sample_period, 0.0, 1.0)[:-1, None]
     return np.asarray(late * after[:-1] + (1.0 - late) * after[1:])

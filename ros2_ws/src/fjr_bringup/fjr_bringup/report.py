@@ -150,7 +150,7 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, dur
         scenario=name,
         duration_s=duration,
         sample_period_s=data.sample_period,
-        lockstep=is_lockstep(scenario),
+        lockstep=data.lockstep,
         bag=str(bag.path),
         bag_complete=bag.complete,
         verdict=verdict(data, scenario),
@@ -164,11 +164,6 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, dur
         diagnostics=bag.counters(),
         versions=_versions(),
     )
-
-
-def is_lockstep(scenario: Scenario) -> bool:
-    """Whether the simulated plant waits for the answer to each state."""
-    return bool(scenario.plant_values["lockstep"])
 
 
 def _tracking(data: TrackingData) -> Tracking:
@@ -199,7 +194,7 @@ def _saturated(data: TrackingData) -> float | None:
 
 
 def _energy(data: TrackingData, scenario: Scenario) -> Energy:
-    flow = power(data, scenario.robot.B_m, is_lockstep(scenario))
+    flow = power(data, scenario.robot.B_m)
     supplied, dissipated, stored, residual = (
         float(np.nansum(each * flow.dt)) for each in (flow.supplied, flow.dissipated, flow.stored, flow.residual)
     )

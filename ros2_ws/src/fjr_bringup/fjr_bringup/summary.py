@@ -71,7 +71,7 @@ def reported(
         )
         folder.mkdir(parents=True, exist_ok=True)
         report.write(folder / FIGURES)
-        write_run_page(folder / PAGE, data, report, power(data, scenario.robot.B_m, report.lockstep))
+        write_run_page(folder / PAGE, data, report, power(data, scenario.robot.B_m))
     return RunSummary(folder, report, data, name)
 
 

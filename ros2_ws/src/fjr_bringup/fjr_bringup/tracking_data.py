@@ -36,6 +36,7 @@ class TrackingData:
 
     joints: tuple[str, ...]
     sample_period: float  # s
+    lockstep: bool  # the simulated plant waits for the answer to each state: nothing is late, whatever the clock says
     beta: float  # rate [1/s]: V(t) <= V(0) exp(-2 beta t) in continuous time
     beta_is_proven: bool  # for every configuration; else beta is the least at configurations of the run
     effort_limit: Array  # (n,) N m, infinite where none is given
@@ -91,8 +92,8 @@ class TrackingData:
 
     @property
     def deadline(self) -> Array:
-        """When the next state was sent (k,) [s]; one sample period on for the last."""
-        return np.append(self.sent[1:], self.sent[-1] + self.sample_period)
+        """When the next state was sent (k,) [s]; a period on for the last, which in lock-step is never late."""
+        return np.append(self.sent[1:], np.inf if self.lockstep else self.sent[-1] + self.sample_period)
 
 
 def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData:
@@ -112,6 +113,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
     return TrackingData(
         joints=scenario.joints,
         sample_period=period,
+        lockstep=bool(scenario.plant_values["lockstep"]),
         beta=rate.beta,
         beta_is_proven=rate.proven and scenario.plant_is_the_model,
         effort_limit=np.full(n, np.inf) if limits is None else limits.effort,

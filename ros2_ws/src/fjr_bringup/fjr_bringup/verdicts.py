@@ -22,7 +22,7 @@ def verdict(data: TrackingData, scenario: Scenario) -> Verdict:
 
 
 def record(data: TrackingData, scenario: Scenario) -> Record:
-    """The recorded run as fjr_core judges it."""
+    """The recorded run as fjr_core judges it; in lock-step the clock says nothing of when efforts acted."""
     known = bool(np.isfinite(data.torque).any())
     return Record(
         t=data.t,
@@ -31,8 +31,8 @@ def record(data: TrackingData, scenario: Scenario) -> Record:
         jets=data.jets,
         u=data.u,
         u_applied=data.torque @ np.linalg.inv(scenario.robot.B_m).T if known else None,
-        sent=data.sent,
-        answered=data.answered,
+        sent=None if data.lockstep else data.sent,
+        answered=None if data.lockstep else data.answered,
         sample_period=data.sample_period,
         effort_limit=data.effort_limit,
     )
