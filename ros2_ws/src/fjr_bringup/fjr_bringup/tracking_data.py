@@ -18,6 +18,7 @@ from fjr_bringup.recorded_reference import recorded_reference
 from fjr_bringup.recorded_states import STATES, States, recorded_states, with_velocities, without_jumps
 from fjr_core.certificate import Balance
 from fjr_core.errors import FjrError
+from fjr_core.safety_parameters import safety
 from fjr_core.scenario import Scenario
 from fjr_core.vdpbc.rate import Rate
 
@@ -101,7 +102,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
 
     An infinite duration ends with the last answered state.
     """
-    limits, n = scenario.robot.limits, scenario.robot.n
+    n = scenario.robot.n
     states, u, answered = _answered_states(bag, scenario, duration)
     t, sent = (states.stamp - states.stamp[0]) * 1e-9, states.publish_time
     states = with_velocities(states, u, scenario)
@@ -116,7 +117,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
         lockstep=bool(scenario.plant_values["lockstep"]),
         beta=rate.beta,
         beta_is_proven=rate.proven and scenario.plant_is_the_model,
-        effort_limit=np.full(n, np.inf) if limits is None else limits.effort,
+        effort_limit=_effort_limit(scenario),
         t=t,
         position=states.position,
         velocity=states.velocity,
@@ -167,6 +168,13 @@ def _to_last_answer(rows: NDArray[np.intp], states: States, sent: Times) -> tupl
     end = (states.stamp[rows[last]] - states.stamp[rows[0]]) * 1e-9
     said = (f"no state after {end:.3f} s is answered: the last {rest:.3g} s are not shown",) if rest > MOMENT else ()
     return rows[: last + 1], said
+
+
+def _effort_limit(scenario: Scenario) -> Array:
+    """The controller's limits or the robot's own (n,) [N m], whichever is less; infinite where none is given."""
+    robot = scenario.robot
+    own = np.minimum(np.full(robot.n, np.inf), np.asarray(safety(scenario.controller_values, robot).effort))
+    return own if robot.limits is None else np.asarray(np.minimum(own, robot.limits.effort))
 
 
 def _held_rate(balance: Balance, states: States, jets: Array, u: Array, dV: Array) -> Array:
