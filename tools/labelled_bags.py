@@ -94,8 +94,8 @@ def bag_record(bag: Bag, scenario: Scenario) -> Record:
         jets=np.asarray(scenario.reference.jets(t)),
         u=np.where(answered[:, None], commands.effort[place], np.nan),
         u_applied=np.asarray(np.linalg.solve(robot.B_m, states.effort[rows, robot.n :].T).T),
-        sent=np.asarray(states.publish_time[rows] * 1e-9),
-        answered=np.where(answered, commands.publish_time[place] * 1e-9, np.nan),
+        sent=None,  # in lock-step the clock says nothing of when an effort acted
+        answered=None,
         sample_period=scenario.sample_period,
         effort_limit=np.asarray(safety(scenario.controller_values, robot).effort),
     )

@@ -78,6 +78,21 @@ def test_a_delay_is_found_and_measured_from_the_motion_alone(delay: float) -> No
     assert verdict.figures["effort age"] == pytest.approx(delay, abs=0.02 * PERIOD)
 
 
+@pytest.mark.parametrize("latency", [0.2e-3, 0.35e-3, 0.6e-3])
+@pytest.mark.parametrize("measured", [False, True])
+def test_answers_within_the_sample_are_as_they_should_be_but_no_delay_beyond(latency: float, measured: bool) -> None:
+    """In real time the older effort acts until the answer comes; by the times of sending that is foreseen."""
+    late = record(delay=latency, measured=measured)
+    known = replace(late, sent=late.t, answered=late.t + latency)
+    assert judge(late, LAW).causes == ("delay",)
+    assert judge(known, LAW).kind == "holding"
+    assert judge(replace(known, answered=late.t + latency + 0.1e-3), LAW).kind == "holding"
+    later = replace(record(delay=latency + 2e-3), sent=late.t, answered=late.t + latency)
+    assert judge(later, LAW).causes == ("delay",)
+    other = replace(record(delay=latency, stiffness=29.0), sent=late.t, answered=late.t + latency)
+    assert judge(other, LAW).causes[0] == "model mismatch"
+
+
 def test_states_that_are_missing_are_a_loss() -> None:
     """Every second state was never seen, so each effort was held for two periods."""
     real = fjr.simulate(fjr.Plant(LAW.robot), LAW, REFERENCE, LAW.robot.state(0.5, 0.5, 0, 0), DURATION, 2 * PERIOD)

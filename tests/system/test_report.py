@@ -22,18 +22,25 @@ MS = 1e-3
 
 def recorded(stamps: list[float], answers: list[float]) -> TrackingData:
     """Five nominal samples of 1 ms: states at `stamps` [ms], sent at once, answered at `answers` [ms]."""
-    t, zeros = MS * np.array(stamps), np.zeros((len(stamps), 1))
+    t = MS * np.array(stamps)
+    one, two = np.zeros((len(stamps), 1)), np.zeros((len(stamps), 2))
     return TrackingData(
         joints=("joint1",),
         sample_period=MS,
+        lockstep=False,
         beta=10.0,
         beta_is_proven=True,
         effort_limit=np.array([np.inf]),
         t=t,
-        q_l=zeros,
-        q_ld=zeros,
-        u=zeros,
-        V=zeros[:, 0],
+        position=two,
+        velocity=two,
+        jets=np.zeros((len(stamps), 5, 1)),
+        u=one,
+        torque=one,
+        V=one[:, 0],
+        dV=one[1:, 0],
+        H=one[:, 0],
+        dissipated=one[:, 0],
         sent=t,
         answered=MS * np.array(answers),
         reference_mismatch=0.0,
@@ -77,4 +84,6 @@ def test_the_demo_runs_the_paper_and_an_arm_in_real_time(tmp_path: Path) -> None
         assert counts["published"] == counts["answered_in_time"] + counts["late"] + counts["unanswered"] > 0
         assert (tmp_path / name / "bag" / "metadata.yaml").is_file()
         assert (tmp_path / name / "overview.png").is_file()
+        assert (tmp_path / name / "report.html").is_file()
         assert name in said
+    assert (tmp_path / "comparison.html").is_file()

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from .console import PREFIX, SetupError, say
-from .extras import Extra, compiler, openmp, pinocchio
+from .extras import Extra, browser, compiler, openmp, pinocchio
 from .machine import Machine, base_interpreter, ros_candidates, ros_interpreter, uses_sourced_ros
 from .virtualenv import Environment
 from .workspace import Workspace
@@ -68,15 +68,16 @@ def set_up(target: str, sourced_ros: bool) -> None:
     with alone(ROOT / ".setup"):
         environment.ensure(LEVELS[target])
         if target != "lint":
-            for extra in extras(environment):
+            for extra in extras(environment, target):
                 extra.ensure(ROOT / ".setup" / "extras.log", environment.env)
             Workspace(environment).ensure()
 
 
-def extras(environment: Environment) -> list[Extra]:
-    """What the system may bring: a C compiler, and what reading a URDF needs."""
+def extras(environment: Environment, target: str) -> list[Extra]:
+    """What the system may bring: a C compiler, what reading a URDF needs, and for tests a browser."""
     urdf = pinocchio if environment.sourced_ros else openmp
-    return [compiler(environment.env), urdf(environment.python, environment.env)]
+    found = [compiler(environment.env), urdf(environment.python, environment.env)]
+    return [*found, browser(environment.env)] if target == "test" else found
 
 
 def enter_ros_interpreter(arguments: Sequence[str]) -> None:

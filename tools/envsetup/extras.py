@@ -13,6 +13,7 @@ from .console import SetupError, say
 from .debian import apt_install, has_apt
 
 COMPILERS = ("cc", "gcc", "clang")
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 NO_URDF = "robots cannot be read from a URDF"
 
 
@@ -68,6 +69,15 @@ def openmp(python: Path, env: dict[str, str]) -> Extra:
         return _imports_pinocchio(python, env) or (_lend_openmp(python) and _imports_pinocchio(python, env))
 
     return Extra("libgomp, which Pinocchio needs,", ("libgomp1",), NO_URDF, is_there)
+
+
+def browser(env: dict[str, str]) -> Extra:
+    """The headless browser in which tests look at the pages that `fjr report` writes."""
+
+    def is_there() -> bool:
+        return any(_succeeds([name, "--version"], env) for name in BROWSERS)
+
+    return Extra("Chromium", ("chromium",), "tests that look at pages in a browser are skipped", is_there)
 
 
 def _lend_openmp(python: Path) -> bool:

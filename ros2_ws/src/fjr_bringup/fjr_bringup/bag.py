@@ -1,73 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read a bag back into numpy arrays: stamps, send times, and one column per joint, mapped by name.
-
-The MCAP file is read front to back, so the bag of a run that was killed (no index, no metadata.yaml, a torn
-last record) gives everything up to the last flushed chunk.
-"""
+"""Read a bag back into numpy arrays: stamps, send times, and one column per joint, mapped by name."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.exceptions import EndOfFile, McapError
-from mcap.records import Channel, DataEnd, Message, Schema
-from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
-from rosbags.typesys import get_types_from_msg
 
-from fjr_bringup.schemas import typestore
-from fjr_core.errors import FjrError
+from fjr_bringup.bag_files import files_of, read_file
+from fjr_bringup.bag_topic import BagError, Times, Topic, Topics
 
 Array = NDArray[np.float64]
-Times = NDArray[np.int64]
-
-
-class BagError(FjrError):
-    """A folder that is not a bag, or a bag that lacks what is asked of it."""
-
-
-@dataclass
-class Topic:
-    """The raw messages of one topic in the order they came."""
-
-    name: str
-    type_name: str
-    definition: str
-    messages: list[Message] = field(default_factory=list)
-
-    @cached_property
-    def publish_time(self) -> Times:
-        """Middleware's send time of each message [ns], (k,)."""
-        return np.array([message.publish_time for message in self.messages], dtype=np.int64)
-
-    @cached_property
-    def log_time(self) -> Times:
-        """Receive time of each message [ns], (k,)."""
-        return np.array([message.log_time for message in self.messages], dtype=np.int64)
-
-    @cached_property
-    def sequence(self) -> Times:
-        """Publisher's own count of its messages, (k,); zeros where the recorder did not keep it."""
-        return np.array([message.sequence for message in self.messages], dtype=np.int64)
-
-    @property
-    def lost(self) -> int | None:
-        """Messages sent but not recorded, from gaps in the numbering; None with several publishers."""
-        steps = np.diff(self.sequence)
-        return int((steps - 1).sum()) if (steps >= 1).all() else None
-
-    def decoded(self) -> list[Any]:
-        """Every message as an object with the fields of its type."""
-        store = typestore()
-        if self.type_name not in store.fielddefs:
-            store.register(get_types_from_msg(self.definition, self.type_name))
-        return [store.deserialize_cdr(message.data, self.type_name) for message in self.messages]
+JOINT_STATE, DIAGNOSTICS = "sensor_msgs/msg/JointState", "/diagnostics"
 
 
 @dataclass(frozen=True)
@@ -83,23 +32,46 @@ class JointTable:
 
 @dataclass(frozen=True)
 class Bag:
-    """All topics of a bag. `complete` tells whether the recorder closed it."""
+    """All topics of a bag. `complete` tells whether the recorder closed it; namespace: where its nodes were.
+
+    A topic that is not there under its plain name is looked for in namespaces; one in two of them is not chosen.
+    """
 
     path: Path
     topics: dict[str, Topic]
     complete: bool
+    namespace: str = ""
+
+    def holds(self, name: str) -> bool:
+        """Whether there are messages of a topic."""
+        return self._full_name(name) is not None
 
     def topic(self, name: str) -> Topic:
         """One topic; raises BagError, naming what was recorded, when there is none or it is empty."""
-        if name not in self.topics or not self.topics[name].messages:
-            recorded = ", ".join(sorted(name for name, topic in self.topics.items() if topic.messages)) or "nothing"
-            raise BagError(f"{self.path} holds no message of {name}; it holds {recorded}")
-        return self.topics[name]
+        found = self._full_name(name)
+        if found is None:
+            raise BagError(f"{self.path} holds no message of {self.namespace}{name}; it holds {self._contents()}")
+        return self.topics[found]
+
+    def _full_name(self, name: str) -> str | None:
+        recorded = [topic for topic, found in self.topics.items() if found.messages]
+        if self.namespace + name in recorded:
+            return self.namespace + name
+        others = [] if self.namespace else [topic for topic in recorded if topic.endswith(name)]
+        if len(others) > 1:
+            raise BagError(f"{self.path} holds {' and '.join(sorted(others))}: name one of them by its --namespace")
+        return others[0] if others else None
+
+    def _contents(self) -> str:
+        recorded = sorted(name for name, topic in self.topics.items() if topic.messages)
+        return ", ".join(recorded) or ("nothing" if self.complete else "nothing, and was not closed")
 
     def joints(self, name: str, joints: Sequence[str]) -> JointTable:
         """A JointState topic with columns in the order of `joints`, whatever order the messages have."""
         topic = self.topic(name)
-        messages = topic.decoded()
+        if topic.type_name != JOINT_STATE:
+            raise BagError(f"{topic.name} of {self.path} is a {topic.type_name}; expected {JOINT_STATE}")
+        messages = topic.decoded
         stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages], dtype=np.int64)
         columns = (_columns(messages, what, joints) for what in ("position", "velocity", "effort"))
         return JointTable(stamps, topic.publish_time, *columns)
@@ -111,47 +83,22 @@ class Bag:
     def counters(self) -> dict[str, dict[str, str]]:
         """The last /diagnostics of each part: name -> key -> value, as published."""
         last: dict[str, dict[str, str]] = {}
-        for message in self.topics["/diagnostics"].decoded() if "/diagnostics" in self.topics else []:
+        for message in self.topic(DIAGNOSTICS).decoded if self.holds(DIAGNOSTICS) else []:
             for status in message.status:
                 last[status.name] = {pair.key: pair.value for pair in status.values}
         return last
 
 
-def read_bag(path: str | Path) -> Bag:
-    """Read a bag folder or a single .mcap file; raises BagError."""
+def read_bag(path: str | Path, namespace: str = "") -> Bag:
+    """Read a bag: its folder, one of its files, or the folder of a run with `bag` in it; raises BagError.
+
+    namespace: of the topics to look at, empty or with a slash before it.
+    """
     path = Path(path)
-    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-    if not files or not all(file.is_file() for file in files):
-        raise BagError(f"{path} is not a bag: expected a folder with an .mcap file, or such a file")
-    topics: dict[str, Topic] = {}
-    complete = [_read_file(file, topics) for file in files]
-    return Bag(path, topics, all(complete))
-
-
-def _read_file(path: Path, topics: dict[str, Topic]) -> bool:
-    """Add the messages of one file to `topics`; true when the file ends as a closed file does."""
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Topic] = {}
-    with open(path, "rb") as stream:
-        try:
-            for record in StreamReader(stream, validate_crcs=True).records:
-                if isinstance(record, Message):
-                    channels[record.channel_id].messages.append(record)
-                elif isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    channels[record.id] = _topic(record, schemas[record.schema_id], topics)
-                elif isinstance(record, DataEnd):
-                    return True
-        except (EndOfFile, struct.error):
-            return False  # torn at the end by a kill: all before it is good
-        except McapError as error:
-            raise BagError(f"{path} is not a readable MCAP file: {error}") from error
-    return False
-
-
-def _topic(channel: Channel, schema: Schema, topics: dict[str, Topic]) -> Topic:
-    return topics.setdefault(channel.topic, Topic(channel.topic, schema.name, schema.data.decode()))
+    path = path / "bag" if (path / "bag").is_dir() else path
+    topics: Topics = {}
+    complete = [read_file(file, topics) for file in files_of(path)]
+    return Bag(path, topics, all(complete), namespace)
 
 
 def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array:

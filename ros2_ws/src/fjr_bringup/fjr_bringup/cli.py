@@ -27,9 +27,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
     top = argparse.ArgumentParser(prog="fjr", description=DESCRIPTION)
-    commands = top.add_subparsers(required=True, dest="command", metavar="{demo,run,check,gains,scenarios}")
+    commands = top.add_subparsers(required=True, dest="command", metavar="{demo,run,report,check,gains,scenarios}")
     demo = commands.add_parser("demo", help="the paper's two scenarios and a 7-joint arm in real time, with a table")
     run = commands.add_parser("run", help="one scenario")
+    report = commands.add_parser("report", help="pages and figures from bags, of ours or of any robot")
     check = commands.add_parser("check", help="what is known before a scenario runs: rates, stability as sampled")
     gains = commands.add_parser("gains", help="gains for a scenario's robot and sample rate, as YAML to paste")
     commands.add_parser("scenarios", help="list the installed scenarios")
@@ -46,6 +47,7 @@ def parser() -> argparse.ArgumentParser:
         _add_scenario(command)
     for command in (demo, run):
         _add_recording(command)
+    _add_bags(report)
     return top
 
 
@@ -72,6 +74,19 @@ def _add_recording(command: argparse.ArgumentParser) -> None:
         default=Path("runs"),
         help="where folders of runs go (default runs)",
     )
+
+
+def _add_bags(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "bags", nargs="+", type=Path, metavar="BAG", help="a run's folder, a bag's folder, or an .mcap or .db3 file"
+    )
+    command.add_argument(
+        "--scenario",
+        metavar="NAME",
+        help="the robot: a scenario's name or file (default: scenario.yaml beside the bag)",
+    )
+    command.add_argument("--output", type=Path, metavar="DIR", help="where reports go (default: beside the bag)")
+    command.add_argument("--namespace", metavar="NS", default="", help="of the nodes, where the bag holds several")
 
 
 def _seconds(text: str) -> float:

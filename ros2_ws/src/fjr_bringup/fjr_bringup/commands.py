@@ -12,10 +12,11 @@ from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
-from fjr_bringup import gains_block, scenarios, stability
+from fjr_bringup import gains_block, scenarios, stability, stopping
+from fjr_bringup.report_command import ReportError, report_bags, tell
 from fjr_bringup.run import Plan, RunError, run
 from fjr_bringup.stopping import Interrupted
-from fjr_bringup.summary import RunSummary, summarise, table, where_to_look
+from fjr_bringup.summary import RunSummary, compare, how_to_play, summarise, table, where_to_look
 from fjr_core.errors import FjrError, ParameterError
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")
@@ -25,7 +26,14 @@ DONE, FAILED, NOT_UNDERSTOOD = 0, 1, 2
 def execute(options: argparse.Namespace, stop: threading.Event) -> int:
     """Run one command; every error is one sentence on stderr. Returns the exit code."""
     _tell_what_takes_long()
-    commands = {"demo": _demo, "run": _run, "check": _check, "gains": _gains, "scenarios": _scenarios}
+    commands = {
+        "demo": _demo,
+        "run": _run,
+        "report": _report,
+        "check": _check,
+        "gains": _gains,
+        "scenarios": _scenarios,
+    }
     try:
         commands[options.command](options, stop)
     except Interrupted as interruption:
@@ -51,7 +59,9 @@ def _tell_what_takes_long() -> None:
 
 def _demo(options: argparse.Namespace, stop: threading.Event) -> None:
     plans = [_plan(name, {}, options) for name in DEMO]
-    _tell([_record_and_report(plan, stop) for plan in plans])
+    summaries = [_record_and_report(plan, stop) for plan in plans]
+    _tell(summaries)
+    print(f"side by side: {compare(summaries, options.output)}")
 
 
 def _run(options: argparse.Namespace, stop: threading.Event) -> None:
@@ -59,6 +69,15 @@ def _run(options: argparse.Namespace, stop: threading.Event) -> None:
     if options.lockstep:
         overrides = {"realtime_priority": 0, **overrides, "lockstep": True}
     _tell([_record_and_report(_plan(options.scenario, overrides, options, options.force), stop)])
+
+
+def _report(options: argparse.Namespace, _stop: threading.Event) -> None:
+    stopping.at_once()
+    namespace = f"/{options.namespace.strip('/')}" if options.namespace.strip("/") else ""
+    summaries, failures = report_bags(options.bags, options.scenario, options.output, namespace)
+    tell(summaries, failures[:-1], options.output)
+    if failures:
+        raise ReportError(failures[-1])
 
 
 def _check(options: argparse.Namespace, _stop: threading.Event) -> None:
@@ -117,3 +136,5 @@ def _report_of_failure(plan: Plan, error: RunError) -> None:
 def _tell(summaries: list[RunSummary]) -> None:
     print(table(summaries))
     print(where_to_look(summaries))
+    print(how_to_play(summaries[0].folder / "bag"))
+    print(how_to_play(summaries[0].folder / "bag"))

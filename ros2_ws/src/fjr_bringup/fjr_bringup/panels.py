@@ -65,7 +65,8 @@ def storage(ax: Axes, data: TrackingData, report: Report) -> None:
         textcoords="offset points",
         color=GREY,
     )
-    leaves, there = report.storage.leaves_bound_at_s, report.storage.relative_where_it_leaves
+    found = report.storage
+    leaves, there = (None, None) if found is None else (found.leaves_bound_at_s, found.relative_where_it_leaves)
     if leaves is not None and there is not None and there < DRAWABLE:
         ax.plot([leaves], [there], "o", color=COLOURS[1], ms=5, zorder=5)
         ax.text(
@@ -77,7 +78,7 @@ def storage(ax: Axes, data: TrackingData, report: Report) -> None:
             va="top",
             color=COLOURS[1],
         )
-    rate = report.storage.measured_decay_rate_per_s
+    rate = None if found is None else found.measured_decay_rate_per_s
     basis = "proven" if data.beta_is_proven else "sampled"
     title = f"V falls at {rate:.3g} 1/s; {basis}: at least {2 * data.beta:.3g} 1/s" if rate else "V and its bound"
     ax.set(title=title, xlabel="t [s]", ylabel="$V(t)\\,/\\,V(0)$")
@@ -128,7 +129,7 @@ def latency(ax: Axes, data: TrackingData, report: Report) -> None:
     timing, counts = report.timing, report.counts
     _histogram(ax, data.latency[~np.isnan(data.latency)] * 1e3, COLOURS[2])
     _marks(ax, (timing.latency_p50_us, timing.latency_p99_us, timing.latency_max_us))
-    title = f"{100 * counts.answered_in_time_fraction:.2f} % answered before the next state"
+    title = f"{100 * (counts.answered_in_time_fraction or 0.0):.2f} % answered before the next state"
     ax.set(title=title, xlabel="state to command [ms]", ylabel="states")
 
 

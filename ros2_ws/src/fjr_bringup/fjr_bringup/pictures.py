@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The PNG files of a run, drawn from what its bag holds."""
+"""The picture of a run, drawn from what its bag holds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib as mpl
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fjr_bringup import panels
@@ -30,37 +28,13 @@ STYLE = {
 }
 
 
-def draw_all(name: str, data: TrackingData, report: Report, folder: Path) -> list[Path]:
-    """Write overview.png and one picture per subject into the folder; returns their paths."""
+def draw_overview(name: str, data: TrackingData, report: Report, folder: Path) -> Path:
+    """Write overview.png into the folder: the whole story in one look, where no browser is."""
     with mpl.rc_context(STYLE):
-        single = {
-            "tracking": lambda ax: panels.tracking(ax, data),
-            "error": lambda ax: panels.error(ax, data, report),
-            "storage": lambda ax: panels.storage(ax, data, report),
-            "effort": lambda ax: panels.effort(ax, data, report),
-        }
-        paths = [_single(draw, folder / f"{subject}.png") for subject, draw in single.items()]
-        return [*paths, _timing(data, report, folder / "timing.png"), _overview(name, data, report, folder)]
-
-
-def _single(draw: Callable[[Axes], None], path: Path) -> Path:
-    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
-    draw(figure.subplots())
-    figure.savefig(path)
-    return path
-
-
-def _timing(data: TrackingData, report: Report, path: Path) -> Path:
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    panels.period(left, data, report)
-    panels.latency(right, data, report)
-    figure.savefig(path)
-    return path
+        return _overview(name, data, report, folder)
 
 
 def _overview(name: str, data: TrackingData, report: Report, folder: Path) -> Path:
-    """The whole story in one look."""
     figure = Figure(figsize=(14.0, 7.2), layout="constrained")
     axes = figure.subplots(2, 3)
     panels.tracking(axes[0, 0], data)

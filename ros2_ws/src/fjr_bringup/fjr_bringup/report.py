@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a run, from its bag and scenario alone: report.json. Absent figures are null, never invented."""
+"""Figures of a run, from its bag and scenario alone: report.json. Absent figures are null, never invented.
+
+docs/reports.md says what each of them means.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +17,21 @@ from typing import Any
 import numpy as np
 
 from fjr_bringup.bag import Array, Bag
+from fjr_bringup.joint_figures import (
+    AT_LIMIT,
+    SETTLED,
+    STEADY_AFTER,
+    JointFigures,
+    initial_error,
+    joint_figures,
+    rms,
+    settling_time,
+)
+from fjr_bringup.power import power
 from fjr_bringup.tracking_data import TrackingData
+from fjr_bringup.verdicts import Verdict, verdict
 from fjr_core.scenario import Scenario
 
-STEADY_AFTER = 2.0  # s; figures "after 2 s" tell the tracking error once the transient is over
-SETTLED = 0.02  # of the initial error
 DECAYED = 1e-4  # of V(0): down to there the decay rate is measured
 VERSIONS = ("fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
 
@@ -35,6 +48,7 @@ class Tracking:
     max_error_after_2s_rad: float | None
     rms_error_after_2s_rad: float | None
     settling_time_2_percent_s: float | None  # from then on |error| stays within 2 % of the initial one
+    saturated_fraction: float | None  # of the commands, with any joint at its limit; null: no limit is given
     reference_mismatch_rad: float  # recorded reference against the scenario's: a cross-check, near 0
 
 
@@ -54,6 +68,17 @@ class Storage:
     relative_where_it_leaves: float | None  # V / V(0) there
     largest_ratio_to_bound_before: float  # 1 or less: V never passed the bound before it left for good
     max_relative_after_2s: float | None  # the floor, V / V(0)
+
+
+@dataclass(frozen=True)
+class Energy:
+    """The power balance, integrated over the run [J]: stored = supplied - dissipated + residual."""
+
+    supplied_j: float
+    dissipated_j: float
+    stored_j: float
+    residual_j: float
+    rms_residual_of_supplied: float  # of the power left over, relative to the RMS of the power supplied
 
 
 @dataclass(frozen=True)
@@ -77,12 +102,12 @@ class Counts:
     missing: int  # nominal samples that are not in the bag (negative: more came than nominal)
     gaps: int  # steps between stamps longer than 1.5 sample periods
     longest_gap_s: float
-    answered: int  # states whose command was recorded
-    answered_in_time: int  # before the next state was sent
-    late: int  # after it
-    unanswered: int
+    answered: int | None  # states whose command was recorded; this and the next three null: no command was
+    answered_in_time: int | None  # before the next state was sent
+    late: int | None  # after it
+    unanswered: int | None
     published_fraction: float  # of nominal
-    answered_in_time_fraction: float  # of nominal
+    answered_in_time_fraction: float | None  # of nominal
     lost_by_recorder: dict[str, int | None]  # topic -> gaps in the publisher's numbering; null: several publish
 
 
@@ -94,18 +119,29 @@ class Report:
     duration_s: float
     sample_period_s: float
     lockstep: bool
+    bag: str
+    bag_complete: bool  # it was closed; else the run or its recorder was killed
+    verdict: Verdict
+    missing: tuple[str, ...]  # what the bag does not hold, and what was taken instead
     tracking: Tracking
-    storage: Storage
+    joints: list[JointFigures]
+    storage: Storage | None  # null: V is not known, for want of the motors' side
+    energy: Energy | None
     timing: Timing
     counts: Counts
     diagnostics: dict[str, dict[str, str]]  # last counters of each node
     versions: dict[str, str]
     not_recorded: dict[str, str] = field(default_factory=dict)  # topic -> why the recorder left it out
     failure: str = ""  # why the run ended before its time
+    planned_s: float | None = None  # how long the run was to be; null: not known to the one who reports
+
+    def as_json(self) -> dict[str, Any]:
+        """The figures as JSON holds them: finite numbers only."""
+        return dict(_finite(asdict(self)))
 
     def write(self, path: Path) -> None:
-        """Write the report as JSON with finite numbers only."""
-        path.write_text(json.dumps(_finite(asdict(self)), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        """Write the report as JSON."""
+        path.write_text(json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, duration: float) -> Report:
@@ -114,9 +150,15 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, dur
         scenario=name,
         duration_s=duration,
         sample_period_s=data.sample_period,
-        lockstep=bool(scenario.plant_values["lockstep"]),
+        lockstep=data.lockstep,
+        bag=str(bag.path),
+        bag_complete=bag.complete,
+        verdict=verdict(data, scenario),
+        missing=data.notes,
         tracking=_tracking(data),
-        storage=_storage(data),
+        joints=joint_figures(data),
+        storage=_storage(data) if np.isfinite(data.V[0]) else None,
+        energy=_energy(data, scenario) if np.isfinite(data.H[0]) else None,
         timing=_timing(data),
         counts=_counts(data, duration, bag.lost()),
         diagnostics=bag.counters(),
@@ -128,24 +170,37 @@ def _tracking(data: TrackingData) -> Tracking:
     size = np.abs(data.error).max(axis=1)
     steady = data.error[data.t >= STEADY_AFTER]
     share = float((data.peak_effort / data.effort_limit).max())
+    joints = joint_figures(data)
     return Tracking(
         peak_effort_nm=float(data.peak_effort.max()),
-        peak_effort_by_joint_nm=dict(zip(data.joints, data.peak_effort.tolist(), strict=True)),
-        effort_limit_by_joint_nm=dict(zip(data.joints, data.effort_limit.tolist(), strict=True)),
+        peak_effort_by_joint_nm={each.joint: each.peak_effort_nm for each in joints},
+        effort_limit_by_joint_nm={each.joint: each.effort_limit_nm for each in joints},
         largest_share_of_effort_limit=share if share > 0 else None,
         initial_error_rad=float(size[0]),
         max_error_after_2s_rad=float(np.abs(steady).max()) if steady.size else None,
-        rms_error_after_2s_rad=float(np.sqrt((steady**2).mean())) if steady.size else None,
-        settling_time_2_percent_s=_settling_time(data.t, size),
+        rms_error_after_2s_rad=rms(steady) if steady.size else None,
+        settling_time_2_percent_s=settling_time(data.t, size, SETTLED * initial_error(data)),
+        saturated_fraction=_saturated(data),
         reference_mismatch_rad=data.reference_mismatch,
     )
 
 
-def _settling_time(t: Array, size: Array) -> float | None:
-    outside = np.flatnonzero(size > SETTLED * size[0])
-    if outside.size == 0:
-        return 0.0
-    return float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
+def _saturated(data: TrackingData) -> float | None:
+    """Of the commands, those with any joint at its limit."""
+    sent = data.u[np.isfinite(data.u).all(axis=1)]
+    if not (len(sent) and np.isfinite(data.effort_limit).any()):
+        return None
+    return float((np.abs(sent) >= AT_LIMIT * data.effort_limit).any(axis=1).mean())
+
+
+def _energy(data: TrackingData, scenario: Scenario) -> Energy:
+    flow = power(data, scenario.robot.B_m)
+    supplied, dissipated, stored, residual = (
+        float(np.nansum(each * flow.dt)) for each in (flow.supplied, flow.dissipated, flow.stored, flow.residual)
+    )
+    known = np.isfinite(flow.residual)
+    left = rms(flow.residual[known]) / (rms(flow.supplied[known]) or np.nan) if known.any() else np.nan
+    return Energy(supplied, dissipated, stored, residual, left)
 
 
 def _storage(data: TrackingData) -> Storage:
@@ -181,7 +236,7 @@ def _percentiles(seconds: Array) -> tuple[float, float, float]:
 def _counts(data: TrackingData, duration: float, lost_messages: dict[str, int | None]) -> Counts:
     nominal, published = round(duration / data.sample_period), len(data.t)
     answered = ~np.isnan(data.answered)
-    in_time = int((data.answered < data.deadline)[answered].sum())
+    known, in_time = answered.any(), int((data.answered < data.deadline)[answered].sum())
     steps = np.diff(data.t, append=data.t[-1])
     return Counts(
         nominal=nominal,
@@ -189,12 +244,12 @@ def _counts(data: TrackingData, duration: float, lost_messages: dict[str, int | 
         missing=nominal - published,
         gaps=int((steps > 1.5 * data.sample_period).sum()),
         longest_gap_s=float(steps.max()),
-        answered=int(answered.sum()),
-        answered_in_time=in_time,
-        late=int(answered.sum()) - in_time,
-        unanswered=published - int(answered.sum()),
+        answered=int(answered.sum()) if known else None,
+        answered_in_time=in_time if known else None,
+        late=int(answered.sum()) - in_time if known else None,
+        unanswered=published - int(answered.sum()) if known else None,
         published_fraction=published / nominal,
-        answered_in_time_fraction=in_time / nominal,
+        answered_in_time_fraction=in_time / nominal if known else None,
         lost_by_recorder=lost_messages,
     )
 
@@ -213,6 +268,8 @@ def _finite(value: Any) -> Any:
     """The same with null for numbers that are not finite."""
     if isinstance(value, Mapping):
         return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

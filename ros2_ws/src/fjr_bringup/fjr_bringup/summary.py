@@ -1,53 +1,98 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a recorded run to its report and pictures, and the short table at the end of the command."""
+"""From a recorded run to its report and page, and the short table at the end of the command."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from fjr_bringup.bag import read_bag
-from fjr_bringup.pictures import draw_all
+from fjr_bringup.bag import Bag, read_bag
+from fjr_bringup.comparison_page import write_comparison
+from fjr_bringup.comparison_plots import Compared
+from fjr_bringup.pictures import draw_overview
+from fjr_bringup.power import power
 from fjr_bringup.report import Report, make_report
-from fjr_bringup.tracking_data import tracking_data
-from fjr_core.scenario import load_scenario
+from fjr_bringup.run_page import write_run_page
+from fjr_bringup.tracking_data import TrackingData, tracking_data
+from fjr_core.scenario import Scenario, load_scenario
+
+PAGE, FIGURES, COMPARISON = "report.html", "report.json", "comparison.html"
 
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A finished run: where it is and what it showed."""
+    """A finished run: where its report is, what it showed, and what that was drawn from."""
 
     folder: Path
     report: Report
+    data: TrackingData
+    label: str = ""  # tells it from others beside it
 
 
 def summarise(
     name: str, folder: Path, duration: float | None, skipped: Mapping[str, str] | None = None, failure: str = ""
 ) -> RunSummary:
-    """Write report.json and the pictures into a run's folder, also of a run that diverged or hardly began.
+    """Write report.json, report.html and overview.png into a run's folder, also of a run that diverged or hardly began.
 
-    duration: how long it was to run [s], None for as long as it was recorded; skipped: topics that could not be
+    duration: how long it was to run [s], None for as long as it was answered; skipped: topics that could not be
     recorded; failure: why it ended early.
     """
-    scenario = load_scenario(folder / "scenario.yaml")
-    bag = read_bag(folder / "bag")
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of numpy and matplotlib, about values that are not finite
+    scenario, bag = load_scenario(folder / "scenario.yaml"), read_bag(folder / "bag")
+    summary = reported(name, bag, scenario, folder, duration, skipped, failure)
+    if np.isfinite(summary.data.V[0]) and np.isfinite(summary.data.u).any():
+        with quietly():
+            draw_overview(name, summary.data, summary.report, folder)
+    return summary
+
+
+def reported(
+    name: str,
+    bag: Bag,
+    scenario: Scenario,
+    folder: Path,
+    duration: float | None = None,
+    skipped: Mapping[str, str] | None = None,
+    failure: str = "",
+) -> RunSummary:
+    """Write report.json and report.html of any bag into a folder; the rest as in summarise."""
+    with quietly():
         data = tracking_data(bag, scenario, duration or np.inf)
         lasted = duration or float(data.t[-1]) + data.sample_period
         report = replace(
-            make_report(name, bag, scenario, data, lasted), not_recorded=dict(skipped or {}), failure=failure
+            make_report(name, bag, scenario, data, lasted),
+            not_recorded=dict(skipped or {}),
+            failure=failure,
+            planned_s=duration,
         )
-        report.write(folder / "report.json")
-        draw_all(name, data, report, folder)
-    return RunSummary(folder, report)
+        folder.mkdir(parents=True, exist_ok=True)
+        report.write(folder / FIGURES)
+        write_run_page(folder / PAGE, data, report, power(data, scenario.robot.B_m))
+    return RunSummary(folder, report, data, name)
 
 
-def table(summaries: list[RunSummary]) -> str:
+@contextmanager
+def quietly() -> Iterator[None]:
+    """No warnings of numpy and matplotlib about values that are not finite: these are what a report is for."""
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
+    """Write comparison.html of several runs into a folder."""
+    path = folder / COMPARISON
+    with quietly():
+        runs = [Compared(each.label, each.data, each.report, each.folder / PAGE) for each in summaries]
+        write_comparison(path, runs)
+    return path
+
+
+def table(summaries: Sequence[RunSummary]) -> str:
     """The figures that matter, one line per run."""
     head = (
         "scenario",
@@ -55,50 +100,56 @@ def table(summaries: list[RunSummary]) -> str:
         "error after 2 s",
         "answered in time",
         "V decays at (at least)",
-        "V within bound",
+        "verdict",
     )
-    rows = [head, *(_row(summary.report) for summary in summaries)]
+    rows = [head, *(_row(summary.label, summary.report) for summary in summaries)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     return "\n".join(["", lines[0], "-" * len(lines[0]), *lines[1:]])
 
 
-def _row(report: Report) -> tuple[str, ...]:
-    tracking, storage, counts = report.tracking, report.storage, report.counts
-    basis = "proven" if storage.guarantee_is_proven else "sampled"
+def _row(label: str, report: Report) -> tuple[str, ...]:
+    tracking, counts, verdict = report.tracking, report.counts, report.verdict
+    in_time = _number(counts.answered_in_time_fraction and 100 * counts.answered_in_time_fraction, "{:.2f} %")
     return (
-        report.scenario + (" (lock-step)" if report.lockstep else ""),
-        f"{_plain(tracking.peak_effort_nm)} N m" + _share(tracking.largest_share_of_effort_limit),
+        label + (" (lock-step)" if report.lockstep else ""),
+        f"{_plain(tracking.peak_effort_nm)}" + _share(tracking.largest_share_of_effort_limit),
         _number(tracking.max_error_after_2s_rad, "{:.1e} rad"),
-        f"{100 * counts.answered_in_time_fraction:.2f} % of {counts.nominal}",
-        _number(storage.measured_decay_rate_per_s, "{:.1f}")
-        + f" ({basis}: {storage.guaranteed_decay_rate_per_s:.1f}) 1/s",
-        _until(storage.leaves_bound_at_s, storage.relative_where_it_leaves),
+        f"{in_time} of {counts.nominal}",
+        _decay(report),
+        verdict.kind + (f": {', '.join(verdict.causes)}" if verdict.causes else ""),
     )
 
 
+def _decay(report: Report) -> str:
+    storage = report.storage
+    if storage is None:
+        return "-"
+    basis = "proven" if storage.guarantee_is_proven else "sampled"
+    measured = _number(storage.measured_decay_rate_per_s, "{:.1f}")
+    return f"{measured} ({basis}: {storage.guaranteed_decay_rate_per_s:.1f}) 1/s"
+
+
 def _plain(value: float) -> str:
-    return f"{value:.2f}" if value < 1e6 else f"{value:.1e}"
+    if not np.isfinite(value):
+        return "-"
+    return f"{value:.2f} N m" if value < 1e6 else f"{value:.1e} N m"
 
 
 def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else form.format(value)
+    return "-" if value is None or not np.isfinite(value) else form.format(value)
 
 
 def _share(value: float | None) -> str:
     return "" if value is None else f", {100 * value:.0f} % of a limit"
 
 
-def _until(instant: float | None, relative: float | None) -> str:
-    return "always" if instant is None else f"until {instant:.2f} s, down to {relative:.0e} V(0)"
+def where_to_look(summaries: Sequence[RunSummary]) -> str:
+    """Paths of what was written, for a browser."""
+    return "\n".join(["", *(f"{each.label}: {each.folder / PAGE}, {each.folder / FIGURES}" for each in summaries)])
 
 
-def where_to_look(summaries: list[RunSummary]) -> str:
-    """Paths of what was written, and how to play a bag."""
-    lines = [""]
-    for summary in summaries:
-        lines.append(f"{summary.report.scenario}: {summary.folder / 'overview.png'}, {summary.folder / 'report.json'}")
-    bag = summaries[0].folder / "bag"
+def how_to_play(bag: Path) -> str:
+    """How to play a bag."""
     storage = next(bag.glob("*.mcap"), bag)
-    lines.append(f"play a bag: ros2 bag play {bag}   (or open {storage} in Foxglove or PlotJuggler)")
-    return "\n".join(lines)
+    return f"play a bag: ros2 bag play {bag}   (or open {storage} in Foxglove or PlotJuggler)"

@@ -1,22 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run as arrays: what the joints did, what the law's storage was, when messages went."""
+"""A recorded run as arrays: what the joints did, storage of the law and energy of the robot, when messages went.
+
+Everything but positions, velocities, efforts and times is computed here from the scenario: a bag of any robot
+that follows the interface will do. What was not recorded is NaN, and `notes` say what it means.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_bringup.bag import Array, Bag, JointTable
+from fjr_bringup.bag import Array, Bag, Times
+from fjr_bringup.recorded_commands import recorded_commands
+from fjr_bringup.recorded_reference import recorded_reference
+from fjr_bringup.recorded_states import STATES, States, recorded_states, with_velocities, without_jumps
+from fjr_core.certificate import Balance
 from fjr_core.errors import FjrError
+from fjr_core.safety_parameters import safety
 from fjr_core.scenario import Scenario
 from fjr_core.vdpbc.rate import Rate
-from fjr_msgs_py import names
 
-STATES, ANSWERS = f"/{names.JOINT_STATES}", f"/{names.JOINT_COMMANDS}"
-REFERENCE = names.REFERENCE.replace("~", f"/{names.CONTROLLER}")
 VISITED = 200  # configurations of a run at which the rate is looked at
+MOMENT = 1.0  # s; a plant outlives its controller by less
+OTHER_RATE = 0.05  # relative; states that come at another period than the scenario's are taken as they come
 
 
 class DataError(FjrError):
@@ -25,21 +33,38 @@ class DataError(FjrError):
 
 @dataclass(frozen=True)
 class TrackingData:
-    """k states from the first answered one on, n joints. Times in s since that state's stamp."""
+    """k states from the first answered one on, n joints. Times in s since that state's stamp; NaN: not known."""
 
     joints: tuple[str, ...]
     sample_period: float  # s
+    lockstep: bool  # the simulated plant waits for the answer to each state: nothing is late, whatever the clock says
     beta: float  # rate [1/s]: V(t) <= V(0) exp(-2 beta t) in continuous time
     beta_is_proven: bool  # for every configuration; else beta is the least at configurations of the run
     effort_limit: Array  # (n,) N m, infinite where none is given
     t: Array  # (k,) stamps
-    q_l: Array  # (k, n) rad
-    q_ld: Array  # (k, n) rad, reference at the stamps
+    position: Array  # (k, 2n) rad, links then motors
+    velocity: Array  # (k, 2n) rad/s
+    jets: Array  # (k, 5, n) reference at the stamps, q_ld .. d4q_ld
     u: Array  # (k, n) N m, command that answers each state, NaN where none came
-    V: Array  # (k,) storage of the law at each recorded state, x_v = x
+    torque: Array  # (k, n) N m, measured at the motors
+    V: Array  # (k,) J, storage of the law at each recorded state, x_v = x
+    dV: Array  # (k - 1,) W, its rate over each step as the model has it with the effort sent, held
+    H: Array  # (k,) J, energy of the robot
+    dissipated: Array  # (k,) W, by the damping of links and motors
     sent: Array  # (k,) s, send time of each state since that of the first
     answered: Array  # (k,) s, send time of its command, NaN where none came
     reference_mismatch: float  # rad, recorded reference against the one computed here
+    notes: tuple[str, ...] = field(default=())  # what is missing or made up for, a sentence each
+
+    @property
+    def q_l(self) -> Array:
+        """Link positions (k, n) [rad]."""
+        return self.position[:, : len(self.joints)]
+
+    @property
+    def q_ld(self) -> Array:
+        """Reference (k, n) [rad]."""
+        return np.asarray(self.jets[:, 0])
 
     @property
     def error(self) -> Array:
@@ -48,8 +73,8 @@ class TrackingData:
 
     @property
     def peak_effort(self) -> Array:
-        """Largest |u| of each joint (n,) [N m]."""
-        return np.asarray(np.nanmax(np.abs(self.u), axis=0))
+        """Largest |u| of each joint (n,) [N m]; NaN where no effort was recorded."""
+        return np.asarray(np.fmax.reduce(np.abs(self.u), axis=0))
 
     @property
     def bound(self) -> Array:
@@ -68,41 +93,105 @@ class TrackingData:
 
     @property
     def deadline(self) -> Array:
-        """When the next state was sent (k,) [s]; one sample period on for the last."""
-        return np.append(self.sent[1:], self.sent[-1] + self.sample_period)
+        """When the next state was sent (k,) [s]; a period on for the last, which in lock-step is never late."""
+        return np.append(self.sent[1:], np.inf if self.lockstep else self.sent[-1] + self.sample_period)
 
 
 def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData:
-    """The `duration` seconds of stamped time from the first answered state; raises DataError or BagError."""
-    joints, n, limits = scenario.joints, scenario.robot.n, scenario.robot.limits
-    both_sides = names.state_names(joints)
-    commands = _first_of_each_stamp(bag.joints(ANSWERS, joints))
-    start = commands.stamp[0]
-    states = _first_of_each_stamp(_from_first_answer(bag.joints(STATES, both_sides), start, commands.publish_time[0]))
-    inside = (states.stamp >= start) & ((states.stamp - start) * 1e-9 < duration - 1e-9)
-    if not inside.any() or np.isnan(states.position[inside]).any() or np.isnan(states.velocity[inside]).any():
-        raise DataError(f"{bag.path} holds no complete state of {', '.join(both_sides)} after the first command")
-    stamp, position, velocity = states.stamp[inside], states.position[inside], states.velocity[inside]
-    t = (stamp - start) * 1e-9
-    jets = np.stack([scenario.reference.jets(instant) for instant in t])
-    place, found = _answers(stamp, commands.stamp)
-    sent = states.publish_time[inside]
-    rate = _rate(scenario, position[:, :n])
+    """The `duration` seconds of stamped time from the first answered state; raises DataError or BagError.
+
+    An infinite duration ends with the last answered state.
+    """
+    n = scenario.robot.n
+    states, u, answered = _answered_states(bag, scenario, duration)
+    t, sent = (states.stamp - states.stamp[0]) * 1e-9, states.publish_time
+    states = with_velocities(states, u, scenario)
+    tracked = recorded_reference(bag, scenario, states.stamp, t)
+    balance = Balance(scenario.law)
+    found = balance.along(states.position, states.velocity, tracked.jets, u)
+    rate, (period, odd) = _rate(scenario, states.position[:, :n]), _sample_period(scenario, t)
+    torn = () if bag.complete else ("the bag was not closed: shown is what was written until then",)
     return TrackingData(
-        joints=joints,
-        sample_period=scenario.sample_period,
+        joints=scenario.joints,
+        sample_period=period,
+        lockstep=bool(scenario.plant_values["lockstep"]),
         beta=rate.beta,
         beta_is_proven=rate.proven and scenario.plant_is_the_model,
-        effort_limit=np.full(n, np.inf) if limits is None else limits.effort,
+        effort_limit=_effort_limit(scenario),
         t=t,
-        q_l=position[:, :n],
-        q_ld=jets[:, 0],
-        u=np.where(found[:, None], commands.effort[place], np.nan),
-        V=_storage(scenario, position, velocity, jets),
+        position=states.position,
+        velocity=states.velocity,
+        jets=tracked.jets,
+        u=u,
+        torque=states.torque,
+        V=found.V,
+        dV=_held_rate(balance, states, tracked.jets, u, found.dV),
+        H=found.H,
+        dissipated=found.dissipated,
         sent=(sent - sent[0]) * 1e-9,
-        answered=np.where(found, (commands.publish_time[place] - sent[0]) * 1e-9, np.nan),
-        reference_mismatch=_mismatch(bag.joints(REFERENCE, joints), stamp, jets[:, 0]),
+        answered=np.where(answered >= 0, (answered - sent[0]) * 1e-9, np.nan),
+        reference_mismatch=tracked.mismatch,
+        notes=(*torn, *states.notes, *tracked.notes, *odd),
     )
+
+
+def _answered_states(bag: Bag, scenario: Scenario, duration: float) -> tuple[States, Array, Times]:
+    """The states from the first answered one on, with commands (k, n) [N m] and when they were sent (k,) [ns]."""
+    states, jumps = without_jumps(recorded_states(bag, scenario))
+    if not len(states.stamp):
+        raise DataError(f"{bag.path} holds no complete state on {STATES}")
+    commands = recorded_commands(bag, states, scenario.joints)
+    rows = _from_first_answer(states, commands.sent)
+    rows = rows[(states.stamp[rows] - states.stamp[rows[0]]) * 1e-9 < duration - 1e-9]
+    rows, ends = (rows, ()) if np.isfinite(duration) else _to_last_answer(rows, states, commands.sent)
+    notes = (*states.notes, *jumps, *commands.notes, *ends)
+    return replace(states.rows(rows), notes=notes), commands.u[rows], commands.sent[rows]
+
+
+def _from_first_answer(states: States, sent: Times) -> NDArray[np.intp]:
+    """Rows, one per stamp: without the copies of the first state sent before anyone listened, the last is answered."""
+    answered = np.flatnonzero(sent >= 0)
+    begin = 0
+    if answered.size:
+        start, answer = states.stamp[answered[0]], sent[answered[0]]
+        waiting = np.flatnonzero((states.stamp <= start) & (states.publish_time <= answer))
+        begin = int(waiting[-1]) if waiting.size else int(answered[0])
+    rows = begin + np.unique(states.stamp[begin:], return_index=True)[1]
+    return np.asarray(rows[states.stamp[rows] >= states.stamp[begin]])
+
+
+def _to_last_answer(rows: NDArray[np.intp], states: States, sent: Times) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    """Without the states after the last answered one, and what is said where these are more than a moment."""
+    answered = np.flatnonzero(sent[rows] >= 0)
+    last = int(answered[-1]) if answered.size else len(rows) - 1
+    rest = (states.stamp[rows[-1]] - states.stamp[rows[last]]) * 1e-9
+    end = (states.stamp[rows[last]] - states.stamp[rows[0]]) * 1e-9
+    said = (f"no state after {end:.3f} s is answered: the last {rest:.3g} s are not shown",) if rest > MOMENT else ()
+    return rows[: last + 1], said
+
+
+def _effort_limit(scenario: Scenario) -> Array:
+    """The controller's limits or the robot's own (n,) [N m], whichever is less; infinite where none is given."""
+    robot = scenario.robot
+    own = np.minimum(np.full(robot.n, np.inf), np.asarray(safety(scenario.controller_values, robot).effort))
+    return own if robot.limits is None else np.asarray(np.minimum(own, robot.limits.effort))
+
+
+def _held_rate(balance: Balance, states: States, jets: Array, u: Array, dV: Array) -> Array:
+    """dV/dt (k - 1,) over each step, by the trapezoidal rule: dV (k,) at its begin, and at its end with the same u."""
+    if len(u) < 2:
+        return np.zeros(0)
+    end = balance.along(states.position[1:], states.velocity[1:], jets[1:], u[:-1])
+    return np.asarray((dV[:-1] + end.dV) / 2)
+
+
+def _sample_period(scenario: Scenario, t: Array) -> tuple[float, tuple[str, ...]]:
+    """The scenario's period [s], or the states' own where that is another, and what is to be said then."""
+    nominal = scenario.sample_period
+    seen = float(np.median(np.diff(t))) if len(t) > 1 else nominal
+    if abs(seen - nominal) <= OTHER_RATE * nominal:
+        return nominal, ()
+    return seen, (f"states came every {seen * 1e3:.4g} ms; the scenario's robot sends them every {nominal * 1e3:g} ms",)
 
 
 def _rate(scenario: Scenario, q_l: Array) -> Rate:
@@ -110,46 +199,3 @@ def _rate(scenario: Scenario, q_l: Array) -> Rate:
     rate = scenario.law.rate()
     visited = q_l[:: max(1, len(q_l) // VISITED)]
     return rate if rate.proven or not np.isfinite(visited).all() else scenario.law.rate(visited)
-
-
-def _from_first_answer(states: JointTable, start: np.int64, answer: np.int64) -> JointTable:
-    """Without the copies of the first state sent before anyone listened: the last one is the answered."""
-    waiting = np.flatnonzero((states.stamp <= start) & (states.publish_time <= answer))
-    return _rows(states, slice(waiting[-1] if waiting.size else 0, None))
-
-
-def _rows(table: JointTable, rows: slice | NDArray[np.intp]) -> JointTable:
-    return JointTable(
-        stamp=table.stamp[rows],
-        publish_time=table.publish_time[rows],
-        position=table.position[rows],
-        velocity=table.velocity[rows],
-        effort=table.effort[rows],
-    )
-
-
-def _first_of_each_stamp(table: JointTable) -> JointTable:
-    """One row per stamp in order of time: states may be sent again, a last zero effort repeats a stamp."""
-    return _rows(table, np.unique(table.stamp, return_index=True)[1])
-
-
-def _answers(stamps: NDArray[np.int64], commands: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Row of the command that answers each stamp, and whether there is one."""
-    place = np.minimum(np.searchsorted(commands, stamps), len(commands) - 1)
-    return place, commands[place] == stamps
-
-
-def _storage(scenario: Scenario, position: Array, velocity: Array, jets: Array) -> Array:
-    """V of the law at each state, from positions and velocities (k, 2n) and jets (k, 5, n)."""
-    n, law, state = scenario.robot.n, scenario.law, scenario.robot.state
-    storage = np.empty(len(position))
-    for k, (q, dq) in enumerate(zip(position, velocity, strict=True)):
-        x = state(q[:n], q[n:], dq[:n], dq[n:])
-        storage[k] = law.command_and_storage(x, jets[k])[1]
-    return storage
-
-
-def _mismatch(reference: JointTable, stamps: NDArray[np.int64], q_ld: Array) -> float:
-    """Largest difference [rad] between the recorded reference and the scenario's."""
-    place, found = _answers(stamps, reference.stamp)
-    return float(np.abs(reference.position[place] - q_ld)[found].max(initial=0.0))

@@ -24,6 +24,7 @@ from .thresholds import (
     NEGLIGIBLE,
     NO_WORSE,
     OLDEST,
+    REGULAR,
     SAME_OLDER,
 )
 
@@ -56,18 +57,18 @@ class Acting:
 
 def effort_age(found: Intervals, robot: Robot) -> EffortAge:
     """The age that explains best what the motors' equation needs; by changes in time, so that what is slow is out."""
-    wanted = needed(found, robot)
-    nothing = _spread(wanted - found.sent)
+    wanted, regular = needed(found, robot), _regular(found)
+    nothing = _spread(wanted - found.sent, regular)
     shifted = [_shifted(found.sent, d) for d in range(OLDEST + 1)]
-    fits = [_fit(wanted, newer, older) for newer, older in pairwise(shifted)]
+    fits = [_fit(wanted, newer, older, regular) for newer, older in pairwise(shifted)]
     whole = min(range(OLDEST), key=lambda d: fits[d][1])
     fraction, left = fits[whole]
     believed = left < (1 - EXPLAINED) * nothing
     if np.isfinite(found.after).all() and np.isfinite(found.before).all():
-        own, rest = _fit(wanted, found.after, found.before)
+        own, rest = _fit(wanted, found.after, found.before, regular)
         if rest <= max(NO_WORSE * left, EXACT * nothing) or not believed:
-            plain = _spread(wanted - found.after)
-            mixed = rest < (1 - HALF_WAY) * plain and plain > NEGLIGIBLE * _spread(found.sent)
+            plain = _spread(wanted - found.after, regular)
+            mixed = rest < (1 - HALF_WAY) * plain and plain > NEGLIGIBLE * _spread(found.sent, regular)
             return EffortAge(0, own if mixed else 0.0, True)
     if not believed:
         return EffortAge()
@@ -86,9 +87,12 @@ def acting(found: Intervals, age: EffortAge, wanted: Array) -> Acting:
         samples, cut = age.whole + _samples(found.sent, wanted, age.whole), np.zeros_like(found.sent, dtype=bool)
         newer, older = (_shifted(found.sent, samples + more) for more in (0, 1))
     difference = (1 - age.fraction) * newer + age.fraction * older - found.sent
+    regular = _regular(found)
     usual = float(np.median(samples)) if len(samples) else 0.0
     total = usual + age.fraction
-    whole = _spread(wanted - newer) <= MIXED * _spread(newer - older)  # no effort came within an interval
+    whole = _spread(wanted - newer, regular) <= MIXED * _spread(
+        newer - older, regular
+    )  # no effort came within an interval
     limit = np.inf if not whole else 0.5 if total < LATE else usual + 1.5
     lost = (samples > limit)[:, None] & ~cut
     zero = np.zeros_like(difference)
@@ -100,17 +104,30 @@ def acting(found: Intervals, age: EffortAge, wanted: Array) -> Acting:
     )
 
 
-def _fit(wanted: Array, newer: Array, older: Array) -> tuple[float, float]:
+def _regular(found: Intervals) -> NDArray[np.bool_]:
+    """Changes (k - 1,) between intervals of the usual length: all, but in real time, where one of them may be late."""
+    if not found.latency.any():
+        return np.ones(max(0, len(found) - 1), dtype=bool)
+    usual = np.median(found.dt)
+    good = (np.abs(found.dt - usual) <= REGULAR * usual) & (found.latency < 1.0)
+    return np.asarray(good[1:] & good[:-1])
+
+
+def _fit(wanted: Array, newer: Array, older: Array, regular: NDArray[np.bool_]) -> tuple[float, float]:
     """The fraction of `older`, 0 to 1, with which the mixture is nearest to what is wanted, and what is left."""
-    y, b = np.diff((wanted - newer)[OLDEST:], axis=0), np.diff((older - newer)[OLDEST:], axis=0)
+    y, b = _changes(wanted - newer, regular), _changes(older - newer, regular)
     power = float((b * b).sum())
     fraction = float(np.clip((b * y).sum() / power, 0.0, 1.0)) if power > 0 else 0.0
     return fraction, float(((y - fraction * b) ** 2).sum())
 
 
-def _spread(residual: Array) -> float:
-    """Of the changes, but for the first, before which efforts are not known."""
-    return float((np.diff(residual[OLDEST:], axis=0) ** 2).sum())
+def _spread(residual: Array, regular: NDArray[np.bool_]) -> float:
+    return float((_changes(residual, regular) ** 2).sum())
+
+
+def _changes(values: Array, regular: NDArray[np.bool_]) -> Array:
+    """From interval to interval, but for the first, before which efforts are not known."""
+    return np.asarray(np.diff(values, axis=0)[OLDEST:][regular[OLDEST:]])
 
 
 def _shifted(u: Array, samples: int | NDArray[np.intp]) -> Array:

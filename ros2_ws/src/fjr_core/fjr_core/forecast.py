@@ -137,4 +137,6 @@ def _room(n: int) -> Intervals:
         error=np.zeros((ROOM, 4 * n)),
         slope=np.zeros((ROOM, 4 * n)),
         answered=np.ones(ROOM, dtype=bool),
+        older=np.zeros((ROOM, n)),
+        latency=np.zeros(ROOM),
     )

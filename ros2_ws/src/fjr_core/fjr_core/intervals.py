@@ -59,7 +59,8 @@ class Intervals:
     the effort sent being held. sent, law (k, n) [N m]: that effort, and the law's at the first state. before, after
     (k, n) [N m]: what the motors gave at both states, nan where it was not measured. error (k, 4n): second state,
     positions and velocities, measured less foretold. slope (k, 4n): dV/d of these at the second state. answered (k,):
-    whether the first state was.
+    whether the first state was. older (k, n) [N m]: the effort sent before. latency (k,): of the answer to the first
+    state by the times these went, as a part of the interval, in which the older effort acted on; 0: not known.
     """
 
     dt: Array
@@ -73,6 +74,8 @@ class Intervals:
     error: Array
     slope: Array
     answered: NDArray[np.bool_]
+    older: Array
+    latency: Array
 
     def __len__(self) -> int:
         return len(self.dt)
@@ -92,6 +95,7 @@ def intervals(record: Record, balance: Balance, prediction: Prediction) -> Inter
     known = np.isfinite(series.V) & np.isfinite(record.position).all(axis=1) & np.isfinite(record.velocity).all(axis=1)
     good = known[:-1] & known[1:] & np.isfinite(sent[:-1]).all(axis=1)
     first = np.flatnonzero(good & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
+    before = sent[np.maximum(first - 1, 0)]
     second, q, dq = first + 1, record.position, record.velocity
     q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
     foretold = balance.along(q_next, dq_next, record.jets[second]).V
@@ -108,7 +112,17 @@ def intervals(record: Record, balance: Balance, prediction: Prediction) -> Inter
         error=np.hstack([q[second] - q_next, dq[second] - dq_next]),
         slope=series.slope[second],
         answered=np.asarray(np.isfinite(record.u[first]).all(axis=1)),
+        older=np.where(np.isfinite(before), before, sent[first]),
+        latency=_latency(record)[first] / dt[first],
     )
+
+
+def _latency(record: Record) -> Array:
+    """From each state to its answer (k,) [s] by the times these went, up to the next state; 0 where not known."""
+    if record.sent is None or record.answered is None:
+        return np.zeros(len(record.t))
+    known = np.nan_to_num(np.asarray(record.answered) - np.asarray(record.sent))
+    return np.asarray(np.clip(known, 0.0, record.sample_period))
 
 
 def held(u: Array) -> Array:
@@ -121,12 +135,19 @@ def held(u: Array) -> Array:
 def needed(intervals: Intervals, robot: Robot) -> Array:
     """Mean effort (k, n) [N m] that the motor equation needs in each interval, from the measured velocities.
 
+    Less what is foreseen: a loop in real time that answers within the sample is as it should be.
+
     M_m ddq_m + K zeta + D_m dq_m = B_m u, integrated over the interval: the motors' generalised momenta against
     their prediction, as A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta,
     ICRA 2003.
     """
     residual: Array = intervals.error[:, 3 * robot.n :] @ _effort(robot) / intervals.dt[:, None]
-    return intervals.sent + residual
+    return intervals.sent + residual - foreseen(intervals)
+
+
+def foreseen(intervals: Intervals) -> Array:
+    """What acted beside the effort sent (k, n) [N m] by the times of sending alone: so long the older one acted on."""
+    return np.asarray(intervals.latency[:, None] * (intervals.older - intervals.sent))
 
 
 @lru_cache(maxsize=8)

@@ -15,9 +15,9 @@ import numpy as np
 
 from .checks import Array
 from .effort_age import Acting
-from .intervals import Intervals
+from .intervals import Intervals, foreseen
 from .robot import Robot
-from .thresholds import AT_LIMIT, BLOCK, GAP, SAME_EFFORT, SIGNIFICANT
+from .thresholds import AT_LIMIT, BLOCK, GAP, SAME_EFFORT, SIGNIFICANT, UNSURE
 
 CAUSES = ("model mismatch", "saturation", "delay", "loss")
 
@@ -26,8 +26,9 @@ CAUSES = ("model mismatch", "saturation", "delay", "loss")
 class Supplies:
     """b blocks: what was supplied to V by each of CAUSES (b, 4) [J], what is foretold and what is allowed.
 
-    hold (b,): by the ideal sampled loop beyond exp(-2 beta dt). slack (b,): what that loop lost beyond it. noise (b,).
-    judged (b,): whether the effort was the law's, or at its limit, throughout. V (b,): at the end.
+    hold (b,): by the ideal sampled loop, its answers as late as the stamps say, beyond exp(-2 beta dt). slack (b,):
+    what that loop lost beyond it. noise (b,). judged (b,): whether the effort was the law's, or at its limit,
+    throughout. V (b,): at the end.
     """
 
     causes: Array
@@ -48,17 +49,20 @@ def supplies(found: Intervals, acted: Acting, robot: Robot, beta: float, period:
     cut, late, lost = (_gain(found, part, robot) for part in (acted.cut, acted.late, acted.lost))
     rest = found.V1 - found.foretold - cut - late - lost
     ideal = found.foretold - saturation - unanswered
-    excess = ideal - np.exp(-2 * beta * found.dt) * found.V0
+    usual = foreseen(found)
+    within = _gain(found, usual, robot)
+    excess = ideal + within - np.exp(-2 * beta * found.dt) * found.V0
     gap = found.dt > GAP * period
     lost = lost + unanswered + np.where(gap, np.maximum(excess, 0.0), 0.0)
     excess = np.where(gap, 0.0, excess)
-    mismatch, uncertain = _persistent(found, acted, robot)
+    mismatch, uncertain = _persistent(found, acted, usual, robot)
+    unsure = _gain(found, (found.older - found.sent) * (UNSURE * (found.latency > 0))[:, None], robot)
     causes = np.stack([mismatch, _sums(saturation + cut), _sums(late), _sums(lost)], axis=1)
     return Supplies(
         causes=causes,
         hold=_sums(np.maximum(excess, 0.0)),
         slack=_sums(np.maximum(-excess, 0.0)),
-        noise=np.abs(_sums(rest) - mismatch) + SIGNIFICANT * uncertain,
+        noise=np.abs(_sums(rest - within) - mismatch) + SIGNIFICANT * uncertain + np.abs(_sums(unsure)),
         judged=_sums(foreign.astype(float)) == 0,
         V=_blocks(found.V1)[:, -1],
     )
@@ -84,9 +88,9 @@ def _acceleration(robot: Robot) -> Array:
     return np.asarray(np.linalg.solve(robot.M_m, robot.B_m).T)
 
 
-def _persistent(found: Intervals, acted: Acting, robot: Robot) -> tuple[Array, Array]:
+def _persistent(found: Intervals, acted: Acting, usual: Array, robot: Robot) -> tuple[Array, Array]:
     """What V gained (b,) by the mean residual of each block, without the effort that acted; its deviation (b,)."""
-    effort = acted.cut + acted.late + acted.lost
+    effort = acted.cut + acted.late + acted.lost + usual
     dv = effort @ _acceleration(robot) * found.dt[:, None]
     error = found.error.copy()
     error[:, robot.n : 2 * robot.n] -= dv * found.dt[:, None] / 2

@@ -51,3 +51,7 @@ GROWN = 100.0
 """Growth of V over the blocks of a running verdict, from block to block, that only too slow a sampling explains."""
 FALLEN = 0.01
 """Largest V of the last third of a run over that of the first, below which an unstable linear loop is not blamed."""
+REGULAR = 0.1
+"""Relative difference from the usual length up to which an interval of a loop in real time tells the effort's age."""
+UNSURE = 0.35
+"""Part of an interval by which it is not known when an answer took over whose sending is stamped."""

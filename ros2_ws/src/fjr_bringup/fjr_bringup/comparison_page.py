@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page that shows several runs side by side: comparison.html."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from html import escape
+from pathlib import Path
+
+from fjr_bringup import page
+from fjr_bringup.comparison_plots import Compared, comparison_plots
+from fjr_bringup.plots import colour
+from fjr_bringup.report import Energy, Report, Storage
+from fjr_bringup.words import milliseconds, number, percent
+
+COLOURED = {"holding": "ok", "violated": "no", "unknown": "maybe"}
+HOW = (
+    "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. "
+    "The names of the runs lead to their own pages. Needs no network."
+)
+Row = tuple[str, Callable[[Report], str]]
+
+ROWS: tuple[Row, ...] = (
+    ("verdict", lambda r: _verdict(r)),
+    ("joints", lambda r: str(len(r.joints))),
+    ("duration", lambda r: number(r.duration_s, "s")),
+    ("sample period", lambda r: number(r.sample_period_s * 1e3, "ms") + (", lock-step" if r.lockstep else "")),
+    ("Tracking", str),
+    ("error at the start", lambda r: number(r.tracking.initial_error_rad, "rad")),
+    ("settled within 2 % after", lambda r: number(r.tracking.settling_time_2_percent_s, "s")),
+    ("largest error after 2 s", lambda r: number(r.tracking.max_error_after_2s_rad, "rad")),
+    ("RMS error after 2 s", lambda r: number(r.tracking.rms_error_after_2s_rad, "rad")),
+    ("Effort", str),
+    ("peak effort", lambda r: number(r.tracking.peak_effort_nm, "N m", 4)),
+    ("of its limit", lambda r: percent(r.tracking.largest_share_of_effort_limit, 0)),
+    ("commands at a limit", lambda r: percent(r.tracking.saturated_fraction)),
+    ("Certificate", str),
+    ("decay of V, measured", lambda r: number(_of(r.storage, "measured_decay_rate_per_s"), "1/s")),
+    ("decay of V, at least", lambda r: _least(r)),
+    ("V leaves its bound at", lambda r: number(_of(r.storage, "leaves_bound_at_s"), "s")),
+    ("power left over, of that supplied", lambda r: percent(_of(r.energy, "rms_residual_of_supplied"))),
+    ("Timing", str),
+    ("states missing", lambda r: f"{r.counts.missing} of {r.counts.nominal}"),
+    ("answered in time", lambda r: percent(r.counts.answered_in_time_fraction)),
+    ("state to command, 50 %", lambda r: milliseconds(r.timing.latency_p50_us)),
+    ("state to command, 99 %", lambda r: milliseconds(r.timing.latency_p99_us)),
+    ("longest gap", lambda r: number(r.counts.longest_gap_s * 1e3, "ms")),
+)
+
+
+def write_comparison(path: Path, runs: Sequence[Compared]) -> None:
+    """Write the page of two runs or more."""
+    title = " · ".join(run.label for run in runs)
+    body = [
+        page.header(f"Comparison of {len(runs)} runs", title, None, _notes(runs)),
+        page.table("Side by side", ["", *(_name(run, i, path.parent) for i, run in enumerate(runs))], _rows(runs)),
+        '<h2 class="section">In the same axes</h2>',
+        page.figures(),
+        page.footer(HOW),
+    ]
+    page.write_page(path, title, body, comparison_plots(runs))
+
+
+def _rows(runs: Sequence[Compared]) -> list[list[str]]:
+    return [[what] if of is str else [what, *(of(run.report) for run in runs)] for what, of in ROWS]
+
+
+def _notes(runs: Sequence[Compared]) -> list[str]:
+    return [f"{run.label}: {note}" for run in runs for note in run.report.missing]
+
+
+def _name(run: Compared, number: int, folder: Path) -> str:
+    link = escape(Path(os.path.relpath(run.page, folder)).as_posix(), quote=True)
+    return f'{page.swatch(colour(number))}<a href="{link}">{escape(run.label)}</a>'
+
+
+def _verdict(report: Report) -> str:
+    verdict = report.verdict
+    words = page.HEADINGS[verdict.kind] + (f":<br>{escape(', '.join(verdict.causes))}" if verdict.causes else "")
+    return f'<span class="{COLOURED[verdict.kind]}" title="{escape(verdict.sentence, quote=True)}">{words}</span>'
+
+
+def _of(part: Storage | Energy | None, name: str) -> float | None:
+    return None if part is None else getattr(part, name)
+
+
+def _least(report: Report) -> str:
+    storage = report.storage
+    if storage is None:
+        return number(None)
+    basis = "proven" if storage.guarantee_is_proven else "sampled"
+    return f"{number(storage.guaranteed_decay_rate_per_s, '1/s')} ({basis})"

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One self-contained HTML file: text made here, plots drawn in the browser by uPlot, nothing fetched from anywhere."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from fjr_bringup.plots import Plot, Pool
+from fjr_bringup.verdicts import Verdict
+
+PARTS = {"css": "page.css", "script": "page.js", "uplot": "uPlot.iife.min.js", "uplot_css": "uPlot.min.css"}
+HEADINGS = {"holding": "The certificate holds", "violated": "Violated", "unknown": "No verdict"}
+
+
+def write_page(path: Path, title: str, body: Sequence[str], plots: Sequence[Plot]) -> None:
+    """Write the page: its title, pieces of HTML with an element of id `figures` among them, and what is drawn there."""
+    pool = Pool()
+    packed = [plot.packed(pool) for plot in plots]
+    drawn = json.dumps({"arrays": pool.arrays, "plots": packed}).replace("<", "\\u003c")
+    parts = {name: _part(file) for name, file in PARTS.items()}
+    page = Template(_part("page.html")).substitute(parts, title=escape(title), body="\n".join(body), plots=drawn)
+    path.write_text(page, encoding="utf-8")
+
+
+def _part(name: str) -> str:
+    return (files("fjr_bringup") / "page" / name).read_text(encoding="utf-8")
+
+
+def header(kicker: str, title: str, verdict: Verdict | None, notes: Sequence[str]) -> str:
+    """The head of the page: what it is, the verdict in a sentence, what is missing."""
+    said = "" if verdict is None else verdict_line(verdict)
+    listed = "".join(f"<li>{escape(note)}</li>" for note in notes)
+    notes_block = f'<ul class="notes">{listed}</ul>' if notes else ""
+    return f'<header><p class="kicker">{escape(kicker)}</p><h1>{escape(title)}</h1>{said}{notes_block}</header>'
+
+
+def verdict_line(verdict: Verdict) -> str:
+    """The verdict, in its colour."""
+    heading = HEADINGS[verdict.kind] + (f": {', '.join(verdict.causes)}" if verdict.causes else "")
+    return f'<p class="verdict {verdict.kind}"><b>{escape(heading)}</b> <span>{escape(verdict.sentence)}</span></p>'
+
+
+def tiles(figures: Sequence[tuple[str, str]]) -> str:
+    """Figures with what they are."""
+    each = "".join(
+        f'<div class="tile"><b>{escape(value)}</b><span>{escape(what)}</span></div>' for value, what in figures
+    )
+    return f'<div class="tiles">{each}</div>'
+
+
+def figures() -> str:
+    """The place of the plots."""
+    return '<div class="plots" id="figures"></div>'
+
+
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of figures; a row of one cell is the heading of those after it. Cells are HTML."""
+    top = "".join(f"<th>{cell}</th>" for cell in head)
+    body = "".join(_row(row, len(head)) for row in rows)
+    return (
+        f'<h2 class="section">{escape(title)}</h2><div class="scroll"><table class="figures">'
+        f"<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
+
+
+def _row(row: Sequence[str], columns: int) -> str:
+    if len(row) == 1:
+        return f'<tr class="group"><th colspan="{columns}">{row[0]}</th></tr>'
+    cells = "".join(f"<td>{cell}</td>" for cell in row[1:])
+    return f"<tr><th>{row[0]}</th>{cells}</tr>"
+
+
+def swatch(colour: str) -> str:
+    """A joint's or a bag's colour beside its name."""
+    return f'<span class="swatch" style="background:var(--{colour})"></span>'
+
+
+def everything(title: str, value: object) -> str:
+    """All figures as JSON, folded."""
+    text = escape(json.dumps(value, indent=2, ensure_ascii=False))
+    return f"<details><summary>{escape(title)}</summary><pre>{text}</pre></details>"
+
+
+def footer(sentence: str) -> str:
+    """The last line."""
+    return f"<footer>{escape(sentence)}</footer>"

@@ -1,0 +1,181 @@
+// SPDX-License-Identifier: Apache-2.0
+// Draws the plots of a page of `fjr report` with uPlot. What is drawn is in the JSON element "plots"; see plots.py.
+"use strict";
+(() => {
+  const HEIGHT = 280;
+  const SUPERSCRIPT = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
+  const sync = uPlot.sync("time");
+
+  const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  const raised = (exponent) => "10" + String(exponent).replace(/./g, (digit) => SUPERSCRIPT[digit]);
+
+  const page = JSON.parse(document.getElementById("plots").textContent);
+
+  // Array number `place`: see Pool of plots.py.
+  function numbers(place) {
+    const [kind, count, text] = page.arrays[place].split(":");
+    const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+    const found = kind === "d" ? new Float64Array(bytes.buffer) : new Float32Array(bytes.buffer);
+    const values = Array.from(found, (value) => (Number.isFinite(value) ? value : null));
+    return values.length < Number(count) ? new Array(Number(count)).fill(values[0]) : values;
+  }
+
+  function written(value) {
+    if (value == null) return "–";
+    const size = Math.abs(value);
+    if (size !== 0 && (size < 1e-3 || size >= 1e5)) {
+      const [mantissa, exponent] = value.toExponential(2).split("e");
+      return `${mantissa}·${raised(Number(exponent))}`;
+    }
+    return String(Number(value.toPrecision(4)));
+  }
+
+  // Ticks of a log axis: the powers of ten, thinned to what there is room for, or 1, 2, 5 where it spans few decades.
+  function logSplits(plot, axis, low, high) {
+    const [first, last] = [Math.floor(Math.log10(low)), Math.ceil(Math.log10(high))];
+    const room = (axis === 0 ? plot.bbox.width / 60 : plot.bbox.height / 34) / devicePixelRatio;
+    const digits = last - first <= 3 ? [1, 2, 5] : [1];
+    const step = Math.max(1, Math.ceil((last - first) / room));
+    const ticks = [];
+    for (let power = Math.ceil(first / step) * step; power <= last; power += step) {
+      for (const digit of digits) ticks.push(digit * 10 ** power);
+    }
+    return ticks.filter((tick) => tick >= low && tick <= high);
+  }
+
+  function logLabels(_plot, ticks) {
+    const few = ticks.length < 2 || ticks[ticks.length - 1] / ticks[0] <= 1e4;
+    return ticks.map((tick) => {
+      const exponent = Math.floor(Math.log10(tick) + 1e-9);
+      if (exponent === 0 || (few && exponent >= -2 && exponent <= 3)) return String(Number(tick.toPrecision(1)));
+      const digit = Math.round(tick / 10 ** exponent);
+      return digit === 1 ? raised(exponent) : `${digit}·${raised(exponent)}`;
+    });
+  }
+
+  function axis(label, log, across) {
+    const look = {
+      label,
+      labelSize: across ? 22 : 20,
+      labelFont: "12px system-ui, sans-serif",
+      font: "12px system-ui, sans-serif",
+      stroke: () => css("soft"),
+      grid: { stroke: () => css("grid"), width: 1 },
+      ticks: { show: false },
+      size: across ? 28 : 58,
+    };
+    if (log) Object.assign(look, { splits: logSplits, values: logLabels, filter: (_plot, ticks) => ticks });
+    return look;
+  }
+
+  function range(log, [low, high]) {
+    return (_plot, least, most) => {
+      if (least == null) return log ? [0.1, 1] : [0, 1];
+      if (log) return [low ?? 10 ** (Math.log10(least) - 0.15), high ?? 10 ** (Math.log10(most) + 0.15)];
+      const room = 0.06 * (most - least || Math.abs(most) || 1);
+      return [low ?? least - room, high ?? most + room];
+    };
+  }
+
+  function line(spec) {
+    return {
+      label: spec.label || " ",
+      stroke: () => css(spec.colour),
+      fill: spec.fill ? () => css(spec.colour) + "40" : undefined,
+      width: spec.width,
+      dash: spec.dash.length ? spec.dash : undefined,
+      cap: "round",
+      paths: spec.step ? uPlot.paths.stepped({ align: 1 }) : undefined,
+      points: { show: false },
+      spanGaps: false,
+      value: (_plot, value) => written(value),
+      scale: "y",
+    };
+  }
+
+  function options(spec, width) {
+    const across = { label: spec.xLabel, value: (_plot, value) => written(value) };
+    return {
+      width,
+      height: HEIGHT,
+      series: [across, ...spec.lines.map(line)],
+      scales: {
+        x: { time: false, distr: spec.xLog ? 3 : 1, range: spec.xLog ? (_plot, low, high) => [low, high] : undefined },
+        y: { distr: spec.yLog ? 3 : 1, range: range(spec.yLog, spec.yRange) },
+      },
+      axes: [axis(spec.xLabel, spec.xLog, true), axis(spec.yLabel, spec.yLog, false)],
+      cursor: { ...(spec.time ? { sync: { key: sync.key, scales: ["x", null] } } : {}), points: { size: 6 } },
+      legend: { show: true, live: true },
+      padding: [10, 14, 0, 0],
+    };
+  }
+
+  function data(spec) {
+    return [numbers(spec.x), ...spec.lines.map((each) => numbers(each.values))];
+  }
+
+  function hideUnnamed(plot) {
+    plot.root.querySelectorAll(".u-legend .u-series").forEach((row) => {
+      if (!row.querySelector(".u-label").textContent.trim()) row.style.display = "none";
+    });
+  }
+
+  function draw(spec, place, width) {
+    const plot = new uPlot(options(spec, width), data(spec), place);
+    hideUnnamed(plot);
+    if (spec.time) sync.sub(plot);
+    return plot;
+  }
+
+  function element(kind, parent, text, name) {
+    const made = document.createElement(kind);
+    if (text) made.textContent = text;
+    if (name) made.className = name;
+    return parent.appendChild(made);
+  }
+
+  const drawn = [];
+
+  function show(spec) {
+    const figure = element("figure", document.getElementById("figures"), "", spec.wide ? "wide" : "");
+    figure.id = spec.name;
+    const views = Object.keys(spec.views);
+    const buttons = views.length ? element("span", figure, "", "views") : null;
+    element("h2", figure, spec.title);
+    element("figcaption", figure, spec.caption);
+    const place = element("div", figure);
+    const entry = { place, plot: null };
+    const use = (chosen) => {
+      if (entry.plot) {
+        sync.unsub(entry.plot);
+        entry.plot.destroy();
+      }
+      entry.plot = draw(chosen, place, Math.floor(place.clientWidth));
+    };
+    use(spec);
+    if (buttons) swap(buttons, spec, views[0], use);
+    drawn.push(entry);
+  }
+
+  // A button that shows the same in other units, and then goes back.
+  function swap(place, spec, name, use) {
+    const button = element("button", place, name);
+    const [here, other] = [spec.yLabel.replace(/.*\[(.*)\]/, "$1"), name];
+    let away = false;
+    button.title = `show in ${name}`;
+    button.onclick = () => {
+      away = !away;
+      use(away ? { ...spec, ...spec.views[name], views: {} } : spec);
+      button.textContent = away ? here : other;
+    };
+  }
+
+  page.plots.forEach(show);
+  addEventListener("resize", () =>
+    drawn.forEach(({ place, plot }) => plot.setSize({ width: Math.floor(place.clientWidth), height: HEIGHT })),
+  );
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () =>
+    drawn.forEach(({ plot }) => plot.redraw(false, true)),
+  );
+  document.body.dataset.drawn = String(drawn.length);
+})();

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of one run: report.html."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+from fjr_bringup import page
+from fjr_bringup.joint_figures import JointFigures
+from fjr_bringup.plots import colour
+from fjr_bringup.power import Power
+from fjr_bringup.report import Report
+from fjr_bringup.run_plots import run_plots
+from fjr_bringup.tracking_data import TrackingData
+from fjr_bringup.words import milliseconds, number, percent
+
+HEAD = (
+    "joint",
+    "error at start<br>[rad]",
+    "peak error<br>[rad]",
+    "RMS error<br>[rad]",
+    "peak after 2 s<br>[rad]",
+    "RMS after 2 s<br>[rad]",
+    "settled within<br>2 % after [s]",
+    "peak effort<br>[N m]",
+    "RMS effort<br>[N m]",
+    "limit<br>[N m]",
+    "at the limit",
+)
+HOW = (
+    "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. "
+    "All plots over time move together. Made by fjr report from the bag and the scenario alone; needs no network."
+)
+
+
+def write_run_page(path: Path, data: TrackingData, report: Report, flow: Power) -> None:
+    """Write the page of a run."""
+    body = [
+        page.header(kicker(report), title(report), report.verdict, (*failed(report), *report.missing)),
+        page.tiles(tiles(report)),
+        page.figures(),
+        page.table("Joint by joint", HEAD, [_row(each, j) for j, each in enumerate(report.joints)]),
+        page.everything("All figures (report.json)", report.as_json()),
+        page.footer(HOW),
+    ]
+    page.write_page(
+        path, f"{report.scenario}: {page.HEADINGS[report.verdict.kind]}", body, run_plots(data, report, flow)
+    )
+
+
+def title(report: Report) -> str:
+    """What ran, at which rate."""
+    clock = "in lock-step" if report.lockstep else "in real time"
+    joints = "one joint" if len(report.joints) == 1 else f"{len(report.joints)} joints"
+    return f"{report.scenario}: {joints}, {number(1.0 / report.sample_period_s, 'Hz', 4)} {clock}"
+
+
+def kicker(report: Report) -> str:
+    """Where it comes from."""
+    return f"Tracking report · {report.bag} · {number(report.duration_s, 's')}"
+
+
+def failed(report: Report) -> tuple[str, ...]:
+    """Why the run ended early."""
+    return (f"The run ended early: {report.failure}",) if report.failure else ()
+
+
+def tiles(report: Report) -> list[tuple[str, str]]:
+    """The figures that matter."""
+    tracking, storage, timing, counts = report.tracking, report.storage, report.timing, report.counts
+    shown = [
+        (number(tracking.settling_time_2_percent_s, "s"), "settled within 2 % of the initial error"),
+        (number(tracking.rms_error_after_2s_rad, "rad"), "RMS error after 2 s"),
+        (number(tracking.peak_effort_nm, "N m", 4), "peak effort" + _share(tracking.largest_share_of_effort_limit)),
+    ]
+    if storage is not None:
+        basis = "proven" if storage.guarantee_is_proven else "sampled"
+        least = f"decay of V; {basis}: at least {number(storage.guaranteed_decay_rate_per_s, '1/s')}"
+        shown.append((number(storage.measured_decay_rate_per_s, "1/s"), least))
+    return [
+        *shown,
+        (percent(counts.answered_in_time_fraction), f"answered in time, of {counts.nominal}"),
+        (
+            f"{milliseconds(timing.latency_p50_us)}",
+            f"state to command; 99\N{NO-BREAK SPACE}%: {milliseconds(timing.latency_p99_us)}",
+        ),
+    ]
+
+
+def _share(share: float | None) -> str:
+    return "" if share is None else f", {percent(share, 0)} of a limit"
+
+
+def _row(each: JointFigures, j: int) -> list[str]:
+    figures = (
+        each.initial_error_rad,
+        each.peak_error_rad,
+        each.rms_error_rad,
+        each.peak_error_after_2s_rad,
+        each.rms_error_after_2s_rad,
+        each.settling_time_2_percent_s,
+        each.peak_effort_nm,
+        each.rms_effort_nm,
+        each.effort_limit_nm,
+    )
+    name = page.swatch(colour(j)) + escape(each.joint)
+    return [name, *(number(value) for value in figures), percent(each.saturated_fraction)]

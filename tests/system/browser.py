@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A real headless Chromium, spoken to by its DevTools protocol; it can reach no network."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import pytest
+from websockets.sync.client import connect
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+LIMIT = 60.0  # s
+FLAGS = (
+    "--headless=new",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-dev-shm-usage",
+    "--hide-scrollbars",
+    "--remote-debugging-port=0",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+)
+# Pixels of each canvas that are neither grey nor transparent: what is drawn besides axes and grid.
+COLOURED = """[...document.querySelectorAll("canvas")].map((canvas) => {
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  let coloured = 0;
+  for (let i = 0; i < data.length; i += 4) {
+    const [red, green, blue] = [data[i], data[i + 1], data[i + 2]];
+    if (data[i + 3] > 64 && Math.max(red, green, blue) - Math.min(red, green, blue) > 40) coloured++;
+  }
+  return coloured;
+})"""
+
+
+class Browser:
+    """A browser with one tab; `said` and `asked` are what the page wrote to the console and requested."""
+
+    def __init__(self) -> None:
+        name = next((found for name in NAMES if (found := shutil.which(name))), None)
+        if name is None:
+            pytest.skip("no Chromium here: install the package chromium")
+        self._profile = tempfile.TemporaryDirectory(prefix="fjr-chromium-", ignore_cleanup_errors=True)
+        sandbox = ("--no-sandbox",) if os.geteuid() == 0 else ()
+        command = [name, *FLAGS, *sandbox, f"--user-data-dir={self._profile.name}", "about:blank"]
+        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self._socket = connect(self._address(), max_size=None, open_timeout=LIMIT)
+        self._count = 0
+        self.said: list[str] = []
+        self.asked: list[str] = []
+        for domain in ("Runtime", "Log", "Network", "Page"):
+            self.call(f"{domain}.enable")
+
+    def _address(self) -> str:
+        """Where the tab listens, once the browser has written its port."""
+        file, end = Path(self._profile.name, "DevToolsActivePort"), time.monotonic() + LIMIT
+        while not (file.is_file() and file.read_text().count("\n")):
+            assert time.monotonic() < end, "Chromium did not start"
+            assert self._process.poll() is None, "Chromium ended at once"
+            time.sleep(0.05)
+        port = file.read_text().split()[0]
+        with urlopen(f"http://127.0.0.1:{port}/json/list", timeout=LIMIT) as answer:
+            tabs = json.load(answer)
+        return next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Send a command and wait for its answer; what happens meanwhile is noted."""
+        self._count += 1
+        self._socket.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
+        while True:
+            message = self._receive()
+            if message.get("id") == self._count:
+                assert "error" not in message, message
+                return message["result"]
+
+    def open(self, path: Path, width: int = 1280, height: int = 900, dark: bool = False) -> None:
+        """Open a file from disk, as a double click would, and wait until it has drawn."""
+        self.said.clear()
+        self.asked.clear()
+        self.size(width, height)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.call("Emulation.setEmulatedMedia", features=[scheme])
+        self.call("Page.navigate", url=path.absolute().as_uri())
+        while self._receive().get("method") != "Page.loadEventFired":
+            pass
+        self.settle()
+
+    def size(self, width: int, height: int) -> None:
+        self.call(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
+        )
+
+    def value(self, expression: str) -> Any:
+        """What an expression is worth in the page."""
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def settle(self) -> None:
+        """Wait until what was asked for is drawn."""
+        self.value("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done))))")
+
+    def mouse(self, kind: str, x: float, y: float, held: bool = False) -> None:
+        button = "none" if kind == "mouseMoved" and not held else "left"
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=int(held), clickCount=1)
+
+    def coloured(self) -> list[int]:
+        """Coloured pixels of each plot."""
+        return list(self.value(COLOURED))
+
+    def close(self) -> None:
+        self._socket.close()
+        self._process.terminate()
+        self._process.wait(timeout=LIMIT)
+        self._profile.cleanup()
+
+    def _receive(self) -> dict[str, Any]:
+        message = json.loads(self._socket.recv(timeout=LIMIT))
+        parameters = message.get("params", {})
+        if message.get("method") == "Runtime.exceptionThrown":
+            self.said.append(str(parameters["exceptionDetails"]))
+        elif message.get("method") == "Runtime.consoleAPICalled":
+            self.said.append(" ".join(str(each.get("value")) for each in parameters["args"]))
+        elif message.get("method") == "Log.entryAdded":
+            self.said.append(parameters["entry"]["text"])
+        elif message.get("method") == "Network.requestWillBeSent":
+            self.asked.append(parameters["request"]["url"])
+        return message

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr report` of any bag: the same figures from every storage, partial ones from partial bags, else a sentence."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
+
+from fjr_bringup.bag import header_stamp, read_bag
+from fjr_bringup.tracking_data import TrackingData, tracking_data
+from fjr_core.scenario import Scenario, load_scenario
+from system.bags import STORE, rewritten
+from system.executables import fjr, scenario
+
+pytestmark = pytest.mark.system
+STATES, ANSWERS, EFFORTS = "/joint_states", "/joint_commands", "/effort_controller/commands"
+REFERENCE = "/fjr_controller/reference"
+OURS = (STATES, ANSWERS, EFFORTS, REFERENCE)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run of the two-link arm, one second in lock-step."""
+    output = tmp_path_factory.mktemp("runs")
+    fjr("run", "two_link", "--lockstep", "--duration", "1.0", "--output", str(output))
+    return output / "two_link"
+
+
+@pytest.fixture(scope="module")
+def model(run: Path) -> Scenario:
+    return load_scenario(run / "scenario.yaml")
+
+
+@pytest.fixture(scope="module")
+def whole(run: Path, model: Scenario) -> TrackingData:
+    return tracking_data(read_bag(run), model, 1.0)
+
+
+def report(bag: Path, run: Path, tmp_path: Path, *arguments: str) -> dict[str, Any]:
+    """What `fjr report` writes of a bag, with the scenario of the run."""
+    fjr("report", str(bag), "--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"), *arguments)
+    (file,) = (tmp_path / "out").glob("*/report.json")
+    assert file.with_suffix(".html").stat().st_size > 60_000
+    return json.loads(file.read_text())
+
+
+def only(names: dict[str, Any], *kept: str) -> dict[str, Any]:
+    return {name: names[name] for name in kept}
+
+
+def without(keep: Callable[[str], bool], *fields: str) -> Callable[[str, Any], Any]:
+    """Joint states of the joints to keep, without the fields."""
+
+    def change(topic: str, message: Any) -> Any:
+        if topic != STATES:
+            return message
+        rows = [row for row, name in enumerate(message.name) if keep(name)]
+        values = {name: np.array(getattr(message, name))[rows] for name in ("position", "velocity", "effort")}
+        values |= {field: np.zeros(0) for field in fields}
+        return replace(message, name=[message.name[row] for row in rows], **values)
+
+    return change
+
+
+def test_the_report_of_a_run_is_made_again_from_its_folder_alone(run: Path) -> None:
+    made, page = json.loads((run / "report.json").read_text()), (run / "report.html").read_text()
+    fjr("report", str(run))
+    assert json.loads((run / "report.json").read_text()) == made
+    assert (run / "report.html").read_text() == page
+
+
+def test_a_healthy_run_holds_and_its_power_balances(run: Path) -> None:
+    made = json.loads((run / "report.json").read_text())
+    assert made["verdict"]["kind"] == "holding"
+    assert made["missing"] == []
+    assert made["energy"]["rms_residual_of_supplied"] < 1e-3
+    energy = made["energy"]
+    assert energy["stored_j"] == pytest.approx(energy["supplied_j"] - energy["dissipated_j"] + energy["residual_j"])
+
+
+@pytest.mark.parametrize(
+    ("storage", "compression"),
+    [
+        (StoragePlugin.SQLITE3, CompressionMode.NONE),
+        (StoragePlugin.MCAP, CompressionMode.NONE),
+        (StoragePlugin.SQLITE3, CompressionMode.FILE),
+        (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+    ],
+)
+def test_every_storage_of_rosbag2_gives_the_same_figures(
+    run: Path, tmp_path: Path, storage: StoragePlugin, compression: CompressionMode
+) -> None:
+    bag = rewritten(run / "bag", tmp_path / "copy", storage, compression=compression)
+    made, known = report(bag, run, tmp_path), json.loads((run / "report.json").read_text())
+    counts = ("peak_effort_nm", "initial_error_rad", "settling_time_2_percent_s")
+    assert only(made["tracking"], *counts) == only(known["tracking"], *counts)
+    assert made["storage"]["measured_decay_rate_per_s"] == known["storage"]["measured_decay_rate_per_s"]
+    assert made["verdict"]["kind"] == known["verdict"]["kind"]
+    assert made["bag_complete"]
+
+
+def test_commands_without_stamps_are_paired_with_the_states_before_them(
+    run: Path, tmp_path: Path, model: Scenario, whole: TrackingData
+) -> None:
+    """As a robot's bag has them: states every millisecond, each answered 0.3 ms later, one not at all."""
+    states = {header_stamp(raw.data): raw.data for raw in read_bag(run).topic(STATES).messages}
+    array, layout = STORE.types["std_msgs/msg/Float64MultiArray"], STORE.types["std_msgs/msg/MultiArrayLayout"]
+    begin = min(stamp for stamp in states if stamp > 0)
+    with Writer(tmp_path / "copy", version=9) as writer:
+        sent = writer.add_connection(STATES, "sensor_msgs/msg/JointState", typestore=STORE)
+        answered = writer.add_connection(EFFORTS, "std_msgs/msg/Float64MultiArray", typestore=STORE)
+        for k, u in enumerate(whole.u):
+            writer.write(sent, k * 1_000_000, states[begin + k * 1_000_000])
+            if k != 500:
+                raw = STORE.serialize_cdr(array(layout([], 0), u), "std_msgs/msg/Float64MultiArray")
+                writer.write(answered, k * 1_000_000 + 300_000, raw)
+    data = tracking_data(read_bag(tmp_path / "copy"), model, 1.0)
+    assert np.isnan(data.u[500]).all()
+    data.u[500] = whole.u[500]
+    np.testing.assert_array_equal(data.u, whole.u)
+    np.testing.assert_array_equal(data.V, whole.V)
+    np.testing.assert_allclose(np.nanmax(data.latency), 0.3e-3)
+    assert f"{ANSWERS} was not recorded" in data.notes[0]
+
+
+def test_states_alone_still_tell_errors_and_storage(run: Path, tmp_path: Path) -> None:
+    made = report(rewritten(run / "bag", tmp_path / "copy", topics=(STATES,)), run, tmp_path)
+    assert made["tracking"]["peak_effort_nm"] is None
+    assert made["counts"]["answered"] is None
+    assert made["storage"]["initial"] > 0
+    assert made["tracking"]["initial_error_rad"] > 0
+    assert made["verdict"]["kind"] == "unknown"
+    assert "neither" in made["missing"][0]
+    assert REFERENCE in made["missing"][1]
+
+
+def test_links_alone_still_tell_errors(run: Path, tmp_path: Path) -> None:
+    bag = rewritten(run / "bag", tmp_path / "copy", change=without(lambda name: not name.endswith("_motor")))
+    made, known = report(bag, run, tmp_path), json.loads((run / "report.json").read_text())
+    assert made["joints"][0]["initial_error_rad"] == known["joints"][0]["initial_error_rad"]
+    assert made["tracking"]["peak_effort_nm"] == known["tracking"]["peak_effort_nm"]
+    assert made["storage"] is made["energy"] is None
+    assert "no motor side" in made["missing"][0]
+
+
+def test_velocities_are_estimated_where_none_were_measured(
+    run: Path, tmp_path: Path, model: Scenario, whole: TrackingData
+) -> None:
+    bag = rewritten(run / "bag", tmp_path / "copy", change=without(lambda _: True, "velocity"))
+    data = tracking_data(read_bag(bag), model, 1.0)
+    assert "observer" in data.notes[0]
+    late = data.t > 0.3
+    assert np.abs(data.velocity - whole.velocity)[late].max() < 0.02 * np.abs(whole.velocity).max()
+
+
+def test_another_reference_than_the_scenarios_is_differentiated(run: Path, tmp_path: Path, whole: TrackingData) -> None:
+    document = yaml.safe_load((run / "scenario.yaml").read_text())
+    section = next(part for name, part in document.items() if "reference" in part["ros__parameters"])
+    section["ros__parameters"]["reference"]["amplitude"] = [0.123, 0.321]
+    other = tmp_path / "other.yaml"
+    other.write_text(yaml.safe_dump(document))
+    data = tracking_data(read_bag(run), load_scenario(other), 1.0)
+    assert "numerical" in data.notes[-1]
+    np.testing.assert_allclose(data.q_ld, whole.q_ld, atol=1e-12)
+    inside = (data.t > 0.01) & (data.t < 0.99)
+    np.testing.assert_allclose(data.V[inside], whole.V[inside], rtol=1e-3, atol=1e-6 * whole.V[0])
+
+
+def test_topics_in_a_namespace_are_found_and_of_two_one_is_named(run: Path, tmp_path: Path) -> None:
+    bag = rewritten(run / "bag", tmp_path / "left", topics=OURS, prefix="/left")
+    assert report(bag, run, tmp_path)["missing"] == []
+    with Writer(tmp_path / "two", version=9) as writer:
+        for side in ("left", "right"):
+            added = writer.add_connection(f"/{side}{STATES}", "sensor_msgs/msg/JointState", typestore=STORE)
+            for raw in read_bag(bag).topic(STATES).messages[:100]:
+                writer.write(added, raw.log_time, raw.data)
+    arguments = ("report", str(tmp_path / "two"), "--scenario", str(run / "scenario.yaml"))
+    assert "/left/joint_states and /right/joint_states: name one" in fjr(*arguments, code=1)
+    assert "two_report/report.html" in fjr(*arguments, "--namespace", "left")
+
+
+def test_another_robots_bag_is_named_and_its_timing_shown(run: Path, tmp_path: Path) -> None:
+    said = fjr("report", str(run), "--scenario", scenario("paper_k31"), "--output", str(tmp_path))
+    assert "the states name shoulder, elbow" in said
+    assert "the scenario's robot has joint1" in said
+    made = json.loads((tmp_path / "two_link" / "report.json").read_text())
+    assert made["timing"]["period_p50_us"] > 0
+    assert made["tracking"]["initial_error_rad"] is made["storage"] is None
+    assert made["verdict"]["kind"] == "unknown"
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_bag_cut_off_while_it_was_written_gives_what_is_in_it(
+    run: Path, tmp_path: Path, storage: StoragePlugin
+) -> None:
+    source = run / "bag" if storage is StoragePlugin.MCAP else rewritten(run / "bag", tmp_path / "copy", storage)
+    file = next(path for path in source.iterdir() if path.suffix in (".mcap", ".db3"))
+    torn = tmp_path / f"torn{file.suffix}"
+    torn.write_bytes(file.read_bytes()[: int(0.6 * file.stat().st_size)])
+    made = report(torn, run, tmp_path)
+    assert not made["bag_complete"]
+    assert "the bag was not closed" in made["missing"][0]
+    assert 100 < made["counts"]["published"] < 1000
+
+
+def test_two_bags_of_a_name_have_a_page_each(run: Path, tmp_path: Path) -> None:
+    said = fjr("report", str(run), str(run), "--output", str(tmp_path))
+    assert sorted(path.parent.name for path in tmp_path.glob("*/report.html")) == ["two_link", "two_link-2"]
+    assert f"{tmp_path / 'two_link-2'} (lock-step)" in said
+    assert (tmp_path / "comparison.html").read_text().count('href="two_link-2/report.html"') == 1
+
+
+def test_what_gives_nothing_is_one_sentence_and_the_others_are_reported(run: Path, tmp_path: Path) -> None:
+    given = ("--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"))
+    nothing = tmp_path / "nothing.mcap"
+    nothing.write_bytes(b"")
+    said = fjr("report", str(run), str(nothing), *given, code=1)
+    assert f"{nothing} holds no message of {STATES}; it holds nothing, and was not closed" in said
+    assert (tmp_path / "out" / "two_link" / "report.html").is_file()
+
+
+def strange(tmp_path: Path, kind: str, run: Path) -> Path:
+    path = tmp_path / kind
+    if kind == "closed":
+        with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP):
+            pass
+    elif kind == "other topics":
+        rewritten(run / "bag", path, topics=("/rosout", EFFORTS))
+    elif kind == "other types":
+        with Writer(path, version=9) as writer:
+            added = writer.add_connection(STATES, "std_msgs/msg/String", typestore=STORE)
+            writer.write(added, 1, STORE.serialize_cdr(STORE.types["std_msgs/msg/String"]("x"), "std_msgs/msg/String"))
+    elif kind.startswith("words"):
+        path.write_text("just words, a good deal of them")
+    elif kind == "tables.db3":
+        sqlite3.connect(path).execute("CREATE TABLE things (id)").connection.close()
+    elif kind == "folder":
+        path.mkdir()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("closed", "holds no message of /joint_states; it holds nothing"),
+        ("other topics", "holds no message of /joint_states; it holds /effort_controller/commands"),
+        ("other types", "is a std_msgs/msg/String; expected sensor_msgs/msg/JointState"),
+        ("words.mcap", "is not an MCAP file"),
+        ("words.db3", "is not a readable SQLite bag: file is not a database"),
+        ("tables.db3", "is not a readable SQLite bag: no such table"),
+        ("folder", "is not a bag: expected a folder with .mcap or .db3 files"),
+        ("absent", "does not exist; expected the folder of a bag"),
+    ],
+)
+def test_what_is_no_bag_of_ours_is_explained(run: Path, tmp_path: Path, kind: str, words: str) -> None:
+    path = strange(tmp_path, kind, run)
+    said = fjr("report", str(path), "--scenario", str(run / "scenario.yaml"), code=1).strip()
+    assert words in said
+    assert str(path) in said
+    assert said.count("\n") == 0
+
+
+def test_a_bag_without_a_scenario_asks_for_one(run: Path, tmp_path: Path) -> None:
+    bag = rewritten(run / "bag", tmp_path / "copy", topics=OURS)
+    assert "expected scenario.yaml beside the bag, or --scenario" in fjr("report", str(bag), code=1)
+    assert "unknown scenario 'paper_k99'" in fjr("report", str(bag), "--scenario", "paper_k99", code=1)

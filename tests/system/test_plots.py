@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a page is given to draw is what there is: thinned lines keep their extremes, histograms every value."""
+
+from __future__ import annotations
+
+import base64
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from fjr_bringup.plots import Pool, drawable, thinned
+from fjr_bringup.timing_plots import HALF, bins
+from fjr_bringup.words import milliseconds, number, percent
+
+VALUES = st.floats(-1e6, 1e6, width=32)
+
+
+@given(st.lists(arrays(float, 500, elements=VALUES), min_size=1, max_size=4), st.integers(20, 600))
+def test_thinned_lines_keep_their_extremes_and_ends(columns: list[np.ndarray], limit: int) -> None:
+    rows = thinned(columns, limit)
+    assert (np.diff(rows) > 0).all()
+    assert rows[0] == 0
+    assert rows[-1] == 499
+    for column in columns:
+        assert column[rows].max() == column.max()
+        assert column[rows].min() == column.min()
+
+
+def test_lines_that_fit_are_drawn_whole() -> None:
+    np.testing.assert_array_equal(thinned([np.arange(50.0)], 50), np.arange(50))
+
+
+def unpacked(text: str) -> np.ndarray:
+    kind, count, numbers = text.split(":")
+    found = np.frombuffer(base64.b64decode(numbers), dtype=f"<{kind}")
+    return np.full(int(count), found[0]) if len(found) < int(count) else found
+
+
+@given(arrays(float, st.integers(1, 30), elements=VALUES))
+def test_packed_numbers_are_the_numbers(values: np.ndarray) -> None:
+    pool = Pool()
+    assert pool.add(values, np.float64) == pool.add(values.copy(), np.float64) == 0
+    assert pool.add(values) == 1
+    np.testing.assert_array_equal(unpacked(pool.arrays[0]), values)
+    np.testing.assert_array_equal(unpacked(pool.arrays[1]), values.astype(np.float32))
+
+
+def test_what_no_axis_can_show_is_a_gap() -> None:
+    values = np.array([1.0, 0.0, -2.0, np.inf, np.nan, 1e300])
+    np.testing.assert_array_equal(drawable(values), [1.0, 0.0, -2.0, np.nan, np.nan, np.nan])
+    np.testing.assert_array_equal(drawable(values, log=True), [1.0] + 5 * [np.nan])
+
+
+@given(arrays(float, st.integers(1, 200), elements=st.floats(0.0, 1e5)))
+def test_histograms_count_every_value(values: np.ndarray) -> None:
+    edges, heights = bins(values)
+    assert (np.diff(edges) > 0).all()
+    assert heights[heights > HALF].sum() == len(values)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"),
+        (np.nan, "–"),
+        (0.0, "0"),
+        (26.2034, "26.2"),
+        (255.76, "256"),
+        (1234.5, "1234"),
+        (0.0123, "0.0123"),
+        (1.234e-5, "1.23·10⁻⁵"),
+        (-2e7, "-2.00·10⁷"),
+    ],
+)
+def test_numbers_are_written_for_people(value: float | None, text: str) -> None:
+    assert number(value) == text
+
+
+def test_units_follow_numbers() -> None:
+    assert number(0.5, "s") == "0.5 s"
+    assert percent(0.99861) == "99.86 %"
+    assert milliseconds(310.0) == "0.31 ms"
