@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
     top = argparse.ArgumentParser(prog="fjr", description=DESCRIPTION)
-    commands = top.add_subparsers(required=True, dest="command", metavar="{demo,run,check,gains,scenarios}")
+    commands = top.add_subparsers(required=True, dest="command", metavar="COMMAND")
     demo = commands.add_parser("demo", help="the paper's two scenarios and a 7-joint arm in real time, with a table")
     run = commands.add_parser("run", help="one scenario")
     check = commands.add_parser("check", help="what is known before a scenario runs: rates, stability as sampled")
@@ -42,8 +42,10 @@ def parser() -> argparse.ArgumentParser:
     gains.add_argument(
         "--everywhere", action="store_true", help="for the whole range of the joints, not only along the reference"
     )
-    for command in (run, check, gains):
+    contraction = commands.add_parser("contraction", help="solutions of the virtual system meet along a run: a picture")
+    for command in (run, check, gains, contraction):
         _add_scenario(command)
+    _add_contraction(contraction)
     for command in (demo, run):
         _add_recording(command)
     return top
@@ -72,6 +74,31 @@ def _add_recording(command: argparse.ArgumentParser) -> None:
         default=Path("runs"),
         help="where folders of runs go (default runs)",
     )
+
+
+def _add_contraction(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--run", type=Path, metavar="DIR", help="along a recorded run: its folder (default: simulated)"
+    )
+    command.add_argument("--duration", type=_seconds, metavar="S", default=1.0, help="seconds (default 1)")
+    command.add_argument(
+        "--starts", type=_starts, metavar="M", default=8, help="virtual solutions, 2 to 64 (default 8)"
+    )
+    command.add_argument(
+        "--spread", type=_spread, metavar="RAD", default=0.5, help="how far the links begin at most (default 0.5 rad)"
+    )
+    command.add_argument("--seed", type=int, metavar="N", default=0, help="of the random start (default 0)")
+    command.add_argument(
+        "--output", type=Path, metavar="DIR", default=Path("runs"), help="contraction/ in there (default runs)"
+    )
+
+
+def _starts(text: str) -> int:
+    return int(_number(text, "a number of solutions; expected 2 to 64", lambda value: value in range(2, 65)))
+
+
+def _spread(text: str) -> float:
+    return _number(text, "an angle; expected rad, more than 0, at most 3", lambda value: 0 < value <= 3)
 
 
 def _seconds(text: str) -> float:

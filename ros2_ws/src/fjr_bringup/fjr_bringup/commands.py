@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
-from fjr_bringup import gains_block, scenarios, stability
+from fjr_bringup import contraction_run, gains_block, scenarios, stability
 from fjr_bringup.run import Plan, RunError, run
 from fjr_bringup.stopping import Interrupted
 from fjr_bringup.summary import RunSummary, summarise, table, where_to_look
@@ -25,7 +25,14 @@ DONE, FAILED, NOT_UNDERSTOOD = 0, 1, 2
 def execute(options: argparse.Namespace, stop: threading.Event) -> int:
     """Run one command; every error is one sentence on stderr. Returns the exit code."""
     _tell_what_takes_long()
-    commands = {"demo": _demo, "run": _run, "check": _check, "gains": _gains, "scenarios": _scenarios}
+    commands = {
+        "demo": _demo,
+        "run": _run,
+        "check": _check,
+        "gains": _gains,
+        "scenarios": _scenarios,
+        "contraction": _contraction,
+    }
     try:
         commands[options.command](options, stop)
     except Interrupted as interruption:
@@ -79,6 +86,12 @@ def _gains(options: argparse.Namespace, _stop: threading.Event) -> None:
 def _scenarios(_options: argparse.Namespace, _stop: threading.Event) -> None:
     for name, path in scenarios.known().items():
         print(f"{name:12}  {scenarios.summary(path)}")
+
+
+def _contraction(options: argparse.Namespace, stop: threading.Event) -> None:
+    _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
+    wish = contraction_run.Wish(options.duration, options.starts, options.spread, options.seed)
+    print(contraction_run.run_and_draw(scenario, wish, options.run, options.output / "contraction", stop))
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:
