@@ -43,7 +43,8 @@ def parser() -> argparse.ArgumentParser:
         "--everywhere", action="store_true", help="for the whole range of the joints, not only along the reference"
     )
     contraction = commands.add_parser("contraction", help="solutions of the virtual system meet along a run: a picture")
-    for command in (run, check, gains, contraction):
+    description = commands.add_parser("description", help="a scenario's robot as a URDF, for robot_state_publisher")
+    for command in (run, check, gains, contraction, description):
         _add_scenario(command)
     _add_contraction(contraction)
     for command in (demo, run):

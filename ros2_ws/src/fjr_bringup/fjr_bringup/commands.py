@@ -16,6 +16,7 @@ from fjr_bringup import contraction_run, gains_block, scenarios, stability
 from fjr_bringup.run import Plan, RunError, run
 from fjr_bringup.stopping import Interrupted
 from fjr_bringup.summary import RunSummary, summarise, table, where_to_look
+from fjr_core.description import description
 from fjr_core.errors import FjrError, ParameterError
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")
@@ -32,6 +33,7 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
         "gains": _gains,
         "scenarios": _scenarios,
         "contraction": _contraction,
+        "description": _description,
     }
     try:
         commands[options.command](options, stop)
@@ -92,6 +94,11 @@ def _contraction(options: argparse.Namespace, stop: threading.Event) -> None:
     _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
     wish = contraction_run.Wish(options.duration, options.starts, options.spread, options.seed)
     print(contraction_run.run_and_draw(scenario, wish, options.run, options.output / "contraction", stop))
+
+
+def _description(options: argparse.Namespace, _stop: threading.Event) -> None:
+    _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
+    print(description(scenario.plant_values), end="")
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:
