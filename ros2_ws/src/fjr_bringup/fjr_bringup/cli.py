@@ -44,6 +44,7 @@ def parser() -> argparse.ArgumentParser:
     )
     contraction = commands.add_parser("contraction", help="solutions of the virtual system meet along a run: a picture")
     description = commands.add_parser("description", help="a scenario's robot as a URDF, for robot_state_publisher")
+    _add_listening(commands)
     for command in (run, check, gains, contraction, description):
         _add_scenario(command)
     _add_contraction(contraction)
@@ -92,6 +93,25 @@ def _add_contraction(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--output", type=Path, metavar="DIR", default=Path("runs"), help="contraction/ in there (default runs)"
     )
+
+
+def _add_listening(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The commands that listen to running nodes."""
+    echo = commands.add_parser("echo", help="print the messages of a topic, where there is no `ros2 topic echo`")
+    echo.add_argument("topic", metavar="TOPIC")
+    echo.add_argument("--once", dest="count", action="store_const", const=1, help="only the first message")
+    echo.add_argument("--count", type=_count, metavar="N", help="only so many messages")
+    echo.add_argument("--timeout", type=_seconds, metavar="S", default=math.inf, help="give up after so long a silence")
+    record = commands.add_parser("record", help="record topics to an MCAP bag, where there is no `ros2 bag record`")
+    record.add_argument("topics", nargs="*", metavar="TOPIC", help="which topics (default: all)")
+    record.add_argument("--output", type=Path, metavar="DIR", help="a new folder (default bag_ and the time)")
+    record.add_argument("--duration", type=_seconds, metavar="S", help="seconds (default: until Ctrl-C)")
+    for command in (echo, record):
+        command.add_argument("--force", action="store_true", help="although ros2 is on the PATH")
+
+
+def _count(text: str) -> int:
+    return int(_number(text, "a number of messages; expected 1 or more", lambda value: value >= 1 and value % 1 == 0))
 
 
 def _starts(text: str) -> int:

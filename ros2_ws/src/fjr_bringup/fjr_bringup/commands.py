@@ -13,7 +13,10 @@ from typing import Any
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from fjr_bringup import contraction_run, gains_block, scenarios, stability
-from fjr_bringup.run import Plan, RunError, run
+from fjr_bringup.echo import echo
+from fjr_bringup.record_command import record
+from fjr_bringup.ros2cli import refuse_where_better
+from fjr_bringup.run import Plan, RunError, discover_quickly, run
 from fjr_bringup.stopping import Interrupted
 from fjr_bringup.summary import RunSummary, summarise, table, where_to_look
 from fjr_core.description import description
@@ -34,6 +37,8 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
         "scenarios": _scenarios,
         "contraction": _contraction,
         "description": _description,
+        "echo": _echo,
+        "record": _record,
     }
     try:
         commands[options.command](options, stop)
@@ -99,6 +104,19 @@ def _contraction(options: argparse.Namespace, stop: threading.Event) -> None:
 def _description(options: argparse.Namespace, _stop: threading.Event) -> None:
     _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
     print(description(scenario.plant_values), end="")
+
+
+def _echo(options: argparse.Namespace, stop: threading.Event) -> None:
+    refuse_where_better(f"ros2 topic echo {options.topic}", "with filters, fields and statistics", options.force)
+    discover_quickly()
+    echo(options.topic, options.count, options.timeout, stop)
+
+
+def _record(options: argparse.Namespace, stop: threading.Event) -> None:
+    wanted = " ".join(options.topics) or "--all"
+    refuse_where_better(f"ros2 bag record --storage mcap {wanted}", "with splitting and compression", options.force)
+    discover_quickly()
+    print(record(options.topics, options.output, options.duration, stop))
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:
