@@ -106,8 +106,32 @@ def _add_listening(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     record.add_argument("topics", nargs="*", metavar="TOPIC", help="which topics (default: all)")
     record.add_argument("--output", type=Path, metavar="DIR", help="a new folder (default bag_ and the time)")
     record.add_argument("--duration", type=_seconds, metavar="S", help="seconds (default: until Ctrl-C)")
+    watch = commands.add_parser(
+        "watch", help="a running loop, live in the terminal: errors, efforts, V, timing, faults"
+    )
+    watch.add_argument(
+        "scenario", nargs="?", metavar="SCENARIO", help="whose limits of effort are shown (default: URDF)"
+    )
+    watch.add_argument("--namespace", metavar="NS", default="/", help="of the nodes")
+    watch.add_argument("--controller", metavar="NAME", default="fjr_controller", help="name of the controller's node")
+    watch.add_argument("--once", action="store_true", help="one picture as plain text")
+    watch.add_argument(
+        "--remap",
+        dest="remaps",
+        metavar="FROM:=TO",
+        type=_remap,
+        action="append",
+        default=[],
+        help="another name of a topic, e.g. joint_states:=/robot/joint_states; may be repeated",
+    )
     for command in (echo, record):
         command.add_argument("--force", action="store_true", help="although ros2 is on the PATH")
+
+
+def _remap(text: str) -> str:
+    if not all(text.partition(":=")[::2]):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a remap; expected FROM:=TO")
+    return text
 
 
 def _count(text: str) -> int:

@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
-from fjr_bringup import contraction_run, gains_block, scenarios, stability
+from fjr_bringup import contraction_run, gains_block, scenarios, stability, watch
 from fjr_bringup.echo import echo
 from fjr_bringup.record_command import record
 from fjr_bringup.ros2cli import refuse_where_better
@@ -39,6 +39,7 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
         "description": _description,
         "echo": _echo,
         "record": _record,
+        "watch": _watch,
     }
     try:
         commands[options.command](options, stop)
@@ -117,6 +118,15 @@ def _record(options: argparse.Namespace, stop: threading.Event) -> None:
     refuse_where_better(f"ros2 bag record --storage mcap {wanted}", "with splitting and compression", options.force)
     discover_quickly()
     print(record(options.topics, options.output, options.duration, stop))
+
+
+def _watch(options: argparse.Namespace, stop: threading.Event) -> None:
+    limits = {}
+    if options.scenario:
+        limits = dict(watch.effort_limits(scenarios.as_run(scenarios.find(options.scenario), {})[1]))
+    discover_quickly()
+    wish = watch.Wish(options.namespace, tuple(options.remaps), options.controller, options.once)
+    watch.watch(wish, limits, stop)
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:
