@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from rich.console import Console
@@ -67,7 +67,7 @@ def watch(wish: Wish, limits: Mapping[str, float], stop: threading.Event) -> Non
 
 def _views(listener: FjrWatch, watched: Watched, period: float, stop: threading.Event) -> Iterator[View]:
     missing: list[str] = []
-    look = 0.0
+    look = time.monotonic() + LOOK  # by then all is found that is there
     while True:
         now = time.monotonic()
         listener.listen(now)
@@ -82,5 +82,5 @@ def _once(listener: FjrWatch, watched: Watched, console: Console, stop: threadin
     begin = time.monotonic()
     for view in _views(listener, watched, PERIOD, stop):
         if (view.timing is not None and view.health) or time.monotonic() - begin > FIRST:
-            console.print(render(view, console.width))
+            console.print(render(replace(view, missing=tuple(listener.missing())), console.width))
             return
