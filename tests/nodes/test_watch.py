@@ -17,6 +17,7 @@ from fjr_msgs_py.labelled import labelled
 from nodes.harness import Ros
 
 MS = 1_000_000  # ns
+NAN = float("nan")
 
 FULL = View(
     title="fjr watch /left",
@@ -26,7 +27,14 @@ FULL = View(
     ),
     silence=0.01,
     timing=Timing(999.6, (1e-3, 1.1e-3, 2e-3), (2e-4, 3e-4, 4e-4), 2),
-    certificate={"stamp sec": 1.0, "V": 0.125, "dV_predicted": -2.5, "dV_measured": -2.4, "bound": 0.25},
+    certificate={
+        "stamp sec": 1.0,
+        "V": 0.125,
+        "dV_predicted": -2.5,
+        "dV_measured": -2.4,
+        "bound": 0.25,
+        "H": float("nan"),
+    },
     history=(1.0, 0.1, 0.01),
     health=(
         Health("fjr_controller", 0, "ok", "tracking"),
@@ -52,6 +60,7 @@ def test_a_picture_says_everything_at_any_width(width: int) -> None:
         "V 0.125 J",
         "bound 0.25 J",
         "dV/dt measured -2.4 W",
+        "H -",
         "█▅▁",
         "error fjr_controller: certificate  violated: delay",
         "ok    fjr_controller [tracking]  ok",

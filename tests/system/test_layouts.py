@@ -19,7 +19,7 @@ from system.recorded import reader, record
 pytestmark = pytest.mark.system
 
 CERTIFICATE = "/fjr_controller/certificate"
-LABELS = ["stamp sec", "stamp nanosec", "V", "dV_predicted", "dV_measured", "bound", "H", "supplied", "dissipated"]
+LABELS = ["sec", "nanosec", "V", "dV_predicted", "dV_measured", "bound", "H", "supplied", "dissipated"]
 PATH = re.compile(r"(?P<topic>/[\w/]+)\.(?P<field>\w+)\[(?P<index>\d+)\](?:\.@(?P<function>\w+))?")
 FUNCTIONS = {"abs", "log", "log2", "log10", "negative", "deg2rad", "rad2deg"}
 

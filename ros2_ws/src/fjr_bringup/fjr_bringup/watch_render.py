@@ -82,7 +82,7 @@ def signed_bar(value: float, largest: float, width: int = EFFORT_BAR) -> str:
 
 def sparkline(values: tuple[float, ...], width: int) -> str:
     """Positive values on a logarithmic scale, the newest on the right."""
-    logs = [math.log10(v) if v > 0 else -300.0 for v in values[-width:]]
+    logs = [math.log10(v) if v > 0 else -300.0 for v in values[-width:] if math.isfinite(v)]
     if not logs:
         return ""
     low, high = min(logs), max(logs)
@@ -160,13 +160,20 @@ def _certificate(view: View) -> Panel:
     if values is None:
         content = Text("no certificate heard", style="dim")
     else:
-        numbers = [f"{name} {values[key]:.3g} {unit}" for key, name, unit in CERTIFICATE if key in values]
+        known = [(name, values[key], unit) for key, name, unit in CERTIFICATE if key in values]
+        numbers = [
+            f"{name} {f'{value:.3g} {unit}' if math.isfinite(value) else NOTHING}" for name, value, unit in known
+        ]
         content = Text("   ".join(numbers))
         content.append(f"\nlog V  {sparkline(view.history, 60)}", style="cyan")
     verdicts = [status for status in view.health if "certificate" in status.name]
     for status in verdicts:
         content.append("\n").append_text(_status(status))
     return Panel(content, title="certificate", title_align="left", border_style="dim")
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}" if math.isfinite(value) else NOTHING
 
 
 def _health(view: View) -> Panel:
