@@ -13,7 +13,6 @@ from xml.etree import ElementTree
 import pytest
 from ament_index_python.packages import get_package_share_directory
 
-from fjr_msgs_py.plain import plain
 from system.recorded import reader, record
 
 pytestmark = pytest.mark.system
@@ -107,8 +106,7 @@ def test_plotjuggler_plots_numbers_that_are_published(published: Published) -> N
 def test_what_the_layouts_call_V_is_V(foxglove: dict[str, Any], published: Published) -> None:
     if CERTIFICATE not in published.topics:
         pytest.skip("this controller publishes no certificate")
-    labels = [dimension["label"] for dimension in plain(published.last[CERTIFICATE])["layout"]["dim"]]
-    labels = labels[0].split(",") if len(labels) == 1 else labels
+    labels = [label for part in published.last[CERTIFICATE].layout.dim for label in part.label.split(",")]
     meant = {"V": "V", "bound": "bound", "measured": "dV_measured", "predicted": "dV_predicted"}
     for plot in ("Plot!storage", "Plot!power"):
         for path in foxglove["configById"][plot]["paths"]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import math
 
+from rich.columns import Columns
 from rich.console import Console, Group, RenderableType
 from rich.panel import Panel
 from rich.table import Table
@@ -34,6 +35,7 @@ COLUMNS = NAME, POSITION, VELOCITY, DEFLECTION, ERROR, ERRORS, EFFORT, EFFORTS, 
     "-lim..+lim",
     "of limit",
 )
+HISTORY = 60  # characters
 LARGE = 1e-2  # rad, of an error
 CERTIFICATE = (  # label, what it is called here, unit
     ("V", "V", "J"),
@@ -85,9 +87,10 @@ def sparkline(values: tuple[float, ...], width: int) -> str:
     logs = [math.log10(v) if v > 0 else -300.0 for v in values[-width:] if math.isfinite(v)]
     if not logs:
         return ""
-    low, high = min(logs), max(logs)
+    high = max(logs)
+    low = min(min(logs), high - 1.0)
     steps = len(SPARKS) - 1
-    return "".join(SPARKS[round(steps * (v - low) / (high - low)) if high > low else 0] for v in logs)
+    return "".join(SPARKS[round(steps * (v - low) / (high - low))] for v in logs)
 
 
 def _bar(share: float, width: int) -> str:
@@ -156,20 +159,24 @@ def _signed(value: float | None) -> str:
 
 
 def _certificate(view: View) -> Panel:
-    values = view.certificate
-    if values is None:
-        content = Text("no certificate heard", style="dim")
+    verdicts = [_status(status) for status in view.health if "certificate" in status.name]
+    if view.certificate is None:
+        parts: list[RenderableType] = [Text("no certificate heard", style="dim")]
     else:
-        known = [(name, values[key], unit) for key, name, unit in CERTIFICATE if key in values]
-        numbers = [
-            f"{name} {f'{value:.3g} {unit}' if math.isfinite(value) else NOTHING}" for name, value, unit in known
-        ]
-        content = Text("   ".join(numbers))
-        content.append(f"\nlog V  {sparkline(view.history, 60)}", style="cyan")
-    verdicts = [status for status in view.health if "certificate" in status.name]
-    for status in verdicts:
-        content.append("\n").append_text(_status(status))
-    return Panel(content, title="certificate", title_align="left", border_style="dim")
+        parts = [_numbers(view.certificate), _history(view.history)]
+    return Panel(Group(*parts, *verdicts), title="certificate", title_align="left", border_style="dim")
+
+
+def _numbers(values: dict[str, float]) -> Columns:
+    known = (f"{name} {_with_unit(values[key], unit)}" for key, name, unit in CERTIFICATE if key in values)
+    return Columns(known, padding=(0, 3))
+
+
+def _history(values: tuple[float, ...]) -> Text:
+    """V as it went, with the ends of its scale."""
+    finite = [value for value in values if math.isfinite(value)]
+    line = Text("log V  ").append(sparkline(values, HISTORY), style="cyan")
+    return line.append(f"  {min(finite):.0e} .. {max(finite):.0e} J", style="dim") if finite else line
 
 
 def _with_unit(value: float, unit: str) -> str:
