@@ -100,7 +100,7 @@ def _bar(share: float, width: int) -> str:
 
 
 def _header(view: View) -> Text:
-    line = Text(view.title, style="bold")
+    line = Text().append(view.title, style="bold")
     if view.silence is None:
         return line.append("   waiting for joint states", style="yellow")
     if view.silence > SILENT:
@@ -109,9 +109,9 @@ def _header(view: View) -> Text:
     if timing is None:
         return line
     line.append(f"   {timing.rate:.1f} states/s", style="green")
-    line.append(f"   period {_ms(timing.period)}", style="default")
+    line.append(f"   period {_ms(timing.period)}")
     if timing.latency:
-        line.append(f"   state to command {_ms(timing.latency)}", style="default")
+        line.append(f"   state to command {_ms(timing.latency)}")
         line.append(f"   unanswered {timing.unanswered}", style="red" if timing.unanswered else "default")
     return line
 
@@ -191,15 +191,17 @@ def _health(view: View) -> Panel:
 
 def _status(status: Health) -> Text:
     level = LEVELS[min(status.level, len(LEVELS) - 1)]
-    line = Text(f"{level:5} ", style=f"bold {COLOURS[level]}").append(status.name, style="default")
+    line = Text().append(f"{level:5} ", style=f"bold {COLOURS[level]}").append(status.name)
     state = f" [{status.state}]" if status.state else ""
-    return line.append(f"{state}  {status.message}", style="default")
+    return line.append(f"{state}  {status.message}")
 
 
 def _events(view: View) -> Panel:
     lines = []
     for event in view.happenings:
         level = LEVELS[min(event.level, len(LEVELS) - 1)]
-        line = Text(f"{event.age:6.1f} s ago  ", style="dim").append(event.kind, style=f"bold {COLOURS[level]}")
-        lines.append(line.append(f"  {event.sentence}", style="default"))
+        line = (
+            Text().append(f"{event.age:6.1f} s ago  ", style="dim").append(event.kind, style=f"bold {COLOURS[level]}")
+        )
+        lines.append(line.append(f"  {event.sentence}"))
     return Panel(Text("\n").join(lines), title="events", title_align="left", border_style="dim")
