@@ -4,15 +4,22 @@
 from __future__ import annotations
 
 import time
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from rclpy.node import Node
 from rclpy.parameter import Parameter
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from fjr_core.description import description
+from fjr_msgs_py.names import LATCHED
 from fjr_plant.plant_node import LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, answer, call, command, integrate, state_of
+
+TWO = {f"initial_{side}_{what}": [0.1, 0.2] for side in ("link", "motor") for what in ("position", "velocity")}
 
 
 def test_stands_still_until_the_first_command(ros: Ros, peer: Peer) -> None:
@@ -214,3 +221,20 @@ def test_the_clock_that_it_follows_does_not_change_while_it_runs(ros: Ros, peer:
         [Parameter("advance_samples", value=7), Parameter("use_sim_time", value=not simulated)]
     ).successful
     assert node.values["advance_samples"] == 1
+
+
+def test_whoever_comes_later_gets_the_robot_as_a_urdf(ros: Ros) -> None:
+    """Names of its joints are those of /joint_states, so that viewers and robot_state_publisher move it."""
+    node = ros.plant(robot__model="planar_two_link", joints=["shoulder", "elbow"], **TWO)
+    heard: list[String] = []
+    late = ros.add(Node("viewer", context=ros.context))
+    late.create_subscription(String, "robot_description", heard.append, LATCHED)
+    ros.until(lambda: heard, "the description")
+    assert heard[0].data == description(node.values)
+    joints = {joint.get("name") for joint in ElementTree.fromstring(heard[0].data).iter("joint")}
+    assert joints == {"shoulder", "elbow"}
+
+
+def test_a_plant_may_keep_its_description_to_itself(ros: Ros) -> None:
+    node = ros.plant(publish_description=False)
+    assert node.count_publishers("robot_description") == 0

@@ -267,6 +267,7 @@ WIRED_ELSEWHERE = {
     "cpu_affinity",
     "lockstep",  # every lockstep_state
     "lockstep_timeout",  # test_lock_step
+    "publish_description",  # test_plant_node
     "advance_samples",  # test_advance
     "state_timeout",  # test_controller_node
     "command_timeout",  # test_plant_node

@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
     top = argparse.ArgumentParser(prog="fjr", description=DESCRIPTION)
-    commands = top.add_subparsers(required=True, dest="command", metavar="{demo,run,report,check,gains,scenarios}")
+    commands = top.add_subparsers(required=True, dest="command", metavar="COMMAND")
     demo = commands.add_parser("demo", help="the paper's two scenarios and a 7-joint arm in real time, with a table")
     run = commands.add_parser("run", help="one scenario")
     report = commands.add_parser("report", help="pages and figures from bags, of ours or of any robot")
@@ -43,8 +43,12 @@ def parser() -> argparse.ArgumentParser:
     gains.add_argument(
         "--everywhere", action="store_true", help="for the whole range of the joints, not only along the reference"
     )
-    for command in (run, check, gains):
+    contraction = commands.add_parser("contraction", help="solutions of the virtual system meet along a run: a picture")
+    description = commands.add_parser("description", help="a scenario's robot as a URDF, for robot_state_publisher")
+    _add_listening(commands)
+    for command in (run, check, gains, contraction, description):
         _add_scenario(command)
+    _add_contraction(contraction)
     for command in (demo, run):
         _add_recording(command)
     _add_bags(report)
@@ -87,6 +91,74 @@ def _add_bags(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--output", type=Path, metavar="DIR", help="where reports go (default: beside the bag)")
     command.add_argument("--namespace", metavar="NS", default="", help="of the nodes, where the bag holds several")
+
+
+def _add_contraction(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--run", type=Path, metavar="DIR", help="along a recorded run: its folder (default: simulated)"
+    )
+    command.add_argument("--duration", type=_seconds, metavar="S", default=1.0, help="seconds (default 1)")
+    command.add_argument(
+        "--starts", type=_starts, metavar="M", default=8, help="virtual solutions, 2 to 64 (default 8)"
+    )
+    command.add_argument(
+        "--spread", type=_spread, metavar="RAD", default=0.5, help="how far the links begin at most (default 0.5 rad)"
+    )
+    command.add_argument("--seed", type=int, metavar="N", default=0, help="of the random start (default 0)")
+    command.add_argument(
+        "--output", type=Path, metavar="DIR", default=Path("runs"), help="contraction/ in there (default runs)"
+    )
+
+
+def _add_listening(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The commands that listen to running nodes."""
+    echo = commands.add_parser("echo", help="print the messages of a topic, where there is no `ros2 topic echo`")
+    echo.add_argument("topic", metavar="TOPIC")
+    echo.add_argument("--once", dest="count", action="store_const", const=1, help="only the first message")
+    echo.add_argument("--count", type=_count, metavar="N", help="only so many messages")
+    echo.add_argument("--timeout", type=_seconds, metavar="S", default=math.inf, help="give up after so long a silence")
+    record = commands.add_parser("record", help="record topics to an MCAP bag, where there is no `ros2 bag record`")
+    record.add_argument("topics", nargs="*", metavar="TOPIC", help="which topics (default: all)")
+    record.add_argument("--output", type=Path, metavar="DIR", help="a new folder (default bag_ and the time)")
+    record.add_argument("--duration", type=_seconds, metavar="S", help="seconds (default: until Ctrl-C)")
+    watch = commands.add_parser(
+        "watch", help="a running loop, live in the terminal: errors, efforts, V, timing, faults"
+    )
+    watch.add_argument(
+        "scenario", nargs="?", metavar="SCENARIO", help="whose limits of effort are shown (default: URDF)"
+    )
+    watch.add_argument("--namespace", metavar="NS", default="/", help="of the nodes")
+    watch.add_argument("--controller", metavar="NAME", default="fjr_controller", help="name of the controller's node")
+    watch.add_argument("--once", action="store_true", help="one picture as plain text")
+    watch.add_argument(
+        "--remap",
+        dest="remaps",
+        metavar="FROM:=TO",
+        type=_remap,
+        action="append",
+        default=[],
+        help="another name of a topic, e.g. joint_states:=/robot/joint_states; may be repeated",
+    )
+    for command in (echo, record):
+        command.add_argument("--force", action="store_true", help="although ros2 is on the PATH")
+
+
+def _remap(text: str) -> str:
+    if not all(text.partition(":=")[::2]):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a remap; expected FROM:=TO")
+    return text
+
+
+def _count(text: str) -> int:
+    return int(_number(text, "a number of messages; expected 1 or more", lambda value: value >= 1 and value % 1 == 0))
+
+
+def _starts(text: str) -> int:
+    return int(_number(text, "a number of solutions; expected 2 to 64", lambda value: value in range(2, 65)))
+
+
+def _spread(text: str) -> float:
+    return _number(text, "an angle; expected rad, more than 0, at most 3", lambda value: 0 < value <= 3)
 
 
 def _seconds(text: str) -> float:

@@ -12,11 +12,15 @@ from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
-from fjr_bringup import gains_block, scenarios, stability, stopping
+from fjr_bringup import contraction_run, gains_block, scenarios, stability, stopping, watch
+from fjr_bringup.echo import echo
+from fjr_bringup.record_command import record
 from fjr_bringup.report_command import ReportError, report_bags, tell
-from fjr_bringup.run import Plan, RunError, run
+from fjr_bringup.ros2cli import refuse_where_better
+from fjr_bringup.run import Plan, RunError, discover_quickly, run
 from fjr_bringup.stopping import Interrupted
 from fjr_bringup.summary import RunSummary, compare, how_to_play, summarise, table, where_to_look
+from fjr_core.description import description
 from fjr_core.errors import FjrError, ParameterError
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")
@@ -33,6 +37,11 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
         "check": _check,
         "gains": _gains,
         "scenarios": _scenarios,
+        "contraction": _contraction,
+        "description": _description,
+        "echo": _echo,
+        "record": _record,
+        "watch": _watch,
     }
     try:
         commands[options.command](options, stop)
@@ -98,6 +107,39 @@ def _gains(options: argparse.Namespace, _stop: threading.Event) -> None:
 def _scenarios(_options: argparse.Namespace, _stop: threading.Event) -> None:
     for name, path in scenarios.known().items():
         print(f"{name:12}  {scenarios.summary(path)}")
+
+
+def _contraction(options: argparse.Namespace, stop: threading.Event) -> None:
+    _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
+    wish = contraction_run.Wish(options.duration, options.starts, options.spread, options.seed)
+    print(contraction_run.run_and_draw(scenario, wish, options.run, options.output / "contraction", stop))
+
+
+def _description(options: argparse.Namespace, _stop: threading.Event) -> None:
+    _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
+    print(description(scenario.plant_values), end="")
+
+
+def _echo(options: argparse.Namespace, stop: threading.Event) -> None:
+    refuse_where_better(f"ros2 topic echo {options.topic}", "with filters, fields and statistics", options.force)
+    discover_quickly()
+    echo(options.topic, options.count, options.timeout, stop)
+
+
+def _record(options: argparse.Namespace, stop: threading.Event) -> None:
+    wanted = " ".join(options.topics) or "--all"
+    refuse_where_better(f"ros2 bag record --storage mcap {wanted}", "with splitting and compression", options.force)
+    discover_quickly()
+    print(record(options.topics, options.output, options.duration, stop))
+
+
+def _watch(options: argparse.Namespace, stop: threading.Event) -> None:
+    limits = {}
+    if options.scenario:
+        limits = dict(watch.effort_limits(scenarios.as_run(scenarios.find(options.scenario), {})[1]))
+    discover_quickly()
+    wish = watch.Wish(options.namespace, tuple(options.remaps), options.controller, options.once)
+    watch.watch(wish, limits, stop)
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:

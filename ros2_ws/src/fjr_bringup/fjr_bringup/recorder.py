@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Record every topic of the ROS graph into a rosbag2 bag, cheaply enough to sit beside a 1 kHz loop.
+"""Record every topic of the ROS graph, or some, into a rosbag2 bag, cheaply enough to sit beside a 1 kHz loop.
 
 No executor: one thread looks at the graph and empties the subscriptions' queues a hundred times a second.
 The middleware stamps each message when it was sent and when it came in, so batching costs no accuracy, and
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,7 +44,8 @@ class Track:
 class Recorder:
     """Records from `start` to `close`; use as a context manager. Owns its rclpy context and one thread."""
 
-    def __init__(self, folder: Path, node_name: str = "fjr_recorder") -> None:
+    def __init__(self, folder: Path, node_name: str = "fjr_recorder", topics: Collection[str] = ()) -> None:
+        """topics: names from the root of those to record; none is all."""
         self.context = rclpy.Context()
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
         self.node: Node = rclpy.create_node(
@@ -52,6 +54,7 @@ class Recorder:
         self.writer = BagWriter(folder)
         self.skipped: dict[str, str] = {}  # topic -> why it is not recorded
         self.failure: Exception | None = None
+        self._wanted = frozenset(topics)
         self._tracks: dict[str, Track] = {}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder")
@@ -125,7 +128,7 @@ class Recorder:
         """Subscribe to topics that have appeared; follow publishers that have come or gone."""
         for topic, types in self.node.get_topic_names_and_types():
             publishers = self.node.get_publishers_info_by_topic(topic)
-            if not publishers or topic in self.skipped:
+            if not publishers or topic in self.skipped or (self._wanted and topic not in self._wanted):
                 continue
             if topic not in self._tracks:
                 self._subscribe(topic, types[0], publishers)

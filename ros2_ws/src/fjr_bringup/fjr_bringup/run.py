@@ -57,10 +57,15 @@ class Plan:
     lockstep: bool
 
 
-def set_ros_environment() -> None:
-    """Quick discovery, on this machine only, here and in the nodes, unless the user chose otherwise."""
+def discover_quickly() -> None:
+    """Announce this process often at its start, unless the user chose otherwise."""
     profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+
+
+def set_ros_environment() -> None:
+    """Quick discovery, on this machine only, here and in the nodes, unless the user chose otherwise."""
+    discover_quickly()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 

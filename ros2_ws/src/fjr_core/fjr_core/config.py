@@ -67,6 +67,7 @@ def plant_parameters(n: int) -> list[Parameter]:
         Parameter("command_timeout", 0.1, "Zero effort when commands stop for longer", "s", minimum=1e-3, maximum=1e3),
         Parameter("lockstep", False, "Advance one sample per stamped /joint_commands instead of with the clock"),
         Parameter("start_paused", False, "Publish nothing until ~/pause is called with false"),
+        Parameter("publish_description", True, "Publish the robot as a URDF on robot_description, for viewers"),
         *plant_timing_parameters(),
         *imperfection_parameters(n),
         *process_parameters(),

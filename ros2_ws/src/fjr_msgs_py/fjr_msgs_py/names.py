@@ -20,6 +20,7 @@ HOLD = "~/hold"
 PLAY = "~/play"
 RESUME = "~/resume"
 
+ROBOT_DESCRIPTION = "robot_description"
 CLOCK = "/clock"
 EXTERNAL_TORQUE = "~/external_torque"
 RESET = "~/reset"
@@ -33,6 +34,14 @@ LATEST = QoSProfile(
     depth=1,
 )
 """States and commands: only the newest counts, and it arrives."""
+
+LATCHED = QoSProfile(
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+)
+"""What does not change: whoever comes later gets it, too."""
 
 
 def motor_name(joint: str) -> str:

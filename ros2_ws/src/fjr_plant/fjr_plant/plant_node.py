@@ -11,7 +11,9 @@ from std_srvs.srv import SetBool, Trigger
 
 from fjr_core import FjrError, Plant, config
 from fjr_core import imperfection_parameters as words
+from fjr_core.description import description
 from fjr_msgs_py import names, process
+from fjr_msgs_py.descriptions import publish_description
 from fjr_msgs_py.health import Health
 from fjr_msgs_py.messages import EffortReader, MessageError
 from fjr_msgs_py.node_parameters import ParameterNode
@@ -58,6 +60,8 @@ class PlantNode(ParameterNode):
         self._robot, self._transport = self._simulated()
         states, reader = StatePublisher(self, joints), EffortReader(joints)
         self._torques = TorqueReader(joints)
+        if self.values["publish_description"]:
+            publish_description(self, description(self.values))
         rig = Rig(self, self.values, self._robot, self._transport, states, reader, self._health)
         self._pace: Pace = (LockStep if self.values["lockstep"] else RealTime)(rig)
         self.create_subscription(JointState, names.EXTERNAL_TORQUE, self._on_torque, names.LATEST)

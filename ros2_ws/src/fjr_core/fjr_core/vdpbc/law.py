@@ -118,6 +118,11 @@ class TrackingLaw:
         return self._function("effort", {"u"})
 
     @cached_property
+    def errors_function(self) -> ca.Function:
+        """The CasADi function (x_v, x, jets (n, 5), omega) -> q_tilde_l, sigma_l, q_tilde_m, sigma_m; derivable."""
+        return self._function("errors", {"q_tilde_l", "sigma_l", "q_tilde_m", "sigma_m"})
+
+    @cached_property
     def command_function(self) -> ca.Function:
         """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; machine code if that was asked for."""
         return self.ready(self._function("command", {"u", "V"}, diagonal=True))

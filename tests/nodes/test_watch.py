@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr watch` without a terminal: what it collects, what it writes, what it hears of real nodes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from rclpy.node import Node
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from fjr_bringup.watch_node import FjrWatch
+from fjr_bringup.watch_render import log_bar, signed_bar, sparkline, text
+from fjr_bringup.watch_state import Watched
+from fjr_bringup.watch_view import Happening, Health, JointLine, Timing, View
+from fjr_msgs_py.labelled import labelled
+from nodes.harness import Ros
+
+MS = 1_000_000  # ns
+NAN = float("nan")
+
+FULL = View(
+    title="fjr watch /left",
+    joints=(
+        JointLine("joint1", 0.5, -0.25, 0.01, -2e-4, -88.0, 176.0, 120.0),
+        JointLine("joint2", 1.0, 0.0, None, None, 3.0, None, 6.0),
+    ),
+    silence=0.01,
+    timing=Timing(999.6, (1e-3, 1.1e-3, 2e-3), (2e-4, 3e-4, 4e-4), 2),
+    certificate={
+        "stamp sec": 1.0,
+        "V": 0.125,
+        "dV_predicted": -2.5,
+        "dV_measured": -2.4,
+        "bound": 0.25,
+        "H": float("nan"),
+    },
+    history=(1.0, 0.1, 0.01),
+    health=(
+        Health("fjr_controller", 0, "ok", "tracking"),
+        Health("fjr_controller: certificate", 2, "violated: delay"),
+        Health("fjr_plant", 1, "states lost"),
+    ),
+    happenings=(Happening(3.25, 1, "holds", "the reference stands still"),),
+    missing=("/left/robot_description",),
+)
+
+
+@pytest.mark.parametrize("width", [80, 100, 120, 200])
+def test_a_picture_says_everything_at_any_width(width: int) -> None:
+    said = text(FULL, width)
+    assert max(map(len, said.splitlines())) <= width
+    for words in (
+        "fjr watch /left   999.6 states/s",
+        "joint1",
+        "2.0e-04",
+        "-88.000",
+        "50 %",
+        "peak 6",
+        "V 0.125 J",
+        "bound 0.25 J",
+        "dV/dt measured -2.4 W",
+        "H -",
+        "█▅▁",
+        "error fjr_controller: certificate  violated: delay",
+        "ok    fjr_controller [tracking]  ok",
+        "warn  fjr_plant  states lost",
+        "3.2 s ago  holds  the reference stands still",
+        "nobody publishes /left/robot_description",
+    ):
+        assert words in said, words
+    assert "…" not in said
+    assert ("dq_l" in said) == (width >= 118)
+
+
+def test_what_is_not_there_is_said() -> None:
+    assert "waiting for joint states" in text(View("t"))
+    assert "no certificate heard" in text(View("t"))
+    assert "no state for 2.5 s" in text(dataclasses.replace(FULL, silence=2.5))
+
+
+@pytest.mark.parametrize(
+    ("value", "bar"), [(0.0, "    "), (1e-7, "    "), (1e-3, "██  "), (1.0, "████"), (50.0, "████"), (1e-6, "    ")]
+)
+def test_error_bars_are_logarithmic(value: float, bar: str) -> None:
+    assert log_bar(value, 4) == bar
+
+
+@pytest.mark.parametrize(
+    ("value", "bar"),
+    [(0.0, "   │   "), (-10.0, "███│   "), (5.0, "   │██ "), (1e9, "   │███"), (float("nan"), "   │   ")],
+)
+def test_effort_bars_have_a_sign_and_end_at_the_limit(value: float, bar: str) -> None:
+    assert signed_bar(value, 10.0, 7) == bar
+
+
+def test_a_sparkline_shows_decades() -> None:
+    assert sparkline((1.0, 1e-7), 10) == "█▁"
+    assert sparkline((1.0, 1.0, 0.0), 2) == "█▁"
+    assert sparkline((1.0, 0.99), 2) == "██", "less than a decade is little"
+    assert sparkline((), 5) == ""
+
+
+def test_timing_is_of_the_last_seconds() -> None:
+    watched = Watched("t")
+    sent = [(k * MS, k * MS + 100) for k in range(1, 5001)]
+    watched.sent(sent)
+    watched.answered([(stamp, time + 200_000) for stamp, time in sent if stamp % (100 * MS)])
+    timing = watched.view(5.0).timing
+    assert timing is not None
+    assert timing.rate == pytest.approx(1000.0)
+    assert timing.period == pytest.approx((1e-3, 1e-3, 1e-3))
+    assert timing.latency == pytest.approx((2e-4, 2e-4, 2e-4))
+    assert timing.unanswered == 20
+
+
+def test_a_state_that_is_sent_again_counts_once_and_a_reset_begins_anew() -> None:
+    watched = Watched("t")
+    watched.sent([(10 * MS, 1), (10 * MS, 50 * MS), (11 * MS, 51 * MS)])
+    assert watched.view(0.0).timing.period[2] == pytest.approx(0.051, rel=1e-3)
+    watched.sent([(1 * MS, 100 * MS), (2 * MS, 101 * MS)])
+    assert watched.view(0.0).timing.period == pytest.approx((1e-3, 1e-3, 1e-3))
+
+
+def test_joints_without_their_motors_with_errors_efforts_and_limits() -> None:
+    watched = Watched("t", {"b": 2.0})
+    assert watched.view(0.0).silence is None
+    watched.state(1.0, {"a": 0.1, "b": 0.2, "a_motor": 0.3, "c_motor": 1.0}, {"a": 1.0})
+    watched.error({"a": 1e-3})
+    watched.effort({"a": -4.0, "b": 1.0})
+    watched.effort({"a": 1.0, "b": 1.0})
+    limits = "".join(f'<joint name="{name}"><limit effort="{n}"/></joint>' for name, n in (("a", 8), ("b", 9)))
+    watched.description(f"<robot>{limits}</robot>")
+    view = watched.view(1.5)
+    assert view.silence == 0.5
+    a, b, motor = view.joints
+    assert a == JointLine("a", 0.1, 1.0, pytest.approx(0.2), 1e-3, 1.0, 8.0, 4.0)
+    assert (b.limit, b.deflection, b.velocity, b.error) == (2.0, None, None, None)
+    assert motor.name == "c_motor", "no joint c: it is a joint of that name"
+
+
+@pytest.mark.parametrize("urdf", ["", "<robot", "<robot><joint name='a'><limit effort='many'/></joint></robot>"])
+def test_a_description_that_cannot_be_read_has_no_limits(urdf: str) -> None:
+    watched = Watched("t")
+    watched.state(0.0, {"a": 0.0}, {})
+    watched.description(urdf)
+    assert watched.view(0.0).joints[0].limit is None
+
+
+def test_a_node_that_reports_no_more_is_stale() -> None:
+    watched = Watched("t")
+    watched.health(1.0, Health("fjr_plant", 0, "ok"))
+    assert watched.view(2.0).health[0].level == 0
+    assert watched.view(9.0).health[0] == Health("fjr_plant", 3, "no report for 8 s; the last: ok")
+
+
+def array(labels: list[str], data: list[float]) -> Float64MultiArray:
+    message = Float64MultiArray(data=data)
+    message.layout.dim = [MultiArrayDimension(label=label, size=1, stride=1) for label in labels]
+    return message
+
+
+@pytest.mark.parametrize(
+    ("message", "values"),
+    [
+        (array(["V", "H"], [1.0, 2.0]), {"V": 1.0, "H": 2.0}),
+        (array(["V,H"], [1.0, 2.0]), {"V": 1.0, "H": 2.0}),
+        (array(["V, H"], [1.0]), {}),
+        (array([], [1.0]), {}),
+    ],
+)
+def test_labels_name_numbers(message: Float64MultiArray, values: dict[str, float]) -> None:
+    assert labelled(message) == values
+
+
+def test_hears_plant_and_controller_under_any_names(ros: Ros) -> None:
+    rules = ["--ros-args", "-r", "__ns:=/left", "-r", "joint_states:=/robot/states"]
+    watched = Watched("t")
+    node = ros.add(Node("watch", context=ros.context, cli_args=rules))
+    watch = FjrWatch(node, watched)
+    ros.start(type(ros.plant(lockstep=True)), rules, lockstep=True, compile=False)
+    ros.start(type(ros.controller()), rules, compile=False, use_sim_time=True)
+
+    def complete() -> bool:
+        watch.listen(0.0)
+        view = watched.view(0.0)
+        seen = view.joints and view.joints[0].error is not None and view.joints[0].effort is not None
+        nodes = {status.name for status in view.health}
+        return bool(seen and view.timing and view.timing.latency and {"fjr_plant", "fjr_controller"} <= nodes)
+
+    ros.until(complete, "states, answers, errors and reports")
+    (joint,) = watched.view(0.0).joints
+    assert joint.name == "joint1"
+    assert joint.position is not None
+    assert joint.peak > 0
+    assert set(watch.missing()) <= {"/left/fjr_controller/certificate"}

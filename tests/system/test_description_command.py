@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr description`: a robot as a URDF on standard output."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import pytest
+
+from fjr_core.scenario import load_scenario
+from system.executables import fjr, scenario
+
+pytestmark = pytest.mark.system
+
+
+@pytest.mark.parametrize("name", ["paper_k31", "two_link", "arm7"])
+def test_a_scenarios_robot_has_its_joints(name: str) -> None:
+    robot = ElementTree.fromstring(fjr("description", name))
+    assert set(load_scenario(scenario(name)).joints) <= {joint.get("name") for joint in robot.iter("joint")}
+
+
+def test_what_is_set_is_in_it() -> None:
+    light, heavy = (fjr("description", "two_link", "--set", f"robot.link_mass:=[{m}, 0.8]") for m in (1.2, 2.5))
+    assert '<mass value="1.2"' in light
+    assert '<mass value="2.5"' in heavy

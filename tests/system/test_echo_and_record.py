@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr echo` and `fjr record` beside real nodes, and where ros2 is better."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from system.executables import NODES, TIME_LIMIT, Executable, fjr
+
+pytestmark = pytest.mark.system
+LOCKSTEP = ("--ros-args", "-p", "lockstep:=true")
+
+
+@pytest.fixture
+def loop() -> Iterator[None]:
+    """Plant and controller in lock-step, under a namespace."""
+    started = [
+        Executable(*NODES["plant"], *LOCKSTEP, "-r", "__ns:=/left"),
+        Executable(*NODES["controller"], "--ros-args", "-p", "use_sim_time:=true", "-r", "__ns:=/left"),
+    ]
+    yield
+    for executable in started:
+        executable.kill()
+
+
+def test_echo_prints_messages_as_yaml(loop: None) -> None:
+    said = fjr("echo", "/left/joint_states", "--count", "3", "--timeout", "60")
+    first, *others = yaml.safe_load_all(said.rstrip().removesuffix("---"))
+    assert len(others) == 2
+    assert first["name"] == ["joint1", "joint1_motor"]
+    assert len(first["position"]) == len(first["velocity"]) == len(first["effort"]) == 2
+
+
+def test_echo_of_what_does_not_change_comes_late_and_is_there(loop: None) -> None:
+    fjr("echo", "left/joint_states", "--once", "--timeout", "60")
+    said = fjr("echo", "left/robot_description", "--once", "--timeout", "60")
+    assert '<robot name="single_link">' in yaml.safe_load(said.split("---")[0])["data"]
+
+
+def test_echo_of_nothing_says_what_there_is(loop: None) -> None:
+    fjr("echo", "left/joint_states", "--once", "--timeout", "60")
+    said = fjr("echo", "/nothing", "--timeout", "3", code=1)
+    assert "no message of /nothing for 3 s" in said
+    assert "/left/joint_states" in said
+
+
+def test_record_keeps_the_named_topics(loop: None, tmp_path: Path) -> None:
+    fjr("echo", "left/joint_states", "--once", "--timeout", "60")
+    bag = tmp_path / "bag"
+    said = fjr("record", "left/joint_states", "/left/joint_commands", "/other", "--duration", "2", "--output", str(bag))
+    assert "nothing came on /other" in said
+    assert "messages of 2 topics" in said
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        counts = {connection.topic: connection.msgcount for connection in reader.connections}
+        assert set(counts) == {"/left/joint_states", "/left/joint_commands"}
+        assert min(counts.values()) > 50
+        connection, _, raw = next(reader.messages())
+        assert np.isfinite(reader.deserialize(raw, connection.msgtype).effort).all()
+
+
+def test_record_of_everything_ends_with_ctrl_c(loop: None, tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    command = Executable("fjr_bringup", "fjr", "record", "--output", str(bag))
+    try:
+        end = time.monotonic() + TIME_LIMIT
+        while not (bag.is_dir() and any(file.stat().st_size > 100_000 for file in bag.glob("*.mcap"))):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        command.signal(signal.SIGINT)
+        code, said = command.end()
+    finally:
+        command.kill()
+    assert code == 0, said
+    assert "/left/joint_states (sensor_msgs/msg/JointState)" in said
+    assert (bag / "metadata.yaml").is_file()
+
+
+def test_record_does_not_overwrite(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    assert "not overwritten" in fjr("record", "--output", str(tmp_path / "bag"), code=1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "better"),
+    [
+        (["echo", "/joint_states"], "ros2 topic echo /joint_states"),
+        (["record"], "ros2 bag record --storage mcap --all"),
+        (["record", "/a", "/b"], "ros2 bag record --storage mcap /a /b"),
+    ],
+)
+def test_where_ros2_is_there_it_is_named_and_not_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], better: str
+) -> None:
+    ros2 = tmp_path / "ros2"
+    ros2.write_text("#!/bin/sh\nexit 1\n")
+    ros2.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    said = fjr(*arguments, code=1)
+    assert f"use `{better}`" in said
+    assert "--force" in said
+
+
+def test_force_uses_ours_although_ros2_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ros2 = tmp_path / "ros2"
+    ros2.write_text("#!/bin/sh\nexit 1\n")
+    ros2.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    assert "no message of /nothing" in fjr("echo", "/nothing", "--timeout", "0.5", "--force", code=1)

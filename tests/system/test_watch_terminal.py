@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr watch` in a real terminal, beside real nodes: what a user sees on the screen."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import signal
+import struct
+import subprocess
+import termios
+import time
+from collections.abc import Callable, Iterator
+from fcntl import ioctl
+from pathlib import Path
+
+import pyte
+import pytest
+from ament_index_python.packages import get_package_prefix
+
+from system.executables import NODES, TIME_LIMIT, Executable, fjr, scenario
+
+pytestmark = pytest.mark.system
+COLUMNS, ROWS = 132, 40
+
+
+class Terminal:
+    """`fjr` in a terminal of its own, and what stands on its screen."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._master, slave = pty.openpty()
+        ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, COLUMNS, 0, 0))
+        command = [str(Path(get_package_prefix("fjr_bringup")) / "lib" / "fjr_bringup" / "fjr"), *arguments]
+        self.process = subprocess.Popen(
+            command,
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            start_new_session=True,
+            env={**os.environ, "TERM": "xterm-256color"},
+        )
+        os.close(slave)
+        self._screen = pyte.Screen(COLUMNS, ROWS)
+        self._stream = pyte.ByteStream(self._screen)
+        self.raw = b""
+
+    def until(self, seen: Callable[[str], bool]) -> str:
+        """Read until the screen is as wanted; the screen."""
+        end = time.monotonic() + TIME_LIMIT
+        while not seen(self.text):
+            assert time.monotonic() < end, self.text
+            self._read(0.2)
+        return self.text
+
+    @property
+    def text(self) -> str:
+        return "\n".join(line.rstrip() for line in self._screen.display)
+
+    def interrupt(self) -> int:
+        """Ctrl-C; the exit code."""
+        self.process.send_signal(signal.SIGINT)
+        end = time.monotonic() + TIME_LIMIT
+        while self.process.poll() is None and time.monotonic() < end:
+            self._read(0.1)
+        self._read(0.1)
+        return self.process.wait(1)
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+        os.close(self._master)
+
+    def _read(self, wait: float) -> None:
+        if select.select([self._master], [], [], wait)[0]:
+            try:
+                data = os.read(self._master, 65536)
+            except OSError:  # the other end is closed
+                return
+            self.raw += data
+            self._stream.feed(data)
+
+
+@pytest.fixture
+def terminal() -> Iterator[Callable[..., Terminal]]:
+    opened: list[Terminal] = []
+
+    def open_one(*arguments: str) -> Terminal:
+        opened.append(Terminal(*arguments))
+        return opened[-1]
+
+    yield open_one
+    for one in opened:
+        one.close()
+
+
+@pytest.fixture
+def loop() -> Iterator[dict[str, Executable]]:
+    file = ("--params-file", scenario("two_link"), "-p", "realtime_priority:=0", "-r", "__ns:=/left")
+    nodes = {
+        "plant": Executable(*NODES["plant"], "--ros-args", *file, "-p", "lockstep:=true"),
+        "controller": Executable(*NODES["controller"], "--ros-args", *file, "-p", "use_sim_time:=true"),
+    }
+    yield nodes
+    for node in nodes.values():
+        node.kill()
+
+
+def test_a_running_loop_is_on_the_screen(loop: dict[str, Executable], terminal: Callable[..., Terminal]) -> None:
+    watch = terminal("watch", "two_link", "--namespace", "left")
+    screen = watch.until(
+        lambda text: all(words in text for words in ("elbow", "state to command", "ok    fjr_controller", "fjr_plant"))
+    )
+    rows = {line.split()[1]: line.split() for line in screen.splitlines() if "shoulder" in line or "elbow" in line}
+    assert set(rows) == {"shoulder", "elbow"}
+    q_l, dq_l, deflection, error = (float(value) for value in rows["elbow"][2:6])
+    assert abs(q_l) < 2
+    assert abs(dq_l) < 20
+    assert abs(deflection) < 1
+    assert 0 <= error < 2
+    assert "fjr watch left" in screen
+    before = screen
+    watch.until(lambda text: text != before and "elbow" in text)
+    loop["plant"].kill()
+    watch.until(lambda text: "no state for" in text)
+    assert watch.interrupt() == 0
+    assert b"\x1b[?1049l" in watch.raw, "the terminal is as it was"
+    assert b"Traceback" not in watch.raw
+
+
+def test_nothing_there_is_said_and_ends_with_ctrl_c(terminal: Callable[..., Terminal]) -> None:
+    watch = terminal("watch", "--remap", "joint_states:=/robot/states")
+    screen = watch.until(lambda text: "waiting for joint states" in text and "nobody publishes" in text)
+    assert "/robot/states" in screen
+    assert watch.interrupt() == 0
+
+
+def test_one_picture_as_plain_text(loop: dict[str, Executable]) -> None:
+    said = fjr("watch", "--namespace", "/left", "--once")
+    assert "shoulder" in said
+    assert "\x1b" not in said
+
+
+def test_a_remap_that_is_none_is_refused() -> None:
+    assert "expected FROM:=TO" in fjr("watch", "--remap", "joint_states", code=2)
