@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How Sphinx builds the pages and the API reference (`make docs`, tools/build_docs.py)."""
 
-from docstring_text import as_rst
 from sphinx.application import Sphinx
+
+from docstring_text import as_rst
 
 project = "fjr"
 author = copyright = "The fjr authors"
@@ -11,7 +12,8 @@ html_theme = "alabaster"
 html_theme_options = {"page_width": "1100px", "body_max_width": "none", "fixed_sidebar": True}
 html_show_copyright = False
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "sphinx.ext.viewcode"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax"]
+extensions += ["sphinx.ext.viewcode"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4  # as GitHub has them
 exclude_patterns = ["examples/*.md"]

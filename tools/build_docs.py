@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build the pages and the API reference with Sphinx; a warning is an error. The workspace has to be sourced.
 
-    . ros2_ws/install/setup.sh && .venv/bin/python tools/build_docs.py [FOLDER]
+. ros2_ws/install/setup.sh && .venv/bin/python tools/build_docs.py [FOLDER]
 """
 
 from __future__ import annotations

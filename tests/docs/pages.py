@@ -14,8 +14,10 @@ from markdown_it.token import Token
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")))
-LANGUAGES = ("python", "sh", "yaml", "text")
-"""`text` is for what no machine reads: diagrams, listings, formulas."""
+LANGUAGES = ("python", "sh", "yaml", "xml", "text")
+"""`text` is for what no machine reads (diagrams, formulas), or, marked so, for what the block before it prints."""
+MARKS = ("file", "exit", "shown", "for")
+"""file: what the reader calls it; exit: the exit code that is right; shown: lines of output; for: who else reads it."""
 
 _MARK = re.compile(r"<!-- block: (.*) -->")
 
@@ -47,7 +49,7 @@ def blocks(page: Path) -> Iterator[Block]:
         if token.type in ("fence", "code_block"):
             line = token.map[0] + 1 if token.map else 0
             yield Block(page, line, token.info.strip(), token.content, marks)
-        found = _MARK.match(token.content) if token.type == "html_block" else None
+        found = _MARK.match(token.content.strip()) if token.type == "html_block" else None
         marks = dict(word.split("=", 1) for word in found[1].split()) if found else {}
 
 

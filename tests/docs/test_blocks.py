@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from docs.arm import my_arm_urdf
-from docs.pages import LANGUAGES, PAGES, ROOT, Block, blocks
+from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
 from docs.shell import script, syntax_error
 from fjr_core import parameter_file
 from fjr_core.scenario import load_scenario
@@ -23,7 +24,7 @@ WITH_BLOCKS = [page for page in PAGES if any(block.language in ("python", "sh", 
 @pytest.mark.parametrize("block", ALL, ids=str)
 def test_every_block_says_what_it_is(block: Block) -> None:
     assert block.language in LANGUAGES, f"{block}: '{block.language}'; indented blocks have no language"
-    assert set(block.marks) <= {"file", "exit"}
+    assert set(block.marks) <= set(MARKS)
 
 
 @pytest.mark.parametrize("block", [block for block in ALL if block.language == "sh"], ids=str)
@@ -40,31 +41,39 @@ def test_the_blocks_of_a_page_work_one_after_the_other(page: Path, tmp_path: Pat
     for name in LINKED:
         (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / "my_arm.urdf").write_text(my_arm_urdf(), encoding="utf-8")
+    said = ""
     for block in blocks(page):
-        DOING[block.language](block, tmp_path)
+        said = DOING[block.language](block, tmp_path, said)
 
 
-def do_python(block: Block, folder: Path) -> None:
-    run(block, [sys.executable, "-c", block.text], folder)
+def do_python(block: Block, folder: Path, _said: str) -> str:
+    return run(block, [sys.executable, "-c", block.text], folder)
 
 
-def do_sh(block: Block, folder: Path) -> None:
-    run(block, ["bash", "-c", script(block.text)], folder)
+def do_sh(block: Block, folder: Path, _said: str) -> str:
+    return run(block, ["bash", "-c", script(block.text)], folder)
 
 
-def run(block: Block, command: list[str], folder: Path) -> None:
+def run(block: Block, command: list[str], folder: Path) -> str:
+    """Output and errors of a command that ends as the page says."""
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
-    said = f"{block}\n{command[-1]}\n{done.stdout}{done.stderr}"
-    assert done.returncode == int(block.marks.get("exit", 0)), said
-    assert "Traceback" not in done.stderr, said
+    said = done.stdout + done.stderr
+    assert done.returncode == int(block.marks.get("exit", 0)), f"{block}\n{command[-1]}\n{said}"
+    assert "Traceback" not in said, f"{block}\n{said}"
+    return said
 
 
-def do_yaml(block: Block, folder: Path) -> None:
+def do_yaml(block: Block, folder: Path, said: str) -> str:
     """Write the file, or add to it, and read it as the nodes and `fjr` do."""
+    if block.marks.get("for") == "ros2_control":  # its nodes are not here; it is a parameter file at least
+        for node in parameter_file.parse(block.text):
+            assert parameter_file.values_for(node, parameter_file.parse(block.text))
+        return said
     file = folder / block.marks["file"]
     before = parameter_file.parse(file.read_text(encoding="utf-8")) if file.exists() else {}
     file.write_text(parameter_file.dump(merged(before, parameter_file.parse(block.text))), encoding="utf-8")
     assert load_scenario(file).warnings == (), str(block)
+    return said
 
 
 def merged(below: dict, above: dict) -> dict:
@@ -73,4 +82,18 @@ def merged(below: dict, above: dict) -> dict:
     return {**below, **above, **both}
 
 
-DOING = {"python": do_python, "sh": do_sh, "yaml": do_yaml, "text": lambda _block, _folder: None}
+def do_xml(block: Block, folder: Path, said: str) -> str:
+    (folder / block.marks["file"]).write_text(block.text, encoding="utf-8")
+    return said
+
+
+def do_text(block: Block, _folder: Path, said: str) -> str:
+    """What is shown was said by the block before, line by line; `...` stands for anything."""
+    lines = [" ".join(line.split()) for line in said.splitlines()]
+    for shown in block.text.splitlines() if "shown" in block.marks else ():
+        pattern = ".*".join(re.escape(" ".join(part.split())) for part in shown.split("..."))
+        assert any(re.fullmatch(pattern.replace(".*", " ?.* ?"), line) for line in lines), f"{block}: {shown}\n{said}"
+    return said
+
+
+DOING = {"python": do_python, "sh": do_sh, "yaml": do_yaml, "xml": do_xml, "text": do_text}

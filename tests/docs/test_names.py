@@ -29,8 +29,8 @@ def starting(word: str) -> list[list[str]]:
 @pytest.fixture
 def graph(ros: Ros) -> Iterator[Graph]:
     plant, controller = ros.plant(), ros.controller()
-    ros.until(lambda: ("/fjr_controller/events" in dict(plant.get_topic_names_and_types())), "the controller")
-    ros.until(lambda: ("fjr_plant" in controller.get_node_names()), "the plant")
+    ros.until(lambda: "/fjr_controller/events" in dict(plant.get_topic_names_and_types()), "the controller")
+    ros.until(lambda: "fjr_plant" in controller.get_node_names(), "the plant")
     return Graph.of([plant, controller])
 
 
