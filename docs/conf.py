@@ -20,7 +20,8 @@ exclude_patterns = ["examples/*.md"]
 
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "undoc-members": True, "show-inheritance": True}
-autodoc_class_signature = "separated"
+autodoc_type_aliases = {"Array": "Array", "ArrayLike": "ArrayLike", "NDArray": "NDArray"}
+python_maximum_signature_line_length = 100
 autosummary_generate = False
 
 

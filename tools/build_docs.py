@@ -7,7 +7,9 @@
 from __future__ import annotations
 
 import importlib
+import os
 import pkgutil
+import re
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
@@ -25,11 +27,7 @@ CONTENTS = """fjr
 .. toctree::
    :maxdepth: 1
 
-   README
-   docs/README
    {pages}
-   CONTRIBUTING
-   CHANGELOG
 
 .. toctree::
    :caption: API
@@ -60,10 +58,16 @@ def lay_out(source: Path) -> None:
     for package in PACKAGES:
         for name, text in api_pages(package):
             (source / "api" / f"{name}.rst").write_text(text, encoding="utf-8")
-    pages = sorted(path.stem for path in (ROOT / "docs").glob("*.md") if path.stem != "README")
-    listed = "\n   ".join(f"docs/{page}" for page in pages)
+    pages = "\n   ".join(["README", "docs/README", *pages_in_order()])
     packages = "\n   ".join(f"api/{package}" for package in PACKAGES)
-    (source / "index.rst").write_text(CONTENTS.format(pages=listed, packages=packages), encoding="utf-8")
+    (source / "index.rst").write_text(CONTENTS.format(pages=pages, packages=packages), encoding="utf-8")
+
+
+def pages_in_order() -> list[str]:
+    """The other pages as docs/README.md lists them."""
+    targets = re.findall(r"\]\(([^)]+)\.md\)", (ROOT / "docs" / "README.md").read_text(encoding="utf-8"))
+    names = (os.path.normpath(f"docs/{target}") for target in targets)
+    return [name for name in dict.fromkeys(names) if name != "README"]
 
 
 def api_pages(package: str) -> Iterator[tuple[str, str]]:
