@@ -13,6 +13,7 @@ from bench.__main__ import parser as bench_parser
 from docs.pages import PAGES, ROOT, blocks, inline
 from docs.ros2_lines import Graph
 from docs.shell import NOT_RUN, commands, is_run, words
+from fjr_bringup.cli import parser as fjr_parser
 from nodes.harness import Ros
 
 HELD = [c for page in PAGES for b in blocks(page) if b.language == "sh" for c in commands(b.text) if not is_run(c)]
@@ -43,6 +44,35 @@ def test_ros2_lines_name_what_exists(graph: Graph) -> None:
     assert len(lines) > 10
     for line in lines:
         graph.check(line)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "ros2 run fjr_plant no_node",
+        "ros2 launch fjr_bringup tracking.launch.py no_argument:=1",
+        "ros2 param set /fjr_plant no_parameter 1.0",
+        "ros2 param set /fjr_plant imperfections.state_loss 1.5",
+        "ros2 topic echo /fjr_controller/no_topic",
+        "ros2 topic pub --once /fjr_plant/external_torque sensor_msgs/msg/JointState '{efort: [0.5]}'",
+        "ros2 service call /fjr_plant/pause std_srvs/srv/Trigger",
+        "ros2 lifecycle set /fjr_controller start",
+        "ros2 no_verb at all",
+    ],
+)
+def test_a_line_that_names_what_does_not_exist_is_found(graph: Graph, line: str) -> None:
+    with pytest.raises((AssertionError, LookupError, OSError)):
+        graph.check(words(line))
+
+
+def test_fjr_commands_in_the_text_exist() -> None:
+    subcommands = next(action for action in fjr_parser()._actions if action.dest == "command").choices
+    for text in SAID:
+        if text.startswith("fjr "):
+            name, *rest = words(text)[1:]
+            assert name in subcommands, text
+            known = subcommands[name]._option_string_actions
+            assert {word for word in rest if word.startswith("--")} <= set(known), text
 
 
 def test_make_targets_and_their_arguments_exist() -> None:
