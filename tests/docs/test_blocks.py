@@ -3,9 +3,14 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -17,6 +22,7 @@ from fjr_core import parameter_file
 from fjr_core.scenario import load_scenario
 
 LINKED = ("ros2_ws", "examples")  # what commands name relative to the checkout
+STARTED: list[subprocess.Popen[bytes]] = []
 ALL = [block for page in PAGES for block in blocks(page)]
 WITH_BLOCKS = [page for page in PAGES if any(block.language in ("python", "sh", "yaml") for block in blocks(page))]
 
@@ -35,6 +41,7 @@ def test_every_shell_block_is_one_for_bash(block: Block) -> None:
 @pytest.mark.system
 @pytest.mark.slow
 @pytest.mark.timeout(900)
+@pytest.mark.usefixtures("nothing_left")
 @pytest.mark.parametrize("page", WITH_BLOCKS, ids=lambda page: page.stem)
 def test_the_blocks_of_a_page_work_one_after_the_other(
     page: Path, tmp_path: Path, request: pytest.FixtureRequest
@@ -58,12 +65,45 @@ def do_sh(block: Block, folder: Path, _said: str) -> str:
 
 
 def run(block: Block, command: list[str], folder: Path) -> str:
-    """Output and errors of a command that ends as the page says."""
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
-    said = done.stdout + done.stderr
-    assert done.returncode == int(block.marks.get("exit", 0)), f"{block}\n{command[-1]}\n{said}"
+    """Output and errors of a command that ends as the page says; what it leaves in the background goes on."""
+    with (folder / ".said").open("w+") as file:
+        process = subprocess.Popen(command, cwd=folder, stdout=file, stderr=file, start_new_session=True)
+        STARTED.append(process)
+        code = process.wait(timeout=300)
+        if not is_alive(process.pid):
+            STARTED.remove(process)
+        file.seek(0)
+        said = file.read()
+    assert code == int(block.marks.get("exit", 0)), f"{block}\n{command[-1]}\n{said}"
     assert "Traceback" not in said, f"{block}\n{said}"
     return said
+
+
+@pytest.fixture
+def nothing_left() -> Iterator[None]:
+    """Ends what the blocks of a page left in the background."""
+    yield
+    while STARTED:
+        with suppress(ProcessLookupError):
+            end_group(STARTED.pop().pid)
+
+
+def is_alive(group: int) -> bool:
+    """Whether a group has processes, so that its number is not yet another's."""
+    with suppress(ProcessLookupError):
+        os.killpg(group, 0)
+        return True
+    return False
+
+
+def end_group(group: int) -> None:
+    """Ask the processes of a group to end, and see that they do; ProcessLookupError once there are none."""
+    os.killpg(group, signal.SIGTERM)
+    for _ in range(300):
+        time.sleep(0.1)
+        os.killpg(group, 0)
+    os.killpg(group, signal.SIGKILL)
+    pytest.fail(f"a process of group {group} did not end")
 
 
 def do_yaml(block: Block, folder: Path, said: str) -> str:
