@@ -54,18 +54,10 @@ def script(text: str) -> str:
     return "\n".join(["set -e", *(_shortened(command) for command in commands(text) if is_run(command))])
 
 
-def keeps_up_with_the_clock(text: str) -> bool:
-    """Whether a block records in real time."""
-    return any(_records(words(command)) and "--lockstep" not in words(command) for command in commands(text))
-
-
 def _shortened(command: str) -> str:
     parts = words(command)
-    return shlex.join([*parts, "--duration", SHORT]) if _records(parts) and "--duration" not in parts else command
-
-
-def _records(parts: list[str]) -> bool:
-    return parts[:2] in (["fjr", "run"], ["fjr", "demo"])
+    recording = parts[:2] in (["fjr", "run"], ["fjr", "demo"])
+    return shlex.join([*parts, "--duration", SHORT]) if recording and "--duration" not in parts else command
 
 
 def syntax_error(text: str) -> str:

@@ -17,7 +17,7 @@ import pytest
 
 from docs.arm import my_arm_urdf
 from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
-from docs.shell import keeps_up_with_the_clock, script, syntax_error
+from docs.shell import script, syntax_error
 from fjr_core import parameter_file
 from fjr_core.scenario import load_scenario
 
@@ -43,16 +43,12 @@ def test_every_shell_block_is_one_for_bash(block: Block) -> None:
 @pytest.mark.timeout(900)
 @pytest.mark.usefixtures("nothing_left")
 @pytest.mark.parametrize("page", WITH_BLOCKS, ids=lambda page: page.stem)
-def test_the_blocks_of_a_page_work_one_after_the_other(
-    page: Path, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+def test_the_blocks_of_a_page_work_one_after_the_other(page: Path, tmp_path: Path) -> None:
     for name in LINKED:
         (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / "my_arm.urdf").write_text(my_arm_urdf(), encoding="utf-8")
     said = ""
     for block in blocks(page):
-        if block.language == "sh" and keeps_up_with_the_clock(block.text):
-            request.getfixturevalue("turn")
         said = DOING[block.language](block, tmp_path, said)
 
 
