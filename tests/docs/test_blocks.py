@@ -81,7 +81,7 @@ def nothing_left() -> Iterator[None]:
     yield
     while STARTED:
         with suppress(ProcessLookupError):
-            end_group(STARTED.pop().pid)
+            end_group(STARTED.pop())
 
 
 def is_alive(group: int) -> bool:
@@ -92,14 +92,15 @@ def is_alive(group: int) -> bool:
     return False
 
 
-def end_group(group: int) -> None:
+def end_group(leader: subprocess.Popen[bytes]) -> None:
     """Ask the processes of a group to end, and see that they do; ProcessLookupError once there are none."""
-    os.killpg(group, signal.SIGTERM)
+    os.killpg(leader.pid, signal.SIGTERM)
     for _ in range(300):
         time.sleep(0.1)
-        os.killpg(group, 0)
-    os.killpg(group, signal.SIGKILL)
-    pytest.fail(f"a process of group {group} did not end")
+        leader.poll()
+        os.killpg(leader.pid, 0)
+    os.killpg(leader.pid, signal.SIGKILL)
+    pytest.fail(f"a process of {leader.args!r} did not end")
 
 
 def do_yaml(block: Block, folder: Path, said: str) -> str:
