@@ -22,7 +22,7 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
-.PHONY: help demo test bench faults lint build check clean
+.PHONY: help demo test bench faults docs lint build check clean
 .DEFAULT_GOAL := help
 
 help:  ## print this list
@@ -46,6 +46,10 @@ faults: ## do faults to real processes and write the table into docs/faults.md (
 	$(SETUP) test
 	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.faults $(FAULTS_ARGS)
 
+docs: ## build the pages and the API reference into build/docs/html; a warning is an error
+	$(SETUP) docs
+	@$(ENTER) && exec "$(VENV)/bin/python" tools/build_docs.py
+
 lint: ## ruff and mypy on all packages
 	$(SETUP) lint
 	@"$(VENV)/bin/python" -m ruff check .
@@ -59,6 +63,6 @@ check: ## say which Python and which ROS 2 would be used
 	$(SETUP) check
 
 clean: ## remove environments, builds and caches; runs/ stays
-	rm -rf .venv .venv-ros .setup ros2_ws/build ros2_ws/install ros2_ws/log .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv .venv-ros .setup build ros2_ws/build ros2_ws/install ros2_ws/log .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find ros2_ws tests tools bench -name __pycache__ -prune -exec rm -rf {} +
 	find ros2_ws -name '*.egg-info' -prune -exec rm -rf {} +

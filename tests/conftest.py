@@ -51,7 +51,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
     Their nodes go first on both cores: others would hardly start. Waiting is not part of a test's timeout.
     """
-    if item.path.relative_to(TESTS).parts[0] not in ("faults", "nodes", "system"):
+    if item.path.relative_to(TESTS).parts[0] not in ("docs", "faults", "nodes", "system"):
         return (yield)
     with TURN.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX if item.get_closest_marker("real_time") else fcntl.LOCK_SH)

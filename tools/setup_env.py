@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Set the workspace up from nothing; the Makefile calls `python3 tools/setup_env.py build|test|bench|lint|check`.
+"""Set the workspace up from nothing; the Makefile calls `python3 tools/setup_env.py build|test|bench|docs|lint|check`.
 
 Standard library only. This file must also run under a Python that is too old or too new for the workspace: it
 only finds a suitable interpreter and hands over to the package `envsetup` beside it.

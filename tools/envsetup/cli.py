@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of the set-up: `setup_env.py build|test|bench|lint|check`."""
+"""The command line of the set-up: `setup_env.py build|test|bench|docs|lint|check`."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ TARGETS = {
     "build": "environment to run, and the colcon build",
     "test": "environment to test, and the colcon build",
     "bench": "environment to measure against peers, and the colcon build",
+    "docs": "environment to build the documents, and the colcon build",
     "lint": "environment to test, no build",
     "check": "say which Python and which ROS 2 would be used, and change nothing",
 }
-LEVELS = {"build": "run", "test": "test", "bench": "bench", "lint": "test"}
+LEVELS = {"build": "run", "test": "test", "bench": "bench", "docs": "docs", "lint": "test"}
 """The level of the environment that a target needs."""
 
 

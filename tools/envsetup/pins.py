@@ -9,7 +9,12 @@ import re
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
-LEVELS = {"run": ("run",), "bench": ("run", "bench"), "test": ("run", "bench", "test")}
+LEVELS = {
+    "run": ("run",),
+    "bench": ("run", "bench"),
+    "docs": ("run", "docs"),
+    "test": ("run", "bench", "docs", "test"),
+}
 """Levels of the environment and the files in requirements/ they take."""
 
 

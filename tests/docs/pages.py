@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The documents and what is in them: blocks of code, links, headings, words set as code."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")))
+LANGUAGES = ("python", "sh", "yaml", "xml", "text")
+"""`text` is for what no machine reads (diagrams, formulas), or, marked so, for what the block before it prints."""
+MARKS = ("file", "exit", "shown", "for")
+"""file: what the reader calls it; exit: the exit code that is right; shown: lines of output; for: who else reads it."""
+
+_MARK = re.compile(r"<!-- block: (.*) -->")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of code; marks are what a comment `<!-- block: name=value ... -->` before it says."""
+
+    page: Path
+    line: int
+    language: str
+    text: str
+    marks: dict[str, str]
+
+    def __str__(self) -> str:
+        return f"{self.page.relative_to(ROOT)}:{self.line}"
+
+
+@cache
+def tokens(page: Path) -> list[Token]:
+    """The page as CommonMark with GitHub's tables."""
+    return MarkdownIt("commonmark").enable("table").parse(page.read_text(encoding="utf-8"))
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    """All blocks of code of a page, fenced and indented ones (these have no language)."""
+    marks: dict[str, str] = {}
+    for token in tokens(page):
+        if token.type in ("fence", "code_block"):
+            line = token.map[0] + 1 if token.map else 0
+            yield Block(page, line, token.info.strip(), token.content, marks)
+        found = _MARK.match(token.content.strip()) if token.type == "html_block" else None
+        marks = dict(word.split("=", 1) for word in found[1].split()) if found else {}
+
+
+def inline(page: Path, kind: str) -> Iterator[Token]:
+    """The parts of a page's text of one kind: code_inline, link_open, image."""
+    for token in tokens(page):
+        yield from (child for child in token.children or () if child.type == kind)
+
+
+def links(page: Path) -> list[str]:
+    """Targets of links and pictures."""
+    targets = [link.attrGet("href") for link in inline(page, "link_open")]
+    targets += [picture.attrGet("src") for picture in inline(page, "image")]
+    return [str(target) for target in targets]
+
+
+@cache
+def anchors(page: Path) -> frozenset[str]:
+    """What GitHub makes of the headings."""
+    found = tokens(page)
+    texts = [found[k + 1].content for k, token in enumerate(found) if token.type == "heading_open"]
+    return frozenset(re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in texts)

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ros2 ...` lines against nodes that really run: executables, files, parameters, topics, services, types, values."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import yaml
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from fjr_core import parameter_file
+
+TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
+ALONE = {"bag": ("record", "play", "info"), "lifecycle": ("get", "list"), "node": ("list", "info")}
+"""Verbs that hold no name of ours."""
+OPTIONS = ("--all", "--once", "--storage", "mcap", "--output")
+
+
+@dataclass(frozen=True)
+class Graph:
+    """The nodes by their full name, and the types of all topics and services of theirs."""
+
+    nodes: Mapping[str, Node]
+    topics: Mapping[str, str]
+    services: Mapping[str, str]
+
+    @classmethod
+    def of(cls, nodes: list[Node]) -> Graph:
+        named = {f"/{node.get_name()}": node for node in nodes}
+        first = nodes[0]
+        pairs = [(node, node.get_name(), node.get_namespace()) for node in nodes]
+        topics = {topic: kinds[0] for topic, kinds in first.get_topic_names_and_types()}
+        services = {}
+        for node, name, space in pairs:
+            services |= {service: kinds[0] for service, kinds in node.get_service_names_and_types_by_node(name, space)}
+        return cls(named, topics, services)
+
+    def check(self, words: list[str]) -> None:
+        """One line that starts with `ros2`; fails where a name in it does not exist or a value does not fit."""
+        _, verb, *rest = words
+        checks: dict[str, Callable[..., None]] = {
+            "run": self._run,
+            "launch": self._launch,
+            "param": self._param,
+            "topic": self._topic,
+            "service": self._service,
+        }
+        plain = [word for word in rest if word not in OPTIONS]
+        if verb in checks:
+            checks[verb](*plain)
+        elif rest[0] not in ALONE.get(verb, ()):
+            assert (verb, rest[0], rest[2]) == ("lifecycle", "set", rest[2]), words
+            assert rest[1] in self.nodes
+            assert rest[2] in TRANSITIONS
+
+    def _run(self, package: str, name: str, *arguments: str) -> None:
+        assert (Path(get_package_prefix(package)) / "lib" / package / name).is_file()
+        node = self.nodes[f"/{package}"]
+        for option, value in zip(arguments, arguments[1:], strict=False):
+            if option == "-p":
+                self._set(node, *value.split(":=", 1))
+            if option == "--params-file" and value.startswith("$(ros2 pkg"):
+                assert Path(expanded(value)).is_file()
+
+    def _launch(self, package: str, file: str, *arguments: str) -> None:
+        path = Path(get_package_share_directory(package)) / "launch" / file
+        declared = re.findall(r'DeclareLaunchArgument\(\s*"(\w+)"', path.read_text(encoding="utf-8"))
+        assert {argument.split(":=")[0] for argument in arguments} <= set(declared)
+
+    def _param(self, verb: str, node: str, name: str = "", value: str = "") -> None:
+        assert verb in ("set", "get", "describe", "list")
+        assert verb == "list" or self.nodes[node].has_parameter(name), name
+        if verb == "set":
+            self._set(self.nodes[node], name, value)
+
+    def _set(self, node: Node, name: str, text: str) -> None:
+        assert node.has_parameter(name), name
+        value = parameter_file.parse(text)
+        result = node.set_parameters([Parameter(name, value=value)])[0]
+        assert result.successful or "while" in result.reason, result.reason
+
+    def _topic(self, verb: str, name: str, *given: str) -> None:
+        assert verb in ("echo", "pub", "hz", "info")
+        assert name in self.topics, f"{name}: {sorted(self.topics)}"
+        if verb == "pub":
+            assert given[0].replace("/msg/", "/").split("/") == self.topics[name].replace("/msg/", "/").split("/")
+            fill(imported(given[0])(), yaml.safe_load(given[1]))
+
+    def _service(self, verb: str, name: str, kind: str, value: str = "{}") -> None:
+        assert verb == "call"
+        assert self.services.get(name) == kind, f"{name}: {sorted(self.services)}"
+        fill(imported(kind).Request(), yaml.safe_load(value))
+
+
+def expanded(text: str) -> str:
+    """`$(ros2 pkg prefix --share NAME)` as the folder it stands for."""
+    pattern = r"\$\(ros2 pkg prefix --share (\w+)\)"
+    return re.sub(pattern, lambda found: get_package_share_directory(found[1]), text)
+
+
+def imported(kind: str) -> Any:
+    """The class of a type such as std_srvs/srv/Trigger."""
+    package, kind_of, name = kind.split("/")
+    return getattr(import_module(f"{package}.{kind_of}"), name)
+
+
+def fill(message: Any, values: Mapping[str, Any]) -> None:
+    """Set the fields that a YAML mapping names, as `ros2` does; the message's own setters check types."""
+    kinds = message.get_fields_and_field_types()
+    for field, value in values.items():
+        kind = re.sub(r"sequence<(.*)>", r"\1", kinds[field])
+        if isinstance(value, list) and "/" in kind:
+            value = [filled(kind, each) for each in value]
+        elif isinstance(value, dict):
+            value = filled(kind, value)
+        setattr(message, field, value)
+
+
+def filled(kind: str, values: Mapping[str, Any]) -> Any:
+    """A message of a kind such as builtin_interfaces/Duration."""
+    package, name = kind.split("/")
+    message = imported(f"{package}/msg/{name}")()
+    fill(message, values)
+    return message

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every page is done from top to bottom in one folder, as its reader would do it."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from docs.arm import my_arm_urdf
+from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
+from docs.shell import script, syntax_error
+from fjr_core import parameter_file
+from fjr_core.scenario import load_scenario
+
+LINKED = ("ros2_ws", "examples")  # what commands name relative to the checkout
+STARTED: list[subprocess.Popen[bytes]] = []
+ALL = [block for page in PAGES for block in blocks(page)]
+WITH_BLOCKS = [page for page in PAGES if any(block.language in ("python", "sh", "yaml") for block in blocks(page))]
+
+
+@pytest.mark.parametrize("block", ALL, ids=str)
+def test_every_block_says_what_it_is(block: Block) -> None:
+    assert block.language in LANGUAGES, f"{block}: '{block.language}'; indented blocks have no language"
+    assert set(block.marks) <= set(MARKS)
+
+
+@pytest.mark.parametrize("block", [block for block in ALL if block.language == "sh"], ids=str)
+def test_every_shell_block_is_one_for_bash(block: Block) -> None:
+    assert syntax_error(block.text) == ""
+
+
+@pytest.mark.system
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.usefixtures("nothing_left")
+@pytest.mark.parametrize("page", WITH_BLOCKS, ids=lambda page: page.stem)
+def test_the_blocks_of_a_page_work_one_after_the_other(page: Path, tmp_path: Path) -> None:
+    for name in LINKED:
+        (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / "my_arm.urdf").write_text(my_arm_urdf(), encoding="utf-8")
+    said = ""
+    for block in blocks(page):
+        said = DOING[block.language](block, tmp_path, said)
+
+
+def do_python(block: Block, folder: Path, _said: str) -> str:
+    return run(block, [sys.executable, "-c", block.text], folder)
+
+
+def do_sh(block: Block, folder: Path, _said: str) -> str:
+    return run(block, ["bash", "-c", script(block.text)], folder)
+
+
+def run(block: Block, command: list[str], folder: Path) -> str:
+    """Output and errors of a command that ends as the page says; what it leaves in the background goes on."""
+    with (folder / ".said").open("w+") as file:
+        process = subprocess.Popen(command, cwd=folder, stdout=file, stderr=file, start_new_session=True)
+        STARTED.append(process)
+        code = process.wait(timeout=300)
+        if not is_alive(process.pid):
+            STARTED.remove(process)
+        file.seek(0)
+        said = file.read()
+    assert code == int(block.marks.get("exit", 0)), f"{block}\n{command[-1]}\n{said}"
+    assert "Traceback" not in said, f"{block}\n{said}"
+    return said
+
+
+@pytest.fixture
+def nothing_left() -> Iterator[None]:
+    """Ends what the blocks of a page left in the background."""
+    yield
+    while STARTED:
+        with suppress(ProcessLookupError):
+            end_group(STARTED.pop())
+
+
+def is_alive(group: int) -> bool:
+    """Whether a group has processes, so that its number is not yet another's."""
+    with suppress(ProcessLookupError):
+        os.killpg(group, 0)
+        return True
+    return False
+
+
+def end_group(leader: subprocess.Popen[bytes]) -> None:
+    """Ask the processes of a group to end, and see that they do; ProcessLookupError once there are none."""
+    os.killpg(leader.pid, signal.SIGTERM)
+    for _ in range(300):
+        time.sleep(0.1)
+        leader.poll()
+        os.killpg(leader.pid, 0)
+    os.killpg(leader.pid, signal.SIGKILL)
+    pytest.fail(f"a process of {leader.args!r} did not end")
+
+
+def do_yaml(block: Block, folder: Path, said: str) -> str:
+    """Write the file, or add to it, and read it as the nodes and `fjr` do."""
+    if block.marks.get("for") == "ros2_control":  # its nodes are not here; it is a parameter file at least
+        for node in parameter_file.parse(block.text):
+            assert parameter_file.values_for(node, parameter_file.parse(block.text))
+        return said
+    file = folder / block.marks["file"]
+    before = parameter_file.parse(file.read_text(encoding="utf-8")) if file.exists() else {}
+    file.write_text(parameter_file.dump(merged(before, parameter_file.parse(block.text))), encoding="utf-8")
+    assert load_scenario(file).warnings == (), str(block)
+    return said
+
+
+def merged(below: dict, above: dict) -> dict:
+    """Two mappings as one, the second over the first."""
+    both = {key: merged(below[key], value) for key, value in above.items() if isinstance(below.get(key), dict)}
+    return {**below, **above, **both}
+
+
+def do_xml(block: Block, folder: Path, said: str) -> str:
+    (folder / block.marks["file"]).write_text(block.text, encoding="utf-8")
+    return said
+
+
+def do_text(block: Block, _folder: Path, said: str) -> str:
+    """What is shown was said by the block before, line by line; `...` stands for anything."""
+    lines = [" ".join(line.split()) for line in said.splitlines()]
+    for shown in block.text.splitlines() if "shown" in block.marks else ():
+        pattern = ".*".join(re.escape(" ".join(part.split())) for part in shown.split("..."))
+        assert any(re.fullmatch(pattern.replace(".*", " ?.* ?"), line) for line in lines), f"{block}: {shown}\n{said}"
+    return said
+
+
+DOING = {"python": do_python, "sh": do_sh, "yaml": do_yaml, "xml": do_xml, "text": do_text}

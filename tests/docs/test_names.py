@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands of the documents that no test runs (shell.NOT_RUN): every name in them exists."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bench.__main__ import parser as bench_parser
+from docs.pages import PAGES, ROOT, blocks, inline
+from docs.ros2_lines import Graph
+from docs.shell import NOT_RUN, commands, is_run, words
+from fjr_bringup.cli import parser as fjr_parser
+from nodes.harness import Ros
+
+HELD = [c for page in PAGES for b in blocks(page) if b.language == "sh" for c in commands(b.text) if not is_run(c)]
+SAID = [token.content for page in PAGES for token in inline(page, "code_inline")]
+PATHS = {"cd", "source", "colcon", "rosdep", ".venv/bin/python"}
+
+
+def starting(word: str) -> list[list[str]]:
+    """Words of all commands that start with a word, in blocks and, if they name something, in the text."""
+    said = [text for text in SAID if text.startswith(f"{word} ")]
+    return [words(command) for command in (*HELD, *said) if words(command)[0] == word]
+
+
+@pytest.fixture
+def graph(ros: Ros) -> Iterator[Graph]:
+    plant, controller = ros.plant(), ros.controller()
+    ros.until(lambda: "/fjr_controller/events" in dict(plant.get_topic_names_and_types()), "the controller")
+    ros.until(lambda: "fjr_plant" in controller.get_node_names(), "the plant")
+    return Graph.of([plant, controller])
+
+
+def test_what_does_not_run_is_what_is_listed() -> None:
+    assert {words(command)[0] for command in HELD} <= set(NOT_RUN)
+
+
+def test_ros2_lines_name_what_exists(graph: Graph) -> None:
+    lines = [line for line in starting("ros2") if len(line) > 3]
+    assert len(lines) > 10
+    for line in lines:
+        graph.check(line)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "ros2 run fjr_plant no_node",
+        "ros2 launch fjr_bringup tracking.launch.py no_argument:=1",
+        "ros2 param set /fjr_plant no_parameter 1.0",
+        "ros2 param set /fjr_plant imperfections.state_loss 1.5",
+        "ros2 topic echo /fjr_controller/no_topic",
+        "ros2 topic pub --once /fjr_plant/external_torque sensor_msgs/msg/JointState '{efort: [0.5]}'",
+        "ros2 service call /fjr_plant/pause std_srvs/srv/Trigger",
+        "ros2 lifecycle set /fjr_controller start",
+        "ros2 no_verb at all",
+    ],
+)
+def test_a_line_that_names_what_does_not_exist_is_found(graph: Graph, line: str) -> None:
+    with pytest.raises((AssertionError, LookupError, OSError)):
+        graph.check(words(line))
+
+
+def test_fjr_commands_in_the_text_exist() -> None:
+    subcommands = next(action for action in fjr_parser()._actions if action.dest == "command").choices
+    for text in SAID:
+        if text.startswith("fjr "):
+            name, *rest = words(text)[1:]
+            assert name in subcommands, text
+            known = subcommands[name]._option_string_actions
+            assert {word for word in rest if word.startswith("--")} <= set(known), text
+
+
+def test_make_targets_and_their_arguments_exist() -> None:
+    for _, *rest in starting("make"):
+        targets = [word for word in rest if "=" not in word]
+        done = subprocess.run(["make", "-n", *targets], cwd=ROOT, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        for name, _, value in (word.partition("=") for word in rest if "=" in word):
+            assert f"{name} ?=" in (ROOT / "Makefile").read_text(encoding="utf-8"), name
+            if name == "BENCH_ARGS":
+                bench_parser().parse_args(value.split())
+
+
+def test_files_and_folders_of_the_checkout_exist() -> None:
+    for command in HELD:
+        first, *rest = words(command)
+        for word in rest if first in PATHS else ():
+            if word.startswith(("ros2_ws", "tools/", "docs/")):
+                assert (ROOT / word).exists(), command
+
+
+def test_modules_that_are_started_exist() -> None:
+    for first, *rest in (words(command) for command in HELD):
+        if first == "python":
+            assert rest[0] == "-m"
+            assert Path(ROOT, *rest[1].split("."), "__main__.py").is_file()
