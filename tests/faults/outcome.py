@@ -34,7 +34,7 @@ def outcome(row: Row) -> Outcome:
 
     Its own are a plant or a relay that stood still, and a silence for the controller besides the row's.
     """
-    for _ in range(TRIES):
+    for _ in range(TRIES if row.mode != STEPPED else 1):
         seen, stalled = _tried(row)
         silences = 0 if row.mode == STEPPED else seen.counters["silences"] - ("silences" in row.counted)
         if not stalled and silences <= 0:
