@@ -159,6 +159,7 @@ ROWS = [
         "is joined to the reference",
         acts.plant_killed,
         1.5,
+        counted=("silences",),
         mode=DIRECT,
         setting=ARM,
     ),

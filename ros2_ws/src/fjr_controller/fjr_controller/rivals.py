@@ -8,9 +8,9 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+from uuid import uuid4
 
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 LISTENING = 0.25  # s
@@ -38,9 +38,9 @@ class Rivals:
         """Create a publisher on each topic; kinds: their messages by name of the topic."""
         self._node = node
         self._kinds = {node.resolve_topic_name(topic): kind for topic, kind in kinds.items()}
-        self._family: set[bytes] = set()
+        self._family = self._own_participant()
         self._others: dict[bytes, Other] = {}
-        self.publishers = [self._publisher(topic, kind, qos) for topic, kind in self._kinds.items()]
+        self.publishers = [node.create_publisher(kind, topic, qos) for topic, kind in self._kinds.items()]
 
     def appeared(self) -> list[str]:
         """The topics on which a publisher is there that was not at the last call."""
@@ -82,16 +82,15 @@ class Rivals:
         for publisher in self.publishers:
             self._node.destroy_publisher(publisher)
 
-    def _publisher(self, topic: str, kind: type, qos: QoSProfile) -> Publisher:
-        """A publisher, made again where another one appeared at the same time, so that ours is known."""
-        while True:
-            before = self._on(topic)
-            publisher = self._node.create_publisher(kind, topic, qos)
-            new = self._on(topic).keys() - before.keys()
-            if len(new) <= 1:
-                self._family |= {gid[:_PARTICIPANT] for gid in new}
-                return publisher
-            self._node.destroy_publisher(publisher)
+    def _own_participant(self) -> set[bytes]:
+        """The participant of this process, known by a publisher on a topic that nobody else can have."""
+        topic = self._node.resolve_topic_name(f"_alone_{uuid4().hex}")
+        publisher = self._node.create_publisher(next(iter(self._kinds.values())), topic, _ANY)
+        latest = time.monotonic() + MATCHING
+        while not (found := self._on(topic)) and time.monotonic() < latest:
+            time.sleep(_POLL)
+        self._node.destroy_publisher(publisher)
+        return {gid[:_PARTICIPANT] for gid in found}
 
     def _found(self) -> dict[bytes, Other]:
         """The publishers in other processes by their GIDs."""
