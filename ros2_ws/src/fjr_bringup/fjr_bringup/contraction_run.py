@@ -15,8 +15,9 @@ from tqdm import tqdm
 
 from fjr_bringup.bag import Array, read_bag
 from fjr_bringup.contraction_picture import draw
+from fjr_bringup.recorded_commands import ANSWERS
 from fjr_bringup.stopping import Interrupted
-from fjr_bringup.tracking_data import ANSWERS, STATES
+from fjr_bringup.tracking_data import STATES
 from fjr_core.contraction import Contraction, Measured, contraction, scattered
 from fjr_core.scenario import Scenario
 from fjr_msgs_py import names

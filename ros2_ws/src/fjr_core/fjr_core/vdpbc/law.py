@@ -130,10 +130,13 @@ class TrackingLaw:
     @cached_property
     def measured_function(self) -> ca.Function:
         """The CasADi function (position (2n,), velocity (2n,), jets (n, 5), gains) -> u, V; of all gains of a shape."""
+        return self.ready(self.measured_expression)
+
+    @cached_property
+    def measured_expression(self) -> ca.Function:
+        """measured_function, never machine code: it may be part of another function."""
         inputs, outputs = self.measured_expressions()
-        return self.ready(
-            dense_function("measured_command", inputs, {key: outputs[key] for key in ("u", "V")}, cse=True)
-        )
+        return dense_function("measured_command", inputs, {key: outputs[key] for key in ("u", "V")}, cse=True)
 
     def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
         """The arguments of measured_function, and all that Evaluation names, with s_m, as expressions of them."""
