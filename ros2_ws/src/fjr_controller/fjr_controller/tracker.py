@@ -16,7 +16,7 @@ from fjr_core import GainsError, Reference, StateError, TrackingLaw, TrajectoryE
 from fjr_core.checks import Array
 from fjr_core.reference import JETS
 from fjr_core.safety_parameters import Settings
-from fjr_core.vdpbc.law import BoundCommand
+from fjr_core.static_law import BoundCommand
 
 from .certificate import Certificate
 from .course import Course
