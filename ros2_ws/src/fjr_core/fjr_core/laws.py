@@ -11,7 +11,6 @@ from .baselines import (
     backstepping,
     feedback_linearisation,
     lqr,
-    passivity,
     pd_gravity,
     singular_perturbation,
     torque_feedback,
@@ -31,7 +30,7 @@ class LawKind:
     """A law by its name. make: (robot, gains, compile=False) -> law. measures: what of a joint it needs.
 
     standard: (robot, configuration (n,), natural frequency [rad/s], damping ratio) -> gains, the paper's usual
-    choice; None for v-dPBC, whose gains are those of the scenario. damping: the ratios it is made for.
+    choice; None for v-dPBC, whose gains are those of the scenario. usual: the usual damping ratio; damping: its range.
     storage: what its V is, in words; "" where it has none and V is nan.
     """
 
@@ -42,7 +41,8 @@ class LawKind:
     measures: str
     storage: str
     standard: Standard | None = None
-    damping: tuple[float, float] = (0.2, 3.0)
+    usual: float = 0.7
+    damping: tuple[float, float] = (0.5, 2.0)
 
 
 _ALL = "both sides"
@@ -81,24 +81,18 @@ _KINDS = (
         _ALL,
         "decays along every reference",
         feedback_linearisation.standard,
+        1.0,
     ),
     LawKind(
         "backstepping",
-        "backstepping",
+        "passivity / backstepping",
         "Brogliato, Ortega, Lozano 1995",
         backstepping.Backstepping,
         _ALL,
         "decays along every reference",
         backstepping.standard,
-    ),
-    LawKind(
-        "passivity",
-        "passivity-based",
-        "Brogliato, Ortega, Lozano 1995",
-        passivity.PassivityBased,
-        _ALL,
-        "decays along every reference",
-        passivity.standard,
+        1.0,
+        (0.3, 2.0),
     ),
     LawKind(
         "torque_feedback",
@@ -117,7 +111,8 @@ _KINDS = (
         _ALL,
         "decays for small errors about one configuration",
         lqr.standard,
-        (0.5**0.5, 3.0),
+        1.0,
+        (0.5**0.5, 2.0),
     ),
 )
 LAWS: dict[str, LawKind] = {kind.name: kind for kind in _KINDS}

@@ -40,11 +40,12 @@ def spring_torque(robot: Robot, q: ca.SX, dq: ca.SX, ddq: ca.SX) -> ca.SX:
 
 def motor_motion(robot: Robot, *motion: ca.SX) -> MotorMotion:
     """The motors' motion for q, dq, ddq, d3q, d4q (n,) of the links."""
-    return MotorMotion(*_function(robot)(*motion))
+    return MotorMotion(*inverse_dynamics(robot)(*motion))
 
 
 @lru_cache(maxsize=8)
-def _function(robot: Robot) -> ca.Function:
+def inverse_dynamics(robot: Robot) -> ca.Function:
+    """The CasADi function (q, dq, ddq, d3q, d4q) -> what MotorMotion names."""
     names = ("q", "dq", "ddq", "d3q", "d4q")
     q, dq, ddq, d3q, d4q = motion = [ca.SX.sym(name, robot.n) for name in names]
     tau = spring_torque(robot, q, dq, ddq)

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_continuous_are
+from scipy.linalg import block_diag, solve_continuous_are
 
 from .. import checks
 from ..checks import Array
@@ -85,15 +85,14 @@ def to_velocities(rest: RestPoints) -> Array:
 
 
 def standard(robot: Robot, q_0: Array, omega: float, zeta: float) -> LqrGains:
-    """The least integral of e' M_l e + c de' M_l de / omega^2 + (d4e)' M_l d4e / omega^8, c = 4 zeta^2 - 2, at q_0.
+    """Link errors and, where zeta asks for it, their rates weighted by the inertia at q_0; efforts by what omega costs.
 
-    d4e is what the effort gives beyond the robot's own motion. For a chain of integrators and c = 0 these are
-    Butterworth's poles at omega [rad/s]; zeta is at least 2^-1/2.
+    Q = diag(M_l, 0, c M_l / omega^2, 0), c = 4 zeta^2 - 2;  R weighs with M_l the motion that an effort makes at omega,
+    u = B_m^-1 S e, S = omega^2 (M_l + M_m) + omega^4 M_m K^-1 M_l. A rigid joint gets two poles of natural frequency
+    omega [rad/s] and damping ratio zeta, at least 2^-1/2; a very soft one Butterworth's four.
     """
-    n, M_l = robot.n, robot.M_l(q_0)
+    n, M_l, M_m = robot.n, robot.M_l(q_0), robot.M_m
+    S = omega**2 * (M_l + M_m) + omega**4 * M_m @ np.linalg.solve(robot.K, M_l)
+    moved, none = np.linalg.solve(S, robot.B_m), np.zeros((n, n))
     c = max(0.0, 4 * zeta**2 - 2)
-    Q = np.zeros((4 * n, 4 * n))
-    Q[:n, :n], Q[2 * n : 3 * n, 2 * n : 3 * n] = M_l, c / omega**2 * M_l
-    N = np.linalg.solve(M_l, robot.K) @ np.linalg.solve(robot.M_m, robot.B_m)
-    R = omega**-8 * N.T @ M_l @ N
-    return LqrGains(Q, (R + R.T) / 2, q_0)
+    return LqrGains(block_diag(M_l, none, c / omega**2 * M_l, none), moved.T @ M_l @ moved, q_0)

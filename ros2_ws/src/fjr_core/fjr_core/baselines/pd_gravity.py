@@ -57,5 +57,6 @@ class PdGravity(Baseline):
 
 
 def standard(robot: Robot, q_0: Array, omega: float, zeta: float) -> PdGains:
-    """A motor alone has the natural frequency omega [rad/s] and the damping ratio zeta."""
-    return PdGains(K_p=omega**2 * robot.M_m, K_d=2 * zeta * omega * robot.M_m - robot.D_m)
+    """Were the joints rigid, natural frequency omega [rad/s] and damping ratio zeta at q_0."""
+    M = robot.M_l(q_0) + robot.M_m
+    return PdGains(K_p=omega**2 * M, K_d=2 * zeta * omega * M - robot.D_m)

@@ -74,7 +74,6 @@ class TorqueFeedback(Baseline):
 
 
 def standard(robot: Robot, q_0: Array, omega: float, zeta: float) -> TorqueFeedbackGains:
-    """A torque loop of crossover omega [rad/s], and motors of that apparent inertia with omega and damping zeta."""
-    M_theta = np.linalg.inv(np.linalg.inv(robot.M_m) + omega**2 * np.linalg.inv(robot.K))
-    M_theta = (M_theta + M_theta.T) / 2
-    return TorqueFeedbackGains(M_theta, omega**2 * M_theta, 2 * zeta * omega * M_theta - robot.D_m)
+    """Half the motors' inertia; were the joints rigid, omega [rad/s] and the damping ratio zeta at q_0."""
+    M = robot.M_l(q_0) + robot.M_m / 2
+    return TorqueFeedbackGains(robot.M_m / 2, omega**2 * M, 2 * zeta * omega * M - robot.D_m)
