@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.checks import Array
+from fjr_core.control_law import tuning
 from fjr_core.errors import FjrError
+from fjr_core.laws import law_kind
 from fjr_core.rest import plant_matrices, rest_points
 from fjr_core.sampled_loop import HIGHEST_RATE, SampledCheck, check
 from fjr_core.scenario import Scenario
@@ -54,13 +56,10 @@ def refuse_unstable(scenario: Scenario, found: SampledCheck) -> None:
 
 def table(scenario: Scenario, found: SampledCheck) -> str:
     """The figures of a check, one a line."""
-    rate = scenario.law.rate()
-    basis = _basis(rate, scenario)
     lowest = "none" if found.lowest_stable_rate is None else f"{found.lowest_stable_rate:.4g} Hz"
     rows = {
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
-        "beta": f"{rate.beta:.4g} 1/s: V falls at least as exp(-2 beta t), {basis}",
-        "beta of eq. (50)": f"{rate.beta_paper:.4g} 1/s, {basis}",
+        **_decay(scenario),
         "spectral radius": f"{found.spectral_radius:.6f}, the worst of {_count(found)}",
         "    found at q_l": f"{_list(found.configuration)} rad",
         "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
@@ -71,6 +70,32 @@ def table(scenario: Scenario, found: SampledCheck) -> str:
     }
     width = max(len(name) for name in rows)
     return "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows.items())
+
+
+def _decay(scenario: Scenario) -> dict[str, str]:
+    """The law's rates, where it has any, or its name and gains."""
+    if not isinstance(scenario.law, TrackingLaw):
+        return other_law(scenario)
+    rate = scenario.law.rate()
+    basis = _basis(rate, scenario)
+    return {
+        "beta": f"{rate.beta:.4g} 1/s: V falls at least as exp(-2 beta t), {basis}",
+        "beta of eq. (50)": f"{rate.beta_paper:.4g} 1/s, {basis}",
+    }
+
+
+def other_law(scenario: Scenario) -> dict[str, str]:
+    """Which law it is instead of v-dPBC, and what the rule made of its gains."""
+    values = scenario.controller_values
+    kind = law_kind(str(values["law.type"]))
+    rows = {"law": f"{kind.name}: {kind.title} ({kind.paper})"}
+    if values["law.tuned"]:
+        found = tuning(values, scenario.robot)
+        rows["tuned"] = (
+            f"natural frequency {found.omega:.4g} rad/s, damping ratio {found.damping:.3g}: bandwidth "
+            f"{found.bandwidth:.4g} rad/s, peak effort {found.peak:.4g}; {found.sentence}"
+        )
+    return {**rows, "certificate": "none for this law"}
 
 
 def _basis(rate: Rate, scenario: Scenario) -> str:
@@ -86,11 +111,10 @@ def _on_the_reference(scenario: Scenario) -> str:
     """The same figures where the links will be."""
     where = scenario.configurations()
     found = check(scenario.law, scenario.sample_period, configurations=where, plant=scenario.plant)
-    return (
-        f"beta {scenario.law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it), "
-        f"spectral radius {found.spectral_radius:.6f}, "
-        f"delay margin {found.delay_margin:.2f} samples"
-    )
+    law, rate = scenario.law, ""
+    if isinstance(law, TrackingLaw):
+        rate = f"beta {law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it), "
+    return f"{rate}spectral radius {found.spectral_radius:.6f}, delay margin {found.delay_margin:.2f} samples"
 
 
 def _count(found: SampledCheck) -> str:
@@ -105,7 +129,9 @@ def _limits(scenario: Scenario) -> dict[str, str]:
     reach = reference.extremes(0.0, np.inf)
     outside = (reach.lower[0] < limits.lower) | (reach.upper[0] > limits.upper)
     too_fast = np.maximum(reach.upper[1], -reach.lower[1]) > limits.velocity
-    law = TrackingLaw(scenario.robot, scenario.gains)  # for one call nothing is compiled
+    law = scenario.law
+    if isinstance(law, TrackingLaw):
+        law = TrackingLaw(scenario.robot, scenario.gains)  # for one call nothing is compiled
     first = np.abs(law.command(scenario.x0, reference.jets(0.0)))
     return {
         "reference": _within(scenario, "position limits", outside)
