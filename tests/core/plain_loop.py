@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A law u(x, x, t) on its robot, with what is needed to see what it does: closed forms and differences along the flow."""
+"""A law u(x, x, t) on its robot, and what shows what it does: closed forms, and differences along the flow."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ Function = Callable[[Array, Array], Any]
 """Of a state x (4n,) and jets (5, n)."""
 
 OTHERS = tuple(name for name in LAWS if name != "v_dpbc")
-LAST = np.array([0.7, -0.4, 0.3])  # a fifth derivative of the reference, on which nothing depends
 
 
 def standard_law(name: str, arm: Arm, omega: float = 20.0, zeta: float = 0.8) -> StaticLaw:
@@ -63,7 +62,7 @@ class PlainLoop:
         """Time derivative of f(x, jets) along the arm under the law."""
         dx = self.plant.derivative(x, self.effort(x, jets))
         if djets is None:
-            djets = np.vstack([jets[1:], LAST[: self.arm.n]])
+            djets = np.vstack([jets[1:], np.linspace(0.7, -0.4, self.arm.n)])  # nothing depends on the last row
         h = 0.004 / max(1.0, float(np.max(np.abs(dx[: 2 * self.arm.n]))))
         return stencil(lambda s: f(x + s * dx, jets + s * djets), h)
 

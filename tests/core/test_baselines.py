@@ -143,7 +143,9 @@ BAD_GAINS = [
 ]
 
 
-@pytest.mark.parametrize(("gains", "words"), BAD_GAINS, ids=lambda value: getattr(value, "__class__", type(value)).__name__)
+@pytest.mark.parametrize(
+    ("gains", "words"), BAD_GAINS, ids=lambda value: getattr(value, "__class__", type(value)).__name__
+)
 def test_gains_that_void_the_papers_condition_are_refused(gains: object, words: str) -> None:
     with pytest.raises(fjr.GainsError, match=words):
         gains.arrays(ARMS[0].robot)  # type: ignore[attr-defined]
