@@ -6,7 +6,6 @@ from __future__ import annotations
 import numpy as np
 
 from . import config
-from .checks import Array
 from .errors import GainsError, ParameterError
 from .law_slope import rest_position
 from .laws import V_DPBC, law_kind
@@ -35,15 +34,11 @@ def tuning(values: Values, robot: Robot, compile: bool = False) -> Tuning:
 
 
 def yardstick(values: Values, robot: Robot) -> Yardstick:
-    """v-dPBC with the values' gains along their reference, from rest off it by law.start_error."""
+    """v-dPBC with the values' gains along their reference, from rest; links and motors are law.start_error off it."""
     reference = config.reference(values, robot.n)
-    position = rest_position(robot, start_at(values, np.asarray(reference.jets(0.0))[0]))
+    error = np.tile(vector(values, "law.start_error", robot.n), 2)
+    position = rest_position(robot, np.asarray(reference.jets(0.0))[0]) + error
     return Yardstick(robot, reference, config.gains(values, robot.n), (position, np.zeros(2 * robot.n)))
-
-
-def start_at(values: Values, q_ld: Array) -> Array:
-    """Where the links start (n,) [rad] for the rule, the reference beginning at q_ld."""
-    return q_ld + vector(values, "law.start_error", len(q_ld))
 
 
 def _given(values: Values, robot: Robot, compile: bool) -> StaticLaw:
