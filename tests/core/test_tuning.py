@@ -229,8 +229,7 @@ def test_the_two_numbers_give_the_gains_where_not_tuned() -> None:
 
 def test_the_start_error_moves_what_the_rule_does() -> None:
     dampings = [
-        tuning(scenario(f"{{type: lqr, start_error: [{error}]}}").controller_values, fjr.single_link()).damping
-        for error in (0.1, 0.5)
+        tuning(scenario(f"{{type: lqr, start_error: [{error}]}}").controller_values).damping for error in (0.1, 0.5)
     ]
     assert abs(dampings[0] - dampings[1]) > 1e-3
 

@@ -90,7 +90,7 @@ def other_law(scenario: Scenario) -> dict[str, str]:
     kind = law_kind(str(values["law.type"]))
     rows = {"law": f"{kind.name}: {kind.title} ({kind.paper})"}
     if values["law.tuned"]:
-        found = tuning(values, scenario.robot)
+        found = tuning(values)
         rows["tuned"] = (
             f"natural frequency {found.omega:.4g} rad/s, damping ratio {found.damping:.3g}: bandwidth "
             f"{found.bandwidth:.4g} rad/s, peak effort {found.peak:.4g}; {found.sentence}"
