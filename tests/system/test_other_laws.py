@@ -36,6 +36,7 @@ def test_check_tells_the_law_its_gains_and_the_sampled_loop(name: str) -> None:
     assert "the same bandwidth" in said
     assert "spectral radius" in said
     assert "none for this law" in said
+    assert "in the whole range" in said
     assert "beta" not in said
 
 

@@ -24,8 +24,12 @@ class UnstableError(FjrError):
 
 
 def checked(scenario: Scenario) -> SampledCheck:
-    """The scenario's law on its plant, sampled at the plant's rate and answered at once, as in lock-step."""
-    return check(scenario.law, scenario.sample_period, plant=scenario.plant)
+    """The scenario's law on its plant, sampled at the plant's rate and answered at once, as in lock-step.
+
+    Another law than v-dPBC, whose gains may be for one configuration, is looked at where the links will be.
+    """
+    where = None if isinstance(scenario.law, TrackingLaw) else scenario.configurations()
+    return check(scenario.law, scenario.sample_period, configurations=where, plant=scenario.plant)
 
 
 def refuse_coarse_steps(scenario: Scenario) -> None:
@@ -64,7 +68,7 @@ def table(scenario: Scenario, found: SampledCheck) -> str:
         "    found at q_l": f"{_list(found.configuration)} rad",
         "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
         "lowest stable rate": lowest,
-        "on the reference": _on_the_reference(scenario),
+        **_elsewhere(scenario),
         **_limits(scenario),
         "as sampled": "stable" if found.stable else "UNSTABLE",
     }
@@ -107,14 +111,23 @@ def _basis(rate: Rate, scenario: Scenario) -> str:
     return "in continuous time, proven for every configuration"
 
 
-def _on_the_reference(scenario: Scenario) -> str:
+def _elsewhere(scenario: Scenario) -> dict[str, str]:
+    """The same figures where the links will be, or where a law is not looked at first (see checked)."""
+    if isinstance(scenario.law, TrackingLaw):
+        return {"on the reference": _on_the_reference(scenario, scenario.law)}
+    found = check(scenario.law, scenario.sample_period, plant=scenario.plant)
+    return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {_count(found)}"}
+
+
+def _on_the_reference(scenario: Scenario, law: TrackingLaw) -> str:
     """The same figures where the links will be."""
     where = scenario.configurations()
-    found = check(scenario.law, scenario.sample_period, configurations=where, plant=scenario.plant)
-    law, rate = scenario.law, ""
-    if isinstance(law, TrackingLaw):
-        rate = f"beta {law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it), "
-    return f"{rate}spectral radius {found.spectral_radius:.6f}, delay margin {found.delay_margin:.2f} samples"
+    found = check(law, scenario.sample_period, configurations=where, plant=scenario.plant)
+    return (
+        f"beta {law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it), "
+        f"spectral radius {found.spectral_radius:.6f}, "
+        f"delay margin {found.delay_margin:.2f} samples"
+    )
 
 
 def _count(found: SampledCheck) -> str:
@@ -132,7 +145,8 @@ def _limits(scenario: Scenario) -> dict[str, str]:
     law = scenario.law
     if isinstance(law, TrackingLaw):
         law = TrackingLaw(scenario.robot, scenario.gains)  # for one call nothing is compiled
-    first = np.abs(law.command(scenario.x0, reference.jets(0.0)))
+    position, velocity = scenario.x0[: 2 * law.robot.n], np.concatenate(scenario.plant.robot.velocities(scenario.x0))
+    first = np.abs(law.measured_command(position, velocity, reference.jets(0.0))[0])
     return {
         "reference": _within(scenario, "position limits", outside)
         + "; "
