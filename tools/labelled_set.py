@@ -184,7 +184,7 @@ def _healthy(case: Case) -> Array:
 
 
 def _storage(scenario: Scenario, found: Record) -> Array:
-    return Balance(scenario.law).along(found.position, found.velocity, found.jets).V
+    return Balance(scenario.tracking_law).along(found.position, found.velocity, found.jets).V
 
 
 def _means(t: Array, V: Array) -> Array:

@@ -28,7 +28,7 @@ def judged(case: Case, folder: Path) -> tuple[str, Verdict]:
     scenario, log = run(case)
     write_bag(log, scenario, folder)
     record = read_record(folder, scenario)
-    return label(case, record), judge(record, scenario.law)
+    return label(case, record), judge(record, scenario.tracking_law)
 
 
 def said(verdict: Verdict) -> str:

@@ -293,6 +293,7 @@ WIRED_BY_GROUP = (
     "hold.",
     "constraints.",  # test_goals
     "allow_partial_joints",  # test_trajectories
+    "law.",  # test_other_laws, tests/core/test_tuning.py
 )
 
 

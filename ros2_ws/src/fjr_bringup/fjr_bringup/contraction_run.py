@@ -75,7 +75,7 @@ def recorded(scenario: Scenario, folder: Path, duration: float) -> Measured:
 
 def run(scenario: Scenario, measured: Measured, wish: Wish, stop: threading.Event) -> Contraction:
     """The virtual solutions, with a bar on stderr when it takes longer than QUIET."""
-    starts = scattered(scenario.law, measured.x[0], wish.starts, wish.spread, wish.seed)
+    starts = scattered(scenario.tracking_law, measured.x[0], wish.starts, wish.spread, wish.seed)
     inner = scenario.sample_period / int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
     form = "{desc}: {percentage:3.0f}% |{bar}| {n:.2f}/{total:.2f} s"
     total = float(measured.t[-1] - measured.t[0])
@@ -87,7 +87,7 @@ def run(scenario: Scenario, measured: Measured, wish: Wish, stop: threading.Even
                 raise Interrupted
             bar.update(done - bar.n)
 
-        return contraction(scenario.law, scenario.reference, measured, starts, compiled, inner, tell)
+        return contraction(scenario.tracking_law, scenario.reference, measured, starts, compiled, inner, tell)
 
 
 def figures(found: Contraction) -> dict[str, Any]:

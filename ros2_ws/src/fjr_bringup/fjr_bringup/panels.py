@@ -48,7 +48,11 @@ def error(ax: Axes, data: TrackingData, report: Report) -> None:
 
 
 def storage(ax: Axes, data: TrackingData, report: Report) -> None:
-    """V against V(0) exp(-2 beta t) on a log axis, with the reason why it leaves the bound."""
+    """V against V(0) exp(-2 beta t) on a log axis, with the reason why it leaves the bound; else the energy."""
+    if not np.isfinite(data.V).any():
+        ax.plot(data.t, drawable(data.H), color=COLOURS[0], lw=1.0)
+        ax.set(title="The robot's energy (this law has no certificate)", xlabel="t [s]", ylabel="H [J]")
+        return
     relative, bound = data.relative_storage, data.bound / (data.V[0] or 1.0)
     relative = drawable(relative)
     shown = relative[relative > 0]

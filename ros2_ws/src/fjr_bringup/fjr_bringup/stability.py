@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.checks import Array
+from fjr_core.control_law import tuning
 from fjr_core.errors import FjrError
+from fjr_core.laws import law_kind
 from fjr_core.rest import plant_matrices, rest_points
 from fjr_core.sampled_loop import HIGHEST_RATE, SampledCheck, check
 from fjr_core.scenario import Scenario
@@ -22,8 +24,12 @@ class UnstableError(FjrError):
 
 
 def checked(scenario: Scenario) -> SampledCheck:
-    """The scenario's law on its plant, sampled at the plant's rate and answered at once, as in lock-step."""
-    return check(scenario.law, scenario.sample_period, plant=scenario.plant)
+    """The scenario's law on its plant, sampled at the plant's rate and answered at once, as in lock-step.
+
+    Another law than v-dPBC, whose gains may be for one configuration, is looked at where the links will be.
+    """
+    where = None if isinstance(scenario.law, TrackingLaw) else scenario.configurations()
+    return check(scenario.law, scenario.sample_period, configurations=where, plant=scenario.plant)
 
 
 def refuse_coarse_steps(scenario: Scenario) -> None:
@@ -54,23 +60,46 @@ def refuse_unstable(scenario: Scenario, found: SampledCheck) -> None:
 
 def table(scenario: Scenario, found: SampledCheck) -> str:
     """The figures of a check, one a line."""
-    rate = scenario.law.rate()
-    basis = _basis(rate, scenario)
     lowest = "none" if found.lowest_stable_rate is None else f"{found.lowest_stable_rate:.4g} Hz"
     rows = {
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
-        "beta": f"{rate.beta:.4g} 1/s: V falls at least as exp(-2 beta t), {basis}",
-        "beta of eq. (50)": f"{rate.beta_paper:.4g} 1/s, {basis}",
+        **_decay(scenario),
         "spectral radius": f"{found.spectral_radius:.6f}, the worst of {_count(found)}",
         "    found at q_l": f"{_list(found.configuration)} rad",
         "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
         "lowest stable rate": lowest,
-        "on the reference": _on_the_reference(scenario),
+        **_elsewhere(scenario),
         **_limits(scenario),
         "as sampled": "stable" if found.stable else "UNSTABLE",
     }
     width = max(len(name) for name in rows)
     return "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows.items())
+
+
+def _decay(scenario: Scenario) -> dict[str, str]:
+    """The law's rates, where it has any, or its name and gains."""
+    if not isinstance(scenario.law, TrackingLaw):
+        return other_law(scenario)
+    rate = scenario.law.rate()
+    basis = _basis(rate, scenario)
+    return {
+        "beta": f"{rate.beta:.4g} 1/s: V falls at least as exp(-2 beta t), {basis}",
+        "beta of eq. (50)": f"{rate.beta_paper:.4g} 1/s, {basis}",
+    }
+
+
+def other_law(scenario: Scenario) -> dict[str, str]:
+    """Which law it is instead of v-dPBC, and what the rule made of its gains."""
+    values = scenario.controller_values
+    kind = law_kind(str(values["law.type"]))
+    rows = {"law": f"{kind.name}: {kind.title} ({kind.paper})"}
+    if values["law.tuned"]:
+        found = tuning(values)
+        rows["tuned"] = (
+            f"natural frequency {found.omega:.4g} rad/s, damping ratio {found.damping:.3g}: bandwidth "
+            f"{found.bandwidth:.4g} rad/s, peak effort {found.peak:.4g}; {found.sentence}"
+        )
+    return {**rows, "certificate": "none for this law"}
 
 
 def _basis(rate: Rate, scenario: Scenario) -> str:
@@ -82,12 +111,20 @@ def _basis(rate: Rate, scenario: Scenario) -> str:
     return "in continuous time, proven for every configuration"
 
 
-def _on_the_reference(scenario: Scenario) -> str:
+def _elsewhere(scenario: Scenario) -> dict[str, str]:
+    """The same figures where the links will be, or where a law is not looked at first (see checked)."""
+    if isinstance(scenario.law, TrackingLaw):
+        return {"on the reference": _on_the_reference(scenario, scenario.law)}
+    found = check(scenario.law, scenario.sample_period, plant=scenario.plant)
+    return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {_count(found)}"}
+
+
+def _on_the_reference(scenario: Scenario, law: TrackingLaw) -> str:
     """The same figures where the links will be."""
     where = scenario.configurations()
-    found = check(scenario.law, scenario.sample_period, configurations=where, plant=scenario.plant)
+    found = check(law, scenario.sample_period, configurations=where, plant=scenario.plant)
     return (
-        f"beta {scenario.law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it), "
+        f"beta {law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it), "
         f"spectral radius {found.spectral_radius:.6f}, "
         f"delay margin {found.delay_margin:.2f} samples"
     )
@@ -105,8 +142,11 @@ def _limits(scenario: Scenario) -> dict[str, str]:
     reach = reference.extremes(0.0, np.inf)
     outside = (reach.lower[0] < limits.lower) | (reach.upper[0] > limits.upper)
     too_fast = np.maximum(reach.upper[1], -reach.lower[1]) > limits.velocity
-    law = TrackingLaw(scenario.robot, scenario.gains)  # for one call nothing is compiled
-    first = np.abs(law.command(scenario.x0, reference.jets(0.0)))
+    law = scenario.law
+    if isinstance(law, TrackingLaw):
+        law = TrackingLaw(scenario.robot, scenario.gains)  # for one call nothing is compiled
+    position, velocity = scenario.x0[: 2 * law.robot.n], np.concatenate(scenario.plant.robot.velocities(scenario.x0))
+    first = np.abs(law.measured_command(position, velocity, reference.jets(0.0))[0])
     return {
         "reference": _within(scenario, "position limits", outside)
         + "; "

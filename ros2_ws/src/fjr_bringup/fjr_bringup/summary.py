@@ -44,7 +44,7 @@ def summarise(
     """
     scenario, bag = load_scenario(folder / "scenario.yaml"), read_bag(folder / "bag")
     summary = reported(name, bag, scenario, folder, duration, skipped, failure)
-    if np.isfinite(summary.data.V[0]) and np.isfinite(summary.data.u).any():
+    if np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
         with quietly():
             draw_overview(name, summary.data, summary.report, folder)
     return summary

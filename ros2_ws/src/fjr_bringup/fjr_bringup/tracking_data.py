@@ -20,7 +20,8 @@ from fjr_core.certificate import Balance
 from fjr_core.errors import FjrError
 from fjr_core.safety_parameters import safety
 from fjr_core.scenario import Scenario
-from fjr_core.vdpbc.rate import Rate
+from fjr_core.vdpbc.law import TrackingLaw
+from fjr_core.vdpbc.rate import NO_RATE, Rate
 
 VISITED = 200  # configurations of a run at which the rate is looked at
 MOMENT = 1.0  # s; a plant outlives its controller by less
@@ -107,8 +108,10 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
     t, sent = (states.stamp - states.stamp[0]) * 1e-9, states.publish_time
     states = with_velocities(states, u, scenario)
     tracked = recorded_reference(bag, scenario, states.stamp, t)
-    balance = Balance(scenario.law)
+    balance = Balance(_certified(scenario))
     found = balance.along(states.position, states.velocity, tracked.jets, u)
+    dV = _held_rate(balance, states, tracked.jets, u, found.dV)
+    no_storage = np.nan if balance.law is not scenario.law else 1.0
     rate, (period, odd) = _rate(scenario, states.position[:, :n]), _sample_period(scenario, t)
     torn = () if bag.complete else ("the bag was not closed: shown is what was written until then",)
     return TrackingData(
@@ -124,8 +127,8 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
         jets=tracked.jets,
         u=u,
         torque=states.torque,
-        V=found.V,
-        dV=_held_rate(balance, states, tracked.jets, u, found.dV),
+        V=no_storage * found.V,
+        dV=no_storage * dV,
         H=found.H,
         dissipated=found.dissipated,
         sent=(sent - sent[0]) * 1e-9,
@@ -194,8 +197,16 @@ def _sample_period(scenario: Scenario, t: Array) -> tuple[float, tuple[str, ...]
     return seen, (f"states came every {seen * 1e3:.4g} ms; the scenario's robot sends them every {nominal * 1e3:g} ms",)
 
 
+def _certified(scenario: Scenario) -> TrackingLaw:
+    """The scenario's law; of another one than v-dPBC what stands in for it, for the energies of the robot."""
+    law = scenario.law
+    return law if isinstance(law, TrackingLaw) else TrackingLaw(scenario.robot, scenario.gains)
+
+
 def _rate(scenario: Scenario, q_l: Array) -> Rate:
-    """The rate that is proven, else the one at configurations that the links (k, n) went through."""
+    """The rate that is proven, else the one at configurations that the links (k, n) went through; of v-dPBC only."""
+    if not isinstance(scenario.law, TrackingLaw):
+        return NO_RATE
     rate = scenario.law.rate()
     visited = q_l[:: max(1, len(q_l) // VISITED)]
     return rate if rate.proven or not np.isfinite(visited).all() else scenario.law.rate(visited)

@@ -7,6 +7,7 @@ import numpy as np
 
 from fjr_bringup.tracking_data import TrackingData
 from fjr_core.scenario import Scenario
+from fjr_core.vdpbc.law import TrackingLaw
 from fjr_core.verdict import Record, Verdict, judge, unknown
 
 __all__ = ["Verdict", "record", "verdict"]
@@ -14,6 +15,8 @@ __all__ = ["Verdict", "record", "verdict"]
 
 def verdict(data: TrackingData, scenario: Scenario) -> Verdict:
     """Whether V fell as proven, and why not."""
+    if not isinstance(scenario.law, TrackingLaw):
+        return unknown(f"the law {scenario.controller_values['law.type']} has no certificate")
     if not np.isfinite(data.V).any():
         return unknown("V is not known, for want of both sides of each joint")
     if not np.isfinite(data.u).any():

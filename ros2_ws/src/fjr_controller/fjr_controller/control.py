@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 
-from fjr_core import Reference, TrackingLaw, config
+from fjr_core import ParameterError, Reference, TrackingLaw, config
 from fjr_core.checks import Array
+from fjr_core.control_law import control_law
 from fjr_core.measurement_parameters import measurement, observer
 from fjr_core.motion_limits import check_motion
 from fjr_core.motion_parameters import motion_limits
@@ -40,7 +41,7 @@ class Control:
         self._robot = robot = config.robot(values)
         settings, allowed = safety(values, robot), tolerances(values, robot.n)
         reader = StateReader(joints, measurement(values, robot))
-        self._law = TrackingLaw(robot, config.gains(values, robot.n), compile=values["compile"])
+        self._law = control_law(values, robot)
         simulated = bool(node.get_parameter("use_sim_time").value)
         self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated)
         self.tracker.warm_up()
@@ -50,7 +51,7 @@ class Control:
         self._motion = Motion(node, joints, self.tracker, self.reports, self._is_active, self._built_in)
         self._limit_motion()
         self._action = self._offered(node, allowed)
-        self._witness = self._heard(node, np.asarray(settings.effort)) if values["certificate"] else None
+        self._witness = self._heard(node, np.asarray(settings.effort))
 
     def start(self) -> None:
         """Answer from the next state on, as at birth, with the reference that the parameters describe.
@@ -88,6 +89,8 @@ class Control:
         motion_limits(values, robot)
         config.reference(values, robot.n)
         if "gains" in groups:
+            if not isinstance(self._law, TrackingLaw):
+                raise ParameterError(f"parameters 'gains.*' are of the law v_dpbc; the law is {values['law.type']}")
             law = self._law.with_gains(config.gains(values, robot.n))
             self.tracker.use(law)
             self._law = law
@@ -95,7 +98,7 @@ class Control:
         if groups - {"gains", "reference"}:
             self.tracker.settings(settings)
             self._limit_motion()
-        if self._witness is not None:
+        if self._witness is not None and isinstance(self._law, TrackingLaw):
             self._witness.use(self._law, np.asarray(settings.effort))
         self.reports.empty()
 
@@ -114,8 +117,13 @@ class Control:
         limits = motion_limits(values, self._robot)
         self._motion.limit(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
-    def _heard(self, node: Node, limit: Array) -> Witness:
-        """The witness of all answers."""
+    def _heard(self, node: Node, limit: Array) -> Witness | None:
+        """The witness of all answers, where one is wanted and the law has a certificate."""
+        if not self._values["certificate"]:
+            return None
+        if not isinstance(self._law, TrackingLaw):
+            node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
+            return None
         witness = Witness(node, self._law, self.tracker, limit)
         self._answering.tell(witness.see)
         self.reports.besides(witness.status)

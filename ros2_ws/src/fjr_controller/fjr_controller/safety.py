@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from fjr_core import TrackingLaw
 from fjr_core.checks import Array
 from fjr_core.numeric import numeric
 from fjr_core.safety_parameters import GRAVITY_HOLD, Settings
+from fjr_core.static_law import StaticLaw
 
 _KINDS = (
     ("link position", "q_l", "rad"),
@@ -167,17 +167,17 @@ class EffortLimits:
 class StopPolicy:
     """Efforts of a stop: none, or the weight of the links, B_m^-1 (grad P_l(q_l) - K_md dq_m) while states come."""
 
-    def __init__(self, law: TrackingLaw, settings: Settings) -> None:
+    def __init__(self, law: StaticLaw, settings: Settings) -> None:
         q_l = ca.SX.sym("q_l", law.robot.n)
         self._grad_P_l = numeric("grad_P_l", {"q_l": q_l}, {"grad_P_l": law.robot.links.grad_P_l(q_l)})
         self._q_l = np.zeros(law.robot.n)
         self._known = False
         self.limit(law, settings)
 
-    def limit(self, law: TrackingLaw, settings: Settings) -> None:
+    def limit(self, law: StaticLaw, settings: Settings) -> None:
         """Other gains or settings."""
         self._holds = settings.on_stop == GRAVITY_HOLD
-        self._B_inv, self._K_md = np.linalg.inv(law.robot.B_m), law.gains.K_md
+        self._B_inv, self._K_md = np.linalg.inv(law.robot.B_m), law.hold_damping
 
     def remember(self, q_l: Array) -> None:
         """The links were here in a good sample."""

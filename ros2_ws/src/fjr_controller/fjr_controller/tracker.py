@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from fjr_core import GainsError, Reference, StateError, TrackingLaw, TrajectoryError
+from fjr_core import GainsError, Reference, StateError, TrajectoryError
 from fjr_core.checks import Array
 from fjr_core.reference import JETS
 from fjr_core.safety_parameters import Settings
-from fjr_core.vdpbc.law import BoundCommand
+from fjr_core.static_law import BoundCommand, StaticLaw
 
 from .certificate import Certificate
 from .course import Course
@@ -107,7 +107,7 @@ class Tracker:
 
     def __init__(
         self,
-        law: TrackingLaw,
+        law: StaticLaw,
         reference: Reference,
         settings: Settings,
         observer: Observer | None = None,
@@ -241,7 +241,7 @@ class Tracker:
         self._policy.limit(self._law, settings)
         self._journal.say(INFO, "settings changed", "limits and stop policy changed")
 
-    def use(self, law: TrackingLaw) -> None:
+    def use(self, law: StaticLaw) -> None:
         """Another law (other gains) from the next sample on; the certificate begins anew.
 
         Raises GainsError where its efforts are not finite; then the law stays.
@@ -321,7 +321,7 @@ class Tracker:
         self._bound.evaluate()
         return self._bound.u.copy(), self._bound.V.item()
 
-    def _bind(self, law: TrackingLaw) -> BoundCommand:
+    def _bind(self, law: StaticLaw) -> BoundCommand:
         """The law from the measured state and the jets, evaluated: built, and as fast as any other time.
 
         Raises GainsError where its effort is not finite there, or with every position and velocity at 1.

@@ -14,6 +14,7 @@ from .checks import Array
 from .gains import PAPER_GAINS, Gains
 from .imperfection_parameters import imperfection_parameters
 from .integrators import INTEGRATORS
+from .law_parameters import law_parameters
 from .measurement_parameters import measurement_parameters
 from .motion_parameters import motion_parameters
 from .parameters import Parameter, Values, matrix, named, vector
@@ -89,6 +90,7 @@ def controller_parameters(n: int) -> list[Parameter]:
     ]
     return [
         *gains,
+        *law_parameters(n),
         *reference_parameters(n),
         *measurement_parameters(n),
         *safety_parameters(n),

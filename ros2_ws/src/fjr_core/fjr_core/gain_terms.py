@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import casadi as ca
@@ -41,35 +42,54 @@ def terms(gains: CheckedGains) -> GainTerms:
     return GainTerms(**{f.name: ca.sparsify(ca.DM(_term(gains, f.name))) for f in fields(GainTerms)})
 
 
-class GainSymbols:
-    """Symbols in the place of gains, so that one function serves all gains of a shape.
+class ArraySymbols:
+    """Symbols in the place of named arrays of numbers, so that one function serves all arrays of a shape.
 
-    A matrix that is diagonal in `gains` stays diagonal, and whatever was zero there but on the diagonal stays zero.
+    A square matrix that is diagonal here stays diagonal, and whatever was zero there but on the diagonal stays zero.
     """
 
-    def __init__(self, gains: CheckedGains) -> None:
-        self._shapes = {f.name: _shape(_term(gains, f.name)) for f in fields(GainTerms)}
-        symbols = {name: ca.SX.sym(name, shape) for name, shape in self._shapes.items()}
-        self.terms = GainTerms(**symbols)
-        self.vector = ca.vertcat(*(ca.vertcat(*symbol.nonzeros()) for symbol in symbols.values()))
+    def __init__(self, arrays: Mapping[str, Array]) -> None:
+        self._shapes = {name: _shape(array) for name, array in arrays.items()}
+        self.symbols = {name: ca.SX.sym(name, shape) for name, shape in self._shapes.items()}
+        self.vector = ca.vertcat(*(ca.vertcat(*symbol.nonzeros()) for symbol in self.symbols.values()))
 
     @property
     def pattern(self) -> str:
-        """Which gains are diagonal."""
+        """Which arrays are diagonal."""
         return str({name: shape.is_diag() for name, shape in self._shapes.items()})
 
-    def values(self, gains: CheckedGains) -> Array:
-        """The numbers of the symbols in `vector`; raises GainsError for gains of another shape."""
+    def values(self, arrays: Mapping[str, Array]) -> Array:
+        """The numbers of the symbols in `vector`; raises GainsError for arrays of another shape."""
         parts: list[float] = []
         for name, shape in self._shapes.items():
-            array = _term(gains, name)
-            if shape.is_diag() and np.any(array - np.diag(np.diag(array))):
+            if shape.is_square() and shape.is_diag() and _off_diagonal(arrays[name]).any():
                 raise GainsError(
                     f"{name.removesuffix('_inverse')} has entries off the diagonal; expected a diagonal matrix, "
                     "as when the law was built"
                 )
-            parts += ca.project(ca.DM(array), shape).nonzeros()
+            parts += ca.project(ca.DM(arrays[name]), shape).nonzeros()
         return np.array(parts, dtype=float)
+
+
+class GainSymbols:
+    """Symbols in the place of gains, so that one function serves all gains of a shape: see ArraySymbols."""
+
+    def __init__(self, gains: CheckedGains) -> None:
+        self._arrays = ArraySymbols(_arrays(gains))
+        self.terms, self.vector = GainTerms(**self._arrays.symbols), self._arrays.vector
+
+    @property
+    def pattern(self) -> str:
+        """Which gains are diagonal."""
+        return self._arrays.pattern
+
+    def values(self, gains: CheckedGains) -> Array:
+        """The numbers of the symbols in `vector`; raises GainsError for gains of another shape."""
+        return self._arrays.values(_arrays(gains))
+
+
+def _arrays(gains: CheckedGains) -> dict[str, Array]:
+    return {f.name: _term(gains, f.name) for f in fields(GainTerms)}
 
 
 def _term(gains: CheckedGains, name: str) -> Array:
@@ -77,5 +97,10 @@ def _term(gains: CheckedGains, name: str) -> Array:
 
 
 def _shape(array: Array) -> ca.Sparsity:
-    n = len(array)
-    return ca.Sparsity.dense(n, n) if np.any(array - np.diag(np.diag(array))) else ca.Sparsity.diag(n)
+    if array.ndim == 2 and array.shape[0] == array.shape[1] and not _off_diagonal(array).any():
+        return ca.Sparsity.diag(len(array))
+    return ca.Sparsity.dense(*(array.shape if array.ndim == 2 else (len(array), 1)))
+
+
+def _off_diagonal(array: Array) -> Array:
+    return np.asarray(array - np.diag(np.diag(array)))

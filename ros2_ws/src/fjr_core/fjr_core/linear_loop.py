@@ -17,10 +17,12 @@ from .gains import CheckedGains
 from .plant import Plant
 from .reference import JETS
 from .rest import Indices, RestPoints, error_matrices, feedback, metric_roots, plant_matrices, rest_points
+from .static_law import StaticLaw
 from .symbolic import directional
 from .vdpbc.law import TrackingLaw
 
 SCREENED = (0.0, 1.0)  # samples of delay beyond the given one at which the worst configurations are picked
+OTHER_LAWS = 64  # configurations at which a law without a closed form is looked at
 SERIES = 16  # terms: 0.5^16 / 16! = 7e-19
 
 
@@ -79,20 +81,27 @@ def _integrated_exponential(A: Array, T: float) -> Array:
     return Psi
 
 
-def linearize(law: TrackingLaw, configurations: ArrayLike | None = None, plant: Plant | None = None) -> SampledLoop:
+def linearize(law: StaticLaw, configurations: ArrayLike | None = None, plant: Plant | None = None) -> SampledLoop:
     """The law on its own robot (or on another plant) about rest at configurations (k, n) [rad].
 
     The plant rests with its links at the configuration and the reference is there too; for another plant this
     leaves out that it would settle beside the reference. z is in the law's momenta, which are made from the
-    plant's velocities. Raises StateError for shapes that do not fit.
+    plant's velocities; of another law than v-dPBC it is the state itself. Raises StateError for shapes that do not fit.
     """
     plant = plant or Plant(law.robot)
     if plant.robot.n != law.robot.n:
         raise StateError(f"plant and law have {plant.robot.n} and {law.robot.n} joints; expected equal")
-    q_l = checked_configurations(law.robot, configurations)
+    q_l = looked_at(law, configurations)
     own, real = rest_points(law.robot, q_l), rest_points(plant.robot, q_l)
     A, B, F = _jacobians(law, plant, real)
-    return in_error_coordinates(own, law.gains, *in_momenta_of(own, real, A, B), F)
+    A, B = in_momenta_of(own, real, A, B)
+    return in_error_coordinates(own, law.gains, A, B, F) if isinstance(law, TrackingLaw) else SampledLoop(q_l, A, B, F)
+
+
+def looked_at(law: StaticLaw, configurations: ArrayLike | None) -> Array:
+    """The configurations as given, or those of loops; of a law without a closed form the first few sampled ones."""
+    few = None if isinstance(law, TrackingLaw) else OTHER_LAWS
+    return checked_configurations(law.robot, configurations, few)
 
 
 def closed_form(law: TrackingLaw, configurations: Array, plant: Plant) -> SampledLoop:
@@ -124,7 +133,7 @@ def in_error_coordinates(rest: RestPoints, gains: CheckedGains, A: Array, B: Arr
     return SampledLoop(rest.q_l, S @ A @ S_inverse, S @ B, F @ S_inverse)
 
 
-def _jacobians(law: TrackingLaw, plant: Plant, rest: RestPoints) -> tuple[Array, Array, Array]:
+def _jacobians(law: StaticLaw, plant: Plant, rest: RestPoints) -> tuple[Array, Array, Array]:
     """A, B and F in the coordinates of the state x, at the rest points of the plant with the reference there."""
     n = rest.robot.n
     plant_slope, law_slope = _plant_slope(plant), _law_slope(law)
@@ -145,12 +154,17 @@ def _plant_slope(plant: Plant) -> ca.Function:
 
 
 @lru_cache(maxsize=2)
-def _law_slope(law: TrackingLaw) -> ca.Function:
+def _law_slope(law: StaticLaw) -> ca.Function:
     """(x, q_ld, d_x) -> derivative of u(x, x, t) in the direction d_x, the reference at rest in q_ld."""
     n = law.robot.n
     x, d_x, q_ld = ca.SX.sym("x", 4 * n), ca.SX.sym("d_x", 4 * n), ca.SX.sym("q_ld", n)
     jets = ca.horzcat(q_ld, ca.SX.zeros(n, JETS - 1))
-    slope = directional(law.function(x, x, jets, ca.SX.zeros(n)), x, d_x)
+    if isinstance(law, TrackingLaw):
+        u = law.function(x, x, jets, ca.SX.zeros(n))
+    else:
+        velocity = ca.vertcat(*law.robot.velocity_expressions(x))
+        u, _ = law.measured_expression(x[: 2 * n], velocity, jets, ca.DM(law.gain_values))
+    slope = directional(u, x, d_x)
     return ca.Function("law_slope", [x, q_ld, d_x], [ca.densify(slope)], {"cse": True})
 
 

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import Array
-from .configurations import checked_configurations
 from .errors import StateError
-from .linear_loop import SampledLoop, closed_form, linearize
+from .linear_loop import SampledLoop, closed_form, linearize, looked_at
 from .plant import Plant
 from .rest import Indices
+from .static_law import StaticLaw
 from .vdpbc.law import TrackingLaw
 
 FEW = 48  # configurations of which all are looked at closely
@@ -56,7 +56,7 @@ class SampledCheck:
 
 
 def spectral_radius(
-    law: TrackingLaw,
+    law: StaticLaw,
     sample_period: float,
     delay: float = 0.0,
     configurations: ArrayLike | None = None,
@@ -68,7 +68,7 @@ def spectral_radius(
 
 
 def check(
-    law: TrackingLaw,
+    law: StaticLaw,
     sample_period: float,
     delay: float = 0.0,
     configurations: ArrayLike | None = None,
@@ -76,14 +76,15 @@ def check(
 ) -> SampledCheck:
     """Judge the law sampled every sample_period [s] with a loop delay [s]; see SampledCheck and this module.
 
-    configurations (k, n) [rad]: 1024 sampled ones when none are given. Of more than 48 the closed form picks the
+    configurations (k, n) [rad]: 1024 sampled ones when none are given (64 for another law than v-dPBC, which has no
+    closed form here). Of more than 48 the closed form picks the
     worst, margins are searched for on these, and all are looked at again just within the margins (for delays that
     make at most MOST_STATES states). plant: what the law really drives, when its robot differs.
     Raises StateError for times that are not positive (delay: negative) or shapes that do not fit.
     """
     checked_times(sample_period, delay)
-    q_l, plant = checked_configurations(law.robot, configurations), plant or Plant(law.robot)
-    if len(q_l) <= FEW or plant.robot.n != law.robot.n:
+    q_l, plant = looked_at(law, configurations), plant or Plant(law.robot)
+    if not isinstance(law, TrackingLaw) or len(q_l) <= FEW or plant.robot.n != law.robot.n:
         return _judged(linearize(law, q_l, plant), sample_period, delay)
     everywhere = closed_form(law, q_l, plant)
     few = everywhere.critical(sample_period, delay, KEPT)

@@ -14,6 +14,7 @@ import numpy as np
 from . import config, parameter_file, parameters, robot_file
 from .certificate import Balance
 from .checks import Array
+from .control_law import control_law
 from .errors import ParameterError
 from .gains import Gains
 from .plant import Plant
@@ -21,6 +22,7 @@ from .prediction import Prediction
 from .reference import Reference
 from .robot import Robot
 from .simulate import Trajectory, simulate
+from .static_law import StaticLaw
 from .vdpbc.law import TrackingLaw
 
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
@@ -63,9 +65,16 @@ class Scenario:
         return config.gains(self.controller_values, self.robot.n)
 
     @cached_property
-    def law(self) -> TrackingLaw:
+    def law(self) -> StaticLaw:
         """The controller's law."""
-        return TrackingLaw(self.robot, self.gains, compile=bool(self.controller_values["compile"]))
+        return control_law(self.controller_values, self.robot)
+
+    @property
+    def tracking_law(self) -> TrackingLaw:
+        """The controller's law where it is v-dPBC; raises ParameterError where it is another one."""
+        if not isinstance(self.law, TrackingLaw):
+            raise ParameterError(f"parameter 'law.type' is {self.controller_values['law.type']!r}; expected 'v_dpbc'")
+        return self.law
 
     @cached_property
     def reference(self) -> Reference:
@@ -89,8 +98,8 @@ class Scenario:
 
     def warm_up(self) -> None:
         """Build law and plant step as the nodes will, so that what is compiled is in the cache when they start."""
-        self.law.command(self.x0, self.reference.jets(0.0))
-        if self.controller_values["certificate"]:
+        _ = self.law.measured_function
+        if self.controller_values["certificate"] and isinstance(self.law, TrackingLaw):
             _ = Balance(self.law).function, Prediction(self.law).function
         self.plant.step(self.x0, [0.0] * self.robot.n, self.sample_period)
 

@@ -18,7 +18,7 @@ from .measured import law_view
 from .numeric import NumericFunction, bind, not_converged
 from .plant import Plant
 from .reference import JETS, Reference
-from .vdpbc.law import TrackingLaw
+from .static_law import StaticLaw
 
 CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
 INNER_STEP = 2.5e-4  # s; integrator step under a hold
@@ -37,7 +37,7 @@ class Trajectory:
 
 def simulate(
     plant: Plant,
-    law: TrackingLaw,
+    law: StaticLaw,
     reference: Reference,
     x0: ArrayLike,
     duration: float,
@@ -103,7 +103,7 @@ def _segments(period: float, delay: float, inner_step: float) -> list[_Segment]:
     return [_Segment(age, k, length / k) for (age, length), k in zip(parts, steps, strict=True) if k]
 
 
-def _sampled(plant: Plant, law: TrackingLaw, x0: Array, t: Array, jets: Array, segments: list[_Segment]) -> Trajectory:
+def _sampled(plant: Plant, law: StaticLaw, x0: Array, t: Array, jets: Array, segments: list[_Segment]) -> Trajectory:
     run = _empty_trajectory(law, t, jets)
     x, u, now = x0.copy(), np.zeros(law.robot.n), np.zeros(jets.shape[1:])
     x_next, V, command = np.zeros_like(x), np.zeros(1), law.command_function
@@ -135,7 +135,7 @@ def _sampled(plant: Plant, law: TrackingLaw, x0: Array, t: Array, jets: Array, s
     return run
 
 
-def _continuous(plant: Plant, law: TrackingLaw, reference: Reference, x0: Array, t: Array, dt: float) -> Trajectory:
+def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t: Array, dt: float) -> Trajectory:
     step = _closed_loop_step(plant, law)
     run = _empty_trajectory(law, t, reference.jets(t))
     run.x[0] = x0
@@ -153,7 +153,7 @@ def _continuous(plant: Plant, law: TrackingLaw, reference: Reference, x0: Array,
     return run
 
 
-def _closed_loop_step(plant: Plant, law: TrackingLaw) -> NumericFunction:
+def _closed_loop_step(plant: Plant, law: StaticLaw) -> NumericFunction:
     """One Runge-Kutta step of dx = f(x) + G u(x, x, t), the reference given at its three instants."""
     n = plant.robot.n
     x, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("dt")
@@ -180,6 +180,6 @@ def _diverged(t: float) -> StateError:
     return StateError(f"the closed loop diverged: the state is not finite at t = {t:.6g} s")
 
 
-def _empty_trajectory(law: TrackingLaw, t: Array, jets: Array) -> Trajectory:
+def _empty_trajectory(law: StaticLaw, t: Array, jets: Array) -> Trajectory:
     n = law.robot.n
     return Trajectory(t, np.empty((len(t), 4 * n)), np.empty((len(t), n)), jets, np.empty(len(t)))

@@ -8,17 +8,16 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 
 import casadi as ca
-import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import Array
-from ..compile import compiled
 from ..flow import REFERENCE_DERIVATIVES, Flow, flow
 from ..gain_terms import GainSymbols, GainTerms, terms
 from ..gains import Gains
-from ..numeric import NumericFunction, bind, dense_function
+from ..numeric import NumericFunction, dense_function
 from ..recall import recalled
 from ..robot import Robot
+from ..static_law import StaticLaw
 from .link import LinkStage, link_stage
 from .motor import MotorStage, motor_stage
 from .rate import Rate, rate
@@ -44,16 +43,7 @@ class Evaluation:
     dV: float
 
 
-@dataclass(frozen=True, eq=False)
-class BoundCommand:
-    """The law's measured command from and into its own arrays: `evaluate` writes u (n,) [N m] and V (1,) [J]."""
-
-    evaluate: Callable[[], None]
-    u: Array
-    V: Array
-
-
-class TrackingLaw:
+class TrackingLaw(StaticLaw):
     """The tracking law of a robot with given gains; pure functions of (x_v, x, jets, omega), bound once.
 
     The controller applies u(x, x, t); analysis uses x_v != x. x_v and x are states (4n,) with momenta,
@@ -66,36 +56,17 @@ class TrackingLaw:
     def __init__(self, robot: Robot, gains: Gains, compile: bool = False) -> None:
         self.robot = robot
         self.gains = gains.checked(robot.n)
-        self._compile = compile
+        self.compiles = compile
 
     def with_gains(self, gains: Gains) -> TrackingLaw:
         """The same law with other gains, whose measured_command is ready at once: nothing is built or compiled.
 
         Raises GainsError as at birth, and for a matrix with entries off the diagonal where this law's is diagonal.
         """
-        other = TrackingLaw(self.robot, gains, self._compile)
+        other = TrackingLaw(self.robot, gains, self.compiles)
         other._symbols, other.measured_function = self._symbols, self.measured_function
         other._gain_values = self._symbols.values(other.gains)
         return other
-
-    def measured_command(self, position: ArrayLike, velocity: ArrayLike, jets: ArrayLike) -> tuple[Array, float]:
-        """u(x, x, t) (n,) [N m] and V [J] for positions (q_l, q_m) [rad] and velocities (dq_l, dq_m) [rad/s], (2n,)."""
-        u, V = self._measured_command(position, velocity, jets, self._gain_values)
-        return u, float(V[0])
-
-    def bound(self, position: Array, velocity: Array, jets: Array) -> BoundCommand:
-        """measured_command of these contiguous arrays, which each evaluation reads; not for two threads at once."""
-        u, V = np.zeros(self.robot.n), np.zeros(1)
-        return BoundCommand(bind(self.measured_function, (position, velocity, jets, self._gain_values), (u, V)), u, V)
-
-    def command(self, x: ArrayLike, jets: ArrayLike) -> Array:
-        """Effort u(x, x, t) (n,) [N m], which the controller applies: effort(x, x, jets) at less cost."""
-        return self._command(x, jets)[0]
-
-    def command_and_storage(self, x: ArrayLike, jets: ArrayLike) -> tuple[Array, float]:
-        """The command with the storage V [J] at x_v = x."""
-        u, V = self._command(x, jets)
-        return u, float(V[0])
 
     def effort(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Array:
         """Effort u (n,) [N m], eq. (42)."""
@@ -127,17 +98,6 @@ class TrackingLaw:
         """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; machine code if that was asked for."""
         return self.ready(self._function("command", {"u", "V"}, diagonal=True))
 
-    @cached_property
-    def measured_function(self) -> ca.Function:
-        """The CasADi function (position (2n,), velocity (2n,), jets (n, 5), gains) -> u, V; of all gains of a shape."""
-        return self.ready(self.measured_expression)
-
-    @cached_property
-    def measured_expression(self) -> ca.Function:
-        """measured_function, never machine code: it may be part of another function."""
-        inputs, outputs = self.measured_expressions()
-        return dense_function("measured_command", inputs, {key: outputs[key] for key in ("u", "V")}, cse=True)
-
     def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
         """The arguments of measured_function, and all that Evaluation names, with s_m, as expressions of them."""
         n = self.robot.n
@@ -148,18 +108,19 @@ class TrackingLaw:
         inputs = {"position": position, "velocity": velocity, "jets": f.jets, "gains": symbols.vector}
         return inputs, dict(zip(outputs, values, strict=True))
 
-    def ready(self, function: ca.Function) -> ca.Function:
-        """The function as machine code where this law is."""
-        return compiled(function) if self._compile else function
-
     def derived(self, name: str, build: Callable[[], ca.Function]) -> ca.Function:
         """What `build` derives from robot and shape of the gains; as machine code, which is found again, where so."""
-        return recalled(name, self.robot, self._symbols.pattern, build) if self._compile else build()
+        return recalled(name, self.robot, self._symbols.pattern, build) if self.compiles else build()
 
     @property
     def gain_values(self) -> Array:
         """The argument `gains` of measured_function."""
         return self._gain_values
+
+    @property
+    def hold_damping(self) -> Array:
+        """K_md."""
+        return self.gains.K_md
 
     @cached_property
     def _symbols(self) -> GainSymbols:
@@ -168,16 +129,6 @@ class TrackingLaw:
     @cached_property
     def _gain_values(self) -> Array:
         return self._symbols.values(self.gains)
-
-    @cached_property
-    def _measured_command(self) -> NumericFunction:
-        n = self.robot.n
-        shapes = ((2 * n,), (2 * n,), (REFERENCE_DERIVATIVES + 1, n), self._gain_values.shape)
-        return NumericFunction(self.measured_function, shapes)
-
-    @cached_property
-    def _command(self) -> NumericFunction:
-        return NumericFunction(self.command_function, ((4 * self.robot.n,), (REFERENCE_DERIVATIVES + 1, self.robot.n)))
 
     @cached_property
     def _effort(self) -> NumericFunction:

@@ -31,6 +31,10 @@ class Rate:
     proven: bool
 
 
+NO_RATE = Rate(*(float("nan"),) * 6, proven=False)
+"""Of a law without one."""
+
+
 def rate(robot: Robot, gains: CheckedGains, configurations: ArrayLike | None = None) -> Rate:
     """Rates of the law, from the vertices of M_l where they are known, else from configurations (k, n) [rad]."""
     proven = configurations is None and robot.links.M_l_vertices is not None

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller's law as its parameters describe it: v-dPBC, or one of those that it is compared with."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from . import config
+from .errors import GainsError, ParameterError
+from .law_slope import rest_position
+from .laws import law_kind
+from .parameters import Value, Values, vector
+from .robot import Robot
+from .static_law import StaticLaw
+from .tuning import Tuning, tune
+from .vdpbc.law import TrackingLaw
+from .yardstick import Yardstick
+
+
+def control_law(values: Values, robot: Robot) -> StaticLaw:
+    """The law of the values; raises ParameterError."""
+    kind, compile = law_kind(str(values["law.type"])), bool(values["compile"])
+    if kind.standard is None:
+        return TrackingLaw(robot, config.gains(values, robot.n), compile=compile)
+    try:
+        return kind.make(robot, _gains(values, robot), compile)
+    except GainsError as error:
+        raise ParameterError(f"parameter 'law.type' is {kind.name!r}: {error}") from None
+
+
+def _gains(values: Values, robot: Robot) -> Any:
+    """Gains of another law than v-dPBC: by the rule, or by the two numbers."""
+    if values["law.tuned"]:
+        return tuning(values).law.gains  # type: ignore[attr-defined]
+    kind = law_kind(str(values["law.type"]))
+    assert kind.standard is not None
+    q_0 = np.asarray(config.reference(values, robot.n).jets(0.0))[0]
+    numbers = (float(values[f"law.{name}"]) for name in ("natural_frequency", "damping_ratio"))  # type: ignore[arg-type]
+    return kind.standard(robot, q_0, *numbers)
+
+
+def tuning(values: Values) -> Tuning:
+    """The law of the values as the rule tunes it, with what came of it; raises ParameterError or GainsError."""
+    known = ("robot.", "gains.", "reference.", "law.type", "law.start_error", "joints")
+    return _tuned(tuple(sorted((name, value) for name, value in values.items() if name.startswith(known))))
+
+
+@lru_cache(maxsize=8)
+def _tuned(items: tuple[tuple[str, Value], ...]) -> Tuning:
+    values = dict(items)
+    return tune(str(values["law.type"]), yardstick(values, config.robot(values)))
+
+
+def yardstick(values: Values, robot: Robot) -> Yardstick:
+    """v-dPBC with the values' gains along their reference, from rest; links and motors are law.start_error off it."""
+    reference = config.reference(values, robot.n)
+    error = np.tile(vector(values, "law.start_error", robot.n), 2)
+    position = rest_position(robot, np.asarray(reference.jets(0.0))[0]) + error
+    return Yardstick(robot, reference, config.gains(values, robot.n), (position, np.zeros(2 * robot.n)))

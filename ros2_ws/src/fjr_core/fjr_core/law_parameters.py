@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters that choose the controller's law."""
+
+from __future__ import annotations
+
+from .laws import LAWS, V_DPBC
+from .parameters import Parameter
+from .yardstick import START_ERROR
+
+
+def law_parameters(n: int) -> list[Parameter]:
+    """Parameters `law.*` for n joints; what they build: control_law."""
+    return [
+        Parameter("law.type", V_DPBC, "Control law; v_dpbc has its gains in gains.*", choices=tuple(LAWS)),
+        Parameter(
+            "law.tuned",
+            True,
+            "Gains of another law than v_dpbc by the rule of docs/baselines.md, with v_dpbc under gains.* as the "
+            "yardstick; false: by the two numbers law.natural_frequency and law.damping_ratio",
+        ),
+        Parameter(
+            "law.natural_frequency",
+            20.0,
+            "Natural frequency that the gains follow from, where not tuned",
+            "rad/s",
+            minimum=1e-3,
+            maximum=1e4,
+        ),
+        Parameter(
+            "law.damping_ratio",
+            1.0,
+            "Damping ratio that the gains follow from, where not tuned",
+            minimum=1e-2,
+            maximum=1e2,
+        ),
+        Parameter(
+            "law.start_error",
+            (START_ERROR,) * n,
+            "Error of all joints of the start at rest whose peak effort the rule makes equal",
+            "rad",
+        ),
+    ]

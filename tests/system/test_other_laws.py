@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr` with another law than v-dPBC: what is known before, real processes, a report without a certificate."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fjr_core.laws import LAWS
+from system.executables import fjr
+
+pytestmark = pytest.mark.system
+
+
+@pytest.mark.parametrize("name", ["lqr", "singular_perturbation"])
+def test_a_run_with_another_law_is_reported_without_v(tmp_path: Path, name: str) -> None:
+    fjr("run", "paper_k31", "--lockstep", "--duration", "2.5", "--set", f"law.type:={name}", "--output", str(tmp_path))
+    report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
+    assert report["verdict"]["kind"] == "unknown"
+    assert report["verdict"]["sentence"] == f"no verdict: the law {name} has no certificate"
+    assert report["storage"] is None
+    (joint,) = report["joints"]
+    assert joint["peak_error_after_2s_rad"] < 1e-3
+    assert np.isfinite(joint["peak_effort_nm"])
+    assert (tmp_path / "paper_k31" / "report.html").is_file()
+    assert (tmp_path / "paper_k31" / "overview.png").is_file()
+
+
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "v_dpbc"])
+def test_check_tells_the_law_its_gains_and_the_sampled_loop(name: str) -> None:
+    said = fjr("check", "paper_k31", "--set", f"law.type:={name}")
+    assert f"{name}: {LAWS[name].title}" in said
+    assert "the same bandwidth" in said
+    assert "spectral radius" in said
+    assert "none for this law" in said
+    assert "in the whole range" in said
+    assert "beta" not in said
+
+
+def test_what_is_about_v_dpbc_alone_refuses_another_law(tmp_path: Path) -> None:
+    said = fjr("contraction", "paper_k31", "--set", "law.type:=lqr", "--output", str(tmp_path), code=2)
+    assert "'law.type' is 'lqr'; expected 'v_dpbc'" in said
