@@ -77,6 +77,11 @@ class ClosedLoop:
         """Whether runs are machine code here; builds it."""
         return self._program.library is not None
 
+    @property
+    def fingerprint(self) -> str:
+        """Tells apart loops of another law, plant or program."""
+        return self._program.fingerprint
+
     def run(self, draws: Draws) -> Outcomes:
         """All runs, on the core that calls; other threads go on meanwhile."""
         return Outcomes.of(self._run(draws, None), self.robot.n)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -66,6 +67,12 @@ class Program:
         return {function.name(): function for function in made}
 
     @cached_property
+    def fingerprint(self) -> str:
+        """Tells apart programs whose numbers may differ."""
+        parts = [function.serialize() for function in self.functions.values()] + [_text(name) for name in SOURCES]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    @cached_property
     def library(self) -> ctypes.CDLL | None:
         """The machine code; None without a C compiler."""
         library = loaded("campaign", list(self.functions.values()), self._around)
@@ -97,5 +104,8 @@ class Program:
             },
         }
         lines = [f"#define {name} {value}" for name, value in sizes.items()]
-        texts = [Path(__file__).with_name(name).read_text(encoding="utf-8") for name in SOURCES]
-        return "\n".join(["#define CASADI_SYMBOL_EXPORT static", code, *lines, *texts])
+        return "\n".join(["#define CASADI_SYMBOL_EXPORT static", code, *lines, *map(_text, SOURCES)])
+
+
+def _text(name: str) -> str:
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")

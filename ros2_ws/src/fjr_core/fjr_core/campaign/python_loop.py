@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import Array
+from . import counted
 from .outcomes import FIELDS
 from .program import Program
 
@@ -103,17 +104,10 @@ class _One:
 
 def normals(seed: int, sample: int, n: int) -> Array:
     """Normal numbers (n, 4) of n joints at a sample: Philox4x64-10 and the method of Box and Muller, see noise.c."""
-    words = np.array([_philox(seed, sample, joint) for joint in range(n)]).reshape(n, 2, 2)
-    first, second = np.moveaxis((words >> np.uint64(11)) * 2.0**-53, 2, 0)
+    drawn = np.vstack([counted.words((seed, 0), sample + (joint << 64), 1) for joint in range(n)])
+    first, second = np.moveaxis(counted.unit(drawn).reshape(n, 2, 2), 2, 0)
     radius, angle = np.sqrt(-2 * np.log(1 - first)), 2 * np.pi * second
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=2).reshape(n, 4)
-
-
-def _philox(seed: int, sample: int, joint: int) -> NDArray[np.uint64]:
-    """Four words at the counter (sample, joint, 0, 0); NumPy counts up before it makes the first."""
-    before = (sample + (joint << 64) - 1) % 2**256
-    counter = np.array([before >> (64 * i) & (2**64 - 1) for i in range(4)], dtype=np.uint64)
-    return np.random.Philox(key=np.array([seed, 0], dtype=np.uint64), counter=counter).random_raw(4)
 
 
 def _vector(value: Any) -> Array:
