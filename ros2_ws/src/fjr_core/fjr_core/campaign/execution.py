@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
@@ -40,6 +41,8 @@ def threads(count: int) -> Iterator[Workers]:
 @contextmanager
 def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
     """The workers of a running Dask scheduler, e.g. tcp://host:8786; raises ClusterError."""
+    if "://" not in address:
+        raise ClusterError(f"the scheduler's address is '{address}'; expected e.g. tcp://host:8786")
     try:
         from distributed import Client
     except ModuleNotFoundError:
@@ -47,6 +50,7 @@ def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
             "dask.distributed is not installed here; expected it for --scheduler: "
             "pip install --constraint constraints.txt --requirement requirements/cluster.txt"
         ) from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is said here, in a sentence
     try:
         client = Client(address, timeout=timeout, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

@@ -46,7 +46,8 @@ class Store:
 
     def missing(self) -> Iterator[tuple[int, int]]:
         """The parts (begin, end) that are not there, in their order."""
-        return (part for part in parts(self.sweep.runs) if not self._file(*part).exists())
+        all_parts = [] if self.table.exists() else parts(self.sweep.runs)
+        return (part for part in all_parts if not self._file(*part).exists())
 
     def finished(self) -> int:
         """How many runs are there."""
