@@ -10,6 +10,7 @@ from pathlib import Path
 from fjr_bringup import page
 from fjr_bringup.words import number, percent
 from fjr_core.campaign.distributions import FIXED
+from fjr_core.campaign.draws import UNITS
 from fjr_core.campaign.store import Store
 from fjr_core.campaign.summary import Summary
 from fjr_core.campaign.sweep import Sweep
@@ -53,8 +54,8 @@ def write_page(store: Store, summary: Summary, picture: Path, path: Path) -> Pat
 
 
 def _notes(sweep: Sweep) -> list[str]:
-    limits = ", ".join(f"{name} at most {limit:g}" for name, limit in sweep.success.items())
-    wanted = f"a run succeeds when it is stable{' and of every joint ' + limits if limits else ''}"
+    limits = "".join(f", {ROWS[name][0]} at most {limit:g} {ROWS[name][1]}" for name, limit in sweep.success.items())
+    wanted = f"a run succeeds when it is stable{limits}"
     fixed = [f"{name} is {one.as_yaml}" for name, one in sweep.vary.items() if one.kind == FIXED]
     return [wanted, f"errors count from {sweep.settle_after:g} s on; lost: beyond {sweep.lost:.3g} rad", *fixed]
 
@@ -73,12 +74,16 @@ def _outcomes(summary: Summary) -> list[list[str]]:
     return [[what, *(number(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in ROWS.items()]
 
 
+def _unit(name: str) -> str:
+    return UNITS.get(name.partition(".")[0], "")
+
+
 def _drawn(sweep: Sweep, summary: Summary) -> list[list[str]]:
     return [
         [
             escape(effect.name),
-            number(float(effect.edges[0])),
-            number(float(effect.edges[-1])),
+            number(float(effect.edges[0]), _unit(effect.name)),
+            number(float(effect.edges[-1]), _unit(effect.name)),
             percent(effect.success, 1),
             percent(effect.error, 1),
         ]

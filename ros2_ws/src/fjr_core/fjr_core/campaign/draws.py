@@ -15,6 +15,20 @@ from ..errors import ParameterError
 PER_RUN = ("delay", "position_noise", "velocity_noise", "resolution", "payload_mass", "smoothing")
 """Levels that are one number a run; of the others each joint may have its own."""
 POSITIVE = ("stiffness", "link_inertia", "motor_inertia", "smoothing", "effort_limit")
+UNITS = {
+    "coulomb_l": "N m",
+    "coulomb_m": "N m",
+    "smoothing": "rad/s",
+    "external": "N m",
+    "payload_mass": "kg",
+    "payload_position": "m",
+    "delay": "s",
+    "position_noise": "rad",
+    "velocity_noise": "rad/s",
+    "resolution": "rad",
+    "effort_limit": "N m",
+}
+"""Of levels; the other fields are factors."""
 SIGNED = ("gravity", "external", "payload_position")
 
 

@@ -104,7 +104,9 @@ class Program:
             },
         }
         lines = [f"#define {name} {value}" for name, value in sizes.items()]
-        return "\n".join(["#define CASADI_SYMBOL_EXPORT static", code, *lines, *map(_text, SOURCES)])
+        return "\n".join(
+            ["#define CASADI_SYMBOL_EXPORT static __attribute__((noinline))", code, *lines, *map(_text, SOURCES)]
+        )
 
 
 def _text(name: str) -> str:
