@@ -20,7 +20,7 @@ from ..sampled_law import SampledLaw
 from . import python_loop, uncertain
 from .draws import Draws
 from .outcomes import Outcomes, width
-from .program import Program, campaign
+from .program import LANES, Program, campaign
 
 LAST = 1.0  # s; what Outcomes.final is the mean of
 
@@ -101,7 +101,7 @@ class ClosedLoop:
         if self._program.library is None:
             python_loop.run(self._program, values)
             return rows
-        ring = np.zeros((values["ring"], self.robot.n))
+        ring = np.zeros((LANES, values["ring"], self.robot.n))
         filled = campaign(**values)
         self._program.library.run_campaign(ctypes.byref(filled), 0, draws.runs, _pointer(ring))
         return rows

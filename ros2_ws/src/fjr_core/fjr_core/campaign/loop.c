@@ -127,54 +127,86 @@ static int command(struct work* k, const struct campaign* c, const double* limit
   return size < INFINITY;
 }
 
-static void hold(struct work* k, const struct campaign* c, long long run, long long sample, const double* ring,
-                 double* x) {
-  static const double none[N] = {0};
-  const long long* segment = c->segments + 4 * run;
-  const double *parameters = c->parameters + PARAMETERS * run, *dt = c->dt + 2 * run;
-  for (int part = 0; part < 2; ++part) {
-    const long long age = segment[2 * part], steps = segment[2 * part + 1];
-    const double* u = sample >= age ? ring + (sample - age) % c->ring * N : none;
-    for (long long i = 0; i < steps; ++i) {
-      double next[4 * N];
-      plant_step(k, c->full[run], x, u, parameters, dt[part], next);
-      for (int j = 0; j < 4 * N; ++j) x[j] = next[j];
-    }
-  }
-}
+/* A run under way. */
+struct run {
+  long long number, sample;
+  int going;
+  double x[4 * N], u[N], memory[MEMORY + 1];
+  double* ring; /* (ring, N): the efforts sent last */
+  struct sums sums;
+};
 
-static void run_one(struct work* k, const struct campaign* c, long long run, double* ring) {
-  const double *parameters = c->parameters + PARAMETERS * run, *sensing = c->sensing + 3 * run;
-  double x[4 * N], position[2 * N], exact[2 * N], velocity[2 * N], u[N] = {0}, memory[MEMORY + 1];
-  double *row = c->rows + ROW * run, *trace = c->trace ? c->trace + (c->samples + 1) * 5 * N * run : 0;
-  struct sums s = sums_of(row);
-  long long sample;
+static void start(struct work* k, const struct campaign* c, struct run* r, long long number, double* ring) {
+  double* row = c->rows + ROW * number;
+  r->number = number, r->sample = 0, r->going = 1, r->ring = ring, r->sums = sums_of(row);
   for (int i = 0; i < ROW; ++i) row[i] = 0;
-  for (int i = 0; i < MEMORY; ++i) memory[i] = c->memory[i];
-  plant_state(k, c->full[run], c->position, c->velocity, parameters, x);
-  for (sample = 0; sample <= c->samples; ++sample) {
-    if (!add_errors(c, sample, x, &s)) break;
-    plant_velocity(k, c->full[run], x, parameters, exact);
-    for (int i = 0; i < 2 * N; ++i) position[i] = x[i], velocity[i] = exact[i];
-    measure(sensing, c->seeds[run], sample, position, velocity);
-    if (!command(k, c, c->limit + N * run, position, velocity, c->jets + sample * JETS * N, sample ? c->period : 0,
-                 memory, u))
-      break;
-    add_efforts(u, exact, &s);
-    for (int i = 0; i < N; ++i) ring[sample % c->ring * N + i] = u[i];
-    if (trace) {
-      for (int i = 0; i < 4 * N; ++i) trace[sample * 5 * N + i] = x[i];
-      for (int i = 0; i < N; ++i) trace[sample * 5 * N + 4 * N + i] = u[i];
-    }
-    if (sample < c->samples) hold(k, c, run, sample, ring, x);
-  }
-  finish(c, sample, &s);
+  for (int i = 0; i < N; ++i) r->u[i] = 0;
+  for (int i = 0; i < MEMORY; ++i) r->memory[i] = c->memory[i];
+  plant_state(k, c->full[number], c->position, c->velocity, c->parameters + PARAMETERS * number, r->x);
 }
 
-/* The runs from begin to end. ring (ring, N): the efforts sent last. No state is shared between calls. */
-void run_campaign(const struct campaign* c, long long begin, long long end, double* ring) {
+static void record(const struct campaign* c, const struct run* r) {
+  double* at = c->trace + ((c->samples + 1) * r->number + r->sample) * 5 * N;
+  for (int i = 0; i < 4 * N; ++i) at[i] = r->x[i];
+  for (int i = 0; i < N; ++i) at[4 * N + i] = r->u[i];
+}
+
+/* Errors, measurement and law at a sample; 0 when the run is lost. */
+static int answer(struct work* k, const struct campaign* c, struct run* r) {
+  const double* jets = c->jets + r->sample * JETS * N;
+  double position[2 * N], exact[2 * N], velocity[2 * N];
+  if (!add_errors(c, r->sample, r->x, &r->sums)) return 0;
+  plant_velocity(k, c->full[r->number], r->x, c->parameters + PARAMETERS * r->number, exact);
+  for (int i = 0; i < 2 * N; ++i) position[i] = r->x[i], velocity[i] = exact[i];
+  measure(c->sensing + 3 * r->number, c->seeds[r->number], r->sample, position, velocity);
+  if (!command(k, c, c->limit + N * r->number, position, velocity, jets, r->sample ? c->period : 0, r->memory, r->u))
+    return 0;
+  add_efforts(r->u, exact, &r->sums);
+  for (int i = 0; i < N; ++i) r->ring[r->sample % c->ring * N + i] = r->u[i];
+  if (c->trace) record(c, r);
+  return 1;
+}
+
+/* Step `step` of a part of the sample period, where a run has one. */
+static void integrate(struct work* k, const struct campaign* c, struct run* r, int part, long long step) {
+  static const double none[N] = {0};
+  const long long *segment = c->segments + 4 * r->number + 2 * part, age = segment[0];
+  const double* u = r->sample >= age ? r->ring + (r->sample - age) % c->ring * N : none;
+  double next[4 * N];
+  if (!r->going || step >= segment[1]) return;
+  plant_step(k, c->full[r->number], r->x, u, c->parameters + PARAMETERS * r->number, c->dt[2 * r->number + part], next);
+  for (int i = 0; i < 4 * N; ++i) r->x[i] = next[i];
+}
+
+/* LANES runs in step: a processor works on the next while it waits for a sine or a division of one. */
+static void run_some(struct work* k, const struct campaign* c, struct run* runs, int lanes) {
+  long long steps[2] = {0, 0};
+  int going = lanes;
+  for (int i = 0; i < lanes; ++i)
+    for (int part = 0; part < 2; ++part) {
+      const long long own = c->segments[4 * runs[i].number + 2 * part + 1];
+      steps[part] = own > steps[part] ? own : steps[part];
+    }
+  for (long long sample = 0; going && sample <= c->samples; ++sample) {
+    for (int i = 0; i < lanes; ++i)
+      if (runs[i].going && !(runs[i].going = answer(k, c, runs + i))) --going;
+    for (int part = 0; part < 2 && sample < c->samples; ++part)
+      for (long long step = 0; step < steps[part]; ++step)
+        for (int i = 0; i < lanes; ++i) integrate(k, c, runs + i, part, step);
+    for (int i = 0; i < lanes; ++i) runs[i].sample += runs[i].going;
+  }
+}
+
+/* The runs from begin to end. rings (LANES, ring, N): for the efforts sent last. No state is shared between calls. */
+void run_campaign(const struct campaign* c, long long begin, long long end, double* rings) {
   struct work k;
-  for (long long run = begin; run < end; ++run) run_one(&k, c, run, ring);
+  struct run runs[LANES];
+  for (; begin < end; begin += LANES) {
+    const int lanes = end - begin < LANES ? (int)(end - begin) : LANES;
+    for (int i = 0; i < lanes; ++i) start(&k, c, runs + i, begin + i, rings + i * c->ring * N);
+    run_some(&k, c, runs, lanes);
+    for (int i = 0; i < lanes; ++i) finish(c, runs[i].sample, &runs[i].sums);
+  }
 }
 
 /* For tests: normals of n joints at a sample (n, 4). */

@@ -20,6 +20,8 @@ from ..robot import Robot
 from ..sampled_law import ARGUMENTS, SampledLaw
 from .uncertain import UncertainPlant, size
 
+LANES = 4
+"""Runs that the program works on at once."""
 SOURCES = ("noise.c", "loop.c")
 _DOUBLES, _INTEGERS = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_longlong)
 
@@ -98,6 +100,7 @@ class Program:
             "N": self.robot.n,
             "PARAMETERS": size(self.robot.n),
             "MEMORY": len(self.law.memory),
+            "LANES": LANES,
             **{
                 key.upper(): max(1, *(getattr(f, f"sz_{key}")() for f in functions))
                 for key in ("arg", "res", "iw", "w")

@@ -109,9 +109,8 @@ class ScaledRobot:
     def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
         """(dq_l, dq_m) = (M_l^-1 p_l, S^-1 M_m^-1 S^-1 p_m)."""
         q_l, _, p_l, p_m = symbolic.blocks(x, self.n)
-        inverse = symbolic.sparse(np.linalg.inv(self.robot.M_m))
-        M_l = (links or self.links).M_l(q_l)
-        return symbolic.solve(M_l, p_l), (inverse @ (p_m / self.p.motor_inertia)) / self.p.motor_inertia
+        inverse = _both_sides(1 / self.p.motor_inertia, symbolic.sparse(np.linalg.inv(self.robot.M_m)))
+        return symbolic.solve((links or self.links).M_l(q_l), p_l), inverse @ p_m
 
     def momenta(self, q_l: ca.SX, dq_l: ca.SX, dq_m: ca.SX) -> tuple[ca.SX, ca.SX]:
         """(p_l, p_m) = (M_l dq_l, S M_m S dq_m)."""
