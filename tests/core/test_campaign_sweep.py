@@ -246,6 +246,14 @@ def test_a_campaign_that_cannot_be_is_refused_in_a_sentence(changes: dict[str, A
     assert words in str(caught.value)
 
 
+def test_friction_too_steep_for_the_steps_is_refused() -> None:
+    steep = {**VARY, "coulomb_m": {"uniform": [0.0, 1.0]}, "smoothing": 0.01}
+    campaign(vary={**steep, "smoothing": 0.2}).refuse_stiff_friction()
+    campaign().refuse_stiff_friction()
+    with pytest.raises(ParameterError, match="friction may damp at 2.5e.04 1/s, too fast for steps of 0.25 ms"):
+        campaign(vary=steep).refuse_stiff_friction()
+
+
 def test_what_decides_is_found() -> None:
     """The index of a number that decides alone is 1, of one that decides nothing 0, of two that share it a half."""
     rng = np.random.default_rng(0)

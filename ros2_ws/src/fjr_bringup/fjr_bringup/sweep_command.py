@@ -60,6 +60,7 @@ def planned(name: str | None, wish: Wish) -> Sweep:
 def sweep(name: str | None, wish: Wish, stop: threading.Event) -> str:
     """Carry the campaign out, write table, figures, picture and page; what to tell. Raises FjrError, Interrupted."""
     plan = planned(name, wish)
+    plan.refuse_stiff_friction()
     if wish.scheduler is None and not plan.loop.compiled:
         print(f"fjr: {SLOW}", file=sys.stderr)
     folder = wish.output / plan.name

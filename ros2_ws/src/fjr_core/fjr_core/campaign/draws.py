@@ -15,6 +15,7 @@ from ..errors import ParameterError
 PER_RUN = ("delay", "position_noise", "velocity_noise", "resolution", "payload_mass", "smoothing")
 """Levels that are one number a run; of the others each joint may have its own."""
 POSITIVE = ("stiffness", "link_inertia", "motor_inertia", "smoothing", "effort_limit")
+SMOOTHING = 0.01  # rad/s
 UNITS = {
     "coulomb_l": "N m",
     "coulomb_m": "N m",
@@ -55,7 +56,7 @@ class Draws:
     motor_damping: ArrayLike = 1.0
     coulomb_l: ArrayLike = 0.0
     coulomb_m: ArrayLike = 0.0
-    smoothing: ArrayLike = 0.01
+    smoothing: ArrayLike = SMOOTHING
     external: ArrayLike = 0.0
     payload_mass: ArrayLike = 0.0
     payload_position: ArrayLike = 0.0

@@ -14,18 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ParameterError
+from ..imperfections import Imperfections, friction_rate
 from ..safety_parameters import safety
 from ..sampled_law import SampledLaw, Static
 from ..scenario import Scenario, parse_scenario
 from . import counted, distributions
 from .closed_loop import ClosedLoop
 from .distributions import Distribution
-from .draws import LEVELS, PER_RUN, Draws
+from .draws import LEVELS, PER_RUN, SMOOTHING, Draws
 from .outcomes import FIELDS, PER_JOINT, Outcomes
+from .uncertain import FRICTION
 
 MEASURES = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
 """Outcomes that success may set a limit to."""
 MOST_RUNS = 10**9
+REACH = 2.0
+"""Largest product of friction's rate about rest and the step: Runge-Kutta is stable to 2.78, here with room."""
 NOISE_SEED = "seed"
 Columns = dict[str, NDArray[Any]]
 
@@ -75,6 +79,21 @@ class Sweep:
             s.plant.robot, sampled_law(s), s.reference, s.x0, self.duration, s.sample_period,
             int(s.plant_values["inner_steps"]), self.settle_after, self.band, self.lost,  # type: ignore[arg-type]
         )  # fmt: skip
+
+    def refuse_stiff_friction(self) -> None:
+        """Raise ParameterError where the steepest friction that may be drawn is too much for the steps of the plant."""
+        least, most = ({name: one.range[side] for name, one in self.vary.items()} for side in (0, 1))
+        robot, inertia = self.scenario.plant.robot, [least.get(name, 1.0) for name in ("link_inertia", "motor_inertia")]
+        levels = {name: most[name] for name in FRICTION if name in most}
+        steepest = Imperfections(robot.n, **levels, smoothing=least.get("smoothing", SMOOTHING))
+        M_l, M_m = inertia[0] * robot.M_l(self.scenario.x0[: robot.n]), inertia[1] * robot.M_m
+        rate, dt = friction_rate(steepest, M_l, M_m), self.loop.sample_period / self.loop.inner_steps
+        if rate * dt > REACH:
+            enough = rate * dt / REACH * least.get("smoothing", SMOOTHING)
+            raise ParameterError(
+                f"friction may damp at {rate:.3g} 1/s, too fast for steps of {1e3 * dt:.3g} ms; "
+                f"expected a smoothing of at least {enough:.2g} rad/s, or more inner_steps"
+            )
 
     def draws(self, begin: int, end: int) -> Draws:
         """What the runs begin .. end - 1 draw, the same whatever is drawn beside; limits of effort: the scenario's."""
