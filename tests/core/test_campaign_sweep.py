@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -118,9 +119,9 @@ def test_the_table_is_the_same_bytes_on_one_core_and_on_more_and_in_any_order(tm
 def test_what_is_finished_is_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan, stop, asked = campaign(), threading.Event(), []
 
-    def counted(text: str, begin: int, end: int) -> sweep.Columns:
+    def counted(text: str, begin: int, end: int, compiled: bool) -> sweep.Columns:
         asked.append(begin)
-        return sweep.run_part(text, begin, end)
+        return sweep.run_part(text, begin, end, compiled)
 
     monkeypatch.setattr(execution, "run_part", counted)
     with open_store(tmp_path / "a", plan, "program") as kept, threads(1) as workers:
@@ -202,6 +203,25 @@ def test_few_parts_are_under_way_at_any_time(tmp_path: Path) -> None:
         watched = execution.Workers(Watching(), 1)  # type: ignore[arg-type]
         assert carry_out(kept, watched, lambda runs: None, threading.Event())
     assert most[0] <= execution.AHEAD
+
+
+def test_a_worker_that_cannot_do_as_the_others_is_said(tmp_path: Path) -> None:
+    plan = campaign()
+    with pytest.raises(sweep.CampaignError, match="expected one .*, as where the campaign began"):
+        sweep.run_part(plan.text, 0, 5, not plan.loop.compiled)
+
+    class Elsewhere:
+        def submit(self, *_: Any) -> Future[Any]:
+            failed: Future[Any] = Future()
+            failed.set_exception(ModuleNotFoundError("No module named 'fjr_core'"))
+            return failed
+
+    workers = execution.Workers(Elsewhere(), 1, remote=True)  # type: ignore[arg-type]
+    with (
+        open_store(tmp_path, plan, "program") as kept,
+        pytest.raises(execution.ClusterError, match="No module named 'fjr_core'.*; expected this version of fjr_core"),
+    ):
+        carry_out(kept, workers, lambda runs: None, threading.Event())
 
 
 @pytest.mark.parametrize(

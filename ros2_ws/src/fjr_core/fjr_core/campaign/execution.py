@@ -25,10 +25,11 @@ class ClusterError(FjrError):
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor with how many it runs at once."""
+    """An executor with how many it runs at once; remote: on other machines, perhaps."""
 
     executor: Executor
     count: int
+    remote: bool = False
 
 
 @contextmanager
@@ -59,7 +60,7 @@ def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
         cores = sum(client.nthreads().values())
         if not cores:
             raise ClusterError(f"the Dask scheduler at {address} has no workers; expected at least one")
-        yield Workers(client.get_executor(pure=False, retries=3), cores)
+        yield Workers(client.get_executor(pure=False, retries=3), cores, remote=True)
     finally:
         client.close()
 
@@ -70,23 +71,38 @@ def carry_out(store: Store, workers: Workers, tell: Callable[[int], object], sto
     tell: called with the number of runs of each part that is kept. At no time are more parts in memory than
     AHEAD for each worker.
     """
-    missing, text = store.missing(), store.sweep.text
+    missing, text, compiled = store.missing(), store.sweep.text, store.sweep.loop.compiled
     under_way: dict[Future[Columns], tuple[int, int]] = {}
     try:
         while not stop.is_set():
             for part in _next(missing, AHEAD * workers.count - len(under_way)):
-                under_way[workers.executor.submit(run_part, text, *part)] = part
+                under_way[workers.executor.submit(run_part, text, *part, compiled)] = part
             if not under_way:
                 return True
             done, _ = wait(under_way, timeout=LOOK, return_when=FIRST_COMPLETED)
             for future in done:
                 begin, end = under_way.pop(future)
-                store.keep(begin, end, future.result())
+                store.keep(begin, end, _result(future, workers.remote))
                 tell(end - begin)
         return False
     finally:
         for future in under_way:
             future.cancel()
+
+
+def _result(future: Future[Columns], remote: bool) -> Columns:
+    """What a worker made; what goes wrong elsewhere is a ClusterError."""
+    try:
+        return future.result()
+    except FjrError:
+        raise
+    except Exception as error:
+        if not remote:
+            raise
+        what = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+        raise ClusterError(
+            f"a worker of the cluster failed ({what}); expected this version of fjr_core on its Python path"
+        ) from None
 
 
 def _next(missing: Iterator[tuple[int, int]], count: int) -> list[tuple[int, int]]:

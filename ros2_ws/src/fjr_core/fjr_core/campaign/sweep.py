@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ParameterError
+from ..errors import FjrError, ParameterError
 from ..imperfections import Imperfections, friction_rate
 from ..safety_parameters import safety
 from ..sampled_law import SampledLaw, Static
@@ -31,6 +31,12 @@ MOST_RUNS = 10**9
 REACH = 2.0
 """Largest product of friction's rate about rest and the step: Runge-Kutta is stable to 2.78, here with room."""
 NOISE_SEED = "seed"
+
+
+class CampaignError(FjrError):
+    """A part of a campaign that cannot be run as the others are."""
+
+
 Columns = dict[str, NDArray[Any]]
 
 
@@ -175,11 +181,16 @@ _recent = lru_cache(maxsize=2)(from_text)
 _building = threading.Lock()
 
 
-def run_part(text: str, begin: int, end: int) -> Columns:
-    """Sweep.part of a campaign given as text: what a worker, here or elsewhere, is asked for."""
+def run_part(text: str, begin: int, end: int, compiled: bool) -> Columns:
+    """Sweep.part of a campaign given as text: what a worker, here or elsewhere, is asked for.
+
+    compiled: whether the others run machine code. Raises CampaignError where this one cannot do as they do.
+    """
     with _building:  # once for all threads of a process
         sweep = _recent(text)
-        _ = sweep.loop.compiled
+        if sweep.loop.compiled != compiled:
+            here, there = ("without", "with") if compiled else ("with", "without")
+            raise CampaignError(f"a worker is {here} a C compiler; expected one {there}, as where the campaign began")
     return sweep.part(begin, end)
 
 
