@@ -113,12 +113,15 @@ def table(plan: Sweep, summary: Summary) -> str:
     for name, unit in UNITS.items():
         values = "".join(f"{number(value):>12}" for value in summary.quantiles[name])
         lines.append(f"  {name:14}{values} {unit}")
-    lines.append(f"  {'decided by':28}{'success':>10}{'rms error':>12}")
+    hint = "decided by" if summary.runs >= ENOUGH else "decided by, at a guess"
+    lines.append(f"  {hint:28}{'success':>10}{'rms error':>12}")
     for effect in summary.effects[:5]:
         lines.append(f"  {effect.name:28}{percent(effect.success, 0):>10}{percent(effect.error, 0):>12}")
     return "\n".join(lines)
 
 
+ENOUGH = 200
+"""Runs from which on what decides is more than a guess."""
 UNITS = {"rms": "rad", "peak": "rad", "final": "rad", "settling": "s", "effort_peak": "N m", "power": "W"}
 
 

@@ -112,5 +112,5 @@ def _distribution(ax: Axes, rms: Array, success: NDArray[np.bool_]) -> None:
         parts = [rms[stable & success], rms[stable & ~success]]
         ax.hist(parts, edges, stacked=True, color=[GOOD, BAD], label=["success", "failure"])
         ax.set_xscale("log")
-        ax.legend(loc="upper right", fontsize=8, frameon=False)
+        ax.legend(loc="best", fontsize=8, frameon=False)
     ax.set(title=f"Runs by error; {lost} lost", xlabel="RMS error, worst joint [rad]")

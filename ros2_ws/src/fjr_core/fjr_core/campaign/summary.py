@@ -14,7 +14,8 @@ from ..checks import Array
 from .distributions import Distribution
 from .sweep import Sweep
 
-BINS = 20
+BINS, FULL_BIN = 20, 25
+"""At most so many bins, with so many runs in each on average."""
 Z = 1.959964  # of a 95 % interval
 QUANTILES = (0.5, 0.95, 0.99, 1.0)
 Column = Callable[[str], NDArray[Any]]
@@ -22,9 +23,9 @@ Column = Callable[[str], NDArray[Any]]
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """What one drawn number does, in BINS bins that hold equally many runs on average.
+    """What one drawn number does, in bins that hold equally many runs on average.
 
-    edges (BINS + 1,): of the bins. share, low, high (BINS,): of success, with its 95 % interval. success, error:
+    edges (bins + 1,): of the bins. share, low, high (bins,): of success, with its 95 % interval. success, error:
     which part of the variance of success, and of log rms of the stable runs, goes with this number alone: its
     first-order sensitivity index (A. Saltelli et al., Global Sensitivity Analysis, Wiley 2008, sec. 1.2.6).
     """
@@ -111,11 +112,12 @@ def _largest(sweep: Sweep, column: Column, name: str) -> Array:
 def _effect(
     name: str, drawn: Distribution, values: Array, success: NDArray[np.bool_], log_rms: Array, stable: NDArray[np.bool_]
 ) -> Effect:
-    place = np.clip((BINS * drawn.share(values)).astype(int), 0, BINS - 1)
-    count, good = np.bincount(place, minlength=BINS), np.bincount(place, success, minlength=BINS)
+    bins = min(BINS, max(2, len(values) // FULL_BIN))
+    place = np.clip((bins * drawn.share(values)).astype(int), 0, bins - 1)
+    count, good = np.bincount(place, minlength=bins), np.bincount(place, success, minlength=bins)
     low, high = interval(good, count)
-    share = np.divide(good, count, out=np.full(BINS, np.nan), where=count > 0)
-    edges = drawn.at(np.arange(BINS + 1) / BINS)
+    share = np.divide(good, count, out=np.full(bins, np.nan), where=count > 0)
+    edges = drawn.at(np.arange(bins + 1) / bins)
     return Effect(name, edges, share, low, high, index(place, success), index(place[stable], log_rms[stable]))
 
 
@@ -125,11 +127,11 @@ def index(place: NDArray[np.int_], values: ArrayLike) -> float:
     The correlation ratio, less what bins explain of what has nothing to do with them (T. L. Kelley, PNAS 21(9), 1935).
     """
     values = np.asarray(values, dtype=float)
-    count = np.bincount(place, minlength=BINS)
+    count = np.bincount(place)
     used = np.count_nonzero(count)
     if len(values) <= used or not np.var(values) > 0:
         return 0.0
-    means = np.bincount(place, values, minlength=BINS) / np.maximum(count, 1)
+    means = np.bincount(place, values) / np.maximum(count, 1)
     within = float(np.mean((values - means[place]) ** 2)) * len(values) / (len(values) - used)
     return max(0.0, 1 - within / float(np.var(values, ddof=1)))
 
