@@ -18,15 +18,27 @@ import numpy
 import pinocchio
 from tqdm import tqdm
 
-from . import certificate, closed_loop, lock_step, memory, peers, periods, real_time, round_trip, start_up
+from . import (
+    campaign,
+    campaign_memory,
+    certificate,
+    closed_loop,
+    lock_step,
+    memory,
+    peers,
+    periods,
+    real_time,
+    round_trip,
+    start_up,
+)
 from .arm import arm7
 from .figures import Figure, table
 
 RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
-LONG = ("memory",)
+LONG = ("memory", "sweep-memory")
 USUAL = (
     *("law", "dynamics", "step", "loop", "virtual-machine", "start", "node", "real-time"),
-    *("round-trip", "certificate", "periods", "lock-step"),
+    *("round-trip", "certificate", "periods", "lock-step", "campaign"),
 )
 NAMES = (*USUAL, *LONG)
 
@@ -75,7 +87,9 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         lambda: certificate.over_none(arm, *((3,) if quick else ())),
         lambda: periods.late(*((10.0,) if quick else ())),
         lambda: lock_step.over_ping_pong(*((2, 3.0) if quick else ())),
+        lambda: campaign.against_peers(*((500, 2) if quick else ())),
         lambda: memory.flat(*((0.5,) if quick else ())),
+        lambda: campaign_memory.bounded(*((20_000,) if quick else ())),
     )
     return dict(zip(NAMES, runs, strict=True))
 

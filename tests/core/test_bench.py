@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -15,7 +16,7 @@ import pinocchio as pin
 import pytest
 
 import bench.__main__ as command
-from bench import driver, lock_step, memory, periods
+from bench import campaign, campaign_peers, driver, lock_step, memory, periods
 from bench.arm import Arm, arm7, random_motion
 from bench.figures import Figure, table
 from bench.measure import in_turns, ratio
@@ -157,3 +158,18 @@ def _acceleration(
     dM_dq = robot.links.dM(q_l, dq_l, dq_l).full().ravel()
     ddq_l = np.linalg.solve(robot.M_l(q_l), dx[2 * n : 3 * n] - dM_dq)
     return np.concatenate([ddq_l, np.linalg.solve(robot.M_m, dx[3 * n :])])
+
+
+def test_scipy_and_mujoco_run_the_same_campaign() -> None:
+    loop, drawn = replace(campaign.loop(), duration=0.4, settle_after=0.1), campaign.draws(3)
+    ours = loop.run(drawn).rms[:, 0]
+    for peer, agrees in ((campaign_peers.scipy_peer, 1e-8), (campaign_peers.mujoco_peer, 1e-11)):
+        theirs = [peer(loop, drawn, run) for run in range(3)]
+        assert theirs == pytest.approx(ours.tolist(), rel=agrees)
+
+
+def test_figures_of_a_campaign_are_a_wall_time_and_two_ratios() -> None:
+    wall, scipy, mujoco_figure = campaign.against_peers(runs=20, rounds=1)
+    assert (wall.unit, scipy.unit, mujoco_figure.unit) == ("s", "x", "x")
+    assert scipy.value > 1
+    assert mujoco_figure.value > 1

@@ -19,6 +19,7 @@ from docs.arm import my_arm_urdf
 from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
 from docs.shell import script, syntax_error
 from fjr_core import parameter_file
+from fjr_core.campaign import sweep_file
 from fjr_core.scenario import load_scenario
 
 LINKED = ("ros2_ws", "examples")  # what commands name relative to the checkout
@@ -110,6 +111,10 @@ def do_yaml(block: Block, folder: Path, said: str) -> str:
             assert parameter_file.values_for(node, parameter_file.parse(block.text))
         return said
     file = folder / block.marks["file"]
+    if sweep_file.is_one(parameter_file.parse(block.text)):
+        file.write_text(block.text, encoding="utf-8")
+        assert sweep_file.read(parameter_file.parse(block.text)).vary
+        return said
     before = parameter_file.parse(file.read_text(encoding="utf-8")) if file.exists() else {}
     file.write_text(parameter_file.dump(merged(before, parameter_file.parse(block.text))), encoding="utf-8")
     assert load_scenario(file).warnings == (), str(block)

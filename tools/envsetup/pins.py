@@ -13,7 +13,7 @@ LEVELS = {
     "run": ("run",),
     "bench": ("run", "bench"),
     "docs": ("run", "docs"),
-    "test": ("run", "bench", "docs", "test"),
+    "test": ("run", "bench", "docs", "cluster", "test"),
 }
 """Levels of the environment and the files in requirements/ they take."""
 

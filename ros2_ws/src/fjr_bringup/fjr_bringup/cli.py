@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -45,6 +46,7 @@ def parser() -> argparse.ArgumentParser:
     )
     contraction = commands.add_parser("contraction", help="solutions of the virtual system meet along a run: a picture")
     description = commands.add_parser("description", help="a scenario's robot as a URDF, for robot_state_publisher")
+    _add_sweep(commands)
     _add_listening(commands)
     for command in (run, check, gains, contraction, description):
         _add_scenario(command)
@@ -55,8 +57,8 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def _add_scenario(command: argparse.ArgumentParser) -> None:
-    command.add_argument("scenario", nargs="?", metavar="SCENARIO", help="an installed scenario's name, or a YAML file")
+def _add_scenario(command: argparse.ArgumentParser, what: str = "an installed scenario's name, or a YAML file") -> None:
+    command.add_argument("scenario", nargs="?", metavar="SCENARIO", help=what)
     command.add_argument(
         "--set",
         dest="overrides",
@@ -110,6 +112,27 @@ def _add_contraction(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_sweep(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    sweep = commands.add_parser("sweep", help="thousands of runs with drawn numbers: how wrong may the model be")
+    _add_scenario(sweep, "an installed sweep's or scenario's name, or a YAML file of either")
+    sweep.add_argument("--runs", type=_runs, metavar="N", help="how many runs (default: the sweep's, else 1000)")
+    sweep.add_argument(
+        "--seed", type=int, metavar="N", help="of everything that is drawn (default: the sweep's, else 0)"
+    )
+    sweep.add_argument("--duration", type=_seconds, metavar="S", help="of a run (default: the sweep's, else 5)")
+    sweep.add_argument("--cores", type=_cores, metavar="N", default=1, help="of this machine, or `all` (default 1)")
+    sweep.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of a Dask cluster in place of them, e.g. tcp://host:8786"
+    )
+    sweep.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        default=Path("runs", "sweeps"),
+        help="<name>/ in there (default runs/sweeps)",
+    )
+
+
 def _add_listening(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The commands that listen to running nodes."""
     echo = commands.add_parser("echo", help="print the messages of a topic, where there is no `ros2 topic echo`")
@@ -151,6 +174,19 @@ def _remap(text: str) -> str:
 
 def _count(text: str) -> int:
     return int(_number(text, "a number of messages; expected 1 or more", lambda value: value >= 1 and value % 1 == 0))
+
+
+def _runs(text: str) -> int:
+    return int(
+        _number(text, "a number of runs; expected 1 or more", lambda value: 1 <= value <= 1e9 and value % 1 == 0)
+    )
+
+
+def _cores(text: str) -> int:
+    here = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if text == "all":
+        return here
+    return int(_number(text, "a number of cores; expected 1 or more, or all", lambda value: value in range(1, 1025)))
 
 
 def _starts(text: str) -> int:

@@ -39,6 +39,7 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
         "scenarios": _scenarios,
         "contraction": _contraction,
         "description": _description,
+        "sweep": _sweep,
         "echo": _echo,
         "record": _record,
         "watch": _watch,
@@ -118,6 +119,15 @@ def _contraction(options: argparse.Namespace, stop: threading.Event) -> None:
 def _description(options: argparse.Namespace, _stop: threading.Event) -> None:
     _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
     print(description(scenario.plant_values), end="")
+
+
+def _sweep(options: argparse.Namespace, stop: threading.Event) -> None:
+    from fjr_bringup import sweep_command  # pyarrow loads here
+
+    given = {"runs": options.runs, "seed": options.seed, "duration": options.duration}
+    numbers = {name: value for name, value in given.items() if value is not None}
+    wish = sweep_command.Wish(options.cores, options.scheduler, options.output, _overrides(options), numbers)
+    print(sweep_command.sweep(options.scenario, wish, stop))
 
 
 def _echo(options: argparse.Namespace, stop: threading.Event) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import hashlib
 import logging
@@ -12,6 +13,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -48,6 +50,19 @@ def made(function: ca.Function) -> tuple[ca.Function, Path | None]:
         return function, None
 
 
+def loaded(name: str, functions: Sequence[ca.Function], around: Callable[[str], str]) -> ctypes.CDLL | None:
+    """A program of C round the C code of CasADi functions, as a loaded library; None, said once, where it cannot be.
+
+    around: from CasADi's code to the whole source. Cached as machine code of a function is.
+    """
+    try:
+        source = around(_c_code(name, functions))
+        return ctypes.CDLL(str(_library(name, source, ctypes.CDLL)))
+    except (CompileError, OSError, RuntimeError, ValueError) as error:
+        _say_once(str(error))
+        return None
+
+
 def machine() -> list[str]:
     """What decides, beside the C code, what machine code is made: compiler, options, processor; CompileError."""
     compiler = _compiler()
@@ -66,17 +81,24 @@ def cache_folder() -> Path:
 
 
 def _external(function: ca.Function) -> tuple[ca.Function, Path]:
-    compiler, source = _compiler(), _c_code(function)
+    name = function.name()
+    library = _library(name, _c_code(name, [function]), lambda path: ca.external(name, path))
+    return ca.external(name, str(library)), library
+
+
+def _library(name: str, source: str, load: Callable[[str], object]) -> Path:
+    """The shared object of a C source, which `load` can load: found, or built."""
+    compiler = _compiler()
     key = hashlib.sha256("\n".join([source, *machine()]).encode())
-    library = cache_folder() / f"{function.name()}-{key.hexdigest()[:32]}.so"
+    library = cache_folder() / f"{name}-{key.hexdigest()[:32]}.so"
     library.parent.mkdir(parents=True, exist_ok=True)
     _ensure(library, source, compiler)
     try:
-        return ca.external(function.name(), str(library)), library
-    except RuntimeError:  # not what was written there
+        load(str(library))
+    except (OSError, RuntimeError):  # not what was written there
         library.unlink(missing_ok=True)
         _ensure(library, source, compiler)
-        return ca.external(function.name(), str(library)), library
+    return library
 
 
 def _ensure(library: Path, source: str, compiler: tuple[str, ...]) -> None:
@@ -125,12 +147,13 @@ def _run(command: list[str]) -> None:
         raise CompileError(f"{command[0]} failed: {lines[0]}")
 
 
-def _c_code(function: ca.Function) -> str:
-    generator = ca.CodeGenerator(function.name())
-    generator.add(function)
+def _c_code(name: str, functions: Sequence[ca.Function]) -> str:
+    generator = ca.CodeGenerator(name)
+    for function in functions:
+        generator.add(function)
     code = str(generator.dump())
     if "#error" in code:
-        raise CompileError(f"CasADi cannot write {function.name()} as C")
+        raise CompileError(f"CasADi cannot write {name} as C")
     return code
 
 

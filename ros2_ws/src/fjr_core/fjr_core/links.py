@@ -30,6 +30,18 @@ class RigidArm(Protocol):
         """d/dq_l (v' M_l v / 2) (n,), v held."""
 
 
+class Carrier(RigidArm, Protocol):
+    """A rigid arm that may have a hand, which a payload can be put in."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+
+    @property
+    def hand(self) -> Hand | None:
+        """Where a payload can be; None: nowhere."""
+
+
 @dataclass(frozen=True)
 class Hand:
     """Where a point of the last link is.

@@ -9,7 +9,7 @@ from functools import cached_property
 import casadi as ca
 
 from .errors import RobotError
-from .links import Hand, Links
+from .links import Carrier, Hand
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Loaded:
     Raises RobotError for links without a hand.
     """
 
-    links: Links
+    links: Carrier
     mass: ca.SX
     position: ca.SX
 

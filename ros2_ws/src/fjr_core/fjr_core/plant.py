@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Protocol
 
 import casadi as ca
-import numpy as np
 from numpy.typing import ArrayLike
 
 from . import integrators, symbolic
@@ -17,19 +17,54 @@ from .numeric import NumericFunction, dense_function, numeric
 from .robot import Robot
 
 
+class Elastic(Protocol):
+    """What eq. (36) needs of a robot, whose matrices may be expressions: Robot, or campaign.uncertain's."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+
+    @property
+    def links(self) -> RigidArm:
+        """The rigid arm on the link side."""
+
+    @property
+    def K(self) -> ca.SX:
+        """Stiffness (n, n)."""
+
+    @property
+    def D_l(self) -> ca.SX:
+        """Damping of the links (n, n)."""
+
+    @property
+    def D_m(self) -> ca.SX:
+        """Damping of the motors (n, n)."""
+
+    @property
+    def B_m(self) -> ca.SX:
+        """Input matrix (n, n)."""
+
+    def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
+        """(dq_l, dq_m) at x (4n,)."""
+
+
 def structure(robot: Robot) -> tuple[Array, Array, Array]:
     """Return J (4n, 4n) skew, R (4n, 4n) positive semidefinite and G (4n, n) of eq. (36); all constant."""
-    n = robot.n
-    zero, one = np.zeros((2 * n, 2 * n)), np.eye(2 * n)
-    J = np.block([[zero, one], [-one, zero]])
-    R = np.zeros((4 * n, 4 * n))
-    R[2 * n : 3 * n, 2 * n : 3 * n] = robot.D_l
-    R[3 * n :, 3 * n :] = robot.D_m
-    G = np.vstack([np.zeros((3 * n, n)), robot.B_m])
+    J, R, G = (ca.evalf(part).full() for part in structure_expressions(robot))
     return J, R, G
 
 
-def gradient_expression(robot: Robot, x: ca.SX, links: RigidArm | None = None, cubic: ca.SX | None = None) -> ca.SX:
+def structure_expressions(robot: Elastic) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """The same as expressions, of a robot whose matrices may be expressions too."""
+    n = robot.n
+    zero, one = ca.SX(2 * n, 2 * n), ca.SX.eye(2 * n)
+    J = ca.blockcat([[zero, one], [-one, zero]])
+    R = ca.diagcat(zero, symbolic.sparse(robot.D_l), symbolic.sparse(robot.D_m))
+    G = ca.vertcat(ca.SX(3 * n, n), symbolic.sparse(robot.B_m))
+    return J, R, G
+
+
+def gradient_expression(robot: Elastic, x: ca.SX, links: RigidArm | None = None, cubic: ca.SX | None = None) -> ca.SX:
     """dH/dx (4n,) as an expression; d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l = -d/dq_l (dq_l' M_l dq_l / 2), (22).
 
     links: in place of the robot's, e.g. with a payload. cubic (n,) [N m/rad^3]: springs K zeta + cubic zeta^3.
@@ -42,17 +77,17 @@ def gradient_expression(robot: Robot, x: ca.SX, links: RigidArm | None = None, c
     return ca.vertcat(dH_dq_l, spring, dq_l, dq_m)
 
 
-def spring_expression(robot: Robot, zeta: ca.SX, cubic: ca.SX | None = None) -> ca.SX:
+def spring_expression(robot: Elastic, zeta: ca.SX, cubic: ca.SX | None = None) -> ca.SX:
     """Torque (n,) of the springs: K zeta, or K zeta + cubic zeta^3."""
     linear = robot.K @ zeta
     return linear if cubic is None else linear + cubic * zeta**3
 
 
-def derivative_expression(robot: Robot, x: ca.SX, u: ca.SX, dH: ca.SX | None = None) -> ca.SX:
+def derivative_expression(robot: Elastic, x: ca.SX, u: ca.SX, dH: ca.SX | None = None) -> ca.SX:
     """dx/dt (4n,) of eq. (36) as an expression; dH (4n,): another gradient than the robot's."""
-    J, R, G = structure(robot)
+    J, R, G = structure_expressions(robot)
     dH = gradient_expression(robot, x) if dH is None else dH
-    return ca.sparsify(ca.DM(J - R)) @ dH + ca.sparsify(ca.DM(G)) @ u
+    return (J - R) @ dH + G @ u
 
 
 class Plant:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import casadi as ca
+from numpy.typing import ArrayLike
 
 
 def blocks(x: ca.SX, n: int) -> list[ca.SX]:
@@ -16,6 +17,11 @@ def solve(A: ca.SX | ca.DM, b: ca.SX) -> ca.SX:
     if A.shape == (1, 1):
         return b / A
     return ca.ldl_solve(b, *ca.ldl(ca.SX(A)))
+
+
+def sparse(matrix: ca.SX | ArrayLike) -> ca.SX:
+    """A matrix of numbers or of expressions without what is 0 in it."""
+    return ca.sparsify(matrix if isinstance(matrix, ca.SX) else ca.SX(ca.DM(matrix)))
 
 
 def directional(e: ca.SX, z: ca.SX, dz: ca.SX) -> ca.SX:

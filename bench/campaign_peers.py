@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One run of a campaign of the paper's joint as SciPy's and MuJoCo's users would do it; both call the compiled law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import sin
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from scipy.integrate import solve_ivp
+
+from fjr_core import TrackingLaw, single_link
+from fjr_core.campaign import ClosedLoop, Draws
+from fjr_core.checks import Array
+from fjr_core.robot import Robot
+from fjr_core.sampled_law import Static
+
+from .mujoco_arm import MujocoArm
+
+NAMES = ("stiffness", "link_inertia", "gravity", "motor_inertia", "link_damping", "motor_damping")
+GRAVITY = 9.81  # m/s^2
+MASS = 1.0  # kg, of the link that MuJoCo has; the torque of its weight and its inertia are the joint's
+
+Peer = Callable[[ClosedLoop, Draws, int], float]
+"""(loop, draws, run) -> RMS error of the link from loop.settle_after on [rad]."""
+
+
+def scipy_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
+    """solve_ivp with its own choice of method, tolerances and steps over each hold."""
+    M_l, load, M_m, K, D_l, D_m = numbers(loop.robot, draws, run)
+    period = loop.sample_period
+
+    def follow(x: Array, u: float) -> Array:
+        def derivative(_t: float, x: Array) -> tuple[float, float, float, float]:
+            q_l, q_m, dq_l, dq_m = x
+            spring = K * (q_m - q_l)
+            return dq_l, dq_m, (spring - D_l * dq_l - load * sin(q_l)) / M_l, (u - spring - D_m * dq_m) / M_m
+
+        return np.asarray(solve_ivp(derivative, (0.0, period), x).y[:, -1])
+
+    return _tracked(loop, follow)
+
+
+def mujoco_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
+    """mj_step, all steps of a hold in one call."""
+    peer = mujoco_joint(loop.robot, draws, run, loop.sample_period / loop.inner_steps)
+    model, data, first = peer.model, peer.data, [True]
+
+    def follow(x: Array, u: float) -> Array:
+        if first:
+            data.qpos[:], data.qvel[:] = x[:2], x[2:]
+            first.clear()
+        data.qfrc_applied[1] = u
+        mujoco.mj_step(model, data, nstep=loop.inner_steps)
+        x[:2], x[2:] = data.qpos, data.qvel
+        return x
+
+    return _tracked(loop, follow)
+
+
+def mujoco_joint(robot: Robot, draws: Draws, run: int, dt: float) -> MujocoArm:
+    """The joint with drawn numbers as a MuJoCo model."""
+    M_l, load, M_m, K, D_l, D_m = numbers(robot, draws, run)
+    lever = load / (MASS * GRAVITY)
+    about_com = M_l - MASS * lever**2
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "joint")
+    inertia = pin.Inertia(MASS, np.array([0.0, 0.0, -lever]), about_com * np.eye(3))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
+    drawn = single_link(K, M_l, load, M_m, D_l, D_m)
+    return MujocoArm(model, drawn, dt)
+
+
+def numbers(robot: Robot, draws: Draws, run: int) -> tuple[float, float, float, float, float, float]:
+    """M_l, m g l, M_m, K, D_l and D_m of a run."""
+    factor = {name: float(np.asarray(getattr(draws, name))[run]) for name in NAMES}
+    load = float(robot.grad_P_l([np.pi / 2])[0]) * factor["gravity"]
+    M_l, M_m = float(robot.M_l([0.0])[0, 0]), float(robot.M_m[0, 0])
+    return (
+        M_l * factor["link_inertia"],
+        load,
+        M_m * factor["motor_inertia"],
+        float(robot.K[0, 0]) * factor["stiffness"],
+        float(robot.D_l[0, 0]) * factor["link_damping"],
+        float(robot.D_m[0, 0]) * factor["motor_damping"],
+    )
+
+
+def _tracked(loop: ClosedLoop, follow: Callable[[Array, float], Array]) -> float:
+    """Run the loop; follow: (q_l, q_m, dq_l, dq_m) and the effort held -> the same a sample later."""
+    assert isinstance(loop.law, Static)
+    assert isinstance(loop.law.law, TrackingLaw)
+    samples = round(loop.duration / loop.sample_period)
+    table = loop.reference.jets(loop.sample_period * np.arange(samples + 1))
+    q = np.asarray(loop.x0)[:2]
+    x = np.concatenate([q, *loop.robot.velocities(loop.x0)])
+    position, velocity, jets = np.zeros(2), np.zeros(2), np.zeros(table.shape[1:])
+    law = loop.law.law.bound(position, velocity, jets)
+    error = np.empty(samples + 1)
+    for k in range(samples + 1):
+        error[k] = x[0] - table[k, 0, 0]
+        position[:], velocity[:], jets[:] = x[:2], x[2:], table[k]
+        law.evaluate()
+        if k < samples:
+            x = follow(x, law.u[0])
+    after = error[round(loop.settle_after / loop.sample_period) :]
+    return float(np.sqrt(np.mean(after**2)))
