@@ -42,7 +42,8 @@ class Control:
         reader = StateReader(joints, measurement(values, robot))
         self._law = TrackingLaw(robot, config.gains(values, robot.n), compile=values["compile"])
         simulated = bool(node.get_parameter("use_sim_time").value)
-        self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated)
+        robust = config.robust(values, robot.n)
+        self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated, robust)
         self.tracker.warm_up()
         # Nothing above is made on the node, nothing below is refused.
         self.reports = Reports(node, self.tracker)
@@ -116,7 +117,8 @@ class Control:
 
     def _heard(self, node: Node, limit: Array) -> Witness:
         """The witness of all answers."""
-        witness = Witness(node, self._law, self.tracker, limit)
+        robust = config.robust(self._values, self._robot.n)
+        witness = Witness(node, self._law, self.tracker, limit, judged=not (robust.estimates or robust.integrates))
         self._answering.tell(witness.see)
         self.reports.besides(witness.status)
         return witness

@@ -14,7 +14,7 @@ from fjr_core.checks import Array
 from fjr_core.forecast import Forecast
 from fjr_core.running_verdict import RunningVerdict
 from fjr_core.thresholds import LONGEST_GAP
-from fjr_core.verdict import Verdict
+from fjr_core.verdict import Verdict, unknown
 from fjr_msgs_py import names
 from fjr_msgs_py.certificates import CertificateValues, CertificateWriter
 from fjr_msgs_py.messages import JointSample
@@ -22,14 +22,20 @@ from fjr_msgs_py.messages import JointSample
 from .tracker import Command, Tracker
 
 LEVELS = {"holding": DiagnosticStatus.OK, "violated": DiagnosticStatus.WARN, "unknown": DiagnosticStatus.OK}
+BESIDE = "the law counts on torques beside its model (robust.*): V is its storage with the integral's energy, not judged"
 LONGEST = LONGEST_GAP * 1e-2  # s between two states, above which they have nothing to do with each other
 
 
 class Witness:
-    """A listener of Answering: publishes a certificate for each state, and keeps what the verdict is drawn from."""
+    """A listener of Answering: publishes a certificate for each state, and keeps what the verdict is drawn from.
 
-    def __init__(self, node: Node, law: TrackingLaw, tracker: Tracker, limit: Array) -> None:
-        """limit (n,) [N m]: of the efforts."""
+    Where the law counts on torques beside its model, V is the law's own, and its rates and its bound are not known
+    (nan): they hold for the model alone.
+    """
+
+    def __init__(self, node: Node, law: TrackingLaw, tracker: Tracker, limit: Array, judged: bool = True) -> None:
+        """limit (n,) [N m]: of the efforts. judged: whether the law knows of nothing beside its model."""
+        self._judged = judged
         self._node, self._law, self._tracker = node, law, tracker
         self._forecast = Forecast(law)
         self._running = RunningVerdict(law, limit, self._forecast)
@@ -57,13 +63,14 @@ class Witness:
         follows = self._forecast.count != count
         rate = (self._forecast.V - before) / dt if follows else math.nan
         self._stamp = sample.stamp
-        if follows:
+        if follows and self._judged:
             self._running.look(self._beta)
-        self._publisher.publish(self._writer.fill(sample.stamp, self._values(rate, dt)))
+        values = self._values(rate, dt) if self._judged else self._unjudged(command.V)
+        self._publisher.publish(self._writer.fill(sample.stamp, values))
 
     def status(self) -> DiagnosticStatus:
         """The verdict on the last second."""
-        verdict: Verdict = self._running.verdict()
+        verdict: Verdict = self._running.verdict() if self._judged else unknown(BESIDE)
         if self._law.robot.links.M_l_vertices is None:
             self._beta = self._rate()
         said = {"verdict": verdict.kind, "causes": ", ".join(verdict.causes)}
@@ -88,6 +95,10 @@ class Witness:
         else:
             self._bound *= math.exp(-2 * self._beta * dt)
         return CertificateValues(f.V, f.dV, rate, self._bound, f.H, f.supplied, f.dissipated)
+
+    def _unjudged(self, V: float) -> CertificateValues:
+        f = self._forecast
+        return CertificateValues(V, math.nan, math.nan, math.nan, f.H, f.supplied, f.dissipated)
 
     def _rate(self) -> float:
         """beta [1/s]: proven where it can be, else that of the present configuration."""

@@ -22,6 +22,7 @@ from .process_parameters import process_parameters
 from .reference_parameters import reference, reference_parameters
 from .robot import Robot
 from .robot_parameters import joints_of, robot, robot_parameters
+from .robust_parameters import robust, robust_parameters
 from .safety_parameters import safety_parameters
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "plant_parameters",
     "reference",
     "robot",
+    "robust",
 ]
 
 _GAIN_CONSTRAINTS = {
@@ -89,6 +91,7 @@ def controller_parameters(n: int) -> list[Parameter]:
     ]
     return [
         *gains,
+        *robust_parameters(n),
         *reference_parameters(n),
         *measurement_parameters(n),
         *safety_parameters(n),

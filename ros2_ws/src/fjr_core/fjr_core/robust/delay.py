@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from ..integrators import rk4_expression
+from ..measured import velocity_function
 from ..numeric import dense_function
 from ..plant import derivative_expression
 from ..robot import Robot
@@ -32,8 +33,9 @@ class Waiting:
         self.sizes = {"efforts": n * self.count, "ages": self.count}
 
     def step(self, kept: Terms, sent: ca.MX, dt: ca.MX) -> Terms:
-        """The parts anew: `sent` answered the sample dt [s] before this one."""
-        efforts = [sent, *ca.vertsplit(kept["efforts"], self._n)]
+        """The parts anew: `sent` answered the sample dt [s] before this one; dt 0: it acted before the first one."""
+        before = ca.if_else(dt > 0, kept["efforts"], ca.repmat(sent, self.count, 1))
+        efforts = [sent, *ca.vertsplit(before, self._n)]
         ages = [dt, *(age + dt for age in ca.vertsplit(kept["ages"]))]
         return {"efforts": ca.vertcat(*efforts[:-1]), "ages": ca.vertcat(*ages[:-1])}
 
@@ -97,9 +99,7 @@ class Model:
 
     @cached_property
     def _to_velocity(self) -> ca.Function:
-        x = ca.SX.sym("x", 4 * self.robot.n)
-        velocity = ca.vertcat(*self.robot.velocity_expressions(x))
-        return dense_function("to_velocity", {"x": x}, {"velocity": velocity})
+        return velocity_function(self.robot)
 
 
 def _within(t: ca.MX | float, start: ca.MX | float, end: ca.MX | float) -> ca.MX:

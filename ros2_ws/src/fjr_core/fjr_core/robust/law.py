@@ -14,7 +14,7 @@ from ..errors import GainsError
 from ..numeric import dense_function
 from ..reference import JETS
 from ..robot import Robot
-from ..sampled_law import ARGUMENTS, MeasuredLaw, SampledLaw, Static
+from ..sampled_law import ARGUMENTS, BoundStep, MeasuredLaw, SampledLaw, Static, bound_step
 from ..vdpbc.law import TrackingLaw
 from ..vdpbc.loaded import loaded_expression
 from .delay import Model, Waiting
@@ -85,6 +85,25 @@ class RobustLaw:
         u, V, parts = self._sample(s, self._gains.split(s["gains"]), self._memory.split(s["memory"]))
         inputs = {name: s[name] for name in ARGUMENTS}
         return dense_function("robust_law", inputs, {"u": u, "V": V, "next": self._memory.join(parts)})
+
+    @cached_property
+    def ready_step(self) -> ca.Function:
+        """step_function as machine code where the law is."""
+        law, r = self.law, self.robust
+        if not isinstance(law, TrackingLaw):
+            return self.step_function
+        which = f"{r.estimates:d}{r.integrates:d}_{r.delay!r}_{r.hold!r}".replace(".", "p").replace("-", "m")
+        return law.derived(f"robust_law_{which}", lambda: self.step_function)
+
+    def with_law(self, law: MeasuredLaw) -> RobustLaw:
+        """The same of a law made by `self.law.with_gains`: nothing is built again."""
+        other = RobustLaw(law, self.robust)
+        other.__dict__.update(step_function=self.step_function, ready_step=self.ready_step)
+        return other
+
+    def bound(self, position: Array, velocity: Array, jets: Array) -> BoundStep:
+        """A sample from these contiguous arrays (2n,), (2n,), (5, n), which each evaluation reads."""
+        return bound_step(self, position, velocity, jets, self.ready_step)
 
     def _sample(self, s: Terms, gains: Terms, kept: Terms) -> tuple[ca.MX, ca.MX, Terms]:
         """u, V and the memory anew."""
