@@ -45,7 +45,7 @@ class Load:
     """Symbols of the torque on the links that the law believes in beside the model: known + integral.
 
     known (n, 3): the first part with its two rates, column k is the k-th derivative. integral (n,) [N m]: the second
-    part, a state of the law, whose rate is `gain` (n,) [N m/rad] times what the stages find (docs/robust.md).
+    part, a state of the law, whose rate is `gain` (n, n) [N m/rad] times what the stages find (docs/robust.md).
     """
 
     known: ca.SX
@@ -55,7 +55,7 @@ class Load:
     @classmethod
     def named(cls, n: int) -> Load:
         """Fresh symbols."""
-        return cls(ca.SX.sym("known", n, LOAD_RATES + 1), ca.SX.sym("integral", n), ca.SX.sym("integral_gain", n))
+        return cls(ca.SX.sym("known", n, LOAD_RATES + 1), ca.SX.sym("integral", n), ca.SX.sym("integral_gain", n, n))
 
     @property
     def torque(self) -> ca.SX:

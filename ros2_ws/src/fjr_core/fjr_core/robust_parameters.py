@@ -4,20 +4,20 @@
 from __future__ import annotations
 
 from .parameters import Parameter, Values, named, vector
-from .robust.options import GAINS, HOLD, Robust
+from .robust.options import HOLD, Robust
 
 _WORDS = {
     "residual_gain": "Rate of the estimate of a torque on the links, fed forward; 0: none",
     "motor_residual_gain": "Rate of the estimate of a torque on the motors, fed forward; 0: none",
-    "integral_gain": "Integral action on the links; 0: none",
-    "motor_integral_gain": "Integral action on the motors; 0: none",
+    "integral_gain": "Rate at which integral action takes up a torque on the links; 0: none",
+    "motor_integral_gain": "Rate at which integral action takes up a torque on the motors; 0: none",
 }
 
 
 def robust_parameters(n: int) -> list[Parameter]:
     """The parameters for n joints; everything is off by default."""
     gains = [
-        Parameter(f"robust.{name}", (0.0,) * n, text, GAINS[name], constraint="0 or more")
+        Parameter(f"robust.{name}", (0.0,) * n, text, "1/s", constraint="0 or more")
         for name, text in _WORDS.items()
     ]
     delay = "Delay of the loop, over which the law predicts the state; 0: no prediction"

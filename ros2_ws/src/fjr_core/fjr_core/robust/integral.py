@@ -1,10 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The integral's part of a sample: its state moved on by the rate of the last sample, but not into a limit."""
+"""The integral's part of a sample: its gains, and its state moved on by the rate of the last sample.
+
+The integral on the links moves by K port_l (vdpbc.integral), the one on the motors by K port_m. With
+K = rate (Pi Lambda^-1 + D + K_d), made symmetric, it takes up a constant torque at that rate in every direction:
+at rest the errors under a torque theta are qt = (Pi + (D + K_d) Lambda)^-1 theta, and the port is Lambda qt.
+"""
 
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
+from ..checks import Array
+from ..gains import CheckedGains
 from ..robot import Robot
 
 Terms = dict[str, ca.MX]
@@ -12,15 +20,17 @@ SAME = 1e-9  # N m: what was sent is what was wanted
 
 
 class Integral:
-    """Torques (2n,) [N m] of the links, then the motors, whose rates are gain * port; see vdpbc.integral.
+    """Torques (2n,) [N m] of the links, then the motors, with the gains K of both sides.
 
     Where the effort sent last was not the one wanted (a limit, a fade), a joint's integrals move only in the
     direction that brings the effort wanted nearer to the one sent: a torque that grows lowers the effort.
     """
 
     def __init__(self, robot: Robot) -> None:
-        self._B_m = ca.DM(robot.B_m)
-        self.sizes = {"integral": 2 * robot.n, "rate": 2 * robot.n, "wanted": robot.n}
+        n = robot.n
+        self._B_m, self._n = ca.DM(robot.B_m), n
+        self.sizes = {"integral": 2 * n, "rate": 2 * n, "wanted": n}
+        self.gain_sizes = {"K_l": n * n, "K_m": n * n, "K_l_inverse": n * n, "K_m_inverse": n * n}
 
     def step(self, kept: Terms, sent: ca.MX, dt: ca.MX) -> ca.MX:
         """The torques (2n,) now. sent (n,): what became of the effort wanted, dt [s] ago."""
@@ -29,11 +39,29 @@ class Integral:
         free = ca.logic_or(ca.fabs(excess) <= SAME, rate * excess > 0)
         return kept["integral"] + ca.if_else(free, dt * rate, 0)
 
-    def parts(self, integral: ca.MX, ports: ca.MX, gains: ca.MX, u: ca.MX) -> Terms:
-        """What is kept: ports (2n,) [rad/s], gains (2n,) [N m/rad], u (n,) wanted [N m]."""
-        return {"integral": integral, "rate": gains * ports, "wanted": u}
+    def parts(self, integral: ca.MX, ports: tuple[ca.MX, ca.MX], gains: Terms, u: ca.MX) -> Terms:
+        """What is kept: ports of links and motors (n,) [rad/s], u (n,) wanted [N m]."""
+        rates = [ca.mtimes(self.matrix(gains, name), port) for name, port in zip(("K_l", "K_m"), ports, strict=True)]
+        return {"integral": integral, "rate": ca.vertcat(*rates), "wanted": u}
+
+    def energy(self, integral: ca.MX, gains: Terms) -> ca.MX:
+        """integral' K^-1 integral / 2 of both sides [J]; what has no gain has no integral."""
+        torques = zip(("K_l_inverse", "K_m_inverse"), ca.vertsplit(integral, self._n), strict=True)
+        return sum(ca.dot(torque, ca.mtimes(self.matrix(gains, name), torque)) for name, torque in torques) / 2
+
+    def matrix(self, gains: Terms, name: str) -> ca.MX:
+        """A gain (n, n) by its name in gain_sizes."""
+        return ca.reshape(gains[name], self._n, self._n)
 
 
-def energy(integral: ca.MX, gains: ca.MX) -> ca.MX:
-    """integral' gain^-1 integral / 2 [J]; joints without a gain have no integral."""
-    return ca.sum1(integral**2 / ca.if_else(gains > 0, gains, 1)) / 2
+def gain_values(robot: Robot, gains: CheckedGains, rates: tuple[Array, Array]) -> Array:
+    """The numbers of Integral.gain_sizes for rates (n,) [1/s] of links and motors."""
+    K_l = _gain(gains.Pi_l, gains.Lambda_l, robot.D_l + gains.K_ld, rates[0])
+    K_m = _gain(gains.Pi_m, gains.Lambda_m, robot.D_m + gains.K_md, rates[1])
+    return np.concatenate([K.ravel() for K in (K_l, K_m, np.linalg.pinv(K_l), np.linalg.pinv(K_m))])
+
+
+def _gain(Pi: Array, Lambda: Array, damping: Array, rate: Array) -> Array:
+    stiff = Pi @ np.linalg.inv(Lambda)
+    root = np.sqrt(rate)
+    return np.asarray(root[:, None] * ((stiff + stiff.T) / 2 + damping) * root)

@@ -18,7 +18,7 @@ from ..sampled_law import ARGUMENTS, BoundStep, MeasuredLaw, SampledLaw, Static,
 from ..vdpbc.law import TrackingLaw
 from ..vdpbc.loaded import loaded_expression
 from .delay import Model, Waiting
-from .integral import Integral, energy
+from .integral import Integral, gain_values
 from .memory import Parts
 from .options import Robust
 from .residual import MomentumResidual
@@ -65,11 +65,14 @@ class RobustLaw:
 
     @property
     def gain_values(self) -> Array:
-        """The law's gains, then residual and integral gains (2n,) of links and motors, where they are used."""
-        r = self.robust
-        residual = [np.asarray(r.residual_gain), np.asarray(r.motor_residual_gain)] if r.estimates else []
-        integral = [np.asarray(r.integral_gain), np.asarray(r.motor_integral_gain)] if r.integrates else []
-        return np.concatenate([self.law.gain_values, *residual, *integral])
+        """The law's gains, then residual gains (2n,) and the integral's (gain_values), where they are used."""
+        r, values = self.robust, [self.law.gain_values]
+        if r.estimates:
+            values += [np.asarray(r.residual_gain), np.asarray(r.motor_residual_gain)]
+        if r.integrates and isinstance(self.law, TrackingLaw):
+            rates = np.asarray(r.integral_gain), np.asarray(r.motor_integral_gain)
+            values.append(gain_values(self.robot, self.law.gains, rates))
+        return np.concatenate(values)
 
     @property
     def memory(self) -> Array:
@@ -138,12 +141,13 @@ class RobustLaw:
     ) -> tuple[ca.MX, ca.MX, Terms]:
         """u, V and the memory of the law that counts on these torques."""
         n = self.robot.n
-        K_i = gains.get("integral", ca.MX.zeros(2 * n))
+        K_l = self._integral.matrix(gains, "K_l") if self.robust.integrates else ca.MX.zeros(n, n)
         matched = beside[n:] + integral[n:]
-        u, V, _, port_l, port_m = self._loaded(*at, gains["law"], known, integral[:n], K_i[:n], matched)
-        if self.robust.integrates:
-            parts |= self._integral.parts(integral, ca.vertcat(port_l, port_m), K_i, u)
-        return u, V + energy(integral, K_i), parts
+        u, V, _, *ports = self._loaded(*at, gains["law"], known, integral[:n], K_l, matched)
+        if not self.robust.integrates:
+            return u, V, parts
+        parts |= self._integral.parts(integral, (ports[0], ports[1]), gains, u)
+        return u, V + self._integral.energy(integral, gains), parts
 
     @property
     def _waits(self) -> bool:
@@ -152,8 +156,9 @@ class RobustLaw:
     @cached_property
     def _gains(self) -> Parts:
         n, r = self.robot.n, self.robust
-        sizes = {"law": len(self.law.gain_values), "residual": 2 * n * r.estimates, "integral": 2 * n * r.integrates}
-        return Parts({name: size for name, size in sizes.items() if size})
+        residual = {"residual": 2 * n} if r.estimates else {}
+        integral = self._integral.gain_sizes if r.integrates else {}
+        return Parts({"law": len(self.law.gain_values), **residual, **integral})
 
     @cached_property
     def _memory(self) -> Parts:

@@ -12,7 +12,7 @@ from .. import checks
 from ..checks import Array
 from ..errors import GainsError
 
-GAINS = {"residual_gain": "1/s", "motor_residual_gain": "1/s", "integral_gain": "N m/rad", "motor_integral_gain": "N m/rad"}
+GAINS = ("residual_gain", "motor_residual_gain", "integral_gain", "motor_integral_gain")
 HOLD = 1e-3  # s
 LONGEST_DELAY = 32  # samples of hold
 
@@ -21,11 +21,10 @@ LONGEST_DELAY = 32  # samples of hold
 class Robust:
     """Robust action (docs/robust.md); each gain a scalar or (n,), 0 or more, 0 for none.
 
-    residual_gain [1/s]: rate L of the estimate of a torque on the links, fed forward. motor_residual_gain [1/s]:
-    of a torque on the motors. integral_gain [N m/rad]: rate of the integral's torque on the links by its port
-    [rad/s]. motor_integral_gain [N m/rad]: the same on the motors, by s_m. delay [s]: of the loop, over which the
-    state is predicted; 0: no prediction. hold [s]: how long an effort is held, half of which counts too; the period
-    of the states.
+    residual_gain [1/s]: rate L of the estimate of a torque on the links, fed forward. motor_residual_gain [1/s]: of
+    a torque on the motors. integral_gain [1/s]: rate at which the integral on the links takes up a torque there.
+    motor_integral_gain [1/s]: the same on the motors. delay [s]: of the loop, over which the state is predicted; 0:
+    no prediction. hold [s]: how long an effort is held, half of which counts too; the period of the states.
     """
 
     residual_gain: ArrayLike = 0.0
@@ -37,7 +36,7 @@ class Robust:
 
     def checked(self, n: int) -> Robust:
         """The same with gains (n,). Raises GainsError for what is negative, not finite or of another shape."""
-        gains = {name: _gain(name, getattr(self, name), n, unit) for name, unit in GAINS.items()}
+        gains = {name: _gain(name, getattr(self, name), n) for name in GAINS}
         for name, value in (("delay", self.delay), ("hold", self.hold)):
             if not (np.isfinite(value) and value >= 0):
                 raise GainsError(f"{name} is {value} s; expected a finite number of 0 or more")
@@ -73,9 +72,9 @@ class Robust:
         return self.delay + self.hold / 2 if self.predicts else 0.0
 
 
-def _gain(name: str, value: ArrayLike, n: int, unit: str) -> Array:
+def _gain(name: str, value: ArrayLike, n: int) -> Array:
     array = checks.vector(name, value, n, GainsError)
     if not np.all(array >= 0):
-        raise GainsError(f"{name} is {array.tolist()} {unit}; expected 0 or more")
+        raise GainsError(f"{name} is {array.tolist()} 1/s; expected 0 or more")
     array.setflags(write=False)
     return array

@@ -25,9 +25,9 @@ def port_less(flow: Flow, port: ca.SX, wanted: ca.SX, force: ca.SX) -> ca.SX:
 
 def rate(flow: Flow, port: ca.SX) -> ca.SX | None:
     """The rate (n,) [N m/s] of the load's integral that a port gives; None without a load."""
-    return None if flow.load is None else flow.load.gain * port
+    return None if flow.load is None else flow.load.gain @ port
 
 
 def lag(flow: Flow, v_mr: ca.SX, force: ca.SX) -> ca.SX:
     """Acceleration (n,) that makes up for what dq_md lacks: (dv_mr/dp_l) gain force, force = K^-1 Pi_m qt_m."""
-    return ca.SX(flow.robot.n, 1) if flow.load is None else flow.pushed(v_mr, flow.load.gain * force)
+    return ca.SX(flow.robot.n, 1) if flow.load is None else flow.pushed(v_mr, flow.load.gain @ force)
