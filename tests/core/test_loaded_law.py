@@ -15,7 +15,7 @@ from loaded_oracle import LiteralLoadedLaw
 import fjr_core as fjr
 from fjr_core.vdpbc.loaded import OUTPUTS, loaded_expression
 
-CLOSE = 1e-8  # relative to the sum of absolute terms, or to the largest of a vector; soft joints cancel seven digits
+CLOSE = 1e-9  # relative to the sum of absolute terms, or to the largest of a vector; soft joints cancel six digits
 
 
 @cache
@@ -31,10 +31,10 @@ class Case:
     def __init__(self, i: int, seed: int, integrating: bool = True) -> None:
         self.arm, self.gains = LOOPS[i]
         rng, n = np.random.default_rng([i, seed]), self.arm.n
-        self.x, self.jets = random_state(self.arm, rng, 0.8), rng.uniform(-1, 1, (5, n))
-        self.known, self.matched = rng.uniform(-1, 1, (3, n)) * [[1.0], [5.0], [25.0]], rng.uniform(-1, 1, n)
+        self.x, self.jets = random_state(self.arm, rng, 0.5), rng.uniform(-1, 1, (5, n))
+        self.known, self.matched = rng.uniform(-1, 1, (3, n)) * [[1.0], [3.0], [9.0]], rng.uniform(-1, 1, n)
         root = rng.uniform(-1, 1, (n, n)) + 2 * np.eye(n)
-        self.integral, self.gain = rng.uniform(-1, 1, n), root @ root.T * integrating
+        self.integral, self.gain = rng.uniform(-1, 1, n), root @ root.T * (0.1 * integrating)
         self.torque, self.excess = rng.uniform(-1, 1, 2 * n), rng.uniform(-1, 1, n)
         self.oracle = LiteralLoadedLaw(self.arm, self.gains, self.known, self.gain, self.matched)
 
