@@ -42,9 +42,7 @@ class Case:
         velocity = np.concatenate(self.arm.robot.velocities(self.x))
         torques = (self.known.T, self.integral, self.gain, self.matched)
         found = function(self.x[: 2 * n], velocity, self.jets.T, law.gain_values, *torques)
-        self.found: dict[str, Array] = {
-            name: value.full().ravel() for name, value in zip(OUTPUTS, found, strict=True)
-        }
+        self.found: dict[str, Array] = {name: value.full().ravel() for name, value in zip(OUTPUTS, found, strict=True)}
 
 
 def close(found: Array, wanted: Any) -> None:

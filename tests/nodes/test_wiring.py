@@ -292,6 +292,7 @@ WIRED_BY_GROUP = (
     "hold.",
     "constraints.",  # test_goals
     "allow_partial_joints",  # test_trajectories
+    "robust.",  # test_robust_action
 )
 
 

@@ -22,7 +22,9 @@ from fjr_msgs_py.messages import JointSample
 from .tracker import Command, Tracker
 
 LEVELS = {"holding": DiagnosticStatus.OK, "violated": DiagnosticStatus.WARN, "unknown": DiagnosticStatus.OK}
-BESIDE = "the law counts on torques beside its model (robust.*): V is its storage with the integral's energy, not judged"
+BESIDE = (
+    "the law counts on torques beside its model (robust.*): V is its storage with the integral's energy, not judged"
+)
 LONGEST = LONGEST_GAP * 1e-2  # s between two states, above which they have nothing to do with each other
 
 

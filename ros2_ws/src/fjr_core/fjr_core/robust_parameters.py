@@ -17,8 +17,7 @@ _WORDS = {
 def robust_parameters(n: int) -> list[Parameter]:
     """The parameters for n joints; everything is off by default."""
     gains = [
-        Parameter(f"robust.{name}", (0.0,) * n, text, "1/s", constraint="0 or more")
-        for name, text in _WORDS.items()
+        Parameter(f"robust.{name}", (0.0,) * n, text, "1/s", constraint="0 or more") for name, text in _WORDS.items()
     ]
     delay = "Delay of the loop, over which the law predicts the state; 0: no prediction"
     hold = "Period of the states, half of which counts to robust.delay"
