@@ -132,9 +132,7 @@ def test_the_residual_follows_a_torque_as_its_filter_says(name: str) -> None:
         t = period * np.arange(len(r))
         _, first = signal.step(([gain], [1, gain]), T=t)
         _, third = signal.step(([gain**3], np.poly([-gain] * 3)), T=t)
-        wanted = np.hstack(
-            [np.outer(first, np.full(n, 0.3)), np.outer(first, np.full(n, 0.2)), np.outer(third, [0.3] * n)]
-        )
+        wanted = np.hstack([np.outer(lag, np.full(n, d)) for lag, d in ((first, 0.3), (first, 0.2), (third, 0.3))])
         off.append(np.max(np.abs(np.hstack([r, w]) - wanted)))
     assert off[1] < 0.02
     assert off[0] > 3 * off[1], "of second order in the period"
@@ -171,12 +169,8 @@ def test_what_acts_when_is_what_was_sent() -> None:
 @pytest.mark.parametrize("name", LAWS)
 def test_the_state_is_predicted_as_the_robot_moves(name: str) -> None:
     """The effort is the law's at the state that the robot has a delay later (plus half a hold under the last one)."""
-    law, n, late = LAWS[name], LAWS[name].robot.n, 1
-    step, plant, rng = (
-        RobustLaw(law, Robust(delay=late * PERIOD, hold=PERIOD)),
-        fjr.Plant(law.robot),
-        np.random.default_rng(3),
-    )
+    law, n, rng = LAWS[name], LAWS[name].robot.n, np.random.default_rng(3)
+    step, plant = RobustLaw(law, Robust(delay=PERIOD, hold=PERIOD)), fjr.Plant(law.robot)
     x = law.robot.state(*rng.uniform(-0.3, 0.3, (4, n)))
     memory, sent, jets = step.memory, np.zeros(n), rng.uniform(-1, 1, (5, n))
     for k in range(4):
@@ -251,9 +245,7 @@ def test_nothing_on_is_the_law_itself() -> None:
     ],
 )
 @pytest.mark.parametrize("compiles", [False, True])
-def test_each_option_changes_the_effort_and_machine_code_changes_nothing(
-    values: dict[str, Any], compiles: bool
-) -> None:
+def test_each_option_changes_the_effort_and_machine_code_nothing(values: dict[str, Any], compiles: bool) -> None:
     law = fjr.TrackingLaw(PLANAR.robot, TWO_LINK.gains, compile=compiles)
     robot, x0 = pushed(law.robot, 0.1), TWO_LINK.x0
     run = fjr.simulate(fjr.Plant(robot), sampled_law(law, Robust(**values)), TWO_LINK.reference, x0, 0.2, PERIOD)
@@ -299,13 +291,7 @@ class Other:
 
 def test_any_measured_law_may_be_predicted_but_only_this_one_counts_on_torques() -> None:
     one, other = (RobustLaw(law, Robust(delay=1e-3)).step_function for law in (Other(), JOINT))  # type: ignore[arg-type]
-    values = [np.ones(size) * 0.1 for size in (2, 2)] + [
-        np.ones((1, 5)),
-        JOINT.gain_values,
-        np.ones(4) * 0.1,
-        0.2,
-        1e-3,
-    ]
+    values = [np.full(2, 0.1), np.full(2, 0.1), np.ones((1, 5)), JOINT.gain_values, np.full(4, 0.1), 0.2, 1e-3]
     np.testing.assert_array_equal(one(*values)[0].full(), other(*values)[0].full())
     with pytest.raises(GainsError, match="for the law v_dpbc; expected none of it for a Other"):
         RobustLaw(Other(), Robust(residual_gain=1.0))  # type: ignore[arg-type]

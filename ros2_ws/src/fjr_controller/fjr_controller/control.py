@@ -118,7 +118,7 @@ class Control:
     def _heard(self, node: Node, limit: Array) -> Witness:
         """The witness of all answers."""
         robust = config.robust(self._values, self._robot.n)
-        witness = Witness(node, self._law, self.tracker, limit, judged=not (robust.estimates or robust.integrates))
+        witness = Witness(node, self._law, self.tracker, limit, robust)
         self._answering.tell(witness.see)
         self.reports.besides(witness.status)
         return witness

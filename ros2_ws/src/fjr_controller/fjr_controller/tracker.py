@@ -345,7 +345,8 @@ class Tracker:
     ) -> tuple[Array, float]:
         """The same of a law with a memory; not finite where that would not be."""
         np.copyto(self._jets, course.reference.jets(stamp + self._lead) if self._lead else jets)
-        memory.place(order, stamp - (self._stamps.last or stamp), self._efforts.sent)
+        last = self._stamps.last
+        memory.place(order, 0 if last is None else stamp - last, self._efforts.sent)
         self._bound.evaluate()
         return self._bound.u.copy() if memory.finite else np.full(self._law.robot.n, np.nan), self._bound.V.item()
 

@@ -12,6 +12,7 @@ from std_msgs.msg import Float64MultiArray
 from fjr_core import TrackingLaw
 from fjr_core.checks import Array
 from fjr_core.forecast import Forecast
+from fjr_core.robust import Robust
 from fjr_core.running_verdict import RunningVerdict
 from fjr_core.thresholds import LONGEST_GAP
 from fjr_core.verdict import Verdict, unknown
@@ -22,22 +23,22 @@ from fjr_msgs_py.messages import JointSample
 from .tracker import Command, Tracker
 
 LEVELS = {"holding": DiagnosticStatus.OK, "violated": DiagnosticStatus.WARN, "unknown": DiagnosticStatus.OK}
-BESIDE = (
-    "the law counts on torques beside its model (robust.*): V is its storage with the integral's energy, not judged"
-)
+BESIDE = "the law counts on torques beside its model (robust.*); V is its storage with the integral's energy"
+AHEAD = "the effort is the law's for a predicted state (robust.delay)"
 LONGEST = LONGEST_GAP * 1e-2  # s between two states, above which they have nothing to do with each other
 
 
 class Witness:
     """A listener of Answering: publishes a certificate for each state, and keeps what the verdict is drawn from.
 
-    Where the law counts on torques beside its model, V is the law's own, and its rates and its bound are not known
-    (nan): they hold for the model alone.
+    With robust action there is no verdict. Where the law counts on torques beside its model, V is the law's own, and
+    its rates and its bound are not known (nan): they hold for the model alone.
     """
 
-    def __init__(self, node: Node, law: TrackingLaw, tracker: Tracker, limit: Array, judged: bool = True) -> None:
-        """limit (n,) [N m]: of the efforts. judged: whether the law knows of nothing beside its model."""
-        self._judged = judged
+    def __init__(self, node: Node, law: TrackingLaw, tracker: Tracker, limit: Array, robust: Robust) -> None:
+        """limit (n,) [N m]: of the efforts."""
+        self._beside = robust.estimates or robust.integrates
+        self._unjudged = BESIDE if self._beside else AHEAD if robust.predicts else ""
         self._node, self._law, self._tracker = node, law, tracker
         self._forecast = Forecast(law)
         self._running = RunningVerdict(law, limit, self._forecast)
@@ -65,14 +66,14 @@ class Witness:
         follows = self._forecast.count != count
         rate = (self._forecast.V - before) / dt if follows else math.nan
         self._stamp = sample.stamp
-        if follows and self._judged:
+        if follows and not self._unjudged:
             self._running.look(self._beta)
-        values = self._values(rate, dt) if self._judged else self._unjudged(command.V)
+        values = self._with_load(command.V) if self._beside else self._values(rate, dt)
         self._publisher.publish(self._writer.fill(sample.stamp, values))
 
     def status(self) -> DiagnosticStatus:
         """The verdict on the last second."""
-        verdict: Verdict = self._running.verdict() if self._judged else unknown(BESIDE)
+        verdict: Verdict = unknown(self._unjudged) if self._unjudged else self._running.verdict()
         if self._law.robot.links.M_l_vertices is None:
             self._beta = self._rate()
         said = {"verdict": verdict.kind, "causes": ", ".join(verdict.causes)}
@@ -98,7 +99,7 @@ class Witness:
             self._bound *= math.exp(-2 * self._beta * dt)
         return CertificateValues(f.V, f.dV, rate, self._bound, f.H, f.supplied, f.dissipated)
 
-    def _unjudged(self, V: float) -> CertificateValues:
+    def _with_load(self, V: float) -> CertificateValues:
         f = self._forecast
         return CertificateValues(V, math.nan, math.nan, math.nan, f.H, f.supplied, f.dissipated)
 

@@ -130,9 +130,8 @@ def bound_step(
     n, initial = law.robot.n, law.memory
     memory, sent, dt, u, V, after = initial.copy(), np.zeros(n), np.zeros(1), np.zeros(n), np.zeros(1), initial.copy()
     arguments = (position, velocity, jets, law.gain_values, memory, sent, dt)
-    return BoundStep(
-        bind(function or law.step_function, arguments, (u, V, after)), initial, memory, sent, dt, u, V, after
-    )
+    evaluate = bind(function or law.step_function, arguments, (u, V, after))
+    return BoundStep(evaluate, initial, memory, sent, dt, u, V, after)
 
 
 ARGUMENTS = ("position", "velocity", "jets", "gains", "memory", "sent", "dt")

@@ -112,9 +112,9 @@ class RobustLaw:
         """u, V and the memory anew."""
         parts = self._waiting.step(kept, s["sent"], s["dt"]) if self._waits else {}
         known, beside = self._estimated(s, gains, kept, parts)
-        integral = (
-            self._integral.step(kept, s["sent"], s["dt"]) if self.robust.integrates else ca.MX.zeros(2 * self.robot.n)
-        )
+        integral = ca.MX.zeros(2 * self.robot.n)
+        if self.robust.integrates:
+            integral = self._integral.step(kept, s["sent"], s["dt"])
         position, velocity = self._predicted(s, beside if self.robust.estimates else integral, parts)
         if not (self.robust.estimates or self.robust.integrates):
             return *self.law.measured_expression(position, velocity, s["jets"], gains["law"]), parts

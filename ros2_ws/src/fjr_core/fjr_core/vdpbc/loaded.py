@@ -17,8 +17,8 @@ def loaded_expression(law: TrackingLaw) -> ca.Function:
 
     (position (2n,), velocity (2n,), jets (n, 5), gains (g,), known (n, 3), integral (n,), integral_gain (n, n),
     matched (n,)) -> OUTPUTS. known: torque on the links with two rates; integral (n,) [N m]: the state of the
-    integral action, with integral_gain [N m/rad], symmetric (Load); matched (n,) [N m]: torque on the motors. Both torques
-    are those that the law counts on. V [J] without the energy of the integral. dissipation [W]: see
+    integral action, with integral_gain [N m/rad], symmetric (Load); matched (n,) [N m]: torque on the motors; both
+    are what the law counts on. V [J] without the energy of the integral. dissipation [W]: see
     vdpbc.integral. port_l = dV/dp_l, port_m = s_m = dV/dp_m (n,) [rad/s].
     """
     n = law.robot.n
