@@ -357,11 +357,14 @@ class Tracker:
         every position and velocity at 1.
         """
         state, arrays = self._limits.state, (self._limits.position, self._limits.velocity, self._jets)
-        measured, bound, memory = state.copy(), law.bound(*arrays), None
+        measured, memory = state.copy(), None
+        bound: BoundCommand | BoundStep
         if isinstance(self._sampled, RobustLaw):
             self._sampled = self._sampled.with_law(law)
-            bound = self._sampled.bound(*arrays)
-            memory = Recollection(bound)
+            bound = step = self._sampled.bound(*arrays)
+            memory = Recollection(step)
+        else:
+            bound = law.bound(*arrays)
         finite = True
         for place in (np.ones_like(state), measured if measured.dot(measured) < np.inf else 0.0):
             state[...] = place

@@ -165,8 +165,9 @@ class RobustLaw:
     @cached_property
     def _memory(self) -> Parts:
         r = self.robust
-        parts = [(self._waiting, self._waits), (self._residual, r.estimates), (self._integral, r.integrates)]
-        return Parts({name: size for part, on in parts if on for name, size in part.sizes.items()})
+        sizes = self._waiting.sizes if self._waits else {}
+        sizes = sizes | (self._residual.sizes if r.estimates else {})
+        return Parts(sizes | (self._integral.sizes if r.integrates else {}))
 
     @cached_property
     def _waiting(self) -> Waiting:
