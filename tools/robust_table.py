@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write the measured table of docs/robust.md anew, between its markers, and draw its picture.
 
-. ros2_ws/install/setup.sh && PYTHONPATH=tests/core .venv/bin/python tools/robust_table.py
+. ros2_ws/install/setup.sh && .venv/bin/python tools/robust_table.py
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from loads import PERIOD, errors, heavier, pushed, rms
+from robust_loops import PERIOD, errors, heavier, pushed, rms
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
@@ -32,6 +32,7 @@ Case = tuple[str, fjr.TrackingLaw, fjr.Robot, fjr.Reference, float, dict[str, Ro
 
 
 def law_of(scenario: Scenario) -> fjr.TrackingLaw:
+    """As machine code."""
     return fjr.TrackingLaw(scenario.robot, scenario.gains, compile=True)
 
 
@@ -48,10 +49,17 @@ def cases() -> list[Case]:
         ("the same, weight too", arm, heavier(arm.robot, 1.2, 1.2), slow, 0.0, load),
     ]
     wrong += [
-        (f"`{name}` moves, one sample late", scenario, scenario.robot, scenario.reference, PERIOD, {"prediction": PREDICTION})
+        (
+            f"`{name}` moves, one sample late",
+            scenario,
+            scenario.robot,
+            scenario.reference,
+            PERIOD,
+            {"prediction": PREDICTION},
+        )
         for name, scenario in zip(NAMES, (joint, planar, arm), strict=True)
     ]
-    return [(words, law_of(scenario), *others) for words, scenario, *others in wrong]  # type: ignore[misc]
+    return [(words, law_of(scenario), *others) for words, scenario, *others in wrong]
 
 
 NAMES = ("paper_k31", "two_link", "arm7")
@@ -59,7 +67,10 @@ NAMES = ("paper_k31", "two_link", "arm7")
 
 def measured(found: list[tuple[Case, dict[str, Array]]]) -> list[str]:
     """The table: RMS of q_l - q_ld and how many times less than without robust action."""
-    lines = ["| what is wrong | without, rad | robust action | with, rad | times less |", "| --- | --- | --- | --- | --- |"]
+    lines = [
+        "| what is wrong | without, rad | robust action | with, rad | times less |",
+        "| --- | --- | --- | --- | --- |",
+    ]
     for (words, *_), runs in found:
         plain = rms(runs["none"][settled:]) if (settled := round(SETTLED / PERIOD)) else 0.0
         for name, e in runs.items():
@@ -71,7 +82,13 @@ def measured(found: list[tuple[Case, dict[str, Array]]]) -> list[str]:
 
 def draw(found: list[tuple[Case, dict[str, Array]]]) -> None:
     """The first joint's error over time, each way in its colour."""
-    colours = {"none": "black", "residual": COLOURS[0], "integral": COLOURS[1], "both": COLOURS[2], "prediction": COLOURS[0]}
+    colours = {
+        "none": "black",
+        "residual": COLOURS[0],
+        "integral": COLOURS[1],
+        "both": COLOURS[2],
+        "prediction": COLOURS[0],
+    }
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 3.8), layout="constrained")
         for ax, i in zip(figure.subplots(1, 3), (1, 3, 5), strict=True):
@@ -81,12 +98,14 @@ def draw(found: list[tuple[Case, dict[str, Array]]]) -> None:
                 ax.semilogy(t, np.maximum(np.abs(e).max(axis=1), 1e-9), color=colours[name], label=name, lw=1.0)
             ax.set_title(words.replace("`", ""), fontsize=9)
             ax.set_xlabel("t [s]")
+            ax.set_ylim(bottom=1e-8)
             ax.legend(fontsize=8, loc="upper right")
         figure.axes[0].set_ylabel("largest |q_l - q_ld| [rad]")
         figure.savefig(PICTURE)
 
 
 def run(case: Case) -> dict[str, Array]:
+    """Errors (k, n) [rad] without and with each way to act."""
     _, law, robot, reference, delay, ways = case
     start = 0.5 if law.robot.n == 1 and not isinstance(reference, fjr.Hold) else None
     return {
@@ -95,6 +114,7 @@ def run(case: Case) -> dict[str, Array]:
 
 
 def main() -> None:
+    """Run all, write, draw."""
     found = [(case, run(case)) for case in tqdm(cases(), desc="robust action")]
     before, rest = PAGE.read_text(encoding="utf-8").split(START)
     after = rest.split(END)[1]

@@ -40,7 +40,7 @@ class Case:
 
         law, function = loaded(i)
         velocity = np.concatenate(self.arm.robot.velocities(self.x))
-        torques = (self.known.T, self.integral, self.gain, self.matched)
+        torques = (self.known.T, self.matched, self.integral, self.gain)
         found = function(self.x[: 2 * n], velocity, self.jets.T, law.gain_values, *torques)
         self.found: dict[str, Array] = {name: value.full().ravel() for name, value in zip(OUTPUTS, found, strict=True)}
 
@@ -90,7 +90,18 @@ def test_without_torques_it_is_the_law(i: int) -> None:
     case, n = Case(i, 3), LOOPS[i][0].n
     velocity = np.concatenate(case.arm.robot.velocities(case.x))
     measured = (case.x[: 2 * n], velocity, case.jets.T, law.gain_values)
-    u, V, *_ = function(*measured, np.zeros((n, 3)), np.zeros(n), np.zeros((n, n)), np.zeros(n))
+    u, V, *_ = function(*measured, np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.zeros((n, n)))
     wanted_u, wanted_V = law.measured_expression(*measured)
     close(u.full(), wanted_u.full())
     close(V.full(), wanted_V.full())
+
+
+@pytest.mark.parametrize("i", range(len(LOOPS)), ids=LOOP_NAMES)
+def test_left_out_is_an_integral_of_nothing(i: int) -> None:
+    law, function = loaded(i)
+    case, n = Case(i, 4), LOOPS[i][0].n
+    velocity = np.concatenate(case.arm.robot.velocities(case.x))
+    given = (case.x[: 2 * n], velocity, case.jets.T, law.gain_values, case.known.T, case.matched)
+    *wanted, _ = function(*given, np.zeros(n), np.zeros((n, n)))
+    for found, value in zip(loaded_expression(law, integrates=False)(*given), wanted, strict=True):
+        close(found.full(), value.full())

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from loads import PERIOD, errors, heavier, pushed, radius, rms
+from robust_loops import PERIOD, errors, heavier, pushed, radius, rms
 from scipy import signal
 
 import fjr_core as fjr

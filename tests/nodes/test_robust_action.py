@@ -124,10 +124,12 @@ def test_while_stopped_nothing_is_remembered() -> None:
 
 
 def heard(ros: Ros, plant: dict[str, Any], controller: dict[str, Any], samples: int = SAMPLES) -> Hearer:
-    """The paper's joint in lock-step for that many samples."""
+    """The paper's joint in lock-step for that many samples, from where the reference begins."""
     hearer = Hearer(ros)
     ros.controller(use_sim_time=True, compile=True, **controller)
-    ros.plant(lockstep=True, compile=True, **plant)
+    begin = {"initial_link_position": [0.0], "initial_motor_position": [0.0]}
+    begin |= {"initial_link_velocity": [1.0], "initial_motor_velocity": [1.0]}
+    ros.plant(lockstep=True, compile=True, **begin, **plant)
     ros.until(lambda: len(hearer.errors) > samples, "the samples")
     return hearer
 

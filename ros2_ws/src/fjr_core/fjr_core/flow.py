@@ -45,7 +45,8 @@ class Load:
     """Symbols of the torque on the links that the law believes in beside the model: known + integral.
 
     known (n, 3): the first part with its two rates, column k is the k-th derivative. integral (n,) [N m]: the second
-    part, a state of the law, whose rate is `gain` (n, n) [N m/rad] times what the stages find (docs/robust.md).
+    part, a state of the law, whose rate is `gain` (n, n) [N m/rad] times what the stages find (docs/robust.md); (0,)
+    both: there is none.
     """
 
     known: ca.SX
@@ -53,14 +54,20 @@ class Load:
     gain: ca.SX
 
     @classmethod
-    def named(cls, n: int) -> Load:
+    def named(cls, n: int, integrates: bool = True) -> Load:
         """Fresh symbols."""
-        return cls(ca.SX.sym("known", n, LOAD_RATES + 1), ca.SX.sym("integral", n), ca.SX.sym("integral_gain", n, n))
+        m = n if integrates else 0
+        return cls(ca.SX.sym("known", n, LOAD_RATES + 1), ca.SX.sym("integral", m), ca.SX.sym("integral_gain", m, m))
+
+    @property
+    def integrates(self) -> bool:
+        """Whether there is the second part."""
+        return self.integral.numel() > 0
 
     @property
     def torque(self) -> ca.SX:
         """The whole of it (n,) [N m]."""
-        return self.known[:, 0] + self.integral
+        return self.known[:, 0] + self.integral if self.integrates else self.known[:, 0]
 
 
 @dataclass(frozen=True)
@@ -86,6 +93,11 @@ class Flow:
     def M_l(self) -> ca.SX:
         """M_l at the measured q_l."""
         return self.robot.links.M_l(self.measured.q_l)
+
+    @property
+    def integrated(self) -> Load | None:
+        """The load, if it has an integral."""
+        return self.load if self.load is not None and self.load.integrates else None
 
     @property
     def external(self) -> ca.SX:
@@ -161,8 +173,8 @@ class Flow:
         dz = ca.vertcat(*rates, ca.vec(self.jets[:, 1:]), unknown)
         if self.load is None:
             return z, dz
-        z = ca.vertcat(z, ca.vec(self.load.known), self.load.integral)
-        return z, ca.vertcat(dz, ca.vec(self.load.known[:, 1:]), unknown, integral)
+        z, dz = ca.vertcat(z, ca.vec(self.load.known)), ca.vertcat(dz, ca.vec(self.load.known[:, 1:]), unknown)
+        return (ca.vertcat(z, self.load.integral), ca.vertcat(dz, integral)) if self.load.integrates else (z, dz)
 
     def _jerk(self, motion: Motion, rates: tuple[ca.SX, ca.SX]) -> ca.SX:
         """d3q_l = M_l^-1 d/dt(force - M_l ddq_l), ddq_l held."""

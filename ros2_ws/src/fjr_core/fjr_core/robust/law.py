@@ -143,12 +143,12 @@ class RobustLaw:
     ) -> tuple[ca.MX, ca.MX, Terms]:
         """u, V and the memory of the law that counts on these torques."""
         n = self.robot.n
-        K_l = self._integral.matrix(gains, "K_l") if self.robust.integrates else ca.MX.zeros(n, n)
-        matched = beside[n:] + integral[n:]
-        u, V, _, *ports = self._loaded(*at, gains["law"], known, integral[:n], K_l, matched)
+        arguments = (*at, gains["law"], known, beside[n:] + integral[n:])
         if not self.robust.integrates:
+            u, V, *_ = self._loaded(*arguments)
             return u, V, parts
-        parts |= self._integral.parts(integral, (ports[0], ports[1]), gains, u)
+        u, V, _, port_m, port_l = self._loaded(*arguments, integral[:n], self._integral.matrix(gains, "K_l"))
+        parts |= self._integral.parts(integral, (port_l, port_m), gains, u)
         return u, V + self._integral.energy(integral, gains), parts
 
     @property
@@ -187,4 +187,4 @@ class RobustLaw:
 
     @cached_property
     def _loaded(self) -> ca.Function:
-        return loaded_expression(self.law)  # type: ignore[arg-type]
+        return loaded_expression(self.law, self.robust.integrates)  # type: ignore[arg-type]

@@ -144,7 +144,7 @@ class TrackingLaw:
         """The arguments of measured_function, and all that Evaluation names, with s_m, as expressions of them.
 
         f: a flow at x_v = x, e.g. with a load; omega (n,) [N m]: of eq. (42), zero if not given. port_l: dV/dp_l (n,)
-        [rad/s], where the flow has a load.
+        [rad/s], where the flow has a load with an integral.
         """
         n, symbols = self.robot.n, self._symbols
         f = flow(self.robot, diagonal=True) if f is None else f

@@ -25,13 +25,13 @@ class MotorStage:
     sigma_m: ca.SX
     u: ca.SX
     port: ca.SX
-    """dV/dp_l (n,) [rad/s], the output conjugate to a torque on the links; only where there is a load (Flow.load)."""
+    """dV/dp_l (n,) [rad/s], the output conjugate to a torque on the links; whole only with an integral (Flow.load)."""
 
 
 def motor_stage(flow: Flow, gains: GainTerms, link: LinkStage, omega: ca.SX) -> MotorStage:
     """The motor stage of the law; the spring at the virtual state; omega (n,) external input; v_mr = M_m^-1 p_mr.
 
-    With a load, whose integral moves by gain * port (vdpbc.integral), only at x_v = x.
+    With an integral, which moves by gain * port (vdpbc.integral), only at x_v = x.
     """
     M_m, D_m, K, B_m = flow.robot.M_m, flow.robot.D_m, flow.robot.K, flow.robot.B_m
     q_lv, q_mv, dq_mv = flow.virtual.q_l, flow.virtual.q_m, flow.virtual.dq_m
