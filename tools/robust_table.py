@@ -10,7 +10,6 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from robust_loops import PERIOD, errors, heavier, pushed, rms
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
@@ -20,6 +19,7 @@ from fjr_bringup.pictures import STYLE
 from fjr_core.checks import Array
 from fjr_core.robust import Robust
 from fjr_core.scenario import Scenario, load_scenario
+from robust_loops import PERIOD, errors, heavier, pushed, rms
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, PICTURE = ROOT / "docs" / "robust.md", ROOT / "docs" / "figures" / "robust.png"

@@ -9,7 +9,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from robust_loops import PERIOD, errors, heavier, pushed, radius, rms
 from scipy import signal
 
 import fjr_core as fjr
@@ -20,6 +19,7 @@ from fjr_core.robust.integral import gain_values
 from fjr_core.robust.options import LONGEST_DELAY
 from fjr_core.sampled_law import Static, bound_step
 from fjr_core.scenario import load_scenario
+from robust_loops import PERIOD, errors, heavier, pushed, radius, rms
 
 JOINT = fjr.TrackingLaw(fjr.single_link(stiffness=31.0), fjr.PAPER_GAINS)
 TWO_LINK = load_scenario("ros2_ws/src/fjr_bringup/scenarios/two_link.yaml")
