@@ -59,7 +59,10 @@ def cases() -> list[Case]:
         )
         for name, scenario in zip(NAMES, (joint, planar, arm), strict=True)
     ]
-    return [(words, law_of(scenario), *others) for words, scenario, *others in wrong]
+    return [
+        (words, law_of(scenario), robot, reference, delay, ways)
+        for words, scenario, robot, reference, delay, ways in wrong
+    ]
 
 
 NAMES = ("paper_k31", "two_link", "arm7")

@@ -59,7 +59,16 @@ def test_a_healthy_run_holds(measured: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("stiffness", 29.0), ("link_inertia", 0.034), ("motor_inertia", 0.0046), ("link_damping", 0.25)]
+    ("name", "value"),
+    [
+        ("stiffness", 29.0),
+        ("link_inertia", 0.034),
+        ("motor_inertia", 0.0035),
+        ("motor_inertia", 0.0046),
+        ("motor_inertia", 0.0054),
+        ("motor_inertia", 0.007),
+        ("link_damping", 0.25),
+    ],
 )
 def test_another_robot_is_a_mismatch(name: str, value: float) -> None:
     verdict = judge(record(**{name: value}), LAW)

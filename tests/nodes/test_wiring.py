@@ -262,6 +262,7 @@ WIRED_ELSEWHERE = {
     "robot.locked_positions",
     "compile",  # test_compiled_or_not_...
     "autostart",  # test_lifecycle
+    "certificate",  # test_certificate
     "executor",  # tests/msgs/test_scheduling.py
     "lock_memory",
     "cpu_affinity",

@@ -50,7 +50,7 @@ def test_along_a_recorded_run_as_along_its_simulation(tmp_path: Path) -> None:
         (["paper_k99"], "unknown scenario", 2),
         (["paper_k31", "--starts", "1"], "expected 2 to 64", 2),
         (["paper_k31", "--spread", "-1"], "more than 0", 2),
-        (["paper_k31", "--run", "nowhere"], "is not a bag", 1),
+        (["paper_k31", "--run", "nowhere"], "does not exist; expected the folder of a bag", 1),
     ],
 )
 def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str, code: int) -> None:

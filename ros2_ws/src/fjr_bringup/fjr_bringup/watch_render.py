@@ -168,6 +168,7 @@ def _certificate(view: View) -> Panel:
 
 
 def _numbers(values: dict[str, float]) -> Columns:
+    values = {key: value for key, value in values.items() if key != "bound" or value >= 0}  # below: there is none
     known = (f"{name} {_with_unit(values[key], unit)}" for key, name, unit in CERTIFICATE if key in values)
     return Columns(known, padding=(0, 3))
 

@@ -29,6 +29,10 @@ LOOK_PERIOD = 0.5  # s
 SILENCE_CHECKS = 10  # in each state_timeout
 
 
+Listener = Callable[[JointSample, Command, int, int], None]
+"""Takes a sample, its command, and when the one arrived and the other was sent [ns, steady clock]."""
+
+
 class RivalError(FjrError):
     """Somebody else commands the robot."""
 
@@ -59,10 +63,10 @@ class Answering:
         self._references = node.create_publisher(JointState, names.REFERENCE, names.LATEST)
         self._errors = node.create_publisher(JointState, names.TRACKING_ERROR, names.LATEST)
         self._states = node.create_subscription(JointState, names.JOINT_STATES, self._on_state, names.LATEST, raw=True)
-        self._listeners: list[Callable[[JointSample, Command], None]] = []
+        self._listeners: list[Listener] = []
         self.active = False
 
-    def tell(self, listener: Callable[[JointSample, Command], None]) -> None:
+    def tell(self, listener: Listener) -> None:
         """Call `listener` with each sample and its command, after they were sent."""
         self._listeners.append(listener)
 
@@ -128,13 +132,14 @@ class Answering:
             self._watch_silence(sample.stamp)
         command = self._tracker.answer(sample, arrival)
         if command is not None:
-            self._answer(sample, command)
+            self._answer(sample, command, arrival)
         if self._tracker.events:
             self._reports.empty()
         self._reports.at(sample.stamp)
 
-    def _answer(self, sample: JointSample, command: Command) -> None:
+    def _answer(self, sample: JointSample, command: Command, arrival: int) -> None:
         self._send(sample.stamp, command.u)
+        sent = time.monotonic_ns()
         self._last_stamp = sample.stamp
         self._reports.count[ANSWERED] += 1
         q_ld, dq_ld = command.jets[0], command.jets[1]
@@ -142,7 +147,7 @@ class Answering:
         q_tilde_l, dq_tilde_l = sample.q_l - q_ld, command.velocity[: self._n] - dq_ld
         self._errors.publish(self._error.fill(sample.stamp, q_tilde_l, dq_tilde_l))
         for listener in self._listeners:
-            listener(sample, command)
+            listener(sample, command, arrival, sent)
 
     def _send(self, stamp: int, u: Array) -> None:
         if self._by_stamps:  # lock-step waits for this one

@@ -57,7 +57,7 @@ class FollowAction:
             callback_group=ReentrantCallbackGroup(),  # states are answered while a goal is planned
         )
 
-    def watch(self, sample: JointSample, command: Command) -> None:
+    def watch(self, sample: JointSample, command: Command, _arrival: int = 0, _sent: int = 0) -> None:
         """Judge the running goal by a sample and its command."""
         if self._handle is None:
             return

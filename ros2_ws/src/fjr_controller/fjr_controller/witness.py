@@ -12,6 +12,7 @@ from std_msgs.msg import Float64MultiArray
 from fjr_core import TrackingLaw
 from fjr_core.checks import Array
 from fjr_core.forecast import Forecast
+from fjr_core.latency import Latency
 from fjr_core.robust import Robust
 from fjr_core.running_verdict import RunningVerdict
 from fjr_core.thresholds import LONGEST_GAP
@@ -23,29 +24,30 @@ from fjr_msgs_py.messages import JointSample
 from .tracker import Command, Tracker
 
 LEVELS = {"holding": DiagnosticStatus.OK, "violated": DiagnosticStatus.WARN, "unknown": DiagnosticStatus.OK}
-BESIDE = "the law counts on torques beside its model (robust.*); V is its storage with the integral's energy"
+BESIDE = "the law counts on torques beside its model (robust.*), of which the V here knows nothing"
 AHEAD = "the effort is the law's for a predicted state (robust.delay)"
+NO_BOUND = -1.0  # J; a storage is never negative
 LONGEST = LONGEST_GAP * 1e-2  # s between two states, above which they have nothing to do with each other
 
 
 class Witness:
     """A listener of Answering: publishes a certificate for each state, and keeps what the verdict is drawn from.
 
-    With robust action there is no verdict. Where the law counts on torques beside its model, V is the law's own, and
-    its rates and its bound are not known (nan): they hold for the model alone.
+    A state without a predecessor has no rate and no certificate; nor has one whose numbers are not finite.
+    With robust action there is no verdict and no bound: V and its rates are those of the law without it.
     """
 
     def __init__(self, node: Node, law: TrackingLaw, tracker: Tracker, limit: Array, robust: Robust) -> None:
         """limit (n,) [N m]: of the efforts."""
-        self._beside = robust.estimates or robust.integrates
-        self._unjudged = BESIDE if self._beside else AHEAD if robust.predicts else ""
+        self._unjudged = BESIDE if robust.estimates or robust.integrates else AHEAD if robust.predicts else ""
         self._node, self._law, self._tracker = node, law, tracker
-        self._forecast = Forecast(law)
+        self._forecast, self._latency = Forecast(law), Latency()
+        self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._running = RunningVerdict(law, limit, self._forecast)
         self._writer = CertificateWriter()
         self._publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.LATEST)
         self._name = f"{node.get_name()}: certificate"
-        self._stamp, self._start, self._bound = 0, -1, math.nan
+        self._stamp, self._start, self._bound = 0, -1, NO_BOUND
         self._beta = self._rate()
 
     def use(self, law: TrackingLaw, limit: Array) -> None:
@@ -56,20 +58,25 @@ class Witness:
         self._running.use(law, limit)
         self._start, self._beta = -1, self._rate()
 
-    def see(self, sample: JointSample, command: Command) -> None:
-        """A state and its answer, which was sent."""
+    def see(self, sample: JointSample, command: Command, arrival: int, sent: int) -> None:
+        """A state and its answer, when it arrived and was sent [ns]; where time is simulated that says nothing."""
         dt = (sample.stamp - self._stamp) * 1e-9
         if command.restarted or not 0 < dt < LONGEST:
             self._forecast.skip()
+            self._latency.forget()
+            latency = 0.0
+        else:
+            latency = 0.0 if self._simulated else self._latency.of(sample.stamp, arrival, sent)
         before, count = self._forecast.V, self._forecast.count
-        self._forecast.take(dt, command.position, command.velocity, command.jets, command.u)
-        follows = self._forecast.count != count
-        rate = (self._forecast.V - before) / dt if follows else math.nan
+        self._forecast.take(dt, command.position, command.velocity, command.jets, command.u, latency)
         self._stamp = sample.stamp
-        if follows and not self._unjudged:
+        values = self._values((self._forecast.V - before) / dt if dt else 0.0, dt)
+        if self._forecast.count == count:
+            return
+        if not self._unjudged:
             self._running.look(self._beta)
-        values = self._with_load(command.V) if self._beside else self._values(rate, dt)
-        self._publisher.publish(self._writer.fill(sample.stamp, values))
+        if all(map(math.isfinite, values)):
+            self._publisher.publish(self._writer.fill(sample.stamp, values))
 
     def status(self) -> DiagnosticStatus:
         """The verdict on the last second."""
@@ -91,17 +98,13 @@ class Witness:
 
     def _values(self, rate: float, dt: float) -> CertificateValues:
         f, certificate = self._forecast, self._tracker.certificate
-        if certificate is None:
-            self._start, self._bound = -1, math.nan
+        if certificate is None or self._unjudged:
+            self._start, self._bound = -1, NO_BOUND
         elif certificate.start != self._start:
             self._start, self._bound = certificate.start, f.V
         else:
             self._bound *= math.exp(-2 * self._beta * dt)
         return CertificateValues(f.V, f.dV, rate, self._bound, f.H, f.supplied, f.dissipated)
-
-    def _with_load(self, V: float) -> CertificateValues:
-        f = self._forecast
-        return CertificateValues(V, math.nan, math.nan, math.nan, f.H, f.supplied, f.dissipated)
 
     def _rate(self) -> float:
         """beta [1/s]: proven where it can be, else that of the present configuration."""

@@ -40,6 +40,11 @@ class EffortAge:
     fraction: float = 0.0
     measured: bool = False
 
+    @property
+    def late(self) -> bool:
+        """Whether it is not the effort sent."""
+        return self.whole > 0 or self.fraction > 0
+
 
 @dataclass(frozen=True)
 class Acting:
@@ -56,14 +61,17 @@ class Acting:
 
 
 def effort_age(found: Intervals, robot: Robot) -> EffortAge:
-    """The age that explains best what the motors' equation needs; by changes in time, so that what is slow is out."""
+    """The age that explains best what the motors' equation needs; by changes in time, so that what is slow is out.
+
+    It is believed where it explains more than a factor on each effort does: a motor with another inertia.
+    """
     wanted, regular = needed(found, robot), _regular(found)
     nothing = _spread(wanted - found.sent, regular)
     shifted = [_shifted(found.sent, d) for d in range(OLDEST + 1)]
     fits = [_fit(wanted, newer, older, regular) for newer, older in pairwise(shifted)]
     whole = min(range(OLDEST), key=lambda d: fits[d][1])
     fraction, left = fits[whole]
-    believed = left < (1 - EXPLAINED) * nothing
+    believed = left < min((1 - EXPLAINED) * nothing, _scaled(wanted, found.sent, regular))
     if np.isfinite(found.after).all() and np.isfinite(found.before).all():
         own, rest = _fit(wanted, found.after, found.before, regular)
         if rest <= max(NO_WORSE * left, EXACT * nothing) or not believed:
@@ -86,13 +94,13 @@ def acting(found: Intervals, age: EffortAge, wanted: Array) -> Acting:
     else:
         samples, cut = age.whole + _samples(found.sent, wanted, age.whole), np.zeros_like(found.sent, dtype=bool)
         newer, older = (_shifted(found.sent, samples + more) for more in (0, 1))
-    difference = (1 - age.fraction) * newer + age.fraction * older - found.sent
     regular = _regular(found)
+    whole = _spread(wanted - newer, regular) <= MIXED * _spread(newer - older, regular)  # none came within an interval
+    if not (whole or age.measured or age.late):  # what is near to an older effort is so by chance
+        samples, newer = np.zeros_like(samples), found.sent
     usual = float(np.median(samples)) if len(samples) else 0.0
     total = usual + age.fraction
-    whole = _spread(wanted - newer, regular) <= MIXED * _spread(
-        newer - older, regular
-    )  # no effort came within an interval
+    difference = (1 - age.fraction) * newer + age.fraction * older - found.sent
     limit = np.inf if not whole else 0.5 if total < LATE else usual + 1.5
     lost = (samples > limit)[:, None] & ~cut
     zero = np.zeros_like(difference)
@@ -119,6 +127,14 @@ def _fit(wanted: Array, newer: Array, older: Array, regular: NDArray[np.bool_]) 
     power = float((b * b).sum())
     fraction = float(np.clip((b * y).sum() / power, 0.0, 1.0)) if power > 0 else 0.0
     return fraction, float(((y - fraction * b) ** 2).sum())
+
+
+def _scaled(wanted: Array, sent: Array, regular: NDArray[np.bool_]) -> float:
+    """What is left where each effort is taken times the factor that is nearest to what is wanted."""
+    y, b = _changes(wanted, regular), _changes(sent, regular)
+    power = (b * b).sum(axis=0)
+    factors = np.divide((b * y).sum(axis=0), power, out=np.ones_like(power), where=power > 0)
+    return float(((y - factors * b) ** 2).sum())
 
 
 def _spread(residual: Array, regular: NDArray[np.bool_]) -> float:

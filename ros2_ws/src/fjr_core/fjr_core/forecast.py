@@ -35,7 +35,7 @@ class Forecast:
         sizes = {"u_law": n, "drive": n, "slope": 4 * n}
         self._found = {name: np.zeros(sizes.get(name, 1)) for name in OUTPUTS}
         self._dt, self._next_position, self._next_velocity = np.zeros(1), np.zeros(2 * n), np.zeros(2 * n)
-        self._kept = _room(n)
+        self._kept, self._older, self._latency = _room(n), np.zeros(n), 0.0
         self.use(law)
         self.forget()
 
@@ -59,8 +59,11 @@ class Forecast:
         """The next state has no predecessor."""
         self._follows = False
 
-    def take(self, dt: float, position: Array, velocity: Array, jets: Array, u: Array) -> float:
-        """The next state, dt [s] after the last, with its reference and the effort that answered it; V [J] before."""
+    def take(self, dt: float, position: Array, velocity: Array, jets: Array, u: Array, latency: float = 0.0) -> float:
+        """The next state, dt [s] after the last, with its reference and the effort that answered it; V [J] before.
+
+        latency [s]: how long after the state that was, 0 where nothing is known of it.
+        """
         V, self._dt[0] = self.V, dt
         if self._follows:
             self._predict()
@@ -71,8 +74,9 @@ class Forecast:
         if self._follows:
             self._foretold.evaluate()
             self._keep(dt, V, law)
+        np.copyto(self._older, self.u if self._follows else u)
         np.copyto(self.u, u)
-        self._follows = bool(np.isfinite(self.V))
+        self._latency, self._follows = latency, bool(np.isfinite(self.V))
         return V
 
     @property
@@ -110,7 +114,8 @@ class Forecast:
             self._make_room()
         kept, i, n = self._kept, self.count, self._robot.n
         kept.dt[i], kept.V0[i], kept.V1[i], kept.foretold[i] = dt, V, self.V, self._foretold.V[0]
-        kept.sent[i], kept.law[i] = self.u, law
+        kept.sent[i], kept.law[i], kept.older[i] = self.u, law, self._older
+        kept.latency[i] = min(self._latency / dt, 1.0)
         np.subtract(self.position, self._next_position, out=kept.error[i, : 2 * n])
         np.subtract(self.velocity, self._next_velocity, out=kept.error[i, 2 * n :])
         kept.slope[i] = self._found["slope"]

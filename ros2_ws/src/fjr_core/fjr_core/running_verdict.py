@@ -19,6 +19,8 @@ from .verdict import SAMPLING, Verdict, conclude, unknown, violated
 
 BLOCKS = 50  # that a verdict is drawn from: a second at 1 kHz
 LOOKED_AT = 200  # intervals in which the age of the effort is looked for
+IN_REAL_TIME = 3 * BLOCK  # the same in real time, where answers come a little sooner or later
+FADING = 0.9  # of what is remembered of how much the effort changed, from verdict to verdict
 
 
 class RunningVerdict:
@@ -28,7 +30,7 @@ class RunningVerdict:
         """limit (n,) [N m]: of the efforts, inf for none."""
         self._law, self._limit, self._forecast = law, limit, forecast
         self._blocks: deque[Supplies] = deque(maxlen=BLOCKS)
-        self._age, self._new, self._period = EffortAge(), 0, 0.0
+        self._age, self._new, self._period, self._change = EffortAge(), 0, 0.0, 0.0
         self.beta = np.inf
 
     def use(self, law: TrackingLaw, limit: Array) -> None:
@@ -39,7 +41,7 @@ class RunningVerdict:
     def forget(self) -> None:
         """Nothing was seen."""
         self._blocks.clear()
-        self._new, self._period = 0, 0.0
+        self._new, self._period, self._change = 0, 0.0, 0.0
 
     def look(self, beta: float) -> None:
         """There is one more interval; beta [1/s]: the rate to judge it by."""
@@ -47,6 +49,7 @@ class RunningVerdict:
         self.beta = beta
         if self._new == BLOCK:
             self._new = 0
+            self._look_for_age()
             self._blocks.append(self._judged(beta))
 
     def verdict(self) -> Verdict:
@@ -54,12 +57,22 @@ class RunningVerdict:
         seen = self._forecast.last(LOOKED_AT)
         if not self._blocks:
             return unknown("too few states were answered by the law")
-        self._age, self._period = effort_age(seen, self._law.robot), _usual(seen.dt)
+        self._period, self._change = _usual(seen.dt), FADING * self._change
+        if not seen.latency.any():
+            self._age = effort_age(seen, self._law.robot)
         found = conclude(_together(list(self._blocks)), self._figures())
         V = np.array([block.V[0] for block in self._blocks])
         if found.kind == "holding" and len(V) > 2 and V[-1] > GROWN * V[0] and np.mean(np.diff(V) > 0) > 0.75:
             return violated((SAMPLING,), found.figures)
         return found
+
+    def _look_for_age(self) -> None:
+        """In real time where the effort turns most: elsewhere its age is lost in answers that come sooner or later."""
+        seen = self._forecast.last(IN_REAL_TIME)
+        if seen.latency.any():
+            change = float((np.diff(seen.sent, 2, axis=0) ** 2).sum())
+            if change > self._change:
+                self._age, self._change = effort_age(seen, self._law.robot), change
 
     def _judged(self, beta: float) -> Supplies:
         """The last block, with what acted in it."""

@@ -18,7 +18,7 @@ class CertificateValues(NamedTuple):
     """The theory against the measurement at one state.
 
     V [J]: the law's storage. dV_predicted [W]: its exact rate under the effort sent. dV_measured [W]: its mean rate
-    since the last state. bound [J]: what V may be at most in continuous time, nan while the effort is not the law's.
+    since the last state. bound [J]: what V may be at most in continuous time, -1 while the effort is not the law's.
     H [J]: the robot's energy. supplied, dissipated [W]: dH/dt = supplied - dissipated.
     """
 
