@@ -294,6 +294,7 @@ WIRED_BY_GROUP = (
     "constraints.",  # test_goals
     "allow_partial_joints",  # test_trajectories
     "law.",  # test_other_laws, tests/core/test_tuning.py
+    "robust.",  # test_robust_action
 )
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from fjr_bringup.tracking_data import TrackingData
+from fjr_core import config
 from fjr_core.scenario import Scenario
 from fjr_core.vdpbc.law import TrackingLaw
 from fjr_core.verdict import Record, Verdict, judge, unknown
@@ -21,6 +22,10 @@ def verdict(data: TrackingData, scenario: Scenario) -> Verdict:
         return unknown("V is not known, for want of both sides of each joint")
     if not np.isfinite(data.u).any():
         return unknown("no effort of the controller was recorded")
+    if not config.robust(scenario.controller_values, scenario.robot.n).off:
+        return unknown(
+            "the law ran with robust action (robust.*), of which V here, the law's without it, knows nothing"
+        )
     return judge(record(data, scenario), scenario.law, data.beta)
 
 

@@ -43,7 +43,8 @@ class Control:
         reader = StateReader(joints, measurement(values, robot))
         self._law = control_law(values, robot)
         simulated = bool(node.get_parameter("use_sim_time").value)
-        self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated)
+        robust = config.robust(values, robot.n)
+        self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated, robust)
         self.tracker.warm_up()
         # Nothing above is made on the node, nothing below is refused.
         self.reports = Reports(node, self.tracker)
@@ -124,7 +125,8 @@ class Control:
         if not isinstance(self._law, TrackingLaw):
             node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
             return None
-        witness = Witness(node, self._law, self.tracker, limit)
+        robust = config.robust(self._values, self._robot.n)
+        witness = Witness(node, self._law, self.tracker, limit, robust)
         self._answering.tell(witness.see)
         self.reports.besides(witness.status)
         return witness

@@ -15,12 +15,15 @@ import numpy as np
 from fjr_core import GainsError, Reference, StateError, TrajectoryError
 from fjr_core.checks import Array
 from fjr_core.reference import JETS
+from fjr_core.robust import Robust, RobustLaw, sampled_law
 from fjr_core.safety_parameters import Settings
+from fjr_core.sampled_law import BoundStep
 from fjr_core.static_law import BoundCommand, StaticLaw
 
 from .certificate import Certificate
 from .course import Course
 from .events import ERROR, INFO, WARN, Journal, State
+from .recollection import Recollection
 from .safety import EffortLimits, StateLimits, StopPolicy
 from .stamps import Order, Stamps
 
@@ -96,6 +99,11 @@ class Tracker:
     the law's effort is not finite the stop policy's without a sample leaves; the sample leaves no other trace: what
     it was the occasion for waits for the next one. Outside the limits of the state nothing is joined or resumed.
 
+    Robust action (robust): the law then has a memory (docs/robust.md), which moves on once with each sample that the
+    law answers, by the effort that really left, over the difference of the stamps. A repeated stamp moves nothing. It
+    begins anew where a sample does not follow such a one (a start, a jump, a silence, a stop, an effort that was not
+    finite, blind samples) and with other gains. The reference is taken `lead` later, where the state is predicted to.
+
     events: what happened, for the caller to take out. counters, with stable names:
     "states older than the last", "states repeated", "jumps doubted", "reference restarts", "silences",
     "forward jumps", "observer restarts", "recoveries",
@@ -112,6 +120,7 @@ class Tracker:
         settings: Settings,
         observer: Observer | None = None,
         simulated_time: bool = False,
+        robust: Robust | None = None,
     ) -> None:
         journal = Journal()
         self.events, self.counters = journal.events, journal.counters
@@ -120,7 +129,9 @@ class Tracker:
         self._reference, self._course = reference, Course(reference, settings, self._limits, journal)
         self._efforts, self._policy = EffortLimits(settings), StopPolicy(law, settings)
         self._jets = np.zeros((JETS, law.robot.n))
-        self._bound = self._bind(law)
+        self._sampled = sampled_law(law, robust)
+        self._lead = round(self._sampled.lead * 1e9)
+        self._bound, self._memory = self._bind(law)
         self._stopped, self._bad, self._clipped = 0, False, False
 
     @property
@@ -201,13 +212,15 @@ class Tracker:
             except TrajectoryError:  # a state so far out that no motion leads back from it
                 return self._unanswerable(stamp)
         jets = course.jets(stamp)
-        wanted, V = self._wanted(course, jets)
+        wanted, V = self._wanted(course, jets, order, stamp)
         if not wanted.dot(wanted) < np.inf:
             return self._unanswerable(stamp)
         if course is not self._course:
             self._course = course.taken(self._journal)
         self._policy.remember(self._limits.q_l)
         u = self._send(wanted, V, stamp)
+        if self._memory is not None:
+            self._memory.accept()
         self._accept(stamp, arrival)
         return self._command(u, jets, V, order is Order.BACK)
 
@@ -229,6 +242,8 @@ class Tracker:
         """
         u = self._efforts.cut(self._policy.standing())
         self._efforts.replace(u)
+        if self._memory is not None:
+            self._memory.forget()
         self._course.watch.void()
         return u
 
@@ -246,7 +261,7 @@ class Tracker:
 
         Raises GainsError where its efforts are not finite; then the law stays.
         """
-        self._bound = self._bind(law)
+        self._bound, self._memory = self._bind(law)
         self._law = law
         self._policy.limit(law, self._settings)
         self._course.watch.void()
@@ -308,26 +323,48 @@ class Tracker:
             return 0
         return OBSERVED if self._observer.fresh else 0
 
-    def _wanted(self, course: Course, jets: Array) -> tuple[Array, float]:
+    def _wanted(self, course: Course, jets: Array, order: Order, stamp: int) -> tuple[Array, float]:
         """What is to be sent before ramp, blend and limits, with V; the law is not asked while stopped or blind."""
         m = self._limits
+        if self._memory is not None and (course.reason or course.blind):
+            self._memory.forget()
         if course.reason:
             return self._policy.moving(m.q_l, m.dq_m), math.nan
         if course.blind and course.starting:
             return self._policy.at(m.q_l), math.nan
         if course.blind:
             return self._efforts.sent.copy(), math.nan
+        if self._memory is not None:
+            return self._remembered(self._memory, course, jets, order, stamp)
         np.copyto(self._jets, jets)
         self._bound.evaluate()
         return self._bound.u.copy(), self._bound.V.item()
 
-    def _bind(self, law: StaticLaw) -> BoundCommand:
+    def _remembered(
+        self, memory: Recollection, course: Course, jets: Array, order: Order, stamp: int
+    ) -> tuple[Array, float]:
+        """The same of a law with a memory; not finite where that would not be."""
+        np.copyto(self._jets, course.reference.jets(stamp + self._lead) if self._lead else jets)
+        last = self._stamps.last
+        memory.place(order, 0 if last is None else stamp - last, self._efforts.sent)
+        self._bound.evaluate()
+        return self._bound.u.copy() if memory.finite else np.full(self._law.robot.n, np.nan), self._bound.V.item()
+
+    def _bind(self, law: StaticLaw) -> tuple[BoundCommand | BoundStep, Recollection | None]:
         """The law from the measured state and the jets, evaluated: built, and as fast as any other time.
 
-        Raises GainsError where its effort is not finite there, or with every position and velocity at 1.
+        With what minds its memory, where it has one. Raises GainsError where its effort is not finite there, or with
+        every position and velocity at 1.
         """
-        state = self._limits.state
-        bound, measured = law.bound(self._limits.position, self._limits.velocity, self._jets), state.copy()
+        state, arrays = self._limits.state, (self._limits.position, self._limits.velocity, self._jets)
+        measured, memory = state.copy(), None
+        bound: BoundCommand | BoundStep
+        if isinstance(self._sampled, RobustLaw):
+            self._sampled = self._sampled.with_law(law)
+            bound = step = self._sampled.bound(*arrays)
+            memory = Recollection(step)
+        else:
+            bound = law.bound(*arrays)
         finite = True
         for place in (np.ones_like(state), measured if measured.dot(measured) < np.inf else 0.0):
             state[...] = place
@@ -336,7 +373,7 @@ class Tracker:
         state[...] = measured
         if not finite:
             raise GainsError("parameters 'gains.*' give an effort that is not finite; expected smaller gains")
-        return bound
+        return bound, memory
 
     def _send(self, wanted: Array, V: float, stamp: int) -> Array:
         """The effort that leaves; the certificate goes on only where it is the law's own."""
@@ -383,6 +420,8 @@ class Tracker:
         self._bad = True
         if self._observer is not None:
             self._observer.reset()
+        if self._memory is not None:
+            self._memory.forget()
         u = self._send(self._policy.standing(), math.nan, stamp)
         jets = self._course.reference.jets(stamp)
         return self._command(u, jets, math.nan, False)

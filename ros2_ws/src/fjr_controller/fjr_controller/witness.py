@@ -13,9 +13,10 @@ from fjr_core import TrackingLaw
 from fjr_core.checks import Array
 from fjr_core.forecast import Forecast
 from fjr_core.latency import Latency
+from fjr_core.robust import Robust
 from fjr_core.running_verdict import RunningVerdict
 from fjr_core.thresholds import LONGEST_GAP
-from fjr_core.verdict import Verdict
+from fjr_core.verdict import Verdict, unknown
 from fjr_msgs_py import names
 from fjr_msgs_py.certificates import CertificateValues, CertificateWriter
 from fjr_msgs_py.messages import JointSample
@@ -23,6 +24,8 @@ from fjr_msgs_py.messages import JointSample
 from .tracker import Command, Tracker
 
 LEVELS = {"holding": DiagnosticStatus.OK, "violated": DiagnosticStatus.WARN, "unknown": DiagnosticStatus.OK}
+BESIDE = "the law counts on torques beside its model (robust.*), of which the V here knows nothing"
+AHEAD = "the effort is the law's for a predicted state (robust.delay)"
 NO_BOUND = -1.0  # J; a storage is never negative
 LONGEST = LONGEST_GAP * 1e-2  # s between two states, above which they have nothing to do with each other
 
@@ -31,10 +34,12 @@ class Witness:
     """A listener of Answering: publishes a certificate for each state, and keeps what the verdict is drawn from.
 
     A state without a predecessor has no rate and no certificate; nor has one whose numbers are not finite.
+    With robust action there is no verdict and no bound: V and its rates are those of the law without it.
     """
 
-    def __init__(self, node: Node, law: TrackingLaw, tracker: Tracker, limit: Array) -> None:
+    def __init__(self, node: Node, law: TrackingLaw, tracker: Tracker, limit: Array, robust: Robust) -> None:
         """limit (n,) [N m]: of the efforts."""
+        self._unjudged = BESIDE if robust.estimates or robust.integrates else AHEAD if robust.predicts else ""
         self._node, self._law, self._tracker = node, law, tracker
         self._forecast, self._latency = Forecast(law), Latency()
         self._simulated = bool(node.get_parameter("use_sim_time").value)
@@ -68,13 +73,14 @@ class Witness:
         values = self._values((self._forecast.V - before) / dt if dt else 0.0, dt)
         if self._forecast.count == count:
             return
-        self._running.look(self._beta)
+        if not self._unjudged:
+            self._running.look(self._beta)
         if all(map(math.isfinite, values)):
             self._publisher.publish(self._writer.fill(sample.stamp, values))
 
     def status(self) -> DiagnosticStatus:
         """The verdict on the last second."""
-        verdict: Verdict = self._running.verdict()
+        verdict: Verdict = unknown(self._unjudged) if self._unjudged else self._running.verdict()
         if self._law.robot.links.M_l_vertices is None:
             self._beta = self._rate()
         said = {"verdict": verdict.kind, "causes": ", ".join(verdict.causes)}
@@ -92,7 +98,7 @@ class Witness:
 
     def _values(self, rate: float, dt: float) -> CertificateValues:
         f, certificate = self._forecast, self._tracker.certificate
-        if certificate is None:
+        if certificate is None or self._unjudged:
             self._start, self._bound = -1, NO_BOUND
         elif certificate.start != self._start:
             self._start, self._bound = certificate.start, f.V

@@ -23,6 +23,7 @@ from .process_parameters import process_parameters
 from .reference_parameters import reference, reference_parameters
 from .robot import Robot
 from .robot_parameters import joints_of, robot, robot_parameters
+from .robust_parameters import robust, robust_parameters
 from .safety_parameters import safety_parameters
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "plant_parameters",
     "reference",
     "robot",
+    "robust",
 ]
 
 _GAIN_CONSTRAINTS = {
@@ -91,6 +93,7 @@ def controller_parameters(n: int) -> list[Parameter]:
     return [
         *gains,
         *law_parameters(n),
+        *robust_parameters(n),
         *reference_parameters(n),
         *measurement_parameters(n),
         *safety_parameters(n),

@@ -16,6 +16,7 @@ from . import symbolic, virtual
 from .robot import Robot
 
 REFERENCE_DERIVATIVES = 4  # q_ld .. d4q_ld: the law has relative degree four
+LOAD_RATES = 2  # of a torque on the links: it acts two integrations later than q_ld
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,36 @@ class Motion:
 
 
 @dataclass(frozen=True)
+class Load:
+    """Symbols of the torque on the links that the law believes in beside the model: known + integral.
+
+    known (n, 3): the first part with its two rates, column k is the k-th derivative. integral (n,) [N m]: the second
+    part, a state of the law, whose rate is `gain` (n, n) [N m/rad] times what the stages find (docs/robust.md); (0,)
+    both: there is none.
+    """
+
+    known: ca.SX
+    integral: ca.SX
+    gain: ca.SX
+
+    @classmethod
+    def named(cls, n: int, integrates: bool = True) -> Load:
+        """Fresh symbols."""
+        m = n if integrates else 0
+        return cls(ca.SX.sym("known", n, LOAD_RATES + 1), ca.SX.sym("integral", m), ca.SX.sym("integral_gain", m, m))
+
+    @property
+    def integrates(self) -> bool:
+        """Whether there is the second part."""
+        return self.integral.numel() > 0
+
+    @property
+    def torque(self) -> ca.SX:
+        """The whole of it (n,) [N m]."""
+        return self.known[:, 0] + self.integral if self.integrates else self.known[:, 0]
+
+
+@dataclass(frozen=True)
 class Flow:
     """The law's symbols and their rates; `virtual` is `measured` itself where x_v = x.
 
@@ -49,21 +80,47 @@ class Flow:
     The rates hold the acceleration of the motors, which depends on the input, and the fifth derivative of the
     reference as free symbols: an expression that needed one of them could not become a function. None does,
     because the velocities of the motors never enter what is differentiated (relative degree four).
+    load: a torque on the links that acts too, as far as the law knows; None: none.
     """
 
     robot: Robot
     virtual: Motion
     measured: Motion
     jets: ca.SX
+    load: Load | None = None
 
     @cached_property
     def M_l(self) -> ca.SX:
         """M_l at the measured q_l."""
         return self.robot.links.M_l(self.measured.q_l)
 
-    def d(self, *expressions: ca.SX) -> list[ca.SX]:
-        """Total time derivatives d/dt of column vectors, in one sweep over them all."""
-        return self._along(self._rates, *expressions)
+    @property
+    def integrated(self) -> Load | None:
+        """The load, if it has an integral."""
+        return self.load if self.load is not None and self.load.integrates else None
+
+    @property
+    def external(self) -> ca.SX:
+        """The torque (n,) [N m] of the load on the links."""
+        return ca.SX(self.robot.n, 1) if self.load is None else self.load.torque
+
+    def d(self, *expressions: ca.SX, integral: ca.SX | None = None) -> list[ca.SX]:
+        """Total time derivatives d/dt of column vectors, in one sweep over them all; integral (n,): rate of load's."""
+        return self._along(self._rates if integral is None else self._rates_with(integral), *expressions)
+
+    def pushed(self, e: ca.SX, dp_l: ca.SX) -> ca.SX:
+        """(de/dp_l) dp_l of a column vector e at x_v = x, where dp_l (n,) [N m s] is a change of the links' momenta."""
+        motion, ddq_l = self.measured, self._force(self.measured)
+        dv = symbolic.solve(self.M_l, dp_l)
+        da = symbolic.solve(self.M_l, ca.jtimes(ddq_l, motion.dq_l, dv))
+        return ca.jtimes(e, ca.vertcat(motion.dq_l, motion.ddq_l), ca.vertcat(dv, da))
+
+    def slope(self, e: ca.SX, y: ca.SX) -> ca.SX:
+        """(de/dp_l)' y (n,) of a column vector e at x_v = x, y held."""
+        motion, force = self.measured, self._force(self.measured)
+        by_v, by_a = ca.vertsplit(ca.jtimes(e, ca.vertcat(motion.dq_l, motion.ddq_l), y, True), self.robot.n)
+        through = ca.jtimes(force, motion.dq_l, symbolic.solve(self.M_l, by_a), True)
+        return symbolic.solve(self.M_l, by_v + through)
 
     def at(self, x_v: ca.SX, x: ca.SX, *expressions: ca.SX) -> list[ca.SX]:
         """The expressions as functions of the states x_v and x (4n,), with momenta (and of jets).
@@ -94,22 +151,30 @@ class Flow:
         """M_l ddq_l of a motion: C_l and M_l at the measured state, P_l and the spring at its own, eq. (38)."""
         q_l, dq_l, links = self.measured.q_l, self.measured.dq_l, self.robot.links
         spring = self.robot.K @ (motion.q_m - motion.q_l)
-        return spring - links.C(q_l, dq_l, motion.dq_l) - self.robot.D_l @ motion.dq_l - links.grad_P_l(motion.q_l)
+        C_l = links.C(q_l, dq_l, motion.dq_l)
+        return spring - C_l - self.robot.D_l @ motion.dq_l - links.grad_P_l(motion.q_l) + self.external
 
     @cached_property
     def _rates(self) -> tuple[ca.SX, ca.SX]:
-        """All symbols z and their rates dz."""
-        first = self._rates_up_to_accelerations
+        """All symbols z and their rates dz, the load's integral held."""
+        return self._rates_with(ca.SX.zeros(self.robot.n))
+
+    def _rates_with(self, integral: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """The same with the rate (n,) of the load's integral."""
+        first = self._rates_up_to_accelerations(integral)
         jerks = [self._jerk(motion, first) for motion in self._motions]
         z, dz = first
         return ca.vertcat(z, *(motion.ddq_l for motion in self._motions)), ca.vertcat(dz, *jerks)
 
-    @cached_property
-    def _rates_up_to_accelerations(self) -> tuple[ca.SX, ca.SX]:
-        unknown = ca.SX.sym("unknown", self.robot.n)  # ddq_m and d5q_ld
+    def _rates_up_to_accelerations(self, integral: ca.SX) -> tuple[ca.SX, ca.SX]:
+        unknown = ca.SX.sym("unknown", self.robot.n)  # ddq_m, d5q_ld and d3w
         z = ca.vertcat(*(motion.inputs for motion in self._motions), ca.vec(self.jets))
         rates = (ca.vertcat(m.dq_l, m.dq_m, m.ddq_l, unknown) for m in self._motions)
-        return z, ca.vertcat(*rates, ca.vec(self.jets[:, 1:]), unknown)
+        dz = ca.vertcat(*rates, ca.vec(self.jets[:, 1:]), unknown)
+        if self.load is None:
+            return z, dz
+        z, dz = ca.vertcat(z, ca.vec(self.load.known)), ca.vertcat(dz, ca.vec(self.load.known[:, 1:]), unknown)
+        return (ca.vertcat(z, self.load.integral), ca.vertcat(dz, integral)) if self.load.integrates else (z, dz)
 
     def _jerk(self, motion: Motion, rates: tuple[ca.SX, ca.SX]) -> ca.SX:
         """d3q_l = M_l^-1 d/dt(force - M_l ddq_l), ddq_l held."""
@@ -125,8 +190,8 @@ class Flow:
         return ca.vertsplit(stacked, ends)
 
 
-def flow(robot: Robot, diagonal: bool = False) -> Flow:
+def flow(robot: Robot, diagonal: bool = False, load: Load | None = None) -> Flow:
     """Symbols of a robot's law and their rates; diagonal: at x_v = x, where everything is said once."""
     measured = Motion.named("", robot.n)
     virtual = measured if diagonal else Motion.named("v", robot.n)
-    return Flow(robot, virtual, measured, ca.SX.sym("jets", robot.n, REFERENCE_DERIVATIVES + 1))
+    return Flow(robot, virtual, measured, ca.SX.sym("jets", robot.n, REFERENCE_DERIVATIVES + 1), load)

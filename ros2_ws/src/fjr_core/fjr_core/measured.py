@@ -22,6 +22,12 @@ def law_view(plant: Robot, law: Robot) -> ca.Function | None:
     return dense_function("law_view", {"x": x}, {"seen": seen}, cse=True)
 
 
+def velocity_function(robot: Robot) -> ca.Function:
+    """x (4n,) of a robot -> its velocities (dq_l, dq_m) (2n,)."""
+    x = ca.SX.sym("x", 4 * robot.n)
+    return dense_function("velocities", {"x": x}, {"velocity": ca.vertcat(*robot.velocity_expressions(x))}, cse=True)
+
+
 def _same_inertia(one: Robot, other: Robot) -> bool:
     """Whether M_m and the expression of M_l are the same; equal functions written otherwise do not count."""
     if one is other:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -11,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from .checks import Array
-from .numeric import dense_function
+from .numeric import bind, dense_function
 from .reference import JETS
 from .robot import Robot
 
@@ -56,8 +57,9 @@ class SampledLaw(Protocol):
         """The CasADi function of one sample; never machine code, so that it may be part of another: see compiled.
 
         (position (2n,), velocity (2n,), jets (n, 5), gains (g,), memory (m,), sent (n,), dt) -> u (n,), V, next (m,).
-        position (q_l, q_m) [rad], velocity (dq_l, dq_m) [rad/s]; sent [N m]: the effort that acted since the last
-        sample, zeros at the first; dt [s]: time since the last sample, 0 at the first.
+        position (q_l, q_m) [rad], velocity (dq_l, dq_m) [rad/s]; sent [N m]: the effort that was sent for the last
+        sample (what its u became under limits), zeros at the first; without a delay it acted since then. dt [s]: time
+        since the last sample, 0 at the first.
         """
 
 
@@ -93,6 +95,43 @@ class Static:
         u, V = self.law.measured_expression(s["position"], s["velocity"], jets, s["gains"])
         inputs = {name: jets if name == "jets" else s[name] for name in ARGUMENTS}
         return dense_function("sampled_law", inputs, {"u": u, "V": V, "next": s["memory"]})
+
+
+@dataclass(frozen=True, eq=False)
+class BoundStep:
+    """One sample of a law from and into its own arrays: `evaluate` writes u (n,), V (1,) and next (m,).
+
+    It reads the arrays given, memory (m,), sent (n,) and dt (1,); `keep` makes next the memory.
+    """
+
+    evaluate: Callable[[], None]
+    initial: Array
+    memory: Array
+    sent: Array
+    dt: Array
+    u: Array
+    V: Array
+    next: Array
+
+    def keep(self) -> None:
+        """The sample counts: the next one goes on from here."""
+        np.copyto(self.memory, self.next)
+
+    def forget(self) -> None:
+        """The next sample is the first."""
+        np.copyto(self.memory, self.initial)
+        self.dt[0] = 0.0
+
+
+def bound_step(
+    law: SampledLaw, position: Array, velocity: Array, jets: Array, function: ca.Function | None = None
+) -> BoundStep:
+    """A law bound to contiguous arrays (2n,), (2n,), (5, n); function: its step_function as machine code."""
+    n, initial = law.robot.n, law.memory
+    memory, sent, dt, u, V, after = initial.copy(), np.zeros(n), np.zeros(1), np.zeros(n), np.zeros(1), initial.copy()
+    arguments = (position, velocity, jets, law.gain_values, memory, sent, dt)
+    evaluate = bind(function or law.step_function, arguments, (u, V, after))
+    return BoundStep(evaluate, initial, memory, sent, dt, u, V, after)
 
 
 ARGUMENTS = ("position", "velocity", "jets", "gains", "memory", "sent", "dt")

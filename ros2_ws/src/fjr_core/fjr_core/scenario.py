@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ from .plant import Plant
 from .prediction import Prediction
 from .reference import Reference
 from .robot import Robot
+from .robust import RobustLaw, sampled_law
+from .sampled_law import SampledLaw
 from .simulate import Trajectory, simulate
 from .static_law import StaticLaw
 from .vdpbc.law import TrackingLaw
@@ -77,6 +80,11 @@ class Scenario:
         return self.law
 
     @cached_property
+    def sampled_law(self) -> SampledLaw:
+        """The law as the controller runs it, with the robust action that the parameters ask for."""
+        return sampled_law(self.law, config.robust(self.controller_values, self.robot.n))
+
+    @cached_property
     def reference(self) -> Reference:
         """The reference trajectory; its time 0 is the first answered state."""
         return config.reference(self.controller_values, self.robot.n)
@@ -99,6 +107,8 @@ class Scenario:
     def warm_up(self) -> None:
         """Build law and plant step as the nodes will, so that what is compiled is in the cache when they start."""
         _ = self.law.measured_function
+        if isinstance(self.sampled_law, RobustLaw):
+            _ = self.sampled_law.ready_step
         if self.controller_values["certificate"] and isinstance(self.law, TrackingLaw):
             _ = Balance(self.law).function, Prediction(self.law).function
         self.plant.step(self.x0, [0.0] * self.robot.n, self.sample_period)
@@ -106,7 +116,8 @@ class Scenario:
     def simulate(self, duration: float) -> Trajectory:
         """The sampled closed loop as the two nodes run it in lock-step, without ROS, for `duration` seconds."""
         inner = self.sample_period / int(self.plant_values["inner_steps"])  # type: ignore[arg-type]
-        return simulate(self.plant, self.law, self.reference, self.x0, duration, self.sample_period, inner)
+        law = self.sampled_law if isinstance(self.sampled_law, RobustLaw) else self.law
+        return simulate(self.plant, law, self.reference, self.x0, duration, self.sample_period, inner)
 
 
 def load_scenario(path: str | Path) -> Scenario:
@@ -132,14 +143,24 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
         known = config.all_parameters(own, given)
         checked[node] = parameters.complete(known, given)
         warnings += [f"{node}: {sentence}" for sentence in parameters.unknown(known, given)]
-    scenario = Scenario(name, checked[PLANT], checked[CONTROLLER], tuple(warnings))
+    scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
+    warnings += _about_hold(scenario)
+    scenario = replace(scenario, warnings=tuple(warnings))
     joints = [checked[node]["joints"] for node in OWN_PARAMETERS]
     if joints[0] != joints[1]:
         raise ParameterError(
             f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
         )
-    _ = scenario.law, scenario.reference, scenario.plant, scenario.x0  # what cannot be built is said here
+    _ = scenario.sampled_law, scenario.reference, scenario.plant, scenario.x0  # what cannot be built is said here
     return scenario
+
+
+def _about_hold(scenario: Scenario) -> list[str]:
+    """A sentence where the law would predict over another hold than there will be."""
+    values, period = scenario.controller_values, scenario.sample_period
+    if not values["robust.delay"] or math.isclose(float(values["robust.hold"]), period, rel_tol=1e-6):  # type: ignore[arg-type]
+        return []
+    return [f"{CONTROLLER}: parameter 'robust.hold' is {values['robust.hold']} s; the states' period is {period:g} s"]
 
 
 def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -14,10 +15,11 @@ from . import checks
 from .checks import Array
 from .errors import StateError
 from .integrators import rk4_expression
-from .measured import law_view
+from .measured import law_view, velocity_function
 from .numeric import NumericFunction, bind, not_converged
 from .plant import Plant
 from .reference import JETS, Reference
+from .sampled_law import SampledLaw, bound_step
 from .static_law import StaticLaw
 
 CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
@@ -37,7 +39,7 @@ class Trajectory:
 
 def simulate(
     plant: Plant,
-    law: StaticLaw,
+    law: StaticLaw | SampledLaw,
     reference: Reference,
     x0: ArrayLike,
     duration: float,
@@ -54,6 +56,7 @@ def simulate(
     what the law said at t. Only for a sampled loop.
     The plant's robot and the law's may differ (model mismatch): the law then gets the plant's positions and
     velocities, with momenta by its own inertia, and V is its own; Trajectory.x is the plant's state.
+    law: a SampledLaw (e.g. robust.RobustLaw) only with a sample_period; it gets the reference `lead` later.
     Raises StateError for shapes or numbers that do not fit, and when the loop diverges to non-finite numbers.
     """
     x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
@@ -70,9 +73,13 @@ def simulate(
     t = _times(duration, period)
     jets = reference.jets(t)
     if sample_period is None:
+        if not isinstance(law, StaticLaw):
+            raise StateError(f"law is a {type(law).__name__} without a sample_period; expected a StaticLaw, or one")
         return _continuous(plant, law, reference, x0, t, period)
     segments = _segments(period, delay, inner_step or INNER_STEP)
-    return _sampled(plant, law, x0, t, jets, segments)
+    if isinstance(law, StaticLaw):
+        return _sampled(plant, x0, t, jets, segments, partial(_static, plant, law, jets))
+    return _sampled(plant, x0, t, jets, segments, partial(_remembering, plant, law, reference.jets(t + law.lead), t))
 
 
 def _times(duration: float, period: float) -> Array:
@@ -103,13 +110,18 @@ def _segments(period: float, delay: float, inner_step: float) -> list[_Segment]:
     return [_Segment(age, k, length / k) for (age, length), k in zip(parts, steps, strict=True) if k]
 
 
-def _sampled(plant: Plant, law: StaticLaw, x0: Array, t: Array, jets: Array, segments: list[_Segment]) -> Trajectory:
-    run = _empty_trajectory(law, t, jets)
-    x, u, now = x0.copy(), np.zeros(law.robot.n), np.zeros(jets.shape[1:])
-    x_next, V, command = np.zeros_like(x), np.zeros(1), law.command_function
-    seen, look = _bound_view(law_view(plant.robot, law.robot), x)
-    evaluate = bind(command, [seen, now], [u, V])
-    held = [np.zeros(law.robot.n) for _ in segments]
+Asked = Callable[[int], None]
+"""Evaluates the law for sample k, from the plant's state in an array into efforts (n,) and V (1,)."""
+
+
+def _sampled(
+    plant: Plant, x0: Array, t: Array, jets: Array, segments: list[_Segment], bound: Callable[..., Asked]
+) -> Trajectory:
+    n = plant.robot.n
+    run = _empty_trajectory(n, t, jets)
+    x, u, x_next, V = x0.copy(), np.zeros(n), np.zeros_like(x0), np.zeros(1)
+    ask = bound(x, u, V)
+    held = [np.zeros(n) for _ in segments]
     steps = [
         bind(plant.step_function, [x, effort, np.array([segment.dt])], [x_next])
         for effort, segment in zip(held, segments, strict=True)
@@ -117,9 +129,7 @@ def _sampled(plant: Plant, law: StaticLaw, x0: Array, t: Array, jets: Array, seg
     for k in range(len(t)):
         if not x.dot(x) < np.inf:
             raise _diverged(t[k])
-        now[...] = jets[k]
-        look()
-        evaluate()
+        ask(k)
         run.x[k], run.u[k], run.V[k] = x, u, V[0]
         if k + 1 == len(t):
             break
@@ -135,9 +145,41 @@ def _sampled(plant: Plant, law: StaticLaw, x0: Array, t: Array, jets: Array, seg
     return run
 
 
+def _static(plant: Plant, law: StaticLaw, jets: Array, x: Array, u: Array, V: Array) -> Asked:
+    """A law without memory."""
+    now = np.zeros(jets.shape[1:])
+    seen, look = _bound_view(law_view(plant.robot, law.robot), x)
+    evaluate = bind(law.command_function, [seen, now], [u, V])
+
+    def ask(k: int) -> None:
+        now[...] = jets[k]
+        look()
+        evaluate()
+
+    return ask
+
+
+def _remembering(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, u: Array, V: Array) -> Asked:
+    """A law with a memory."""
+    n, now, velocity = plant.robot.n, np.zeros(jets.shape[1:]), np.zeros(len(x) // 2)
+    look = bind(velocity_function(plant.robot), [x], [velocity])
+    step = bound_step(law, x[: 2 * n], velocity, now, getattr(law, "ready_step", None))
+
+    def ask(k: int) -> None:
+        now[...] = jets[k]
+        look()
+        step.dt[0] = t[k] - t[k - 1] if k else 0.0
+        step.evaluate()
+        step.keep()
+        u[...], V[...] = step.u, step.V
+        step.sent[...] = u
+
+    return ask
+
+
 def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t: Array, dt: float) -> Trajectory:
     step = _closed_loop_step(plant, law)
-    run = _empty_trajectory(law, t, reference.jets(t))
+    run = _empty_trajectory(law.robot.n, t, reference.jets(t))
     run.x[0] = x0
     instants = (t[:-1], t[:-1] + dt / 2, t[1:])
     for k, stages in enumerate(zip(*(reference.jets(instant) for instant in instants), strict=True)):
@@ -180,6 +222,5 @@ def _diverged(t: float) -> StateError:
     return StateError(f"the closed loop diverged: the state is not finite at t = {t:.6g} s")
 
 
-def _empty_trajectory(law: StaticLaw, t: Array, jets: Array) -> Trajectory:
-    n = law.robot.n
+def _empty_trajectory(n: int, t: Array, jets: Array) -> Trajectory:
     return Trajectory(t, np.empty((len(t), 4 * n)), np.empty((len(t), n)), jets, np.empty(len(t)))

@@ -98,11 +98,17 @@ class TrackingLaw(StaticLaw):
         """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; machine code if that was asked for."""
         return self.ready(self._function("command", {"u", "V"}, diagonal=True))
 
-    def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """The arguments of measured_function, and all that Evaluation names, with s_m, as expressions of them."""
-        n = self.robot.n
-        f, symbols = flow(self.robot, diagonal=True), self._symbols
-        outputs = self._expressions(f, symbols.terms, ca.SX.zeros(n))
+    def measured_expressions(
+        self, f: Flow | None = None, omega: ca.SX | None = None
+    ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+        """The arguments of measured_function, and all that Evaluation names, with s_m, as expressions of them.
+
+        f: a flow at x_v = x, e.g. with a load; omega (n,) [N m]: of eq. (42), zero if not given. port_l: dV/dp_l (n,)
+        [rad/s], where the flow has a load with an integral.
+        """
+        n, symbols = self.robot.n, self._symbols
+        f = flow(self.robot, diagonal=True) if f is None else f
+        outputs = self._expressions(f, symbols.terms, ca.SX.zeros(n) if omega is None else omega)
         position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
         values = f.at_velocities(ca.vertcat(position, velocity), *outputs.values())
         inputs = {"position": position, "velocity": velocity, "jets": f.jets, "gains": symbols.vector}
@@ -165,6 +171,7 @@ class TrackingLaw(StaticLaw):
             "q_tilde_m": motor.q_tilde_m,
             "sigma_m": motor.sigma_m,
             "s_m": motor.s_m,
+            "port_l": motor.port,
             "V": _storage(gains, link, motor),
             "dissipation": dissipation,
             "dV": -dissipation + ca.dot(motor.s_m, omega),

@@ -26,6 +26,7 @@ def link_stage(flow: Flow, gains: GainTerms) -> LinkStage:
 
     With v_lr = M_l^-1 p_lr, the rate and the workless force of eq. (33) are
     dp_lr + E_l v_lr = M_l dv_lr + (dM_l + E_l) v_lr = M_l dv_lr + C_l v_lr.
+    A torque on the links that is known (Flow.load) is taken off.
     """
     links, D_l = flow.robot.links, flow.robot.D_l
     q_l, dq_l = flow.measured.q_l, flow.measured.dq_l
@@ -40,4 +41,4 @@ def link_stage(flow: Flow, gains: GainTerms) -> LinkStage:
     (dv_lr,) = flow.d(v_lr)
     u_lff = flow.M_l @ dv_lr + links.C(q_l, dq_l, v_lr) + links.grad_P_l(q_lv) + D_l @ v_lr  # (33)
     u_lfb = -gains.Pi_l @ q_tilde_l - gains.K_ld @ s_l
-    return LinkStage(q_tilde_l, s_l, sigma_l, u_l=u_lff + u_lfb)
+    return LinkStage(q_tilde_l, s_l, sigma_l, u_l=u_lff + u_lfb - flow.external)

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The integral's part of a sample: its gains, and its state moved on by the rate of the last sample.
+
+The integral on the links moves by K port_l (vdpbc.integral), the one on the motors by K port_m. With
+K = rate (Pi Lambda^-1 + D + K_d), made symmetric, it takes up a constant torque at that rate in every direction:
+at rest the errors under a torque theta are qt = (Pi + (D + K_d) Lambda)^-1 theta, and the port is Lambda qt.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from ..checks import Array
+from ..gains import CheckedGains
+from ..robot import Robot
+
+Terms = dict[str, ca.MX]
+SAME = 1e-9  # N m: what was sent is what was wanted
+
+
+class Integral:
+    """Torques (2n,) [N m] of the links, then the motors, with the gains K of both sides.
+
+    Where the effort sent last was not the one wanted (a limit, a fade), a joint's integrals move only in the
+    direction that brings the effort wanted nearer to the one sent: a torque that grows lowers the effort.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        n = robot.n
+        self._B_m, self._n = ca.DM(robot.B_m), n
+        self.sizes = {"integral": 2 * n, "rate": 2 * n, "wanted": n}
+        self.gain_sizes = {"K_l": n * n, "K_m": n * n, "K_l_inverse": n * n, "K_m_inverse": n * n}
+
+    def step(self, kept: Terms, sent: ca.MX, dt: ca.MX) -> ca.MX:
+        """The torques (2n,) now. sent (n,): what became of the effort wanted, dt [s] ago."""
+        excess = ca.mtimes(self._B_m, kept["wanted"] - sent)
+        excess, rate = ca.vertcat(excess, excess), kept["rate"]
+        free = ca.logic_or(ca.fabs(excess) <= SAME, rate * excess > 0)
+        return kept["integral"] + ca.if_else(free, dt * rate, 0)
+
+    def parts(self, integral: ca.MX, ports: tuple[ca.MX, ca.MX], gains: Terms, u: ca.MX) -> Terms:
+        """What is kept: ports of links and motors (n,) [rad/s], u (n,) wanted [N m]."""
+        rates = [ca.mtimes(self.matrix(gains, name), port) for name, port in zip(("K_l", "K_m"), ports, strict=True)]
+        return {"integral": integral, "rate": ca.vertcat(*rates), "wanted": u}
+
+    def energy(self, integral: ca.MX, gains: Terms) -> ca.MX:
+        """integral' K^-1 integral / 2 of both sides [J]; what has no gain has no integral."""
+        torques = zip(("K_l_inverse", "K_m_inverse"), ca.vertsplit(integral, self._n), strict=True)
+        return sum(ca.dot(torque, ca.mtimes(self.matrix(gains, name), torque)) for name, torque in torques) / 2
+
+    def matrix(self, gains: Terms, name: str) -> ca.MX:
+        """A gain (n, n) by its name in gain_sizes."""
+        return ca.reshape(gains[name], self._n, self._n)
+
+
+def gain_values(robot: Robot, gains: CheckedGains, rates: tuple[Array, Array]) -> Array:
+    """The numbers of Integral.gain_sizes for rates (n,) [1/s] of links and motors."""
+    K_l = _gain(gains.Pi_l, gains.Lambda_l, robot.D_l + gains.K_ld, rates[0])
+    K_m = _gain(gains.Pi_m, gains.Lambda_m, robot.D_m + gains.K_md, rates[1])
+    return np.concatenate([K.ravel() for K in (K_l, K_m, np.linalg.pinv(K_l), np.linalg.pinv(K_m))])
+
+
+def _gain(Pi: Array, Lambda: Array, damping: Array, rate: Array) -> Array:
+    stiff = Pi @ np.linalg.inv(Lambda)
+    root = np.sqrt(rate)
+    return np.asarray(root[:, None] * ((stiff + stiff.T) / 2 + damping) * root)
