@@ -64,7 +64,7 @@ def write(texts: Mapping[str, str], folder: Path, force: bool = False) -> None:
 
 
 def _filled(template: str, words: Mapping[str, str]) -> str:
-    text = (files("fjr_core.export_c") / "templates" / template).read_text(encoding="utf-8")
+    text = (files("fjr_core.export_c") / "templates" / f"{template}.in").read_text(encoding="utf-8")
     return _CTemplate(text).substitute(words)
 
 
