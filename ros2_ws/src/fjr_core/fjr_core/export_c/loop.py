@@ -71,12 +71,12 @@ class Loop:
 
 
 def loop_of(scenario: Scenario) -> Loop:
-    """The closed loop of a scenario, whose plant is without the imperfections it may have."""
+    """The closed loop of a scenario, with the law's options where it has any; the plant is without imperfections."""
     steps = int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
     return Loop(
         scenario.name,
         scenario.joints,
-        Static(scenario.law),
+        getattr(scenario, "sampled_law", Static(scenario.law)),
         scenario.reference,
         scenario.plant,
         scenario.x0,
