@@ -14,7 +14,7 @@ from markdown_it.token import Token
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")))
-LANGUAGES = ("python", "sh", "yaml", "xml", "text")
+LANGUAGES = ("python", "sh", "yaml", "xml", "cpp", "cmake", "text")
 """`text` is for what no machine reads (diagrams, formulas), or, marked so, for what the block before it prints."""
 MARKS = ("file", "exit", "shown", "for")
 """file: what the reader calls it; exit: the exit code that is right; shown: lines of output; for: who else reads it."""

@@ -23,6 +23,7 @@ from fjr_core.campaign import sweep_file
 from fjr_core.scenario import load_scenario
 
 LINKED = ("ros2_ws", "examples")  # what commands name relative to the checkout
+ENVIRONMENT = {**os.environ, "PATH": f"{os.environ['PATH']}:{Path(sys.executable).parent}"}  # with CMake from a wheel
 STARTED: list[subprocess.Popen[bytes]] = []
 ALL = [block for page in PAGES for block in blocks(page)]
 WITH_BLOCKS = [page for page in PAGES if any(block.language in ("python", "sh", "yaml") for block in blocks(page))]
@@ -61,10 +62,28 @@ def do_sh(block: Block, folder: Path, _said: str) -> str:
     return run(block, ["bash", "-c", script(block.text)], folder)
 
 
+def do_cpp(block: Block, folder: Path, said: str) -> str:
+    """Write the file, for a build that comes later."""
+    (folder / block.marks["file"]).write_text(block.text, encoding="utf-8")
+    return said
+
+
+def do_cmake(block: Block, folder: Path, said: str) -> str:
+    """Write the file and build what it describes, against stand-ins for ROS 2's packages in C++."""
+    file = folder / block.marks["file"]
+    file.write_text(block.text, encoding="utf-8")
+    build, found = file.parent / ".build", f"-DCMAKE_PREFIX_PATH={Path(__file__).with_name('ros2_control')}"
+    run(block, ["cmake", "-S", str(file.parent), "-B", str(build), found], folder)
+    run(block, ["cmake", "--build", str(build)], folder)
+    return said
+
+
 def run(block: Block, command: list[str], folder: Path) -> str:
     """Output and errors of a command that ends as the page says; what it leaves in the background goes on."""
     with (folder / ".said").open("w+") as file:
-        process = subprocess.Popen(command, cwd=folder, stdout=file, stderr=file, start_new_session=True)
+        process = subprocess.Popen(
+            command, cwd=folder, stdout=file, stderr=file, start_new_session=True, env=ENVIRONMENT
+        )
         STARTED.append(process)
         code = process.wait(timeout=300)
         if not is_alive(process.pid):
@@ -141,4 +160,12 @@ def do_text(block: Block, _folder: Path, said: str) -> str:
     return said
 
 
-DOING = {"python": do_python, "sh": do_sh, "yaml": do_yaml, "xml": do_xml, "text": do_text}
+DOING = {
+    "python": do_python,
+    "sh": do_sh,
+    "yaml": do_yaml,
+    "xml": do_xml,
+    "cpp": do_cpp,
+    "cmake": do_cmake,
+    "text": do_text,
+}

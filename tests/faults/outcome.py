@@ -30,14 +30,10 @@ class Outcome:
 
 
 def outcome(row: Row) -> Outcome:
-    """Do what the row says and measure; again where the machine did a fault of its own, at most TRIES times.
-
-    Its own are a plant or a relay that stood still, and a silence for the controller besides the row's.
-    """
-    for _ in range(TRIES if row.mode != STEPPED else 1):
+    """Do what the row says and measure; again, at most TRIES times, where the machine stood still meanwhile."""
+    for _ in range(TRIES):
         seen, stalled = _tried(row)
-        silences = 0 if row.mode == STEPPED else seen.counters["silences"] - ("silences" in row.counted)
-        if not stalled and silences <= 0:
+        if not stalled:
             break
     return seen
 

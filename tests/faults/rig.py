@@ -36,6 +36,11 @@ PRIORITY = 10  # of the watcher and the relay, where the system allows it: below
 CALM = 3 * SECOND // 10  # the error stays small for so long before a motion counts as recovered
 LOOK_AHEAD = SECOND // 10
 PROFILE = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
+WITHOUT_SHARED_MEMORY = {
+    "FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("fastdds.xml")),
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+}
+"""What the nodes get, that they do not wait for a process that joins: see the profile."""
 
 
 DIRECT, RELAYED, STEPPED = "direct", "relayed", "stepped"
@@ -111,9 +116,9 @@ class Rig:
     def start(self, node: str, *arguments: str, key: str = "") -> str:
         """Start "plant" or "controller"; `key` names another process of the same kind. Its key."""
         remaps = ["-r", f"joint_states:={TRUE_STATES}"] if self.relay and node == "plant" else []
-        self._running[key or node] = Process(
-            *NODES[node], "--ros-args", "--params-file", str(self._file), *remaps, *arguments
-        )
+        words = ("--ros-args", "--params-file", str(self._file), *remaps, *arguments)
+        with mock.patch.dict(os.environ, WITHOUT_SHARED_MEMORY):
+            self._running[key or node] = Process(*NODES[node], *words)
         return key or node
 
     def start_both(self) -> None:

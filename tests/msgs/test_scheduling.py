@@ -7,6 +7,7 @@ import ctypes
 import json
 import os
 import resource
+import subprocess
 import sys
 from typing import Any
 
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 from fjr_core import ParameterError
 from fjr_core.process_parameters import ProcessCare, cores, process_care, process_parameters
 from fjr_msgs_py import scheduling
-from fjr_msgs_py.scheduling import take_care, take_priority
+from fjr_msgs_py.scheduling import prioritised, take_care, take_priority
 from msgs.child import run
 
 NOBODY = 65534
@@ -195,3 +196,19 @@ def _take_care(care: dict[str, Any], user: int | None = None, memlock: int | Non
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
     return found
+
+
+def test_what_a_prioritised_process_starts_has_ordinary_scheduling() -> None:
+    """A child that loads at a real-time priority would keep the running nodes from the processor."""
+    allowed = not take_priority(1)
+    with prioritised(10):
+        own = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+        child = subprocess.run(
+            [sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    assert own == (os.SCHED_FIFO if allowed else os.SCHED_OTHER)
+    assert int(child.stdout) == os.SCHED_OTHER
+    assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER

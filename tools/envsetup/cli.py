@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from .console import PREFIX, SetupError, say
-from .extras import Extra, browser, compiler, openmp, pinocchio
+from .extras import Extra, browser, compiler, cpp_compiler, openmp, pinocchio
 from .machine import Machine, base_interpreter, ros_candidates, ros_interpreter, uses_sourced_ros
 from .virtualenv import Environment
 from .workspace import Workspace
@@ -75,10 +75,10 @@ def set_up(target: str, sourced_ros: bool) -> None:
 
 
 def extras(environment: Environment, target: str) -> list[Extra]:
-    """What the system may bring: a C compiler, what reading a URDF needs, and for tests a browser."""
+    """What the system may bring: a C compiler, what reading a URDF needs, and for tests C++ and a browser."""
     urdf = pinocchio if environment.sourced_ros else openmp
     found = [compiler(environment.env), urdf(environment.python, environment.env)]
-    return [*found, browser(environment.env)] if target == "test" else found
+    return [*found, cpp_compiler(environment.env), browser(environment.env)] if target == "test" else found
 
 
 def enter_ros_interpreter(arguments: Sequence[str]) -> None:

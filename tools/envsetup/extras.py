@@ -57,6 +57,13 @@ def compiler(env: dict[str, str]) -> Extra:
     return Extra("a C compiler (cc, gcc or clang)", ("gcc", "libc6-dev"), slow, lambda: has_compiler(env))
 
 
+def cpp_compiler(env: dict[str, str]) -> Extra:
+    """The C++ compiler with which tests call exported C."""
+    check, code = ["c++", "-fsyntax-only", "-x", "c++", "-"], b"#include <vector>\n"
+    fails = "tests of `fjr export-c` that call C from C++ fail"
+    return Extra("a C++ compiler (c++)", ("g++",), fails, lambda: _succeeds(check, env, code))
+
+
 def pinocchio(python: Path, env: dict[str, str]) -> Extra:
     """The Pinocchio of a sourced ROS 2."""
     return Extra("Pinocchio", ("ros-jazzy-pinocchio",), NO_URDF, lambda: _imports_pinocchio(python, env))

@@ -47,6 +47,7 @@ def parser() -> argparse.ArgumentParser:
     contraction = commands.add_parser("contraction", help="solutions of the virtual system meet along a run: a picture")
     description = commands.add_parser("description", help="a scenario's robot as a URDF, for robot_state_publisher")
     _add_sweep(commands)
+    _add_export(commands.add_parser("export-c", help="a scenario's law, plant and reference as plain C99, in a folder"))
     _add_listening(commands)
     for command in (run, check, gains, contraction, description):
         _add_scenario(command)
@@ -59,6 +60,10 @@ def parser() -> argparse.ArgumentParser:
 
 def _add_scenario(command: argparse.ArgumentParser, what: str = "an installed scenario's name, or a YAML file") -> None:
     command.add_argument("scenario", nargs="?", metavar="SCENARIO", help=what)
+    _add_overrides(command)
+
+
+def _add_overrides(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--set",
         dest="overrides",
@@ -67,6 +72,16 @@ def _add_scenario(command: argparse.ArgumentParser, what: str = "an installed sc
         default=[],
         help="change a parameter, e.g. robot.joint_stiffness:=[10.0]; may be repeated",
     )
+
+
+def _add_export(command: argparse.ArgumentParser) -> None:
+    command.add_argument("scenario", metavar="SCENARIO", help="an installed scenario's name, or a YAML file")
+    command.add_argument("folder", type=Path, metavar="DIR", help="a new or empty folder")
+    command.add_argument(
+        "--prefix", metavar="NAME", help="what all names in C begin with (default: the scenario's name)"
+    )
+    command.add_argument("--force", action="store_true", help="replace an earlier export; other files are left alone")
+    _add_overrides(command)
 
 
 def _add_recording(command: argparse.ArgumentParser) -> None:

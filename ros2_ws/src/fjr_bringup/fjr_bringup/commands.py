@@ -14,6 +14,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from fjr_bringup import contraction_run, gains_block, scenarios, stability, stopping, watch
 from fjr_bringup.echo import echo
+from fjr_bringup.export_command import export_to
 from fjr_bringup.record_command import record
 from fjr_bringup.report_command import ReportError, report_bags, tell
 from fjr_bringup.ros2cli import refuse_where_better
@@ -40,6 +41,7 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
         "contraction": _contraction,
         "description": _description,
         "sweep": _sweep,
+        "export-c": _export_c,
         "echo": _echo,
         "record": _record,
         "watch": _watch,
@@ -128,6 +130,11 @@ def _sweep(options: argparse.Namespace, stop: threading.Event) -> None:
     numbers = {name: value for name, value in given.items() if value is not None}
     wish = sweep_command.Wish(options.cores, options.scheduler, options.output, _overrides(options), numbers)
     print(sweep_command.sweep(options.scenario, wish, stop))
+
+
+def _export_c(options: argparse.Namespace, _stop: threading.Event) -> None:
+    _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
+    print(export_to(scenario, options.folder, options.prefix, options.force))
 
 
 def _echo(options: argparse.Namespace, stop: threading.Event) -> None:

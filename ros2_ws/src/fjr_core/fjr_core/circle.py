@@ -52,14 +52,15 @@ class Circle:
         return np.inf
 
     @cached_property
-    def _angle(self) -> Pieces:
+    def angle(self) -> Pieces:
+        """The angle on the circle [rad], n = 1."""
         speed = self.frequency
         swept = standing([self.phase + speed * self.ramp / 2], [speed])
         return Pieces(np.array([0.0, self.ramp]), np.stack([standing([self.phase]), swept]), continues=True)
 
     def jets(self, t: ArrayLike) -> Array:
         """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        angle, w, dw, ddw, d3w = self._angle.jets(t)[..., 0].T
+        angle, w, dw, ddw, d3w = self.angle.jets(t)[..., 0].T
         z = self.radius * np.exp(1j * angle)
         dz = 1j * w * z
         ddz = 1j * (dw * z + w * dz)

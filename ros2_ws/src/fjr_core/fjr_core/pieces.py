@@ -84,6 +84,15 @@ class Pieces:
         return int(self.knots.shape[2])
 
     @property
+    def table(self) -> tuple[Array, Array, Array, Array]:
+        """Edges (m,), origins, rates (m + 1,), coefficients (m + 1, 10, 5, n) of the jets in s = (t - origin) rate.
+
+        The i-th of them, i = 0 .. m, hold from edge i - 1 on and before edge i.
+        """
+        shape = (-1, DEGREE + 1, JETS, self.n)
+        return np.array(self._edges), self._origins, self._rates, self._tables.reshape(shape)
+
+    @property
     def finite(self) -> bool:
         """Whether all its numbers are finite; pieces that are too short are not."""
         return bool(np.isfinite(self._tables).all() and np.isfinite(self._rates).all())

@@ -96,21 +96,23 @@ class PointToPoint:
         return np.inf if self.returns else self.duration
 
     @property
-    def _period(self) -> float:
+    def period(self) -> float:
+        """Of one way forth and back with both dwells [s]; for one that returns."""
         return 2 * (self.duration + self.dwell)
 
     @cached_property
-    def _pieces(self) -> Pieces:
+    def pieces(self) -> Pieces:
+        """The way, or one period of it where it returns."""
         times, rests = [0.0, self.duration], [standing(self.q0), standing(self.q1)]
         if self.returns:
-            back = self._period / 2
+            back = self.period / 2
             times, rests = [*times, back, back + self.duration], [*rests, rests[1], rests[0]]
         kept = np.diff(times, prepend=-1.0) > 0
         return Pieces(np.array(times)[kept], np.array(rests)[kept])
 
     def jets(self, t: ArrayLike) -> Array:
         """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        return self._pieces.jets(np.maximum(t, 0.0) % self._period if self.returns else t)
+        return self.pieces.jets(np.maximum(t, 0.0) % self.period if self.returns else t)
 
     def configurations(self, k: int) -> Array:
         """k configurations (k, n) [rad], evenly on the way."""
@@ -118,4 +120,4 @@ class PointToPoint:
 
     def extremes(self, t0: float, t1: float) -> Extremes:
         """Bounds of position, velocity and acceleration from t0 to t1 [s]; of all times where it returns."""
-        return self._pieces.extremes(0.0, self._period) if self.returns else self._pieces.extremes(t0, t1)
+        return self.pieces.extremes(0.0, self.period) if self.returns else self.pieces.extremes(t0, t1)

@@ -41,7 +41,7 @@ class Spline:
     accelerations: ArrayLike | None = None
     start: ArrayLike | None = None
     moving_end: bool = False
-    _pieces: Pieces = field(init=False, repr=False)
+    pieces: Pieces = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         positions = _points("positions", self.positions)
@@ -57,33 +57,33 @@ class Spline:
             freeze(self, "start", _start(self.start, positions.shape[1]))
         _check_times(times, self.start is not None)
         self._check_end()
-        object.__setattr__(self, "_pieces", self._made())
+        object.__setattr__(self, "pieces", self._made())
 
     @property
     def n(self) -> int:
         """Number of joints."""
-        return self._pieces.n
+        return self.pieces.n
 
     @property
     def end(self) -> float:
         """The last time."""
-        return float(self._pieces.times[-1])
+        return float(self.pieces.times[-1])
 
     def jets(self, t: ArrayLike) -> Array:
         """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        return self._pieces.jets(t)
+        return self.pieces.jets(t)
 
     def configurations(self, k: int) -> Array:
         """k configurations (k, n) [rad], evenly in time from the first point (or start) to the last."""
-        return self.jets(np.linspace(self._pieces.times[0], self.end, k))[:, 0]
+        return self.jets(np.linspace(self.pieces.times[0], self.end, k))[:, 0]
 
     def extremes(self, t0: float, t1: float) -> Extremes:
         """Bounds of position, velocity and acceleration from t0 to t1 [s]."""
-        return self._pieces.extremes(t0, t1)
+        return self.pieces.extremes(t0, t1)
 
     def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
         """lower, upper (3, n) that position, velocity and acceleration do not leave from t0 to t1 [s]; may be wide."""
-        return self._pieces.hull(t0, t1)
+        return self.pieces.hull(t0, t1)
 
     def _check_end(self) -> None:
         if self.velocities is None or self.moving_end:

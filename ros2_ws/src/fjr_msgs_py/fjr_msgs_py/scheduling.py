@@ -26,15 +26,16 @@ def take_care(care: ProcessCare) -> list[str]:
     return [sentence for sentence in refusals if sentence]
 
 
-def take_priority(priority: int) -> str:
+def take_priority(priority: int, inherited: bool = True) -> str:
     """Schedule every thread of this process as SCHED_FIFO at `priority` (0: leave it as it is).
 
+    inherited: threads and processes that begin later are scheduled so, too.
     Returns an empty string, or a sentence that says why it is not so.
     """
     if priority == 0:
         return ""
     try:
-        _schedule(os.SCHED_FIFO, priority)
+        _schedule(os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK), priority)
     except (OSError, AttributeError) as error:
         return (
             f"realtime_priority {priority} is refused ({error}): ordinary scheduling is used, cycles will come later; "
@@ -45,13 +46,21 @@ def take_priority(priority: int) -> str:
 
 @contextmanager
 def prioritised(priority: int) -> Iterator[None]:
-    """Real-time scheduling of this process inside the block, where the system allows it, else nothing."""
-    refused = take_priority(priority)
+    """Real-time scheduling of this process inside the block, where the system allows it, else nothing.
+
+    Not of the processes that it starts, nor of threads that begin there. One that loads at such a priority takes a
+    whole core, and the kernel then keeps all real-time threads from it, those of running nodes, too: for 50 ms of each
+    second (kernel.sched_rt_runtime_us).
+    """
+    refused = take_priority(priority, inherited=False)
     try:
         yield
     finally:
         if priority and not refused:
-            _schedule(os.SCHED_OTHER, 0)
+            try:
+                _schedule(os.SCHED_OTHER, 0)
+            except PermissionError:  # only the privileged may take back what their children are not given
+                _schedule(os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, 0)
 
 
 def use_cores(cores: frozenset[int]) -> str:

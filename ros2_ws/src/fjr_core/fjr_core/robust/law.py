@@ -15,6 +15,7 @@ from ..numeric import dense_function
 from ..reference import JETS
 from ..robot import Robot
 from ..sampled_law import ARGUMENTS, BoundStep, MeasuredLaw, SampledLaw, Static, bound_step
+from ..static_law import StaticLaw
 from ..vdpbc.law import TrackingLaw
 from ..vdpbc.loaded import loaded_expression
 from .delay import Model, Waiting
@@ -94,7 +95,7 @@ class RobustLaw:
         """step_function as machine code where the law is."""
         law, r = self.law, self.robust
         if not isinstance(law, TrackingLaw):
-            return self.step_function
+            return law.ready(self.step_function) if isinstance(law, StaticLaw) else self.step_function
         which = f"{r.estimates:d}{r.integrates:d}_{r.delay!r}_{r.hold!r}".replace(".", "p").replace("-", "m")
         return law.derived(f"robust_law_{which}", lambda: self.step_function)
 

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr export-c`: a folder that CMake builds and whose test passes; what does not fit is one sentence."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from system.executables import fjr
+
+pytestmark = pytest.mark.system
+
+
+def tool(name: str) -> str:
+    """CMake's tools are among the packages for tests; where a ROS 2 is sourced, they may be the system's."""
+    beside = Path(sys.executable).with_name(name)
+    return str(beside) if beside.exists() else shutil.which(name) or name
+
+
+def run(*command: str | Path) -> str:
+    outside = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL")}
+    words = [str(word) for word in command]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=150, env=outside)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "warning" not in done.stderr
+    return done.stdout
+
+
+def test_cmake_builds_and_ctest_passes(tmp_path: Path) -> None:
+    folder, build = tmp_path / "two_link", tmp_path / "build"
+    said = fjr("export-c", "two_link", str(folder), "--set", "gains.Lambda_m:=[17.0, 18.0]")
+    assert "ctest --test-dir" in said
+    assert "17.0, 18.0" in (folder / "two_link.c").read_text()
+    run(tool("cmake"), "-S", folder, "-B", build)
+    run(tool("cmake"), "--build", build)
+    assert "closed loop: x, u, memory" in run(tool("ctest"), "--test-dir", build, "--verbose")
+
+
+CONSUMER = """
+cmake_minimum_required(VERSION 3.16)
+project(consumer CXX C)
+add_subdirectory(law)
+add_library(controller MODULE controller.cpp)
+target_link_libraries(controller PRIVATE arm)
+"""
+CONTROLLER = """
+#include "arm.h"
+static_assert(ARM_JOINTS == 1, "one joint");
+extern "C" int effort(const double *q, const double *dq, double t, double *u)
+{
+  arm_work work;
+  double jets[ARM_JETS * ARM_JOINTS];
+  return arm_reference(t, jets, &work) ||
+    arm_law(q, dq, jets, nullptr, nullptr, nullptr, 0.0, u, nullptr, nullptr, &work);
+}
+"""
+
+
+def test_as_a_part_of_a_plugin_in_cpp(tmp_path: Path) -> None:
+    """A shared object, as ros2_control's controllers are."""
+    fjr("export-c", "paper_k31", str(tmp_path / "law"), "--prefix", "arm")
+    (tmp_path / "CMakeLists.txt").write_text(CONSUMER)
+    (tmp_path / "controller.cpp").write_text(CONTROLLER)
+    run(tool("cmake"), "-S", tmp_path, "-B", tmp_path / "build")
+    run(tool("cmake"), "--build", tmp_path / "build")
+    assert list((tmp_path / "build").glob("libcontroller.*"))
+
+
+def test_an_export_is_replaced_only_when_asked_and_nothing_else_is(tmp_path: Path) -> None:
+    fjr("export-c", "paper_k31", str(tmp_path / "new" / "folder"))
+    folder = tmp_path / "new" / "folder"
+    (folder / "mine.txt").write_text("mine")
+    before = (folder / "paper_k31.c").read_text()
+    change = ("--set", "gains.K_ld:=[0.7]")
+    assert "is not empty; expected a new or empty folder" in fjr("export-c", "paper_k31", str(folder), *change, code=1)
+    assert (folder / "paper_k31.c").read_text() == before
+    fjr("export-c", "paper_k31", str(folder), *change, "--force")
+    assert (folder / "paper_k31.c").read_text() != before
+    assert (folder / "mine.txt").read_text() == "mine"
+
+
+def test_what_the_c_has_not_is_said(tmp_path: Path) -> None:
+    said = fjr("export-c", "paper_k31", str(tmp_path / "c"), "--set", "measurement.velocity:=observer")
+    assert "not in the C: what measurement.velocity" in said
+    assert "`measurement.velocity`" in (tmp_path / "c" / "README.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words", "code"),
+    [
+        (["paper_k99", "DIR"], "unknown scenario", 2),
+        (["paper_k31", "DIR", "--set", "gains.K_ld:=[-1.0]"], "positive definite", 2),
+        (["broken.yaml", "DIR"], "broken", 2),
+        (["paper_k31", "DIR", "--prefix", "7a"], "expected a letter", 2),
+        (["paper_k31", "broken.yaml"], "is not a folder", 1),
+        (["paper_k31", "broken.yaml/below"], "cannot write to", 1),
+        (["paper_k31", "/proc/fjr"], "cannot write to", 1),
+        (["paper_k31"], "DIR", 2),
+    ],
+)
+def test_what_is_not_understood_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str, code: int
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken.yaml").write_text("/**: {ros__parameters: [not, a, mapping")
+    assert words in fjr("export-c", *arguments, code=code)
+    assert not (tmp_path / "DIR").exists()
