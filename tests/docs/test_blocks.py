@@ -115,6 +115,7 @@ def do_yaml(block: Block, folder: Path, said: str) -> str:
     if sweep_file.is_one(parameter_file.parse(block.text)):
         file.write_text(block.text, encoding="utf-8")
         assert sweep_file.read(parameter_file.parse(block.text)).vary
+        return said
     if block.marks.get("for") == "compare":
         file.write_text(block.text, encoding="utf-8")
         assert suite.load(file).robots, str(block)

@@ -49,9 +49,7 @@ def _head(document: dict[str, Any]) -> list[str]:
         page.tiles(figures),
         f'<h2 class="section">Where another law is better than {escape(ours)}</h2>',
         f'<div class="notes">{"".join(map(_finding, findings(document)))}</div>',
-        page.key(
-            [(colour, str(law["title"]), bool(dash)) for law, (colour, dash) in zip(laws, looks(laws), strict=True)]
-        ),
+        page.key([(colour, str(law["title"]), dash) for law, (colour, dash) in zip(laws, looks(laws), strict=True)]),
     ]
 
 

@@ -22,7 +22,7 @@ AXIS_WORDS = {
 }
 Style = tuple[str, str, tuple[int, ...]]
 ROOM = 3.0  # of error above all that tracks: what is worse is not drawn
-DASH = (6, 4)
+DASHES: tuple[tuple[int, ...], ...] = ((), (6, 4), (2, 3), (8, 3, 2, 3))
 COLOURS = 8  # --c1 .. --c8 of page.css
 
 
@@ -48,12 +48,13 @@ def place_of(number: int) -> str:
 
 
 def looks(laws: Sequence[dict[str, Any]]) -> list[tuple[str, tuple[int, ...]]]:
-    """Colour and dashes of each column: a colour for each law, dashed where it is there again with options."""
-    names = list(dict.fromkeys(law["law"] for law in laws))
-    first = {name: next(i for i, law in enumerate(laws) if law["law"] == name) for name in names}
+    """Colour and dashes of each column: a colour for each law, dashes where it is there again with options."""
+    names = [law["law"] for law in laws]
+    order = list(dict.fromkeys(names))
+    before = [names[:i].count(name) for i, name in enumerate(names)]
     return [
-        (f"c{names.index(law['law']) % COLOURS + 1}", () if first[law["law"]] == i else DASH)
-        for i, law in enumerate(laws)
+        (f"c{order.index(name) % COLOURS + 1}", DASHES[times % len(DASHES)])
+        for name, times in zip(names, before, strict=True)
     ]
 
 

@@ -64,9 +64,9 @@ def section(title: str, text: str = "") -> str:
     return f'<h2 class="part">{escape(title)}</h2>{said}'
 
 
-def key(entries: Sequence[tuple[str, str, bool]]) -> str:
-    """Names beside their colours (dashed: lines), for plots without a legend; stays in sight."""
-    each = "".join(f"<span>{swatch(colour, dashed)}{escape(name)}</span>" for colour, name, dashed in entries)
+def key(entries: Sequence[tuple[str, str, Sequence[int]]]) -> str:
+    """Names beside their colours and dashes, for plots without a legend; stays in sight."""
+    each = "".join(f"<span>{swatch(colour, dash)}{escape(name)}</span>" for colour, name, dash in entries)
     return f'<p class="key">{each}</p>'
 
 
@@ -91,10 +91,15 @@ def _row(row: Sequence[str], columns: int) -> str:
     return f"<tr><th>{row[0]}</th>{cells}</tr>"
 
 
-def swatch(colour: str, dashed: object = False) -> str:
-    """A joint's, a bag's or a law's colour beside its name."""
-    kind = "swatch dashed" if dashed else "swatch"
-    return f'<span class="{kind}" style="--own:var(--{colour})"></span>'
+def swatch(colour: str, dash: Sequence[int] = ()) -> str:
+    """A joint's, a bag's or a law's colour beside its name; with dashes a piece of the line."""
+    own = f"var(--{colour})"
+    lines = (
+        f"repeating-linear-gradient(90deg, {own} 0 {dash[0]}px, transparent {dash[0]}px {sum(dash[:2])}px)"
+        if dash
+        else own
+    )
+    return f'<span class="{"swatch line" if dash else "swatch"}" style="background:{lines}"></span>'
 
 
 def everything(title: str, value: object) -> str:

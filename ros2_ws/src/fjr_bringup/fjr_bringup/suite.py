@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,12 @@ from fjr_core import parameter_file
 from fjr_core.compare.axes import directions, known
 from fjr_core.compare.trial import TRACKS
 from fjr_core.errors import CompareError, FjrError
+from fjr_core.robust import Robust
 
 REQUIRED = ("laws", "robots")
 KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks")
 NOMINAL = "nominal"
-ROBUST = ("residual_gain", "motor_residual_gain", "integral_gain", "motor_integral_gain", "delay")
+ROBUST = tuple(each.name for each in fields(Robust) if each.name != "hold")
 
 
 @dataclass(frozen=True)
