@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.campaign import ClosedLoop
+from fjr_core.campaign import ClosedLoop, Draws
 from fjr_core.compare import AXES, Direction, Trial, directions, needs, search
 from fjr_core.compare.margins import PARTS, ROUNDS, STEPS
 from fjr_core.errors import CompareError
@@ -161,3 +162,13 @@ def test_commands_are_cut_at_the_limit() -> None:
     cut = Trial(free.loop, free.needs, effort_limit=np.array([0.5]))
     assert free.cells([{}])[0].effort_peak > 1.0  # type: ignore[operator]
     assert cut.cells([{}])[0].effort_peak == 0.5
+
+
+@pytest.mark.parametrize("inertia", [0.3, 1.0])
+def test_the_heaviest_friction_is_integrated_without_chatter(inertia: float) -> None:
+    """With steps four times as fine the run is the same."""
+    one = trial()
+    draws = Draws(1, **one._fields({"friction": AXES["friction"].highest, "inertia": inertia}))
+    found, known = one.loop.run(draws), replace(one.loop, inner_steps=16).run(draws)
+    assert found.rms == pytest.approx(known.rms, rel=1e-2)
+    assert found.effort_rms == pytest.approx(known.effort_rms, rel=1e-2)

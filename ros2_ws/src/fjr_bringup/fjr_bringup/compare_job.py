@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +142,7 @@ def _numbers(values: np.ndarray) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
+@cache
 def _source() -> str:
     digest = hashlib.sha256()
     for path in (*sorted(Path(fjr_core.__file__).parent.rglob("*.py")), Path(__file__)):

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..campaign import ClosedLoop, Draws, Outcomes, Recorded
 from ..campaign.draws import PER_RUN
 from ..checks import Array
-from .axes import Direction, Fields, known
+from .axes import Direction, Fields, bearable, known
 from .margins import Edge, Levels, search
 from .needs import Needs
 
@@ -98,7 +98,7 @@ class Trial:
         step = self.loop.sample_period / self.loop.inner_steps
         levels = {known(name): level for name, level in imperfection.items()}
         parts = [axis.fields(level, self.needs, step) for axis, level in levels.items()]
-        return {key: value for part in parts for key, value in part.items()}
+        return bearable({key: value for part in parts for key, value in part.items()})
 
     def _zeros(self, name: str) -> Array:
         return np.zeros(() if name in PER_RUN else self.loop.robot.n)
