@@ -74,8 +74,9 @@ def _winners(margins: Sequence[Row], names: Sequence[str]) -> str:
     said = []
     for row in margins:
         best = [i for i, best in enumerate(row.best) if best]
-        who = "several" if len(best) > 1 else "".join(names[i] for i in best)
-        said += [f"{row.values[best[0]].words} ({who})"] if best else []
+        if best:
+            first = (min if row.less else max)(best, key=lambda i: row.values[i].number or 0.0)
+            said.append(f"{row.values[first].words} ({'several' if len(best) > 1 else names[first]})")
     return f"Most: {', '.join(said)}" if said else "No law tracks."
 
 
