@@ -6,6 +6,7 @@ PYTHON ?= python3
 DEMO_ARGS ?=
 BENCH_ARGS ?=
 FAULTS_ARGS ?=
+COMPARE_ARGS ?=
 PYTEST_ARGS ?=
 TEST_WORKERS ?= 2
 # A file that receives pytest's exit code; make itself then succeeds (.ci/run).
@@ -22,7 +23,7 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
-.PHONY: help demo test bench faults docs lint build check clean
+.PHONY: help demo test bench faults compare docs lint build check clean
 .DEFAULT_GOAL := help
 
 help:  ## print this list
@@ -45,6 +46,10 @@ bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.
 faults: ## do faults to real processes and write the table into docs/faults.md (FAULTS_ARGS="...")
 	$(SETUP) test
 	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.faults $(FAULTS_ARGS)
+
+compare: ## compare all laws on three robots, minutes, and write the table into README.md (COMPARE_ARGS="...")
+	$(SETUP) build
+	@$(ENTER) && exec fjr compare paper --readme $(COMPARE_ARGS)
 
 docs: ## build the pages and the API reference into build/docs/html; a warning is an error
 	$(SETUP) docs

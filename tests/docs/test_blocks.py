@@ -18,6 +18,7 @@ import pytest
 from docs.arm import my_arm_urdf
 from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
 from docs.shell import script, syntax_error
+from fjr_bringup import suite
 from fjr_core import parameter_file
 from fjr_core.campaign import sweep_file
 from fjr_core.scenario import load_scenario
@@ -133,6 +134,10 @@ def do_yaml(block: Block, folder: Path, said: str) -> str:
     if sweep_file.is_one(parameter_file.parse(block.text)):
         file.write_text(block.text, encoding="utf-8")
         assert sweep_file.read(parameter_file.parse(block.text)).vary
+        return said
+    if block.marks.get("for") == "compare":
+        file.write_text(block.text, encoding="utf-8")
+        assert suite.load(file).robots, str(block)
         return said
     before = parameter_file.parse(file.read_text(encoding="utf-8")) if file.exists() else {}
     file.write_text(parameter_file.dump(merged(before, parameter_file.parse(block.text))), encoding="utf-8")

@@ -16,6 +16,7 @@ setup(
         (f"share/{package_name}/launch", glob("launch/*.launch.py")),
         (f"share/{package_name}/scenarios", glob("scenarios/*.yaml")),
         (f"share/{package_name}/sweeps", glob("sweeps/*.yaml")),
+        (f"share/{package_name}/suites", glob("suites/*.yaml")),
         (f"share/{package_name}/robots", [*glob("robots/*.yaml"), *glob("robots/*.urdf")]),
         (f"share/{package_name}/config", glob("config/*")),
         ("bin", ["scripts/fjr"]),

@@ -48,6 +48,7 @@ def parser() -> argparse.ArgumentParser:
     description = commands.add_parser("description", help="a scenario's robot as a URDF, for robot_state_publisher")
     _add_sweep(commands)
     _add_export(commands.add_parser("export-c", help="a scenario's law, plant and reference as plain C99, in a folder"))
+    _add_comparison(commands)
     _add_listening(commands)
     for command in (run, check, gains, contraction, description):
         _add_scenario(command)
@@ -145,6 +146,18 @@ def _add_sweep(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="DIR",
         default=Path("runs", "sweeps"),
         help="<name>/ in there (default runs/sweeps)",
+    )
+
+
+def _add_comparison(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    compare = commands.add_parser("compare", help="laws beside each other under imperfections, with margins: a page")
+    compare.add_argument("suite", nargs="?", metavar="SUITE", default="paper", help="a suite's name, or a YAML file")
+    compare.add_argument(
+        "--output", type=Path, metavar="DIR", default=Path("runs"), help="compare_SUITE/ in there (default runs)"
+    )
+    compare.add_argument("--cores", type=_cores, metavar="N", help="of this machine, or `all` (default all)")
+    compare.add_argument(
+        "--readme", type=Path, metavar="FILE", nargs="?", const=Path("README.md"), help="put the table in FILE, too"
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
-from fjr_bringup import contraction_run, gains_block, scenarios, stability, stopping, watch
+from fjr_bringup import compare_command, contraction_run, gains_block, scenarios, stability, stopping, watch
 from fjr_bringup.echo import echo
 from fjr_bringup.export_command import export_to
 from fjr_bringup.record_command import record
@@ -22,7 +22,7 @@ from fjr_bringup.run import Plan, RunError, discover_quickly, run
 from fjr_bringup.stopping import Interrupted
 from fjr_bringup.summary import RunSummary, compare, how_to_play, summarise, table, where_to_look
 from fjr_core.description import description
-from fjr_core.errors import FjrError, ParameterError
+from fjr_core.errors import CompareError, FjrError, ParameterError
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")
 DONE, FAILED, NOT_UNDERSTOOD = 0, 1, 2
@@ -45,6 +45,7 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
         "echo": _echo,
         "record": _record,
         "watch": _watch,
+        "compare": _compare,
     }
     try:
         commands[options.command](options, stop)
@@ -53,7 +54,7 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
         print(f"fjr: stopped{kept}", file=sys.stderr)
     except FjrError as error:
         print(f"fjr: {error}", file=sys.stderr)
-        return NOT_UNDERSTOOD if isinstance(error, (scenarios.ScenarioError, ParameterError)) else FAILED
+        return NOT_UNDERSTOOD if isinstance(error, (scenarios.ScenarioError, ParameterError, CompareError)) else FAILED
     except (OSError, rclpy_implementation.RCLError) as error:
         print(f"fjr: {' '.join(str(error).split())}", file=sys.stderr)
         return FAILED
@@ -159,6 +160,10 @@ def _watch(options: argparse.Namespace, stop: threading.Event) -> None:
     watch.watch(wish, limits, stop)
 
 
+def _compare(options: argparse.Namespace, stop: threading.Event) -> None:
+    print(compare_command.compare(options.suite, options.output, options.cores, options.readme, stop))
+
+
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:
     return dict(scenarios.parse_assignment(text) for text in options.overrides)
 
@@ -195,5 +200,4 @@ def _report_of_failure(plan: Plan, error: RunError) -> None:
 def _tell(summaries: list[RunSummary]) -> None:
     print(table(summaries))
     print(where_to_look(summaries))
-    print(how_to_play(summaries[0].folder / "bag"))
     print(how_to_play(summaries[0].folder / "bag"))

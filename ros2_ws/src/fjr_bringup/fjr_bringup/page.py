@@ -53,17 +53,33 @@ def tiles(figures: Sequence[tuple[str, str]]) -> str:
     return f'<div class="tiles">{each}</div>'
 
 
-def figures() -> str:
-    """The place of the plots."""
-    return '<div class="plots" id="figures"></div>'
+def figures(place: str = "figures", small: bool = False) -> str:
+    """The place of the plots, or of those of that place; small: three in a row where there is room."""
+    return f'<div class="plots{" small" if small else ""}" id="{escape(place, quote=True)}"></div>'
 
 
-def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of figures; a row of one cell is the heading of those after it. Cells are HTML."""
+def section(title: str, text: str = "") -> str:
+    """A heading of a part of the page, with a sentence or two below it."""
+    said = f'<p class="said">{escape(text)}</p>' if text else ""
+    return f'<h2 class="part">{escape(title)}</h2>{said}'
+
+
+def key(entries: Sequence[tuple[str, str, Sequence[int]]]) -> str:
+    """Names beside their colours and dashes, for plots without a legend; stays in sight."""
+    each = "".join(f"<span>{swatch(colour, dash)}{escape(name)}</span>" for colour, name, dash in entries)
+    return f'<p class="key">{each}</p>'
+
+
+def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], text: str = "", kind: str = "") -> str:
+    """A table of figures; a row of one cell is the heading of those after it. Cells are HTML.
+
+    text: a sentence above it; kind: `even` for columns of one width, `words` for cells of text.
+    """
     top = "".join(f"<th>{cell}</th>" for cell in head)
     body = "".join(_row(row, len(head)) for row in rows)
+    said = f'<p class="said">{escape(text)}</p>' if text else ""
     return (
-        f'<h2 class="section">{escape(title)}</h2><div class="scroll"><table class="figures">'
+        f'<h2 class="section">{escape(title)}</h2>{said}<div class="scroll"><table class="figures {kind}">'
         f"<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
     )
 
@@ -75,9 +91,15 @@ def _row(row: Sequence[str], columns: int) -> str:
     return f"<tr><th>{row[0]}</th>{cells}</tr>"
 
 
-def swatch(colour: str) -> str:
-    """A joint's or a bag's colour beside its name."""
-    return f'<span class="swatch" style="background:var(--{colour})"></span>'
+def swatch(colour: str, dash: Sequence[int] = ()) -> str:
+    """A joint's, a bag's or a law's colour beside its name; with dashes a piece of the line."""
+    own = f"var(--{colour})"
+    lines = (
+        f"repeating-linear-gradient(90deg, {own} 0 {dash[0]}px, transparent {dash[0]}px {sum(dash[:2])}px)"
+        if dash
+        else own
+    )
+    return f'<span class="{"swatch line" if dash else "swatch"}" style="background:{lines}"></span>'
 
 
 def everything(title: str, value: object) -> str:

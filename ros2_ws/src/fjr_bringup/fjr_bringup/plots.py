@@ -37,7 +37,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Plot:
-    """A plot with its finding as the title. time: its abscissa is time, moved and enlarged with the others'."""
+    """A plot with its finding as the title. time: its abscissa is time, moved and enlarged with the others'.
+
+    place: id of the element that it goes into. legend: whether names and values are shown below it.
+    """
 
     name: str
     title: str
@@ -51,6 +54,8 @@ class Plot:
     time: bool = True
     y_range: tuple[float | None, float | None] = (None, None)
     wide: bool = False
+    place: str = "figures"
+    legend: bool = True
     views: dict[str, Plot] = field(default_factory=dict)  # the same in other units, by the name of a button
 
     @property
@@ -71,6 +76,8 @@ class Plot:
             "yLog": self.y_log,
             "time": self.time,
             "wide": self.wide,
+            "place": self.place,
+            "legend": self.legend,
             "yRange": self.y_range,
             "x": pool.add(self.x[rows], np.float64),
             "lines": [_packed(line, pool.add(drawable(line.values[rows], self.y_log))) for line in self.lines],

@@ -24,3 +24,7 @@ class StateError(FjrError):
 
 class ParameterError(FjrError):
     """A named parameter of a scenario that is missing, unknown, of the wrong type or out of range."""
+
+
+class CompareError(FjrError):
+    """A comparison that cannot be made: an unknown law or imperfection, a suite that does not fit."""

@@ -2,10 +2,11 @@
 // Draws the plots of a page of `fjr report` with uPlot. What is drawn is in the JSON element "plots"; see plots.py.
 "use strict";
 (() => {
-  const HEIGHT = 280;
+  const [HEIGHT, LOW] = [280, 210];
   const SUPERSCRIPT = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
   const sync = uPlot.sync("time");
 
+  const heightOf = (spec) => (spec.legend ? HEIGHT : LOW);
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   const raised = (exponent) => "10" + String(exponent).replace(/./g, (digit) => SUPERSCRIPT[digit]);
 
@@ -33,9 +34,9 @@
   // Ticks of a log axis: the powers of ten, thinned to what there is room for, or 1, 2, 5 where it spans few decades.
   function logSplits(plot, axis, low, high) {
     const [first, last] = [Math.floor(Math.log10(low)), Math.ceil(Math.log10(high))];
-    const room = (axis === 0 ? plot.bbox.width / 60 : plot.bbox.height / 34) / devicePixelRatio;
-    const digits = last - first <= 3 ? [1, 2, 5] : [1];
-    const step = Math.max(1, Math.ceil((last - first) / room));
+    const room = (axis === 0 ? plot.bbox.width / 45 : plot.bbox.height / 34) / devicePixelRatio;
+    const digits = last - first <= 3 && 3 * (last - first) <= 1.2 * room ? [1, 2, 5] : [1];
+    const step = Math.max(1, Math.ceil(Math.log10(high / low) / room));
     const ticks = [];
     for (let power = Math.ceil(first / step) * step; power <= last; power += step) {
       for (const digit of digits) ticks.push(digit * 10 ** power);
@@ -53,7 +54,7 @@
     });
   }
 
-  function axis(label, log, across) {
+  function axis(label, log, across, small) {
     const look = {
       label,
       labelSize: across ? 22 : 20,
@@ -62,7 +63,7 @@
       stroke: () => css("soft"),
       grid: { stroke: () => css("grid"), width: 1 },
       ticks: { show: false },
-      size: across ? 28 : 58,
+      size: across ? 28 : small ? 42 : 58,
     };
     if (log) Object.assign(look, { splits: logSplits, values: logLabels, filter: (_plot, ticks) => ticks });
     return look;
@@ -97,15 +98,15 @@
     const across = { label: spec.xLabel, value: (_plot, value) => written(value) };
     return {
       width,
-      height: HEIGHT,
+      height: heightOf(spec),
       series: [across, ...spec.lines.map(line)],
       scales: {
         x: { time: false, distr: spec.xLog ? 3 : 1, range: spec.xLog ? (_plot, low, high) => [low, high] : undefined },
         y: { distr: spec.yLog ? 3 : 1, range: range(spec.yLog, spec.yRange) },
       },
-      axes: [axis(spec.xLabel, spec.xLog, true), axis(spec.yLabel, spec.yLog, false)],
+      axes: [axis(spec.xLabel, spec.xLog, true, !spec.legend), axis(spec.yLabel, spec.yLog, false, !spec.legend)],
       cursor: { ...(spec.time ? { sync: { key: sync.key, scales: ["x", null] } } : {}), points: { size: 6 } },
-      legend: { show: true, live: true },
+      legend: { show: spec.legend, live: true },
       padding: [10, 14, 0, 0],
     };
   }
@@ -137,14 +138,14 @@
   const drawn = [];
 
   function show(spec) {
-    const figure = element("figure", document.getElementById("figures"), "", spec.wide ? "wide" : "");
+    const figure = element("figure", document.getElementById(spec.place), "", spec.wide ? "wide" : "");
     figure.id = spec.name;
     const views = Object.keys(spec.views);
     const buttons = views.length ? element("span", figure, "", "views") : null;
     element("h2", figure, spec.title);
     element("figcaption", figure, spec.caption);
     const place = element("div", figure);
-    const entry = { place, plot: null };
+    const entry = { place, plot: null, height: heightOf(spec) };
     const use = (chosen) => {
       if (entry.plot) {
         sync.unsub(entry.plot);
@@ -172,7 +173,7 @@
 
   page.plots.forEach(show);
   addEventListener("resize", () =>
-    drawn.forEach(({ place, plot }) => plot.setSize({ width: Math.floor(place.clientWidth), height: HEIGHT })),
+    drawn.forEach(({ place, plot, height }) => plot.setSize({ width: Math.floor(place.clientWidth), height })),
   );
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () =>
     drawn.forEach(({ plot }) => plot.redraw(false, true)),

@@ -82,7 +82,7 @@ class Sweep:
         """The closed loop that all runs are runs of."""
         s = self.scenario
         return ClosedLoop(
-            s.plant.robot, sampled_law(s), s.reference, s.x0, self.duration, s.sample_period,
+            s.plant.robot, s.sampled_law, s.reference, s.x0, self.duration, s.sample_period,
             int(s.plant_values["inner_steps"]), self.settle_after, self.band, self.lost,  # type: ignore[arg-type]
         )  # fmt: skip
 
@@ -192,9 +192,3 @@ def run_part(text: str, begin: int, end: int, compiled: bool) -> Columns:
             here, there = ("without", "with") if compiled else ("with", "without")
             raise CampaignError(f"a worker is {here} a C compiler; expected one {there}, as where the campaign began")
     return sweep.part(begin, end)
-
-
-def sampled_law(scenario: Scenario) -> SampledLaw:
-    """The law as the scenario's controller runs it."""
-    law: SampledLaw = getattr(scenario, "sampled_law", None) or Static(scenario.law)
-    return law

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr compare SUITE`: run what is not yet kept, write page and figures, say what was found."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from pathlib import Path
+
+from fjr_bringup import (
+    compare_document,
+    compare_findings,
+    compare_job,
+    compare_page,
+    compare_readme,
+    compare_run,
+    suite,
+)
+
+PAGE, FIGURES, KEPT = "comparison.html", "comparison.json", "kept"
+
+
+def compare(name: str, output: Path, cores: int | None, readme: Path | None, stop: threading.Event) -> str:
+    """Compare a suite's laws; returns what to tell. Raises FjrError, and Interrupted when `stop` is set.
+
+    Results go to output/compare_<suite>/: comparison.html, comparison.json, and kept/ with what need not be run again.
+    readme: a document that gets the table, too.
+    """
+    chosen = suite.load(suite.find(name))
+    if readme is not None:
+        compare_readme.check(readme)
+    jobs = compare_job.jobs(chosen)
+    folder = output / f"compare_{chosen.name}"
+    results = compare_run.run(jobs, folder / KEPT, cores or len(os.sched_getaffinity(0)), stop)
+    document = compare_document.document(chosen, jobs, results)
+    (folder / FIGURES).write_text(json.dumps(document, allow_nan=False) + "\n", encoding="utf-8")
+    compare_page.write_page(folder / PAGE, document)
+    if readme is not None:
+        compare_readme.replace(readme, document)
+    return "\n".join([*map(str, compare_findings.findings(document)), f"page and figures: {folder / PAGE}, {FIGURES}"])

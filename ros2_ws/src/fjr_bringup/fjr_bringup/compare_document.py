@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole comparison in plain values: what comparison.json holds, and all pages and tables are made from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from fjr_bringup.compare_job import Job, Result
+from fjr_bringup.suite import Suite
+from fjr_core.laws import LAWS
+
+SHORT = {
+    "pd_gravity": "PD + gravity",
+    "singular_perturbation": "singular perturbation",
+}
+
+
+def document(suite: Suite, jobs: Sequence[Job], results: Sequence[Result]) -> dict[str, Any]:
+    """Results by robot and law; what belongs to a robot whatever the law stands with the robot."""
+    by_robot: dict[str, dict[str, Result]] = {robot.label: {} for robot in suite.robots}
+    robots: dict[str, Any] = {}
+    for job, result in zip(jobs, results, strict=True):
+        by_robot[job.robot][job.law.label] = {key: value for key, value in result.items() if key != "robot"}
+        robots[job.robot] = result["robot"]
+    told = asdict(suite)
+    return {
+        "suite": {key: value for key, value in told.items() if key not in ("laws", "robots")},
+        "laws": [{**law, "title": _title(law), **_known(law["law"])} for law in told["laws"]],
+        "robots": robots,
+        "runs": sum(result["runs"] for result in results),
+        "results": by_robot,
+    }
+
+
+def _title(law: dict[str, Any]) -> str:
+    """The column's heading: the label, where the suite gives one."""
+    name = str(law["law"])
+    return str(law["label"]) if law["label"] != name else SHORT.get(name, LAWS[name].title)
+
+
+def _known(name: str) -> dict[str, str]:
+    """What there is to know of a law whatever it runs on."""
+    kind = LAWS[name]
+    return {"full_title": kind.title, "paper": kind.paper, "measures": kind.measures}

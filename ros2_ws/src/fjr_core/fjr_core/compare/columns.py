@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A law of a comparison, ready to run: tuned by the one rule of docs/baselines.md, with robust options on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from ..checks import Array
+from ..robust import Robust, sampled_law
+from ..sampled_law import SampledLaw
+from ..scenario import Scenario
+from ..tuning import Yardstick, tune
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """A law on a robot. gains, tuning: its gains in plain values, and what came of the rule in words.
+
+    effort_limit (n,) [N m]: where every command is cut, the same for all laws.
+    """
+
+    law: SampledLaw
+    effort_limit: Array
+    gains: Mapping[str, Any]
+    tuning: str
+
+
+def column(name: str, robust: Mapping[str, float], scenario: Scenario) -> Column:
+    """The law called so for the scenario's robot, start, reference and (of v-dPBC) gains.
+
+    robust: fields of Robust but hold, which is the sample period. Raises FjrError where there is no such law.
+    """
+    robot, n = scenario.robot, scenario.robot.n
+    start = scenario.x0[: 2 * n], np.hstack(robot.velocities(scenario.x0))
+    found = tune(name, Yardstick(robot, scenario.reference, scenario.gains, start))
+    law = sampled_law(found.law, Robust(**robust, hold=scenario.sample_period))
+    gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}  # type: ignore[attr-defined]
+    return Column(law, found.effort_limit, gains, found.sentence)
+
+
+def _plain(value: Any, *names: str) -> dict[str, Any]:
+    """The numbers of a dataclass, those that are not finite left out."""
+    arrays = {name: np.asarray(getattr(value, name)) for name in names or [field.name for field in fields(value)]}
+    return {name: array.tolist() for name, array in arrays.items() if np.isfinite(array).all()}

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr compare`: numbers that only the suite decides, a page in a real browser, a table, one sentence for errors."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from fjr_bringup import compare_readme, suite
+from fjr_bringup.compare_findings import count, findings
+from fjr_bringup.compare_rows import OURS, Row, Value, rows
+from fjr_core.errors import CompareError, FjrError
+from fjr_core.laws import LAWS
+from system.browser import Browser
+from system.executables import TIME_LIMIT, Executable, fjr
+
+pytestmark = pytest.mark.system
+QUICK: dict[str, Any] = {
+    "laws": [
+        "v_dpbc",
+        "torque_feedback",
+        {"label": "v-dPBC + residual", "law": "v_dpbc", "robust": {"residual_gain": 20.0}},
+    ],
+    "robots": {
+        "one joint": {"scenario": "paper_k31", "references": {"slow": {}, "fast": {"reference.frequency": [3.0]}}}
+    },
+    "duration": 2.0,
+    "settle_after": 1.0,
+    "imperfections": {"soft": {"stiffness": 0.8}, "noisy": {"noise": 1e-4, "friction": 0.1}},
+    "margins": ["stiffness", "delay"],
+}
+PLOTS = ["robot-0-error", "robot-0-effort", "robot-0-stiffness", "robot-0-delay"]
+DRAWN = 150  # coloured pixels, at least
+
+
+def compared(folder: Path, document: dict[str, Any], *arguments: str) -> tuple[dict[str, Any], str]:
+    file = folder / "mine.yaml"
+    file.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    said = fjr("compare", str(file), "--output", str(folder / "runs"), *arguments)
+    return json.loads((folder / "runs" / "compare_mine" / "comparison.json").read_text()), said
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("compared")
+
+
+@pytest.fixture(scope="module")
+def found(folder: Path) -> dict[str, Any]:
+    return compared(folder, QUICK, "--cores", "2")[0]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    made = Browser()
+    yield made
+    made.close()
+
+
+def test_every_cell_and_margin_is_there(found: dict[str, Any]) -> None:
+    assert list(found["results"]["one joint"]) == ["v_dpbc", "torque_feedback", "v-dPBC + residual"]
+    for result in found["results"]["one joint"].values():
+        assert list(result["margins"]) == ["stiffness down to", "stiffness up to", "delay up to"]
+        assert list(result["cells"]) == ["slow", "fast"]
+        assert all(list(cells) == ["nominal", "soft", "noisy"] for cells in result["cells"].values())
+
+
+def test_the_order_of_laws_and_the_number_of_cores_change_nothing(tmp_path: Path, found: dict[str, Any]) -> None:
+    again, _ = compared(tmp_path, {**QUICK, "laws": QUICK["laws"][::-1]}, "--cores", "1")
+    assert again["results"] == found["results"]
+    assert again["laws"] == found["laws"][::-1]
+
+
+@pytest.mark.usefixtures("found")
+def test_what_is_kept_is_not_run_again(folder: Path) -> None:
+    kept = folder / "runs" / "compare_mine" / "kept"
+    before = {path: path.stat().st_mtime_ns for path in kept.glob("*.json")}
+    one = next(iter(before))
+    text = one.read_text()
+    one.write_text(text[: len(text) // 2])  # as a full disk leaves it
+    _, said = compared(folder, QUICK)
+    assert "1 law on a robot to run" in said
+    assert one.read_text() == text
+    assert [path for path in before if path.stat().st_mtime_ns != before[path]] == [one]
+    assert "to run" not in compared(folder, QUICK)[1]
+    changed = compared(folder, {**QUICK, "imperfections": {"soft": {"stiffness": 0.81}}})[1]
+    assert "3 laws on robots to run" in changed
+    compared(folder, QUICK)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "kill -9"])
+def test_what_ends_a_comparison_leaves_what_is_finished(tmp_path: Path, number: int) -> None:
+    file, kept = tmp_path / "mine.yaml", tmp_path / "runs" / "compare_mine" / "kept"
+    file.write_text(yaml.safe_dump(QUICK, sort_keys=False), encoding="utf-8")
+    arguments = ["compare", str(file), "--output", str(tmp_path / "runs"), "--cores", "1"]
+    ended = Executable("fjr_bringup", "fjr", *arguments)
+    try:
+        until(lambda: any(kept.glob("*.json")))
+        ended.signal(number)
+        code, said = ended.end()
+        until(lambda: not alive(ended.process.pid))  # the workers end, too
+    finally:
+        ended.kill()
+    assert (code, "stopped; what was recorded is in" in said) == ((0, True) if number == signal.SIGINT else (-9, False))
+    assert "Traceback" not in said
+    left = len(QUICK["laws"]) - len(list(kept.glob("*.json")))
+    assert left
+    assert f"compare: {left} law" in fjr(*arguments)
+
+
+def until(happened: Callable[[], bool]) -> None:
+    end = time.monotonic() + TIME_LIMIT
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def alive(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_robust_options_are_at_work(found: dict[str, Any]) -> None:
+    plain, robust = (found["results"]["one joint"][label]["cells"]["slow"] for label in ("v_dpbc", "v-dPBC + residual"))
+    assert robust["soft"]["rms"] < 0.8 * plain["soft"]["rms"]
+
+
+def test_best_and_better_are_what_the_numbers_say(found: dict[str, Any]) -> None:
+    cells = {label: result["cells"] for label, result in found["results"]["one joint"].items()}
+    for row in (row for row in rows(found) if row.group == "errors slow"):
+        numbers = [cells[label]["slow"][row.what]["rms"] for label in cells]
+        tracking = [cells[label]["slow"][row.what]["tracks"] for label in cells]
+        least = min(number for number, tracks in zip(numbers, tracking, strict=True) if tracks)
+        assert row.best == tuple(n <= 1.05 * least and t for n, t in zip(numbers, tracking, strict=True))
+    told = str(findings(found)[0])
+    beaten = [row for row in rows(found) if row.behind(0, [1]) is not None]
+    assert count(found) == (len(rows(found)) - len(beaten), len(rows(found)))
+    assert (
+        f"Of {len(rows(found))} rows, no other law beats (by more than 5 %) "
+        f"v-dPBC in {count(found)[0]}, v-dPBC + residual in {count(found, 2)[0]}." in told
+    )
+    assert bool(beaten) == ("Better than it: torque feedback in" in told)
+    assert "v-dPBC + residual" not in findings(found)[0].better  # ours with options is no other law
+
+
+@pytest.mark.parametrize(
+    ("numbers", "states", "less", "best", "behind"),
+    [
+        ((1.0, 0.5, 2.0), "ttt", True, "nyn", (1, 2.0)),
+        ((1.0, 0.96, 2.0), "ttt", True, "yyn", None),
+        ((1.0, 0.5, 2.0), "ttt", False, "nny", (2, 2.0)),
+        ((1.0, 0.5, 2.0), "tlt", True, "ynn", None),
+        ((None, None, 2.0), "ult", True, "nny", (2, float("inf"))),
+        ((None, None, None), "ull", True, "nnn", None),
+    ],
+)
+def test_best_of_a_row(numbers: Any, states: str, less: bool, best: str, behind: Any) -> None:
+    names = {"t": "tracks", "l": "lost", "u": "unstable"}
+    row = Row("r", "g", "w", tuple(Value(n, "", names[s]) for n, s in zip(numbers, states, strict=True)), less)
+    assert row.best == tuple(letter == "y" for letter in best)
+    assert row.behind(0, [1, 2]) == behind
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.usefixtures("found")
+def test_the_page_opens_from_disk_and_draws_everything(folder: Path, browser: Browser, dark: bool) -> None:
+    browser.open(folder / "runs" / "compare_mine" / "comparison.html", dark=dark)
+    assert browser.said == []
+    assert [url for url in browser.asked if not url.startswith(("file:", "data:"))] == []
+    assert browser.value("[...document.querySelectorAll('figure')].map((figure) => figure.id)") == PLOTS
+    assert min(browser.coloured()) > DRAWN
+    browser.size(390, 800)
+    browser.settle()
+    assert browser.value("document.documentElement.scrollWidth") <= 390
+    assert browser.said == []
+
+
+def test_the_page_says_what_was_found(folder: Path, found: dict[str, Any], browser: Browser) -> None:
+    browser.open(folder / "runs" / "compare_mine" / "comparison.html")
+    text = browser.value("document.body.innerText")
+    finding = findings(found)[0]
+    assert finding.sentence in text
+    assert all(what in text for items in finding.better.values() for what in items)
+    best = browser.value("[...document.querySelectorAll('td b.ok')].map((cell) => cell.textContent)")
+    assert best == [v.words for row in rows(found) for v, is_best in zip(row.values, row.best, strict=True) if is_best]
+
+
+def test_the_table_replaces_the_one_between_the_marks(folder: Path, found: dict[str, Any]) -> None:
+    readme = folder / "READ.md"
+    readme.write_text(f"before\n{compare_readme.BEGIN}\nold\n{compare_readme.END}\nafter\n", encoding="utf-8")
+    compared(folder, QUICK, "--readme", str(readme))
+    first = readme.read_text()
+    assert first == f"before\n{compare_readme.BEGIN}\n{compare_readme.markdown(found)}{compare_readme.END}\nafter\n"
+    lines = [line for line in first.splitlines() if line.startswith("|")]
+    assert {line.count(" | ") for line in lines} == {3}
+    compared(folder, QUICK, "--readme", str(readme))
+    assert readme.read_text() == first
+
+
+@pytest.mark.parametrize("name", ["paper", "quick"])
+def test_the_installed_suites_are_sound(name: str) -> None:
+    chosen = suite.load(suite.find(name))
+    assert chosen.name == name
+    assert chosen.laws[0].law == OURS
+    assert all(suite.scenario_texts(robot) for robot in chosen.robots)
+
+
+def test_the_paper_suite_holds_every_law_and_the_three_robots() -> None:
+    chosen = suite.load(suite.find("paper"))
+    assert {law.law for law in chosen.laws} == set(LAWS)
+    assert [robot.scenario for robot in chosen.robots] == ["paper_k31", "two_link", "arm7"]
+    assert chosen.margins == ("stiffness", "inertia", "delay", "noise", "friction", "load")
+
+
+WRONG: list[tuple[Any, str]] = [
+    (["v_dpbc"], "a suite is .*; expected a mapping"),
+    ({"laws": ["v_dpbc"]}, "has no 'robots'"),
+    ({**QUICK, "law": 1}, "unknown key 'law'; expected one of laws, robots"),
+    ({**QUICK, "laws": "v_dpbc"}, "'laws' is 'v_dpbc'; expected a list"),
+    ({**QUICK, "laws": ["pid"]}, "unknown law 'pid': expected one of v_dpbc, "),
+    ({**QUICK, "laws": ["v_dpbc", "v_dpbc"]}, "law 'v_dpbc' is there twice"),
+    ({**QUICK, "laws": [{"law": "lqr", "robust": {"magic": 1.0}}]}, "unknown robust option 'magic'"),
+    ({**QUICK, "laws": [{"law": "lqr", "gain": 1.0}]}, "unknown key 'gain'"),
+    ({**QUICK, "robots": []}, "has no 'robots'"),
+    ({**QUICK, "robots": {"r": {"scenario": "paper_k31", "gains": {}}}}, "robot 'r' has an unknown key 'gains'"),
+    ({**QUICK, "imperfections": {"x": {"wind": 1.0}}}, "unknown imperfection 'wind'"),
+    ({**QUICK, "imperfections": {"x": {"delay": "long"}}}, "'delay' of 'x' is 'long'; expected a number"),
+    ({**QUICK, "imperfections": {"x": {"stiffness": -1.0}}}, "'stiffness' is -1.0; expected a positive factor"),
+    ({**QUICK, "margins": ["wind"]}, "unknown imperfection 'wind'"),
+    ({**QUICK, "margins": "delay"}, "'margins' is 'delay'; expected a list"),
+    ({**QUICK, "duration": 0}, "duration is 0; expected a number in range"),
+    ({**QUICK, "settle_after": 2.0}, "settle_after is 2.0; expected"),
+    ({**QUICK, "tracks": True}, "tracks is True; expected"),
+]
+
+
+@pytest.mark.parametrize(("document", "words"), WRONG, ids=[words for _, words in WRONG])
+def test_a_suite_that_does_not_fit_is_one_sentence(document: Any, words: str) -> None:
+    with pytest.raises(CompareError, match=words):
+        suite.read("mine", document)
+
+
+@pytest.mark.parametrize(
+    ("robot", "words"),
+    [
+        ({"scenario": "paper_k99"}, "unknown scenario 'paper_k99'"),
+        (
+            {"scenario": "paper_k31", "references": {"x": {"reference.frequenzy": [1.0]}}},
+            "did you mean 'reference.freq",
+        ),
+    ],
+)
+def test_a_robot_that_cannot_be_is_one_sentence(robot: dict[str, Any], words: str) -> None:
+    chosen = suite.read("mine", {**QUICK, "robots": {"r": robot}})
+    with pytest.raises(FjrError, match=words):
+        suite.scenario_texts(chosen.robots[0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nosuite"], "unknown suite 'nosuite': expected a YAML file or one of paper, quick"),
+        (["quick", "--cores", "0"], "expected 1 or more, or all"),
+        (["quick", "--readme", "nowhere.md"], "cannot read nowhere.md"),
+    ],
+)
+def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
+    said = fjr("compare", *arguments, "--output", str(tmp_path), code=2)
+    assert words in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_broken_file_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("laws: [v_dpbc\n", encoding="utf-8")
+    said = fjr("compare", str(file), "--output", str(tmp_path), code=2)
+    assert str(file) in said
+    assert "is not valid YAML" in said
