@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ..errors import FjrError, ParameterError
 from ..imperfections import Imperfections, friction_rate
 from ..safety_parameters import safety
-from ..sampled_law import SampledLaw, Static
 from ..scenario import Scenario, parse_scenario
 from . import counted, distributions
 from .closed_loop import ClosedLoop

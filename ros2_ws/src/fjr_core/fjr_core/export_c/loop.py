@@ -17,7 +17,7 @@ from ..measurement_parameters import measurement_parameters
 from ..numeric import dense_function
 from ..plant import Plant
 from ..reference import Reference
-from ..sampled_law import SampledLaw, Static
+from ..sampled_law import SampledLaw
 from ..scenario import Scenario
 from .reference_function import jets_function
 
@@ -76,7 +76,7 @@ def loop_of(scenario: Scenario) -> Loop:
     return Loop(
         scenario.name,
         scenario.joints,
-        getattr(scenario, "sampled_law", Static(scenario.law)),
+        scenario.sampled_law,
         scenario.reference,
         scenario.plant,
         scenario.x0,
