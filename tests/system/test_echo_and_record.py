@@ -56,7 +56,7 @@ def test_echo_of_nothing_says_what_there_is(loop: None) -> None:
 def test_record_keeps_the_named_topics(loop: None, tmp_path: Path) -> None:
     fjr("echo", "left/joint_states", "--once", "--timeout", "60")
     bag = tmp_path / "bag"
-    said = fjr("record", "left/joint_states", "/left/joint_commands", "/other", "--duration", "2", "--output", str(bag))
+    said = fjr("record", "left/joint_states", "/left/joint_commands", "/other", "--duration", "5", "--output", str(bag))
     assert "nothing came on /other" in said
     assert "messages of 2 topics" in said
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:

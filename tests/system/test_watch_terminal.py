@@ -12,6 +12,7 @@ import subprocess
 import termios
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from fcntl import ioctl
 from pathlib import Path
 
@@ -107,14 +108,20 @@ def loop() -> Iterator[dict[str, Executable]]:
         node.kill()
 
 
+def rows(screen: str) -> dict[str, list[float]]:
+    """Position, velocity, deflection and error of the joints of which all are there."""
+    found = {}
+    for words in (line.split() for line in screen.splitlines()):
+        with suppress(ValueError, IndexError):
+            found[words[1]] = [float(words[i]) for i in range(2, 6)]
+    return found
+
+
 def test_a_running_loop_is_on_the_screen(loop: dict[str, Executable], terminal: Callable[..., Terminal]) -> None:
     watch = terminal("watch", "two_link", "--namespace", "left")
-    screen = watch.until(
-        lambda text: all(words in text for words in ("elbow", "state to command", "ok    fjr_controller", "fjr_plant"))
-    )
-    rows = {line.split()[1]: line.split() for line in screen.splitlines() if "shoulder" in line or "elbow" in line}
-    assert set(rows) == {"shoulder", "elbow"}
-    q_l, dq_l, deflection, error = (float(value) for value in rows["elbow"][2:6])
+    words = ("state to command", "ok    fjr_controller", "fjr_plant")
+    screen = watch.until(lambda text: all(word in text for word in words) and set(rows(text)) == {"shoulder", "elbow"})
+    q_l, dq_l, deflection, error = rows(screen)["elbow"]
     assert abs(q_l) < 2
     assert abs(dq_l) < 20
     assert abs(deflection) < 1
