@@ -33,13 +33,14 @@ class Terminal:
         self._master, slave = pty.openpty()
         ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, COLUMNS, 0, 0))
         command = [str(Path(get_package_prefix("fjr_bringup")) / "lib" / "fjr_bringup" / "fjr"), *arguments]
+        kept = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
         self.process = subprocess.Popen(
             command,
             stdin=slave,
             stdout=slave,
             stderr=slave,
             start_new_session=True,
-            env={**os.environ, "TERM": "xterm-256color"},
+            env={**kept, "TERM": "xterm-256color"},
         )
         os.close(slave)
         self._screen = pyte.Screen(COLUMNS, ROWS)
