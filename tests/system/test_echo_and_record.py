@@ -73,7 +73,7 @@ def test_record_of_everything_ends_with_ctrl_c(loop: None, tmp_path: Path) -> No
     command = Executable("fjr_bringup", "fjr", "record", "--output", str(bag))
     try:
         end = time.monotonic() + TIME_LIMIT
-        while not (bag.is_dir() and any(file.stat().st_size > 100_000 for file in bag.glob("*.mcap"))):
+        while not (bag.is_dir() and any(file.stat().st_size > 1_500_000 for file in bag.glob("*.mcap"))):
             assert time.monotonic() < end
             time.sleep(0.05)
         command.signal(signal.SIGINT)
