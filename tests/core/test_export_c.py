@@ -17,9 +17,9 @@ from c_program import C99, CPP, SHIPPED, built, changed, exported, loop, replaye
 import fjr_core as fjr
 from fjr_core.export_c import Loop, export, left_out, loop_of, prefix_of
 from fjr_core.export_c.c_code import casadi_code, checked_prefix, numbers, quoted
-from fjr_core.export_c.loop import Static
 from fjr_core.numeric import NumericFunction
 from fjr_core.robot import Robot
+from fjr_core.sampled_law import Static
 from fjr_core.scenario import parse_scenario
 
 EQUAL, IN_A_ROW = 1e-12, 1e-9
