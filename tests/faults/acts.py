@@ -11,6 +11,7 @@ from typing import Any
 from faults import tampering
 from faults.relay import Tamper
 from faults.rig import SECOND, Rig
+from faults.watcher import EVENTS
 
 Act = Callable[[Rig], tuple[int, int]]
 """Disturbs; the true stamps [ns] at which the fault began and ended."""
@@ -136,13 +137,17 @@ def second_controller(rig: Rig) -> tuple[int, int]:
 
 
 def intruder(seconds: float) -> Act:
-    """Another node sends zero efforts on the controller's topic for a while."""
+    """Another node sends zero efforts on the controller's topic for a while, and until the controller has seen it."""
 
     def act(rig: Rig) -> tuple[int, int]:
         begin = rig.until_full_motion()
         rig.remote.intrude(2e-3, len(rig.setting.reference.amplitude))
         rig.until_full_motion(seconds)
+        rig.until(lambda: reported(rig), "the controller's report of another node")
         rig.remote.retreat()
         return begin, rig.now
+
+    def reported(rig: Rig) -> bool:
+        return any("other controllers" in event.name for event in rig.watcher.messages(EVENTS))
 
     return act
