@@ -190,6 +190,24 @@ def test_the_state_is_predicted_as_the_robot_moves(name: str) -> None:
         sent = rng.uniform(-1, 1, n)
 
 
+def test_an_effort_that_acts_for_many_holds_is_predicted_as_finely() -> None:
+    """The stiff arm's first sample under a long delay, and one after a gap: one step each would be unstable."""
+    scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
+    law, n, plant = fjr.TrackingLaw(scenario.robot, scenario.gains), scenario.robot.n, fjr.Plant(scenario.robot)
+    step, x = RobustLaw(law, Robust(delay=0.03)), scenario.x0
+    velocity, jets = np.concatenate(law.robot.velocities(x)), scenario.reference.jets(0.03)
+    weight = law.command(x, scenario.reference.jets(0.0))
+    memory, first = step.memory, (weight, [(weight, 0.0305)], 0.0)
+    gap = (0.9 * weight, [(weight, 0.01), (0.9 * weight, 0.0205)], 0.02)
+    for sent, acting, dt in (first, gap):
+        u, _, memory = step.step_function(x[: 2 * n], velocity, jets.T, step.gain_values, memory, sent, dt)
+        then = x
+        for effort, seconds in acting:
+            for _ in range(round(seconds / 1e-4)):
+                then = plant.step(then, effort, 1e-4)
+        np.testing.assert_allclose(u.full().ravel(), law.command(then, jets), rtol=1e-3, atol=1e-3)
+
+
 # --- limits
 
 

@@ -184,7 +184,7 @@ class RobustLaw:
 
     @cached_property
     def _model(self) -> Model:
-        return Model(self.robot, self.robust.hold)
+        return Model(self.robot, self.robust.hold, self.robust.delay)
 
     @cached_property
     def _loaded(self) -> ca.Function:
