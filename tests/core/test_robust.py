@@ -15,7 +15,7 @@ import fjr_core as fjr
 from fjr_core.errors import GainsError, StateError
 from fjr_core.robust import Robust, RobustLaw, sampled_law
 from fjr_core.robust.delay import Waiting
-from fjr_core.robust.integral import gain_values
+from fjr_core.robust.integral import Integral, gain_values
 from fjr_core.robust.options import LONGEST_DELAY
 from fjr_core.sampled_law import Static, bound_step
 from fjr_core.scenario import load_scenario
@@ -235,6 +235,14 @@ def test_the_integral_does_not_wind_up() -> None:
         assert abs(e[-1]) < 1e-4
         overshoot.append(max(e[2000:]))
     assert overshoot[1] < overshoot[0] + 0.05
+
+
+@pytest.mark.parametrize(("dt", "counts"), [(PERIOD, PERIOD), (2 * PERIOD, 2 * PERIOD), (0.1, 2 * PERIOD)])
+def test_over_a_gap_a_rate_is_integrated_for_two_holds(dt: float, counts: float) -> None:
+    integral = Integral(JOINT.robot, PERIOD)
+    kept = {"integral": ca.DM([1.0, 2.0]), "rate": ca.DM([30.0, -40.0]), "wanted": ca.DM(0.5)}
+    after = integral.step(kept, ca.DM(0.5), ca.DM(dt)).full().ravel()
+    np.testing.assert_allclose(after, [1.0 + 30.0 * counts, 2.0 - 40.0 * counts], rtol=1e-12)
 
 
 # --- options, wiring, malformed input

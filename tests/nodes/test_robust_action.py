@@ -217,5 +217,7 @@ def test_a_scenario_builds_what_the_parameters_say() -> None:
     assert scenario.sampled_law.lead == 0.003
     assert scenario.warnings == ("fjr_controller: parameter 'robust.hold' is 0.002 s; the states' period is 0.001 s",)
     assert len(scenario.simulate(0.05).u) == 51
+    slow = parse_scenario("slow", text.replace("residual_gain: [30.0], delay: 0.002", "integral_gain: [5.0]"))
+    assert slow.warnings == scenario.warnings
     with pytest.raises(fjr.ParameterError, match="parameter 'robust.integral_gain': integral_gain is "):
         parse_scenario("bad", text.replace("residual_gain: [30.0]", "integral_gain: [-1.0]"))

@@ -156,9 +156,10 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
 
 
 def _about_hold(scenario: Scenario) -> list[str]:
-    """A sentence where the law would predict over another hold than there will be."""
+    """A sentence where the law would predict or integrate over another hold than there will be."""
     values, period = scenario.controller_values, scenario.sample_period
-    if not values["robust.delay"] or math.isclose(float(values["robust.hold"]), period, rel_tol=1e-6):  # type: ignore[arg-type]
+    robust = config.robust(values, len(scenario.joints))
+    if not (robust.predicts or robust.integrates) or math.isclose(float(values["robust.hold"]), period, rel_tol=1e-6):  # type: ignore[arg-type]
         return []
     return [f"{CONTROLLER}: parameter 'robust.hold' is {values['robust.hold']} s; the states' period is {period:g} s"]
 

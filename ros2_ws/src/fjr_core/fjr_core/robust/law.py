@@ -180,7 +180,7 @@ class RobustLaw:
 
     @cached_property
     def _integral(self) -> Integral:
-        return Integral(self.robot)
+        return Integral(self.robot, self.robust.hold)
 
     @cached_property
     def _model(self) -> Model:

@@ -24,7 +24,8 @@ class Robust:
     residual_gain [1/s]: rate L of the estimate of a torque on the links, fed forward. motor_residual_gain [1/s]: of
     a torque on the motors. integral_gain [1/s]: rate at which the integral on the links takes up a torque there.
     motor_integral_gain [1/s]: the same on the motors. delay [s]: of the loop, over which the state is predicted; 0:
-    no prediction. hold [s]: how long an effort is held, half of which counts too; the period of the states.
+    no prediction. hold [s]: how long an effort is held, half of which counts too, and for two of
+    which at most a rate is integrated; the period of the states.
     """
 
     residual_gain: ArrayLike = 0.0
@@ -44,7 +45,10 @@ class Robust:
             raise GainsError(
                 f"delay is {self.delay} s with a hold of {self.hold} s; expected at most {LONGEST_DELAY} holds"
             )
-        return replace(self, **gains)  # type: ignore[arg-type]
+        checked = replace(self, **gains)  # type: ignore[arg-type]
+        if checked.integrates and not self.hold:
+            raise GainsError(f"hold is {self.hold} s with an integral; expected more than 0")
+        return checked
 
     @property
     def estimates(self) -> bool:
