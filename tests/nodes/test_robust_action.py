@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -78,14 +79,23 @@ def test_after_a_break_nothing_is_remembered(stamp: int) -> None:
         assert of._memory._step.dt[0] == (0.0 if arrival == 3_000 * MS else 1e-3)  # type: ignore[union-attr]
 
 
-def test_other_gains_begin_anew() -> None:
-    of, gains = tracker(), fjr.Gains(Lambda_l=10.0, Pi_l=25.0, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=0.3)
-    answers(of, range(0, 40 * MS, MS))
+def test_with_other_gains_the_memory_goes_on() -> None:
+    """A load that was learnt stays so: no step of the effort, and the law's own is not the one that knew nothing."""
+    of, gains = tracker(), replace(fjr.PAPER_GAINS, Pi_l=20.001)
+    efforts = answers(of, range(0, 400 * MS, MS))
+    learnt = of._memory._step.next.copy()  # type: ignore[union-attr]
     of.use(LAW.with_gains(gains))
-    found = answers(of, [40 * MS])
-    assert not memory(of).any()
-    fresh = Tracker(LAW.with_gains(gains), SINE, settings(), robust=Robust())
-    assert found != answers(fresh, [40 * MS])
+    efforts += answers(of, [400 * MS])
+    np.testing.assert_array_equal(memory(of), learnt)
+    steps = np.abs(np.diff(efforts[-12:]))
+    assert steps[-1] < 2 * steps[:-1].max()
+
+
+def test_a_repeated_sample_after_other_gains_is_asked_about_as_it_was() -> None:
+    of = tracker()
+    found = answers(of, range(0, 40 * MS, MS))
+    of.use(LAW.with_gains(fjr.PAPER_GAINS))
+    assert answers(of, [39 * MS]) == found[-1:]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])

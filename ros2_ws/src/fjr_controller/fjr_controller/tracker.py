@@ -102,7 +102,8 @@ class Tracker:
     Robust action (robust): the law then has a memory (docs/robust.md), which moves on once with each sample that the
     law answers, by the effort that really left, over the difference of the stamps. A repeated stamp moves nothing. It
     begins anew where a sample does not follow such a one (a start, a jump, a silence, a stop, an effort that was not
-    finite, blind samples) and with other gains. The reference is taken `lead` later, where the state is predicted to.
+    finite, blind samples); with other gains it goes on. The reference is taken `lead` later, where the state is
+    predicted to.
 
     events: what happened, for the caller to take out. counters, with stable names:
     "states older than the last", "states repeated", "jumps doubted", "reference restarts", "silences",
@@ -257,11 +258,14 @@ class Tracker:
         self._journal.say(INFO, "settings changed", "limits and stop policy changed")
 
     def use(self, law: StaticLaw) -> None:
-        """Another law (other gains) from the next sample on; the certificate begins anew.
+        """Another law (other gains) from the next sample on; the certificate begins anew, the memory goes on.
 
         Raises GainsError where its efforts are not finite; then the law stays.
         """
+        before = self._memory
         self._bound, self._memory = self._bind(law)
+        if before is not None and isinstance(self._bound, BoundStep):
+            self._memory = before.taken_over(self._bound)
         self._law = law
         self._policy.limit(law, self._settings)
         self._course.watch.void()
