@@ -98,6 +98,15 @@ def test_a_repeated_sample_after_other_gains_is_asked_about_as_it_was() -> None:
     assert answers(of, [39 * MS]) == found[-1:]
 
 
+def test_a_lower_limit_does_not_change_what_acted() -> None:
+    of = tracker()
+    u = answers(of, range(0, 10 * MS, MS))[-1]
+    assert abs(u) > 0.01
+    of.settings(settings(effort=(0.01,)))
+    answers(of, [10 * MS])
+    assert of._memory._step.sent[0] == u  # type: ignore[union-attr]
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
 def test_what_is_not_finite_never_leaves_and_is_forgotten(bad: float) -> None:
     of = tracker()

@@ -317,7 +317,7 @@ class Tracker:
         elif order is not Order.REPEATED:
             if order is not Order.NEXT:
                 self._observer.reset()
-            self._observer.update(sample.stamp, sample.q_l, sample.q_m, self._efforts.sent)
+            self._observer.update(sample.stamp, sample.q_l, sample.q_m, self._efforts.left)
             m.state[...] = self._observer.state
         return bool(m.state.dot(m.state) < np.inf)
 
@@ -350,7 +350,7 @@ class Tracker:
         """The same of a law with a memory; not finite where that would not be."""
         np.copyto(self._jets, course.reference.jets(stamp + self._lead) if self._lead else jets)
         last = self._stamps.last
-        memory.place(order, 0 if last is None else stamp - last, self._efforts.sent)
+        memory.place(order, 0 if last is None else stamp - last, self._efforts.left)
         self._bound.evaluate()
         return self._bound.u.copy() if memory.finite else np.full(self._law.robot.n, np.nan), self._bound.V.item()
 
