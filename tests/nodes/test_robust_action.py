@@ -240,3 +240,12 @@ def test_a_scenario_builds_what_the_parameters_say() -> None:
     assert slow.warnings == scenario.warnings
     with pytest.raises(fjr.ParameterError, match="parameter 'robust.integral_gain': integral_gain is "):
         parse_scenario("bad", text.replace("residual_gain: [30.0]", "integral_gain: [-1.0]"))
+
+
+def test_a_law_that_takes_no_robust_action_is_told_with_the_parameters(ros: Ros) -> None:
+    text = "/**:\n  ros__parameters:\n    law: {type: pd_gravity}\n    robust: {residual_gain: [30.0]}\n"
+    sentence = r"parameters 'robust\.\*' with 'law\.type' 'pd_gravity': .* for the law v_dpbc"
+    with pytest.raises(fjr.ParameterError, match=sentence):
+        parse_scenario("bad", text)
+    with pytest.raises(fjr.ParameterError, match=sentence):
+        ros.controller(law__type="pd_gravity", robust__residual_gain=[30.0])

@@ -15,7 +15,7 @@ import numpy as np
 from . import config, parameter_file, parameters, robot_file
 from .certificate import Balance
 from .checks import Array
-from .control_law import control_law
+from .control_law import control_law, robust_action
 from .errors import ParameterError
 from .gains import Gains
 from .plant import Plant
@@ -82,7 +82,7 @@ class Scenario:
     @cached_property
     def sampled_law(self) -> SampledLaw:
         """The law as the controller runs it, with the robust action that the parameters ask for."""
-        return sampled_law(self.law, config.robust(self.controller_values, self.robot.n))
+        return sampled_law(self.law, robust_action(self.controller_values, self.law))
 
     @cached_property
     def reference(self) -> Reference:
