@@ -293,7 +293,10 @@ def test_other_gains_of_a_law_need_nothing_built() -> None:
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        ({"residual_gain": -1.0}, "residual_gain is [-1.0] 1/s; expected 0 or more"),
+        ({"residual_gain": -1.0}, "residual_gain is [-1.0] 1/s; expected 0 to 10000"),
+        ({"residual_gain": 1.1e4}, "residual_gain is [11000.0] 1/s; expected 0 to 10000"),
+        ({"motor_integral_gain": 1e200}, "motor_integral_gain is [1e+200] 1/s; expected 0 to 10000"),
+        ({"integral_gain": 1.0, "hold": 0.0}, "hold is 0.0 s with an integral; expected more than 0"),
         ({"integral_gain": [1.0, 2.0]}, "integral_gain has shape (2,); expected a scalar or (1,)"),
         ({"motor_integral_gain": np.nan}, "motor_integral_gain is nan; expected finite numbers"),
         ({"delay": -1e-3}, "delay is -0.001 s; expected a finite number of 0 or more"),

@@ -98,6 +98,12 @@ def test_a_repeated_sample_after_other_gains_is_asked_about_as_it_was() -> None:
     assert answers(of, [39 * MS]) == found[-1:]
 
 
+def test_gains_that_are_too_large_are_told_with_the_robust_ones() -> None:
+    of = tracker()
+    with pytest.raises(fjr.GainsError, match=r"'gains\.\*' and 'robust\.\*' give an effort that is not finite"):
+        of.use(LAW.with_gains(fjr.Gains(Lambda_l=1e200, Pi_l=1e100, K_ld=1.0, Lambda_m=1e200, Pi_m=1e100, K_md=1.0)))
+
+
 def test_a_lower_limit_does_not_change_what_acted() -> None:
     of = tracker()
     u = answers(of, range(0, 10 * MS, MS))[-1]

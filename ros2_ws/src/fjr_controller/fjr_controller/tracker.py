@@ -376,7 +376,8 @@ class Tracker:
             finite = finite and bool(bound.u.dot(bound.u) < np.inf)
         state[...] = measured
         if not finite:
-            raise GainsError("parameters 'gains.*' give an effort that is not finite; expected smaller gains")
+            which = "'gains.*'" if memory is None else "'gains.*' and 'robust.*'"
+            raise GainsError(f"parameters {which} give an effort that is not finite; expected smaller gains")
         return bound, memory
 
     def _send(self, wanted: Array, V: float, stamp: int) -> Array:
