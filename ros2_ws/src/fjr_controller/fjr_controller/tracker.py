@@ -281,7 +281,8 @@ class Tracker:
     def follow(self, reference: Reference, start: int | None = None) -> None:
         """Another reference whose time 0 is at the stamp `start` [ns], None: the next sample's.
 
-        Until `start` the running one goes on. Where its jets at time 0 are those of the running one at `start` to
+        Until `start` the running one goes on; with robust action that predicts, the law takes this one over `lead`
+        early, where the state is predicted to. Where its jets at time 0 are those of the running one at `start` to
         rounding (1e-6) it takes over as it is, and u has no step; else it is joined from the running one over
         recovery.join_time (with 0 it takes over all the same). Before the first sample it takes the place of the
         reference, with time 0 at that sample. It replaces what was to follow and has not begun, also a hold. While

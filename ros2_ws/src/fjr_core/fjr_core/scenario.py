@@ -114,7 +114,10 @@ class Scenario:
         self.plant.step(self.x0, [0.0] * self.robot.n, self.sample_period)
 
     def simulate(self, duration: float) -> Trajectory:
-        """The sampled closed loop as the two nodes run it in lock-step, without ROS, for `duration` seconds."""
+        """The sampled closed loop as the two nodes run it in lock-step, without ROS, for `duration` seconds.
+
+        Of the plant alone: no imperfection (imperfections.*) is simulated, so no delay either.
+        """
         inner = self.sample_period / int(self.plant_values["inner_steps"])  # type: ignore[arg-type]
         law = self.sampled_law if isinstance(self.sampled_law, RobustLaw) else self.law
         return simulate(self.plant, law, self.reference, self.x0, duration, self.sample_period, inner)
