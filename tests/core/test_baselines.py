@@ -151,6 +151,12 @@ def test_gains_that_void_the_papers_condition_are_refused(gains: object, words: 
         gains.arrays(ARMS[0].robot)  # type: ignore[attr-defined]
 
 
+def test_weights_that_scipy_refuses_are_refused_as_gains() -> None:
+    weights = LqrGains(Q=1e200 * np.eye(4), R=1.0, configuration=0.0)
+    with pytest.raises(fjr.GainsError, match="Q and R give a Riccati equation without a solution"):
+        weights.arrays(ARMS[0].robot)
+
+
 def test_a_full_matrix_is_refused_where_the_law_was_built_for_diagonal_ones() -> None:
     arm = ARMS[2]
     law = LAWS["pd_gravity"].make(arm.robot, PdGains(K_p=60.0, K_d=1.0))

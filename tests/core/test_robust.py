@@ -15,7 +15,7 @@ import fjr_core as fjr
 from fjr_core.errors import GainsError, StateError
 from fjr_core.robust import Robust, RobustLaw, sampled_law
 from fjr_core.robust.delay import Waiting
-from fjr_core.robust.integral import gain_values
+from fjr_core.robust.integral import Integral, gain_values
 from fjr_core.robust.options import LONGEST_DELAY
 from fjr_core.sampled_law import Static, bound_step
 from fjr_core.scenario import load_scenario
@@ -190,6 +190,24 @@ def test_the_state_is_predicted_as_the_robot_moves(name: str) -> None:
         sent = rng.uniform(-1, 1, n)
 
 
+def test_an_effort_that_acts_for_many_holds_is_predicted_as_finely() -> None:
+    """The stiff arm's first sample under a long delay, and one after a gap: one step each would be unstable."""
+    scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
+    law, n, plant = fjr.TrackingLaw(scenario.robot, scenario.gains), scenario.robot.n, fjr.Plant(scenario.robot)
+    step, x = RobustLaw(law, Robust(delay=0.03)), scenario.x0
+    velocity, jets = np.concatenate(law.robot.velocities(x)), scenario.reference.jets(0.03)
+    weight = law.command(x, scenario.reference.jets(0.0))
+    memory, first = step.memory, (weight, [(weight, 0.0305)], 0.0)
+    gap = (0.9 * weight, [(weight, 0.01), (0.9 * weight, 0.0205)], 0.02)
+    for sent, acting, dt in (first, gap):
+        u, _, memory = step.step_function(x[: 2 * n], velocity, jets.T, step.gain_values, memory, sent, dt)
+        then = x
+        for effort, seconds in acting:
+            for _ in range(round(seconds / 1e-4)):
+                then = plant.step(then, effort, 1e-4)
+        np.testing.assert_allclose(u.full().ravel(), law.command(then, jets), rtol=1e-3, atol=1e-3)
+
+
 # --- limits
 
 
@@ -217,6 +235,14 @@ def test_the_integral_does_not_wind_up() -> None:
         assert abs(e[-1]) < 1e-4
         overshoot.append(max(e[2000:]))
     assert overshoot[1] < overshoot[0] + 0.05
+
+
+@pytest.mark.parametrize(("dt", "counts"), [(PERIOD, PERIOD), (2 * PERIOD, 2 * PERIOD), (0.1, 2 * PERIOD)])
+def test_over_a_gap_a_rate_is_integrated_for_two_holds(dt: float, counts: float) -> None:
+    integral = Integral(JOINT.robot, PERIOD)
+    kept = {"integral": ca.DM([1.0, 2.0]), "rate": ca.DM([30.0, -40.0]), "wanted": ca.DM(0.5)}
+    after = integral.step(kept, ca.DM(0.5), ca.DM(dt)).full().ravel()
+    np.testing.assert_allclose(after, [1.0 + 30.0 * counts, 2.0 - 40.0 * counts], rtol=1e-12)
 
 
 # --- options, wiring, malformed input
@@ -267,7 +293,10 @@ def test_other_gains_of_a_law_need_nothing_built() -> None:
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        ({"residual_gain": -1.0}, "residual_gain is [-1.0] 1/s; expected 0 or more"),
+        ({"residual_gain": -1.0}, "residual_gain is [-1.0] 1/s; expected 0 to 10000"),
+        ({"residual_gain": 1.1e4}, "residual_gain is [11000.0] 1/s; expected 0 to 10000"),
+        ({"motor_integral_gain": 1e200}, "motor_integral_gain is [1e+200] 1/s; expected 0 to 10000"),
+        ({"integral_gain": 1.0, "hold": 0.0}, "hold is 0.0 s with an integral; expected more than 0"),
         ({"integral_gain": [1.0, 2.0]}, "integral_gain has shape (2,); expected a scalar or (1,)"),
         ({"motor_integral_gain": np.nan}, "motor_integral_gain is nan; expected finite numbers"),
         ({"delay": -1e-3}, "delay is -0.001 s; expected a finite number of 0 or more"),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -78,14 +79,38 @@ def test_after_a_break_nothing_is_remembered(stamp: int) -> None:
         assert of._memory._step.dt[0] == (0.0 if arrival == 3_000 * MS else 1e-3)  # type: ignore[union-attr]
 
 
-def test_other_gains_begin_anew() -> None:
-    of, gains = tracker(), fjr.Gains(Lambda_l=10.0, Pi_l=25.0, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=0.3)
-    answers(of, range(0, 40 * MS, MS))
+def test_with_other_gains_the_memory_goes_on() -> None:
+    """A load that was learnt stays so: no step of the effort, and the law's own is not the one that knew nothing."""
+    of, gains = tracker(), replace(fjr.PAPER_GAINS, Pi_l=20.001)
+    efforts = answers(of, range(0, 400 * MS, MS))
+    learnt = of._memory._step.next.copy()  # type: ignore[union-attr]
     of.use(LAW.with_gains(gains))
-    found = answers(of, [40 * MS])
-    assert not memory(of).any()
-    fresh = Tracker(LAW.with_gains(gains), SINE, settings(), robust=Robust())
-    assert found != answers(fresh, [40 * MS])
+    efforts += answers(of, [400 * MS])
+    np.testing.assert_array_equal(memory(of), learnt)
+    steps = np.abs(np.diff(efforts[-12:]))
+    assert steps[-1] < 2 * steps[:-1].max()
+
+
+def test_a_repeated_sample_after_other_gains_is_asked_about_as_it_was() -> None:
+    of = tracker()
+    found = answers(of, range(0, 40 * MS, MS))
+    of.use(LAW.with_gains(fjr.PAPER_GAINS))
+    assert answers(of, [39 * MS]) == found[-1:]
+
+
+def test_gains_that_are_too_large_are_told_with_the_robust_ones() -> None:
+    of = tracker()
+    with pytest.raises(fjr.GainsError, match=r"'gains\.\*' and 'robust\.\*' give an effort that is not finite"):
+        of.use(LAW.with_gains(fjr.Gains(Lambda_l=1e200, Pi_l=1e100, K_ld=1.0, Lambda_m=1e200, Pi_m=1e100, K_md=1.0)))
+
+
+def test_a_lower_limit_does_not_change_what_acted() -> None:
+    of = tracker()
+    u = answers(of, range(0, 10 * MS, MS))[-1]
+    assert abs(u) > 0.01
+    of.settings(settings(effort=(0.01,)))
+    answers(of, [10 * MS])
+    assert of._memory._step.sent[0] == u  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
@@ -217,5 +242,16 @@ def test_a_scenario_builds_what_the_parameters_say() -> None:
     assert scenario.sampled_law.lead == 0.003
     assert scenario.warnings == ("fjr_controller: parameter 'robust.hold' is 0.002 s; the states' period is 0.001 s",)
     assert len(scenario.simulate(0.05).u) == 51
+    slow = parse_scenario("slow", text.replace("residual_gain: [30.0], delay: 0.002", "integral_gain: [5.0]"))
+    assert slow.warnings == scenario.warnings
     with pytest.raises(fjr.ParameterError, match="parameter 'robust.integral_gain': integral_gain is "):
         parse_scenario("bad", text.replace("residual_gain: [30.0]", "integral_gain: [-1.0]"))
+
+
+def test_a_law_that_takes_no_robust_action_is_told_with_the_parameters(ros: Ros) -> None:
+    text = "/**:\n  ros__parameters:\n    law: {type: pd_gravity}\n    robust: {residual_gain: [30.0]}\n"
+    sentence = r"parameters 'robust\.\*' with 'law\.type' 'pd_gravity': .* for the law v_dpbc"
+    with pytest.raises(fjr.ParameterError, match=sentence):
+        parse_scenario("bad", text)
+    with pytest.raises(fjr.ParameterError, match=sentence):
+        ros.controller(law__type="pd_gravity", robust__residual_gain=[30.0])

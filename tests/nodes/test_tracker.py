@@ -848,6 +848,9 @@ def test_an_observer_is_fed_with_the_effort_that_was_sent() -> None:
     assert sent[-1]
     tracker.answer(bare_sample((OBSERVED + 2) * MS), OBSERVED * MS)
     assert len(recorder.updates) == OBSERVED + 3
+    tracker.settings(settings(effort=0.01))
+    tracker.answer(bare_sample((OBSERVED + 3) * MS), (OBSERVED + 3) * MS)
+    assert recorder.updates[-1][1] == sent[-1], "it acted, whatever the limit is since then"
 
 
 def test_an_observer_begins_anew_after_a_break_and_gets_time_before_its_velocities_count() -> None:

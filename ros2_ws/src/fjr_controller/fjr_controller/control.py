@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from fjr_core import ParameterError, Reference, TrackingLaw, config
 from fjr_core.checks import Array
-from fjr_core.control_law import control_law
+from fjr_core.control_law import control_law, robust_action
 from fjr_core.measurement_parameters import measurement, observer
 from fjr_core.motion_limits import check_motion
 from fjr_core.motion_parameters import motion_limits
@@ -43,7 +43,7 @@ class Control:
         reader = StateReader(joints, measurement(values, robot))
         self._law = control_law(values, robot)
         simulated = bool(node.get_parameter("use_sim_time").value)
-        robust = config.robust(values, robot.n)
+        robust = robust_action(values, self._law)
         self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated, robust)
         self.tracker.warm_up()
         # Nothing above is made on the node, nothing below is refused.

@@ -86,13 +86,14 @@ class StateLimits:
 class EffortLimits:
     """Cuts efforts to their limits and their change to its rate, and counts for how long.
 
-    sent (n,) [N m] is the last effort that left, zero before the first. Of it: clipped and slowed, whether the
-    limits or the rate changed it, saturated (n,), which joints. seconds (n,), seconds_any: time spent so [s].
+    left (n,) [N m] is the last effort that left, zero before the first; sent (n,) is it within the limits of now,
+    from which the rate counts. Of it: clipped and slowed, whether the limits or the rate changed it, saturated (n,),
+    which joints. seconds (n,), seconds_any: time spent so [s].
     """
 
     def __init__(self, settings: Settings) -> None:
         n = settings.n
-        self.sent = np.zeros(n)
+        self.sent, self.left = np.zeros(n), np.zeros(n)
         self.saturated = np.zeros(n, dtype=bool)
         self.seconds, self.seconds_any = np.zeros(n), 0.0
         self.clipped = self.slowed = False
@@ -103,7 +104,7 @@ class EffortLimits:
         self.limit(settings)
 
     def limit(self, settings: Settings) -> None:
-        """Other limits; the last effort sent counts as within them."""
+        """Other limits; the last effort sent counts as within them, though what left stays what it was."""
         self._limit, rate = np.asarray(settings.effort), np.asarray(settings.effort_rate)
         limited = np.isfinite(rate)
         self._limited, self._rated = bool(np.isfinite(self._limit).any()), bool(limited.any())
@@ -127,7 +128,7 @@ class EffortLimits:
         if (self._limited or self._rated) and self._exceeds(u, dt):
             u = self._slow(self._within(u))
         self._stamp = stamp
-        np.copyto(self.sent, u)
+        self._took(u)
         return u
 
     def _exceeds(self, u: Array, dt: float) -> bool:
@@ -160,8 +161,12 @@ class EffortLimits:
 
     def replace(self, u: Array) -> None:
         """An effort that left without an answer (a silence, the end)."""
-        np.copyto(self.sent, u)
+        self._took(u)
         self.clipped = self.slowed = False
+
+    def _took(self, u: Array) -> None:
+        np.copyto(self.sent, u)
+        np.copyto(self.left, u)
 
 
 class StopPolicy:

@@ -102,7 +102,8 @@ class Tracker:
     Robust action (robust): the law then has a memory (docs/robust.md), which moves on once with each sample that the
     law answers, by the effort that really left, over the difference of the stamps. A repeated stamp moves nothing. It
     begins anew where a sample does not follow such a one (a start, a jump, a silence, a stop, an effort that was not
-    finite, blind samples) and with other gains. The reference is taken `lead` later, where the state is predicted to.
+    finite, blind samples); with other gains it goes on. The reference is taken `lead` later, where the state is
+    predicted to.
 
     events: what happened, for the caller to take out. counters, with stable names:
     "states older than the last", "states repeated", "jumps doubted", "reference restarts", "silences",
@@ -257,11 +258,14 @@ class Tracker:
         self._journal.say(INFO, "settings changed", "limits and stop policy changed")
 
     def use(self, law: StaticLaw) -> None:
-        """Another law (other gains) from the next sample on; the certificate begins anew.
+        """Another law (other gains) from the next sample on; the certificate begins anew, the memory goes on.
 
         Raises GainsError where its efforts are not finite; then the law stays.
         """
+        before = self._memory
         self._bound, self._memory = self._bind(law)
+        if before is not None and isinstance(self._bound, BoundStep):
+            self._memory = before.taken_over(self._bound)
         self._law = law
         self._policy.limit(law, self._settings)
         self._course.watch.void()
@@ -277,7 +281,8 @@ class Tracker:
     def follow(self, reference: Reference, start: int | None = None) -> None:
         """Another reference whose time 0 is at the stamp `start` [ns], None: the next sample's.
 
-        Until `start` the running one goes on. Where its jets at time 0 are those of the running one at `start` to
+        Until `start` the running one goes on; with robust action that predicts, the law takes this one over `lead`
+        early, where the state is predicted to. Where its jets at time 0 are those of the running one at `start` to
         rounding (1e-6) it takes over as it is, and u has no step; else it is joined from the running one over
         recovery.join_time (with 0 it takes over all the same). Before the first sample it takes the place of the
         reference, with time 0 at that sample. It replaces what was to follow and has not begun, also a hold. While
@@ -313,7 +318,7 @@ class Tracker:
         elif order is not Order.REPEATED:
             if order is not Order.NEXT:
                 self._observer.reset()
-            self._observer.update(sample.stamp, sample.q_l, sample.q_m, self._efforts.sent)
+            self._observer.update(sample.stamp, sample.q_l, sample.q_m, self._efforts.left)
             m.state[...] = self._observer.state
         return bool(m.state.dot(m.state) < np.inf)
 
@@ -346,7 +351,7 @@ class Tracker:
         """The same of a law with a memory; not finite where that would not be."""
         np.copyto(self._jets, course.reference.jets(stamp + self._lead) if self._lead else jets)
         last = self._stamps.last
-        memory.place(order, 0 if last is None else stamp - last, self._efforts.sent)
+        memory.place(order, 0 if last is None else stamp - last, self._efforts.left)
         self._bound.evaluate()
         return self._bound.u.copy() if memory.finite else np.full(self._law.robot.n, np.nan), self._bound.V.item()
 
@@ -372,7 +377,8 @@ class Tracker:
             finite = finite and bool(bound.u.dot(bound.u) < np.inf)
         state[...] = measured
         if not finite:
-            raise GainsError("parameters 'gains.*' give an effort that is not finite; expected smaller gains")
+            which = "'gains.*'" if memory is None else "'gains.*' and 'robust.*'"
+            raise GainsError(f"parameters {which} give an effort that is not finite; expected smaller gains")
         return bound, memory
 
     def _send(self, wanted: Array, V: float, stamp: int) -> Array:

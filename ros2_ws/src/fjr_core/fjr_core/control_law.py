@@ -14,6 +14,7 @@ from .law_slope import rest_position
 from .laws import law_kind
 from .parameters import Value, Values, vector
 from .robot import Robot
+from .robust import Robust, sampled_law
 from .static_law import StaticLaw
 from .tuning import Tuning, tune
 from .vdpbc.law import TrackingLaw
@@ -29,6 +30,16 @@ def control_law(values: Values, robot: Robot) -> StaticLaw:
         return kind.make(robot, _gains(values, robot), compile)
     except GainsError as error:
         raise ParameterError(f"parameter 'law.type' is {kind.name!r}: {error}") from None
+
+
+def robust_action(values: Values, law: StaticLaw) -> Robust:
+    """The robust action of the values, for this law of theirs; raises ParameterError, also where it takes none."""
+    robust = config.robust(values, law.robot.n)
+    try:
+        sampled_law(law, robust)
+    except GainsError as error:
+        raise ParameterError(f"parameters 'robust.*' with 'law.type' {values['law.type']!r}: {error}") from None
+    return robust
 
 
 def _gains(values: Values, robot: Robot) -> Any:

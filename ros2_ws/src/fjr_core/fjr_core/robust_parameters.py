@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from .parameters import Parameter, Values, named, vector
-from .robust.options import HOLD, Robust
+from .robust.options import FASTEST, HOLD, Robust
 
 _WORDS = {
     "residual_gain": "Rate of the estimate of a torque on the links, fed forward; 0: none",
@@ -17,7 +17,8 @@ _WORDS = {
 def robust_parameters(n: int) -> list[Parameter]:
     """The parameters for n joints; everything is off by default."""
     gains = [
-        Parameter(f"robust.{name}", (0.0,) * n, text, "1/s", constraint="0 or more") for name, text in _WORDS.items()
+        Parameter(f"robust.{name}", (0.0,) * n, text, "1/s", constraint=f"0 to {FASTEST:g}")
+        for name, text in _WORDS.items()
     ]
     delay = "Delay of the loop, over which the law predicts the state; 0: no prediction"
     hold = "Period of the states, half of which counts to robust.delay"

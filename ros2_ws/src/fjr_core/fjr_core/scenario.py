@@ -15,7 +15,7 @@ import numpy as np
 from . import config, parameter_file, parameters, robot_file
 from .certificate import Balance
 from .checks import Array
-from .control_law import control_law
+from .control_law import control_law, robust_action
 from .errors import ParameterError
 from .gains import Gains
 from .plant import Plant
@@ -82,7 +82,7 @@ class Scenario:
     @cached_property
     def sampled_law(self) -> SampledLaw:
         """The law as the controller runs it, with the robust action that the parameters ask for."""
-        return sampled_law(self.law, config.robust(self.controller_values, self.robot.n))
+        return sampled_law(self.law, robust_action(self.controller_values, self.law))
 
     @cached_property
     def reference(self) -> Reference:
@@ -114,7 +114,10 @@ class Scenario:
         self.plant.step(self.x0, [0.0] * self.robot.n, self.sample_period)
 
     def simulate(self, duration: float) -> Trajectory:
-        """The sampled closed loop as the two nodes run it in lock-step, without ROS, for `duration` seconds."""
+        """The sampled closed loop as the two nodes run it in lock-step, without ROS, for `duration` seconds.
+
+        Of the plant alone: no imperfection (imperfections.*) is simulated, so no delay either.
+        """
         inner = self.sample_period / int(self.plant_values["inner_steps"])  # type: ignore[arg-type]
         law = self.sampled_law if isinstance(self.sampled_law, RobustLaw) else self.law
         return simulate(self.plant, law, self.reference, self.x0, duration, self.sample_period, inner)
@@ -156,9 +159,10 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
 
 
 def _about_hold(scenario: Scenario) -> list[str]:
-    """A sentence where the law would predict over another hold than there will be."""
+    """A sentence where the law would predict or integrate over another hold than there will be."""
     values, period = scenario.controller_values, scenario.sample_period
-    if not values["robust.delay"] or math.isclose(float(values["robust.hold"]), period, rel_tol=1e-6):  # type: ignore[arg-type]
+    robust = config.robust(values, len(scenario.joints))
+    if not (robust.predicts or robust.integrates) or math.isclose(float(values["robust.hold"]), period, rel_tol=1e-6):  # type: ignore[arg-type]
         return []
     return [f"{CONTROLLER}: parameter 'robust.hold' is {values['robust.hold']} s; the states' period is {period:g} s"]
 

@@ -45,9 +45,9 @@ class LqrGains:
         A, B = velocity_matrices(robot, checks.vector("configuration", self.configuration, n, GainsError))
         try:
             P = solve_continuous_are(A, B, Q, R)
-        except np.linalg.LinAlgError:
+        except (np.linalg.LinAlgError, ValueError):
             raise GainsError(
-                "Q and R give a Riccati equation without a solution; expected Q to see every mode"
+                "Q and R give a Riccati equation without a solution; expected Q to see every mode, both of like size"
             ) from None
         return {"F": np.linalg.solve(R, B.T @ P), "P": (P + P.T) / 2}
 

@@ -20,6 +20,7 @@ from ..plant import derivative_expression
 from ..robot import Robot
 
 LONGEST_STEP = 2.5e-4  # s of the integrator in a regular hold
+LATE = 0.1  # of a hold: what an effort may act longer than one before it is split
 Terms = dict[str, ca.MX]
 
 
@@ -58,10 +59,14 @@ class Waiting:
 
 
 class Model:
-    """The robot's motion under held efforts and torques, in what is measured."""
+    """The robot's motion under efforts and torques, each held for at most max(hold, longest) [s], in what is measured.
 
-    def __init__(self, robot: Robot, hold: float) -> None:
+    An effort that acts longer than a hold (at the first sample, after a gap) is one that acts several times.
+    """
+
+    def __init__(self, robot: Robot, hold: float, longest: float = 0.0) -> None:
         self.robot, self._steps = robot, max(1, int(np.ceil(hold / LONGEST_STEP - 1e-9)))
+        self._hold, self._holds = hold, max(1, int(np.ceil(longest / hold - LATE)))
 
     def after(
         self, position: ca.MX, velocity: ca.MX, torque: ca.MX, parts: list[tuple[ca.MX, ca.MX]]
@@ -70,8 +75,28 @@ class Model:
         n = self.robot.n
         x = self._to_state(position, velocity)
         for u, length in parts:
-            x = self._moved(x, ca.vertcat(u, torque), length)
+            x = self._held(x, ca.vertcat(u, torque), length)
         return x[: 2 * n], self._to_velocity(x)
+
+    @cached_property
+    def _held(self) -> ca.Function:
+        """_moved in as many equal parts as there are holds in dt; the others are not run."""
+        if self._holds == 1:
+            return self._moved
+        n = self.robot.n
+        x, inputs, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("inputs", 3 * n), ca.MX.sym("dt")
+        count = ca.fmin(ca.fmax(ca.ceil(dt / self._hold - LATE), 1), self._holds)
+        part = ca.Function.if_else("part", self._moved, self._rests)
+        after = self._moved(x, inputs, dt / count)
+        for k in range(1, self._holds):
+            after = part(k < count, after, inputs, dt / count)
+        return dense_function("held", {"x": x, "inputs": inputs, "dt": dt}, {"after": after})
+
+    @cached_property
+    def _rests(self) -> ca.Function:
+        n = self.robot.n
+        x, inputs, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("inputs", 3 * n), ca.MX.sym("dt")
+        return dense_function("rests", {"x": x, "inputs": inputs, "dt": dt}, {"after": x})
 
     @cached_property
     def _moved(self) -> ca.Function:

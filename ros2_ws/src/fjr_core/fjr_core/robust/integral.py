@@ -24,10 +24,11 @@ class Integral:
 
     Where the effort sent last was not the one wanted (a limit, a fade), a joint's integrals move only in the
     direction that brings the effort wanted nearer to the one sent: a torque that grows lowers the effort.
+    A rate counts for at most two holds [s]: what was not measured is not integrated.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        n = robot.n
+    def __init__(self, robot: Robot, hold: float) -> None:
+        n, self._longest = robot.n, 2 * hold
         self._B_m, self._n = ca.DM(robot.B_m), n
         self.sizes = {"integral": 2 * n, "rate": 2 * n, "wanted": n}
         self.gain_sizes = {"K_l": n * n, "K_m": n * n, "K_l_inverse": n * n, "K_m_inverse": n * n}
@@ -37,7 +38,7 @@ class Integral:
         excess = ca.mtimes(self._B_m, kept["wanted"] - sent)
         excess, rate = ca.vertcat(excess, excess), kept["rate"]
         free = ca.logic_or(ca.fabs(excess) <= SAME, rate * excess > 0)
-        return kept["integral"] + ca.if_else(free, dt * rate, 0)
+        return kept["integral"] + ca.if_else(free, ca.fmin(dt, self._longest) * rate, 0)
 
     def parts(self, integral: ca.MX, ports: tuple[ca.MX, ca.MX], gains: Terms, u: ca.MX) -> Terms:
         """What is kept: ports of links and motors (n,) [rad/s], u (n,) wanted [N m]."""

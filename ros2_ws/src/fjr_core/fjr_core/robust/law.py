@@ -180,11 +180,11 @@ class RobustLaw:
 
     @cached_property
     def _integral(self) -> Integral:
-        return Integral(self.robot)
+        return Integral(self.robot, self.robust.hold)
 
     @cached_property
     def _model(self) -> Model:
-        return Model(self.robot, self.robust.hold)
+        return Model(self.robot, self.robust.hold, self.robust.delay)
 
     @cached_property
     def _loaded(self) -> ca.Function:

@@ -15,16 +15,18 @@ from ..errors import GainsError
 GAINS = ("residual_gain", "motor_residual_gain", "integral_gain", "motor_integral_gain")
 HOLD = 1e-3  # s
 LONGEST_DELAY = 32  # samples of hold
+FASTEST = 1e4  # 1/s: no loop takes more
 
 
 @dataclass(frozen=True, eq=False)
 class Robust:
-    """Robust action (docs/robust.md); each gain a scalar or (n,), 0 or more, 0 for none.
+    """Robust action (docs/robust.md); each gain a scalar or (n,), 0 to FASTEST, 0 for none.
 
     residual_gain [1/s]: rate L of the estimate of a torque on the links, fed forward. motor_residual_gain [1/s]: of
     a torque on the motors. integral_gain [1/s]: rate at which the integral on the links takes up a torque there.
     motor_integral_gain [1/s]: the same on the motors. delay [s]: of the loop, over which the state is predicted; 0:
-    no prediction. hold [s]: how long an effort is held, half of which counts too; the period of the states.
+    no prediction. hold [s]: how long an effort is held, half of which counts too, and for two of
+    which at most a rate is integrated; the period of the states.
     """
 
     residual_gain: ArrayLike = 0.0
@@ -35,7 +37,7 @@ class Robust:
     hold: float = HOLD
 
     def checked(self, n: int) -> Robust:
-        """The same with gains (n,). Raises GainsError for what is negative, not finite or of another shape."""
+        """The same with gains (n,). Raises GainsError for what is out of range, not finite or of another shape."""
         gains = {name: _gain(name, getattr(self, name), n) for name in GAINS}
         for name, value in (("delay", self.delay), ("hold", self.hold)):
             if not (np.isfinite(value) and value >= 0):
@@ -44,7 +46,10 @@ class Robust:
             raise GainsError(
                 f"delay is {self.delay} s with a hold of {self.hold} s; expected at most {LONGEST_DELAY} holds"
             )
-        return replace(self, **gains)  # type: ignore[arg-type]
+        checked = replace(self, **gains)  # type: ignore[arg-type]
+        if checked.integrates and not self.hold:
+            raise GainsError(f"hold is {self.hold} s with an integral; expected more than 0")
+        return checked
 
     @property
     def estimates(self) -> bool:
@@ -74,7 +79,7 @@ class Robust:
 
 def _gain(name: str, value: ArrayLike, n: int) -> Array:
     array = checks.vector(name, value, n, GainsError)
-    if not np.all(array >= 0):
-        raise GainsError(f"{name} is {array.tolist()} 1/s; expected 0 or more")
+    if not np.all((array >= 0) & (array <= FASTEST)):
+        raise GainsError(f"{name} is {array.tolist()} 1/s; expected 0 to {FASTEST:g}")
     array.setflags(write=False)
     return array
