@@ -266,6 +266,20 @@ def test_a_campaign_that_cannot_be_is_refused_in_a_sentence(changes: dict[str, A
     assert words in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("node", "given", "words"),
+    [
+        ("plant", "integrator: implicit_midpoint", "'integrator' is 'implicit_midpoint'; expected 'rk4'"),
+        ("plant", "imperfections.actuator_lag: [0.01]", "sets imperfections.actuator_lag; .* use 'vary'"),
+        ("controller", "measurement.velocity: observer", "sets measurement.velocity; .* use 'vary'"),
+    ],
+)
+def test_a_scenario_of_which_a_sweep_leaves_something_out_is_refused(node: str, given: str, words: str) -> None:
+    text = SCENARIO.replace("plant:", f"{node}:").replace("{initial", f"{{{given}, initial")
+    with pytest.raises(ParameterError, match=words):
+        Sweep("test", text, 45, {"stiffness": distributions.read("stiffness", {"uniform": [0.5, 1.5]})})
+
+
 def test_friction_too_steep_for_the_steps_is_refused() -> None:
     steep = {**VARY, "coulomb_m": {"uniform": [0.0, 1.0]}, "smoothing": 0.01}
     campaign(vary={**steep, "smoothing": 0.2}).refuse_stiff_friction()

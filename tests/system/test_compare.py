@@ -259,9 +259,14 @@ def test_a_suite_that_does_not_fit_is_one_sentence(document: Any, words: str) ->
             {"scenario": "paper_k31", "references": {"x": {"reference.frequenzy": [1.0]}}},
             "did you mean 'reference.freq",
         ),
+        ({"scenario": "observed.yaml"}, "robot 'r': the scenario sets measurement.velocity; .* use 'imperfections'"),
     ],
 )
-def test_a_robot_that_cannot_be_is_one_sentence(robot: dict[str, Any], words: str) -> None:
+def test_a_robot_that_cannot_be_is_one_sentence(
+    robot: dict[str, Any], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "observed.yaml").write_text("/**: {ros__parameters: {measurement.velocity: observer}}\n")
     chosen = suite.read("mine", {**QUICK, "robots": {"r": robot}})
     with pytest.raises(FjrError, match=words):
         suite.scenario_texts(chosen.robots[0])

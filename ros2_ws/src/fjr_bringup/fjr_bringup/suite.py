@@ -13,6 +13,7 @@ from ament_index_python.packages import get_package_share_directory
 
 from fjr_bringup import scenarios
 from fjr_core import parameter_file
+from fjr_core.campaign.scope import refuse_what_is_left_out
 from fjr_core.compare.axes import directions, known
 from fjr_core.compare.trial import TRACKS
 from fjr_core.errors import CompareError, FjrError
@@ -157,9 +158,15 @@ def scenario_texts(robot: RobotChoice) -> tuple[tuple[str, str], ...]:
     """(reference, scenario's text) for each reference of a robot; raises CompareError or FjrError naming it."""
     path = scenarios.find(robot.scenario)
     try:
-        return tuple((label, scenarios.as_run(path, changes)[0]) for label, changes in robot.references.items())
+        return tuple((label, _text(path, changes)) for label, changes in robot.references.items())
     except FjrError as error:
         raise CompareError(f"robot '{robot.label}': {error}") from None
+
+
+def _text(path: Path, changes: Mapping[str, Any]) -> str:
+    text, scenario = scenarios.as_run(path, changes)
+    refuse_what_is_left_out(scenario, "a suite says these itself, use 'imperfections'")
+    return text
 
 
 def _imperfections(given: Any) -> dict[str, dict[str, float]]:

@@ -22,6 +22,7 @@ from .closed_loop import ClosedLoop
 from .distributions import Distribution
 from .draws import LEVELS, PER_RUN, SMOOTHING, Draws
 from .outcomes import FIELDS, PER_JOINT, Outcomes
+from .scope import refuse_what_is_left_out
 from .uncertain import FRICTION
 
 MEASURES = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
@@ -67,6 +68,7 @@ class Sweep:
         for name in self.success:
             if name not in MEASURES:
                 raise ParameterError(f"'success' has '{name}'; expected some of {', '.join(MEASURES)}")
+        refuse_what_is_left_out(self.scenario, "a sweep draws these itself, use 'vary'")
         for name, distribution in self.vary.items():
             self._check(name, distribution)
         _ = self.draws(0, 1)
