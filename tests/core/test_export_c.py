@@ -84,6 +84,7 @@ def test_a_law_with_memory_lead_and_no_storage_replays(name: str, tmp_path: Path
     header = (tmp_path / f"{name}.h").read_text()
     assert re.search(r"_MEMORY [23] ", header)
     assert "_LEAD 0.003 " in header
+    assert "sent (n): the effort that was sent for the last sample, after all limits" in header
 
 
 def test_the_implicit_plant_replays(tmp_path: Path) -> None:
