@@ -15,7 +15,7 @@ from cases import ARMS, Arm, linear
 from chains import arm7, scaled_gains
 
 import fjr_core as fjr
-from fjr_core import ParameterError, StateError
+from fjr_core import ParameterError, StateError, program_digest
 from fjr_core.campaign import ClosedLoop, Draws, Outcomes, outcomes, python_loop
 from fjr_core.campaign.program import Program
 from fjr_core.sampled_law import Static
@@ -225,6 +225,27 @@ def test_draws_that_cannot_be_are_refused_in_a_sentence(values: dict[str, Any], 
 def test_a_loop_that_cannot_be_is_refused_in_a_sentence(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(StateError, match=words):
         paper_loop(**changes)
+
+
+@with_a_compiler
+def test_the_fingerprint_holds_source_casadi_and_whether_it_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = [paper_loop().fingerprint, paper_loop().fingerprint]
+    with monkeypatch.context() as patch:
+        patch.setenv("PATH", "")
+        found.append(paper_loop().fingerprint)
+    for name in ("a.py", "a.c", "b.c"):
+        (tmp_path / name).write_text(name)
+        program_digest.source_digest.cache_clear()
+        digest = program_digest.source_digest(tmp_path)
+        monkeypatch.setattr(program_digest, "source_digest", lambda digest=digest: digest)
+        found.append(paper_loop().fingerprint)
+        monkeypatch.undo()
+    monkeypatch.setattr(program_digest.ca, "__version__", "another")
+    found.append(paper_loop().fingerprint)
+    assert found[0] == found[1]
+    assert len(set(found)) == len(found) - 1
 
 
 @with_a_compiler

@@ -180,6 +180,15 @@ def test_a_store_of_another_program_or_in_use_or_broken_is_refused(tmp_path: Pat
         pass
 
 
+@pytest.mark.parametrize("left", ["table.parquet", "parts/000000000-000000010.parquet"])
+def test_runs_of_which_nobody_says_what_they_are_are_refused(tmp_path: Path, left: str) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / left).write_bytes(b"of another campaign")
+    with pytest.raises(StoreError, match="no campaign.json"), open_store(tmp_path, campaign(), "program"):
+        pass
+    assert not (tmp_path / "campaign.json").exists()
+
+
 def test_parts_cover_all_runs_and_stay_small() -> None:
     for runs in (1, 9, 10, 999, 10_000, 1_000_001):
         cut = store.parts(runs)

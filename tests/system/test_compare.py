@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 import yaml
 
-from fjr_bringup import compare_readme, suite
+from fjr_bringup import compare_job, compare_readme, suite
 from fjr_bringup.compare_findings import count, findings
 from fjr_bringup.compare_rows import OURS, Row, Value, rows
+from fjr_core import program_digest
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.laws import LAWS
 from system.browser import Browser
@@ -114,6 +115,21 @@ def test_what_ends_a_comparison_leaves_what_is_finished(tmp_path: Path, number: 
     left = len(QUICK["laws"]) - len(list(kept.glob("*.json")))
     assert left
     assert f"compare: {left} law" in fjr(*arguments)
+
+
+def test_what_is_kept_depends_on_the_code_and_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    job = compare_job.jobs(suite.read("mine", QUICK))[0]
+    keys = [job.key, job.key]
+    monkeypatch.setattr(program_digest, "source_digest", lambda: "another")
+    compare_job._source.cache_clear()
+    keys.append(job.key)
+    monkeypatch.setenv("PATH", "")
+    compare_job._source.cache_clear()
+    keys.append(job.key)
+    monkeypatch.undo()
+    compare_job._source.cache_clear()
+    assert job.key == keys[0] == keys[1]
+    assert len(set(keys)) == 3
 
 
 def until(happened: Callable[[], bool]) -> None:

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
-import fjr_core
 from fjr_bringup.suite import LawChoice, Suite, scenario_texts
 from fjr_core.campaign import ClosedLoop
 from fjr_core.compare import Trial, directions, needs
 from fjr_core.compare.columns import Column, column
+from fjr_core.compile import can_compile
 from fjr_core.errors import CompareError, FjrError
+from fjr_core.program_digest import program_digest
 from fjr_core.scenario import Scenario, parse_scenario
 
 DRAWN = 600  # points of a trace
@@ -47,7 +48,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """What the result depends on: this job, and the source of fjr_core and of this module."""
+        """What the result depends on: this job, fjr_core, CasADi, whether the loop is compiled, and this module."""
         return hashlib.sha256((json.dumps(asdict(self)) + _source()).encode()).hexdigest()[:32]
 
 
@@ -144,7 +145,4 @@ def _numbers(values: np.ndarray) -> list[float | None]:
 
 @cache
 def _source() -> str:
-    digest = hashlib.sha256()
-    for path in (*sorted(Path(fjr_core.__file__).parent.rglob("*.py")), Path(__file__)):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    return program_digest(can_compile()) + Path(__file__).read_text(encoding="utf-8")
