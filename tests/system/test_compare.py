@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 import pytest
 import yaml
 
-from fjr_bringup import compare_job, compare_readme, suite
+from fjr_bringup import compare_job, compare_readme, compare_run, suite
 from fjr_bringup.compare_findings import count, findings
 from fjr_bringup.compare_rows import OURS, Row, Value, rows
 from fjr_core import program_digest
@@ -115,6 +116,32 @@ def test_what_ends_a_comparison_leaves_what_is_finished(tmp_path: Path, number: 
     left = len(QUICK["laws"]) - len(list(kept.glob("*.json")))
     assert left
     assert f"compare: {left} law" in fjr(*arguments)
+
+
+class Failing:
+    """In a worker's place: one law fails or kills its process, the other never comes to an end."""
+
+    def __init__(self, kill: bool) -> None:
+        self.kill = kill
+
+    def __call__(self, job: compare_job.Job, kept: Path) -> compare_job.Result:
+        if job.law.law == "v_dpbc":
+            time.sleep(TIME_LIMIT)
+        if self.kill:
+            os.kill(os.getpid(), signal.SIGKILL)
+        raise CompareError("no gains")
+
+
+@pytest.mark.parametrize(("kill", "words"), [(False, "^no gains$"), (True, "a process that ran a law has ended")])
+def test_what_fails_is_said_while_others_are_at_work(
+    kill: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs = compare_job.jobs(suite.read("mine", {**QUICK, "laws": ["v_dpbc", "torque_feedback"]}))
+    monkeypatch.setattr(compare_run, "_done", Failing(kill))
+    begun = time.monotonic()
+    with pytest.raises(CompareError, match=words):
+        compare_run.run(jobs, tmp_path, 2, threading.Event())
+    assert time.monotonic() - begun < TIME_LIMIT
 
 
 def test_what_is_kept_depends_on_the_code_and_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:

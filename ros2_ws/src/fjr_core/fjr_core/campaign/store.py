@@ -133,7 +133,7 @@ def _check(folder: Path, sweep: Sweep, program: str) -> None:
         raise StoreError(f"{folder} holds another campaign ({said}); expected the same one, or another --output")
     if found.get("program") != program:
         raise StoreError(
-            f"{folder} was begun by another version of this program (its source, CasADi, with or without a C compiler); "
+            f"{folder} was begun by another version of this program (source, CasADi, with or without a C compiler); "
             "expected the same, or another --output"
         )
 
