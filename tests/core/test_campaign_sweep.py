@@ -249,6 +249,11 @@ def test_a_worker_that_cannot_do_as_the_others_is_said(tmp_path: Path) -> None:
         ({"scenario": "a", "vary": {"stiffness": "wide"}}, "expected {uniform"),
         ({"scenario": "a", "runs": 10.5, "vary": VARY}, "expected a whole number"),
         ({"scenario": "a", "success": {"rms": "small"}, "vary": VARY}, "expected a number"),
+        ({"scenario": "a", "success": {"rms": np.nan}, "vary": VARY}, "has nan as 'success.rms'; expected a number"),
+        ({"scenario": "a", "runs": np.inf, "vary": VARY}, "has inf as 'runs'; expected a whole number"),
+        ({"scenario": "a", "seed": np.nan, "vary": VARY}, "has nan as 'seed'; expected a whole number"),
+        ({"scenario": "a", "duration": 10**400, "vary": VARY}, "as 'duration'; expected a number"),
+        ({"scenario": "a", "vary": {"stiffness": 10**400}}, "expected a list of finite numbers"),
     ],
 )
 def test_a_file_that_is_not_understood_is_refused_in_a_sentence(document: dict[str, Any], words: str) -> None:
@@ -265,6 +270,7 @@ def test_a_file_that_is_not_understood_is_refused_in_a_sentence(document: dict[s
         ({"vary": {"delay": {"uniform": [-1e-3, 1e-3]}}}, "delay is -0.001 at least"),
         ({"vary": {"delay": {"uniform": [0, 1e-3], "each_joint": True}}}, "it is one for all joints"),
         ({"success": {"error": 1.0}}, "'success' has 'error'"),
+        ({"success": {"rms": np.nan}}, "'success' has nan as 'rms'"),
         ({"runs": 0}, "'runs' is 0"),
         ({"seed": -1}, "'seed' is -1"),
     ],

@@ -272,6 +272,7 @@ WRONG: list[tuple[Any, str]] = [
     ({**QUICK, "law": 1}, "unknown key 'law'; expected one of laws, robots"),
     ({**QUICK, "laws": "v_dpbc"}, "'laws' is 'v_dpbc'; expected a list"),
     ({**QUICK, "laws": ["pid"]}, "unknown law 'pid': expected one of v_dpbc, "),
+    ({**QUICK, "laws": [{"law": ["v_dpbc"]}]}, r"unknown law '\['v_dpbc'\]': expected one of"),
     ({**QUICK, "laws": ["v_dpbc", "v_dpbc"]}, "law 'v_dpbc' is there twice"),
     ({**QUICK, "laws": [{"law": "lqr", "robust": {"magic": 1.0}}]}, "unknown robust option 'magic'"),
     ({**QUICK, "laws": [{"law": "lqr", "gain": 1.0}]}, "unknown key 'gain'"),

@@ -138,9 +138,9 @@ def _law(given: Any) -> LawChoice:
 def _known_law(name: Any) -> str:
     from fjr_core.laws import LAWS
 
-    if name not in LAWS:
+    if not isinstance(name, str) or name not in LAWS:
         raise CompareError(f"unknown law '{name}': expected one of {', '.join(LAWS)}")
-    return str(name)
+    return name
 
 
 def _robot(label: str, given: Any) -> RobotChoice:

@@ -65,9 +65,11 @@ class Sweep:
             raise ParameterError(f"'runs' is {self.runs}; expected 1 to {MOST_RUNS}")
         if not 0 <= self.seed < 2**64:
             raise ParameterError(f"'seed' is {self.seed}; expected 0 to 2^64 - 1")
-        for name in self.success:
+        for name, limit in self.success.items():
             if name not in MEASURES:
                 raise ParameterError(f"'success' has '{name}'; expected some of {', '.join(MEASURES)}")
+            if np.isnan(limit):
+                raise ParameterError(f"'success' has {limit} as '{name}'; expected a number")
         refuse_what_is_left_out(self.scenario, "a sweep draws these itself, use 'vary'")
         for name, distribution in self.vary.items():
             self._check(name, distribution)
