@@ -40,6 +40,7 @@ QUICK: dict[str, Any] = {
     "margins": ["stiffness", "delay"],
 }
 PLOTS = ["robot-0-error", "robot-0-effort", "robot-0-stiffness", "robot-0-delay"]
+AT_REST = {f"initial_{side}_position": [0.0] for side in ("link", "motor")}
 DRAWN = 150  # coloured pixels, at least
 
 
@@ -142,6 +143,13 @@ def test_what_fails_is_said_while_others_are_at_work(
     with pytest.raises(CompareError, match=words):
         compare_run.run(jobs, tmp_path, 2, threading.Event())
     assert time.monotonic() - begun < TIME_LIMIT
+
+
+def test_a_reference_that_stands_still_is_one_sentence() -> None:
+    still = {"still": {"reference.amplitude": [0.0], "reference.offset": [0.0], **AT_REST}, "slow": {}}
+    job = compare_job.jobs(suite.read("mine", {**QUICK, "robots": {"paper_k31": {"references": still}}}))[0]
+    with pytest.raises(CompareError, match="'still' of paper_k31: the reference stands still"):
+        compare_job.work(job, lambda _: None)
 
 
 def test_what_is_kept_depends_on_the_code_and_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -278,6 +286,11 @@ WRONG: list[tuple[Any, str]] = [
     ({**QUICK, "laws": [{"law": "lqr", "gain": 1.0}]}, "unknown key 'gain'"),
     ({**QUICK, "robots": []}, "has no 'robots'"),
     ({**QUICK, "robots": {"r": {"scenario": "paper_k31", "gains": {}}}}, "robot 'r' has an unknown key 'gains'"),
+    (
+        {**QUICK, "robots": {"r": {"scenario": "paper_k31", "references": {"x": {"gains.K_ld": [0.8]}}}}},
+        "reference 'x' of r changes 'gains.K_ld'; expected names that begin with reference. or initial_",
+    ),
+    ({**QUICK, "imperfections": {"nominal": {"delay": 0.001}}}, "an imperfection is called 'nominal'"),
     ({**QUICK, "imperfections": {"x": {"wind": 1.0}}}, "unknown imperfection 'wind'"),
     ({**QUICK, "imperfections": {"x": {"delay": "long"}}}, "'delay' of 'x' is 'long'; expected a number"),
     ({**QUICK, "imperfections": {"x": {"stiffness": -1.0}}}, "'stiffness' is -1.0; expected a positive factor"),

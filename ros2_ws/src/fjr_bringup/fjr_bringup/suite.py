@@ -22,6 +22,7 @@ from fjr_core.robust import Robust
 REQUIRED = ("laws", "robots")
 KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks")
 NOMINAL = "nominal"
+CHANGED = ("reference.", "initial_")  # what the references of a robot may differ in
 ROBUST = tuple(each.name for each in fields(Robust) if each.name != "hold")
 
 
@@ -151,6 +152,13 @@ def _robot(label: str, given: Any) -> RobotChoice:
     name = str(options.get("scenario", label))
     references = _mapping(f"'references' of {label}", options.get("references") or {"scenario": {}})
     changes = {str(key): _mapping(f"reference '{key}' of {label}", value or {}) for key, value in references.items()}
+    for reference, each in changes.items():
+        for key in each:
+            if not str(key).startswith(CHANGED):
+                raise CompareError(
+                    f"reference '{reference}' of {label} changes '{key}'; expected names that begin with "
+                    f"{' or '.join(CHANGED)}: the robot is the same along all of them"
+                )
     return RobotChoice(str(label), name, changes)
 
 
@@ -173,6 +181,10 @@ def _imperfections(given: Any) -> dict[str, dict[str, float]]:
     """By name, the nominal plant first."""
     found: dict[str, dict[str, float]] = {NOMINAL: {}}
     for name, levels in _mapping("'imperfections'", given).items():
+        if str(name) == NOMINAL:
+            raise CompareError(
+                f"an imperfection is called '{NOMINAL}'; expected another name: that is the plant without"
+            )
         each = _mapping(f"imperfection '{name}'", levels or {})
         numbers = {axis: _number(f"'{axis}' of '{name}'", level, lambda _: True) for axis, level in each.items()}
         found[str(name)] = {axis: known(axis).checked(level) for axis, level in numbers.items()}
