@@ -17,9 +17,9 @@ from c_program import C99, CPP, SHIPPED, built, changed, exported, loop, replaye
 import fjr_core as fjr
 from fjr_core.export_c import Loop, export, left_out, loop_of, prefix_of
 from fjr_core.export_c.c_code import casadi_code, checked_prefix, numbers, quoted
-from fjr_core.export_c.loop import Static
 from fjr_core.numeric import NumericFunction
 from fjr_core.robot import Robot
+from fjr_core.sampled_law import Static
 from fjr_core.scenario import parse_scenario
 
 EQUAL, IN_A_ROW = 1e-12, 1e-9
@@ -254,7 +254,17 @@ def test_any_name_is_a_name_in_c(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "prefix"),
-    [("paper_k31", "paper_k31"), ("arm-7 b", "arm_7_b"), ("7", "loop_7"), ("ä", "loop"), ("_x_", "x")],
+    [
+        ("paper_k31", "paper_k31"),
+        ("arm-7 b", "arm_7_b"),
+        ("7", "loop_7"),
+        ("ä", "loop"),
+        ("_x_", "x"),
+        ("test", "loop_test"),
+        ("Math", "loop_Math"),
+        ("7" * 50, "loop_" + "7" * 35),
+        ("7" * 34 + " b", "loop_" + "7" * 34),
+    ],
 )
 def test_prefix_of_a_name(name: str, prefix: str) -> None:
     assert prefix_of(name) == checked_prefix(prefix) == prefix
@@ -264,6 +274,14 @@ def test_prefix_of_a_name(name: str, prefix: str) -> None:
 @pytest.mark.parametrize("prefix", ["", "7a", "a-b", "a b", "ä", "a" * 41, "_a"])
 def test_prefixes_that_no_name_in_c_begins_with(prefix: str) -> None:
     with pytest.raises(fjr.ParameterError, match="expected a letter"):
+        export(loop("paper_k31"), prefix)
+
+
+@pytest.mark.parametrize(
+    "prefix", ["replay", "case", "test", "all", "install", "clean", "math", "STRING", "stdio", "m"]
+)
+def test_prefixes_that_are_in_the_way_of_other_files_and_targets(prefix: str) -> None:
+    with pytest.raises(fjr.ParameterError, match=f"prefix is '{prefix}', which .*; expected another one"):
         export(loop("paper_k31"), prefix)
 
 
