@@ -218,6 +218,7 @@ def test_draws_that_cannot_be_are_refused_in_a_sentence(values: dict[str, Any], 
     [
         ({"duration": 0.0}, "duration is 0.0; expected a positive"),
         ({"settle_after": 0.3}, "settle_after is 0.3 s; expected 0 to less than 0.3 s"),
+        ({"duration": 0.3004, "settle_after": 0.3002}, "no sample of 0.001 s lies between settle_after, 0.3002 s, and"),
         ({"inner_steps": 0}, "inner_steps is 0; expected 1 or more"),
         ({"believed": ARMS[-1].robot}, "1, 2 and 1 joints; expected equal"),
     ],

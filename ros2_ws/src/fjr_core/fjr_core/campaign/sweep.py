@@ -20,7 +20,7 @@ from ..scenario import Scenario, parse_scenario
 from . import counted, distributions
 from .closed_loop import ClosedLoop
 from .distributions import Distribution
-from .draws import LEVELS, PER_RUN, SMOOTHING, Draws
+from .draws import LEVELS, PER_RUN, SMOOTHING, Draws, width
 from .outcomes import FIELDS, PER_JOINT, Outcomes
 from .scope import refuse_what_is_left_out
 from .uncertain import FRICTION
@@ -73,7 +73,9 @@ class Sweep:
         refuse_what_is_left_out(self.scenario, "a sweep draws these itself, use 'vary'")
         for name, distribution in self.vary.items():
             self._check(name, distribution)
-        _ = self.draws(0, 1)
+        first = self.draws(0, 1)
+        for name in LEVELS:
+            _ = first.columns(name, self.scenario.robot.n)
 
     @cached_property
     def scenario(self) -> Scenario:
@@ -163,11 +165,18 @@ class Sweep:
         if one.each_joint and (name in PER_RUN or name == "payload_position"):
             raise ParameterError(f"'{name}' has each_joint; it is one for all joints")
         if one.kind == distributions.FIXED:
+            self._check_fixed(name, len(one.numbers))
             return
         try:
             Draws(2, **{name: np.array(one.range)})
         except ParameterError as error:
             raise ParameterError(f"'vary': {error}, whatever is drawn") from None
+
+    def _check_fixed(self, name: str, given: int) -> None:
+        most = 1 if name in PER_RUN else width(name, self.scenario.robot.n)
+        if given not in (1, most):
+            expected = "a single one" if most == 1 else f"1 or {most}"
+            raise ParameterError(f"'vary': {name} has {given} numbers; expected {expected}")
 
 
 _PLAIN = ("name", "scenario_text", "runs", "duration", "seed", "settle_after", "band", "lost")
