@@ -194,6 +194,12 @@ def test_the_law_is_told_what_was_sent() -> None:
     assert np.abs(recorded.u).max() == 3.0
 
 
+@pytest.mark.parametrize("runs", [1, 2, 3, 4])
+def test_one_place_of_the_payload_is_that_of_all_runs(runs: int) -> None:
+    found = Draws(runs, payload_position=(0.1, 0.2, 0.3)).columns("payload_position", 1)
+    assert np.array_equal(found, np.tile([0.1, 0.2, 0.3], (runs, 1)))
+
+
 @pytest.mark.parametrize(
     ("values", "words"),
     [

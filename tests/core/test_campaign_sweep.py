@@ -93,6 +93,15 @@ def test_a_part_of_a_campaign_is_the_same_bits_alone() -> None:
     assert "velocity_noise" not in whole
 
 
+def test_a_payload_is_where_it_is_drawn_in_parts_of_any_size() -> None:
+    plan = campaign(vary={"payload_mass": 0.1, "payload_position": {"uniform": [0.0, 0.1]}})
+    drawn = plan.draws(0, 6).columns("payload_position", 1)
+    assert np.array_equal(plan.draws(3, 6).columns("payload_position", 1), drawn[3:])
+    assert len(set(drawn[:, 0])) == 6
+    fixed = campaign(vary={"payload_mass": {"uniform": [0.1, 0.2]}, "payload_position": [0.1, 0.2, 0.3]})
+    assert fixed.draws(0, 3).columns("payload_position", 1).tolist() == [[0.1, 0.2, 0.3]] * 3
+
+
 def test_a_campaign_as_text_is_the_same_campaign() -> None:
     plan = campaign()
     assert from_text(plan.text) == plan

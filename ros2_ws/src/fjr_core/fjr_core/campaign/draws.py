@@ -77,7 +77,8 @@ class Draws:
     def columns(self, name: str, n: int) -> Array:
         """One field as (k, n), or (k, 1) of what is one number a run, (k, 3) of payload_position."""
         value, most = np.asarray(getattr(self, name)), 1 if name in PER_RUN else width(name, n)
-        column = value[:, None] if value.ndim == 1 and value.shape == (self.runs,) else value
+        each = value.shape == (self.runs,) and name != "payload_position"  # whose one list is always x, y, z
+        column = value[:, None] if each else value
         if column.ndim and column.shape[-1] not in (1, most):
             raise ParameterError(
                 f"{name} has shape {value.shape}; expected a scalar, ({self.runs},) or {(self.runs, most)}"

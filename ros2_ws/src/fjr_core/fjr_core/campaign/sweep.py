@@ -115,6 +115,8 @@ class Sweep:
             values = distribution.drawn(name, self.seed, begin, count, n)
             per_joint = distribution.kind == distributions.FIXED and values.ndim and name not in PER_RUN
             fixed[name] = np.tile(values, (count, 1)) if per_joint else values
+            if name == "payload_position" and not per_joint and values.ndim:  # one number a run, for x, y and z
+                fixed[name] = values[:, None]
         seeds = counted.rows((self.seed, distributions.stream(NOISE_SEED)), begin, count, 1)[:, 0]
         return Draws(count, **fixed, seed=seeds)
 
