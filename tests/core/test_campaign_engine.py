@@ -15,7 +15,7 @@ from cases import ARMS, Arm, linear
 from chains import arm7, scaled_gains
 
 import fjr_core as fjr
-from fjr_core import ParameterError, StateError
+from fjr_core import ParameterError, StateError, program_digest
 from fjr_core.campaign import ClosedLoop, Draws, Outcomes, outcomes, python_loop
 from fjr_core.campaign.program import Program
 from fjr_core.sampled_law import Static
@@ -194,6 +194,12 @@ def test_the_law_is_told_what_was_sent() -> None:
     assert np.abs(recorded.u).max() == 3.0
 
 
+@pytest.mark.parametrize("runs", [1, 2, 3, 4])
+def test_one_place_of_the_payload_is_that_of_all_runs(runs: int) -> None:
+    found = Draws(runs, payload_position=(0.1, 0.2, 0.3)).columns("payload_position", 1)
+    assert np.array_equal(found, np.tile([0.1, 0.2, 0.3], (runs, 1)))
+
+
 @pytest.mark.parametrize(
     ("values", "words"),
     [
@@ -218,6 +224,7 @@ def test_draws_that_cannot_be_are_refused_in_a_sentence(values: dict[str, Any], 
     [
         ({"duration": 0.0}, "duration is 0.0; expected a positive"),
         ({"settle_after": 0.3}, "settle_after is 0.3 s; expected 0 to less than 0.3 s"),
+        ({"duration": 0.3004, "settle_after": 0.3002}, "no sample of 0.001 s lies between settle_after, 0.3002 s, and"),
         ({"inner_steps": 0}, "inner_steps is 0; expected 1 or more"),
         ({"believed": ARMS[-1].robot}, "1, 2 and 1 joints; expected equal"),
     ],
@@ -225,6 +232,27 @@ def test_draws_that_cannot_be_are_refused_in_a_sentence(values: dict[str, Any], 
 def test_a_loop_that_cannot_be_is_refused_in_a_sentence(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(StateError, match=words):
         paper_loop(**changes)
+
+
+@with_a_compiler
+def test_the_fingerprint_holds_source_casadi_and_whether_it_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = [paper_loop().fingerprint, paper_loop().fingerprint]
+    with monkeypatch.context() as patch:
+        patch.setenv("PATH", "")
+        found.append(paper_loop().fingerprint)
+    for name in ("a.py", "a.c", "b.c"):
+        (tmp_path / name).write_text(name)
+        program_digest.source_digest.cache_clear()
+        digest = program_digest.source_digest(tmp_path)
+        monkeypatch.setattr(program_digest, "source_digest", lambda digest=digest: digest)
+        found.append(paper_loop().fingerprint)
+        monkeypatch.undo()
+    monkeypatch.setattr(program_digest.ca, "__version__", "another")
+    found.append(paper_loop().fingerprint)
+    assert found[0] == found[1]
+    assert len(set(found)) == len(found) - 1
 
 
 @with_a_compiler

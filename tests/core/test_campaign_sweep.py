@@ -93,6 +93,15 @@ def test_a_part_of_a_campaign_is_the_same_bits_alone() -> None:
     assert "velocity_noise" not in whole
 
 
+def test_a_payload_is_where_it_is_drawn_in_parts_of_any_size() -> None:
+    plan = campaign(vary={"payload_mass": 0.1, "payload_position": {"uniform": [0.0, 0.1]}})
+    drawn = plan.draws(0, 6).columns("payload_position", 1)
+    assert np.array_equal(plan.draws(3, 6).columns("payload_position", 1), drawn[3:])
+    assert len(set(drawn[:, 0])) == 6
+    fixed = campaign(vary={"payload_mass": {"uniform": [0.1, 0.2]}, "payload_position": [0.1, 0.2, 0.3]})
+    assert fixed.draws(0, 3).columns("payload_position", 1).tolist() == [[0.1, 0.2, 0.3]] * 3
+
+
 def test_a_campaign_as_text_is_the_same_campaign() -> None:
     plan = campaign()
     assert from_text(plan.text) == plan
@@ -180,6 +189,15 @@ def test_a_store_of_another_program_or_in_use_or_broken_is_refused(tmp_path: Pat
         pass
 
 
+@pytest.mark.parametrize("left", ["table.parquet", "parts/000000000-000000010.parquet"])
+def test_runs_of_which_nobody_says_what_they_are_are_refused(tmp_path: Path, left: str) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / left).write_bytes(b"of another campaign")
+    with pytest.raises(StoreError, match="no campaign.json"), open_store(tmp_path, campaign(), "program"):
+        pass
+    assert not (tmp_path / "campaign.json").exists()
+
+
 def test_parts_cover_all_runs_and_stay_small() -> None:
     for runs in (1, 9, 10, 999, 10_000, 1_000_001):
         cut = store.parts(runs)
@@ -240,6 +258,11 @@ def test_a_worker_that_cannot_do_as_the_others_is_said(tmp_path: Path) -> None:
         ({"scenario": "a", "vary": {"stiffness": "wide"}}, "expected {uniform"),
         ({"scenario": "a", "runs": 10.5, "vary": VARY}, "expected a whole number"),
         ({"scenario": "a", "success": {"rms": "small"}, "vary": VARY}, "expected a number"),
+        ({"scenario": "a", "success": {"rms": np.nan}, "vary": VARY}, "has nan as 'success.rms'; expected a number"),
+        ({"scenario": "a", "runs": np.inf, "vary": VARY}, "has inf as 'runs'; expected a whole number"),
+        ({"scenario": "a", "seed": np.nan, "vary": VARY}, "has nan as 'seed'; expected a whole number"),
+        ({"scenario": "a", "duration": 10**400, "vary": VARY}, "as 'duration'; expected a number"),
+        ({"scenario": "a", "vary": {"stiffness": 10**400}}, "expected a list of finite numbers"),
     ],
 )
 def test_a_file_that_is_not_understood_is_refused_in_a_sentence(document: dict[str, Any], words: str) -> None:
@@ -255,7 +278,11 @@ def test_a_file_that_is_not_understood_is_refused_in_a_sentence(document: dict[s
         ({"vary": {"stiffness": {"normal": [1.0, 0.3]}}}, "stiffness is -0.2 at least"),
         ({"vary": {"delay": {"uniform": [-1e-3, 1e-3]}}}, "delay is -0.001 at least"),
         ({"vary": {"delay": {"uniform": [0, 1e-3], "each_joint": True}}}, "it is one for all joints"),
+        ({"vary": {**VARY, "gravity": [1.0, 1.1]}}, "'vary': gravity has 2 numbers; expected a single one"),
+        ({"vary": {**VARY, "payload_position": [0.1, 0.2]}}, "payload_position has 2 numbers; expected 1 or 3"),
+        ({"vary": {**VARY, "velocity_noise": [0.1, 0.2]}}, "velocity_noise has 2 numbers; expected a single one"),
         ({"success": {"error": 1.0}}, "'success' has 'error'"),
+        ({"success": {"rms": np.nan}}, "'success' has nan as 'rms'"),
         ({"runs": 0}, "'runs' is 0"),
         ({"seed": -1}, "'seed' is -1"),
     ],
@@ -264,6 +291,20 @@ def test_a_campaign_that_cannot_be_is_refused_in_a_sentence(changes: dict[str, A
     with pytest.raises(ParameterError) as caught:
         campaign(**changes)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("node", "given", "words"),
+    [
+        ("plant", "integrator: implicit_midpoint", "'integrator' is 'implicit_midpoint'; expected 'rk4'"),
+        ("plant", "imperfections.actuator_lag: [0.01]", "sets imperfections.actuator_lag; .* use 'vary'"),
+        ("controller", "measurement.velocity: observer", "sets measurement.velocity; .* use 'vary'"),
+    ],
+)
+def test_a_scenario_of_which_a_sweep_leaves_something_out_is_refused(node: str, given: str, words: str) -> None:
+    text = SCENARIO.replace("plant:", f"{node}:").replace("{initial", f"{{{given}, initial")
+    with pytest.raises(ParameterError, match=words):
+        Sweep("test", text, 45, {"stiffness": distributions.read("stiffness", {"uniform": [0.5, 1.5]})})
 
 
 def test_friction_too_steep_for_the_steps_is_refused() -> None:

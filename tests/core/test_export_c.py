@@ -84,6 +84,7 @@ def test_a_law_with_memory_lead_and_no_storage_replays(name: str, tmp_path: Path
     header = (tmp_path / f"{name}.h").read_text()
     assert re.search(r"_MEMORY [23] ", header)
     assert "_LEAD 0.003 " in header
+    assert "sent (n): the effort that was sent for the last sample, after all limits" in header
 
 
 def test_the_implicit_plant_replays(tmp_path: Path) -> None:
@@ -253,7 +254,17 @@ def test_any_name_is_a_name_in_c(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "prefix"),
-    [("paper_k31", "paper_k31"), ("arm-7 b", "arm_7_b"), ("7", "loop_7"), ("ä", "loop"), ("_x_", "x")],
+    [
+        ("paper_k31", "paper_k31"),
+        ("arm-7 b", "arm_7_b"),
+        ("7", "loop_7"),
+        ("ä", "loop"),
+        ("_x_", "x"),
+        ("test", "loop_test"),
+        ("Math", "loop_Math"),
+        ("7" * 50, "loop_" + "7" * 35),
+        ("7" * 34 + " b", "loop_" + "7" * 34),
+    ],
 )
 def test_prefix_of_a_name(name: str, prefix: str) -> None:
     assert prefix_of(name) == checked_prefix(prefix) == prefix
@@ -263,6 +274,14 @@ def test_prefix_of_a_name(name: str, prefix: str) -> None:
 @pytest.mark.parametrize("prefix", ["", "7a", "a-b", "a b", "ä", "a" * 41, "_a"])
 def test_prefixes_that_no_name_in_c_begins_with(prefix: str) -> None:
     with pytest.raises(fjr.ParameterError, match="expected a letter"):
+        export(loop("paper_k31"), prefix)
+
+
+@pytest.mark.parametrize(
+    "prefix", ["replay", "case", "test", "all", "install", "clean", "math", "STRING", "stdio", "m"]
+)
+def test_prefixes_that_are_in_the_way_of_other_files_and_targets(prefix: str) -> None:
+    with pytest.raises(fjr.ParameterError, match=f"prefix is '{prefix}', which .*; expected another one"):
         export(loop("paper_k31"), prefix)
 
 

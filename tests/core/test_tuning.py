@@ -255,3 +255,10 @@ def test_v_dpbc_is_the_default() -> None:
     assert isinstance(made.law, TrackingLaw)
     assert made.tracking_law is made.law
     assert isinstance(control_law(made.controller_values, made.robot), TrackingLaw)
+
+
+def test_a_yardstick_that_does_nothing_divides_by_nothing() -> None:
+    y = Yardstick(fjr.single_link(stiffness=31.0), fjr.Sine(0.0, 1.0), fjr.PAPER_GAINS, (np.zeros(2), np.zeros(2)))
+    assert y.peak == 0
+    assert y.same_peak(0.0)
+    assert not y.same_peak(1e-3)

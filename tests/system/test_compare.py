@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,9 +15,10 @@ from typing import Any
 import pytest
 import yaml
 
-from fjr_bringup import compare_readme, suite
+from fjr_bringup import compare_job, compare_readme, compare_run, suite
 from fjr_bringup.compare_findings import count, findings
 from fjr_bringup.compare_rows import OURS, Row, Value, rows
+from fjr_core import program_digest
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.laws import LAWS
 from system.browser import Browser
@@ -38,6 +40,7 @@ QUICK: dict[str, Any] = {
     "margins": ["stiffness", "delay"],
 }
 PLOTS = ["robot-0-error", "robot-0-effort", "robot-0-stiffness", "robot-0-delay"]
+AT_REST = {f"initial_{side}_position": [0.0] for side in ("link", "motor")}
 DRAWN = 150  # coloured pixels, at least
 
 
@@ -114,6 +117,54 @@ def test_what_ends_a_comparison_leaves_what_is_finished(tmp_path: Path, number: 
     left = len(QUICK["laws"]) - len(list(kept.glob("*.json")))
     assert left
     assert f"compare: {left} law" in fjr(*arguments)
+
+
+class Failing:
+    """In a worker's place: one law fails or kills its process, the other never comes to an end."""
+
+    def __init__(self, kill: bool) -> None:
+        self.kill = kill
+
+    def __call__(self, job: compare_job.Job, kept: Path) -> compare_job.Result:
+        if job.law.law == "v_dpbc":
+            time.sleep(TIME_LIMIT)
+        if self.kill:
+            os.kill(os.getpid(), signal.SIGKILL)
+        raise CompareError("no gains")
+
+
+@pytest.mark.parametrize(("kill", "words"), [(False, "^no gains$"), (True, "a process that ran a law has ended")])
+def test_what_fails_is_said_while_others_are_at_work(
+    kill: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs = compare_job.jobs(suite.read("mine", {**QUICK, "laws": ["v_dpbc", "torque_feedback"]}))
+    monkeypatch.setattr(compare_run, "_done", Failing(kill))
+    begun = time.monotonic()
+    with pytest.raises(CompareError, match=words):
+        compare_run.run(jobs, tmp_path, 2, threading.Event())
+    assert time.monotonic() - begun < TIME_LIMIT
+
+
+def test_a_reference_that_stands_still_is_one_sentence() -> None:
+    still = {"still": {"reference.amplitude": [0.0], "reference.offset": [0.0], **AT_REST}, "slow": {}}
+    job = compare_job.jobs(suite.read("mine", {**QUICK, "robots": {"paper_k31": {"references": still}}}))[0]
+    with pytest.raises(CompareError, match="'still' of paper_k31: the reference stands still"):
+        compare_job.work(job, lambda _: None)
+
+
+def test_what_is_kept_depends_on_the_code_and_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    job = compare_job.jobs(suite.read("mine", QUICK))[0]
+    keys = [job.key, job.key]
+    monkeypatch.setattr(program_digest, "source_digest", lambda: "another")
+    compare_job._source.cache_clear()
+    keys.append(job.key)
+    monkeypatch.setenv("PATH", "")
+    compare_job._source.cache_clear()
+    keys.append(job.key)
+    monkeypatch.undo()
+    compare_job._source.cache_clear()
+    assert job.key == keys[0] == keys[1]
+    assert len(set(keys)) == 3
 
 
 def until(happened: Callable[[], bool]) -> None:
@@ -229,11 +280,17 @@ WRONG: list[tuple[Any, str]] = [
     ({**QUICK, "law": 1}, "unknown key 'law'; expected one of laws, robots"),
     ({**QUICK, "laws": "v_dpbc"}, "'laws' is 'v_dpbc'; expected a list"),
     ({**QUICK, "laws": ["pid"]}, "unknown law 'pid': expected one of v_dpbc, "),
+    ({**QUICK, "laws": [{"law": ["v_dpbc"]}]}, r"unknown law '\['v_dpbc'\]': expected one of"),
     ({**QUICK, "laws": ["v_dpbc", "v_dpbc"]}, "law 'v_dpbc' is there twice"),
     ({**QUICK, "laws": [{"law": "lqr", "robust": {"magic": 1.0}}]}, "unknown robust option 'magic'"),
     ({**QUICK, "laws": [{"law": "lqr", "gain": 1.0}]}, "unknown key 'gain'"),
     ({**QUICK, "robots": []}, "has no 'robots'"),
     ({**QUICK, "robots": {"r": {"scenario": "paper_k31", "gains": {}}}}, "robot 'r' has an unknown key 'gains'"),
+    (
+        {**QUICK, "robots": {"r": {"scenario": "paper_k31", "references": {"x": {"gains.K_ld": [0.8]}}}}},
+        "reference 'x' of r changes 'gains.K_ld'; expected names that begin with reference. or initial_",
+    ),
+    ({**QUICK, "imperfections": {"nominal": {"delay": 0.001}}}, "an imperfection is called 'nominal'"),
     ({**QUICK, "imperfections": {"x": {"wind": 1.0}}}, "unknown imperfection 'wind'"),
     ({**QUICK, "imperfections": {"x": {"delay": "long"}}}, "'delay' of 'x' is 'long'; expected a number"),
     ({**QUICK, "imperfections": {"x": {"stiffness": -1.0}}}, "'stiffness' is -1.0; expected a positive factor"),
@@ -259,9 +316,14 @@ def test_a_suite_that_does_not_fit_is_one_sentence(document: Any, words: str) ->
             {"scenario": "paper_k31", "references": {"x": {"reference.frequenzy": [1.0]}}},
             "did you mean 'reference.freq",
         ),
+        ({"scenario": "observed.yaml"}, "robot 'r': the scenario sets measurement.velocity; .* use 'imperfections'"),
     ],
 )
-def test_a_robot_that_cannot_be_is_one_sentence(robot: dict[str, Any], words: str) -> None:
+def test_a_robot_that_cannot_be_is_one_sentence(
+    robot: dict[str, Any], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "observed.yaml").write_text("/**: {ros__parameters: {measurement.velocity: observer}}\n")
     chosen = suite.read("mine", {**QUICK, "robots": {"r": robot}})
     with pytest.raises(FjrError, match=words):
         suite.scenario_texts(chosen.robots[0])

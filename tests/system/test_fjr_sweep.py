@@ -125,6 +125,14 @@ def test_what_cannot_be_is_one_sentence(tmp_path: Path, change: list[str], words
     assert words in said
 
 
+def test_a_parameter_whose_name_is_no_text_is_one_sentence(tmp_path: Path) -> None:
+    name = sweep_file(tmp_path)
+    Path(name).write_text(Path(name).read_text() + "set: {5: 1}\n")
+    said = fjr("sweep", name, "--output", str(tmp_path), code=2)
+    assert "the name of a parameter is 5; expected text" in said
+    assert "Traceback" not in said
+
+
 def test_an_unknown_name_and_a_wrong_file_are_one_sentence(tmp_path: Path) -> None:
     assert "or of the sweeps paper_joint" in fjr("sweep", "no_such", code=2)
     wrong = Path(sweep_file(tmp_path))

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
-import fjr_core
 from fjr_bringup.suite import LawChoice, Suite, scenario_texts
 from fjr_core.campaign import ClosedLoop
-from fjr_core.compare import Trial, directions, needs
+from fjr_core.compare import Needs, Trial, directions, needs
 from fjr_core.compare.columns import Column, column
+from fjr_core.compile import can_compile
 from fjr_core.errors import CompareError, FjrError
+from fjr_core.program_digest import program_digest
 from fjr_core.scenario import Scenario, parse_scenario
 
 DRAWN = 600  # points of a trace
@@ -47,7 +48,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """What the result depends on: this job, and the source of fjr_core and of this module."""
+        """What the result depends on: this job, fjr_core, CasADi, whether the loop is compiled, and this module."""
         return hashlib.sha256((json.dumps(asdict(self)) + _source()).encode()).hexdigest()[:32]
 
 
@@ -62,6 +63,7 @@ def work(job: Job, tell: Tell) -> Result:
     """Do it all; `tell` gets how much of it is done, 0 to 1. The same numbers every time, in plain values."""
     scenarios = {label: parse_scenario(job.robot, text) for label, text in job.scenarios}
     first = next(iter(scenarios.values()))
+    wanted = {label: _needs(job, label, scenario) for label, scenario in scenarios.items()}
     try:
         chosen = column(job.law.law, job.law.robust, first)
     except FjrError as error:
@@ -70,14 +72,14 @@ def work(job: Job, tell: Tell) -> Result:
     found: Result = {}
     runs = 0
     for done, (label, scenario) in enumerate(scenarios.items(), 1):
-        trial = _trial(job, scenario, chosen)
+        trial = _trial(job, scenario, chosen, wanted[label])
         each = trial.cells(list(job.imperfections.values()))
         cells[label] = {name: asdict(cell) for name, cell in zip(job.imperfections, each, strict=True)}
         found = found or {**_margins(job, trial), "trace": _trace(trial)}
         runs += len(each) + len(trial.looked_at)
         tell(done / len(scenarios))
     return {
-        "robot": _robot(job, scenarios),
+        "robot": _robot(first, wanted),
         "gains": dict(chosen.gains),
         "tuning": chosen.tuning,
         "effort_limit_nm": chosen.effort_limit.tolist(),
@@ -97,8 +99,15 @@ def _margins(job: Job, trial: Trial) -> Result:
     return {"margins": {name: asdict(edge) for name, edge in edges.items()}, "curves": curves}
 
 
-def _trial(job: Job, scenario: Scenario, chosen: Column) -> Trial:
-    wanted = needs(scenario.robot, scenario.reference)
+def _needs(job: Job, label: str, scenario: Scenario) -> Needs:
+    """Of the reference; first of all, for no law can be tuned along one that stands still."""
+    try:
+        return needs(scenario.robot, scenario.reference)
+    except CompareError as error:
+        raise CompareError(f"'{label}' of {job.robot}: {error}") from None
+
+
+def _trial(job: Job, scenario: Scenario, chosen: Column, wanted: Needs) -> Trial:
     loop = ClosedLoop(
         scenario.plant.robot,
         chosen.law,
@@ -113,15 +122,13 @@ def _trial(job: Job, scenario: Scenario, chosen: Column) -> Trial:
     return Trial(loop, wanted, chosen.effort_limit, job.tracks)
 
 
-def _robot(job: Job, scenarios: Mapping[str, Scenario]) -> Result:
+def _robot(first: Scenario, wanted: Mapping[str, Needs]) -> Result:
     """What is the same for every law."""
-    first = next(iter(scenarios.values()))
-    found = {label: needs(s.robot, s.reference) for label, s in scenarios.items()}
     return {
         "joints": list(first.joints),
         "sample_period_s": first.sample_period,
         "references": {
-            label: {"motion_rad": each.motion, "torque_nm": each.torque.tolist()} for label, each in found.items()
+            label: {"motion_rad": each.motion, "torque_nm": each.torque.tolist()} for label, each in wanted.items()
         },
     }
 
@@ -144,7 +151,4 @@ def _numbers(values: np.ndarray) -> list[float | None]:
 
 @cache
 def _source() -> str:
-    digest = hashlib.sha256()
-    for path in (*sorted(Path(fjr_core.__file__).parent.rglob("*.py")), Path(__file__)):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    return program_digest(can_compile()) + Path(__file__).read_text(encoding="utf-8")

@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, wait
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from tqdm import tqdm
 from fjr_bringup.compare_job import Job, Result, work
 from fjr_bringup.stopping import Interrupted
 from fjr_bringup.words import plural
+from fjr_core.errors import CompareError
 from fjr_core.scenario import parse_scenario
 
 QUIET = 2.0  # s without a progress bar
@@ -29,7 +30,7 @@ _told: Any = None
 def run(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event) -> list[Result]:
     """Results in the order of the jobs; each is written into the folder `kept` as it comes.
 
-    Raises FjrError of a job, and Interrupted when `stop` is set.
+    Raises FjrError of a job, CompareError where a worker died, and Interrupted when `stop` is set.
     """
     kept.mkdir(parents=True, exist_ok=True)
     results = {job.key: _read(kept, job) for job in jobs}
@@ -50,14 +51,20 @@ def _computed(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event
     pool = ProcessPoolExecutor(min(cores, len(jobs)), context, _begin, (told,))
     try:
         futures = {pool.submit(_done, job, kept): job for job in jobs}
+        pool.submit(os.getpid)  # the pool sees the death of those workers only that were there when it last woke up
         _follow(futures, told, stop, kept)
         return {job.key: future.result() for future, job in futures.items()}
+    except BrokenExecutor:
+        raise CompareError(
+            f"a process that ran a law has ended (killed, or short of memory); what is finished is in {kept}, "
+            "expected them all to end by themselves: the same command goes on, with fewer --cores in less memory"
+        ) from None
     finally:
         _end(pool)
 
 
 def _follow(futures: dict[Future[Result], Job], told: Any, stop: threading.Event, kept: Path) -> None:
-    """Wait for all, with a bar; ends at the first that fails."""
+    """Wait for all, with a bar; raises what the first that fails has raised."""
     parts: dict[str, float] = dict.fromkeys((job.key for job in futures.values()), 0.0)
     with _bar(len(futures)) as bar:
         while True:
@@ -69,7 +76,10 @@ def _follow(futures: dict[Future[Result], Job], told: Any, stop: threading.Event
             bar.update(sum(parts.values()) - bar.n)
             if stop.is_set():
                 raise Interrupted(kept if any(kept.glob("*.json")) else None)
-            if not waiting or any(future.exception() for future in finished):
+            failed = next((error for future in finished if (error := future.exception())), None)
+            if failed is not None:  # the others are not waited for
+                raise failed
+            if not waiting:
                 return
 
 

@@ -94,6 +94,8 @@ def _brief(value: Any) -> str:
 
 def _nodes_with(name: str, given: Mapping[str, Mapping[str, object]], folder: Path) -> list[str]:
     """The nodes that have a parameter; raises ParameterError for a name that none has."""
+    if not isinstance(name, str):
+        raise ParameterError(f"the name of a parameter is {name!r}; expected text")
     by_node = {node: _parameter_names(node, values, folder) for node, values in given.items()}
     nodes = [node for node, names in by_node.items() if name in names]
     if not nodes:

@@ -13,6 +13,7 @@ from ament_index_python.packages import get_package_share_directory
 
 from fjr_bringup import scenarios
 from fjr_core import parameter_file
+from fjr_core.campaign.scope import refuse_what_is_left_out
 from fjr_core.compare.axes import directions, known
 from fjr_core.compare.trial import TRACKS
 from fjr_core.errors import CompareError, FjrError
@@ -21,6 +22,7 @@ from fjr_core.robust import Robust
 REQUIRED = ("laws", "robots")
 KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks")
 NOMINAL = "nominal"
+CHANGED = ("reference.", "initial_")  # what the references of a robot may differ in
 ROBUST = tuple(each.name for each in fields(Robust) if each.name != "hold")
 
 
@@ -137,9 +139,9 @@ def _law(given: Any) -> LawChoice:
 def _known_law(name: Any) -> str:
     from fjr_core.laws import LAWS
 
-    if name not in LAWS:
+    if not isinstance(name, str) or name not in LAWS:
         raise CompareError(f"unknown law '{name}': expected one of {', '.join(LAWS)}")
-    return str(name)
+    return name
 
 
 def _robot(label: str, given: Any) -> RobotChoice:
@@ -150,6 +152,13 @@ def _robot(label: str, given: Any) -> RobotChoice:
     name = str(options.get("scenario", label))
     references = _mapping(f"'references' of {label}", options.get("references") or {"scenario": {}})
     changes = {str(key): _mapping(f"reference '{key}' of {label}", value or {}) for key, value in references.items()}
+    for reference, each in changes.items():
+        for key in each:
+            if not str(key).startswith(CHANGED):
+                raise CompareError(
+                    f"reference '{reference}' of {label} changes '{key}'; expected names that begin with "
+                    f"{' or '.join(CHANGED)}: the robot is the same along all of them"
+                )
     return RobotChoice(str(label), name, changes)
 
 
@@ -157,15 +166,25 @@ def scenario_texts(robot: RobotChoice) -> tuple[tuple[str, str], ...]:
     """(reference, scenario's text) for each reference of a robot; raises CompareError or FjrError naming it."""
     path = scenarios.find(robot.scenario)
     try:
-        return tuple((label, scenarios.as_run(path, changes)[0]) for label, changes in robot.references.items())
+        return tuple((label, _text(path, changes)) for label, changes in robot.references.items())
     except FjrError as error:
         raise CompareError(f"robot '{robot.label}': {error}") from None
+
+
+def _text(path: Path, changes: Mapping[str, Any]) -> str:
+    text, scenario = scenarios.as_run(path, changes)
+    refuse_what_is_left_out(scenario, "a suite says these itself, use 'imperfections'")
+    return text
 
 
 def _imperfections(given: Any) -> dict[str, dict[str, float]]:
     """By name, the nominal plant first."""
     found: dict[str, dict[str, float]] = {NOMINAL: {}}
     for name, levels in _mapping("'imperfections'", given).items():
+        if str(name) == NOMINAL:
+            raise CompareError(
+                f"an imperfection is called '{NOMINAL}'; expected another name: that is the plant without"
+            )
         each = _mapping(f"imperfection '{name}'", levels or {})
         numbers = {axis: _number(f"'{axis}' of '{name}'", level, lambda _: True) for axis, level in each.items()}
         found[str(name)] = {axis: known(axis).checked(level) for axis, level in numbers.items()}

@@ -69,6 +69,14 @@ def machine() -> list[str]:
     return [*compiler, _version(compiler), *OPTIONS, _processor()]
 
 
+def can_compile() -> bool:
+    """Whether a C compiler is here."""
+    try:
+        return bool(_compiler())
+    except CompileError:
+        return False
+
+
 def is_whole(library: Path) -> bool:
     """Whether a shared object is there, as it was made."""
     return _is_whole(library, library.with_suffix(".lock"))

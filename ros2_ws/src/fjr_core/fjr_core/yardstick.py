@@ -109,8 +109,8 @@ class Yardstick:
 
 
 def alike(one: float, other: float, tolerance: float) -> bool:
-    """Whether two positive numbers are equal to a relative tolerance."""
-    return abs(one / other - 1) <= tolerance
+    """Whether two numbers, 0 or more, are equal to a tolerance relative to the other."""
+    return abs(one - other) <= tolerance * other
 
 
 def _scale(robot: Robot) -> Array:

@@ -69,6 +69,11 @@ class ClosedLoop:
                 raise StateError(f"{name} is {getattr(self, name)}; expected a positive finite number")
         if not 0 <= self.settle_after < self.duration:
             raise StateError(f"settle_after is {self.settle_after} s; expected 0 to less than {self.duration} s")
+        if self._first > self._samples:
+            raise StateError(
+                f"no sample of {self.sample_period:g} s lies between settle_after, {self.settle_after:g} s, and the "
+                f"end, {self.duration:g} s; expected at least one"
+            )
         if self.inner_steps < 1:
             raise StateError(f"inner_steps is {self.inner_steps}; expected 1 or more")
 
@@ -126,6 +131,11 @@ class ClosedLoop:
     def _samples(self) -> int:
         return int(self.duration / self.sample_period + 1e-9)
 
+    @property
+    def _first(self) -> int:
+        """The first sample whose error counts."""
+        return int(np.ceil(self.settle_after / self.sample_period - 1e-9))
+
     @cached_property
     def _t(self) -> Array:
         return np.asarray(self.sample_period * np.arange(self._samples + 1))
@@ -136,7 +146,7 @@ class ClosedLoop:
         positions, velocities = np.split(np.asarray(self.x0), 2)[0], np.hstack(self.robot.velocities(self.x0))
         return {
             "samples": self._samples,
-            "first": int(np.ceil(self.settle_after / self.sample_period - 1e-9)),
+            "first": self._first,
             "last_second": max(0, self._samples - round(LAST / self.sample_period)),
             "period": self.sample_period,
             "lost": self.lost,

@@ -85,7 +85,7 @@ def stream(name: str) -> int:
 def read(name: str, given: object) -> Distribution:
     """A distribution as a sweep's file has it; raises ParameterError."""
     if isinstance(given, (int, float)) and not isinstance(given, bool):
-        return Distribution(FIXED, (float(given),))
+        return Distribution(FIXED, _numbers(name, [given]))
     if isinstance(given, Sequence) and not isinstance(given, str):
         return Distribution(FIXED, _numbers(name, given))
     if not isinstance(given, Mapping):
@@ -113,7 +113,7 @@ def _checked(name: str, one: Distribution) -> Distribution:
 def _numbers(name: str, given: object) -> tuple[float, ...]:
     try:
         numbers = np.array(given, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = np.array(np.nan)
     if numbers.ndim != 1 or not len(numbers) or not np.all(np.isfinite(numbers)):
         raise ParameterError(f"'{name}' has {given!r}; expected a list of finite numbers")

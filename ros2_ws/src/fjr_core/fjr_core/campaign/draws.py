@@ -76,13 +76,14 @@ class Draws:
 
     def columns(self, name: str, n: int) -> Array:
         """One field as (k, n), or (k, 1) of what is one number a run, (k, 3) of payload_position."""
-        value, width = np.asarray(getattr(self, name)), 1 if name in PER_RUN else _width(name, n)
-        column = value[:, None] if value.ndim == 1 and value.shape == (self.runs,) else value
-        if column.ndim and column.shape[-1] not in (1, width):
+        value, most = np.asarray(getattr(self, name)), 1 if name in PER_RUN else width(name, n)
+        each = value.shape == (self.runs,) and name != "payload_position"  # whose one list is always x, y, z
+        column = value[:, None] if each else value
+        if column.ndim and column.shape[-1] not in (1, most):
             raise ParameterError(
-                f"{name} has shape {value.shape}; expected a scalar, ({self.runs},) or {(self.runs, width)}"
+                f"{name} has shape {value.shape}; expected a scalar, ({self.runs},) or {(self.runs, most)}"
             )
-        return np.ascontiguousarray(np.broadcast_to(column, (self.runs, width)))
+        return np.ascontiguousarray(np.broadcast_to(column, (self.runs, most)))
 
     def taken(self, which: slice | Iterable[int]) -> Draws:
         """Some of the runs, as they are: with their seeds."""
@@ -125,7 +126,8 @@ def _frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
     return array
 
 
-def _width(name: str, n: int) -> int:
+def width(name: str, n: int) -> int:
+    """How many numbers a level that is not PER_RUN has in a run of a robot with n joints."""
     return 3 if name == "payload_position" else n
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..compile import loaded
 from ..numeric import dense_function
+from ..program_digest import program_digest
 from ..robot import Robot
 from ..sampled_law import ARGUMENTS, SampledLaw
 from .uncertain import UncertainPlant, size
@@ -70,8 +71,9 @@ class Program:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Tells apart programs whose numbers may differ."""
-        parts = [function.serialize() for function in self.functions.values()] + [_text(name) for name in SOURCES]
+        """Tells apart programs whose numbers may differ, also those with and without machine code."""
+        around = program_digest(self.library is not None)
+        parts = [function.serialize() for function in self.functions.values()] + [around]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     @cached_property

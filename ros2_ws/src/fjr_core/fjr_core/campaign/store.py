@@ -118,6 +118,10 @@ def _check(folder: Path, sweep: Sweep, program: str) -> None:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
+        if any(folder.glob("*.parquet")) or any(folder.glob("parts/*.parquet")):
+            raise StoreError(
+                f"{folder} holds runs, but no campaign.json that says of what; expected both, or another --output"
+            ) from None
         with _whole(path) as scratch:
             scratch.write_text(json.dumps(wanted, indent=1), encoding="utf-8")
         return
@@ -129,7 +133,8 @@ def _check(folder: Path, sweep: Sweep, program: str) -> None:
         raise StoreError(f"{folder} holds another campaign ({said}); expected the same one, or another --output")
     if found.get("program") != program:
         raise StoreError(
-            f"{folder} was begun by another version of this program; expected the same, or another --output"
+            f"{folder} was begun by another version of this program (source, CasADi, with or without a C compiler); "
+            "expected the same, or another --output"
         )
 
 

@@ -20,8 +20,9 @@ from ..scenario import Scenario, parse_scenario
 from . import counted, distributions
 from .closed_loop import ClosedLoop
 from .distributions import Distribution
-from .draws import LEVELS, PER_RUN, SMOOTHING, Draws
+from .draws import LEVELS, PER_RUN, SMOOTHING, Draws, width
 from .outcomes import FIELDS, PER_JOINT, Outcomes
+from .scope import refuse_what_is_left_out
 from .uncertain import FRICTION
 
 MEASURES = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
@@ -64,12 +65,17 @@ class Sweep:
             raise ParameterError(f"'runs' is {self.runs}; expected 1 to {MOST_RUNS}")
         if not 0 <= self.seed < 2**64:
             raise ParameterError(f"'seed' is {self.seed}; expected 0 to 2^64 - 1")
-        for name in self.success:
+        for name, limit in self.success.items():
             if name not in MEASURES:
                 raise ParameterError(f"'success' has '{name}'; expected some of {', '.join(MEASURES)}")
+            if np.isnan(limit):
+                raise ParameterError(f"'success' has {limit} as '{name}'; expected a number")
+        refuse_what_is_left_out(self.scenario, "a sweep draws these itself, use 'vary'")
         for name, distribution in self.vary.items():
             self._check(name, distribution)
-        _ = self.draws(0, 1)
+        first = self.draws(0, 1)
+        for name in LEVELS:
+            _ = first.columns(name, self.scenario.robot.n)
 
     @cached_property
     def scenario(self) -> Scenario:
@@ -109,6 +115,8 @@ class Sweep:
             values = distribution.drawn(name, self.seed, begin, count, n)
             per_joint = distribution.kind == distributions.FIXED and values.ndim and name not in PER_RUN
             fixed[name] = np.tile(values, (count, 1)) if per_joint else values
+            if name == "payload_position" and not per_joint and values.ndim:  # one number a run, for x, y and z
+                fixed[name] = values[:, None]
         seeds = counted.rows((self.seed, distributions.stream(NOISE_SEED)), begin, count, 1)[:, 0]
         return Draws(count, **fixed, seed=seeds)
 
@@ -159,11 +167,18 @@ class Sweep:
         if one.each_joint and (name in PER_RUN or name == "payload_position"):
             raise ParameterError(f"'{name}' has each_joint; it is one for all joints")
         if one.kind == distributions.FIXED:
+            self._check_fixed(name, len(one.numbers))
             return
         try:
             Draws(2, **{name: np.array(one.range)})
         except ParameterError as error:
             raise ParameterError(f"'vary': {error}, whatever is drawn") from None
+
+    def _check_fixed(self, name: str, given: int) -> None:
+        most = 1 if name in PER_RUN else width(name, self.scenario.robot.n)
+        if given not in (1, most):
+            expected = "a single one" if most == 1 else f"1 or {most}"
+            raise ParameterError(f"'vary': {name} has {given} numbers; expected {expected}")
 
 
 _PLAIN = ("name", "scenario_text", "runs", "duration", "seed", "settle_after", "band", "lost")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -69,12 +70,17 @@ def usual(scenario: str, sample_period: float) -> SweepFile:
 
 
 def _whole(name: str, value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _is_finite(value) or value != int(value):
         raise ParameterError(f"has {value!r} as '{name}'; expected a whole number")
     return int(value)
 
 
 def _number(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _is_finite(value):
         raise ParameterError(f"has {value!r} as '{name}'; expected a number")
     return float(value)
+
+
+def _is_finite(value: float) -> bool:
+    """Whether a double can hold a number, or a whole number of any size."""
+    return abs(value) <= sys.float_info.max

@@ -14,6 +14,17 @@ from numpy.typing import ArrayLike
 from ..errors import ParameterError
 
 LONGEST_PREFIX = 40
+_TARGETS = (
+    "all all_build clean depend edit_cache help install list_install_components package package_source preinstall "
+    "rebuild_cache run_tests test zero_check"
+)
+_HEADERS = (
+    "alloca assert complex ctype endian errno features fenv float inttypes iso646 limits locale math memory setjmp "
+    "signal stdalign stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string strings tgmath threads "
+    "time uchar unistd wchar wctype"
+)
+RESERVED = frozenset(f"{_TARGETS} {_HEADERS} replay case c m".split())
+"""What <prefix>.h, <prefix>.c or the target <prefix> would stand in the way of, in small letters."""
 ON_A_LINE = 6
 
 _QUIET = """\
@@ -27,14 +38,20 @@ _QUIET = """\
 def prefix_of(name: str) -> str:
     """A name as the beginning of C identifiers: paper_k31 of paper_k31, arm_7_b of "arm-7 b"."""
     plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")[:LONGEST_PREFIX]
-    return plain if plain[:1].isalpha() else f"loop_{plain}".rstrip("_")
+    if plain[:1].isalpha() and plain.lower() not in RESERVED:
+        return plain
+    return f"loop_{plain}"[:LONGEST_PREFIX].rstrip("_")
 
 
 def checked_prefix(prefix: str) -> str:
-    """The prefix, if C identifiers can begin with it; raises ParameterError."""
+    """The prefix, if C identifiers can begin with it and its files are in nothing's way; raises ParameterError."""
     if not re.fullmatch(rf"[A-Za-z][A-Za-z0-9_]{{0,{LONGEST_PREFIX - 1}}}", prefix):
         raise ParameterError(
             f"prefix is '{prefix}'; expected a letter, then letters, digits or '_', at most {LONGEST_PREFIX}"
+        )
+    if prefix.lower() in RESERVED:
+        raise ParameterError(
+            f"prefix is '{prefix}', which a header of C, CMake or the export itself is called; expected another one"
         )
     return prefix
 
