@@ -118,10 +118,9 @@ def _done(job: Job, kept: Path) -> Result:
 
 def _end(pool: ProcessPoolExecutor) -> None:
     """Nothing is waited for: what is unfinished is done again another time."""
-    workers = list((pool._processes or {}).values())
-    pool.shutdown(wait=False, cancel_futures=True)
-    for worker in workers:
+    for worker in list((pool._processes or {}).values()):
         worker.terminate()
+    pool.shutdown(cancel_futures=True)  # waits for the thread that minds the workers, else it may outlive its pipes
 
 
 def _read(kept: Path, job: Job) -> Result | None:
