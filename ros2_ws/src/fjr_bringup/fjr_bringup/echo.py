@@ -13,8 +13,10 @@ from typing import Any
 
 import rclpy
 import yaml
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from fjr_bringup.recorder import adapted_qos
 from fjr_bringup.schemas import message_class
@@ -27,6 +29,10 @@ PATIENCE = 2.0  # s of silence before it is said
 
 class EchoError(FjrError):
     """A topic without messages."""
+
+
+class TopicError(FjrError):
+    """A name that no topic can have."""
 
 
 def echo(topic: str, count: int | None, timeout: float, stop: threading.Event) -> int:
@@ -46,8 +52,15 @@ def echo(topic: str, count: int | None, timeout: float, stop: threading.Event) -
 
 
 def absolute(topic: str) -> str:
-    """A topic's name from the root."""
-    return topic if topic.startswith("/") else f"/{topic}"
+    """A topic's name from the root; raises TopicError where that is none."""
+    name = topic if topic.startswith("/") else f"/{topic}"
+    try:
+        validate_full_topic_name(name)
+    except InvalidTopicNameException:
+        raise TopicError(
+            f"'{topic}' is no topic's name; expected letters, digits, _ and single /, e.g. /joint_states"
+        ) from None
+    return name
 
 
 def text(message: Any) -> str:
