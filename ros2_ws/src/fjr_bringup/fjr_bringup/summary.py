@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from fjr_bringup.bag import Bag, read_bag
-from fjr_bringup.comparison_page import write_comparison
-from fjr_bringup.comparison_plots import Compared
 from fjr_bringup.pictures import draw_overview
 from fjr_bringup.power import power
 from fjr_bringup.report import Report, make_report
 from fjr_bringup.run_page import write_run_page
+from fjr_bringup.side_by_side_page import write_comparison
+from fjr_bringup.side_by_side_plots import Compared
 from fjr_bringup.tracking_data import TrackingData, tracking_data
 from fjr_core.scenario import Scenario, load_scenario
 

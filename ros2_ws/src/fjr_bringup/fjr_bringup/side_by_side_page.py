@@ -9,9 +9,9 @@ from html import escape
 from pathlib import Path
 
 from fjr_bringup import page
-from fjr_bringup.comparison_plots import Compared, comparison_plots
 from fjr_bringup.plots import colour
 from fjr_bringup.report import Energy, Report, Storage
+from fjr_bringup.side_by_side_plots import Compared, side_by_side_plots
 from fjr_bringup.words import milliseconds, number, percent
 
 COLOURED = {"holding": "ok", "violated": "no", "unknown": "maybe"}
@@ -59,7 +59,7 @@ def write_comparison(path: Path, runs: Sequence[Compared]) -> None:
         page.figures(),
         page.footer(HOW),
     ]
-    page.write_page(path, title, body, comparison_plots(runs))
+    page.write_page(path, title, body, side_by_side_plots(runs))
 
 
 def _rows(runs: Sequence[Compared]) -> list[list[str]]:

@@ -28,7 +28,7 @@ class Compared:
     page: Path
 
 
-def comparison_plots(runs: Sequence[Compared]) -> list[Plot]:
+def side_by_side_plots(runs: Sequence[Compared]) -> list[Plot]:
     """All plots that the runs have something for, in the order of the page."""
     drawn = [errors(runs), efforts(runs), storages(runs), latencies(runs), periods(runs)]
     return [plot for plot in drawn if not plot.is_empty]
