@@ -186,8 +186,8 @@ class _Run:
 
     def _elapsed(self) -> float:
         """Stamped time [s] from the first to the latest answered state."""
-        first, last = self.recorder.first(ANSWERS), self.recorder.last(ANSWERS)
-        return (header_stamp(last) - header_stamp(first)) * 1e-9 if first else 0.0
+        ends = self.recorder.ends(ANSWERS)
+        return (header_stamp(ends[1]) - header_stamp(ends[0])) * 1e-9 if ends else 0.0
 
     def _wait(self, condition: Callable[[], bool], limit: float, what: str) -> None:
         deadline = time.monotonic() + limit
