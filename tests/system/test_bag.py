@@ -89,7 +89,7 @@ def recorded(node: Node, tmp_path: Path) -> tuple[Path, list[bytes]]:
 
 
 def test_the_elapsed_time_can_be_asked_for_while_messages_are_taken(tmp_path: Path) -> None:
-    """The first drain of the answers' topic asks for the elapsed time between any two messages, as another thread may."""
+    """Ask for the elapsed time between any two messages of the first drain, as another thread may."""
     elapsed: list[float] = []
     waiting = [(joint_state(k), {"publication_sequence_number": k}) for k in (0, 1500, 2000)]
     waiting = [(data, {**info, "received_timestamp": 1, "source_timestamp": 1}) for data, info in waiting]
