@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from fjr_bringup.bag import Array, Bag
+from fjr_bringup.controller_stop import ControllerStop
 from fjr_bringup.joint_figures import (
     AT_LIMIT,
     SETTLED,
@@ -121,6 +122,7 @@ class Report:
     lockstep: bool
     bag: str
     bag_complete: bool  # it was closed; else the run or its recorder was killed
+    stop: ControllerStop | None  # why and when the controller stopped; null: it never did
     verdict: Verdict
     missing: tuple[str, ...]  # what the bag does not hold, and what was taken instead
     tracking: Tracking
@@ -153,6 +155,7 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, dur
         lockstep=data.lockstep,
         bag=str(bag.path),
         bag_complete=bag.complete,
+        stop=data.stop,
         verdict=verdict(data, scenario),
         missing=data.notes,
         tracking=_tracking(data),

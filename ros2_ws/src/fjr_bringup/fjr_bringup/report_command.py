@@ -95,7 +95,7 @@ def _source(path: Path, scenario: str | None, output: Path | None) -> Source:
         raise scenarios.ScenarioError(
             f"no scenario for {path}: expected {SCENARIO} beside the bag, or --scenario NAME or FILE"
         )
-    name = (run or path).resolve().name if run or scenario is None else path.resolve().stem
+    name = _run_name(run) if run else (path.resolve().name if scenario is None else path.resolve().stem)
     beside = run if run is not None else path.with_name(f"{path.resolve().stem}_report")
     return Source(path, name, file, beside if output is None else output / name)
 
@@ -113,6 +113,12 @@ def _run_folder(path: Path) -> Path | None:
     """The folder of the run that a bag belongs to: the one with the scenario in it."""
     above = [path, *path.resolve().parents[:2]]
     return next((folder for folder in above if (folder / SCENARIO).is_file()), None)
+
+
+def _run_name(folder: Path) -> str:
+    """What a run was called: its scenario, or its folder where no report tells."""
+    name = _known(folder / FIGURES).get("scenario")
+    return Path(name).name if isinstance(name, str) and Path(name).name else folder.resolve().name
 
 
 def _inner(path: Path) -> Path:

@@ -37,16 +37,18 @@ HOW = (
 def write_run_page(path: Path, data: TrackingData, report: Report, flow: Power) -> None:
     """Write the page of a run."""
     body = [
-        page.header(kicker(report), title(report), report.verdict, (*failed(report), *report.missing)),
+        page.header(kicker(report), title(report), report.verdict, (*failed(report), *report.missing), report.stop),
         page.tiles(tiles(report)),
         page.figures(),
         page.table("Joint by joint", HEAD, [_row(each, j) for j, each in enumerate(report.joints)]),
         page.everything("All figures (report.json)", report.as_json()),
         page.footer(HOW),
     ]
-    page.write_page(
-        path, f"{report.scenario}: {page.HEADINGS[report.verdict.kind]}", body, run_plots(data, report, flow)
-    )
+    page.write_page(path, f"{report.scenario}: {_heading(report)}", body, run_plots(data, report, flow))
+
+
+def _heading(report: Report) -> str:
+    return report.stop.heading if report.stop else page.HEADINGS[report.verdict.kind]
 
 
 def title(report: Report) -> str:

@@ -76,6 +76,10 @@ def _name(run: Compared, number: int, folder: Path) -> str:
 
 
 def _verdict(report: Report) -> str:
+    if report.stop:
+        return (
+            f'<span class="no" title="{escape(report.stop.sentence, quote=True)}">{escape(report.stop.heading)}</span>'
+        )
     verdict = report.verdict
     words = page.HEADINGS[verdict.kind] + (f":<br>{escape(', '.join(verdict.causes))}" if verdict.causes else "")
     return f'<span class="{COLOURED[verdict.kind]}" title="{escape(verdict.sentence, quote=True)}">{words}</span>'

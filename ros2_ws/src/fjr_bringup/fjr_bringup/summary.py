@@ -93,7 +93,7 @@ def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
 
 
 def table(summaries: Sequence[RunSummary]) -> str:
-    """The figures that matter, one line per run."""
+    """The figures that matter, one line per run; above them why a controller stopped."""
     head = (
         "scenario",
         "peak effort",
@@ -105,11 +105,16 @@ def table(summaries: Sequence[RunSummary]) -> str:
     rows = [head, *(_row(summary.label, summary.report) for summary in summaries)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return "\n".join(["", lines[0], "-" * len(lines[0]), *lines[1:]])
+    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def stops(summaries: Sequence[RunSummary]) -> list[str]:
+    """A headline for each run in which the controller stopped."""
+    return [f"{each.label}: {each.report.stop.sentence}" for each in summaries if each.report.stop]
 
 
 def _row(label: str, report: Report) -> tuple[str, ...]:
-    tracking, counts, verdict = report.tracking, report.counts, report.verdict
+    tracking, counts = report.tracking, report.counts
     in_time = _number(counts.answered_in_time_fraction and 100 * counts.answered_in_time_fraction, "{:.2f} %")
     return (
         label + (" (lock-step)" if report.lockstep else ""),
@@ -117,8 +122,14 @@ def _row(label: str, report: Report) -> tuple[str, ...]:
         _number(tracking.max_error_after_2s_rad, "{:.1e} rad"),
         f"{in_time} of {counts.nominal}",
         _decay(report),
-        verdict.kind + (f": {', '.join(verdict.causes)}" if verdict.causes else ""),
+        _verdict(report),
     )
+
+
+def _verdict(report: Report) -> str:
+    if report.stop:
+        return "stopped"
+    return report.verdict.kind + (f": {', '.join(report.verdict.causes)}" if report.verdict.causes else "")
 
 
 def _decay(report: Report) -> str:

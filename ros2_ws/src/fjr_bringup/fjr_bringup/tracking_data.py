@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_bringup.bag import Array, Bag, Times
+from fjr_bringup.controller_stop import ControllerStop, controller_stop
 from fjr_bringup.recorded_commands import recorded_commands
 from fjr_bringup.recorded_reference import recorded_reference
 from fjr_bringup.recorded_states import STATES, States, recorded_states, with_velocities, without_jumps
@@ -56,6 +57,7 @@ class TrackingData:
     answered: Array  # (k,) s, send time of its command, NaN where none came
     reference_mismatch: float  # rad, recorded reference against the one computed here
     notes: tuple[str, ...] = field(default=())  # what is missing or made up for, a sentence each
+    stop: ControllerStop | None = None  # the controller's first stop, None: it never stopped
 
     @property
     def q_l(self) -> Array:
@@ -135,6 +137,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
         answered=np.where(answered >= 0, (answered - sent[0]) * 1e-9, np.nan),
         reference_mismatch=tracked.mismatch,
         notes=(*torn, *states.notes, *tracked.notes, *odd),
+        stop=controller_stop(bag, sent, t),
     )
 
 
