@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fjr_bringup import headlines
 from fjr_bringup.bag import Bag, read_bag
 from fjr_bringup.pictures import draw_overview
 from fjr_bringup.power import power
@@ -114,12 +115,12 @@ def stops(summaries: Sequence[RunSummary]) -> list[str]:
 
 
 def _row(label: str, report: Report) -> tuple[str, ...]:
-    tracking, counts = report.tracking, report.counts
+    counts = report.counts
     in_time = _number(counts.answered_in_time_fraction and 100 * counts.answered_in_time_fraction, "{:.2f} %")
     return (
         label + (" (lock-step)" if report.lockstep else ""),
-        f"{_plain(tracking.peak_effort_nm)}" + _share(tracking.largest_share_of_effort_limit),
-        _number(tracking.max_error_after_2s_rad, "{:.1e} rad"),
+        headlines.peak_effort_and_share(report, _effort),
+        headlines.steady_error(report, _error),
         f"{in_time} of {counts.nominal}",
         _decay(report),
         _verdict(report),
@@ -141,18 +142,18 @@ def _decay(report: Report) -> str:
     return f"{measured} ({basis}: {storage.guaranteed_decay_rate_per_s:.1f}) 1/s"
 
 
-def _plain(value: float) -> str:
+def _effort(value: float, unit: str) -> str:
     if not np.isfinite(value):
         return "-"
-    return f"{value:.2f} N m" if value < 1e6 else f"{value:.1e} N m"
+    return f"{value:.2f} {unit}" if value < 1e6 else f"{value:.1e} {unit}"
+
+
+def _error(value: float, unit: str) -> str:
+    return f"{value:.1e} {unit}" if np.isfinite(value) else "-"
 
 
 def _number(value: float | None, form: str) -> str:
     return "-" if value is None or not np.isfinite(value) else form.format(value)
-
-
-def _share(value: float | None) -> str:
-    return "" if value is None else f", {100 * value:.0f} % of a limit"
 
 
 def where_to_look(summaries: Sequence[RunSummary]) -> str:

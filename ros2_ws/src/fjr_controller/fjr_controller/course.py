@@ -175,10 +175,10 @@ class Course:
         if not far.any():
             return
         i = int(np.argmax(far))
-        joint = self.settings.joints[i]
+        joint, unit = self.settings.joints[i], self.settings.units[i].position
         sentence = (
-            f"start refused: |q_l - q_ld| of {joint} is {error[i]:.6g} rad; "
-            f"expected at most {limit[i]:.6g} rad, or a start.join_time above 0"
+            f"start refused: |q_l - q_ld| of {joint} is {error[i]:.6g} {unit}; "
+            f"expected at most {limit[i]:.6g} {unit}, or a start.join_time above 0"
         )
         self._stop(STARTS_REFUSED, sentence, joint, float(error[i]), float(limit[i]))
 
