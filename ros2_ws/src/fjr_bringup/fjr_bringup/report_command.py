@@ -85,6 +85,7 @@ def _report(source: Source, namespace: str) -> RunSummary:
 
 def _source(path: Path, scenario: str | None, output: Path | None) -> Source:
     """Where everything of a bag is; raises ScenarioError where no scenario is."""
+    path = _unlinked(path)
     run = _run_folder(path)
     if scenario is not None:
         file = scenarios.find(scenario)
@@ -113,6 +114,11 @@ def _run_folder(path: Path) -> Path | None:
     """The folder of the run that a bag belongs to: the one with the scenario in it."""
     above = [path, *path.resolve().parents[:2]]
     return next((folder for folder in above if (folder / SCENARIO).is_file()), None)
+
+
+def _unlinked(path: Path) -> Path:
+    """The folder that a link leads to, such as that to the newest run: what is written names it for good."""
+    return path.parent / path.readlink() if path.is_symlink() else path
 
 
 def _run_name(folder: Path) -> str:
