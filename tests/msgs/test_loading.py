@@ -11,10 +11,10 @@ import pytest
 
 LOADING = """
 import time
-from fjr_msgs_py.loading import ended_by_signals
-with ended_by_signals():
-    print("loading", flush=True)
-    time.sleep(60)
+from fjr_msgs_py.loading import end_on_signals
+end_on_signals()
+print("loading", flush=True)
+time.sleep(60)
 """
 
 

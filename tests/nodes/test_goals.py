@@ -10,10 +10,12 @@ import pytest
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from fjr_controller.goals import Code, Goal, Tolerances, tolerances
+from fjr_core.units import REVOLUTE
 from fjr_msgs_py.follow_messages import FollowMessages, Progress
 
 SECOND = 10**9
 JOINTS = ("a", "b")
+UNITS = (REVOLUTE, REVOLUTE)
 VALUES = {
     "constraints.trajectory": (0.1, 0.0),
     "constraints.goal": (0.02, 0.02),
@@ -24,7 +26,7 @@ VALUES = {
 
 def judged(t: float, q: tuple[float, float], dq: tuple[float, float] = (0.0, 0.0), **other: object) -> Code | None:
     """The code for errors t [s] after the beginning of a goal of 1 s."""
-    goal = Goal(JOINTS, SECOND, tolerances({**VALUES, **other}, 2))
+    goal = Goal(JOINTS, SECOND, tolerances({**VALUES, **other}, UNITS))
     outcome = goal.judge(round(t * SECOND), np.array(q), np.array(dq))
     return None if outcome is None else outcome.code
 
@@ -51,7 +53,7 @@ def test_without_a_goal_time_the_goal_is_waited_for() -> None:
 
 
 def test_the_sentence_names_joint_error_and_tolerance() -> None:
-    outcome = Goal(JOINTS, SECOND, tolerances(VALUES, 2)).judge(0, np.array([0.25, 0.0]), np.zeros(2))
+    outcome = Goal(JOINTS, SECOND, tolerances(VALUES, UNITS)).judge(0, np.array([0.25, 0.0]), np.zeros(2))
     assert outcome is not None
     assert outcome.sentence == "on the way, a is off by 0.25 rad; expected at most 0.1"
 
@@ -60,7 +62,7 @@ def test_a_goal_may_ask_for_other_tolerances_zero_keeps_and_negative_lifts_them(
     def entry(name: str, position: float, velocity: float) -> SimpleNamespace:
         return SimpleNamespace(name=name, position=position, velocity=velocity)
 
-    before = tolerances(VALUES, 2)
+    before = tolerances(VALUES, UNITS)
     path = [entry("b", 0.3, 0.4), entry("nobody", 1.0, 1.0)]
     after = before.asked(JOINTS, path, [entry("a", 0.0, -1.0)], -1.0)
     assert (after.path.tolist(), after.path_velocity.tolist()) == ([0.1, 0.3], [0.0, 0.4])

@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import tempfile
+import time
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import IO
 
@@ -40,11 +42,18 @@ class Executable:
         self._said.close()
 
 
-def fjr(*arguments: str, code: int = 0) -> str:
-    """Run the `fjr` command to its end; what it said."""
+def wait_for(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + TIME_LIMIT
+    while not condition():
+        assert time.monotonic() < end, f"{what} did not come within {TIME_LIMIT} s"
+        time.sleep(0.002)
+
+
+def fjr(*arguments: str, code: int = 0, codes: Collection[int] = ()) -> str:
+    """Run the `fjr` command to its end, with exit code `code` or one of `codes`; what it said."""
     command = [Path(get_package_prefix("fjr_bringup")) / "lib" / "fjr_bringup" / "fjr", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=150)
-    assert done.returncode == code, done.stdout + done.stderr
+    assert done.returncode in (codes or (code,)), done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done.stdout + done.stderr
 

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,8 @@ from std_msgs.msg import String
 
 from fjr_bringup import schemas
 from fjr_bringup.bag import Bag, BagError, header_stamp, read_bag
-from fjr_bringup.recorder import Recorder
+from fjr_bringup.recorder import Recorder, Track
+from fjr_bringup.run import ANSWERS, _Run
 
 LIMIT = 20.0  # s
 COUNT = 300
@@ -84,6 +86,26 @@ def recorded(node: Node, tmp_path: Path) -> tuple[Path, list[bytes]]:
         until(lambda: recorder.last("/joint_states") == sent[-1])
     assert recorder.failure is None
     return tmp_path / "bag", sent
+
+
+def test_the_elapsed_time_can_be_asked_for_while_messages_are_taken(tmp_path: Path) -> None:
+    """Ask for the elapsed time between any two messages of the first drain, as another thread may."""
+    elapsed: list[float] = []
+    waiting = [(joint_state(k), {"publication_sequence_number": k}) for k in (0, 1500, 2000)]
+    waiting = [(data, {**info, "received_timestamp": 1, "source_timestamp": 1}) for data, info in waiting]
+
+    def take_message(_kind: type, _raw: bool) -> tuple[bytes, dict[str, int]] | None:
+        elapsed.append(_Run._elapsed(SimpleNamespace(recorder=recorder)))
+        return waiting.pop(0) if waiting else None
+
+    recorder = Recorder(tmp_path / "bag")
+    subscription = SimpleNamespace(handle=SimpleNamespace(take_message=take_message), msg_type=JointState)
+    channel = recorder.writer.add_topic(ANSWERS, JOINT_STATE, [], "")
+    recorder._tracks[ANSWERS] = Track(subscription, channel, [])
+    with recorder:
+        until(lambda: len(elapsed) > 4 or recorder.failure is not None)
+    assert recorder.failure is None
+    assert set(elapsed) == {0.0, 2.0}
 
 
 def test_every_byte_is_in_the_bag_in_order(recorded: tuple[Path, list[bytes]]) -> None:
@@ -227,7 +249,8 @@ import sys, time
 from pathlib import Path
 import rclpy
 from std_msgs.msg import String
-from fjr_bringup.recorder import Recorder
+from fjr_bringup.recorder import Recorder, Track
+from fjr_bringup.run import ANSWERS, _Run
 recorder = Recorder(Path(sys.argv[1])).start()
 rclpy.init()
 node = rclpy.create_node("talker")

@@ -18,6 +18,7 @@ import yaml
 from fjr_bringup import compare_job, compare_readme, compare_run, suite
 from fjr_bringup.compare_findings import count, findings
 from fjr_bringup.compare_rows import OURS, Row, Value, rows
+from fjr_bringup.exit_codes import Exit
 from fjr_core import program_digest
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.laws import LAWS
@@ -112,7 +113,8 @@ def test_what_ends_a_comparison_leaves_what_is_finished(tmp_path: Path, number: 
         until(lambda: not alive(ended.process.pid))  # the workers end, too
     finally:
         ended.kill()
-    assert (code, "stopped; what was recorded is in" in said) == ((0, True) if number == signal.SIGINT else (-9, False))
+    ctrl_c = number == signal.SIGINT
+    assert (code, "stopped; what was recorded is in" in said) == ((Exit.INTERRUPTED, True) if ctrl_c else (-9, False))
     assert "Traceback" not in said
     left = len(QUICK["laws"]) - len(list(kept.glob("*.json")))
     assert left

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,9 +14,10 @@ import pytest
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from fjr_bringup.exit_codes import Exit
 from nodes.harness import Peer, Ros, stamped
 from nodes.test_controller_node import paper_effort
-from system.executables import NODES, Executable, scenario
+from system.executables import NODES, Executable, scenario, wait_for
 
 pytestmark = pytest.mark.system
 
@@ -80,6 +82,35 @@ def test_runs_with_a_scenario_file_without_a_warning(ros: Ros, start, node: str,
     code, said = executable.end()
     assert code == 0
     assert "unknown parameter" not in said
+
+
+LOADED = {"python": os.path.realpath(sys.executable), "numpy": "_multiarray_umath", "casadi": "_casadi"}
+
+
+def has_loaded(executable: Executable, file: str) -> bool:
+    """Whether a file is mapped into the memory of a process, or the process has ended."""
+    try:
+        return file in Path(f"/proc/{executable.process.pid}/maps").read_text() or executable.process.poll() is not None
+    except OSError:
+        return executable.process.poll() is not None
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("loaded", LOADED)
+@pytest.mark.parametrize("program", ["plant", "controller", "fjr"])
+def test_a_signal_while_python_loads_ends_a_program_without_a_traceback(program: str, loaded: str, number: int) -> None:
+    """From the interpreter's first instruction on; before it only `sh` and `env` run."""
+    fjr = ("fjr_bringup", "fjr", "check", "paper_k31")
+    executable = Executable(*(fjr if program == "fjr" else NODES[program]))
+    try:
+        wait_for(lambda: has_loaded(executable, LOADED[loaded]), loaded)
+        executable.signal(number)
+        code, said = executable.end()
+    finally:
+        executable.kill()
+    assert code == (Exit.INTERRUPTED if program == "fjr" else 0), said
+    assert "Traceback" not in said
 
 
 def policies(pid: int) -> set[int]:

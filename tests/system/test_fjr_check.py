@@ -11,6 +11,7 @@ import pytest
 
 import fjr_core
 from fjr_bringup.cli import main
+from fjr_bringup.exit_codes import Exit
 from fjr_core.sampled_loop import check
 from fjr_core.scenario import load_scenario
 from system.executables import fjr, scenario
@@ -128,7 +129,8 @@ def test_an_unstable_scenario_is_refused_and_leaves_nothing(tmp_path: Path) -> N
 
 
 def test_force_runs_an_unstable_scenario(tmp_path: Path) -> None:
-    fjr("run", *SLOW, "--force", "--lockstep", "--duration", "0.3", "--output", str(tmp_path))
+    forced = ("run", *SLOW, "--force", "--lockstep", "--duration", "0.3", "--output", str(tmp_path))
+    assert "violated: sampling" in fjr(*forced, code=Exit.VIOLATED)
     report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
     assert report["counts"]["answered"] >= 18
     assert report["storage"]["leaves_bound_at_s"] is not None

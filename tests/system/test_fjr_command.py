@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -16,8 +15,9 @@ from ament_index_python.packages import get_package_share_directory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from fjr_bringup.exit_codes import Exit
 from nodes.harness import Listener, Ros
-from system.executables import NODES, TIME_LIMIT, Executable, fjr
+from system.executables import NODES, Executable, fjr, wait_for
 
 pytestmark = pytest.mark.system
 
@@ -33,13 +33,6 @@ def start() -> Iterator[Callable[..., Executable]]:
     yield starter
     for executable in started:
         executable.kill()
-
-
-def wait_for(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + TIME_LIMIT
-    while not condition():
-        assert time.monotonic() < end, f"{what} did not come within {TIME_LIMIT} s"
-        time.sleep(0.02)
 
 
 def children(pid: int) -> dict[str, int]:
@@ -86,7 +79,7 @@ def test_a_signal_ends_everything_and_the_bag_is_readable(ros: Ros, start, tmp_p
     assert {"plant_node", "controller_node"} <= set(nodes)
     command.signal(number)
     code, said = command.end()
-    assert code == 0, said
+    assert code == Exit.INTERRUPTED, said
     assert "Traceback" not in said
     assert "what was recorded is in" in said
     assert not any(is_alive(pid) for pid in nodes.values())
@@ -182,6 +175,27 @@ def test_a_scenario_file_that_is_none_is_explained(tmp_path: Path, text: str, ch
     path.write_text(text)
     said = fjr("run", str(path), *changes, "--output", str(tmp_path / "runs"), code=2)
     assert "broken" in said
+
+
+def test_a_controller_that_stopped_is_the_headline_and_every_run_is_kept(tmp_path: Path) -> None:
+    run = ("run", "paper_k31", "--lockstep", "--duration", "0.1", "--output", str(tmp_path), "--set")
+    refused = fjr(*run, "limits.start_error:=[0.1]", code=Exit.FAILED)
+    stopped = fjr(*run, "limits.tracking_error:=[0.2]", code=Exit.FAILED)
+    assert {path.name for path in tmp_path.iterdir()} == {"paper_k31", "paper_k31-001", "paper_k31-002"}
+    assert (tmp_path / "paper_k31").resolve() == tmp_path / "paper_k31-002"
+    reasons = {
+        "paper_k31-001": "The controller did not start: |q_l - q_ld| of joint1 is 0.5 rad; expected at most 0.1 rad",
+        "paper_k31-002": "The controller stopped at 0.001 s: tracking error of joint1: q_l - q_ld = ",
+    }
+    for said, (folder, reason) in zip((refused, stopped), reasons.items(), strict=True):
+        (verdict,) = (line.split()[-1] for line in said.splitlines() if line.startswith("paper_k31 (lock-step)"))
+        assert verdict == "stopped"
+        assert reason in said
+        stop = json.loads((tmp_path / folder / "report.json").read_text())["stop"]
+        assert reason in f"{stop['heading']}: {stop['reason']}"
+        assert (
+            f'<p class="verdict violated"><b>{stop["heading"]}</b>' in (tmp_path / folder / "report.html").read_text()
+        )
 
 
 def test_a_folder_that_is_no_run_is_not_replaced(tmp_path: Path) -> None:

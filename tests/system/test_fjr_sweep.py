@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from fjr_bringup import sweep_command
+from fjr_bringup.exit_codes import Exit
 from fjr_core.campaign.execution import ClusterError, carry_out, cluster
 from fjr_core.campaign.store import open_store
 from system.executables import Executable, fjr
@@ -99,7 +100,7 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
         code, said = running.end()
     finally:
         running.kill()
-    assert code == 0
+    assert code == Exit.INTERRUPTED
     assert f"what was recorded is in {tmp_path / 'joint'}" in said
 
 

@@ -58,7 +58,9 @@ class Workspace:
         return pins.fingerprint([str(path) for path in files], contents, pins.texts([Path(__file__)]))
 
     def _identity(self) -> list[str]:
-        return [str(self.path), *self.environment.identity()]
+        """What a build from nothing depends on; setup.cfg says where scripts go, and old ones must not stay."""
+        places = [file.read_text(encoding="utf-8") for file in sorted((self.path / "src").glob("*/setup.cfg"))]
+        return [str(self.path), *self.environment.identity(), pins.fingerprint(places)]
 
     def _colcon(self) -> None:
         """Run colcon by the environment's Python, which thereby becomes the one in the nodes' first line."""

@@ -13,6 +13,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
+        (f"lib/{package_name}", ["scripts/lib/fjr"]),
         (f"share/{package_name}/launch", glob("launch/*.launch.py")),
         (f"share/{package_name}/scenarios", glob("scenarios/*.yaml")),
         (f"share/{package_name}/sweeps", glob("sweeps/*.yaml")),
@@ -29,7 +30,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "fjr = fjr_bringup.cli:main",
+            "fjr = fjr_bringup.cli:program",
         ],
     },
 )

@@ -11,6 +11,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
+        (f"lib/{package_name}", ["scripts/controller_node"]),
     ],
     install_requires=["setuptools"],
     zip_safe=True,

@@ -6,28 +6,43 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from fjr_bringup.stopping import stoppable
-from fjr_msgs_py.loading import without_blas_threads
+from fjr_bringup.exit_codes import HELP, Exit
+from fjr_bringup.stopping import interruptible, uninterruptible
+from fjr_msgs_py.loading import end_on_signals, without_blas_threads
 
 DESCRIPTION = "Run scenarios on two real ROS 2 nodes, record everything, show what happened."
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code: 0 done or stopped by the user, 1 failed, 2 not understood."""
+def program() -> int:
+    """Run the executable `fjr`: main() with handlers for SIGINT and SIGTERM from the first moment."""
+    end_on_signals(Exit.INTERRUPTED)
+    try:
+        return main(loaded=interruptible)
+    except KeyboardInterrupt:
+        uninterruptible()
+        print("fjr: stopped", file=sys.stderr)
+        return Exit.INTERRUPTED
+
+
+def main(arguments: Sequence[str] | None = None, loaded: Callable[[], None] = lambda: None) -> int:
+    """Run the command; return its exit code (fjr_bringup.exit_codes). loaded: called when all modules are there."""
     options = parser().parse_args(arguments)
     without_blas_threads()
-    with stoppable() as stop:
-        from fjr_bringup.commands import execute  # ROS, CasADi and matplotlib load here
+    from fjr_bringup.commands import execute  # ROS, CasADi and matplotlib load here
 
-        return execute(options, stop)
+    loaded()
+    return execute(options)
 
 
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
-    top = argparse.ArgumentParser(prog="fjr", description=DESCRIPTION)
+    top = argparse.ArgumentParser(
+        prog="fjr", description=DESCRIPTION, epilog=HELP, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = top.add_subparsers(required=True, dest="command", metavar="COMMAND")
     demo = commands.add_parser("demo", help="the paper's two scenarios and a 7-joint arm in real time, with a table")
     run = commands.add_parser("run", help="one scenario")

@@ -6,32 +6,33 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-import threading
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
-from fjr_bringup import compare_command, contraction_run, gains_block, scenarios, stability, stopping, watch
+from fjr_bringup import compare_command, contraction_run, gains_block, scenarios, stability, watch
 from fjr_bringup.echo import echo
+from fjr_bringup.exit_codes import Exit
 from fjr_bringup.export_command import export_to
 from fjr_bringup.record_command import record
 from fjr_bringup.report_command import ReportError, report_bags, tell
 from fjr_bringup.ros2cli import refuse_where_better
 from fjr_bringup.run import Plan, RunError, discover_quickly, run
-from fjr_bringup.stopping import Interrupted
-from fjr_bringup.summary import RunSummary, compare, how_to_play, summarise, table, where_to_look
+from fjr_bringup.stopping import Interrupted, stoppable
+from fjr_bringup.summary import RunSummary, compare, how_to_play, stops, summarise, table, where_to_look
 from fjr_core.description import description
 from fjr_core.errors import CompareError, FjrError, ParameterError
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")
-DONE, FAILED, NOT_UNDERSTOOD = 0, 1, 2
 
 
-def execute(options: argparse.Namespace, stop: threading.Event) -> int:
+def execute(options: argparse.Namespace) -> Exit:
     """Run one command; every error is one sentence on stderr. Returns the exit code."""
     _tell_what_takes_long()
-    commands = {
+    commands: dict[str, Callable[[argparse.Namespace], Exit | None]] = {
         "demo": _demo,
         "run": _run,
         "report": _report,
@@ -48,17 +49,18 @@ def execute(options: argparse.Namespace, stop: threading.Event) -> int:
         "compare": _compare,
     }
     try:
-        commands[options.command](options, stop)
+        return commands[options.command](options) or Exit.DONE
     except Interrupted as interruption:
         kept = f"; what was recorded is in {interruption.kept}" if interruption.kept else "; nothing was recorded"
         print(f"fjr: stopped{kept}", file=sys.stderr)
+        return Exit.INTERRUPTED
     except FjrError as error:
         print(f"fjr: {error}", file=sys.stderr)
-        return NOT_UNDERSTOOD if isinstance(error, (scenarios.ScenarioError, ParameterError, CompareError)) else FAILED
+        invalid = isinstance(error, (scenarios.ScenarioError, ParameterError, CompareError))
+        return Exit.NOT_UNDERSTOOD if invalid else Exit.FAILED
     except (OSError, rclpy_implementation.RCLError) as error:
         print(f"fjr: {' '.join(str(error).split())}", file=sys.stderr)
-        return FAILED
-    return DONE
+        return Exit.FAILED
 
 
 def _tell_what_takes_long() -> None:
@@ -70,22 +72,31 @@ def _tell_what_takes_long() -> None:
     log.setLevel(logging.INFO)
 
 
-def _demo(options: argparse.Namespace, stop: threading.Event) -> None:
+def _demo(options: argparse.Namespace) -> Exit:
     plans = [_plan(name, {}, options) for name in DEMO]
-    summaries = [_record_and_report(plan, stop) for plan in plans]
+    summaries = [_record_and_report(plan) for plan in plans]
     _tell(summaries)
     print(f"side by side: {compare(summaries, options.output)}")
+    return _exit_of(summaries)
 
 
-def _run(options: argparse.Namespace, stop: threading.Event) -> None:
+def _run(options: argparse.Namespace) -> Exit:
     overrides = _overrides(options)
     if options.lockstep:
         overrides = {"realtime_priority": 0, **overrides, "lockstep": True}
-    _tell([_record_and_report(_plan(options.scenario, overrides, options, options.force), stop)])
+    summary = _record_and_report(_plan(options.scenario, overrides, options, options.force))
+    _tell([summary])
+    return _exit_of([summary])
 
 
-def _report(options: argparse.Namespace, _stop: threading.Event) -> None:
-    stopping.at_once()
+def _exit_of(summaries: Sequence[RunSummary]) -> Exit:
+    """The exit code of finished runs."""
+    if any(each.report.stop for each in summaries):
+        return Exit.FAILED
+    return Exit.VIOLATED if any(each.report.verdict.kind == "violated" for each in summaries) else Exit.DONE
+
+
+def _report(options: argparse.Namespace) -> None:
     namespace = f"/{options.namespace.strip('/')}" if options.namespace.strip("/") else ""
     summaries, failures = report_bags(options.bags, options.scenario, options.output, namespace)
     tell(summaries, failures[:-1], options.output)
@@ -93,7 +104,7 @@ def _report(options: argparse.Namespace, _stop: threading.Event) -> None:
         raise ReportError(failures[-1])
 
 
-def _check(options: argparse.Namespace, _stop: threading.Event) -> None:
+def _check(options: argparse.Namespace) -> None:
     _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
     found = stability.checked(scenario)
     print(stability.table(scenario, found), flush=True)
@@ -103,65 +114,71 @@ def _check(options: argparse.Namespace, _stop: threading.Event) -> None:
     stability.refuse_unstable(scenario, found)
 
 
-def _gains(options: argparse.Namespace, _stop: threading.Event) -> None:
+def _gains(options: argparse.Namespace) -> None:
     _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
     print(gains_block.text(scenario, options.beta, options.delay, options.everywhere), end="")
 
 
-def _scenarios(_options: argparse.Namespace, _stop: threading.Event) -> None:
+def _scenarios(_options: argparse.Namespace) -> None:
     for name, path in scenarios.known().items():
         print(f"{name:12}  {scenarios.summary(path)}")
 
 
-def _contraction(options: argparse.Namespace, stop: threading.Event) -> None:
+def _contraction(options: argparse.Namespace) -> None:
     _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
     wish = contraction_run.Wish(options.duration, options.starts, options.spread, options.seed)
-    print(contraction_run.run_and_draw(scenario, wish, options.run, options.output / "contraction", stop))
+    with stoppable() as stop:
+        print(contraction_run.run_and_draw(scenario, wish, options.run, options.output / "contraction", stop))
 
 
-def _description(options: argparse.Namespace, _stop: threading.Event) -> None:
+def _description(options: argparse.Namespace) -> None:
     _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
     print(description(scenario.plant_values), end="")
 
 
-def _sweep(options: argparse.Namespace, stop: threading.Event) -> None:
+def _sweep(options: argparse.Namespace) -> None:
     from fjr_bringup import sweep_command  # pyarrow loads here
 
     given = {"runs": options.runs, "seed": options.seed, "duration": options.duration}
     numbers = {name: value for name, value in given.items() if value is not None}
     wish = sweep_command.Wish(options.cores, options.scheduler, options.output, _overrides(options), numbers)
-    print(sweep_command.sweep(options.scenario, wish, stop))
+    with stoppable() as stop:
+        print(sweep_command.sweep(options.scenario, wish, stop))
 
 
-def _export_c(options: argparse.Namespace, _stop: threading.Event) -> None:
+def _export_c(options: argparse.Namespace) -> None:
     _, scenario = scenarios.as_run(scenarios.find(options.scenario), _overrides(options))
     print(export_to(scenario, options.folder, options.prefix, options.force))
 
 
-def _echo(options: argparse.Namespace, stop: threading.Event) -> None:
+def _echo(options: argparse.Namespace) -> None:
     refuse_where_better(f"ros2 topic echo {options.topic}", "with filters, fields and statistics", options.force)
     discover_quickly()
-    echo(options.topic, options.count, options.timeout, stop)
+    with stoppable() as stop:
+        echo(options.topic, options.count, options.timeout, stop)
 
 
-def _record(options: argparse.Namespace, stop: threading.Event) -> None:
+def _record(options: argparse.Namespace) -> None:
     wanted = " ".join(options.topics) or "--all"
     refuse_where_better(f"ros2 bag record --storage mcap {wanted}", "with splitting and compression", options.force)
     discover_quickly()
-    print(record(options.topics, options.output, options.duration, stop))
+    with stoppable() as stop:
+        print(record(options.topics, options.output, options.duration, stop))
 
 
-def _watch(options: argparse.Namespace, stop: threading.Event) -> None:
+def _watch(options: argparse.Namespace) -> None:
     limits = {}
     if options.scenario:
         limits = dict(watch.effort_limits(scenarios.as_run(scenarios.find(options.scenario), {})[1]))
     discover_quickly()
     wish = watch.Wish(options.namespace, tuple(options.remaps), options.controller, options.once)
-    watch.watch(wish, limits, stop)
+    with stoppable() as stop:
+        watch.watch(wish, limits, stop)
 
 
-def _compare(options: argparse.Namespace, stop: threading.Event) -> None:
-    print(compare_command.compare(options.suite, options.output, options.cores, options.readme, stop))
+def _compare(options: argparse.Namespace) -> None:
+    with stoppable() as stop:
+        print(compare_command.compare(options.suite, options.output, options.cores, options.readme, stop))
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:
@@ -180,21 +197,22 @@ def _plan(name: str | None, overrides: dict[str, Any], options: argparse.Namespa
     return Plan(path.stem, text, options.duration, options.output / path.stem, lockstep)
 
 
-def _record_and_report(plan: Plan, stop: threading.Event) -> RunSummary:
+def _record_and_report(plan: Plan) -> RunSummary:
     try:
-        skipped = run(plan, stop)
+        with stoppable() as stop:
+            recorded = run(plan, stop)
     except RunError as error:
         if error.kept:
-            _report_of_failure(plan, error)
+            _report_of_failure(plan.name, error.kept, error)
         raise
-    return summarise(plan.name, plan.folder, plan.duration, skipped)
+    return summarise(plan.name, recorded.folder, plan.duration, recorded.skipped)
 
 
-def _report_of_failure(plan: Plan, error: RunError) -> None:
+def _report_of_failure(name: str, folder: Path, error: RunError) -> None:
     """Report and pictures of what was recorded before a run failed, as far as there is anything to show."""
     with suppress(FjrError):
-        summary = summarise(plan.name, plan.folder, None, failure=str(error).partition("\n")[0])
-        print(where_to_look([summary]), file=sys.stderr)
+        summary = summarise(name, folder, None, failure=str(error).partition("\n")[0])
+        print("\n".join([*stops([summary]), where_to_look([summary])]), file=sys.stderr)
 
 
 def _tell(summaries: list[RunSummary]) -> None:

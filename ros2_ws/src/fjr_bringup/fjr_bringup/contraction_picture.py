@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -22,8 +23,8 @@ BOUND = COLOURS[1]
 PALETTE = COLOURS[:6]  # black is the measured trajectory
 
 
-def draw(name: str, joints: tuple[str, ...], measured: Measured, q_ld: Array, found: Contraction, path: Path) -> None:
-    """Write the picture; q_ld (k, n) [rad] is the reference at the measured instants."""
+def draw(name: str, joints: Sequence[str], measured: Measured, q_ld: Array, found: Contraction, path: Path) -> None:
+    """Write the picture. joints: names with units; q_ld (k, n): the reference at the measured instants."""
     shown = min(len(joints), SHOWN)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 7.4), layout="constrained")
@@ -53,7 +54,7 @@ def _positions(ax: Axes, joint: str, q_l: Array, q_ld: Array, t: Array, q_lv: Ar
         ax.plot(t[0], q_lv[0, i], "o", color=PALETTE[i % len(PALETTE)], ms=3.5)
     ax.plot(t, q_ld, color=GREY, lw=3.2, alpha=0.35, label="reference $q_{ld}$", zorder=1)
     ax.plot(t, q_l, color="black", lw=1.8, ls=(0, (4, 2)), label="measured $q_l$", zorder=5)
-    ax.set_ylabel(f"{joint} [rad]")
+    ax.set_ylabel(joint)
     ax.legend(loc="lower right", fontsize=8, frameon=False)
 
 

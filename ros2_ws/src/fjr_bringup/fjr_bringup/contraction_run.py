@@ -46,7 +46,8 @@ def run_and_draw(scenario: Scenario, wish: Wish, folder: Path | None, output: Pa
     found = run(scenario, measured, wish, stop)
     output.mkdir(parents=True, exist_ok=True)
     picture = output / f"{scenario.name}.png"
-    draw(scenario.name, scenario.joints, measured, scenario.reference.jets(measured.t)[:, 0], found, picture)
+    labels = [f"{joint} [{units.position}]" for joint, units in zip(scenario.joints, scenario.robot.units, strict=True)]
+    draw(scenario.name, labels, measured, scenario.reference.jets(measured.t)[:, 0], found, picture)
     picture.with_suffix(".json").write_text(json.dumps(figures(found), indent=2) + "\n", encoding="utf-8")
     warning = "" if scenario.plant_is_the_model else MISMATCH
     return f"{told(found, scenario.name)}\n{warning}picture and figures: {picture}, {picture.stem}.json"

@@ -17,9 +17,14 @@ AT_LIMIT = 1.0 - 1e-6  # of an effort limit: from there on a command is saturate
 
 @dataclass(frozen=True)
 class JointFigures:
-    """One joint. Errors in rad, efforts in N m, times in s; None: not known, or none is given."""
+    """One joint. Errors in rad, efforts in N m, times in s; None: not known, or none is given.
+
+    position_unit, effort_unit: of this joint's errors and efforts; m and N where it slides.
+    """
 
     joint: str
+    position_unit: str
+    effort_unit: str
     initial_error_rad: float
     peak_error_rad: float
     rms_error_rad: float
@@ -57,6 +62,8 @@ def _of(data: TrackingData, j: int) -> JointFigures:
     steady, sent = size[data.t >= STEADY_AFTER], effort[np.isfinite(effort)]
     return JointFigures(
         joint=data.joints[j],
+        position_unit=data.units[j].position,
+        effort_unit=data.units[j].effort,
         initial_error_rad=float(size[0]),
         peak_error_rad=float(size.max()),
         rms_error_rad=rms(size),

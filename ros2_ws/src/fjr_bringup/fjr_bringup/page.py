@@ -10,6 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
+from fjr_bringup.controller_stop import ControllerStop
 from fjr_bringup.plots import Plot, Pool
 from fjr_bringup.verdicts import Verdict
 
@@ -31,12 +32,19 @@ def _part(name: str) -> str:
     return (files("fjr_bringup") / "page" / name).read_text(encoding="utf-8")
 
 
-def header(kicker: str, title: str, verdict: Verdict | None, notes: Sequence[str]) -> str:
-    """The head of the page: what it is, the verdict in a sentence, what is missing."""
-    said = "" if verdict is None else verdict_line(verdict)
+def header(
+    kicker: str, title: str, verdict: Verdict | None, notes: Sequence[str], stop: ControllerStop | None = None
+) -> str:
+    """The head of the page: what it is, why the controller stopped or else the verdict, what is missing."""
+    said = stop_line(stop) if stop else "" if verdict is None else verdict_line(verdict)
     listed = "".join(f"<li>{escape(note)}</li>" for note in notes)
     notes_block = f'<ul class="notes">{listed}</ul>' if notes else ""
     return f'<header><p class="kicker">{escape(kicker)}</p><h1>{escape(title)}</h1>{said}{notes_block}</header>'
+
+
+def stop_line(stop: ControllerStop) -> str:
+    """Why the controller stopped, in the colour of a violation."""
+    return f'<p class="verdict violated"><b>{escape(stop.heading)}</b> <span>{escape(stop.reason)}</span></p>'
 
 
 def verdict_line(verdict: Verdict) -> str:

@@ -7,10 +7,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullLocator
 
+from fjr_bringup import headlines
 from fjr_bringup.bag import Array
 from fjr_bringup.joint_lines import COLOURS, DRAWABLE, colour, drawable, name_joints
 from fjr_bringup.report import STEADY_AFTER, Report
 from fjr_bringup.tracking_data import TrackingData
+from fjr_core.units import joined
 
 GREY = "#666666"
 ENLARGED = 2  # joints; of more the enlarged start would hide the rest
@@ -27,7 +29,7 @@ def tracking(ax: Axes, data: TrackingData) -> None:
     follows, many = error[-1] <= error[0], len(data.joints) > 1
     verb = ("follow" if many else "follows") if follows else ("do not follow" if many else "does not follow")
     title = f"The {'links' if many else 'link'} {verb} the reference (grey)"
-    ax.set(title=title, xlabel="t [s]", ylabel="$q_l$, $q_{ld}$ [rad]")
+    ax.set(title=title, xlabel="t [s]", ylabel=f"$q_l$, $q_{{ld}}$ [{joined(each.position for each in data.units)}]")
 
 
 def error(ax: Axes, data: TrackingData, report: Report) -> None:
@@ -41,10 +43,10 @@ def error(ax: Axes, data: TrackingData, report: Report) -> None:
     title = "Tracking error"
     if worst and worst < DRAWABLE:
         ax.hlines(worst, STEADY_AFTER, data.t[-1], color=GREY, lw=1.0, ls="--")
-        label = f"at most {_power(worst)} rad after 2 s"
+        label = f"at most {headlines.steady_error(report, _power_of)} after 2 s"
         ax.annotate(label, (data.t[-1], worst), (0, 4), textcoords="offset points", ha="right", color=GREY)
-        title = f"The error falls from {report.tracking.initial_error_rad:.2g} rad to {_power(worst)} rad"
-    ax.set(title=title, xlabel="t [s]", ylabel="$|q_l - q_{ld}|$ [rad]")
+        title = f"The error falls from {headlines.initial_error(report)} to {headlines.steady_error(report, _power_of)}"
+    ax.set(title=title, xlabel="t [s]", ylabel=f"$|q_l - q_{{ld}}|$ [{headlines.position_unit(report)}]")
 
 
 def storage(ax: Axes, data: TrackingData, report: Report) -> None:
@@ -109,9 +111,8 @@ def effort(ax: Axes, data: TrackingData, report: Report) -> None:
         zoom.set_xlim(-0.005, 0.25)
         zoom.set_title("first 0.25 s", fontsize=8, fontweight="normal", color=GREY, loc="center", pad=2)
         zoom.tick_params(labelsize=7)
-    tracking, share = report.tracking, report.tracking.largest_share_of_effort_limit
-    of_limit = "" if share is None else f" ({100 * share:.0f} % of limit)"
-    ax.set(title=f"The effort peaks at {tracking.peak_effort_nm:.4g} N m{of_limit}", xlabel="t [s]", ylabel="u [N m]")
+    title = f"The effort peaks at {headlines.peak_effort_and_share(report)}"
+    ax.set(title=title, xlabel="t [s]", ylabel=f"u [{headlines.effort_unit(report)}]")
 
 
 def _steps(ax: Axes, data: TrackingData) -> None:
@@ -157,6 +158,10 @@ def _marks(ax: Axes, microseconds: tuple[float, float, float]) -> None:
     text = "\n".join(f"{name}: {value * 1e-3:.2f} ms" for name, value in zip(names, microseconds, strict=True))
     box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5}
     ax.text(0.98, 0.97, text, transform=ax.transAxes, ha="right", va="top", color=GREY, bbox=box)
+
+
+def _power_of(value: float, unit: str) -> str:
+    return f"{_power(value)} {unit}"
 
 
 def _power(value: float) -> str:

@@ -14,6 +14,7 @@ from pathlib import Path
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 from fjr_core.errors import FjrError
+from fjr_msgs_py.loading import signals_blocked
 
 GRACE = 5.0  # s between asking a node to end and killing it
 
@@ -55,7 +56,7 @@ class NodeProcess:
         command = [str(executable(package, name)), "--ros-args", *ros_arguments]
         if sys.platform == "linux":
             command = [sys.executable, "-I", "-S", "-c", _FOLLOW_PARENT, str(os.getpid()), *command]
-        with open(log, "wb") as stream:
+        with open(log, "wb") as stream, signals_blocked():  # the node unblocks them once it has its handlers
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, start_new_session=True
             )

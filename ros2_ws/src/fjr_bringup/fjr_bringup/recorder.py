@@ -32,13 +32,15 @@ FLUSH_PERIOD = 0.5  # s; a kill loses at most this much, and the drain in progre
 
 @dataclass
 class Track:
-    """A topic being recorded: where it comes from, where it goes, the first and the last message seen."""
+    """A topic being recorded: where it comes from, where it goes, the first and the last message seen.
+
+    ends: replaced as a whole, because other threads read it while messages are taken; None before the first message.
+    """
 
     subscription: Subscription
     channel: Channel
     publishers: list[TopicEndpointInfo]
-    first: bytes = b""
-    last: bytes = b""
+    ends: tuple[bytes, bytes] | None = None
 
 
 class Recorder:
@@ -79,13 +81,14 @@ class Recorder:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def first(self, topic: str) -> bytes:
-        """First message of a topic as it came over the wire; empty when none has come."""
-        return self._tracks[topic].first if topic in self._tracks else b""
+    def ends(self, topic: str) -> tuple[bytes, bytes] | None:
+        """First and latest message of a topic as they came over the wire; None when none has come."""
+        return self._tracks[topic].ends if topic in self._tracks else None
 
     def last(self, topic: str) -> bytes:
         """Latest message of a topic as it came over the wire; empty when none has come."""
-        return self._tracks[topic].last if topic in self._tracks else b""
+        ends = self.ends(topic)
+        return ends[1] if ends else b""
 
     def matched(self, topic: str) -> int:
         """How many publishers of a topic are connected to this recorder."""
@@ -116,13 +119,14 @@ class Recorder:
         """Write all that waits in one subscription's queue: receive time, send time, wire bytes."""
         take, kind = track.subscription.handle.take_message, track.subscription.msg_type
         write, channel = self.writer.write, track.channel
-        data = b""
+        first = last = b""
         while (taken := take(kind, True)) is not None:
-            data, info = taken
+            last, info = taken
+            first = first or last
             sequence = info["publication_sequence_number"] or 0
-            write(channel, info["received_timestamp"], info["source_timestamp"], sequence, data)
-            track.first = track.first or data
-        track.last = data or track.last
+            write(channel, info["received_timestamp"], info["source_timestamp"], sequence, last)
+        if last:
+            track.ends = (track.ends[0] if track.ends else first, last)
 
     def _discover(self) -> None:
         """Subscribe to topics that have appeared; follow publishers that have come or gone."""

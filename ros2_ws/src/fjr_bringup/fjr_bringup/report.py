@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from fjr_bringup.bag import Array, Bag
+from fjr_bringup.controller_stop import ControllerStop
 from fjr_bringup.joint_figures import (
     AT_LIMIT,
     SETTLED,
@@ -38,9 +39,15 @@ VERSIONS = ("fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "cas
 
 @dataclass(frozen=True)
 class Tracking:
-    """How well the joints followed; errors and efforts are the largest of all joints."""
+    """How well the joints followed; errors and efforts are the largest of all joints, each with its joint.
+
+    Of a prismatic joint they are in m and N (JointFigures).
+    """
 
     peak_effort_nm: float
+    peak_effort_joint: str | None  # null: no effort is known; the next two alike
+    largest_share_joint: str | None
+    max_error_after_2s_joint: str | None
     peak_effort_by_joint_nm: dict[str, float]
     effort_limit_by_joint_nm: dict[str, float]  # null: none is given
     largest_share_of_effort_limit: float | None  # of all joints that have a limit; null: none has
@@ -121,6 +128,7 @@ class Report:
     lockstep: bool
     bag: str
     bag_complete: bool  # it was closed; else the run or its recorder was killed
+    stop: ControllerStop | None  # why and when the controller stopped; null: it never did
     verdict: Verdict
     missing: tuple[str, ...]  # what the bag does not hold, and what was taken instead
     tracking: Tracking
@@ -134,6 +142,10 @@ class Report:
     not_recorded: dict[str, str] = field(default_factory=dict)  # topic -> why the recorder left it out
     failure: str = ""  # why the run ended before its time
     planned_s: float | None = None  # how long the run was to be; null: not known to the one who reports
+
+    def of_joint(self, joint: str | None) -> JointFigures:
+        """The figures of a joint; those of the first one for None."""
+        return next((each for each in self.joints if each.joint == joint), self.joints[0])
 
     def as_json(self) -> dict[str, Any]:
         """The figures as JSON holds them: finite numbers only."""
@@ -153,6 +165,7 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, dur
         lockstep=data.lockstep,
         bag=str(bag.path),
         bag_complete=bag.complete,
+        stop=data.stop,
         verdict=verdict(data, scenario),
         missing=data.notes,
         tracking=_tracking(data),
@@ -169,20 +182,33 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, dur
 def _tracking(data: TrackingData) -> Tracking:
     size = np.abs(data.error).max(axis=1)
     steady = data.error[data.t >= STEADY_AFTER]
-    share = float((data.peak_effort / data.effort_limit).max())
+    peak, peak_joint = _largest(data.peak_effort, data.joints)
+    share, share_joint = _largest(data.peak_effort / data.effort_limit, data.joints)
+    worst, worst_joint = _largest(np.abs(steady).max(axis=0), data.joints) if steady.size else (None, None)
     joints = joint_figures(data)
     return Tracking(
-        peak_effort_nm=float(data.peak_effort.max()),
+        peak_effort_nm=peak,
+        peak_effort_joint=peak_joint,
+        largest_share_joint=share_joint if share > 0 else None,
+        max_error_after_2s_joint=worst_joint,
         peak_effort_by_joint_nm={each.joint: each.peak_effort_nm for each in joints},
         effort_limit_by_joint_nm={each.joint: each.effort_limit_nm for each in joints},
         largest_share_of_effort_limit=share if share > 0 else None,
         initial_error_rad=float(size[0]),
-        max_error_after_2s_rad=float(np.abs(steady).max()) if steady.size else None,
+        max_error_after_2s_rad=worst,
         rms_error_after_2s_rad=rms(steady) if steady.size else None,
         settling_time_2_percent_s=settling_time(data.t, size, SETTLED * initial_error(data)),
         saturated_fraction=_saturated(data),
         reference_mismatch_rad=data.reference_mismatch,
     )
+
+
+def _largest(values: Array, joints: Sequence[str]) -> tuple[float, str | None]:
+    """The largest of values (n,) and its joint; NaN and None where none is known."""
+    if np.isnan(values).all():
+        return math.nan, None
+    j = int(np.nanargmax(values))
+    return float(values[j]), joints[j]
 
 
 def _saturated(data: TrackingData) -> float | None:

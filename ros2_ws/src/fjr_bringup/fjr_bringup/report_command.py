@@ -85,6 +85,7 @@ def _report(source: Source, namespace: str) -> RunSummary:
 
 def _source(path: Path, scenario: str | None, output: Path | None) -> Source:
     """Where everything of a bag is; raises ScenarioError where no scenario is."""
+    path = _unlinked(path)
     run = _run_folder(path)
     if scenario is not None:
         file = scenarios.find(scenario)
@@ -95,7 +96,7 @@ def _source(path: Path, scenario: str | None, output: Path | None) -> Source:
         raise scenarios.ScenarioError(
             f"no scenario for {path}: expected {SCENARIO} beside the bag, or --scenario NAME or FILE"
         )
-    name = (run or path).resolve().name if run or scenario is None else path.resolve().stem
+    name = _run_name(run) if run else (path.resolve().name if scenario is None else path.resolve().stem)
     beside = run if run is not None else path.with_name(f"{path.resolve().stem}_report")
     return Source(path, name, file, beside if output is None else output / name)
 
@@ -113,6 +114,17 @@ def _run_folder(path: Path) -> Path | None:
     """The folder of the run that a bag belongs to: the one with the scenario in it."""
     above = [path, *path.resolve().parents[:2]]
     return next((folder for folder in above if (folder / SCENARIO).is_file()), None)
+
+
+def _unlinked(path: Path) -> Path:
+    """The folder that a link leads to, such as that to the newest run: what is written names it for good."""
+    return path.parent / path.readlink() if path.is_symlink() else path
+
+
+def _run_name(folder: Path) -> str:
+    """What a run was called: its scenario, or its folder where no report tells."""
+    name = _known(folder / FIGURES).get("scenario")
+    return Path(name).name if isinstance(name, str) and Path(name).name else folder.resolve().name
 
 
 def _inner(path: Path) -> Path:

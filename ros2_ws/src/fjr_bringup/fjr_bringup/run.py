@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -39,16 +39,19 @@ RECORDER_PRIORITY = 1  # in lock-step nothing paces the nodes: the recorder come
 
 
 class RunError(FjrError):
-    """A run that could not start or could not be finished. `kept`: whether something of it was recorded."""
+    """A run that could not start or could not be finished. `kept`: its folder if something of it was recorded."""
 
-    def __init__(self, sentence: str, kept: bool = False) -> None:
+    def __init__(self, sentence: str, kept: Path | None = None) -> None:
         super().__init__(sentence)
         self.kept = kept
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to run: name, scenario text as the nodes get it, seconds of stamped time, where to write, how."""
+    """What to run: name, scenario text as the nodes get it, seconds of stamped time, where to write, how.
+
+    folder: of the newest run of that name; run() makes a numbered one that this name then links to.
+    """
 
     name: str
     scenario: str
@@ -69,18 +72,24 @@ def set_ros_environment() -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def run(plan: Plan, stop: threading.Event) -> dict[str, str]:
-    """Run the plan; bag, scenario and logs are in its folder then. Raises FjrError or Interrupted.
+@dataclass(frozen=True)
+class Recorded:
+    """A finished run: its own folder, and the topics that could not be recorded, with the reason."""
 
-    Returns the topics that could not be recorded, with the reason.
-    """
+    folder: Path
+    skipped: dict[str, str]
+
+
+def run(plan: Plan, stop: threading.Event) -> Recorded:
+    """Run the plan; bag, scenario and logs are in a new folder then. Raises FjrError or Interrupted."""
     set_ros_environment()
     with RunFolder(plan.folder) as kept:
+        plan = replace(plan, folder=kept.path)
         file = plan.folder / "scenario.yaml"
         file.write_text(plan.scenario, encoding="utf-8")
         with Recorder(plan.folder / "bag") as recorder:
             _Run(plan, recorder, stop, file).execute(on_go=kept.keep)
-    return dict(recorder.skipped)
+    return Recorded(plan.folder, dict(recorder.skipped))
 
 
 class _Run:
@@ -114,7 +123,7 @@ class _Run:
                 self._follow()
         except FjrError as error:
             kept = f"\nwhat was recorded is in {self.plan.folder}" if self.going else ""
-            raise RunError(f"{error}{kept}", kept=self.going) from None
+            raise RunError(f"{error}{kept}", self.plan.folder if self.going else None) from None
         finally:
             self._end()
 
@@ -186,8 +195,8 @@ class _Run:
 
     def _elapsed(self) -> float:
         """Stamped time [s] from the first to the latest answered state."""
-        first, last = self.recorder.first(ANSWERS), self.recorder.last(ANSWERS)
-        return (header_stamp(last) - header_stamp(first)) * 1e-9 if first else 0.0
+        ends = self.recorder.ends(ANSWERS)
+        return (header_stamp(ends[1]) - header_stamp(ends[0])) * 1e-9 if ends else 0.0
 
     def _wait(self, condition: Callable[[], bool], limit: float, what: str) -> None:
         deadline = time.monotonic() + limit

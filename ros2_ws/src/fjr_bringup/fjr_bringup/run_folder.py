@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a run. An earlier run is replaced; anything else is left alone."""
+"""The folders of a scenario's runs: NAME-001, NAME-002, ..., and the link NAME to the newest."""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
+import sys
 from pathlib import Path
 
 from fjr_core.errors import FjrError
@@ -20,37 +22,68 @@ def is_run(folder: Path) -> bool:
 
 
 class RunFolder:
-    """A new, empty folder as a context manager.
+    """A new, empty folder as a context manager; `path` is that folder. No earlier run is replaced.
 
-    An earlier run of the same name steps aside and comes back when the block ends without `keep`, so a run
-    that could not start costs nothing.
+    link: the name without a number. `keep` points it to the new folder. A block that ends without `keep` leaves
+    neither folder nor link, so that a run that could not start costs nothing.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._previous = path.with_name(f".{path.name}.previous-{os.getpid()}")
+    def __init__(self, link: Path) -> None:
+        self.link = self.path = link
         self._kept = False
 
-    def keep(self) -> None:
-        """This run is worth more than the previous one."""
-        self._kept = True
-
     def __enter__(self) -> RunFolder:
-        path = self.path
-        if path.exists() and not (path.is_dir() and (is_run(path) or not any(path.iterdir()))):
-            raise FolderError(f"{path} exists and is not an earlier run (no report.json, no bag): not replaced")
+        link = self.link
+        if link.exists() and not (link.is_dir() and (is_run(link) or not any(link.iterdir()))):
+            raise FolderError(f"{link} exists and is not an earlier run (no report.json, no bag): not replaced")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if path.exists():
-                path.rename(self._previous)
-            path.mkdir()
+            link.parent.mkdir(parents=True, exist_ok=True)
+            if link.is_dir() and not link.is_symlink():
+                self._number_the_old()
+            self.path = _new_folder(link)
         except OSError as error:
-            raise FolderError(f"cannot write to {path}: {error.strerror}") from None
+            raise FolderError(f"cannot write to {link}: {error.strerror}") from None
         return self
+
+    def _number_the_old(self) -> None:
+        """Give a run without a number one; an empty folder only makes room."""
+        if not any(self.link.iterdir()):
+            self.link.rmdir()
+            return
+        numbered = _new_folder(self.link)
+        self.link.rename(numbered)  # replaces the empty folder
+        _point(self.link, numbered.name)
+
+    def keep(self) -> None:
+        """Keep this run and point the link to it."""
+        self._kept = True
+        try:
+            _point(self.link, self.path.name)
+        except OSError as error:
+            print(f"fjr: no link {self.link} to {self.path.name}: {error.strerror}", file=sys.stderr)
 
     def __exit__(self, *_: object) -> None:
         if not self._kept:
             shutil.rmtree(self.path, ignore_errors=True)
-            if self._previous.exists():
-                self._previous.rename(self.path)
-        shutil.rmtree(self._previous, ignore_errors=True)
+
+
+def _new_folder(link: Path) -> Path:
+    """Make the folder with the number after the largest one taken."""
+    numbers = [re.fullmatch(re.escape(link.name) + r"-(\d{3,})", entry.name) for entry in link.parent.iterdir()]
+    number = 1 + max((int(found[1]) for found in numbers if found), default=0)
+    while True:
+        folder = link.with_name(f"{link.name}-{number:03}")
+        try:
+            folder.mkdir()
+        except FileExistsError:  # another run has just taken it
+            number += 1
+        else:
+            return folder
+
+
+def _point(link: Path, target: str) -> None:
+    """Make or move a link in one step."""
+    fresh = link.with_name(f".{link.name}.{os.getpid()}")
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(target, target_is_directory=True)
+    fresh.replace(link)

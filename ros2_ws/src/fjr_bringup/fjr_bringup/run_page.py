@@ -6,7 +6,7 @@ from __future__ import annotations
 from html import escape
 from pathlib import Path
 
-from fjr_bringup import page
+from fjr_bringup import headlines, page
 from fjr_bringup.joint_figures import JointFigures
 from fjr_bringup.plots import colour
 from fjr_bringup.power import Power
@@ -17,15 +17,15 @@ from fjr_bringup.words import milliseconds, number, percent
 
 HEAD = (
     "joint",
-    "error at start<br>[rad]",
-    "peak error<br>[rad]",
-    "RMS error<br>[rad]",
-    "peak after 2 s<br>[rad]",
-    "RMS after 2 s<br>[rad]",
+    "error at start<br>[{position}]",
+    "peak error<br>[{position}]",
+    "RMS error<br>[{position}]",
+    "peak after 2 s<br>[{position}]",
+    "RMS after 2 s<br>[{position}]",
     "settled within<br>2 % after [s]",
-    "peak effort<br>[N m]",
-    "RMS effort<br>[N m]",
-    "limit<br>[N m]",
+    "peak effort<br>[{effort}]",
+    "RMS effort<br>[{effort}]",
+    "limit<br>[{effort}]",
     "at the limit",
 )
 HOW = (
@@ -37,16 +37,18 @@ HOW = (
 def write_run_page(path: Path, data: TrackingData, report: Report, flow: Power) -> None:
     """Write the page of a run."""
     body = [
-        page.header(kicker(report), title(report), report.verdict, (*failed(report), *report.missing)),
+        page.header(kicker(report), title(report), report.verdict, (*failed(report), *report.missing), report.stop),
         page.tiles(tiles(report)),
         page.figures(),
-        page.table("Joint by joint", HEAD, [_row(each, j) for j, each in enumerate(report.joints)]),
+        page.table("Joint by joint", _head(report), [_row(each, j, report) for j, each in enumerate(report.joints)]),
         page.everything("All figures (report.json)", report.as_json()),
         page.footer(HOW),
     ]
-    page.write_page(
-        path, f"{report.scenario}: {page.HEADINGS[report.verdict.kind]}", body, run_plots(data, report, flow)
-    )
+    page.write_page(path, f"{report.scenario}: {_heading(report)}", body, run_plots(data, report, flow))
+
+
+def _heading(report: Report) -> str:
+    return report.stop.heading if report.stop else page.HEADINGS[report.verdict.kind]
 
 
 def title(report: Report) -> str:
@@ -71,8 +73,8 @@ def tiles(report: Report) -> list[tuple[str, str]]:
     tracking, storage, timing, counts = report.tracking, report.storage, report.timing, report.counts
     shown = [
         (number(tracking.settling_time_2_percent_s, "s"), "settled within 2 % of the initial error"),
-        (number(tracking.rms_error_after_2s_rad, "rad"), "RMS error after 2 s"),
-        (number(tracking.peak_effort_nm, "N m", 4), "peak effort" + _share(tracking.largest_share_of_effort_limit)),
+        (number(tracking.rms_error_after_2s_rad, headlines.position_unit(report)), "RMS error after 2 s"),
+        (headlines.peak_effort(report), ", ".join(filter(None, ("peak effort", headlines.effort_share(report))))),
     ]
     if storage is not None:
         basis = "proven" if storage.guarantee_is_proven else "sampled"
@@ -88,11 +90,15 @@ def tiles(report: Report) -> list[tuple[str, str]]:
     ]
 
 
-def _share(share: float | None) -> str:
-    return "" if share is None else f", {percent(share, 0)} of a limit"
+def _head(report: Report) -> list[str]:
+    position, effort = headlines.position_unit(report), headlines.effort_unit(report)
+    return [title.format(position=position, effort=effort) for title in HEAD]
 
 
-def _row(each: JointFigures, j: int) -> list[str]:
+def _row(each: JointFigures, j: int, report: Report) -> list[str]:
+    """Figures of one joint; where units differ between the joints, its own follow its name."""
+    mixed = headlines.position_unit(report) != each.position_unit
+    unit = f" [{each.position_unit}, {each.effort_unit}]" if mixed else ""
     figures = (
         each.initial_error_rad,
         each.peak_error_rad,
@@ -104,5 +110,5 @@ def _row(each: JointFigures, j: int) -> list[str]:
         each.rms_effort_nm,
         each.effort_limit_nm,
     )
-    name = page.swatch(colour(j)) + escape(each.joint)
+    name = page.swatch(colour(j)) + escape(each.joint + unit)
     return [name, *(number(value) for value in figures), percent(each.saturated_fraction)]

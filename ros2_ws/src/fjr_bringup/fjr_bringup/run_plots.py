@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fjr_bringup import headlines
 from fjr_bringup.bag import Array
 from fjr_bringup.plots import Line, Plot, colour, drawable
 from fjr_bringup.power import Power
@@ -15,6 +16,7 @@ from fjr_bringup.report import Report
 from fjr_bringup.timing_plots import latency, period, timeline
 from fjr_bringup.tracking_data import TrackingData
 from fjr_bringup.words import number, percent
+from fjr_core.units import joined
 
 FEW = 2  # joints; efforts of more are shown as shares of their limits at first
 
@@ -50,36 +52,37 @@ def tracking(data: TrackingData) -> Plot:
         "Link positions over the reference (grey).",
         data.t,
         [*reference, *links],
-        y_label="q_l, q_ld [rad]",
+        y_label=f"q_l, q_ld [{joined(each.position for each in data.units)}]",
     )
 
 
 def error(data: TrackingData, report: Report) -> Plot:
     """|q_l - q_ld| on a log axis."""
     worst, first = report.tracking.max_error_after_2s_rad, report.tracking.initial_error_rad
-    title = f"The error begins at {number(first, 'rad')}"
+    title = f"The error begins at {headlines.initial_error(report)}"
     if worst is not None and np.isfinite(worst):
         goes = "falls" if worst < first else "goes"
-        title = f"The error {goes} from {number(first, 'rad')} to {number(worst, 'rad')}"
+        title = f"The error {goes} from {headlines.initial_error(report)} to {headlines.steady_error(report)}"
     settled = report.tracking.settling_time_2_percent_s
     caption = "Tracking error of each joint; log axis." + (
         f" Within 2 % of the initial error from {number(settled, 's')} on." if settled else ""
     )
     lines = _per_joint(data, np.abs(data.error), width=1.2)
-    return Plot("error", title, caption, data.t, lines, y_label="|q_l − q_ld| [rad]", y_log=True)
+    return Plot(
+        "error", title, caption, data.t, lines, y_label=f"|q_l − q_ld| [{headlines.position_unit(report)}]", y_log=True
+    )
 
 
 def effort(data: TrackingData, report: Report) -> Plot:
     """The commands with their limits; where all joints have one, as a share of it too."""
-    peak, share = report.tracking.peak_effort_nm, report.tracking.largest_share_of_effort_limit
-    title = f"The effort peaks at {number(peak, 'N m', 4)}" + (f", {percent(share, 0)} of a limit" if share else "")
+    title, unit = f"The effort peaks at {headlines.peak_effort_and_share(report)}", headlines.effort_unit(report)
     limited = np.isfinite(data.effort_limit)
     caption = "Commands, held from state to state. " + _limits_said(report)
-    torque = Plot("effort", title, caption, data.t, _efforts(data, np.ones(len(limited))), y_label="u [N m]")
+    torque = Plot("effort", title, caption, data.t, _efforts(data, np.ones(len(limited))), y_label=f"u [{unit}]")
     if not limited.all():
         return torque
     shares = Plot("effort", title, caption, data.t, _efforts(data, data.effort_limit / 100.0), y_label="u [% of limit]")
-    first, second = ((torque, "N m"), (shares, "% of limit"))[:: 1 if len(limited) <= FEW else -1]
+    first, second = ((torque, unit), (shares, "% of limit"))[:: 1 if len(limited) <= FEW else -1]
     return replace(first[0], views={second[1]: second[0]})
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 
-from fjr_bringup import page
+from fjr_bringup import headlines, page
 from fjr_bringup.plots import colour
 from fjr_bringup.report import Energy, Report, Storage
 from fjr_bringup.side_by_side_plots import Compared, side_by_side_plots
@@ -27,13 +27,13 @@ ROWS: tuple[Row, ...] = (
     ("duration", lambda r: number(r.duration_s, "s")),
     ("sample period", lambda r: number(r.sample_period_s * 1e3, "ms") + (", lock-step" if r.lockstep else "")),
     ("Tracking", str),
-    ("error at the start", lambda r: number(r.tracking.initial_error_rad, "rad")),
+    ("error at the start", headlines.initial_error),
     ("settled within 2 % after", lambda r: number(r.tracking.settling_time_2_percent_s, "s")),
-    ("largest error after 2 s", lambda r: number(r.tracking.max_error_after_2s_rad, "rad")),
-    ("RMS error after 2 s", lambda r: number(r.tracking.rms_error_after_2s_rad, "rad")),
+    ("largest error after 2 s", headlines.steady_error),
+    ("RMS error after 2 s", lambda r: number(r.tracking.rms_error_after_2s_rad, headlines.position_unit(r))),
     ("Effort", str),
-    ("peak effort", lambda r: number(r.tracking.peak_effort_nm, "N m", 4)),
-    ("of its limit", lambda r: percent(r.tracking.largest_share_of_effort_limit, 0)),
+    ("peak effort", headlines.peak_effort),
+    ("largest share of a limit", lambda r: headlines.effort_share(r) or number(None)),
     ("commands at a limit", lambda r: percent(r.tracking.saturated_fraction)),
     ("Certificate", str),
     ("decay of V, measured", lambda r: number(_of(r.storage, "measured_decay_rate_per_s"), "1/s")),
@@ -76,6 +76,10 @@ def _name(run: Compared, number: int, folder: Path) -> str:
 
 
 def _verdict(report: Report) -> str:
+    if report.stop:
+        return (
+            f'<span class="no" title="{escape(report.stop.sentence, quote=True)}">{escape(report.stop.heading)}</span>'
+        )
     verdict = report.verdict
     words = page.HEADINGS[verdict.kind] + (f":<br>{escape(', '.join(verdict.causes))}" if verdict.causes else "")
     return f'<span class="{COLOURED[verdict.kind]}" title="{escape(verdict.sentence, quote=True)}">{words}</span>'

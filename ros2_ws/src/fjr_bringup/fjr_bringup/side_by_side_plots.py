@@ -13,6 +13,7 @@ from fjr_bringup.bag import Array
 from fjr_bringup.plots import DRAWN, Line, Plot, colour, drawable, thinned
 from fjr_bringup.report import Report
 from fjr_bringup.tracking_data import TrackingData
+from fjr_core.units import joined
 
 POINTS = 240  # of a distribution
 SHORTEST = 1e-3  # ms
@@ -38,14 +39,18 @@ def errors(runs: Sequence[Compared]) -> Plot:
     """The largest error of all joints."""
     values = [np.abs(run.data.error).max(axis=1) for run in runs]
     caption = "The largest |q_l − q_ld| of all joints at each state; log axis."
-    return _over_time("error", "Tracking error", caption, runs, values, "error [rad]")
+    return _over_time("error", "Tracking error", caption, runs, values, f"error [{_units(runs, 'position')}]")
 
 
 def efforts(runs: Sequence[Compared]) -> Plot:
     """The largest effort of all joints."""
     values = [np.fmax.reduce(np.abs(run.data.u), axis=1) for run in runs]
     caption = "The largest |u| of all joints at each state; log axis."
-    return _over_time("effort", "Effort", caption, runs, values, "|u| [N m]")
+    return _over_time("effort", "Effort", caption, runs, values, f"|u| [{_units(runs, 'effort')}]")
+
+
+def _units(runs: Sequence[Compared], what: str) -> str:
+    return joined(getattr(each, what) for run in runs for each in run.data.units)
 
 
 def storages(runs: Sequence[Compared]) -> Plot:

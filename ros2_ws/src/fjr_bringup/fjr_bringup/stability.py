@@ -13,6 +13,7 @@ from fjr_core.laws import law_kind
 from fjr_core.rest import plant_matrices, rest_points
 from fjr_core.sampled_loop import HIGHEST_RATE, SampledCheck, check
 from fjr_core.scenario import Scenario
+from fjr_core.units import joined
 from fjr_core.vdpbc.law import TrackingLaw
 from fjr_core.vdpbc.rate import Rate
 
@@ -53,8 +54,8 @@ def refuse_unstable(scenario: Scenario, found: SampledCheck) -> None:
     remedy = f"stable from {rate:.4g} Hz on" if rate else f"nor is it at higher rates, up to {HIGHEST_RATE:g} Hz"
     raise UnstableError(
         f"scenario {scenario.name} is unstable as sampled at {1 / found.sample_period:g} Hz: "
-        f"spectral radius {found.spectral_radius:.4g} at q_l = {_list(found.configuration)} rad; "
-        f"expected less than 1 ({remedy}; other gains: fjr gains)"
+        f"spectral radius {found.spectral_radius:.4g} at q_l = {_list(found.configuration)} "
+        f"{_position_unit(scenario)}; expected less than 1 ({remedy}; other gains: fjr gains)"
     )
 
 
@@ -65,7 +66,7 @@ def table(scenario: Scenario, found: SampledCheck) -> str:
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
         **_decay(scenario),
         "spectral radius": f"{found.spectral_radius:.6f}, the worst of {_count(found)}",
-        "    found at q_l": f"{_list(found.configuration)} rad",
+        "    found at q_l": f"{_list(found.configuration)} {_position_unit(scenario)}",
         "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
         "lowest stable rate": lowest,
         **_elsewhere(scenario),
@@ -151,13 +152,18 @@ def _limits(scenario: Scenario) -> dict[str, str]:
         "reference": _within(scenario, "position limits", outside)
         + "; "
         + _within(scenario, "velocity limits", too_fast),
-        "first effort": f"{_list(first)} N m; " + _within(scenario, "effort limits", first > limits.effort),
+        "first effort": f"{_list(first)} {joined(each.effort for each in scenario.robot.units)}; "
+        + _within(scenario, "effort limits", first > limits.effort),
     }
 
 
 def _within(scenario: Scenario, what: str, broken: NDArray[np.bool_]) -> str:
     names = [joint for joint, bad in zip(scenario.joints, broken, strict=True) if bad]
     return f"within the {what}" if not names else f"BEYOND the {what} of {', '.join(names)}"
+
+
+def _position_unit(scenario: Scenario) -> str:
+    return joined(each.position for each in scenario.robot.units)
 
 
 def _list(values: Array) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ctrl-C and SIGTERM as a wish granted in order: nodes first, then the recorder, then this process."""
+"""Shut down in order on SIGINT and SIGTERM: nodes, recorder, then this process."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
+
+from fjr_msgs_py.loading import SIGNALS
 
 
 class Interrupted(Exception):  # noqa: N818 (not an error)
-    """The user ended the run. `kept`: the folder with what was recorded, None when nothing was."""
+    """The user ended the command. `kept`: the folder with what was recorded, None when nothing was."""
 
     def __init__(self, kept: Path | None = None) -> None:
         super().__init__()
@@ -22,19 +25,28 @@ class Interrupted(Exception):  # noqa: N818 (not an error)
 def stoppable() -> Iterator[threading.Event]:
     """An event that SIGINT and SIGTERM set instead of ending the process; in the main thread only.
 
-    Ending takes a second or two and has time limits of its own, so asking again changes nothing.
+    Shutting down takes a second or two and has time limits of its own, so a second signal changes nothing.
     """
     stop = threading.Event()
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    previous = [signal.signal(number, lambda *_: stop.set()) for number in numbers]
+    previous = [signal.signal(number, lambda *_: stop.set()) for number in SIGNALS]
     try:
         yield stop
     finally:
-        for number, handler in zip(numbers, previous, strict=True):
+        for number, handler in zip(SIGNALS, previous, strict=True):
             signal.signal(number, handler)
 
 
-def at_once() -> None:
-    """From here on a signal ends the process: there is nothing to end in order."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_DFL)
+def interruptible() -> None:
+    """Raise KeyboardInterrupt in the main thread on SIGINT and on SIGTERM, outside `stoppable`."""
+    for number in SIGNALS:
+        signal.signal(number, _interrupt)
+
+
+def uninterruptible() -> None:
+    """Ignore SIGINT and SIGTERM: the process is about to end anyway."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fjr_bringup import headlines
 from fjr_bringup.bag import Bag, read_bag
 from fjr_bringup.pictures import draw_overview
 from fjr_bringup.power import power
@@ -93,7 +94,7 @@ def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
 
 
 def table(summaries: Sequence[RunSummary]) -> str:
-    """The figures that matter, one line per run."""
+    """The figures that matter, one line per run; above them why a controller stopped."""
     head = (
         "scenario",
         "peak effort",
@@ -105,20 +106,31 @@ def table(summaries: Sequence[RunSummary]) -> str:
     rows = [head, *(_row(summary.label, summary.report) for summary in summaries)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return "\n".join(["", lines[0], "-" * len(lines[0]), *lines[1:]])
+    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def stops(summaries: Sequence[RunSummary]) -> list[str]:
+    """A headline for each run in which the controller stopped."""
+    return [f"{each.label}: {each.report.stop.sentence}" for each in summaries if each.report.stop]
 
 
 def _row(label: str, report: Report) -> tuple[str, ...]:
-    tracking, counts, verdict = report.tracking, report.counts, report.verdict
+    counts = report.counts
     in_time = _number(counts.answered_in_time_fraction and 100 * counts.answered_in_time_fraction, "{:.2f} %")
     return (
         label + (" (lock-step)" if report.lockstep else ""),
-        f"{_plain(tracking.peak_effort_nm)}" + _share(tracking.largest_share_of_effort_limit),
-        _number(tracking.max_error_after_2s_rad, "{:.1e} rad"),
+        headlines.peak_effort_and_share(report, _effort),
+        headlines.steady_error(report, _error),
         f"{in_time} of {counts.nominal}",
         _decay(report),
-        verdict.kind + (f": {', '.join(verdict.causes)}" if verdict.causes else ""),
+        _verdict(report),
     )
+
+
+def _verdict(report: Report) -> str:
+    if report.stop:
+        return "stopped"
+    return report.verdict.kind + (f": {', '.join(report.verdict.causes)}" if report.verdict.causes else "")
 
 
 def _decay(report: Report) -> str:
@@ -130,18 +142,18 @@ def _decay(report: Report) -> str:
     return f"{measured} ({basis}: {storage.guaranteed_decay_rate_per_s:.1f}) 1/s"
 
 
-def _plain(value: float) -> str:
+def _effort(value: float, unit: str) -> str:
     if not np.isfinite(value):
         return "-"
-    return f"{value:.2f} N m" if value < 1e6 else f"{value:.1e} N m"
+    return f"{value:.2f} {unit}" if value < 1e6 else f"{value:.1e} {unit}"
+
+
+def _error(value: float, unit: str) -> str:
+    return f"{value:.1e} {unit}" if np.isfinite(value) else "-"
 
 
 def _number(value: float | None, form: str) -> str:
     return "-" if value is None or not np.isfinite(value) else form.format(value)
-
-
-def _share(value: float | None) -> str:
-    return "" if value is None else f", {100 * value:.0f} % of a limit"
 
 
 def where_to_look(summaries: Sequence[RunSummary]) -> str:

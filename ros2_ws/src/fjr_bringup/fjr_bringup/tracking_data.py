@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_bringup.bag import Array, Bag, Times
+from fjr_bringup.controller_stop import ControllerStop, controller_stop
 from fjr_bringup.recorded_commands import recorded_commands
 from fjr_bringup.recorded_reference import recorded_reference
 from fjr_bringup.recorded_states import STATES, States, recorded_states, with_velocities, without_jumps
@@ -20,6 +21,7 @@ from fjr_core.certificate import Balance
 from fjr_core.errors import FjrError
 from fjr_core.safety_parameters import safety
 from fjr_core.scenario import Scenario
+from fjr_core.units import REVOLUTE, Units
 from fjr_core.vdpbc.law import TrackingLaw
 from fjr_core.vdpbc.rate import NO_RATE, Rate
 
@@ -56,6 +58,11 @@ class TrackingData:
     answered: Array  # (k,) s, send time of its command, NaN where none came
     reference_mismatch: float  # rad, recorded reference against the one computed here
     notes: tuple[str, ...] = field(default=())  # what is missing or made up for, a sentence each
+    stop: ControllerStop | None = None  # the controller's first stop, None: it never stopped
+    units: tuple[Units, ...] = ()  # of each joint; revolute ones by default. Prismatic joints have m and N below
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "units", self.units or (REVOLUTE,) * len(self.joints))
 
     @property
     def q_l(self) -> Array:
@@ -135,6 +142,8 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
         answered=np.where(answered >= 0, (answered - sent[0]) * 1e-9, np.nan),
         reference_mismatch=tracked.mismatch,
         notes=(*torn, *states.notes, *tracked.notes, *odd),
+        stop=controller_stop(bag, sent, t),
+        units=scenario.robot.units,
     )
 
 

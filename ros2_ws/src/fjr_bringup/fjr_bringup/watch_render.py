@@ -142,7 +142,7 @@ def _cells(joint: JointLine, error_bar: int, effort_bar: int) -> dict[str, Rende
     effort_style = "red" if (share or 0) >= AT else "yellow" if (share or 0) >= NEAR else "cyan"
     efforts = "" if joint.effort is None else signed_bar(joint.effort, joint.limit or joint.peak, effort_bar)
     return {
-        NAME: Text(joint.name, style="bold"),
+        NAME: Text(f"{joint.name} [m, N]" if joint.prismatic else joint.name, style="bold"),
         POSITION: _signed(joint.position),
         VELOCITY: _signed(joint.velocity),
         DEFLECTION: _signed(joint.deflection),

@@ -29,6 +29,7 @@ class Watched:
         self._title = title
         self._given_limits = dict(effort_limits or {})
         self._limits: dict[str, float] = {}
+        self._prismatic: set[str] = set()
         self._position: Values = {}
         self._velocity: Values = {}
         self._error: Values = {}
@@ -90,11 +91,12 @@ class Watched:
         self._events.appendleft((now, Happening(0.0, level, kind, sentence)))
 
     def description(self, urdf: str) -> None:
-        """The robot's URDF: its effort limits; one that cannot be read has none."""
+        """The robot's URDF: effort limits and prismatic joints; one that cannot be read has none."""
         try:
             joints = list(ElementTree.fromstring(urdf).iter("joint"))
         except ElementTree.ParseError:
             joints = []
+        self._prismatic = {joint.get("name", "") for joint in joints if joint.get("type") == "prismatic"}
         limits = ((joint.get("name", ""), joint.find("limit")) for joint in joints)
         given = ((name, _number(limit.get("effort"))) for name, limit in limits if limit is not None)
         self._limits = {name: effort for name, effort in given if effort > 0}
@@ -130,6 +132,7 @@ class Watched:
             effort=self._effort.get(name),
             limit=self._given_limits.get(name, self._limits.get(name)),
             peak=self._peak.get(name, 0.0),
+            prismatic=name in self._prismatic,
         )
 
     def _timing(self) -> Timing | None:

@@ -13,7 +13,7 @@ class JointLine:
     """A joint; None where nothing was heard of it.
 
     position, error [rad], velocity [rad/s], deflection q_m - q_l [rad]; effort as commanded, its limit and the largest
-    one seen [N m].
+    one seen [N m]. prismatic: the joint slides, in m and N in place of rad and N m.
     """
 
     name: str
@@ -24,6 +24,7 @@ class JointLine:
     effort: float | None = None
     limit: float | None = None
     peak: float = 0.0
+    prismatic: bool = False
 
 
 @dataclass(frozen=True)

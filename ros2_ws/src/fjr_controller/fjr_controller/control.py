@@ -39,7 +39,7 @@ class Control:
     def __init__(self, node: Node, values: dict[str, Any], refused: Callable[[RivalError], None]) -> None:
         self._values, joints = values, values["joints"]
         self._robot = robot = config.robot(values)
-        settings, allowed = safety(values, robot), tolerances(values, robot.n)
+        settings, allowed = safety(values, robot), tolerances(values, robot.units)
         reader = StateReader(joints, measurement(values, robot))
         self._law = control_law(values, robot)
         simulated = bool(node.get_parameter("use_sim_time").value)

@@ -13,7 +13,7 @@ from fjr_core.references import standing
 from fjr_core.safety_parameters import Settings
 
 from .certificate import Watch
-from .events import ERROR, INFO, WARN, Journal
+from .events import ERROR, INFO, STARTS_REFUSED, STOPS, WARN, Journal
 from .fading import Fade
 from .running_reference import RunningReference
 from .safety import StateLimits
@@ -175,12 +175,12 @@ class Course:
         if not far.any():
             return
         i = int(np.argmax(far))
-        joint = self.settings.joints[i]
+        joint, unit = self.settings.joints[i], self.settings.units[i].position
         sentence = (
-            f"start refused: |q_l - q_ld| of {joint} is {error[i]:.6g} rad; "
-            f"expected at most {limit[i]:.6g} rad, or a start.join_time above 0"
+            f"start refused: |q_l - q_ld| of {joint} is {error[i]:.6g} {unit}; "
+            f"expected at most {limit[i]:.6g} {unit}, or a start.join_time above 0"
         )
-        self._stop("starts refused", sentence, joint, float(error[i]), float(limit[i]))
+        self._stop(STARTS_REFUSED, sentence, joint, float(error[i]), float(limit[i]))
 
     def _recover(self, stamp: int) -> None:
         """Lead the reference from the measured state, and the effort from the last one sent."""
@@ -197,7 +197,7 @@ class Course:
         v = self._limits.violation(q_ld, velocities=not self.blind)
         if v is not None:
             self._journal.count(f"stops: {v.kind}")
-            self._stop("stops", f"stopped: {v.sentence}", v.joint, v.value, v.limit)
+            self._stop(STOPS, f"stopped: {v.sentence}", v.joint, v.value, v.limit)
 
     def _stop(self, kind: str, sentence: str, joint: str, value: float, limit: float) -> None:
         self.reason = sentence

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 INFO, WARN, ERROR = "info", "warn", "error"
+STOPS, STARTS_REFUSED = "stops", "starts refused"  # kinds of the events that end tracking
 
 
 class State(str, Enum):

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The executable controller_node: signals and threads are in hand before anything that takes time is loaded."""
+"""The executable controller_node: set signal handlers and limit threads before anything loads that takes time."""
 
 from __future__ import annotations
 
-from fjr_msgs_py.loading import ended_by_signals, without_blas_threads
+from fjr_msgs_py.loading import end_on_signals, without_blas_threads
 
 
 def main() -> int:
     """Run the node until SIGINT or SIGTERM; return the exit code."""
+    end_on_signals()
     without_blas_threads()
-    with ended_by_signals():
-        from fjr_controller.controller_node import main as run
+    from fjr_controller.controller_node import main as run
+
     return run()

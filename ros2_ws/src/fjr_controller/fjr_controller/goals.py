@@ -15,6 +15,7 @@ import numpy as np
 
 from fjr_core.checks import Array
 from fjr_core.parameters import vector
+from fjr_core.units import Units
 
 
 class Code(IntEnum):
@@ -46,7 +47,7 @@ class JointTolerance(Protocol):
 class Tolerances:
     """Largest errors: position [rad] and velocity [rad/s], on the path and at the goal, each (n,); 0 for any.
 
-    goal_time [s]: how long after the last point the goal may still be reached, 0 for ever.
+    goal_time [s]: how long after the last point the goal may still be reached, 0 for ever. units: of each joint (n,).
     """
 
     path: Array
@@ -54,6 +55,7 @@ class Tolerances:
     goal: Array
     goal_velocity: Array
     goal_time: float
+    units: tuple[Units, ...]
 
     def asked(
         self,
@@ -73,11 +75,12 @@ class Tolerances:
         return replace(self, **new, goal_time=_asked(goal_time, self.goal_time))
 
 
-def tolerances(values: Mapping[str, Any], n: int) -> Tolerances:
-    """The tolerances that the parameters constraints.* describe for n joints."""
+def tolerances(values: Mapping[str, Any], units: tuple[Units, ...]) -> Tolerances:
+    """The tolerances that the parameters constraints.* describe for joints with these units (n,)."""
+    n = len(units)
     path, goal = (vector(values, f"constraints.{name}", n) for name in ("trajectory", "goal"))
     stopped = np.full(n, values["constraints.stopped_velocity_tolerance"])
-    return Tolerances(path, np.zeros(n), goal, stopped, values["constraints.goal_time"])
+    return Tolerances(path, np.zeros(n), goal, stopped, values["constraints.goal_time"], units)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,21 +95,24 @@ class Goal:
         """The outcome with these errors (n,) [rad], [rad/s] at the stamp [ns]; None while it is open."""
         t = self.tolerances
         if stamp < self.end:
-            broken = self._broken(q_tilde_l, t.path) or self._broken(dq_tilde_l, t.path_velocity, "/s")
+            broken = self._broken("position", q_tilde_l, t.path) or self._broken(
+                "velocity", dq_tilde_l, t.path_velocity
+            )
             return Outcome(Code.PATH_TOLERANCE_VIOLATED, f"on the way, {broken}") if broken else None
-        broken = self._broken(q_tilde_l, t.goal) or self._broken(dq_tilde_l, t.goal_velocity, "/s")
+        broken = self._broken("position", q_tilde_l, t.goal) or self._broken("velocity", dq_tilde_l, t.goal_velocity)
         if not broken:
             return Outcome(Code.SUCCESSFUL, "the goal is reached")
         if t.goal_time and stamp - self.end > t.goal_time * 1e9:
             return Outcome(Code.GOAL_TOLERANCE_VIOLATED, f"{t.goal_time:g} s after the last point, {broken}")
         return None
 
-    def _broken(self, errors: Array, largest: Array, per: str = "") -> str:
+    def _broken(self, what: str, errors: Array, largest: Array) -> str:
         over = np.flatnonzero((largest > 0) & ~(np.abs(errors) <= largest))
         if not over.size:
             return ""
         j = int(over[0])
-        return f"{self.joints[j]} is off by {errors[j]:.3g} rad{per}; expected at most {largest[j]:g}"
+        unit = getattr(self.tolerances.units[j], what)
+        return f"{self.joints[j]} is off by {errors[j]:.3g} {unit}; expected at most {largest[j]:g}"
 
 
 def _asked(value: float, default: float) -> float:

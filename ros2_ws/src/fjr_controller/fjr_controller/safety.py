@@ -13,13 +13,13 @@ from fjr_core.numeric import numeric
 from fjr_core.safety_parameters import GRAVITY_HOLD, Settings
 from fjr_core.static_law import StaticLaw
 
-_KINDS = (
-    ("link position", "q_l", "rad"),
-    ("motor position", "q_m", "rad"),
-    ("link velocity", "dq_l", "rad/s"),
-    ("motor velocity", "dq_m", "rad/s"),
-    ("deflection", "q_m - q_l", "rad"),
-    ("tracking error", "q_l - q_ld", "rad"),
+_KINDS = (  # what, its symbol, its field of Units
+    ("link position", "q_l", "position"),
+    ("motor position", "q_m", "position"),
+    ("link velocity", "dq_l", "velocity"),
+    ("motor velocity", "dq_m", "velocity"),
+    ("deflection", "q_m - q_l", "position"),
+    ("tracking error", "q_l - q_ld", "position"),
 )
 
 
@@ -54,7 +54,7 @@ class StateLimits:
         self._upper = np.concatenate([settings.link_position_upper, settings.motor_position_upper, *sizes])
         lower = [settings.link_position_lower, settings.motor_position_lower]
         self._lower = np.concatenate([*lower, *(-np.asarray(size) for size in sizes)])
-        self._joints = settings.joints
+        self._joints, self._units = settings.joints, settings.units
         self._on = bool(np.isfinite([self._lower, self._upper]).any())
 
     def violation(self, q_ld: Array | None, velocities: bool = True) -> Violation | None:
@@ -75,8 +75,8 @@ class StateLimits:
 
     def _worst(self) -> Violation:
         i = int(np.argmax(self._above))
-        kind, symbol, unit = _KINDS[i // len(self._joints)]
-        joint, value = self._joints[i % len(self._joints)], float(self._row[i])
+        (kind, symbol, what), j = _KINDS[i // len(self._joints)], i % len(self._joints)
+        joint, value, unit = self._joints[j], float(self._row[i]), getattr(self._units[j], what)
         limit = float(self._lower[i] if self._below[i] else self._upper[i])
         side = "at least" if self._below[i] else "at most"
         sentence = f"{kind} of {joint}: {symbol} = {value:.6g} {unit}; expected {side} {limit:.6g} {unit}"

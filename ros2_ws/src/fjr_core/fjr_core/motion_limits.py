@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,9 +16,10 @@ from .pieces import Pieces
 from .reference import Reference
 from .reference_checks import freeze
 from .spline import Spline
+from .units import REVOLUTE, Units
 
 ROUNDING = 1e-9  # by which a limit may be passed, relative to it
-_UNITS = ("rad", "rad/s", "rad/s^2")
+_NUMBERS = ("lower", "upper", "velocity", "acceleration")
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,18 +27,20 @@ class MotionLimits:
     """Limits of n joints: positions lower, upper [rad], |velocity| [rad/s] and |acceleration| [rad/s^2], each (n,).
 
     Scalars stand for every joint; infinite means that no limit is given. Raises TrajectoryError for other
-    lengths, nan, a negative velocity or acceleration and lower > upper.
+    lengths, nan, a negative velocity or acceleration and lower > upper. units: of each joint, revolute by default.
     """
 
     lower: ArrayLike
     upper: ArrayLike
     velocity: ArrayLike = np.inf
     acceleration: ArrayLike = np.inf
+    units: tuple[Units, ...] = ()
 
     def __post_init__(self) -> None:
-        n = max(int(np.size(getattr(self, f.name))) for f in fields(self))
-        for f in fields(self):
-            freeze(self, f.name, _limit(f.name, getattr(self, f.name), n))
+        n = max(int(np.size(getattr(self, name))) for name in _NUMBERS)
+        for name in _NUMBERS:
+            freeze(self, name, _limit(name, getattr(self, name), n))
+        object.__setattr__(self, "units", self.units or (REVOLUTE,) * n)
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         if not np.all(lower <= upper):
             raise TrajectoryError(f"lower limit is {lower.tolist()}, upper {upper.tolist()}; expected lower <= upper")
@@ -134,7 +137,7 @@ def _beyond(values: Array, limits: MotionLimits) -> Array:
 
 def _sentence(values: Array, limits: MotionLimits, row: int, joint: int, when: str = "") -> str:
     """The value (3,)[row] with its time, and the limit that it breaks."""
-    value, unit = values[row], _UNITS[row]
+    value, unit = values[row], limits.units[joint][row]
     limit = limits.greatest[row, joint] if value > limits.greatest[row, joint] else limits.least[row, joint]
     if row:
         value, limit = abs(value), abs(limit)

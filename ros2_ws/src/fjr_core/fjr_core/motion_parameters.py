@@ -51,4 +51,5 @@ def motion_limits(values: Values, robot: Robot) -> MotionLimits:
         held.link_position_upper,
         held.link_velocity,
         vector(values, "limits.acceleration", robot.n),
+        robot.units,
     )

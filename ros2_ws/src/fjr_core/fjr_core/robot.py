@@ -16,6 +16,7 @@ from .errors import RobotError, StateError
 from .limits import JointLimits
 from .links import Links, RigidArm
 from .numeric import NumericFunction, numeric
+from .units import PRISMATIC, REVOLUTE, Units
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +26,7 @@ class Robot:
     links: the rigid arm on the link side. M_m: motor inertia reflected to the link side [kg m^2].
     K: joint stiffness [N m/rad]. D_l, D_m: link and motor damping [N m s/rad]. B_m: input matrix.
     All five are constant matrices (n, n). limits: of the joints, or None; nothing here enforces them.
+    prismatic: which joints slide (n,), none by default; theirs are m and N in place of rad and N m.
 
     The state is x = (q_l, q_m, p_l, p_m), four blocks of n, with p_l = M_l(q_l) dq_l, p_m = M_m dq_m.
 
@@ -39,6 +41,7 @@ class Robot:
     D_m: Array
     B_m: Array
     limits: JointLimits | None = None
+    prismatic: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("M_m", "K", "D_l", "D_m", "B_m"):
@@ -53,6 +56,8 @@ class Robot:
             raise RobotError(f"B_m is {self.B_m.tolist()}; expected an invertible matrix")
         if self.limits is not None and self.limits.n != self.n:
             raise RobotError(f"limits are of {self.limits.n} joints; expected {self.n}")
+        if len(self.prismatic) not in (0, self.n):
+            raise RobotError(f"prismatic is {self.prismatic}; expected one entry for each of {self.n} joints, or none")
         for M in self.links.M_l_vertices or (self.links.M_l(np.zeros(self.n)).full(),):
             checks.positive_definite("M_l", np.asarray(M), RobotError)
 
@@ -60,6 +65,11 @@ class Robot:
     def n(self) -> int:
         """Number of joints."""
         return self.links.n
+
+    @property
+    def units(self) -> tuple[Units, ...]:
+        """Units of each joint's position, velocity, acceleration and effort."""
+        return tuple(PRISMATIC if slides else REVOLUTE for slides in self.prismatic or (False,) * self.n)
 
     def M_l(self, q_l: ArrayLike) -> Array:
         """Link inertia M_l(q_l) (n, n) [kg m^2] at q_l (n,) [rad]."""

@@ -14,6 +14,7 @@ from .errors import ParameterError
 from .limits import JointLimits
 from .parameters import Parameter, Values, names, vector
 from .robot import Robot
+from .units import REVOLUTE, Units
 
 ZERO, GRAVITY_HOLD = "zero", "gravity_hold"
 
@@ -95,7 +96,8 @@ def _lower(upper: str) -> str:
 class Settings:
     """What keeps the closed loop safe; checked at birth. Without arguments but the joints, nothing limits anything.
 
-    joints: names (n,). Limits, each (n,) or a scalar, infinite for none: effort [N m], effort_rate [N m/s],
+    joints: names (n,). units: of each joint, revolute by default; prismatic ones have m and N below.
+    Limits, each (n,) or a scalar, infinite for none: effort [N m], effort_rate [N m/s],
     link_position_lower .. motor_position_upper [rad], link_velocity, motor_velocity [rad/s], deflection
     |q_m - q_l|, tracking_error and start_error |q_l - q_ld| [rad]. on_stop: "zero" or "gravity_hold".
     Times [s]: state_timeout, ramp_time, start_join_time, recovery_join_time. hold_deceleration [rad/s^2].
@@ -121,14 +123,16 @@ class Settings:
     start_join_time: float = 0.0
     recovery_join_time: float = 1.0
     hold_deceleration: float = 2.0
+    units: tuple[Units, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "units", self.units or (REVOLUTE,) * self.n)
         for name in _LIMITS:
             array = _bounds(name, getattr(self, name), len(self.joints))
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         for upper in ("link_position_upper", "motor_position_upper"):
-            _check_order(self.joints, upper, getattr(self, _lower(upper)), getattr(self, upper))
+            _check_order(self.joints, self.units, upper, getattr(self, _lower(upper)), getattr(self, upper))
         for name, word in _DURATIONS.items():
             if not (getattr(self, name) == 0 or getattr(self, name) >= SHORTEST):
                 raise ParameterError(
@@ -163,6 +167,7 @@ def safety(values: Values, robot: Robot) -> Settings:
         start_join_time=_number(values, "start.join_time"),
         recovery_join_time=_number(values, "recovery.join_time"),
         hold_deceleration=_number(values, "hold.deceleration"),
+        units=robot.units,
     )
     if not values["limits.from_robot"]:
         return own
@@ -188,10 +193,10 @@ def _bounds(name: str, value: ArrayLike, n: int) -> Array:
     return array
 
 
-def _check_order(joints: tuple[str, ...], upper: str, low: Array, high: Array) -> None:
-    for joint, a, b in zip(joints, low, high, strict=True):
+def _check_order(joints: tuple[str, ...], units: tuple[Units, ...], upper: str, low: Array, high: Array) -> None:
+    for joint, unit, a, b in zip(joints, units, low, high, strict=True):
         if a > b:
             raise ParameterError(
-                f"parameter 'limits.{upper}' of {joint} is {b:g} rad; "
-                f"expected at least its 'limits.{_lower(upper)}', {a:g} rad"
+                f"parameter 'limits.{upper}' of {joint} is {b:g} {unit.position}; "
+                f"expected at least its 'limits.{_lower(upper)}', {a:g} {unit.position}"
             )

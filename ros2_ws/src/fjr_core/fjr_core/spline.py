@@ -90,7 +90,7 @@ class Spline:
             return
         last = np.asarray(self.velocities)[-1]
         if np.any(last):
-            raise TrajectoryError(f"velocities ends with {last.tolist()} rad/s; expected zeros at the last point")
+            raise TrajectoryError(f"velocities ends with {last.tolist()}; expected zeros at the last point")
 
     def _made(self) -> Pieces:
         """The pieces through the points with all their derivatives chosen."""

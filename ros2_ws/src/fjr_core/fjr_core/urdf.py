@@ -63,7 +63,8 @@ def robot_from_urdf(
     if gear_ratio is not None:
         M_m = _reflected(M_m, gear_ratio)
     limits = JointLimits(*np.array([joint.limits for joint in named]).T)
-    return Robot(_in_order(links, [chain.index(name) for name in joints]), M_m, K, D_l, D_m, B_m, limits)
+    prismatic = tuple(joint.kind == "prismatic" for joint in named)
+    return Robot(_in_order(links, [chain.index(name) for name in joints]), M_m, K, D_l, D_m, B_m, limits, prismatic)
 
 
 def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:

@@ -14,12 +14,25 @@ def without_blas_threads() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-@contextmanager
-def ended_by_signals() -> Iterator[None]:
-    """SIGINT and SIGTERM end the process at once with exit code 0: nothing was started that would need an end.
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
-    The handlers stay until process.run() puts its own in their place.
+
+def end_on_signals(code: int = 0) -> None:
+    """End the process at once with an exit code on SIGINT or SIGTERM: nothing was started that would need an end.
+
+    Signals that the installed executables block while Python starts (scripts/ in each package) arrive from here on.
+    The handlers stay until others, as those of process.run(), take their place.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: os._exit(0))
-    yield
+    for number in SIGNALS:
+        signal.signal(number, lambda *_: os._exit(code))
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+
+
+@contextmanager
+def signals_blocked() -> Iterator[None]:
+    """Block SIGINT and SIGTERM in this thread; a process started meanwhile begins with them blocked."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

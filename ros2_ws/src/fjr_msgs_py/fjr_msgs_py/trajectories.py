@@ -169,7 +169,7 @@ def _come_to_rest(velocities: Array, names: list[str]) -> None:
     if moving.size:
         k, j = len(velocities) - 1, int(moving[0])
         raise MessageError(
-            "moving end", f"the last point, {k}, gives {names[j]} {velocities[k, j]:g} rad/s; expected 0"
+            "moving end", f"the last point, {k}, gives {names[j]} a velocity of {velocities[k, j]:g}; expected 0"
         )
     velocities[-1] = 0.0
 

@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The exit codes of the `fjr` command, in one place."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Exit(IntEnum):
+    """Exit code of `fjr`; of several runs in one command the largest counts, FAILED before all."""
+
+    DONE = 0
+    FAILED = 1
+    NOT_UNDERSTOOD = 2
+    VIOLATED = 3
+    INTERRUPTED = 130  # 128 + SIGINT, as shells count
+
+
+MEANINGS = {
+    Exit.DONE: "done; of a run: finished, and its verdict is not `violated`",
+    Exit.FAILED: "failed: an error, or the controller stopped during the run",
+    Exit.NOT_UNDERSTOOD: "the command line, the scenario or another file is not valid",
+    Exit.VIOLATED: "the run finished, and its verdict is `violated`",
+    Exit.INTERRUPTED: "ended by Ctrl-C or SIGTERM before it was done",
+}
+HELP = "exit codes:\n" + "\n".join(f"  {code:<4} {meaning.replace('`', '')}" for code, meaning in MEANINGS.items())

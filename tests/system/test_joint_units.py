@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An arm with a prismatic and a revolute joint: its figures have m and N, rad and N m, each with its joint."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fjr_bringup import headlines
+from fjr_bringup.exit_codes import Exit
+from fjr_bringup.stability import checked, table
+from fjr_bringup.summary import summarise
+from fjr_bringup.watch_render import text
+from fjr_bringup.watch_state import Watched
+from fjr_controller.safety import StateLimits
+from fjr_core.errors import ParameterError, TrajectoryError
+from fjr_core.motion_limits import check_motion
+from fjr_core.motion_parameters import motion_limits
+from fjr_core.references import Hold
+from fjr_core.safety_parameters import safety
+from fjr_core.scenario import Scenario, load_scenario
+from fjr_core.units import PRISMATIC, REVOLUTE
+from system.executables import fjr
+
+pytestmark = pytest.mark.system
+URDF = """<robot name="lift_arm">
+  <link name="base"/>
+  <link name="carriage"><inertial><mass value="3.0"/>
+    <inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="forearm"><inertial><origin xyz="0.1 0 0"/><mass value="1.0"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="lift" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" velocity="9" effort="500"/></joint>
+  <joint name="elbow" type="revolute"><parent link="carriage"/><child link="forearm"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" velocity="9" effort="20"/></joint>
+</robot>
+"""
+SCENARIO = """/**:
+  ros__parameters:
+    joints: [lift, elbow]
+    robot: {model: urdf, urdf: lift_arm.urdf, joint_stiffness: [4000.0, 300.0], motor_inertia: [1.0, 0.05],
+            link_damping: [1.0, 0.1], motor_damping: [1.0, 0.1]}
+/**/fjr_plant:
+  ros__parameters: {initial_link_position: [0.05, 0.2], initial_motor_position: [0.05, 0.2]}
+/**/fjr_controller:
+  ros__parameters:
+    reference: {amplitude: [0.0, 0.0]}
+    gains: {Lambda_l: [8.0, 8.0], Pi_l: [200.0, 4.0], K_ld: [20.0, 0.5], Lambda_m: [8.0, 8.0],
+            Pi_m: [4000.0, 300.0], K_md: [8.0, 0.5]}
+"""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "lift_arm.urdf").write_text(URDF)
+    (folder / "arm.yaml").write_text(SCENARIO)
+    return folder / "arm.yaml"
+
+
+@pytest.fixture(scope="module")
+def arm(file: Path) -> Scenario:
+    return load_scenario(file)
+
+
+def test_a_run_names_the_joint_and_the_unit_of_each_figure(file: Path, tmp_path: Path) -> None:
+    run = ("run", str(file), "--lockstep", "--duration", "2.2", "--output", str(tmp_path))
+    said = fjr(*run, codes=(Exit.DONE, Exit.VIOLATED))
+    report = json.loads((tmp_path / "arm" / "report.json").read_text())
+    (lift, elbow), tracking = report["joints"], report["tracking"]
+    assert (lift["position_unit"], lift["effort_unit"]) == ("m", "N")
+    assert (elbow["position_unit"], elbow["effort_unit"]) == ("rad", "N m")
+    shares = {each["joint"]: each["peak_effort_nm"] / each["effort_limit_nm"] for each in (lift, elbow)}
+    assert lift["peak_effort_nm"] > elbow["peak_effort_nm"]
+    assert shares["elbow"] > shares["lift"]
+    assert f"{lift['peak_effort_nm']:.2f} N (lift), {100 * shares['elbow']:.0f} % of its limit (elbow)" in said
+    worst = {"lift": lift, "elbow": elbow}[tracking["max_error_after_2s_joint"]]
+    error = f"{worst['peak_error_after_2s_rad']:.1e} {worst['position_unit']} ({worst['joint']})"
+    assert error in said
+    page = (tmp_path / "arm" / "report.html").read_text()
+    for shown in ("lift [m, N]", "elbow [rad, N m]", "[m, rad]", "[N, N m]", "% of its limit (elbow)"):
+        assert shown in page, shown
+
+
+def test_one_joint_needs_no_name(tmp_path: Path) -> None:
+    fjr("run", "paper_k31", "--lockstep", "--duration", "0.1", "--output", str(tmp_path))
+    report = summarise("paper_k31", tmp_path / "paper_k31", 0.1).report
+    assert headlines.peak_effort_and_share(report) == "26.2 N m"
+    assert (headlines.position_unit(report), headlines.effort_unit(report)) == ("rad", "N m")
+
+
+def test_the_robot_knows_its_units(arm: Scenario) -> None:
+    assert arm.robot.units == (PRISMATIC, REVOLUTE)
+    assert "N, N m; within the effort limits" in table(arm, checked(arm))
+
+
+def test_limits_of_a_prismatic_joint_are_said_in_metres(arm: Scenario) -> None:
+    values = {**arm.controller_values, "limits.link_position_upper": [0.04, 0.1], "limits.link_velocity": [1.0, 1.0]}
+    state = StateLimits(safety(values, arm.robot))
+    state.q_l[:] = 0.05, 0.2
+    violation = state.violation(None)
+    assert violation is not None
+    assert violation.sentence == "link position of lift: q_l = 0.05 m; expected at most 0.04 m"
+    state.q_l[:], state.dq_l[:] = 0.0, (2.0, 0.0)
+    violation = state.violation(None)
+    assert violation is not None
+    assert "dq_l = 2 m/s; expected at most 1 m/s" in violation.sentence
+    beneath = {"limits.link_position_lower": [-1.0, -1.0], "limits.link_position_upper": [-2.0, 0.0]}
+    with pytest.raises(ParameterError, match="of lift is -2 m; expected at least .*, -1 m"):
+        safety({**values, **beneath}, arm.robot)
+    with pytest.raises(TrajectoryError, match="joint 'lift' would reach 0.5 m at 0 s; its limit is 0.04 m"):
+        check_motion(Hold((0.5, 0.0)), motion_limits(values, arm.robot), joints=arm.joints)
+
+
+def test_the_live_view_marks_a_prismatic_joint() -> None:
+    watched = Watched("live")
+    watched.description(URDF)
+    watched.state(0.0, {"lift": 0.1, "elbow": 0.2}, {})
+    shown = text(watched.view(0.0))
+    assert "lift [m, N]" in shown
+    assert "elbow [" not in shown

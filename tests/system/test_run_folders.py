@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folders of a scenario's runs: none is overwritten, and the scenario's name is the newest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fjr_bringup.run_folder import FolderError, RunFolder
+
+
+def new_run(link: Path, text: str) -> Path:
+    """A run that began, with a bag."""
+    with RunFolder(link) as run:
+        (run.path / "bag").mkdir()
+        (run.path / "bag" / "bag_0.mcap").write_text(text)
+        run.keep()
+    return run.path
+
+
+def test_every_run_is_kept_and_the_name_is_the_newest(tmp_path: Path) -> None:
+    runs = [new_run(tmp_path / "arm", str(k)) for k in range(3)]
+    assert [run.name for run in runs] == ["arm-001", "arm-002", "arm-003"]
+    assert [(run / "bag" / "bag_0.mcap").read_text() for run in runs] == ["0", "1", "2"]
+    assert (tmp_path / "arm").resolve() == runs[-1]
+
+
+def test_a_run_that_could_not_start_costs_nothing(tmp_path: Path) -> None:
+    first = new_run(tmp_path / "arm", "0")
+    with RunFolder(tmp_path / "arm") as run:
+        (run.path / "scenario.yaml").write_text("")
+    assert {path.name for path in tmp_path.iterdir()} == {"arm", "arm-001"}
+    assert (tmp_path / "arm").resolve() == first
+
+
+def test_a_number_is_never_given_again_while_a_later_run_is_there(tmp_path: Path) -> None:
+    first, second = new_run(tmp_path / "arm", "0"), new_run(tmp_path / "arm", "1")
+    first.rename(tmp_path / "published")
+    assert new_run(tmp_path / "arm", "2").name == "arm-003"
+    assert second.is_dir()
+
+
+def test_two_runs_at_the_same_time_have_folders_of_their_own(tmp_path: Path) -> None:
+    with RunFolder(tmp_path / "arm") as one, RunFolder(tmp_path / "arm") as other:
+        assert one.path != other.path
+
+
+def test_a_run_without_a_number_gets_one(tmp_path: Path) -> None:
+    (tmp_path / "arm" / "bag").mkdir(parents=True)
+    (tmp_path / "arm" / "bag" / "bag_0.mcap").write_text("old")
+    assert new_run(tmp_path / "arm", "new").name == "arm-002"
+    assert (tmp_path / "arm-001" / "bag" / "bag_0.mcap").read_text() == "old"
+    assert (tmp_path / "arm" / "bag" / "bag_0.mcap").read_text() == "new"
+
+
+def test_what_is_no_run_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "arm").mkdir()
+    new_run(tmp_path / "arm", "an empty folder makes room")
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "text").write_text("")
+    (tmp_path / "link").symlink_to("thesis")
+    for name in ("thesis", "link"):
+        with pytest.raises(FolderError, match="not replaced"), RunFolder(tmp_path / name):
+            pass
