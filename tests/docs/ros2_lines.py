@@ -66,6 +66,7 @@ class Graph:
         for option, value in zip(arguments, arguments[1:], strict=False):
             if option == "-p":
                 self._set(node, *value.split(":=", 1))
+            assert option != "--params-file" or "-p" not in arguments[: arguments.index(value)], "-p before the file"
             if option == "--params-file" and value.startswith("$(ros2 pkg"):
                 assert Path(expanded(value)).is_file()
 
