@@ -34,7 +34,7 @@ class Rig:
 
 
 class Pace(ABC):
-    """Lets the robot's time run, rest, or go on by so many samples; a sample is stamped `offset` + robot's time.
+    """Run, rest or advance the robot's time by a number of samples; a sample is stamped `offset` + robot's time.
 
     An effort acts until the next one, but no longer than command_timeout of the robot's time: then there is none.
     """
