@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter as RosParameter
 from fjr_core import FjrError, ParameterError, config, robot_file
 from fjr_core.parameters import Parameter, Value, complete, unknown
 
-from .command_line import overruled
+from .command_line import overruled, same_value
 
 _SIM_TIME = "use_sim_time"
 _FOREIGN = (_SIM_TIME, "start_type_description_service", "qos_overrides.")
@@ -122,6 +122,19 @@ class CheckedParameters(Node):
         """A parameter as it was given, unchecked."""
         return self._given.get(name, default)
 
+    def set_parameters(self, parameter_list: list[RosParameter]) -> list[SetParametersResult]:
+        """As of rclpy's Node; a value that a parameter already has is always accepted."""
+        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
+
+    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
+        """As of rclpy's Node; a value that a parameter already has is always accepted."""
+        new = [parameter for parameter in parameter_list if not self._has(parameter)]
+        return super().set_parameters_atomically(new) if new else SetParametersResult(successful=True)
+
+    def _has(self, parameter: RosParameter) -> bool:
+        name = parameter.name
+        return bool(self.has_parameter(name)) and same_value(self.get_parameter(name).value, parameter.value)
+
     def create_timer(self, seconds: float, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """As of rclpy's Node; an FjrError of the callback ends the node."""
         return super().create_timer(seconds, self._ending(callback), *args, **kwargs)
@@ -199,8 +212,8 @@ class CheckedParameters(Node):
         if self.has_parameter(parameter.name):
             self.undeclare_parameter(parameter.name)
         listed = list(value) if isinstance(value, tuple) else value
-        read_only = not parameter.dynamic and not self._managed
-        self.declare_parameter(parameter.name, listed, descriptor(parameter, read_only), ignore_override=True)
+        described = descriptor(parameter, self._managed)
+        self.declare_parameter(parameter.name, listed, described, ignore_override=True)
 
     def _declare_bare(self) -> None:
         """Declare what was given as it is, so that a value of any type can take its place."""
@@ -267,8 +280,9 @@ class ManagedParameterNode(CheckedParameters, LifecycleNode):
         self._state_machine.destroy_when_not_in_use()
 
 
-def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
-    """The ROS descriptor of a parameter."""
+def descriptor(parameter: Parameter, managed: bool) -> ParameterDescriptor:
+    """Return the ROS descriptor of a parameter, which says when it may change; managed: of a lifecycle node."""
+    read_only = not parameter.dynamic and not managed
     message = ParameterDescriptor(name=parameter.name, description=_description(parameter), read_only=read_only)
     kind = type(parameter.default)
     if isinstance(parameter.default, tuple):
@@ -280,8 +294,14 @@ def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
         message.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
     if kind is int and bounded:
         message.integer_range = [IntegerRange(from_value=int(parameter.minimum), to_value=int(parameter.maximum))]
-    message.additional_constraints = _constraints(parameter)
+    message.additional_constraints = "; ".join(filter(None, [_constraints(parameter), _when(parameter, managed)]))
     return message
+
+
+def _when(parameter: Parameter, managed: bool) -> str:
+    if parameter.dynamic:
+        return "may change while the node is active" if managed else "may change while the node runs"
+    return "may change only while the node is unconfigured" if managed else "fixed while the node runs"
 
 
 def _constraints(parameter: Parameter) -> str:

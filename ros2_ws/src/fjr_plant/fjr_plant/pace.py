@@ -101,6 +101,10 @@ class Pace(ABC):
             return "the robot's time runs; expected a paused robot: call ~/pause with true first"
         return f"already advancing: {self._left} of {self._samples} samples are left" if self._left else ""
 
+    def _say_once(self, sentence: str) -> None:
+        if self._health.is_new(sentence):
+            self._rig.node.get_logger().info(sentence)
+
     def _count_sample(self) -> None:
         """One sample is done, of those to advance by."""
         if self._left:
