@@ -66,6 +66,7 @@ class Graph:
         for option, value in zip(arguments, arguments[1:], strict=False):
             if option == "-p":
                 self._set(node, *value.split(":=", 1))
+            assert option != "--params-file" or "-p" not in arguments[: arguments.index(value)], "-p before the file"
             if option == "--params-file" and value.startswith("$(ros2 pkg"):
                 assert Path(expanded(value)).is_file()
 
@@ -84,7 +85,7 @@ class Graph:
         assert node.has_parameter(name), name
         value = parameter_file.parse(text)
         result = node.set_parameters([Parameter(name, value=value)])[0]
-        assert result.successful or "while" in result.reason, result.reason
+        assert result.successful or "while" in result.reason or "read-only" in result.reason, result.reason
 
     def _topic(self, verb: str, name: str, *given: str) -> None:
         assert verb in ("echo", "pub", "hz", "info")

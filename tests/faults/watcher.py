@@ -19,7 +19,7 @@ from std_msgs.msg import Float64MultiArray
 
 EFFORTS, COMMANDS = "effort_controller/commands", "joint_commands"
 REFERENCE, ERROR = "fjr_controller/reference", "fjr_controller/tracking_error"
-STATES, DIAGNOSTICS, EVENTS = "joint_states", "diagnostics", "fjr_controller/events"
+STATES, DIAGNOSTICS, EVENTS = "joint_states", "/diagnostics", "fjr_controller/events"
 TRUE_STATES = "true_states"  # the plant's, where a relay stands between it and the controller
 
 KINDS: dict[str, Any] = {

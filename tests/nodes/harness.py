@@ -92,7 +92,9 @@ class Listener(Node):
         }
         deep = QoSProfile(depth=1000)
         self.subscriptions_by_topic = {
-            topic: self.create_subscription(kind, prefix + topic, keep.append, deep)
+            topic: self.create_subscription(
+                kind, "/" + topic if topic == "diagnostics" else prefix + topic, keep.append, deep
+            )
             for topic, (kind, keep) in heard.items()
         }
         ros.add(self)

@@ -23,6 +23,7 @@ TRANSITIONS = {
     "deactivate": Transition.TRANSITION_DEACTIVATE,
     "cleanup": Transition.TRANSITION_CLEANUP,
 }
+BY_ITSELF = ("configured", "activated", "deactivated", "cleaned up", "shut down", "tracking")
 
 
 class Manager(Peer):
@@ -80,10 +81,14 @@ class Manager(Peer):
     def send(self, message: JointTrajectory) -> DiagnosticStatus:
         """Publish a trajectory; the event with which it is met."""
         self._ros.until(lambda: self.trajectories.get_subscription_count(), "the trajectory's subscription")
-        before = len(self.events)
+        before = len(self.answers())
         self.trajectories.publish(message)
-        self._ros.until(lambda: len(self.events) > before, "an event")
-        return self.events[-1]
+        self._ros.until(lambda: len(self.answers()) > before, "an event")
+        return self.answers()[-1]
+
+    def answers(self) -> list[DiagnosticStatus]:
+        """The events that no transition of the node and no course of time brings."""
+        return [event for event in self.events if event.name not in BY_ITSELF]
 
     def kinds(self) -> list[str]:
         return [event.name for event in self.events]

@@ -13,8 +13,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_controller.answering import TOPICS, RivalError
-from fjr_controller.rivals import Rivals
 from fjr_msgs_py.names import LATEST
+from fjr_msgs_py.rivals import Rivals
 from nodes.harness import Ros, stamped
 from nodes.managed import Manager
 

@@ -58,7 +58,8 @@ def test_nothing_is_sent_until_the_clock_shows_a_time(ros: Ros, peer: Peer) -> N
     assert not peer.states
     assert player.node._health.count["states published"] == 0
     player.run(50 * SECOND, 3)
-    assert {nanoseconds(state) for state in peer.states} == {50 * SECOND}, "it stands still until the first command"
+    assert [nanoseconds(state) for state in peer.states[-3:]] == [50 * SECOND + k * PERIOD for k in (1, 2, 3)]
+    assert {tuple(state.position) for state in peer.states} == {(0.5, 0.5)}, "it stands still until the first command"
 
 
 def test_stamps_follow_the_clock_and_stop_with_it(ros: Ros, peer: Peer) -> None:
@@ -83,7 +84,7 @@ def test_commands_act_and_end_by_the_clock(ros: Ros, peer: Peer) -> None:
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: player.node._health.count["commands received"] == 1)
     ros.settle(200)
-    assert nanoseconds(peer.states[-1]) == 50 * SECOND, "the clock has not moved"
+    assert nanoseconds(peer.states[-1]) == 50 * SECOND + 2 * PERIOD, "the clock has not moved"
     player.run(50 * SECOND + 2 * PERIOD, 20)
     expected = integrate(integrate(start, 0.3, 20), 0.0, 60)
     np.testing.assert_allclose(state_of(peer.states[-1]), expected, rtol=1e-12)
@@ -95,12 +96,23 @@ def test_a_jump_forward_is_integrated_in_part_and_counted(ros: Ros, peer: Peer) 
     player.play(50 * SECOND)
     player.run(50 * SECOND, 5)
     count, before = len(peer.states), nanoseconds(peer.states[-1])
-    player.play(60 * SECOND)
+    player.play(51 * SECOND)
     assert [nanoseconds(state) for state in peer.states[count:]] == [before + LONGEST_BACKLOG]
-    player.run(60 * SECOND + PERIOD, 4)
+    player.run(51 * SECOND + PERIOD, 4)
     assert nanoseconds(peer.states[-1]) == before + LONGEST_BACKLOG + 5 * PERIOD
     assert player.node._health.count["time lost"] == 1
     assert_one_motion(peer.states)
+
+
+def test_stamps_catch_up_with_a_clock_that_is_far_ahead(ros: Ros, peer: Peer) -> None:
+    player = Player(ros, peer, wait_for_command=False)
+    player.play(50 * SECOND)
+    player.run(50 * SECOND, 5)
+    count = len(peer.states)
+    stamps = player.run(60 * SECOND, 4)
+    assert stamps == [60 * SECOND + k * PERIOD for k in range(5)]
+    assert_one_motion(peer.states[:count])
+    assert_one_motion(peer.states[count:])
 
 
 def test_after_a_jump_back_the_stamps_go_on_from_the_new_time(ros: Ros, peer: Peer, capfd) -> None:
@@ -131,20 +143,20 @@ def test_a_clock_that_shows_zero_again_stands_still(ros: Ros, peer: Peer) -> Non
 
 
 def test_a_reset_after_a_jump_back_returns_to_a_time_of_the_clock(ros: Ros, peer: Peer) -> None:
-    player = Player(ros, peer, wait_for_command=False)
+    player = Player(ros, peer, wait_for_command=False, restart_silence=0.0)
     player.play(50 * SECOND)
     for k in range(20):
         player.play(50 * SECOND + k * 100 * PERIOD)
-    zero = player.run(SECOND, 10)[0]
+    player.run(SECOND, 10)
     assert call(ros, peer, Trigger, "fjr_plant/reset").success
     player.play(SECOND + 11 * PERIOD)
-    assert nanoseconds(peer.states[-1]) == zero + PERIOD
+    assert nanoseconds(peer.states[-1]) == SECOND + 11 * PERIOD
     np.testing.assert_allclose(state_of(peer.states[-1]), integrate(np.array([0.5, 0.5, 0, 0]), 0.0, 4), rtol=1e-12)
 
 
 @pytest.mark.parametrize("jump", [1, -1])
 def test_a_pause_outlasts_a_jump_of_the_clock(ros: Ros, peer: Peer, jump: int) -> None:
-    player = Player(ros, peer, wait_for_command=False)
+    player = Player(ros, peer, wait_for_command=False, restart_silence=0.0)
     player.play(50 * SECOND)
     player.run(50 * SECOND, 5)
     x, count = state_of(peer.states[-1]), len(peer.states)

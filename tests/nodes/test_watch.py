@@ -186,11 +186,12 @@ def test_hears_plant_and_controller_under_any_names(ros: Ros) -> None:
         view = watched.view(0.0)
         seen = view.joints and view.joints[0].error is not None and view.joints[0].effort is not None
         nodes = {status.name for status in view.health}
-        return bool(seen and view.timing and view.timing.latency and {"fjr_plant", "fjr_controller"} <= nodes)
+        return bool(seen and view.timing and view.timing.latency and {"left/fjr_plant", "left/fjr_controller"} <= nodes)
 
     ros.until(complete, "states, answers, errors and reports")
     (joint,) = watched.view(0.0).joints
     assert joint.name == "joint1"
     assert joint.position is not None
     assert joint.peak > 0
+    assert all(status.name.startswith("left/") for status in watched.view(0.0).health), "not of the other robot"
     assert set(watch.missing()) <= {"/left/fjr_controller/certificate"}

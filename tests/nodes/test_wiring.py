@@ -268,6 +268,7 @@ WIRED_ELSEWHERE = {
     "cpu_affinity",
     "lockstep",  # every lockstep_state
     "lockstep_timeout",  # test_lock_step
+    "restart_silence",  # test_stamps_of_states
     "publish_description",  # test_plant_node
     "advance_samples",  # test_advance
     "state_timeout",  # test_controller_node

@@ -181,6 +181,14 @@ BAD = {
     "unknown model": (["-p", "robot.model:=scara"], "expected one of single_link"),
     "mixed list": (["-p", "robot.joint_stiffness:=[1, 2.0]"], "parameter"),
     "missing file": (["--params-file", "/there/is/no/such.yaml"], "/there/is/no/such.yaml"),
+    "parameter before the file": (
+        ["-p", "realtime_priority:=7", "--params-file", scenario("paper_k31")],
+        "argument '-p realtime_priority:=7' has no effect: a parameter file sets realtime_priority to 50",
+    ),
+    "bad parameter after the file": (
+        ["--params-file", scenario("paper_k31"), "-p", "realtime_priority:=-1"],
+        "holds -1; expected 0 to 98",
+    ),
     "bad node name": (["-r", "__node:=not a name"], "cannot start"),
 }
 

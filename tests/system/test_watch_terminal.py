@@ -120,7 +120,7 @@ def rows(screen: str) -> dict[str, list[float]]:
 
 def test_a_running_loop_is_on_the_screen(loop: dict[str, Executable], terminal: Callable[..., Terminal]) -> None:
     watch = terminal("watch", "two_link", "--namespace", "left")
-    words = ("state to command", "ok    fjr_controller", "fjr_plant")
+    words = ("state to command", "ok    left/fjr_controller", "left/fjr_plant")
     screen = watch.until(lambda text: all(word in text for word in words) and set(rows(text)) == {"shoulder", "elbow"})
     q_l, dq_l, deflection, error = rows(screen)["elbow"]
     assert abs(q_l) < 2

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from fjr_core import config
 from fjr_core.sampled_loop import check
-from fjr_core.scenario import CONTROLLER, Scenario
+from fjr_core.scenario import Scenario
 from fjr_core.synthesis import synthesize
 from fjr_core.vdpbc.law import TrackingLaw
 
@@ -31,7 +31,7 @@ def text(scenario: Scenario, beta: float, delay: float, everywhere: bool) -> str
     lines = [
         f"# for {scenario.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / period:g} Hz "
         f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples",
-        f"# in the place of `gains` below {CONTROLLER}'s ros__parameters:",
+        "# in place of `gains` below ros__parameters:",
         "    gains:",
     ]
     for name, entries in config.gain_values(gains, robot.n).items():

@@ -34,6 +34,7 @@ class FjrWatch:
         """controller: name of the node whose ~/ topics are meant."""
         self._node, self._watched = node, watched
         self._now = 0.0
+        self._space = f"{node.get_namespace()}/".lstrip("/")
         own = {name: name.replace("~", controller) for name in (names.TRACKING_ERROR, CERTIFICATE, names.EVENTS)}
         self._topics: list[str] = []
         self._stamped = [
@@ -111,6 +112,8 @@ class FjrWatch:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
+            if not status.name.startswith(self._space):
+                continue  # another robot's
             values = {pair.key: pair.value for pair in status.values}
             health = Health(status.name, status.level[0], status.message, values.get("state", ""))
             self._watched.health(self._now, health)

@@ -15,11 +15,11 @@ from fjr_core import FjrError
 from fjr_core.checks import Array
 from fjr_msgs_py import names, process
 from fjr_msgs_py.messages import EffortWriter, JointSample, JointStateWriter, MessageError, StateReader
+from fjr_msgs_py.rivals import Rivals
 from fjr_msgs_py.serialised import SerialisedStates
 
-from .events import Event
+from .events import Event, State
 from .reports import ANSWERED, RECEIVED, Reports
-from .rivals import Rivals
 from .tracker import Command, Tracker
 
 TOPICS = {names.EFFORT_COMMANDS: Float64MultiArray, names.JOINT_COMMANDS: JointState}
@@ -88,6 +88,7 @@ class Answering:
         ]
         self._last_stamp: int | None = None
         self._alone = False
+        self._state = State.WAITING
         self.active = True
 
     def stop(self) -> None:
@@ -146,6 +147,10 @@ class Answering:
         self._references.publish(self._reference.fill(sample.stamp, q_ld, dq_ld))
         q_tilde_l, dq_tilde_l = sample.q_l - q_ld, command.velocity[: self._n] - dq_ld
         self._errors.publish(self._error.fill(sample.stamp, q_tilde_l, dq_tilde_l))
+        if command.state is not self._state:
+            self._state = command.state
+            if command.state is State.TRACKING:
+                self._reports.reached("tracking", "tracking: the effort is the law's own")
         for listener in self._listeners:
             listener(sample, command, arrival, sent)
 

@@ -12,11 +12,13 @@ from rclpy.node import Node
 from fjr_core import ParameterError, Reference, TrackingLaw, config
 from fjr_core.checks import Array
 from fjr_core.control_law import control_law, robust_action
+from fjr_core.description import robot_name
 from fjr_core.measurement_parameters import measurement, observer
 from fjr_core.motion_limits import check_motion
 from fjr_core.motion_parameters import motion_limits
 from fjr_core.parameters import named
 from fjr_core.safety_parameters import safety
+from fjr_msgs_py.events import EventWriter
 from fjr_msgs_py.follow_messages import follow_messages
 from fjr_msgs_py.messages import StateReader
 
@@ -36,7 +38,9 @@ class Control:
     command the robot, before anything was sent.
     """
 
-    def __init__(self, node: Node, values: dict[str, Any], refused: Callable[[RivalError], None]) -> None:
+    def __init__(
+        self, node: Node, values: dict[str, Any], events: EventWriter, refused: Callable[[RivalError], None]
+    ) -> None:
         self._values, joints = values, values["joints"]
         self._robot = robot = config.robot(values)
         settings, allowed = safety(values, robot), tolerances(values, robot.units)
@@ -47,7 +51,7 @@ class Control:
         self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated, robust)
         self.tracker.warm_up()
         # Nothing above is made on the node, nothing below is refused.
-        self.reports = Reports(node, self.tracker)
+        self.reports = Reports(node, self.tracker, events, robot_name(values))
         self._answering = Answering(node, joints, self.tracker, reader, self.reports, refused)
         self._motion = Motion(node, joints, self.tracker, self.reports, self._is_active, self._built_in)
         self._limit_motion()

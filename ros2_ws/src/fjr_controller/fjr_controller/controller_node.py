@@ -13,6 +13,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from fjr_core import FjrError, config
 from fjr_core.process_parameters import process_care, process_parameters
 from fjr_msgs_py import names, process
+from fjr_msgs_py.events import EventWriter
 from fjr_msgs_py.node_parameters import ManagedParameterNode
 
 from .answering import RIVALS, RivalError
@@ -53,6 +54,7 @@ class ControllerNode(ManagedParameterNode):
 
     def build(self) -> None:
         """With autostart: configure and activate, or raise why that is not possible."""
+        self._events = EventWriter(self)
         if self.fault is not None:
             self.values = {parameter.name: parameter.default for parameter in process_parameters()}
             self.get_logger().error(f"waits for better parameters: {self.fault}")
@@ -89,63 +91,74 @@ class ControllerNode(ManagedParameterNode):
 
     def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Check all parameters and build the law."""
-        return self._attempt(self._configure)
+        return self._attempt("configured", self._configure)
 
     def on_activate(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Answer from the next state on."""
-        return self._attempt(self._activate)
+        return self._attempt("activated", self._activate)
 
     def on_deactivate(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Send the last command."""
-        return self._attempt(self._deactivate)
+        return self._attempt("deactivated", self._deactivate)
 
     def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Give everything back."""
-        return self._attempt(self._clean_up)
+        """Destroy what was configured."""
+        return self._attempt("cleaned up", self._clean_up)
 
     def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Send the last command and the counters."""
-        return self._attempt(self._deactivate)
+        return self._attempt("shut down", self._deactivate)
 
     def on_error(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Send the last command where one is due, give everything back, and be unconfigured."""
-        return self._attempt(self._clean_up)
+        """Send the last command where one is due, destroy what was configured, and be unconfigured."""
+        return self._attempt("cleaned up after an error", self._clean_up)
 
-    def _attempt(self, act: Callable[[], None]) -> TransitionCallbackReturn:
-        """SUCCESS; FAILURE with one sentence in the log; ERROR with a traceback where nobody foresaw it."""
+    def _attempt(self, done: str, act: Callable[[], str]) -> TransitionCallbackReturn:
+        """Make a transition that returns what holds now, for the log and ~/events.
+
+        Return SUCCESS; FAILURE with one sentence; ERROR with a traceback for an error that nobody foresaw.
+        """
         self.trouble = None
         try:
-            act()
+            sentence = f"{done}: {act()}"
         except FjrError as error:
             self.trouble = error
+            self._events.publish("error", "transition failed", str(error))
             if not self._at_birth:
                 self.get_logger().error(str(error))
             return FAILURE
         except Exception as error:
             self.trouble = error
+            self._events.publish("error", "transition failed", repr(error))
             self.get_logger().error("".join(traceback.format_exception(error)))
             return ERROR
+        self.get_logger().info(sentence)
+        self._events.publish("info", done, sentence)
         return SUCCESS
 
-    def _configure(self) -> None:
+    def _configure(self) -> str:
         if not self._at_birth:
             self.recheck()
         process_care(self.values)
-        self._control = Control(self, self.values, self._on_rival)
+        self._control = Control(self, self.values, self._events, self._on_rival)
         self.built()
+        return f"law {self.values['law.type']} for {', '.join(self.values['joints'])}"
 
-    def _activate(self) -> None:
+    def _activate(self) -> str:
         assert self._control is not None
         self._control.start()
+        return f"waiting for states on {self.resolve_topic_name(names.JOINT_STATES)}"
 
-    def _deactivate(self) -> None:
+    def _deactivate(self) -> str:
         if self._control is not None:
             self._control.stop()
+        return "no efforts are sent"
 
-    def _clean_up(self) -> None:
+    def _clean_up(self) -> str:
         if self._control is not None:
             self._control.close()
             self._control = None
+        return "all parameters may change"
 
     def _on_rival(self, error: RivalError) -> None:
         """Another process commands the robot, as it turned out before the first answer: be inactive, or end."""

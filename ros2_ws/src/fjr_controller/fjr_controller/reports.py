@@ -33,10 +33,10 @@ EXPECTED = (
 class Reports(Health):
     """The counters of the node and of its tracker together, and the events of both."""
 
-    def __init__(self, node: Node, tracker: Tracker) -> None:
-        super().__init__(node, (RECEIVED, ANSWERED))
-        self._tracker = tracker
-        self._events = EventWriter(node)
+    def __init__(self, node: Node, tracker: Tracker, events: EventWriter, robot: str) -> None:
+        """robot: its name, for the diagnostics."""
+        super().__init__(node, (RECEIVED, ANSWERED), robot)
+        self._tracker, self._events = tracker, events
         self._expected |= set(EXPECTED)
         inspect.getframeinfo(
             sys._getframe()
@@ -54,6 +54,12 @@ class Reports(Health):
             self.warn(event.kind, event.sentence)
         self._events.publish(event.level, event.kind, event.sentence, event.values)
 
+    def reached(self, kind: str, sentence: str) -> None:
+        """Publish that something has begun, and log it the first time."""
+        if self.is_new(kind):
+            self._node.get_logger().info(sentence)
+        self._events.publish("info", kind, sentence)
+
     def empty(self) -> None:
         """Publish what has happened in the tracker since the last call."""
         while self._tracker.events:
@@ -67,8 +73,3 @@ class Reports(Health):
             self.value(f"seconds {name}", f"{seconds:.3f}")
         self.value("state", self._tracker.state.value)
         super().publish()
-
-    def close(self) -> None:
-        """Report no more."""
-        super().close()
-        self._events.close()

@@ -46,7 +46,7 @@ class Witness:
         self._running = RunningVerdict(law, limit, self._forecast)
         self._writer = CertificateWriter()
         self._publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.LATEST)
-        self._name = f"{node.get_name()}: certificate"
+        self._name = f"{names.full_name(node)}: certificate"
         self._stamp, self._start, self._bound = 0, -1, NO_BOUND
         self._beta = self._rate()
 

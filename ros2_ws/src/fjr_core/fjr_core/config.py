@@ -7,6 +7,7 @@ The words for robots are in robot_parameters.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 
 import numpy as np
 
@@ -27,16 +28,21 @@ from .robust_parameters import robust, robust_parameters
 from .safety_parameters import safety_parameters
 
 __all__ = [
+    "OwnParameters",
     "all_parameters",
     "controller_parameters",
     "gain_values",
     "gains",
     "initial_state",
+    "names_of_others",
     "plant_parameters",
     "reference",
     "robot",
     "robust",
 ]
+
+OwnParameters = Callable[[int], Sequence[Parameter]]
+"""Makes a node's own parameters for n joints: plant_parameters or controller_parameters."""
 
 _GAIN_CONSTRAINTS = {
     "Lambda_l": "condition (32): Pi_l Lambda_l + Lambda_l' Pi_l positive definite",
@@ -127,9 +133,16 @@ def initial_state(values: Values, robot: Robot) -> Array:
     return robot.state(*(vector(values, name, robot.n) for name in names))
 
 
-def all_parameters(own: Callable[[int], Sequence[Parameter]], given: Mapping[str, object]) -> list[Parameter]:
+def all_parameters(own: OwnParameters, given: Mapping[str, object]) -> list[Parameter]:
     """All parameters of a node for the given model and joints: `own` is plant_parameters or controller_parameters."""
     return [*robot_parameters(given), *own(joints_of(given))]
+
+
+@cache
+def names_of_others(own: OwnParameters) -> frozenset[str]:
+    """Names that parameters of the other nodes have and those of `own` do not: a shared file may hold them."""
+    others = {parameter.name for node in (plant_parameters, controller_parameters) for parameter in node(1)}
+    return frozenset(others - {parameter.name for parameter in own(1)})
 
 
 def _spread(value: object, n: int) -> tuple[float, ...]:

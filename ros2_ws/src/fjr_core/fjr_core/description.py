@@ -41,6 +41,11 @@ def description(values: Values) -> str:
     return _urdf(str(values[MODEL.name]), names(values, "joints"), build(values))
 
 
+def robot_name(values: Values) -> str:
+    """Return the name that the robot has in its URDF."""
+    return str(ElementTree.fromstring(description(values)).get("name", ""))
+
+
 def _single_link(values: Values) -> list[Rod]:
     """A uniform rod with inertia I about its joint and m g com = the gravity torque: I = 4/3 m com^2.
 

@@ -77,9 +77,13 @@ def read(path: Path, what: str) -> Any:
         raise ParameterError(f"{path} {error}") from None
 
 
+SHARED = "/**"
+"""The section for every node, and the only one that `-p name:=value` on a command line reaches."""
+
+
 def sections(node: str) -> tuple[str, ...]:
     """Names of the sections that hold parameters of a node."""
-    return ("/**", node, f"/{node}", f"/**/{node}")
+    return (SHARED, node, f"/{node}", f"/**/{node}")
 
 
 def values_for(node: str, document: Any) -> dict[str, object]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long the simulated robot waits and how far it is advanced, in words."""
+"""Parameters of the simulated robot's waiting times and of ~/advance."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from .parameters import Parameter
 
 
 def plant_timing_parameters() -> list[Parameter]:
-    """The parameters of the plant's lock-step and of ~/advance."""
+    """Return the parameters of the plant's lock-step, of its silence after a restart and of ~/advance."""
     return [
         Parameter(
             "lockstep_timeout",
@@ -16,6 +16,14 @@ def plant_timing_parameters() -> list[Parameter]:
             "s",
             minimum=0.0,
             maximum=1e6,
+        ),
+        Parameter(
+            "restart_silence",
+            1.0,
+            "Silence after a reset or a pause, longer than the controller's state_timeout; not in lock-step",
+            "s",
+            minimum=0.0,
+            maximum=1e3,
         ),
         Parameter(
             "advance_samples",

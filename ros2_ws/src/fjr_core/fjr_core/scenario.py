@@ -145,7 +145,8 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
         given = robot_file.merged(parameter_file.values_for(node, document), node, folder)
         known = config.all_parameters(own, given)
         checked[node] = parameters.complete(known, given)
-        warnings += [f"{node}: {sentence}" for sentence in parameters.unknown(known, given)]
+        own_names = set(given) - _meant_for_others(node, own, document)
+        warnings += [f"{node}: {sentence}" for sentence in parameters.unknown(known, own_names)]
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
     warnings += _about_hold(scenario)
     scenario = replace(scenario, warnings=tuple(warnings))
@@ -156,6 +157,12 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
         )
     _ = scenario.sampled_law, scenario.reference, scenario.plant, scenario.x0  # what cannot be built is said here
     return scenario
+
+
+def _meant_for_others(node: str, own: config.OwnParameters, document: Any) -> set[str]:
+    """Names that the document gives to all nodes, of which only others have them."""
+    private = {section: content for section, content in document.items() if section != parameter_file.SHARED}
+    return set(config.names_of_others(own)) - set(parameter_file.values_for(node, private))
 
 
 def _about_hold(scenario: Scenario) -> list[str]:
@@ -170,21 +177,27 @@ def _about_hold(scenario: Scenario) -> list[str]:
 def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:
     """A parameter file with the values given to each node that needs no robot file and no URDF file.
 
-    What the nodes share comes first. Relative paths in `given` are relative to `folder`. Raises ParameterError.
+    A value stands in the section /**, which `-p` on a command line reaches, unless the nodes differ in it. Relative
+    paths in `given` are relative to `folder`. Raises ParameterError.
     """
     whole = {node: robot_file.inlined(robot_file.merged(values, node, folder)) for node, values in given.items()}
-    first, *others = whole.values()
-    shared = {
-        name: value
-        for name, value in first.items()
-        if all(name in other and _same(value, other[name]) for other in others)
-    }
-    sections = {"/**": shared}
+    shared: dict[str, object] = {}
+    for values in whole.values():
+        shared |= {name: value for name, value in values.items() if _is_common(name, value, whole)}
+    sections = {parameter_file.SHARED: shared}
     for node, values in whole.items():
         sections[f"/**/{node}"] = {name: value for name, value in values.items() if name not in shared}
     return {
         section: {"ros__parameters": parameter_file.tree_of(values)} for section, values in sections.items() if values
     }
+
+
+def _is_common(name: str, value: object, given: Mapping[str, Mapping[str, object]]) -> bool:
+    """Whether every node that has the parameter is given this value."""
+    return all(
+        _same(value, values[name]) if name in values else name in config.names_of_others(OWN_PARAMETERS[node])
+        for node, values in given.items()
+    )
 
 
 def _same(first: object, second: object) -> bool:

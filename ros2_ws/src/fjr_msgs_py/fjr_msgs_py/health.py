@@ -12,7 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from .messages import MessageError
-from .names import DIAGNOSTICS
+from .names import DIAGNOSTICS, full_name
 
 PERIOD = 1.0  # s
 _PERIOD_NS = round(PERIOD * 1e9)
@@ -26,9 +26,11 @@ class Health:
     reports repeat with the run.
     """
 
-    def __init__(self, node: Node, expected: tuple[str, ...]) -> None:
+    def __init__(self, node: Node, expected: tuple[str, ...], robot: str = "") -> None:
+        """robot: its name, which with the node's namespace is the hardware_id of every status."""
         self.count: Counter[str] = Counter(dict.fromkeys(expected, 0))
         self._node = node
+        self._hardware = f"{node.get_namespace()}/{robot}".strip("/")
         self._expected = set(expected)
         self._errors: set[str] = set()
         self._values: dict[str, str] = {}
@@ -43,7 +45,7 @@ class Health:
     def refuse(self, what: str, error: MessageError) -> None:
         """Count a refused message and say why, once for each kind of reason."""
         kind = f"{what} refused: {error.kind}"
-        self.warn(kind, f"{what} refused: {error} (said once; counted on /{DIAGNOSTICS})")
+        self.warn(kind, f"{what} refused: {error} (said once; counted on {DIAGNOSTICS})")
 
     def warn(self, kind: str, sentence: str) -> None:
         """Count an unwanted event and log the sentence as a warning, the first time that this kind comes."""
@@ -91,12 +93,14 @@ class Health:
         unwanted = [key for key, value in self.count.items() if value and key not in self._expected]
         status = DiagnosticStatus(
             level=self._level(unwanted),
-            name=self._node.get_name(),
+            name=full_name(self._node),
             message=", ".join(unwanted) or "ok",
             values=[KeyValue(key=key, value=str(value)) for key, value in self.count.items()]
             + [KeyValue(key=key, value=text) for key, text in self._values.items()],
         )
         message = DiagnosticArray(status=[status, *(other() for other in self._others)])
+        for each in message.status:
+            each.hardware_id = self._hardware
         message.header.stamp = self._now()
         self._publisher.publish(message)
 

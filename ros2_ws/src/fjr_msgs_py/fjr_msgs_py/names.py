@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names and qualities of service that the nodes share; relative names, so namespaces and remaps work."""
 
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 PLANT = "fjr_plant"
@@ -12,7 +13,7 @@ JOINT_COMMANDS = "joint_commands"
 REFERENCE = "~/reference"
 TRACKING_ERROR = "~/tracking_error"
 CERTIFICATE = "~/certificate"
-DIAGNOSTICS = "diagnostics"
+DIAGNOSTICS = "/diagnostics"  # one for all robots, as monitors expect it
 EVENTS = "~/events"
 JOINT_TRAJECTORY = "~/joint_trajectory"
 FOLLOW_JOINT_TRAJECTORY = "~/follow_joint_trajectory"
@@ -47,6 +48,11 @@ LATCHED = QoSProfile(
 def motor_name(joint: str) -> str:
     """Name of a joint's motor side in a JointState."""
     return f"{joint}_motor"
+
+
+def full_name(node: Node) -> str:
+    """Return the name of a node with its namespace, as in `left/fjr_plant`."""
+    return str(node.get_fully_qualified_name()).lstrip("/")
 
 
 def state_names(joints: tuple[str, ...]) -> list[str]:

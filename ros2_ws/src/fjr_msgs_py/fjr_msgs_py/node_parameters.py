@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType, SetParametersResult
 from rclpy.lifecycle import LifecycleNode
@@ -16,6 +16,8 @@ from rclpy.parameter import Parameter as RosParameter
 
 from fjr_core import FjrError, ParameterError, config, robot_file
 from fjr_core.parameters import Parameter, Value, complete, unknown
+
+from .command_line import overruled, same_value
 
 _SIM_TIME = "use_sim_time"
 _FOREIGN = (_SIM_TIME, "start_type_description_service", "qos_overrides.")
@@ -43,10 +45,12 @@ class CheckedParameters(Node):
     """Mixin of a node whose parameters are a table of fjr_core.config; `values` holds them, checked.
 
     Given values win over those of the robot file that they name, and these over defaults; paths of files are
-    relative to the current directory. A name that no parameter has is reported and ignored.
+    relative to the current directory. A name that no parameter has is reported and ignored; names of other nodes'
+    parameters are ignored, so that one file serves all nodes.
     While the node runs, dynamic parameters change all together or not at all (`changed`); the others do not
     change, except in a managed node that is unconfigured (`is_open`), which reads all again by `recheck`.
-    Raises ParameterError for a value that does not fit, unless the node `may_wait` for a better one.
+    Raises ParameterError for a value that does not fit, unless the node `may_wait` for a better one, and for a `-p` of
+    the command line that a parameter file overrules.
     use_sim_time changes only while `is_open`: what is built follows one clock.
 
     An FjrError that a callback of a timer, a subscription or a service raises ends the node: no such callback does
@@ -60,8 +64,10 @@ class CheckedParameters(Node):
     """Why the node has ended."""
     fault: ParameterError | None = None
     """Why the parameters do not fit, of a node that waits for better ones."""
+    process_arguments: ClassVar[Sequence[str]] = ()
+    """The command line of the process, where it was given to rclpy.init."""
 
-    def __init__(self, name: str, own: Callable[[int], Sequence[Parameter]], **node_kwargs: Any) -> None:
+    def __init__(self, name: str, own: config.OwnParameters, **node_kwargs: Any) -> None:
         """own: config.plant_parameters or config.controller_parameters; node_kwargs: as rclpy's Node."""
         try:
             super().__init__(
@@ -73,11 +79,11 @@ class CheckedParameters(Node):
         except ValueError as error:  # rclpy cannot declare a list without entries
             raise ParameterError(f"a parameter is an empty list; expected at least one entry ({error})") from None
         self._own = own
-        own_names = (name for name in self.get_parameters_by_prefix("") if not name.startswith(_FOREIGN))
-        self._given: dict[str, Any] = {name: self.get_parameter(name).value for name in own_names}
+        self._given = self._taken_over()
         self._declaring = False
         self.values = {}
         try:
+            self._refuse_overruled(node_kwargs.get("cli_args") or self.process_arguments)
             self._read()
             self.add_on_set_parameters_callback(self._on_set)
             self.build()
@@ -116,6 +122,19 @@ class CheckedParameters(Node):
         """A parameter as it was given, unchecked."""
         return self._given.get(name, default)
 
+    def set_parameters(self, parameter_list: list[RosParameter]) -> list[SetParametersResult]:
+        """As of rclpy's Node; a value that a parameter already has is always accepted."""
+        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
+
+    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
+        """As of rclpy's Node; a value that a parameter already has is always accepted."""
+        new = [parameter for parameter in parameter_list if not self._has(parameter)]
+        return super().set_parameters_atomically(new) if new else SetParametersResult(successful=True)
+
+    def _has(self, parameter: RosParameter) -> bool:
+        name = parameter.name
+        return bool(self.has_parameter(name)) and same_value(self.get_parameter(name).value, parameter.value)
+
     def create_timer(self, seconds: float, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """As of rclpy's Node; an FjrError of the callback ends the node."""
         return super().create_timer(seconds, self._ending(callback), *args, **kwargs)
@@ -139,6 +158,25 @@ class CheckedParameters(Node):
             return arguments[-1] if arguments else None
 
         return call
+
+    def _taken_over(self) -> dict[str, Any]:
+        """Return the parameters that were given; those that only other nodes have are dropped."""
+        given = {
+            name: self.get_parameter(name).value
+            for name in self.get_parameters_by_prefix("")
+            if not name.startswith(_FOREIGN)
+        }
+        for name in given.keys() & config.names_of_others(self._own):
+            self.undeclare_parameter(name)
+            del given[name]
+        return given
+
+    def _refuse_overruled(self, arguments: Sequence[str]) -> None:
+        """Raise ParameterError for a `-p` that a parameter file overrules."""
+        values = {**self._given, _SIM_TIME: self.get_parameter(_SIM_TIME).value}
+        sentence = overruled(arguments, self.get_name(), values)
+        if sentence:
+            raise ParameterError(sentence)
 
     def recheck(self) -> None:
         """Read all parameters again, with what was set since; raises ParameterError and keeps the old values."""
@@ -174,8 +212,8 @@ class CheckedParameters(Node):
         if self.has_parameter(parameter.name):
             self.undeclare_parameter(parameter.name)
         listed = list(value) if isinstance(value, tuple) else value
-        read_only = not parameter.dynamic and not self._managed
-        self.declare_parameter(parameter.name, listed, descriptor(parameter, read_only), ignore_override=True)
+        described = descriptor(parameter, self._managed)
+        self.declare_parameter(parameter.name, listed, described, ignore_override=True)
 
     def _declare_bare(self) -> None:
         """Declare what was given as it is, so that a value of any type can take its place."""
@@ -242,8 +280,9 @@ class ManagedParameterNode(CheckedParameters, LifecycleNode):
         self._state_machine.destroy_when_not_in_use()
 
 
-def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
-    """The ROS descriptor of a parameter."""
+def descriptor(parameter: Parameter, managed: bool) -> ParameterDescriptor:
+    """Return the ROS descriptor of a parameter, which says when it may change; managed: of a lifecycle node."""
+    read_only = not parameter.dynamic and not managed
     message = ParameterDescriptor(name=parameter.name, description=_description(parameter), read_only=read_only)
     kind = type(parameter.default)
     if isinstance(parameter.default, tuple):
@@ -255,8 +294,14 @@ def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
         message.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
     if kind is int and bounded:
         message.integer_range = [IntegerRange(from_value=int(parameter.minimum), to_value=int(parameter.maximum))]
-    message.additional_constraints = _constraints(parameter)
+    message.additional_constraints = "; ".join(filter(None, [_constraints(parameter), _when(parameter, managed)]))
     return message
+
+
+def _when(parameter: Parameter, managed: bool) -> str:
+    if parameter.dynamic:
+        return "may change while the node is active" if managed else "may change while the node runs"
+    return "may change only while the node is unconfigured" if managed else "fixed while the node runs"
 
 
 def _constraints(parameter: Parameter) -> str:

@@ -60,12 +60,15 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
     node = None
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        CheckedParameters.process_arguments = sys.argv if args is None else args
         node = make_node()
         host = _Host(node)
     except (FjrError, *_ROS_ERRORS) as error:
         print(_sentence(error), file=sys.stderr, flush=True)
         _end(node)
         return 1
+    finally:
+        CheckedParameters.process_arguments = ()
     try:
         host.spin(stopped)
         if host.ended is not None:

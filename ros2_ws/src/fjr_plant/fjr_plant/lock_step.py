@@ -7,15 +7,14 @@ import time
 from collections import deque
 
 from rclpy.clock import Clock, ClockType
-from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
 from fjr_core import FjrError
 from fjr_msgs_py import names
-from fjr_msgs_py.clock import ClockWriter
 from fjr_msgs_py.messages import MessageError
 from fjr_msgs_py.serialised import SerialisedEfforts
 
+from .clock_owner import ClockOwner
 from .pace import Pace, Rig, seconds
 from .states import Sample
 
@@ -34,7 +33,8 @@ class LockStep(Pace):
     What is not answered is sent again, with the very same numbers, and never skipped. From the first answer
     on (after a start or a reset) LockStepError ends a silence of lockstep_timeout; until then the robot waits.
     What an imperfect channel loses or still holds at a sample's time has nobody to wait for: the sample passes
-    with the effort that is held, the same in every run, and /clock shows its time.
+    with the effort that is held, the same in every run, and /clock shows its time. There is one owner of /clock
+    (ClockOwner): where another process publishes on it, ClockError.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -46,8 +46,8 @@ class LockStep(Pace):
         self._awaited: int | None = None  # stamp of the state that was sent and is not answered
         self._newest = 0  # stamp of the newest state that was sent
         self._other: int | None = None  # stamp of the last answer to another one
-        self._clock_writer = ClockWriter()
-        self._clock = node.create_publisher(ClockMessage, names.CLOCK, names.LATEST)
+        self._heard = False
+        self._clock = ClockOwner(node, rig.health)
         self._topic = node.resolve_topic_name(names.JOINT_COMMANDS)
         self._reader = SerialisedEfforts(rig.reader)
         node.create_subscription(JointState, names.JOINT_COMMANDS, self._on_answer, names.LATEST, raw=True)
@@ -65,8 +65,11 @@ class LockStep(Pace):
             self._health.count["answers to other states"] += 1
             self._other = stamp
             return
+        if not self._heard:
+            self._clock.refuse_others()
         self._take(effort)
         self._awaited, self._heard = None, True
+        self._say_once("moving: the first answer has come")
         self._go_on()
         self._health.count["commands received"] += 1
 
@@ -116,10 +119,11 @@ class LockStep(Pace):
 
     def _show_time(self) -> None:
         """Publish /clock; after the state of that time, so that its readers have the state first."""
-        self._clock.publish(self._clock_writer.fill(self.stamp))
+        self._clock.show(self.stamp)
 
     def _watch(self) -> None:
-        """Look for an answer that is missing; raises LockStepError."""
+        """Look for an answer that is missing and for another owner of the time; raises FjrError."""
+        self._clock.look(established=self._heard)
         if not self.running:
             return
         if self._awaited is None:

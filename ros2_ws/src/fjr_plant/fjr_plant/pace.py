@@ -34,7 +34,7 @@ class Rig:
 
 
 class Pace(ABC):
-    """Lets the robot's time run, rest, or go on by so many samples; a sample is stamped `offset` + robot's time.
+    """Run, rest or advance the robot's time by a number of samples; a sample is stamped `offset` + robot's time.
 
     An effort acts until the next one, but no longer than command_timeout of the robot's time: then there is none.
     """
@@ -100,6 +100,10 @@ class Pace(ABC):
         if not self.paused:
             return "the robot's time runs; expected a paused robot: call ~/pause with true first"
         return f"already advancing: {self._left} of {self._samples} samples are left" if self._left else ""
+
+    def _say_once(self, sentence: str) -> None:
+        if self._health.is_new(sentence):
+            self._rig.node.get_logger().info(sentence)
 
     def _count_sample(self) -> None:
         """One sample is done, of those to advance by."""

@@ -11,7 +11,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fjr_core import FjrError, Plant, config
 from fjr_core import imperfection_parameters as words
-from fjr_core.description import description
+from fjr_core.description import description, robot_name
 from fjr_msgs_py import names, process
 from fjr_msgs_py.descriptions import publish_description
 from fjr_msgs_py.health import Health
@@ -55,7 +55,7 @@ class PlantNode(ParameterNode):
     def build(self) -> None:
         """Make the robot from the parameters and start to publish."""
         joints = self.values["joints"]
-        self._health = Health(self, EXPECTED)
+        self._health = Health(self, EXPECTED, robot_name(self.values))
         self._model = config.robot(self.values)
         self._robot, self._transport = self._simulated()
         states, reader = StatePublisher(self, joints), EffortReader(joints)
@@ -67,6 +67,7 @@ class PlantNode(ParameterNode):
         self.create_subscription(JointState, names.EXTERNAL_TORQUE, self._on_torque, names.LATEST)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.PAUSE, self._on_pause)
+        self.get_logger().info(self._configured())
         self._advance = DeferredTrigger(self, names.ADVANCE, self._on_advance)
 
     def stop(self) -> None:
@@ -86,6 +87,13 @@ class PlantNode(ParameterNode):
             self._pace.catch_up()
             self._robot.change(motion, sensors)
             self._transport.change(*messages, jitter)
+
+    def _configured(self) -> str:
+        values = self.values
+        topic = self.resolve_topic_name(names.JOINT_COMMANDS if values["lockstep"] else names.EFFORT_COMMANDS)
+        waits = " paused" if values["start_paused"] else f" waiting for commands on {topic}"
+        time = "in lock-step" if values["lockstep"] else "with the clock"
+        return f"configured: {', '.join(values['joints'])} at {values['publish_rate']:g} Hz {time};{waits}"
 
     def _simulated(self) -> tuple[SimulatedRobot, Transport]:
         values, model = self.values, self._model

@@ -16,15 +16,20 @@ from .pace import Pace, Rig
 from .states import Sample
 
 LONGEST_BACKLOG = 200_000_000  # ns that are integrated at once when late
+LARGEST_LAG = 1_000_000_000  # ns that stamps may be behind the clock because time was lost
 
 
 class RealTime(Pace):
     """Obeys /effort_controller/commands at once, and publishes a state at every tick of the clock.
 
-    A state is stamped with its exact time: the start stamp plus the time integrated. The robot's time stands
-    still until the first command has come (wait_for_command), while paused, and while the clock stands still or
-    is 0. A clock that jumps forward, or that the robot cannot follow, costs what is more than LONGEST_BACKLOG.
-    After one that jumps back the stamps go on from the clock's new time, the motion from where it is.
+    A state is stamped with the node's clock at the instant where the robot's time started or resumed, plus the time
+    integrated since. At rest, before the first command (wait_for_command), it is stamped with the node's clock, and
+    the time that is integrated counts from the last state at rest on. Stamps never go back.
+    The robot's time stands still at rest, while paused, and while the clock stands still or is 0. After a reset or a
+    pause no state is published for restart_silence, so that a controller recovers instead of seeing a jump.
+    A clock that jumps forward, or that the robot cannot follow, costs what is more than LONGEST_BACKLOG. The stamps
+    are late by that, until they would be late by more than LARGEST_LAG. After a /clock that jumps back the stamps go
+    on from its new time, the motion from where it is.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -35,9 +40,11 @@ class RealTime(Pace):
         clock = self._ros_clock if self._simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._late = Alarm(node, clock, self._on_late)
         self._arrival = Alarm(node, clock, self._on_arrival)
-        self.origin: int | None = None  # the clock at the robot's time 0; None while the first command is waited for
-        self._started = False
-        self._latest = 0  # ns of the clock
+        self.origin: int | None = None  # the clock at the robot's time 0; None while that stands still
+        self._started = self._waiting = False
+        self._silence = round(rig.values["restart_silence"] * 1e9)  # ns
+        self._latest = self._quiet_until = self._lag = 0  # ns of the clock
+        self._newest = 0  # ns, the largest stamp so far
         self._read_clock()
         node.create_subscription(Float64MultiArray, names.EFFORT_COMMANDS, self._on_command, names.LATEST)
         node.create_timer(self._period * 1e-9, self._on_tick, clock=clock)
@@ -49,10 +56,14 @@ class RealTime(Pace):
             return
         elapsed = now - self.origin
         if elapsed - self._robot.time > LONGEST_BACKLOG:  # slower than the clock: the rest is lost, not piled up
-            self.origin += elapsed - self._robot.time - LONGEST_BACKLOG
-            elapsed = self._robot.time + LONGEST_BACKLOG
-            self._health.warn("time lost", "too far behind the clock: part of it is skipped, stamps stay exact")
+            lost = elapsed - self._robot.time - LONGEST_BACKLOG
+            self.origin += lost
+            self._lag += lost
+            elapsed -= lost
+            self._health.warn("time lost", "too far behind the clock: part of it is skipped, stamps are late by that")
         self._integrate(elapsed)
+        if self._lag > LARGEST_LAG:
+            self._stamp_from_now()
 
     # The clock.
 
@@ -69,13 +80,13 @@ class RealTime(Pace):
 
     def _start(self, now: int) -> None:
         self._started = True
-        self._zero = int(self._ros_clock.now().nanoseconds)  # the stamp to begin with
         self._latest = now
         self._restart()
 
     def _jump_back(self, now: int) -> None:
-        self._zero = now
-        self.offset = now - self._robot.time
+        if self._quiet_until:
+            self._quiet_until = max(self._quiet_until + now - self._latest, 1)
+        self.offset, self._newest, self._lag = now - self._robot.time, 0, 0
         self._restart_ticks(now)
         if self.origin is not None:
             self.origin = self.offset
@@ -84,23 +95,44 @@ class RealTime(Pace):
     def _restart_ticks(self, now: int) -> None:
         self._first_tick, self._ticks = now, 0
 
+    def _stamp_from_now(self) -> None:
+        """Let stamps follow from the node's clock; never back."""
+        now = int(self._ros_clock.now().nanoseconds)
+        self.offset, self._lag = max(now, self._newest) - self._robot.time, 0
+
     # Rest.
 
     def _restart(self) -> None:
-        if not self._started:
-            return
-        self.offset = self._zero
-        self._answered = True
-        now = self._read_clock()
-        self._restart_ticks(now)
-        self.origin = None if self._rig.values["wait_for_command"] else now
+        if self._started:
+            self._answered = True
+            self._waiting = bool(self._rig.values["wait_for_command"])
+            self._stamp_from_now()
+            self._resume()
 
     def _resume(self) -> None:
+        """Let states come again, after a silence if there were some, and the robot's time with them."""
         now = self._read_clock()
+        self.origin = None
+        self._quiet_until = now + self._silence if self._newest and self._silence else 0
+        if not self.paused and not self._quiet_until:
+            self._set_off(now)
+
+    def _set_off(self, now: int) -> None:
+        """Stamp from now on, and start the robot's time unless it waits for a command."""
+        self._quiet_until = 0
         self._restart_ticks(now)
-        if self.origin is not None:
+        self._stamp_from_now()
+        if not self._waiting:
             self.origin = now - self._robot.time
             self._on_arrival()
+
+    def _is_awake(self, now: int) -> bool:
+        """Whether states are published and commands obeyed; the first call after a silence ends it."""
+        if self.paused or not self._started or now < self._quiet_until:
+            return False
+        if self._quiet_until:
+            self._set_off(now)
+        return True
 
     def _refusal(self) -> str:
         return super()._refusal() or ("" if self._started else "no time has come on /clock yet; expected one first")
@@ -121,18 +153,19 @@ class RealTime(Pace):
             self._health.refuse("command", error)
             return
         self._health.count["commands received"] += 1
-        if self.paused or not self._started:
+        now = self._read_clock()
+        if not self._is_awake(now):
             return
         self._answered = True
-        if self.origin is None:
-            self.origin = self._read_clock() - self._robot.time
-        else:
-            self.catch_up()
+        if self._waiting:  # the last state at rest was that of the robot's time now
+            self._waiting, self.origin = False, now - self._robot.time
+            self._say_once("moving: the first command has come")
+        self.catch_up()
         self._take(effort)
 
     def _on_tick(self) -> None:
         now = self._read_clock()
-        if self.paused or not self._started:
+        if not self._is_awake(now):
             return
         due = round((now - self._first_tick) / self._period)
         self._health.count["ticks skipped"] += max(0, due - self._ticks - 1)
@@ -144,16 +177,19 @@ class RealTime(Pace):
             self._on_late()
 
     def _on_late(self) -> None:
-        if not self.paused:
+        if self._is_awake(self._latest):
             self.catch_up()
             self._publish_sample()
 
     def _publish_sample(self) -> None:
-        channel = self._transport.states
-        if channel is None or self.origin is None:  # a robot at rest waits until it is heard
-            self._send(self._sample())
+        if self.origin is None and not self.paused:
+            self._stamp_from_now()
+        channel, sample = self._transport.states, self._sample()
+        self._newest = max(sample[0], self._newest)
+        if channel is None or self._waiting:  # a robot at rest waits until it is heard
+            self._send(sample)
         else:
-            channel.push(self._robot.time, self._sample())
+            channel.push(self._robot.time, sample)
             self._send_arrived(self._robot.time)
 
     def _send_arrived(self, elapsed: int) -> None:
@@ -172,7 +208,7 @@ class RealTime(Pace):
     def _send(self, sample: Sample) -> None:
         if not self._answered:
             self._health.count["states unanswered"] += 1
-        self._answered = self.origin is None
+        self._answered = self._waiting
         self._health.count["states published"] += 1
         self._rig.states.send(sample)
         self._health.at(sample[0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other processes that publish efforts to the same robot."""
+"""Other processes that publish on a topic which is to have one owner: efforts to a robot, the time."""
 
 from __future__ import annotations
 
@@ -46,6 +46,11 @@ class Rivals:
         """The topics on which a publisher is there that was not at the last call."""
         before, self._others = self._others, self._found()
         return sorted({other.topic for gid, other in self._others.items() if gid not in before})
+
+    @property
+    def others(self) -> bool:
+        """Whether publishers in other processes were there at the last call of `appeared`."""
+        return bool(self._others)
 
     def named(self, *topics: str) -> str:
         """The nodes of all that are there on these topics, in words."""

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""/clock has one owner: a second one is refused before its first answer, and reported when it comes later."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+
+from fjr_msgs_py.names import LATEST
+from fjr_plant import clock_owner
+from fjr_plant.clock_owner import ClockError
+from fjr_plant.plant_node import PlantNode
+from nodes.harness import Peer, Ros
+from nodes.plants import Answering
+
+SENTENCE = "node /other publishes on /clock; expected one owner of the time: .* -r /clock:=/NAMESPACE/clock"
+
+
+@contextmanager
+def other_clock(ros: Ros, peer: Peer) -> Iterator[None]:
+    """Another process, for all that the middleware tells, publishes the time; it is discovered when this begins."""
+    other, quiet = Ros(), threading.Event()
+    publisher = other.add(Node("other", context=other.context)).create_publisher(Clock, "/clock", LATEST)
+
+    def named() -> bool:
+        return "other" in (info.node_name for info in peer.get_publishers_info_by_topic("/clock"))
+
+    def talk() -> None:
+        while not quiet.wait(0.01):
+            publisher.publish(Clock())
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    try:
+        ros.until(named, "the other clock")
+        yield
+    finally:
+        quiet.set()
+        thread.join()
+        other.close()
+
+
+def test_a_plant_does_not_start_next_to_another_clock(ros: Ros, peer: Peer) -> None:
+    with other_clock(ros, peer):
+        with pytest.raises(ClockError, match=SENTENCE):
+            ros.plant(lockstep=True)
+        arguments = ["--ros-args", "-r", "/clock:=/left/clock", "-p", "compile:=false", "-p", "lockstep:=true"]
+        ros.start(PlantNode, arguments)
+    assert peer.count_publishers("/left/clock") == 1
+
+
+def test_a_plant_that_meets_another_clock_with_the_first_answer_ends(ros: Ros, peer: Peer, monkeypatch) -> None:
+    monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 1000.0)
+    node = ros.plant(lockstep=True)
+    peer.meet_plant(lockstep=True)
+    with other_clock(ros, peer):
+        Answering(peer).listen()
+        ros.until(lambda: node.ended, "the end")
+    assert isinstance(node.ended, ClockError)
+    assert node._pace._robot.time == 0, "nothing moved"
+
+
+def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, peer: Peer, monkeypatch) -> None:
+    monkeypatch.setattr(clock_owner, "SETTLING", -1.0)
+    monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 0.01)
+    node = ros.plant(lockstep=True)
+    peer.meet_plant(lockstep=True)
+    Answering(peer).listen()
+    ros.until(lambda: node._pace._robot.time > 0, "motion")
+    with other_clock(ros, peer):
+        ros.until(lambda: node._health.count["other clocks"] == 1, "the report")
+    node.stop()
+    ros.until(lambda: peer.count("other clocks", "fjr_plant") == 1, "the diagnostics")
+    assert node.ended is None

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stamps of /joint_states: near the clock from the first state on, after a pause and after a reset; never back."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from std_srvs.srv import SetBool, Trigger
+
+from nodes.harness import Peer, Ros, nanoseconds
+from nodes.plants import PERIOD, call, command
+from nodes.test_sim_time import SECOND, Player
+
+
+def stamped_after(ros: Ros, peer: Peer, instant: int) -> None:
+    """Wait for a state that is stamped after the instant [ns], and for none that is stamped in the future."""
+    ros.until(lambda: nanoseconds(peer.states[-1]) >= instant, "a stamp of now")
+    assert nanoseconds(peer.states[-1]) <= time.time_ns()
+
+
+def test_stamps_are_those_of_the_clock_whenever_time_starts_or_resumes(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(restart_silence=0.1, command_timeout=100.0)
+    peer.meet_plant()
+    stamped_after(ros, peer, time.time_ns())
+    end = time.monotonic() + 0.2
+    ros.until(lambda: time.monotonic() > end)  # the first command comes late
+    stamped_after(ros, peer, time.time_ns())
+    commanded = time.time_ns()
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: peer.states[-1].effort[1] == 0.3, "motion")
+    stamped_after(ros, peer, commanded)
+    for kind, name, request in (
+        (SetBool, "pause", {"data": False}),
+        (Trigger, "reset", {}),
+    ):
+        call(ros, peer, SetBool, "fjr_plant/pause", data=kind is SetBool)
+        count, instant = len(peer.states), time.time_ns()
+        call(ros, peer, kind, f"fjr_plant/{name}", **request)
+        ros.until(lambda count=count: len(peer.states) > count + 5, "states again")
+        assert nanoseconds(peer.states[-1]) >= instant
+        stamped_after(ros, peer, instant)
+    assert node._pace.origin is None, "after a reset it waits for a command"
+    stamps = [nanoseconds(state) for state in peer.states]
+    assert stamps == sorted(stamps)
+
+
+def test_a_controller_recovers_from_a_reset(ros: Ros, peer: Peer) -> None:
+    """It sees a silence, and leads the reference from the initial state: no jump, no large effort."""
+    player = Player(ros, peer)
+    controller = ros.controller(use_sim_time=True, state_timeout=0.5)
+    peer.meet_controller()
+    player.run(50 * SECOND, 50)
+    ros.until(lambda: peer.states[-1].position[0] != 0.5, "motion")
+    assert call(ros, peer, Trigger, "fjr_plant/reset").success
+    ros.settle()
+    count = len(peer.efforts)  # the answers to states before the reset are there
+    for k in range(105):
+        player.play(50 * SECOND + 50 * PERIOD + k * 10 * PERIOD)
+    player.run(51 * SECOND + 100 * PERIOD, 100)
+    counters = controller._control.tracker.counters
+    assert (counters["silences"], counters["recoveries"]) == (1, 1)
+    assert counters["reference restarts"] == counters["stops"] == 0
+    assert max(abs(message.data[0]) for message in peer.efforts[count:]) < 2.0
+    stamps = [nanoseconds(state) for state in peer.states]
+    assert np.all(np.diff(stamps) >= 0)
+    assert stamps[-1] > 51 * SECOND + 100 * PERIOD

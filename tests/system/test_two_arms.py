@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two arms in lock-step in one ROS domain: each with a clock of its own, or one of them refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
+
+from nodes.harness import Ros
+from system.executables import NODES, Executable
+
+pytestmark = pytest.mark.system
+
+ARMS = ("left", "right")
+SAMPLES = 300
+Start = Callable[..., Executable]
+
+
+@pytest.fixture
+def start() -> Iterator[Start]:
+    started: list[Executable] = []
+
+    def start_one(node: str, arm: str, *arguments: str) -> Executable:
+        timed = "lockstep:=true" if node == "plant" else "use_sim_time:=true"
+        place = ("--ros-args", "-r", f"__ns:=/{arm}", "-p", timed, *arguments)
+        started.append(Executable(*NODES[node], *place))
+        return started[-1]
+
+    yield start_one
+    for executable in started:
+        executable.kill()
+
+
+class Observer(Node):
+    """Hears the times of some clocks [ns] and the names and hardware ids of all reports."""
+
+    def __init__(self, ros: Ros, *topics: str) -> None:
+        super().__init__("observer", context=ros.context)
+        ros.add(self)
+        self.times: dict[str, list[int]] = {topic: [] for topic in topics}
+        self.parts: set[tuple[str, str]] = set()
+        deep = QoSProfile(depth=5000)
+        for topic, times in self.times.items():
+            self.create_subscription(Clock, topic, lambda m, times=times: times.append(nanoseconds(m)), deep)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, deep)
+
+    def _on_report(self, message: DiagnosticArray) -> None:
+        self.parts |= {(status.name, status.hardware_id) for status in message.status}
+
+
+def nanoseconds(message: Clock) -> int:
+    return message.clock.sec * 10**9 + message.clock.nanosec
+
+
+def test_two_arms_with_a_clock_each_run_side_by_side_and_are_told_apart(ros: Ros, start: Start) -> None:
+    clocks = [f"/{arm}/clock" for arm in ARMS]
+    observer = Observer(ros, *clocks)
+    for arm, clock in zip(ARMS, clocks, strict=True):
+        for node in ("plant", "controller"):
+            start(node, arm, "-r", f"/clock:={clock}")
+    ros.until(lambda: all(len(set(times)) > SAMPLES for times in observer.times.values()), "both clocks")
+    for times in observer.times.values():
+        assert times == sorted(times)
+    assert observer.count_publishers("/clock") == 0
+    parts = ("fjr_plant", "fjr_controller", "fjr_controller: certificate")
+    expected = {(f"{arm}/{part}", f"{arm}/single_link") for arm in ARMS for part in parts}
+    ros.until(lambda: len(observer.parts) >= len(expected), "the reports of both arms")
+    assert observer.parts == expected
+
+
+def test_of_two_arms_on_one_clock_one_ends_with_one_sentence(ros: Ros, start: Start) -> None:
+    observer = Observer(ros, "/clock")
+    plants = [start("plant", "left")]
+    start("controller", "left")
+    ros.until(lambda: len(set(observer.times["/clock"])) > SAMPLES, "the first arm's time")
+    plants.append(start("plant", "right"))
+    ros.until(lambda: plants[1].process.poll() is not None, "the end of the second plant")
+    code, said = plants[1].end()
+    assert code == 1
+    assert "Traceback" not in said
+    sentence = "publishes on /clock; expected one owner of the time: start this plant and its "
+    assert f"{sentence}controller with -r /clock:=/right/clock" in said
+    assert plants[0].process.poll() is None
