@@ -94,7 +94,7 @@ def test_a_healthy_loop_holds(ros: Ros) -> None:
 def test_a_cause_is_told_on_the_diagnostics(ros: Ros, cause: str, plant: Any, controller: Any) -> None:
     hearer = running(ros, 3, plant, controller)
     assert hearer.verdicts()[-1] == ("violated", cause)
-    assert hearer.levels()["violated"] == DiagnosticStatus.WARN
+    assert hearer.levels()["violated"] == DiagnosticStatus.ERROR
 
 
 def test_saturation_is_told_while_it_lasts(ros: Ros) -> None:

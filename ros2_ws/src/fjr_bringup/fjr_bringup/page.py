@@ -14,7 +14,12 @@ from fjr_bringup.plots import Plot, Pool
 from fjr_bringup.verdicts import Verdict
 
 PARTS = {"css": "page.css", "script": "page.js", "uplot": "uPlot.iife.min.js", "uplot_css": "uPlot.min.css"}
-HEADINGS = {"holding": "The certificate holds", "violated": "Violated", "unknown": "No verdict"}
+HEADINGS = {
+    "holding": "The certificate holds",
+    "degraded": "Degraded",
+    "violated": "Violated",
+    "unknown": "No verdict",
+}
 
 
 def write_page(path: Path, title: str, body: Sequence[str], plots: Sequence[Plot]) -> None:

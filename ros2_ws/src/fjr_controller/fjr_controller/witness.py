@@ -23,7 +23,12 @@ from fjr_msgs_py.messages import JointSample
 
 from .tracker import Command, Tracker
 
-LEVELS = {"holding": DiagnosticStatus.OK, "violated": DiagnosticStatus.WARN, "unknown": DiagnosticStatus.OK}
+LEVELS = {
+    "holding": DiagnosticStatus.OK,
+    "degraded": DiagnosticStatus.WARN,
+    "violated": DiagnosticStatus.ERROR,
+    "unknown": DiagnosticStatus.OK,
+}
 BESIDE = "the law counts on torques beside its model (robust.*), of which the V here knows nothing"
 AHEAD = "the effort is the law's for a predicted state (robust.delay)"
 NO_BOUND = -1.0  # J; a storage is never negative

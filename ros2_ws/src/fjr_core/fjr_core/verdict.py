@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -26,16 +26,20 @@ __all__ = ["Record", "Verdict", "conclude", "judge"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a run says of the theory. kind: whether V fell as proven, down to the floor that hold and noise predict.
+    """The result of comparing V with its guaranteed decay.
 
-    causes: why not, the strongest first, out of "model mismatch", "saturation", "delay", "loss", "sampling"; none
-    where no cause can be told. sentence: both in words. figures: what it is drawn from, by name.
+    kind: "holding": V fell as proven, down to the floor that hold and noise predict. "degraded": V stayed above it,
+    and the tracking error that this makes is within the tolerance. "violated": it is not, or V grew. "unknown": not
+    enough was measured. causes: of the violating blocks, the strongest first, out of "model mismatch", "saturation",
+    "delay", "loss", "sampling"; empty if none is known. sentence: kind and causes in words. figures: the numbers
+    behind them, by name. errors: the tracking error (n,) [rad; m if the joint slides] that each cause makes.
     """
 
-    kind: Literal["holding", "violated", "unknown"]
+    kind: Literal["holding", "degraded", "violated", "unknown"]
     causes: tuple[str, ...]
     sentence: str
     figures: dict[str, float]
+    errors: dict[str, Array] = field(default_factory=dict, compare=False)
 
 
 def judge(record: Record, law: TrackingLaw, beta: float | None = None) -> Verdict:
