@@ -119,6 +119,7 @@ class Forecast:
         np.subtract(self.position, self._next_position, out=kept.error[i, : 2 * n])
         np.subtract(self.velocity, self._next_velocity, out=kept.error[i, 2 * n :])
         kept.slope[i] = self._found["slope"]
+        np.subtract(self.position[:n], self.jets[0], out=kept.tracking[i])
         self.count += 1
 
     def _make_room(self) -> None:
@@ -144,4 +145,5 @@ def _room(n: int) -> Intervals:
         answered=np.ones(ROOM, dtype=bool),
         older=np.zeros((ROOM, n)),
         latency=np.zeros(ROOM),
+        tracking=np.zeros((ROOM, n)),
     )
