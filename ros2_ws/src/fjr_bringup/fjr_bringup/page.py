@@ -46,7 +46,7 @@ def header(kicker: str, title: str, verdict: Verdict | None, notes: Sequence[str
 
 def verdict_line(verdict: Verdict) -> str:
     """The verdict, in its colour."""
-    heading = HEADINGS[verdict.kind] + (f": {', '.join(verdict.causes)}" if verdict.causes else "")
+    heading = HEADINGS[verdict.kind] + (f": {verdict.detail}" if verdict.detail else "")
     return f'<p class="verdict {verdict.kind}"><b>{escape(heading)}</b> <span>{escape(verdict.sentence)}</span></p>'
 
 

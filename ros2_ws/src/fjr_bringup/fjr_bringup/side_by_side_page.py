@@ -77,7 +77,7 @@ def _name(run: Compared, number: int, folder: Path) -> str:
 
 def _verdict(report: Report) -> str:
     verdict = report.verdict
-    words = page.HEADINGS[verdict.kind] + (f":<br>{escape(', '.join(verdict.causes))}" if verdict.causes else "")
+    words = page.HEADINGS[verdict.kind] + (f":<br>{escape(verdict.detail)}" if verdict.detail else "")
     return f'<span class="{COLOURED[verdict.kind]}" title="{escape(verdict.sentence, quote=True)}">{words}</span>'
 
 

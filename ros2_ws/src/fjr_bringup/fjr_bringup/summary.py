@@ -117,7 +117,7 @@ def _row(label: str, report: Report) -> tuple[str, ...]:
         _number(tracking.max_error_after_2s_rad, "{:.1e} rad"),
         f"{in_time} of {counts.nominal}",
         _decay(report),
-        verdict.kind + (f": {', '.join(verdict.causes)}" if verdict.causes else ""),
+        verdict.kind + (f": {verdict.detail}" if verdict.detail else ""),
     )
 
 
