@@ -27,7 +27,10 @@ def verdict_parameters(n: int) -> list[Parameter]:
     return [CERTIFICATE, tolerance]
 
 
-def axes(values: Values, joints: Sequence[str]) -> Axes:
-    """Return the joints as a verdict names and grades them; raises ParameterError."""
+def axes(values: Values, joints: Sequence[str], units: Sequence[str] = ()) -> Axes:
+    """Return the joints as a verdict names and grades them; raises ParameterError.
+
+    units: "rad" or "m" of each joint's position; empty: all joints turn.
+    """
     tolerance = vector(values, "certificate_tolerance", len(joints))
-    return Axes(tuple(joints), ("rad",) * len(joints), tolerance)
+    return Axes(tuple(joints), tuple(units) or ("rad",) * len(joints), tolerance)
