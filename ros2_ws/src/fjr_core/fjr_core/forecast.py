@@ -59,6 +59,7 @@ class Forecast:
         """The next state has no predecessor."""
         self._follows = False
 
+    @np.errstate(all="ignore")  # a diverging robot overflows; V says so
     def take(self, dt: float, position: Array, velocity: Array, jets: Array, u: Array, latency: float = 0.0) -> float:
         """The next state, dt [s] after the last, with its reference and the effort that answered it; V [J] before.
 
@@ -90,12 +91,14 @@ class Forecast:
         return float(self._found["H"][0])
 
     @property
+    @np.errstate(all="ignore")
     def dV(self) -> float:
         """The exact rate of V [W] there under the effort that answered."""
         found = self._found
         return float(found["drive"].dot(self.u - found["u_law"]) - found["dissipation"][0])
 
     @property
+    @np.errstate(all="ignore")
     def supplied(self) -> float:
         """Power [W] that the effort that answered supplies there."""
         return float(self.velocity[self._robot.n :].dot(self._robot.B_m.dot(self.u)))
