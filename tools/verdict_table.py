@@ -71,12 +71,11 @@ def right(wanted: Label, verdict: Verdict) -> bool:
 
 def main() -> int:
     """Rewrite the page."""
-    page = PAGE.read_text(encoding="utf-8")
-    before, rest = page.split(BEGIN)
-    _, after = rest.split(END)
     words = {TRIED_ON: "Tried on", FOUND_ON: "The thresholds were found on"}
     parts = [["", f"{what} the set of seed {seed}:", "", *confusion(seed)] for seed, what in words.items()]
     lines = [line for part in parts for line in part]
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    after = rest.split(END)[1]
     PAGE.write_text("\n".join([before + BEGIN, *lines, "", END + after]), encoding="utf-8")
     return 0
 

@@ -12,6 +12,7 @@ import pytest
 import fjr_core as fjr
 from fjr_core.certificate import Balance
 from fjr_core.effort_age import acting, effort_age
+from fjr_core.grading import Axes
 from fjr_core.intervals import Record, intervals, needed
 from fjr_core.prediction import Prediction
 from fjr_core.verdict import judge
@@ -56,6 +57,8 @@ def test_a_healthy_run_holds(measured: bool) -> None:
     assert (verdict.kind, verdict.causes) == ("holding", ())
     assert verdict.figures["violated share"] == 0.0
     assert verdict.figures["spectral radius"] < 1
+    strict = Axes(("joint1",), ("rad",), np.array([1e-9]))
+    assert judge(record(measured=measured), LAW, axes=strict).kind == "holding"
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ sys.path.insert(0, str(ROOT / "tools"))
 from fjr_core.scenario import load_scenario  # noqa: E402
 from fjr_core.verdict import judge  # noqa: E402
 from labelled_bags import read_record  # noqa: E402
-from labelled_set import FOUND_ON, TRIED_ON, Case, cases  # noqa: E402
+from labelled_set import DEGRADED, FOUND_ON, HOLDING, TRIED_ON, UNDECIDED, VIOLATED, Case, cases  # noqa: E402
 from system.executables import fjr  # noqa: E402
 from verdict_table import BEGIN, NAMES, judged, right, said, table  # noqa: E402
 
@@ -48,8 +48,10 @@ def test_the_page_shows_the_set() -> None:
     """Every bag right is a table with numbers on its diagonal only; the numbers are those of the set."""
     page = (ROOT / "docs" / "verdict.md").read_text(encoding="utf-8").partition(BEGIN)[2]
     rows = [line for line in page.splitlines() if line.startswith("| ")]
-    counts = [int(cell) for line in rows[2 : 2 + len(NAMES)] for cell in line.split("|")[2:-1] if cell.strip()]
-    assert sum(counts) == len(SET)
+    causes, grades = rows[2 : 2 + len(NAMES)], rows[4 + len(NAMES) : 8 + len(NAMES)]
+    for part in (causes, grades):
+        assert sum(int(cell) for line in part for cell in line.split("|")[2:-1] if cell.strip()) == len(SET)
+    assert [line.split("|")[1].strip() for line in grades] == [HOLDING, DEGRADED, UNDECIDED, VIOLATED]
     assert table([("delay", "delay"), ("loss", "unknown")])[0].endswith("| sampling | unknown |")
 
 

@@ -48,8 +48,9 @@ class Axes:
         return cls(tuple(f"joint{j + 1}" for j in range(n)), ("rad",) * n, np.full(n, TOLERANCE))
 
     def storage(self, law: TrackingLaw) -> float:
-        """Return V [J] of links at rest that are off by the tolerance: e' Pi_l e / 2."""
-        return float(self.tolerance @ law.gains.Pi_l @ self.tolerance) / 2
+        """Return V [J] of links at rest that are off by the tolerance, or by TOLERANCE if larger: e' Pi_l e / 2."""
+        e = np.maximum(self.tolerance, TOLERANCE)
+        return float(e @ law.gains.Pi_l @ e) / 2
 
     def largest(self, errors: Array) -> str:
         """Return the largest of errors (n,), by its tolerance, with its joint: "0.14 mrad at joint2"."""
