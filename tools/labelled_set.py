@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs whose verdict is known beforehand: healthy ones, each imperfection at two strengths, another robot, too slow.
 
-The label of a run is not the verdict's business: it is read from the run itself beside its healthy twin (`label`).
+The label of a run does not depend on the verdict: it compares the run with the same run without the cause (`label`).
 Thresholds (fjr_core.thresholds) were found on the set of the seed FOUND_ON; the verdict is tried on that of TRIED_ON.
 A seed says where the robot starts, and every random sequence.
 """
@@ -21,6 +21,7 @@ from fjr_core.certificate import Balance
 from fjr_core.checks import Array
 from fjr_core.intervals import Record
 from fjr_core.scenario import PLANT, Scenario, parse_scenario
+from fjr_core.thresholds import TOLERANCE
 from lock_step_loop import LockStepLoop, Log, record
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
@@ -29,7 +30,10 @@ FOUND_ON, TRIED_ON = 1, 2
 WINDOW = 0.1  # s; V is compared in means over so long
 RAISED = 2.0  # times the healthy V
 OFTEN, SELDOM = 0.10, 0.03  # share of the windows: from OFTEN on it is a violation, up to SELDOM none
-HOLDING = "holding"
+HOLDING, DEGRADED, VIOLATED = "holding", "degraded", "violated"
+UNDECIDED = "near the tolerance"
+SETTLED = 1.0  # s; from then on the initial error is gone
+NEAR = 1.3  # errors within this factor of the tolerance may be graded either way
 FORETOLD = ("noise",)  # raises the floor, which is what a floor is for
 
 
@@ -149,14 +153,22 @@ def _imperfection(scenario: str, kind: str, word: str, strength: float, values: 
     return Case(f"{scenario} {word} {strength:g}", scenario, kind, changes)
 
 
+@dataclass(frozen=True)
+class Label:
+    """What the verdict must be: "holding" or the cause, and the grade (UNDECIDED: degraded or violated)."""
+
+    cause: str
+    grade: str
+
+
 def run(case: Case) -> tuple[Scenario, Log]:
     """The case in lock-step."""
     scenario = case.loaded()
     return scenario, LockStepLoop(scenario).run(DURATION)
 
 
-def label(case: Case, found: Record) -> str:
-    """What the verdict must be: "holding", or the cause.
+def label(case: Case, found: Record) -> Label:
+    """Return the label of a run.
 
     Noise raises the floor only. A loop that is sampled too slowly is one that is unstable about rest where the
     reference leads. Any other kind is a violation where it at least doubles V in a tenth of the windows of 0.1 s,
@@ -164,23 +176,35 @@ def label(case: Case, found: Record) -> str:
     weak to be called one and too strong to be called the other, and must not be in the set (ValueError).
     """
     if case.kind in (HOLDING, *FORETOLD):
-        return HOLDING
+        return Label(HOLDING, HOLDING)
     if "publish_rate" in case.changes:
         loaded = case.loaded()
-        return HOLDING if check(loaded.law, loaded.sample_period, 0.0, loaded.configurations(32)).stable else "sampling"
-    healthy = _healthy(case)
-    mine = _means(found.t, _storage(case.loaded(), found))
-    count = min(len(mine), len(healthy))
-    share = float(np.mean(mine[:count] > RAISED * healthy[:count]))
+        stable = check(loaded.law, loaded.sample_period, 0.0, loaded.configurations(32)).stable
+        return Label(HOLDING, HOLDING) if stable else Label("sampling", VIOLATED)
+    scenario, log = run(replace(case, changes={}, robot={}))
+    healthy = record(log, scenario)
+    mine, usual = (_means(each.t, _storage(scenario, each)) for each in (found, healthy))
+    count = min(len(mine), len(usual))
+    share = float(np.mean(mine[:count] > RAISED * usual[:count]))
     if SELDOM < share < OFTEN:
         raise ValueError(f"{case.name} is neither: V is doubled in {share:.0%} of the windows")
-    return case.kind if share >= OFTEN else HOLDING
+    return Label(case.kind, _grade(case, found, healthy)) if share >= OFTEN else Label(HOLDING, HOLDING)
 
 
-def _healthy(case: Case) -> Array:
-    """Means of V of the same run without anything."""
-    scenario, log = run(replace(case, changes={}, robot={}))
-    return _means((found := record(log, scenario)).t, _storage(scenario, found))
+def _grade(case: Case, found: Record, healthy: Record) -> str:
+    """Return the grade by the tracking error [rad] that the run has over the healthy one; saturation is violated."""
+    error = _largest_difference(found, healthy)
+    if case.kind == "saturation" or not error <= NEAR * TOLERANCE:
+        return VIOLATED
+    return UNDECIDED if error > TOLERANCE / NEAR else DEGRADED
+
+
+def _largest_difference(one: Record, other: Record) -> float:
+    """Return the largest difference of the tracking errors of two runs [rad], of all joints, once they have settled."""
+    t = one.t[one.t >= SETTLED]
+    errors = ((run.t, run.position[:, : run.u.shape[1]] - run.jets[:, 0]) for run in (one, other))
+    one_error, other_error = (np.array([np.interp(t, stamps, column) for column in e.T]) for stamps, e in errors)
+    return float(np.abs(one_error - other_error).max(initial=0.0))
 
 
 def _storage(scenario: Scenario, found: Record) -> Array:

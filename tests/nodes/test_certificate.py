@@ -34,6 +34,10 @@ class Hearer(Listener):
         values = [{value.key: value.value for value in status.values} for status in found]
         return [(value["verdict"], value["causes"]) for value in values]
 
+    def verdict_messages(self) -> list[str]:
+        """Message of each report with a verdict."""
+        return [status.message for found in self.diagnostics for status in found.status if status.name == STATUS]
+
     def levels(self) -> dict[str, bytes]:
         """Level of the last report by verdict."""
         found = [status for message in self.diagnostics for status in message.status if status.name == STATUS]
@@ -81,20 +85,25 @@ def test_a_healthy_loop_holds(ros: Ros) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cause", "plant", "controller"),
+    ("grade", "cause", "plant", "controller"),
     [
-        ("model mismatch", {"imperfections__motor_coulomb_friction": [0.05]}, {}),
-        ("model mismatch", {"robot__joint_stiffness": [22.0]}, {}),
-        ("delay", {"imperfections__command_delay": 0.002}, {}),
-        ("delay", {"imperfections__state_delay": 0.002}, {}),
-        ("loss", {"imperfections__state_loss": 0.4}, {}),
-        ("loss", {"imperfections__command_loss": 0.4}, {}),
+        ("degraded", "model mismatch", {"imperfections__motor_coulomb_friction": [0.01]}, {}),
+        ("violated", "model mismatch", {"robot__joint_stiffness": [22.0]}, {}),
+        ("degraded", "delay", {"imperfections__command_delay": 0.002}, {}),
+        ("violated", "delay", {"imperfections__state_delay": 0.002}, {"certificate_tolerance": [1e-6]}),
+        ("degraded", "loss", {"imperfections__state_loss": 0.4}, {}),
+        ("degraded", "loss", {"imperfections__command_loss": 0.4}, {}),
     ],
 )
-def test_a_cause_is_told_on_the_diagnostics(ros: Ros, cause: str, plant: Any, controller: Any) -> None:
+def test_a_cause_is_graded_on_the_diagnostics(ros: Ros, grade: str, cause: str, plant: Any, controller: Any) -> None:
     hearer = running(ros, 3, plant, controller)
-    assert hearer.verdicts()[-1] == ("violated", cause)
-    assert hearer.levels()["violated"] == DiagnosticStatus.WARN
+    assert hearer.verdicts()[-1] == (grade, cause)
+    level = {"degraded": DiagnosticStatus.WARN, "violated": DiagnosticStatus.ERROR}[grade]
+    assert hearer.levels()[grade] == level
+    message = hearer.verdict_messages()[-1]
+    assert f"{cause} makes " in message
+    assert " mrad at joint1" in message
+    assert message.startswith("Degraded: ") == (grade == "degraded")
 
 
 def test_saturation_is_told_while_it_lasts(ros: Ros) -> None:

@@ -263,6 +263,7 @@ WIRED_ELSEWHERE = {
     "compile",  # test_compiled_or_not_...
     "autostart",  # test_lifecycle
     "certificate",  # test_certificate
+    "certificate_tolerance",  # test_certificate
     "executor",  # tests/msgs/test_scheduling.py
     "lock_memory",
     "cpu_affinity",

@@ -14,9 +14,9 @@ sys.path.insert(0, str(ROOT / "tools"))
 from fjr_core.scenario import load_scenario  # noqa: E402
 from fjr_core.verdict import judge  # noqa: E402
 from labelled_bags import read_record  # noqa: E402
-from labelled_set import FOUND_ON, TRIED_ON, Case, cases  # noqa: E402
+from labelled_set import DEGRADED, FOUND_ON, HOLDING, TRIED_ON, UNDECIDED, VIOLATED, Case, cases  # noqa: E402
 from system.executables import fjr  # noqa: E402
-from verdict_table import BEGIN, NAMES, judged, said, table  # noqa: E402
+from verdict_table import BEGIN, NAMES, judged, right, said, table  # noqa: E402
 
 pytestmark = pytest.mark.system
 SET = cases(TRIED_ON)
@@ -41,15 +41,17 @@ def test_the_set_holds_what_it_should() -> None:
 @pytest.mark.parametrize("case", SET, ids=lambda case: case.name)
 def test_the_verdict_on_each_bag_is_its_label(case: Case, tmp_path: Path) -> None:
     label, verdict = judged(case, tmp_path / "bag")
-    assert said(verdict) == label, verdict
+    assert right(label, verdict), (label, verdict)
 
 
 def test_the_page_shows_the_set() -> None:
     """Every bag right is a table with numbers on its diagonal only; the numbers are those of the set."""
     page = (ROOT / "docs" / "verdict.md").read_text(encoding="utf-8").partition(BEGIN)[2]
     rows = [line for line in page.splitlines() if line.startswith("| ")]
-    counts = [int(cell) for line in rows[2 : 2 + len(NAMES)] for cell in line.split("|")[2:-1] if cell.strip()]
-    assert sum(counts) == len(SET)
+    causes, grades = rows[2 : 2 + len(NAMES)], rows[4 + len(NAMES) : 8 + len(NAMES)]
+    for part in (causes, grades):
+        assert sum(int(cell) for line in part for cell in line.split("|")[2:-1] if cell.strip()) == len(SET)
+    assert [line.split("|")[1].strip() for line in grades] == [HOLDING, DEGRADED, UNDECIDED, VIOLATED]
     assert table([("delay", "delay"), ("loss", "unknown")])[0].endswith("| sampling | unknown |")
 
 

@@ -15,7 +15,12 @@ from fjr_bringup.plots import Plot, Pool
 from fjr_bringup.verdicts import Verdict
 
 PARTS = {"css": "page.css", "script": "page.js", "uplot": "uPlot.iife.min.js", "uplot_css": "uPlot.min.css"}
-HEADINGS = {"holding": "The certificate holds", "violated": "Violated", "unknown": "No verdict"}
+HEADINGS = {
+    "holding": "The certificate holds",
+    "degraded": "Degraded",
+    "violated": "Violated",
+    "unknown": "No verdict",
+}
 
 
 def write_page(path: Path, title: str, body: Sequence[str], plots: Sequence[Plot]) -> None:
@@ -49,7 +54,7 @@ def stop_line(stop: ControllerStop) -> str:
 
 def verdict_line(verdict: Verdict) -> str:
     """The verdict, in its colour."""
-    heading = HEADINGS[verdict.kind] + (f": {', '.join(verdict.causes)}" if verdict.causes else "")
+    heading = HEADINGS[verdict.kind] + (f": {verdict.detail}" if verdict.detail else "")
     return f'<p class="verdict {verdict.kind}"><b>{escape(heading)}</b> <span>{escape(verdict.sentence)}</span></p>'
 
 

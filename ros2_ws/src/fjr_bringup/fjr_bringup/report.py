@@ -291,7 +291,9 @@ def _versions() -> dict[str, str]:
 
 
 def _finite(value: Any) -> Any:
-    """The same with null for numbers that are not finite."""
+    """Return the value with null for numbers that are not finite, and arrays as lists."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
     if isinstance(value, Mapping):
         return {key: _finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

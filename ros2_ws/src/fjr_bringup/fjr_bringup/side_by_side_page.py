@@ -14,7 +14,7 @@ from fjr_bringup.report import Energy, Report, Storage
 from fjr_bringup.side_by_side_plots import Compared, side_by_side_plots
 from fjr_bringup.words import milliseconds, number, percent
 
-COLOURED = {"holding": "ok", "violated": "no", "unknown": "maybe"}
+COLOURED = {"holding": "ok", "degraded": "maybe", "violated": "no", "unknown": "maybe"}
 HOW = (
     "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. "
     "The names of the runs lead to their own pages. Needs no network."
@@ -81,7 +81,7 @@ def _verdict(report: Report) -> str:
             f'<span class="no" title="{escape(report.stop.sentence, quote=True)}">{escape(report.stop.heading)}</span>'
         )
     verdict = report.verdict
-    words = page.HEADINGS[verdict.kind] + (f":<br>{escape(', '.join(verdict.causes))}" if verdict.causes else "")
+    words = page.HEADINGS[verdict.kind] + (f":<br>{escape(verdict.detail)}" if verdict.detail else "")
     return f'<span class="{COLOURED[verdict.kind]}" title="{escape(verdict.sentence, quote=True)}">{words}</span>'
 
 

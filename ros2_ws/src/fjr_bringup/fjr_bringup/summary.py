@@ -130,7 +130,7 @@ def _row(label: str, report: Report) -> tuple[str, ...]:
 def _verdict(report: Report) -> str:
     if report.stop:
         return "stopped"
-    return report.verdict.kind + (f": {', '.join(report.verdict.causes)}" if report.verdict.causes else "")
+    return report.verdict.kind + (f": {report.verdict.detail}" if report.verdict.detail else "")
 
 
 def _decay(report: Report) -> str:

@@ -10,6 +10,7 @@ from fjr_core import config
 from fjr_core.scenario import Scenario
 from fjr_core.vdpbc.law import TrackingLaw
 from fjr_core.verdict import Record, Verdict, judge, unknown
+from fjr_core.verdict_parameters import axes
 
 __all__ = ["Verdict", "record", "verdict"]
 
@@ -26,7 +27,7 @@ def verdict(data: TrackingData, scenario: Scenario) -> Verdict:
         return unknown(
             "the law ran with robust action (robust.*), of which V here, the law's without it, knows nothing"
         )
-    return judge(record(data, scenario), scenario.law, data.beta)
+    return judge(record(data, scenario), scenario.law, data.beta, axes(scenario.controller_values, scenario.robot))
 
 
 def record(data: TrackingData, scenario: Scenario) -> Record:

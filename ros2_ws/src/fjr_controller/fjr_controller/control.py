@@ -18,6 +18,7 @@ from fjr_core.motion_limits import check_motion
 from fjr_core.motion_parameters import motion_limits
 from fjr_core.parameters import named
 from fjr_core.safety_parameters import safety
+from fjr_core.verdict_parameters import axes
 from fjr_msgs_py.events import EventWriter
 from fjr_msgs_py.follow_messages import follow_messages
 from fjr_msgs_py.messages import StateReader
@@ -130,7 +131,8 @@ class Control:
             node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
             return None
         robust = config.robust(self._values, self._robot.n)
-        witness = Witness(node, self._law, self.tracker, limit, robust)
+        judged = axes(self._values, self._robot)
+        witness = Witness(node, self._law, self.tracker, limit, robust, judged)
         self._answering.tell(witness.see)
         self.reports.besides(witness.status)
         return witness

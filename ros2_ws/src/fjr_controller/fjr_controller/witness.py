@@ -12,6 +12,7 @@ from std_msgs.msg import Float64MultiArray
 from fjr_core import TrackingLaw
 from fjr_core.checks import Array
 from fjr_core.forecast import Forecast
+from fjr_core.grading import Axes
 from fjr_core.latency import Latency
 from fjr_core.robust import Robust
 from fjr_core.running_verdict import RunningVerdict
@@ -23,7 +24,12 @@ from fjr_msgs_py.messages import JointSample
 
 from .tracker import Command, Tracker
 
-LEVELS = {"holding": DiagnosticStatus.OK, "violated": DiagnosticStatus.WARN, "unknown": DiagnosticStatus.OK}
+LEVELS = {
+    "holding": DiagnosticStatus.OK,
+    "degraded": DiagnosticStatus.WARN,
+    "violated": DiagnosticStatus.ERROR,
+    "unknown": DiagnosticStatus.OK,
+}
 BESIDE = "the law counts on torques beside its model (robust.*), of which the V here knows nothing"
 AHEAD = "the effort is the law's for a predicted state (robust.delay)"
 NO_BOUND = -1.0  # J; a storage is never negative
@@ -37,13 +43,15 @@ class Witness:
     With robust action there is no verdict and no bound: V and its rates are those of the law without it.
     """
 
-    def __init__(self, node: Node, law: TrackingLaw, tracker: Tracker, limit: Array, robust: Robust) -> None:
-        """limit (n,) [N m]: of the efforts."""
+    def __init__(
+        self, node: Node, law: TrackingLaw, tracker: Tracker, limit: Array, robust: Robust, axes: Axes
+    ) -> None:
+        """limit (n,) [N m]: of the efforts. axes: of the joints, as a verdict names and grades them."""
         self._unjudged = BESIDE if robust.estimates or robust.integrates else AHEAD if robust.predicts else ""
         self._node, self._law, self._tracker = node, law, tracker
         self._forecast, self._latency = Forecast(law), Latency()
         self._simulated = bool(node.get_parameter("use_sim_time").value)
-        self._running = RunningVerdict(law, limit, self._forecast)
+        self._running = RunningVerdict(law, limit, self._forecast, axes)
         self._writer = CertificateWriter()
         self._publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.LATEST)
         self._name = f"{names.full_name(node)}: certificate"
@@ -84,11 +92,11 @@ class Witness:
         if self._law.robot.links.M_l_vertices is None:
             self._beta = self._rate()
         said = {"verdict": verdict.kind, "causes": ", ".join(verdict.causes)}
-        figures = {name: f"{value:.6g}" for name, value in verdict.figures.items()}
+        figures = {name: f"{value:.6g}" for name, value in verdict.figures.items() if math.isfinite(value)}
         return DiagnosticStatus(
             level=LEVELS[verdict.kind],
             name=self._name,
-            message=verdict.sentence,
+            message=f"Degraded: {verdict.sentence}" if verdict.kind == "degraded" else verdict.sentence,
             values=[KeyValue(key=key, value=value) for key, value in (said | figures).items()],
         )
 

@@ -26,6 +26,7 @@ from .robot import Robot
 from .robot_parameters import joints_of, robot, robot_parameters
 from .robust_parameters import robust, robust_parameters
 from .safety_parameters import safety_parameters
+from .verdict_parameters import verdict_parameters
 
 __all__ = [
     "OwnParameters",
@@ -105,7 +106,7 @@ def controller_parameters(n: int) -> list[Parameter]:
         *safety_parameters(n),
         *motion_parameters(n),
         Parameter("autostart", True, "Configure and activate at the start, without waiting to be asked"),
-        Parameter("certificate", True, "Publish the law's certificate of each state, and judge it on the diagnostics"),
+        *verdict_parameters(n),
         *process_parameters(),
     ]
 

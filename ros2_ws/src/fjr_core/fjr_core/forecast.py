@@ -59,6 +59,7 @@ class Forecast:
         """The next state has no predecessor."""
         self._follows = False
 
+    @np.errstate(all="ignore")  # a diverging robot overflows; V says so
     def take(self, dt: float, position: Array, velocity: Array, jets: Array, u: Array, latency: float = 0.0) -> float:
         """The next state, dt [s] after the last, with its reference and the effort that answered it; V [J] before.
 
@@ -90,12 +91,14 @@ class Forecast:
         return float(self._found["H"][0])
 
     @property
+    @np.errstate(all="ignore")
     def dV(self) -> float:
         """The exact rate of V [W] there under the effort that answered."""
         found = self._found
         return float(found["drive"].dot(self.u - found["u_law"]) - found["dissipation"][0])
 
     @property
+    @np.errstate(all="ignore")
     def supplied(self) -> float:
         """Power [W] that the effort that answered supplies there."""
         return float(self.velocity[self._robot.n :].dot(self._robot.B_m.dot(self.u)))
@@ -119,6 +122,7 @@ class Forecast:
         np.subtract(self.position, self._next_position, out=kept.error[i, : 2 * n])
         np.subtract(self.velocity, self._next_velocity, out=kept.error[i, 2 * n :])
         kept.slope[i] = self._found["slope"]
+        np.subtract(self.position[:n], self.jets[0], out=kept.tracking[i])
         self.count += 1
 
     def _make_room(self) -> None:
@@ -144,4 +148,5 @@ def _room(n: int) -> Intervals:
         answered=np.ones(ROOM, dtype=bool),
         older=np.zeros((ROOM, n)),
         latency=np.zeros(ROOM),
+        tracking=np.zeros((ROOM, n)),
     )

@@ -61,6 +61,7 @@ class Intervals:
     positions and velocities, measured less foretold. slope (k, 4n): dV/d of these at the second state. answered (k,):
     whether the first state was. older (k, n) [N m]: the effort sent before. latency (k,): of the answer to the first
     state by the times these went, as a part of the interval, in which the older effort acted on; 0: not known.
+    tracking (k, n) [rad]: q_l - q_ld at the second state.
     """
 
     dt: Array
@@ -76,6 +77,7 @@ class Intervals:
     answered: NDArray[np.bool_]
     older: Array
     latency: Array
+    tracking: Array
 
     def __len__(self) -> int:
         return len(self.dt)
@@ -114,6 +116,7 @@ def intervals(record: Record, balance: Balance, prediction: Prediction) -> Inter
         answered=np.asarray(np.isfinite(record.u[first]).all(axis=1)),
         older=np.where(np.isfinite(before), before, sent[first]),
         latency=_latency(record)[first] / dt[first],
+        tracking=q[second, : record.u.shape[1]] - record.jets[second, 0],
     )
 
 

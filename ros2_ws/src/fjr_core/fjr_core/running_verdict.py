@@ -4,34 +4,42 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import fields
+from typing import TypeVar
 
 import numpy as np
 
+from .cause_errors import CauseErrors, cause_errors, closed_loop
 from .checks import Array
 from .effort_age import EffortAge, acting, effort_age
 from .forecast import Forecast
+from .grading import Axes
+from .growth import floor, growth, rises
 from .intervals import needed
 from .supplies import Supplies, supplies
-from .thresholds import BLOCK, GROWN, OLDEST
+from .thresholds import BLOCK, OLDEST
 from .vdpbc.law import TrackingLaw
-from .verdict import SAMPLING, Verdict, conclude, unknown, violated
+from .verdict import Verdict, conclude, unknown
 
 BLOCKS = 50  # that a verdict is drawn from: a second at 1 kHz
 LOOKED_AT = 200  # intervals in which the age of the effort is looked for
 IN_REAL_TIME = 3 * BLOCK  # the same in real time, where answers come a little sooner or later
+Blocks = TypeVar("Blocks", Supplies, CauseErrors)
 FADING = 0.9  # of what is remembered of how much the effort changed, from verdict to verdict
 
 
 class RunningVerdict:
     """Judges the intervals of a forecast, a block at a time; the same thresholds as of a record."""
 
-    def __init__(self, law: TrackingLaw, limit: Array, forecast: Forecast) -> None:
-        """limit (n,) [N m]: of the efforts, inf for none."""
+    def __init__(self, law: TrackingLaw, limit: Array, forecast: Forecast, axes: Axes | None = None) -> None:
+        """limit (n,) [N m]: of the efforts, inf for none. axes: of the joints, as in `judge`."""
         self._law, self._limit, self._forecast = law, limit, forecast
-        self._blocks: deque[Supplies] = deque(maxlen=BLOCKS)
-        self._age, self._new, self._period, self._change = EffortAge(), 0, 0.0, 0.0
+        self._axes = axes or Axes.plain(law.robot.n)
+        self._blocks: deque[tuple[Supplies, CauseErrors, Array]] = deque(maxlen=BLOCKS)
+        self._age = EffortAge()
         self.beta = np.inf
+        self.forget()
 
     def use(self, law: TrackingLaw, limit: Array) -> None:
         """Another law or other limits: what was seen says nothing of them."""
@@ -39,9 +47,11 @@ class RunningVerdict:
         self.forget()
 
     def forget(self) -> None:
-        """Nothing was seen."""
+        """Forget all that was seen."""
         self._blocks.clear()
-        self._new, self._period, self._change = 0, 0.0, 0.0
+        self._new, self._period, self._change, self._lowest = 0, 0.0, 0.0, np.inf
+        self._loop: Array | None = None
+        self._state: Array | None = None
 
     def look(self, beta: float) -> None:
         """There is one more interval; beta [1/s]: the rate to judge it by."""
@@ -49,22 +59,28 @@ class RunningVerdict:
         self.beta = beta
         if self._new == BLOCK:
             self._new = 0
-            self._look_for_age()
-            self._blocks.append(self._judged(beta))
+            with np.errstate(all="ignore"):  # as in `judge`
+                self._look_for_age()
+                self._blocks.append(self._judged(beta))
 
     def verdict(self) -> Verdict:
-        """Of the last BLOCKS blocks; looks for the age of the effort anew, for the next ones."""
-        seen = self._forecast.last(LOOKED_AT)
+        """Return the verdict on the last BLOCKS blocks; estimate the age of the effort anew for the next ones."""
         if not self._blocks:
             return unknown("too few states were answered by the law")
+        with np.errstate(all="ignore"):
+            return self._concluded()
+
+    def _concluded(self) -> Verdict:
+        seen = self._forecast.last(LOOKED_AT)
         self._period, self._change = _usual(seen.dt), FADING * self._change
         if not seen.latency.any():
             self._age = effort_age(seen, self._law.robot)
-        found = conclude(_together(list(self._blocks)), self._figures())
-        V = np.array([block.V[0] for block in self._blocks])
-        if found.kind == "holding" and len(V) > 2 and V[-1] > GROWN * V[0] and np.mean(np.diff(V) > 0) > 0.75:
-            return violated((SAMPLING,), found.figures)
-        return found
+        self._loop = None  # the robot has moved on
+        supplied, made, risen = zip(*self._blocks, strict=True)
+        blocks = _together(supplied)
+        decay = float(np.exp(-2 * self.beta * BLOCK * self._period))
+        grown = growth(np.hstack(risen), floor(blocks, decay, self._axes.storage(self._law)))
+        return conclude(blocks, _together(made), grown, decay, self._axes, self._figures())
 
     def _look_for_age(self) -> None:
         """In real time where the effort turns most: elsewhere its age is lost in answers that come sooner or later."""
@@ -74,14 +90,20 @@ class RunningVerdict:
             if change > self._change:
                 self._age, self._change = effort_age(seen, self._law.robot), change
 
-    def _judged(self, beta: float) -> Supplies:
-        """The last block, with what acted in it."""
+    def _judged(self, beta: float) -> tuple[Supplies, CauseErrors, Array]:
+        """Return the last block: supplies of V, errors by cause, and V with the lowest V before it."""
         seen = self._forecast.last(BLOCK + OLDEST)
         acted = acting(seen, self._age, needed(seen, self._law.robot)).last(BLOCK)
         found = seen.rows(slice(-BLOCK, None))
         if not self._period:
             self._period = _usual(found.dt)
-        return supplies(found, acted, self._law.robot, beta, self._period, self._limit)
+        if self._loop is None:
+            self._loop = closed_loop(self._law, self._forecast.jets[None, 0], self._period)
+        robot, limit = self._law.robot, self._limit
+        risen = rises(seen, limit, self._lowest)[:, -BLOCK:]
+        self._lowest = float(risen[1, -1])
+        made, self._state = cause_errors(found, acted, robot, self._period, limit, self._loop, self._state)
+        return supplies(found, acted, robot, beta, self._period, limit), made, risen
 
     def _figures(self) -> dict[str, float]:
         seen = self._forecast.last(LOOKED_AT)
@@ -94,5 +116,7 @@ def _usual(dt: Array) -> float:
     return float(np.quantile(dt, 0.25))
 
 
-def _together(blocks: list[Supplies]) -> Supplies:
-    return Supplies(**{f.name: np.concatenate([getattr(block, f.name) for block in blocks]) for f in fields(Supplies)})
+def _together(blocks: Sequence[Blocks]) -> Blocks:
+    """Return the blocks one after another."""
+    joined = {f.name: np.concatenate([getattr(block, f.name) for block in blocks]) for f in fields(blocks[0])}
+    return type(blocks[0])(**joined)

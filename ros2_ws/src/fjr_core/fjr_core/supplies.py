@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .checks import Array
 from .effort_age import Acting
@@ -35,16 +36,13 @@ class Supplies:
     hold: Array
     slack: Array
     noise: Array
-    judged: Array
+    judged: NDArray[np.bool_]
     V: Array
 
 
 def supplies(found: Intervals, acted: Acting, robot: Robot, beta: float, period: float, limit: Array) -> Supplies:
     """The supplies of the whole blocks of the intervals."""
     other = found.sent - found.law
-    at_limit = np.abs(found.sent) >= AT_LIMIT * limit
-    differs = np.abs(other) > SAME_EFFORT * (1.0 + np.abs(found.law).max(axis=1, initial=0.0)[:, None])
-    foreign = (differs & ~at_limit).any(axis=1) & found.answered
     saturation, unanswered = (_gain(found, other * mask[:, None], robot) for mask in (found.answered, ~found.answered))
     cut, late, lost = (_gain(found, part, robot) for part in (acted.cut, acted.late, acted.lost))
     rest = found.V1 - found.foretold - cut - late - lost
@@ -63,9 +61,26 @@ def supplies(found: Intervals, acted: Acting, robot: Robot, beta: float, period:
         hold=_sums(np.maximum(excess, 0.0)),
         slack=_sums(np.maximum(-excess, 0.0)),
         noise=np.abs(_sums(rest - within) - mismatch) + SIGNIFICANT * uncertain + np.abs(_sums(unsure)),
-        judged=_sums(foreign.astype(float)) == 0,
-        V=_blocks(found.V1)[:, -1],
+        judged=_sums(foreign(found, limit).astype(float)) == 0,
+        V=blocks_of(found.V1)[:, -1],
     )
+
+
+def foreign(found: Intervals, limit: Array) -> NDArray[np.bool_]:
+    """Return in which intervals (k,) the effort sent is neither the law's nor at its limit (n,) [N m]."""
+    at_limit = np.abs(found.sent) >= AT_LIMIT * limit
+    same = SAME_EFFORT * (1.0 + np.abs(found.law).max(axis=1, initial=0.0)[:, None])
+    differs = np.abs(found.sent - found.law) > same
+    return np.asarray((differs & ~at_limit).any(axis=1) & found.answered)
+
+
+def state_change(found: Intervals, effort: Array, robot: Robot) -> Array:
+    """Return what efforts (k, n) [N m], each held for its interval, change in positions and velocities (k, 4n)."""
+    dv, n = effort @ _acceleration(robot) * found.dt[:, None], robot.n
+    change = np.zeros((len(found), 4 * n))
+    change[:, n : 2 * n] = dv * found.dt[:, None] / 2
+    change[:, 3 * n :] = dv
+    return change
 
 
 def _gain(found: Intervals, effort: Array, robot: Robot) -> Array:
@@ -91,22 +106,18 @@ def _acceleration(robot: Robot) -> Array:
 def _persistent(found: Intervals, acted: Acting, usual: Array, robot: Robot) -> tuple[Array, Array]:
     """What V gained (b,) by the mean residual of each block, without the effort that acted; its deviation (b,)."""
     effort = acted.cut + acted.late + acted.lost + usual
-    dv = effort @ _acceleration(robot) * found.dt[:, None]
-    error = found.error.copy()
-    error[:, robot.n : 2 * robot.n] -= dv * found.dt[:, None] / 2
-    error[:, 3 * robot.n :] -= dv
-    slope, errors = _sums(found.slope), _blocks(error)
+    slope, errors = _sums(found.slope), blocks_of(found.error - state_change(found, effort, robot))
     gain: Array = (slope * errors.mean(axis=1)).sum(axis=1)
     deviation: Array = np.sqrt((slope**2 * errors.var(axis=1)).sum(axis=1) / BLOCK)
     return gain, deviation
 
 
-def _blocks(values: Array) -> Array:
-    """Values (k, ...) as (b, BLOCK, ...), what is left over at the end left out."""
+def blocks_of(values: Array) -> Array:
+    """Return values (k, ...) as (b, BLOCK, ...), without the last ones that fill no block."""
     count = len(values) // BLOCK
     return values[: count * BLOCK].reshape(count, BLOCK, *values.shape[1:])
 
 
 def _sums(values: Array) -> Array:
-    sums: Array = _blocks(values).sum(axis=1)
+    sums: Array = blocks_of(values).sum(axis=1)
     return sums

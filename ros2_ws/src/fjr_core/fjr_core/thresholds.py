@@ -4,9 +4,21 @@
 BLOCK = 20
 """Intervals that are judged together: noise averages out, a mismatch does not."""
 SHARE = 0.035
-"""Violated blocks, as a share of the judged ones, above which the run is."""
+"""Share of violated blocks from which on the run does not hold, if they are FEWEST at least."""
 FEWEST = 3
-"""Violated blocks below which a run is not."""
+"""Blocks needed for a verdict; violated blocks below which only their share counts."""
+SHARE_OF_FEW = 0.1
+"""Share of fewer violated blocks than FEWEST, up to which the run may still hold."""
+HIGH_SHARE = 0.3
+"""Share of violated blocks from which on their number does not matter."""
+EXCEEDED = 10.0
+"""Growth of V, over its lowest value and its floor, above which the run does not hold."""
+DIVERGED = 100.0
+"""The same growth, above which the run is violated however small the errors are."""
+TOLERANCE = 1e-3
+"""Tracking error [rad, m] that the causes of a violation may make in a run that is degraded, not violated."""
+RELATIVE = 0.1
+"""Share of the loop's own tracking error that they may make in addition."""
 CAUSE_SHARE = 0.2
 """Share of the violated blocks that a cause must have fed most, to be named."""
 SIGNIFICANT = 2.0
@@ -47,8 +59,6 @@ LONGEST_GAP = 20.0
 """Sample periods above which an interval says nothing."""
 JUDGED = 0.2
 """Share of the intervals that must be the law's, for a verdict."""
-GROWN = 100.0
-"""Growth of V over the blocks of a running verdict, from block to block, that only too slow a sampling explains."""
 FALLEN = 0.01
 """Largest V of the last third of a run over that of the first, below which an unstable linear loop is not blamed."""
 REGULAR = 0.1
