@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Name the one fault that explains the residual torques of a record best: its kind, joint, side and size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .checks import Array
+from .effort_age import Acting
+from .fault_hypotheses import Hypothesis, hypotheses
+from .intervals import Intervals, Record
+from .torque_residuals import Residuals, residuals
+from .vdpbc.law import TrackingLaw
+
+UNKNOWN = "unknown"
+SIGNIFICANT = 4.0
+"""Residual torque of an equation, in standard deviations of noise and rounding, below which there is no fault."""
+EXPLAINED = 0.8
+"""Share of the residual (R^2, noise apart) that a fault must explain, to be named."""
+ADVANTAGE = 0.7
+"""Unexplained share, relative to that of the best fault of another kind or joint, above which neither is named."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong with a robot or its signals.
+
+    kind: e.g. "Coulomb friction"; "unknown". joint: its name, empty if unknown. side: "link", "motor", "joint" (the
+    spring between the two) or empty. size, unit: how large. share: part of the residual torque that it explains.
+    """
+
+    kind: str
+    joint: str
+    side: str
+    size: float
+    unit: str
+    share: float
+    sentence: str
+
+
+def isolate(
+    record: Record, law: TrackingLaw, found: Intervals, acted: Acting, joints: Sequence[str] = ()
+) -> tuple[Finding, ...]:
+    """Return the findings on a record, most certain first; empty where nothing is wrong or too little is known.
+
+    found, acted: its intervals and what acted in them. joints: names (n,), else joint1 .. jointn.
+    """
+    names = list(joints) or [f"joint{j + 1}" for j in range(law.robot.n)]
+    with np.errstate(all="ignore"):
+        seen = residuals(record, law, found, acted)
+        return () if seen is None else _named(seen, names)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A hypothesis with its size and the weighted squares that it leaves."""
+
+    fault: Hypothesis
+    size: float
+    left: float
+
+
+def fits(seen: Residuals) -> list[Fit]:
+    """Return all hypotheses fitted to the residuals, best first."""
+    y = (seen.r / seen.sigma).ravel()
+    fitted = (_fit(fault, y, seen.sigma) for fault in hypotheses(seen))
+    return sorted((fit for fit in fitted if fit is not None), key=lambda fit: fit.left)
+
+
+def _fit(fault: Hypothesis, y: Array, sigma: Array) -> Fit | None:
+    X = (fault.columns / sigma[:, None]).reshape(len(y), -1)
+    if not np.isfinite(X).all() or not X.any():
+        return None
+    if fault.nonlinear is None:
+        theta = np.linalg.lstsq(X, y, rcond=1e-8)[0]
+    else:
+        theta = fault.nonlinear(X.T @ X, X.T @ y)
+    size = fault.size(theta)
+    return None if size is None else Fit(fault, size, float(((y - X @ theta) ** 2).sum()))
+
+
+def _named(seen: Residuals, names: list[str]) -> tuple[Finding, ...]:
+    power = ((seen.r / seen.sigma) ** 2).mean(axis=0)
+    if not np.isfinite(power).all() or power.max() < SIGNIFICANT**2:
+        return ()
+    total, noise = float(power.sum() * len(seen.r)), float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
+    found = fits(seen)
+    best = found[0]
+    other = next(fit for fit in found if (fit.fault.kind, fit.fault.joint) != (best.fault.kind, best.fault.joint))
+    share = float(np.clip(1 - max(best.left - noise, 0.0) / max(total - noise, 1e-300), 0.0, 1.0))
+    if share < EXPLAINED or best.left > ADVANTAGE * other.left:
+        return (_unknown(best, share, names),)
+    return (_finding(best, share, names),)
+
+
+def _finding(fit: Fit, share: float, names: list[str]) -> Finding:
+    fault, joint = fit.fault, names[fit.fault.joint]
+    what = f"{fault.kind} of {fit.size:.3g} {fault.unit}"
+    sentence = f"{_where(fault.side, joint)}: {what} explains {100 * share:.0f} % of the residual torque"
+    return Finding(fault.kind, joint, fault.side, fit.size, fault.unit, share, sentence)
+
+
+def _unknown(best: Fit, share: float, names: list[str]) -> Finding:
+    where = _where(best.fault.side, names[best.fault.joint])
+    sentence = f"no single fault explains the residual torque; the nearest, {best.fault.kind} ({where}), explains "
+    return Finding(UNKNOWN, "", "", float("nan"), "", share, f"{sentence}{100 * share:.0f} %")
+
+
+def _where(side: str, joint: str) -> str:
+    return joint if side == "joint" else f"{side} of {joint}"
