@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fjr_core.checks import Array
 from fjr_core.scenario import Scenario
@@ -32,6 +33,7 @@ class Fault:
     spring: Change | None = None
     push: Array | None = None
     delay: int = 0
+    delayed: NDArray[np.bool_] | None = None
 
 
 @dataclass
@@ -76,7 +78,9 @@ class FaultyLoop(LockStepLoop):
             position = self._fault.position(position)
         if self._fault.velocity is not None:
             velocity = self._fault.velocity(velocity)
-        return START + self._robot.time, position, self._line.late(velocity, self._fault.delay), effort
+        if self._fault.delayed is not None:
+            velocity = np.where(self._fault.delayed, self._line.late(velocity, self._fault.delay), velocity)
+        return START + self._robot.time, position, velocity, effort
 
     def _answer(self, sample: Sample) -> None:
         super()._answer(sample)

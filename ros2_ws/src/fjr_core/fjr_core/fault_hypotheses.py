@@ -20,8 +20,8 @@ from .torque_residuals import Residuals
 LINK, MOTOR, JOINT = "link", "motor", "joint"
 SMOOTHING = 0.01
 """Speed [rad/s] below which the sign of a velocity is not taken for certain."""
-FREEPLAYS = np.geomspace(0.02, 0.8, 16)
-"""Half-widths of backlash that are tried, relative to the largest deflection."""
+FREEPLAYS = np.geomspace(0.02, 2.0, 40)
+"""Half-widths of backlash that are tried, relative to the RMS deflection."""
 LONGEST_ARM = 1.5
 """Distance [m] of a payload from its joint up to which it is looked for."""
 
@@ -71,7 +71,7 @@ def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
     zeta = seen.q[:, n + j] - seen.q[:, j]
     pair = _pair(seen, j)
     yield Hypothesis("stiffness", j, JOINT, "%", pair(zeta), lambda fitted: 100 * float(fitted[0]) / K[j, j])
-    for half in FREEPLAYS * np.abs(zeta).max(initial=0.0):
+    for half in FREEPLAYS * np.sqrt(np.mean(zeta**2)):
         column = pair(-np.clip(zeta, -half, half) * K[j, j])
         yield Hypothesis("backlash", j, JOINT, "rad", column, _free_play(half), lambda A, c: np.ones(1))
 

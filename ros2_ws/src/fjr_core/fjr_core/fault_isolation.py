@@ -14,6 +14,7 @@ from .fault_hypotheses import Hypothesis, hypotheses
 from .intervals import Intervals, Record
 from .torque_residuals import Residuals, residuals
 from .vdpbc.law import TrackingLaw
+from .velocity_consistency import VelocityFault, velocity_faults
 
 UNKNOWN = "unknown"
 SIGNIFICANT = 4.0
@@ -50,8 +51,27 @@ def isolate(
     """
     names = list(joints) or [f"joint{j + 1}" for j in range(law.robot.n)]
     with np.errstate(all="ignore"):
+        contradicted = velocity_faults(record)
+        if contradicted:
+            return tuple(_of_velocity(fault, names) for fault in contradicted)
         seen = residuals(record, law, found, acted)
         return () if seen is None else _named(seen, names)
+
+
+def _of_velocity(fault: VelocityFault, names: list[str]) -> Finding:
+    """Return the finding of a velocity that its position contradicts."""
+    side, joint = ("link", "motor")[fault.channel // len(names)], names[fault.channel % len(names)]
+    said = {
+        UNKNOWN: "the measured velocity contradicts the slope of the position",
+        "velocity sign": "the measured velocity has the wrong sign",
+        "velocity scale": f"the measured velocity is {fault.size:+.3g} % off the slope of the position",
+        "velocity delay": f"the measured velocity is {1e3 * fault.size:.3g} ms late",
+    }
+    other = "" if fault.kind in said else names[int(fault.size) % len(names)]
+    sentence = said.get(fault.kind, f"the measured velocity is that of {other}")
+    return Finding(
+        fault.kind, joint, side, fault.size, fault.unit, fault.share, f"{_where(side, joint)}: {sentence}"
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,7 +91,7 @@ def residuals(record: Record, law: TrackingLaw, found: Intervals, acted: Acting)
     u, r = found.sent + late, block_means(raw[kept], block)
     zeta = q[:, n:] - q[:, :n]
     scale = np.hstack([np.abs(zeta @ robot.K), np.abs(zeta @ robot.K) + np.abs(u @ robot.B_m.T)])
-    noise = _noise(r)
+    noise = deviation(r)
     sigma = np.hypot(noise, FLOOR * np.sqrt(np.mean(scale**2, axis=0)) + 1e-12)
     return Residuals(record, robot, Prediction(law), first, kept, block, r, sigma, noise, q, dq, ddq, u)
 
@@ -127,7 +127,7 @@ def _late(found: Intervals, robot: Robot) -> Array:
     return usual + acted.late + acted.lost
 
 
-def _noise(r: Array) -> Array:
-    """Standard deviation (2n,) of what changes from block to block, by the median of second differences."""
+def deviation(r: Array) -> Array:
+    """Return the standard deviation (m,) of white noise on r (b, m), by the median of its second differences."""
     second = np.diff(r, 2, axis=0) ** 2 / 6
     return np.sqrt(np.median(second, axis=0) / 0.455)

@@ -1,0 +1,310 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Find exchanged joints and wrong signs of efforts and encoders in the first samples of a run.
+
+    motor   y_m = M_m ddq_m + K zeta + D_m dq_m   must follow   B_m u            link   y_l = M_l ddq_l + D_l dq_l   must follow   K zeta
+    speed   dq                                    must follow   the slope of q
+
+Each pair is compared without its mean (offsets, weight), with a free factor from 0.5 to 2 (wrong inertia, stiffness,
+torque constant), the effort up to OLDEST samples late. A joint whose rows do not follow is suspected; then every
+hypothesis on the wiring is undone in the data, and one that makes the rows follow is the fault.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from .checks import Array
+from .robot import Robot
+
+WINDOW = 20
+"""Samples that are compared."""
+FULL = WINDOW - 4
+"""Samples from which on a decision is taken between explanations that are about equal."""
+FEWEST = 8
+"""Intervals that a comparison needs."""
+OLDEST = 5
+"""Samples by which an effort may act late."""
+FACTORS = (0.5, 2.0)
+"""Factor between the two sides of an equation that wrong parameters may make."""
+SPEED_FACTORS = (0.7, 1.4)
+"""Factor between a velocity and the slope of its position that a wrong scale may make."""
+OVERLOAD = 10.0
+"""Torque of a spring at rest over the largest weight, above which its encoders are suspected."""
+CLEARER = 3.0
+"""Factor in the unexplained share by which a later hypothesis must be better than one before it."""
+FOLLOWS = 0.1
+"""Unexplained share of a row, up to which it follows."""
+FAILS = 0.3
+"""Unexplained share of a row, from which on it does not follow."""
+ROUGH = 0.5
+"""Squares of the changes from interval to interval over those of the signal, above which the signal is noise."""
+CONFIRMED = 3
+"""Comparisons in a row that must agree on a fault."""
+EARLY, STRIDE = 2, 10
+"""Samples between comparisons, in the first window and after it."""
+CERTAIN = 0.02
+"""Unexplained share up to which a fault is believed before the window is full."""
+
+
+@dataclass(frozen=True)
+class WiringFault:
+    """kind: "effort sign", "efforts exchanged", "encoder sign", "encoders exchanged", "velocity sign" or "velocity of
+    another joint". joints: indices, two where joints are exchanged. side: "link" or "motor".
+    """
+
+    kind: str
+    joints: tuple[int, ...]
+    side: str
+
+    def sentence(self, names: tuple[str, ...] | list[str]) -> str:
+        """Return what is wrong, with the names of the joints."""
+        named = " and ".join(names[j] for j in self.joints)
+        other = names[self.joints[-1]]
+        return {
+            "effort sign": f"the effort of {named} acts with the wrong sign",
+            "efforts exchanged": f"the efforts of {named} are exchanged",
+            "encoder sign": f"the {self.side} encoder of {named} has the wrong sign",
+            "encoders exchanged": f"the {self.side} encoders of {named} are exchanged",
+            "velocity sign": f"the {self.side} velocity of {named} has the sign opposite to its position's slope",
+            "velocity of another joint": f"the {self.side} velocity of {names[self.joints[0]]} is that of {other}",
+        }[self.kind]
+
+
+@dataclass(frozen=True)
+class Window:
+    """m samples: t (m,) [s]; q, dq (m, 2n): links, then motors; u (m, n) [N m]: sent in answer to each."""
+
+    t: Array
+    q: Array
+    dq: Array
+    u: Array
+
+
+class WiringCheck:
+    """Takes samples and efforts from the start on until every joint was seen to follow, or a fault is found."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self.start()
+
+    def start(self) -> None:
+        """Begin again: nothing is known of any joint."""
+        self._cleared = np.zeros(self._robot.n, dtype=bool)
+        self.skip()
+
+    def skip(self) -> None:
+        """Forget the samples so far: the next one does not follow them."""
+        self._rows: deque[tuple[float, Array, Array, Array]] = deque(maxlen=WINDOW)
+        self._count, self._agreed, self._last = 0, 0, None
+
+    @property
+    def done(self) -> bool:
+        """Return whether every joint was seen to follow."""
+        return bool(self._cleared.all())
+
+    def see(self, t: float, q: Array, dq: Array) -> WiringFault | None:
+        """Take the state q, dq (2n,) at time t [s]; return a fault that CONFIRMED comparisons in a row agree on."""
+        self._rows.append((t, q.copy(), dq.copy(), np.zeros(self._robot.n)))
+        self._count += 1
+        due = self._count > FEWEST and self._count % (EARLY if self._count <= WINDOW else STRIDE) == 0
+        return self._compared() if due else None
+
+    def sent(self, u: Array) -> None:
+        """Take the effort u (n,) [N m] that answered the last state."""
+        if self._rows:
+            self._rows[-1][3][...] = u
+
+    def _compared(self) -> WiringFault | None:
+        window = Window(*(np.array(values) for values in zip(*self._rows, strict=True)))
+        with np.errstate(all="ignore"):
+            fault, cleared = wiring_fault(self._robot, window, self._cleared)
+        self._cleared |= cleared
+        self._agreed = self._agreed + 1 if fault is not None and fault == self._last else int(fault is not None)
+        self._last: WiringFault | None = fault
+        return fault if self._agreed >= CONFIRMED else None
+
+
+def wiring_fault(robot: Robot, window: Window, cleared: Array) -> tuple[WiringFault | None, Array]:
+    """Return the fault that explains a window of samples, or None, and which joints (n,) follow in all rows.
+
+    cleared (n,): joints that were seen to follow before; nothing is suspected of them.
+    """
+    n, speeds = robot.n, _speeds(window)
+    rows = _Rows.of(robot, window)
+    right = np.concatenate([rows.unexplained, speeds.unexplained]).reshape(4, n).max(axis=0) < FOLLOWS
+    right &= len(window.t) >= FULL
+    suspected = ~np.tile(cleared, 2)
+    velocity = _wrong_velocity(window, (speeds.unexplained > FAILS) & speeds.smooth & suspected)
+    if velocity is not None or right.all():
+        return velocity, right
+    unlikely = _static(robot, window)
+    failing = (((rows.unexplained > FAILS) & rows.smooth) | np.tile(unlikely, 2)) & suspected
+    return _explained(robot, window, rows, failing, unlikely), right
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Unexplained share of signals (k,), and whether each is smooth (k,): noise says nothing."""
+
+    unexplained: Array
+    smooth: Array
+
+    @classmethod
+    def of(cls, robot: Robot, window: Window) -> _Rows:
+        """Of the 2n equations, links then motors."""
+        n, dt = robot.n, np.diff(window.t)[:, None]
+        ddq, dq = np.diff(window.dq, axis=0) / dt, (window.dq[1:] + window.dq[:-1]) / 2
+        q = (window.q[1:] + window.q[:-1]) / 2
+        spring = (q[:, n:] - q[:, :n]) @ robot.K
+        link = ddq[:, :n] @ robot.M_l(q[len(q) // 2, :n]) + dq[:, :n] @ robot.D_l
+        motor = ddq[:, n:] @ robot.M_m + spring + dq[:, n:] @ robot.D_m
+        given = window.u[:-1] @ robot.B_m.T
+        late = [_shifted(motor, given, d) for d in range(OLDEST + 1) if len(motor) - d >= FEWEST]
+        links, motors = _shifted(link, spring, 0), np.min(late, axis=0)
+        return cls(np.concatenate([links, motors]), np.concatenate([_smooth(link), _smooth(motor)]))
+
+
+def _speeds(window: Window) -> _Rows:
+    """Return how well each velocity (2n,) follows the slope of its position."""
+    slope, mean = _slopes(window)
+    return _Rows(_unfollowed(mean, slope, SPEED_FACTORS), _smooth(mean))
+
+
+def _slopes(window: Window) -> tuple[Array, Array]:
+    """Return slopes of the positions and mean velocities of the intervals (m - 1, 2n) [rad/s]."""
+    slope = np.diff(window.q, axis=0) / np.diff(window.t)[:, None]
+    return slope, (window.dq[1:] + window.dq[:-1]) / 2
+
+
+def _wrong_velocity(window: Window, failing: Array) -> WiringFault | None:
+    """Return the velocity that follows the slope of another position, or of its own with the sign changed."""
+    (slope, mean), n = _slopes(window), window.u.shape[1]
+    for channel in np.flatnonzero(failing):
+        side, j, own = ("link", "motor")[channel // n], int(channel % n), mean[:, [channel]]
+        if _unfollowed(own, -slope[:, [channel]], SPEED_FACTORS)[0] < FOLLOWS:
+            return WiringFault("velocity sign", (j,), side)
+        first = n * (channel // n)
+        left = _unfollowed(own, slope[:, first : first + n], SPEED_FACTORS)
+        left[j] = np.inf
+        if left.min() < FOLLOWS / 4:
+            return WiringFault("velocity of another joint", (j, int(np.argmin(left))), side)
+    return None
+
+
+def _static(robot: Robot, window: Window) -> Array:
+    """Return which joints (n,) have springs loaded far beyond the weight that they bear, throughout the window."""
+    return np.asarray(_load(robot, window) > OVERLOAD * np.abs(robot.grad_P_l(window.q[0, : robot.n])).max() + 1e-3)
+
+
+def _load(robot: Robot, window: Window) -> Array:
+    """Return the least torque (n,) [N m] by which the springs differ from the weight, over the window."""
+    n = robot.n
+    spring = (window.q[:, n:] - window.q[:, :n]) @ robot.K
+    return np.asarray(np.abs(spring - robot.grad_P_l(window.q[0, :n])).min(axis=0))
+
+
+def _shifted(y: Array, x: Array, d: int) -> Array:
+    """Return the unexplained share of y by x of d samples before, both without their means."""
+    y, x = y[d:], x[: len(x) - d]
+    return _unfollowed(y - y.mean(axis=0), x - x.mean(axis=0), FACTORS)
+
+
+def _unfollowed(y: Array, x: Array, factors: tuple[float, float]) -> Array:
+    """Return the share of y (m, k) that no factor within `factors` times x (m, k) explains; 1 where nothing moves."""
+    power = (y * y).sum(axis=0)
+    factor = np.clip(np.nan_to_num((x * y).sum(axis=0) / (x * x).sum(axis=0)), *factors)
+    left = ((y - factor * x) ** 2).sum(axis=0)
+    return np.where(power > 0, left / np.maximum(power, 1e-300), 1.0)
+
+
+def _smooth(y: Array) -> Array:
+    """Return which of the signals (m, k) change little from interval to interval."""
+    centred = y - y.mean(axis=0)
+    power, change = (centred**2).sum(axis=0), (np.diff(y, axis=0) ** 2).sum(axis=0)
+    return (change < ROUGH * power) & (power > 1e-12 * (1 + (y * y).sum(axis=0)))
+
+
+def _explained(robot: Robot, window: Window, rows: _Rows, failing: Array, overloaded: Array) -> WiringFault | None:
+    """Return the hypothesis whose undoing makes every failing row follow; of about equal ones the first.
+
+    Before the window is full, about equal ones are not told apart yet. A full window may keep failing rows of other
+    joints: more than one thing is wrong then.
+    """
+    n, full = robot.n, len(window.t) >= FULL
+    links, motors = (set(np.flatnonzero(part).tolist()) for part in failing.reshape(2, n))
+    scored = [
+        (_score(robot, window, undone(window), tried, rows, failing, overloaded, full), tried)
+        for tried, undone in _hypotheses(links, motors, n)
+    ]
+    kept = [(score, tried) for score, tried in scored if score < (FOLLOWS if full else CERTAIN)]
+    near = [tried for score, tried in kept if score <= CLEARER * min(kept, key=lambda each: each[0])[0]]
+    return near[0] if near and (full or len(near) == 1) else None
+
+
+def _score(
+    robot: Robot,
+    window: Window,
+    undone: Window,
+    tried: WiringFault,
+    rows: _Rows,
+    failing: Array,
+    overloaded: Array,
+    full: bool,
+) -> float:
+    """Return the unexplained share of the rows of a fault's joints once it is undone; inf where it is no explanation."""
+    n = robot.n
+    own = np.isin(np.arange(2 * n) % n, tried.joints)
+    left = _Rows.of(robot, undone).unexplained
+    if (overloaded & own[:n]).any():
+        eased = _load(robot, undone) < FOLLOWS * _load(robot, window)
+        rest = overloaded & ~own[:n]
+        score = FOLLOWS / 10 * float(left[own].mean()) if eased[list(tried.joints)].all() else np.inf
+    else:
+        known = own & (rows.smooth | (left < FOLLOWS))
+        rest = failing & ~own & (left > FAILS)
+        score = float(left[known].mean()) if (known & failing).any() else np.inf
+    return np.inf if rest.any() and not full else score
+
+
+Undone = Callable[[Window], Window]
+
+
+def _hypotheses(links: set[int], motors: set[int], n: int) -> Iterator[tuple[WiringFault, Undone]]:
+    """Return the faults of suspected joints, each with what undoes it."""
+    none, same, same_encoders = np.ones(2 * n), np.arange(n), np.arange(2 * n)
+    for j in sorted(motors):
+        yield WiringFault("effort sign", (j,), "motor"), _effort(same, _signs(n, j))
+    if len(motors) > 1:
+        signs = np.where(np.isin(same, sorted(motors)), -1.0, 1.0)
+        yield WiringFault("effort sign", tuple(sorted(motors)), "motor"), _effort(same, signs)
+    for i, j in combinations(sorted(motors), 2):
+        yield WiringFault("efforts exchanged", (i, j), "motor"), _effort(_order(n, i, j), none[:n])
+    for side, joints in ((0, links), (n, motors)):
+        word = "motor" if side else "link"
+        for j in sorted(joints):
+            yield WiringFault("encoder sign", (j,), word), _encoders(same_encoders, _signs(2 * n, side + j))
+        for i, j in combinations(sorted(joints), 2):
+            yield WiringFault("encoders exchanged", (i, j), word), _encoders(_order(2 * n, side + i, side + j), none)
+
+
+def _effort(order: Array, signs: Array) -> Undone:
+    return lambda w: Window(w.t, w.q, w.dq, (w.u * signs)[:, order])
+
+
+def _encoders(order: Array, signs: Array) -> Undone:
+    return lambda w: Window(w.t, (w.q * signs)[:, order], (w.dq * signs)[:, order], w.u)
+
+
+def _signs(size: int, at: int) -> Array:
+    return np.where(np.arange(size) == at, -1.0, 1.0)
+
+
+def _order(size: int, one: int, other: int) -> Array:
+    order = np.arange(size)
+    order[[one, other]] = order[[other, one]]
+    return order
