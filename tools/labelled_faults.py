@@ -21,7 +21,7 @@ from labelled_set import JOINTS, SCENARIOS, Case, _start
 from lock_step_loop import record
 
 FOUND_ON, TRIED_ON = 11, 12
-DURATION = 3.0  # s
+DURATION, STARTING = 3.0, 0.3  # s
 ROBOTS = ("paper_k31", "two_link", "arm7")
 HEALTHY = "healthy"
 TORQUE = {  # N m, of the size that each joint bears
@@ -51,11 +51,23 @@ class FaultCase:
     case: Case
     fault: Fault = field(default_factory=Fault)
 
+    @property
+    def duration(self) -> float:
+        """Seconds to run: faults of the wiring stop at the start."""
+        return STARTING if self.kind in WIRING else DURATION
+
+    @property
+    def joints(self) -> str:
+        """Names of the joints as a finding has them."""
+        names, n = self.case.loaded().joints, JOINTS[self.case.scenario]
+        pair = {self.joint, (self.joint + 1) % n} if self.kind.endswith("exchanged") else {self.joint}
+        return " and ".join(names[j] for j in sorted(pair)) if self.joint >= 0 else ""
+
     def run(self) -> tuple[Scenario, FaultyLoop, Record]:
         """Run in lock-step; the record has no measured torque."""
         scenario = self.case.loaded()
         loop = FaultyLoop(scenario, self.fault)
-        return scenario, loop, record(loop.run(DURATION), scenario)
+        return scenario, loop, record(loop.run(self.duration), scenario)
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,7 @@ class TrackingData:
     answered: Array  # (k,) s, send time of its command, NaN where none came
     reference_mismatch: float  # rad, recorded reference against the one computed here
     notes: tuple[str, ...] = field(default=())  # what is missing or made up for, a sentence each
+    velocities_measured: bool = True  # False: estimated by an observer
 
     @property
     def q_l(self) -> Array:
@@ -106,6 +107,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
     n = scenario.robot.n
     states, u, answered = _answered_states(bag, scenario, duration)
     t, sent = (states.stamp - states.stamp[0]) * 1e-9, states.publish_time
+    measured = states.velocity
     states = with_velocities(states, u, scenario)
     tracked = recorded_reference(bag, scenario, states.stamp, t)
     balance = Balance(_certified(scenario))
@@ -135,6 +137,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
         answered=np.where(answered >= 0, (answered - sent[0]) * 1e-9, np.nan),
         reference_mismatch=tracked.mismatch,
         notes=(*torn, *states.notes, *tracked.notes, *odd),
+        velocities_measured=states.velocity is measured,
     )
 
 

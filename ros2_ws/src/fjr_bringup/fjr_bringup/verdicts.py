@@ -26,7 +26,7 @@ def verdict(data: TrackingData, scenario: Scenario) -> Verdict:
         return unknown(
             "the law ran with robust action (robust.*), of which V here, the law's without it, knows nothing"
         )
-    return judge(record(data, scenario), scenario.law, data.beta)
+    return judge(record(data, scenario), scenario.law, data.beta, data.joints if data.velocities_measured else None)
 
 
 def record(data: TrackingData, scenario: Scenario) -> Record:

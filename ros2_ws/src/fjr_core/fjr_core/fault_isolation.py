@@ -4,17 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from .certificate import Balance
 from .checks import Array
-from .effort_age import Acting
+from .effort_age import acting, effort_age
 from .fault_hypotheses import Hypothesis, hypotheses
-from .intervals import Intervals, Record
+from .intervals import Record, intervals, needed
+from .prediction import Prediction
+from .thresholds import LONGEST_GAP
 from .torque_residuals import Residuals, residuals
 from .vdpbc.law import TrackingLaw
 from .velocity_consistency import VelocityFault, velocity_faults
+from .wiring_check import WiringCheck, WiringFault
 
 UNKNOWN = "unknown"
 SIGNIFICANT = 4.0
@@ -24,13 +28,18 @@ EXPLAINED = 0.8
 ADVANTAGE = 0.7
 """Unexplained share, relative to that of the best fault of another kind or joint, above which neither is named."""
 
+LONGEST = 10_000
+"""States of a record that are looked at."""
+STARTING = 400
+"""States at the start of a record in which the wiring is checked."""
+
 
 @dataclass(frozen=True)
 class Finding:
     """What is wrong with a robot or its signals.
 
-    kind: e.g. "Coulomb friction"; "unknown". joint: its name, empty if unknown. side: "link", "motor", "joint" (the
-    spring between the two) or empty. size, unit: how large. share: part of the residual torque that it explains.
+    kind: e.g. "Coulomb friction"; "unknown". joint: its name ("a and b" where two are exchanged), empty if unknown.
+    side: "link", "motor", "joint" (the spring between the two) or empty. size, unit: how large. share: part of the residual torque that it explains.
     """
 
     kind: str
@@ -42,20 +51,61 @@ class Finding:
     sentence: str
 
 
-def isolate(
-    record: Record, law: TrackingLaw, found: Intervals, acted: Acting, joints: Sequence[str] = ()
-) -> tuple[Finding, ...]:
-    """Return the findings on a record, most certain first; empty where nothing is wrong or too little is known.
+def isolate(record: Record, law: TrackingLaw, joints: Sequence[str] = ()) -> tuple[Finding, ...]:
+    """Return the findings on a record, the worst first; empty where nothing is wrong or too little is known.
 
-    found, acted: its intervals and what acted in them. joints: names (n,), else joint1 .. jointn.
+    Wiring comes first (exchanged joints, wrong signs), then velocities that contradict their positions, then the one
+    fault that explains the residual torques: each hides what comes after it. joints: names (n,), else joint1 .. jointn.
+    Of more than LONGEST states only as many are looked at, half of them at the start and half at the end.
     """
-    names = list(joints) or [f"joint{j + 1}" for j in range(law.robot.n)]
+    names, record = list(joints) or [f"joint{j + 1}" for j in range(law.robot.n)], _shortened(record)
     with np.errstate(all="ignore"):
+        wiring = _wiring(record, law)
+        if wiring is not None:
+            return (_of_wiring(wiring, names),)
         contradicted = velocity_faults(record)
         if contradicted:
             return tuple(_of_velocity(fault, names) for fault in contradicted)
+        found = intervals(record, Balance(law), Prediction(law))
+        if not len(found):
+            return ()
+        acted = acting(found, effort_age(found, law.robot), needed(found, law.robot))
         seen = residuals(record, law, found, acted)
         return () if seen is None else _named(seen, names)
+
+
+def _shortened(record: Record) -> Record:
+    """Return the record without the middle of a long one."""
+    count = len(record.t)
+    if count <= LONGEST:
+        return record
+    rows = np.r_[: LONGEST // 2, count - LONGEST // 2 : count]
+    series = {f.name: getattr(record, f.name) for f in fields(record)}
+    kept = {name: value[rows] for name, value in series.items() if np.ndim(value) and len(value) == count}
+    return replace(record, **kept)
+
+
+def _wiring(record: Record, law: TrackingLaw) -> WiringFault | None:
+    """Return what the start of a record shows, as the running controller looks at it."""
+    check = WiringCheck(law.robot)
+    longest = LONGEST_GAP * record.sample_period
+    for k in range(min(STARTING, len(record.t))):
+        if not (np.isfinite(record.position[k]).all() and np.isfinite(record.velocity[k]).all()):
+            return None
+        if k and not 0 < record.t[k] - record.t[k - 1] < longest:
+            check.skip()
+        fault = check.see(float(record.t[k]), record.position[k], record.velocity[k])
+        if fault is not None or check.done or not np.isfinite(record.u[k]).all():
+            return fault
+        check.sent(record.u[k])
+    return None
+
+
+def _of_wiring(fault: WiringFault, names: list[str]) -> Finding:
+    """Return the finding of what the first samples show."""
+    concerned = fault.joints[:1] if fault.kind == "velocity of another joint" else fault.joints
+    joint = " and ".join(names[j] for j in concerned)
+    return Finding(fault.kind, joint, fault.side, float("nan"), "", 1.0, fault.sentence(names))
 
 
 def _of_velocity(fault: VelocityFault, names: list[str]) -> Finding:

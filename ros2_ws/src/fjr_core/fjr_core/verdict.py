@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from .certificate import Balance
 from .checks import Array
 from .effort_age import Acting, acting, effort_age
+from .fault_isolation import UNKNOWN, Finding, isolate
 from .intervals import Intervals, Record, intervals, needed
 from .linear_loop import linearize
 from .prediction import Prediction
@@ -29,17 +31,36 @@ class Verdict:
     """What a run says of the theory. kind: whether V fell as proven, down to the floor that hold and noise predict.
 
     causes: why not, the strongest first, out of "model mismatch", "saturation", "delay", "loss", "sampling"; none
-    where no cause can be told. sentence: both in words. figures: what it is drawn from, by name.
+    where no cause can be told. sentence: both in words. figures: what it is drawn from, by name. findings: what is
+    wrong with the robot or its signals, by joint, side and kind.
     """
 
     kind: Literal["holding", "violated", "unknown"]
     causes: tuple[str, ...]
     sentence: str
     figures: dict[str, float]
+    findings: tuple[Finding, ...] = ()
 
 
-def judge(record: Record, law: TrackingLaw, beta: float | None = None) -> Verdict:
-    """The verdict on a record. beta [1/s]: the rate to judge by, None: the law's at configurations of the run."""
+def judge(
+    record: Record, law: TrackingLaw, beta: float | None = None, joints: Sequence[str] | None = ()
+) -> Verdict:
+    """Return the verdict on a record, with the faults that explain it.
+
+    beta [1/s]: the rate to judge by, None: the law's at configurations of the run. joints: names (n,) for the findings;
+    None: look for none, where velocities are an observer's, which knows no fault.
+    """
+    verdict = _judged(record, law, beta)
+    if joints is None or not np.isfinite(record.velocity).any():
+        return verdict
+    elsewhere = verdict.kind == "violated" and "model mismatch" not in verdict.causes
+    findings = tuple(each for each in isolate(record, law, joints) if not (elsewhere and each.kind == UNKNOWN))
+    sentence = "; ".join([verdict.sentence, *(each.sentence for each in findings)])
+    return replace(verdict, sentence=sentence, findings=findings)
+
+
+def _judged(record: Record, law: TrackingLaw, beta: float | None) -> Verdict:
+    """Return the verdict without findings."""
     if not np.isfinite(record.velocity).any():
         return unknown("the states hold no velocities")
     found = intervals(record, Balance(law), Prediction(law))

@@ -51,7 +51,7 @@ CERTAIN = 0.02
 """Unexplained share up to which a fault is believed before the window is full."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class WiringFault:
     """kind: "effort sign", "efforts exchanged", "encoder sign", "encoders exchanged", "velocity sign" or "velocity of
     another joint". joints: indices, two where joints are exchanged. side: "link" or "motor".
@@ -94,7 +94,7 @@ class WiringCheck:
 
     def start(self) -> None:
         """Begin again: nothing is known of any joint."""
-        self._cleared = np.zeros(self._robot.n, dtype=bool)
+        self._cleared = np.zeros(2 * self._robot.n, dtype=bool)
         self.skip()
 
     def skip(self) -> None:
@@ -105,7 +105,7 @@ class WiringCheck:
     @property
     def done(self) -> bool:
         """Return whether every joint was seen to follow."""
-        return bool(self._cleared.all())
+        return bool(self._cleared[self._robot.n :].all())
 
     def see(self, t: float, q: Array, dq: Array) -> WiringFault | None:
         """Take the state q, dq (2n,) at time t [s]; return a fault that CONFIRMED comparisons in a row agree on."""
@@ -130,21 +130,23 @@ class WiringCheck:
 
 
 def wiring_fault(robot: Robot, window: Window, cleared: Array) -> tuple[WiringFault | None, Array]:
-    """Return the fault that explains a window of samples, or None, and which joints (n,) follow in all rows.
+    """Return the fault that explains a window of samples, or None, and what follows (2n,).
 
-    cleared (n,): joints that were seen to follow before; nothing is suspected of them.
+    Of these the first n say that a link follows its spring, so that the joint's encoders are right; the others that
+    both equations and both velocities of a joint follow. cleared (2n,): what was seen to follow before.
     """
     n, speeds = robot.n, _speeds(window)
     rows = _Rows.of(robot, window)
+    sound = cleared[:n] | ((rows.unexplained[:n] < CERTAIN) & rows.smooth[:n])
     right = np.concatenate([rows.unexplained, speeds.unexplained]).reshape(4, n).max(axis=0) < FOLLOWS
-    right &= len(window.t) >= FULL
-    suspected = ~np.tile(cleared, 2)
-    velocity = _wrong_velocity(window, (speeds.unexplained > FAILS) & speeds.smooth & suspected)
+    follows = np.concatenate([sound, right]) & (len(window.t) >= FULL)
+    suspected = ~np.tile(cleared[n:], 2)
+    velocity = _wrong_velocity(window, (speeds.unexplained > FAILS) & speeds.smooth & _differs(window) & suspected)
     if velocity is not None or right.all():
-        return velocity, right
+        return velocity, follows
     unlikely = _static(robot, window)
     failing = (((rows.unexplained > FAILS) & rows.smooth) | np.tile(unlikely, 2)) & suspected
-    return _explained(robot, window, rows, failing, unlikely), right
+    return _explained(robot, window, rows, failing, unlikely, sound), follows
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,13 @@ def _speeds(window: Window) -> _Rows:
     return _Rows(_unfollowed(mean, slope, SPEED_FACTORS), _smooth(mean))
 
 
+def _differs(window: Window) -> Array:
+    """Return which velocities (2n,) differ from the slope of their position by more than the noise of that."""
+    slope, mean = _slopes(window)
+    noise = (np.diff(slope, axis=0) ** 2).sum(axis=0)
+    return np.asarray(noise < ROUGH * ((mean - slope) ** 2).sum(axis=0))
+
+
 def _slopes(window: Window) -> tuple[Array, Array]:
     """Return slopes of the positions and mean velocities of the intervals (m - 1, 2n) [rad/s]."""
     slope = np.diff(window.q, axis=0) / np.diff(window.t)[:, None]
@@ -186,13 +195,13 @@ def _wrong_velocity(window: Window, failing: Array) -> WiringFault | None:
     (slope, mean), n = _slopes(window), window.u.shape[1]
     for channel in np.flatnonzero(failing):
         side, j, own = ("link", "motor")[channel // n], int(channel % n), mean[:, [channel]]
-        if _unfollowed(own, -slope[:, [channel]], SPEED_FACTORS)[0] < FOLLOWS:
-            return WiringFault("velocity sign", (j,), side)
         first = n * (channel // n)
         left = _unfollowed(own, slope[:, first : first + n], SPEED_FACTORS)
-        left[j] = np.inf
-        if left.min() < FOLLOWS / 4:
-            return WiringFault("velocity of another joint", (j, int(np.argmin(left))), side)
+        left[j] = _unfollowed(own, -slope[:, [channel]], SPEED_FACTORS)[0]
+        k = int(np.argmin(left))
+        if left[k] < FOLLOWS / 4:
+            kind, joints = ("velocity sign", (j,)) if k == j else ("velocity of another joint", (j, k))
+            return WiringFault(kind, joints, side)
     return None
 
 
@@ -229,21 +238,28 @@ def _smooth(y: Array) -> Array:
     return (change < ROUGH * power) & (power > 1e-12 * (1 + (y * y).sum(axis=0)))
 
 
-def _explained(robot: Robot, window: Window, rows: _Rows, failing: Array, overloaded: Array) -> WiringFault | None:
-    """Return the hypothesis whose undoing makes every failing row follow; of about equal ones the first.
+def _explained(
+    robot: Robot, window: Window, rows: _Rows, failing: Array, overloaded: Array, sound: Array
+) -> WiringFault | None:
+    """Return the hypothesis whose undoing makes every failing row follow; of about equal ones that of an effort.
 
     Before the window is full, about equal ones are not told apart yet. A full window may keep failing rows of other
     joints: more than one thing is wrong then.
     """
     n, full = robot.n, len(window.t) >= FULL
     links, motors = (set(np.flatnonzero(part).tolist()) for part in failing.reshape(2, n))
+    encoders = (links | motors) - set(np.flatnonzero(sound).tolist())  # the spring's torque is in both equations
     scored = [
-        (_score(robot, window, undone(window), tried, rows, failing, overloaded, full), tried)
-        for tried, undone in _hypotheses(links, motors, n)
+        (*_score(robot, window, undone(window), tried, rows, failing, overloaded), tried)
+        for tried, undone in _hypotheses(encoders, motors, n)
     ]
-    kept = [(score, tried) for score, tried in scored if score < (FOLLOWS if full else CERTAIN)]
-    near = [tried for score, tried in kept if score <= CLEARER * min(kept, key=lambda each: each[0])[0]]
-    return near[0] if near and (full or len(near) == 1) else None
+    kept = [each for each in scored if each[1] < FOLLOWS]
+    whole = [each for each in kept if not each[0]] or (kept if full else [])
+    best = min((each[1] for each in whole), default=np.inf)
+    near = sorted(each[1:] for each in whole if each[1] <= CLEARER * best or not full)
+    if not near or (not full and (len(near) > 1 or best > CERTAIN)):
+        return None
+    return next((tried for _, tried in near if tried.kind.startswith("effort")), near[0][1])
 
 
 def _score(
@@ -254,9 +270,11 @@ def _score(
     rows: _Rows,
     failing: Array,
     overloaded: Array,
-    full: bool,
-) -> float:
-    """Return the unexplained share of the rows of a fault's joints once it is undone; inf where it is no explanation."""
+) -> tuple[bool, float]:
+    """Return whether rows of other joints still fail once a fault is undone, and the unexplained share of its own rows.
+
+    That is inf where the fault is no explanation.
+    """
     n = robot.n
     own = np.isin(np.arange(2 * n) % n, tried.joints)
     left = _Rows.of(robot, undone).unexplained
@@ -268,13 +286,13 @@ def _score(
         known = own & (rows.smooth | (left < FOLLOWS))
         rest = failing & ~own & (left > FAILS)
         score = float(left[known].mean()) if (known & failing).any() else np.inf
-    return np.inf if rest.any() and not full else score
+    return bool(rest.any()), score
 
 
 Undone = Callable[[Window], Window]
 
 
-def _hypotheses(links: set[int], motors: set[int], n: int) -> Iterator[tuple[WiringFault, Undone]]:
+def _hypotheses(encoders: set[int], motors: set[int], n: int) -> Iterator[tuple[WiringFault, Undone]]:
     """Return the faults of suspected joints, each with what undoes it."""
     none, same, same_encoders = np.ones(2 * n), np.arange(n), np.arange(2 * n)
     for j in sorted(motors):
@@ -284,11 +302,10 @@ def _hypotheses(links: set[int], motors: set[int], n: int) -> Iterator[tuple[Wir
         yield WiringFault("effort sign", tuple(sorted(motors)), "motor"), _effort(same, signs)
     for i, j in combinations(sorted(motors), 2):
         yield WiringFault("efforts exchanged", (i, j), "motor"), _effort(_order(n, i, j), none[:n])
-    for side, joints in ((0, links), (n, motors)):
-        word = "motor" if side else "link"
-        for j in sorted(joints):
+    for side, word in ((0, "link"), (n, "motor")):
+        for j in sorted(encoders):
             yield WiringFault("encoder sign", (j,), word), _encoders(same_encoders, _signs(2 * n, side + j))
-        for i, j in combinations(sorted(joints), 2):
+        for i, j in combinations(sorted(encoders), 2):
             yield WiringFault("encoders exchanged", (i, j), word), _encoders(_order(2 * n, side + i, side + j), none)
 
 
