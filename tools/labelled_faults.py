@@ -27,7 +27,7 @@ HEALTHY = "healthy"
 TORQUE = {  # N m, of the size that each joint bears
     "paper_k31": (0.8,),
     "two_link": (2.0, 0.8),
-    "arm7": (10.0, 10.0, 8.0, 8.0, 4.0, 2.0, 2.0),
+    "arm7": (10.0, 35.0, 10.0, 15.0, 4.0, 3.0, 2.0),
 }
 PAYLOAD = {"paper_k31": (0.015, 0.04, 0.1), "two_link": (0.03, 0.08, 0.2), "arm7": (0.1, 0.3, 1.0)}  # kg
 NOISE = {  # standard deviations of every sensor, in all runs that are not "perfect"

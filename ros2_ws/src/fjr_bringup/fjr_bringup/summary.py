@@ -93,7 +93,7 @@ def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
 
 
 def table(summaries: Sequence[RunSummary]) -> str:
-    """The figures that matter, one line per run."""
+    """Return the figures that matter, one line per run, then what is wrong with the robot of a run."""
     head = (
         "scenario",
         "peak effort",
@@ -105,7 +105,8 @@ def table(summaries: Sequence[RunSummary]) -> str:
     rows = [head, *(_row(summary.label, summary.report) for summary in summaries)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return "\n".join(["", lines[0], "-" * len(lines[0]), *lines[1:]])
+    found = [f"{each.label}: {finding.sentence}" for each in summaries for finding in each.report.verdict.findings]
+    return "\n".join(["", lines[0], "-" * len(lines[0]), *lines[1:], *found])
 
 
 def _row(label: str, report: Report) -> tuple[str, ...]:

@@ -94,7 +94,8 @@ def _of_body(seen: Residuals, j: int) -> Iterator[Hypothesis]:
     torque = -seen.means(body_torques(links, j, seen.q[:, :n], seen.dq[:, :n], seen.ddq[:, :n]))
     columns = np.zeros((len(torque), 2 * n, torque.shape[2]))
     columns[:, :n] = torque
-    largest = _largest(columns[:, j, :4])
+    still = np.zeros((len(seen.q), n))
+    largest = _largest(body_torques(links, j, seen.q[:, :n], still, still)[:, j, :4])
     yield Hypothesis("gravity load", j, LINK, "N m", columns[:, :, :4], largest)
     yield Hypothesis("gravity load", j, LINK, "N m", columns, lambda fitted: largest(fitted[:4]), _point_mass)
     turning = columns[:, :, 4:7]
@@ -127,7 +128,7 @@ def _free_play(half: float) -> Callable[[Array], float | None]:
 
 
 def _largest(own: Array) -> Callable[[Array], float]:
-    """Return what makes the largest static torque at the joint of fitted parameters."""
+    """Return what makes the largest torque of the weight at the joint, of columns `own` (k, 4), of fitted parameters."""
     return lambda fitted: float(np.abs(own @ fitted[:4]).max())
 
 

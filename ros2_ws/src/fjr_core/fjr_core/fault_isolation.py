@@ -161,7 +161,8 @@ def _named(seen: Residuals, names: list[str]) -> tuple[Finding, ...]:
     best = found[0]
     other = next(fit for fit in found if (fit.fault.kind, fit.fault.joint) != (best.fault.kind, best.fault.joint))
     share = float(np.clip(1 - max(best.left - noise, 0.0) / max(total - noise, 1e-300), 0.0, 1.0))
-    if share < EXPLAINED or best.left > ADVANTAGE * other.left:
+    rest = [max(fit.left - noise, 0.0) for fit in (best, other)]
+    if share < EXPLAINED or rest[0] > ADVANTAGE * rest[1]:
         return (_unknown(best, share, names),)
     return (_finding(best, share, names),)
 

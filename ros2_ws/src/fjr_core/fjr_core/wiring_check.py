@@ -41,12 +41,16 @@ FOLLOWS = 0.1
 """Unexplained share of a row, up to which it follows."""
 FAILS = 0.3
 """Unexplained share of a row, from which on it does not follow."""
+AGAINST = 1.0
+"""Unexplained share that a row of a wrong sign or another joint has: more than where nothing is assumed."""
 ROUGH = 0.5
 """Squares of the changes from interval to interval over those of the signal, above which the signal is noise."""
 CONFIRMED = 3
 """Comparisons in a row that must agree on a fault."""
-EARLY, STRIDE = 2, 10
-"""Samples between comparisons, in the first window and after it."""
+SOUND = 0.003
+"""Unexplained share of a link's row, up to which the encoders of the joint are right: coupling may hide a wrong sign."""
+EARLY, STRIDE, LATER = 2, 10, 100
+"""Samples between comparisons: in the first window, in the STRIDE windows after it, and then."""
 CERTAIN = 0.02
 """Unexplained share up to which a fault is believed before the window is full."""
 
@@ -111,7 +115,8 @@ class WiringCheck:
         """Take the state q, dq (2n,) at time t [s]; return a fault that CONFIRMED comparisons in a row agree on."""
         self._rows.append((t, q.copy(), dq.copy(), np.zeros(self._robot.n)))
         self._count += 1
-        due = self._count > FEWEST and self._count % (EARLY if self._count <= WINDOW else STRIDE) == 0
+        stride = EARLY if self._count <= WINDOW else STRIDE if self._count <= STRIDE * WINDOW else LATER
+        due = self._count > FEWEST and self._count % stride == 0
         return self._compared() if due else None
 
     def sent(self, u: Array) -> None:
@@ -137,8 +142,8 @@ def wiring_fault(robot: Robot, window: Window, cleared: Array) -> tuple[WiringFa
     """
     n, speeds = robot.n, _speeds(window)
     rows = _Rows.of(robot, window)
-    sound = cleared[:n] | ((rows.unexplained[:n] < CERTAIN) & rows.smooth[:n])
-    right = np.concatenate([rows.unexplained, speeds.unexplained]).reshape(4, n).max(axis=0) < FOLLOWS
+    sound = cleared[:n] | ((rows.unexplained[:n] < SOUND) & rows.smooth[:n])
+    right = sound & (np.concatenate([rows.unexplained, speeds.unexplained]).reshape(4, n).max(axis=0) < FOLLOWS)
     follows = np.concatenate([sound, right]) & (len(window.t) >= FULL)
     suspected = ~np.tile(cleared[n:], 2)
     velocity = _wrong_velocity(window, (speeds.unexplained > FAILS) & speeds.smooth & _differs(window) & suspected)
@@ -278,14 +283,15 @@ def _score(
     n = robot.n
     own = np.isin(np.arange(2 * n) % n, tried.joints)
     left = _Rows.of(robot, undone).unexplained
-    if (overloaded & own[:n]).any():
-        eased = _load(robot, undone) < FOLLOWS * _load(robot, window)
+    eased = _load(robot, undone) < FOLLOWS * _load(robot, window)
+    if (overloaded & own[:n]).any() and eased[list(tried.joints)].all():
         rest = overloaded & ~own[:n]
-        score = FOLLOWS / 10 * float(left[own].mean()) if eased[list(tried.joints)].all() else np.inf
+        score = FOLLOWS / 10 * float(left[own].mean())
     else:
         known = own & (rows.smooth | (left < FOLLOWS))
         rest = failing & ~own & (left > FAILS)
-        score = float(left[known].mean()) if (known & failing).any() else np.inf
+        against = (rows.unexplained[known & failing] > AGAINST).any()
+        score = float(left[known].mean()) if against else np.inf
     return bool(rest.any()), score
 
 
