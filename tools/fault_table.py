@@ -61,7 +61,8 @@ def table(outcomes: Iterable[Outcome]) -> list[str]:
 def shares(outcomes: Iterable[Outcome]) -> tuple[float, float]:
     """Return the shares of faulty runs whose kind is right, and whose joint is."""
     faulty = [each for each in outcomes if each.kind != HEALTHY]
-    return tuple(sum(values) / len(faulty) for values in zip(*((e.kind == e.said, e.joint) for e in faulty)))  # type: ignore[return-value]
+    kinds, joints = (sum(e.kind == e.said for e in faulty), sum(e.joint for e in faulty))
+    return kinds / len(faulty), joints / len(faulty)
 
 
 def confusion(seed: int) -> list[str]:
@@ -73,7 +74,11 @@ def confusion(seed: int) -> list[str]:
             print(f"seed {seed}: {case.name}: {found}", file=sys.stderr, flush=True)
     kind, joint = shares(outcomes)
     faulty = sum(each.kind != HEALTHY for each in outcomes)
-    return [f"{faulty} faulty runs: kind right in {100 * kind:.1f} %, joint in {100 * joint:.1f} %.", "", *table(outcomes)]
+    return [
+        f"{faulty} faulty runs: kind right in {100 * kind:.1f} %, joint in {100 * joint:.1f} %.",
+        "",
+        *table(outcomes),
+    ]
 
 
 def main() -> int:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop in lock-step with one fault of a sensor, an effort's channel or a spring that no parameter of the plant has."""
+"""The loop in lock-step with a fault of a sensor, an effort or a spring that no parameter of the plant has."""
 
 from __future__ import annotations
 
@@ -51,12 +51,13 @@ class _Line:
 
 
 class FaultyLoop(LockStepLoop):
-    """A scenario in lock-step with a fault, without errors of messages. Raises ParameterError for values that do not fit."""
+    """A scenario in lock-step with a fault; raises ParameterError for values that do not fit."""
 
     def __init__(self, scenario: Scenario, fault: Fault) -> None:
         self._fault, self._line = fault, _Line()
         super().__init__(scenario)
-        self._B_m, self._command = scenario.plant.robot.B_m, np.zeros(scenario.robot.n)
+        self._B_m = scenario.plant.robot.B_m
+        self._command: Array = np.zeros(scenario.robot.n)
         values = scenario.plant_values
         self._inner = round(1e9 / float(values["publish_rate"]) / int(values["inner_steps"]))  # type: ignore[arg-type]
         if fault.push is not None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs with one known fault each: kind, joint, side and three sizes, on the joint, the two-link and the seven-joint arm.
+"""Runs with one known fault each, in three sizes, on the paper's joint, the two-link and the seven-joint arm.
 
 Thresholds (fjr_core.fault_isolation and others) were set on the set of the seed FOUND_ON; findings are tried on that of
 TRIED_ON. A seed says which joint and side, how large within 20 %, and where the robot starts.
@@ -17,7 +17,7 @@ from faulty_loop import Fault, FaultyLoop
 from fjr_core.checks import Array
 from fjr_core.intervals import Record
 from fjr_core.scenario import Scenario
-from labelled_set import JOINTS, SCENARIOS, Case, _start
+from labelled_set import JOINTS, Case, _start
 from lock_step_loop import record
 
 FOUND_ON, TRIED_ON = 11, 12

@@ -128,7 +128,7 @@ def _free_play(half: float) -> Callable[[Array], float | None]:
 
 
 def _largest(own: Array) -> Callable[[Array], float]:
-    """Return what makes the largest torque of the weight at the joint, of columns `own` (k, 4), of fitted parameters."""
+    """Return what makes the largest weight torque at the joint, of columns `own` (k, 4), of fitted parameters."""
     return lambda fitted: float(np.abs(own @ fitted[:4]).max())
 
 

@@ -39,7 +39,8 @@ class Finding:
     """What is wrong with a robot or its signals.
 
     kind: e.g. "Coulomb friction"; "unknown". joint: its name ("a and b" where two are exchanged), empty if unknown.
-    side: "link", "motor", "joint" (the spring between the two) or empty. size, unit: how large. share: part of the residual torque that it explains.
+    side: "link", "motor", "joint" (the spring between the two) or empty. size, unit: how large. share: part of the
+    residual torque that it explains.
     """
 
     kind: str
@@ -119,9 +120,7 @@ def _of_velocity(fault: VelocityFault, names: list[str]) -> Finding:
     }
     other = "" if fault.kind in said else names[int(fault.size) % len(names)]
     sentence = said.get(fault.kind, f"the measured velocity is that of {other}")
-    return Finding(
-        fault.kind, joint, side, fault.size, fault.unit, fault.share, f"{_where(side, joint)}: {sentence}"
-    )
+    return Finding(fault.kind, joint, side, fault.size, fault.unit, fault.share, f"{_where(side, joint)}: {sentence}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +144,7 @@ def _fit(fault: Hypothesis, y: Array, sigma: Array) -> Fit | None:
     if not np.isfinite(X).all() or not X.any():
         return None
     if fault.nonlinear is None:
-        theta = np.linalg.lstsq(X, y, rcond=1e-8)[0]
+        theta = np.asarray(np.linalg.lstsq(X, y, rcond=1e-8)[0], dtype=float)
     else:
         theta = fault.nonlinear(X.T @ X, X.T @ y)
     size = fault.size(theta)

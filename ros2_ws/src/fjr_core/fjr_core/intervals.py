@@ -115,11 +115,12 @@ def intervals(record: Record, balance: Balance, prediction: Prediction) -> Inter
     )
 
 
-def consecutive(record: Record, known: NDArray[np.bool_] | bool = True) -> NDArray[np.intp]:
+def consecutive(record: Record, known: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:
     """Return the rows whose state and whose next state were measured, without a gap, under a known effort.
 
     known (k,): further condition on each state. A gap is longer than LONGEST_GAP sample periods.
     """
+    known = np.ones(len(record.t), dtype=bool) if known is None else known
     known = known & np.isfinite(record.position).all(axis=1) & np.isfinite(record.velocity).all(axis=1)
     dt, answered = np.diff(record.t), np.isfinite(held(record.u)).all(axis=1)
     good = known[:-1] & known[1:] & answered[:-1]

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Torques that the model's link and motor equations lack on a record, with the signals that may explain them.
 
-    link   M_l ddq_l + C dq_l + D_l dq_l + grad P_l - K zeta = r_l       motor   M_m ddq_m + D_m dq_m + K zeta - B_m u = r_m
+    link    M_l ddq_l + C dq_l + D_l dq_l + grad P_l - K zeta = r_l
+    motor   M_m ddq_m + D_m dq_m + K zeta - B_m u = r_m
 
 Each is the error of the one-step prediction of a velocity, times the inertia, over the step: the generalised momentum
 residual of A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta, ICRA 2003.
@@ -14,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .checks import Array
 from .effort_age import Acting, acting, effort_age
@@ -41,8 +43,8 @@ class Residuals:
     record: Record
     robot: Robot
     prediction: Prediction
-    first: Array
-    kept: Array
+    first: NDArray[np.intp]
+    kept: NDArray[np.intp]
     block: int
     r: Array
     sigma: Array
@@ -75,7 +77,7 @@ def residuals(record: Record, law: TrackingLaw, found: Intervals, acted: Acting)
 
     found: its intervals. acted: what acted in them, by the measured torque where there is one.
     """
-    robot, first = law.robot, consecutive(record, np.isfinite(record.jets).all(axis=(1, 2)))
+    robot, first = law.robot, consecutive(record, np.asarray(np.isfinite(record.jets).all(axis=(1, 2))))
     if len(first) != len(found) or len(first) < FEWEST_BLOCKS:
         return None
     block = int(np.clip(len(first) // (2 * FEWEST_BLOCKS), 1, BLOCK))

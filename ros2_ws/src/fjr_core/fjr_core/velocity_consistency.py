@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .checks import Array
 from .intervals import Record, consecutive
@@ -57,7 +58,7 @@ def velocity_faults(record: Record) -> tuple[VelocityFault, ...]:
     return tuple(sorted((fault for fault in found if fault is not None), key=lambda fault: -fault.power))
 
 
-def _means(dq: Array, first: Array) -> Array:
+def _means(dq: Array, first: NDArray[np.intp]) -> Array:
     """Return the mean velocities of the intervals, by the trapezoidal rule with its first correction."""
     ddq = np.gradient(dq, axis=0)  # times the sample period
     return np.asarray((dq[first + 1] + dq[first]) / 2 - (ddq[first + 1] - ddq[first]) / 12)
@@ -76,7 +77,7 @@ def _fault(channel: int, D: Array, V: Array, dD: Array) -> VelocityFault | None:
     tried = [("velocity scale", own, 0), ("velocity delay", -dD[:, channel], 0)]
     tried += [("velocity of another joint", D[:, k] - own, k) for k in side if k != channel]
     fits = [(*_regressed(e, x), kind, k) for kind, x, k in tried]
-    left, factor, kind, k = min((fit for fit in fits if fit[2] != "velocity of another joint" or abs(fit[1] - 1) < 0.2))
+    left, factor, kind, k = min(fit for fit in fits if fit[2] != "velocity of another joint" or abs(fit[1] - 1) < 0.2)
     share = 1 - max(left - len(e) * noise**2, 0.0) / max(total - len(e) * noise**2, 1e-300)
     return _named(kind, channel, factor, k, float(np.clip(share, 0.0, 1.0)), power)
 

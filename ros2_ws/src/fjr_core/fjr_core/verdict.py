@@ -42,9 +42,7 @@ class Verdict:
     findings: tuple[Finding, ...] = ()
 
 
-def judge(
-    record: Record, law: TrackingLaw, beta: float | None = None, joints: Sequence[str] | None = ()
-) -> Verdict:
+def judge(record: Record, law: TrackingLaw, beta: float | None = None, joints: Sequence[str] | None = ()) -> Verdict:
     """Return the verdict on a record, with the faults that explain it.
 
     beta [1/s]: the rate to judge by, None: the law's at configurations of the run. joints: names (n,) for the findings;

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find exchanged joints and wrong signs of efforts and encoders in the first samples of a run.
 
-    motor   y_m = M_m ddq_m + K zeta + D_m dq_m   must follow   B_m u            link   y_l = M_l ddq_l + D_l dq_l   must follow   K zeta
+    motor   y_m = M_m ddq_m + K zeta + D_m dq_m   must follow   B_m u
+    link    y_l = M_l ddq_l + D_l dq_l            must follow   K zeta
     speed   dq                                    must follow   the slope of q
 
 Each pair is compared without its mean (offsets, weight), with a free factor from 0.5 to 2 (wrong inertia, stiffness,
@@ -12,14 +13,14 @@ hypothesis on the wiring is undone in the data, and one that makes the rows foll
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .checks import Array
 from .robot import Robot
+from .wiring_hypotheses import Window, WiringFault, hypotheses
 
 WINDOW = 20
 """Samples that are compared."""
@@ -55,40 +56,6 @@ CERTAIN = 0.02
 """Unexplained share up to which a fault is believed before the window is full."""
 
 
-@dataclass(frozen=True, order=True)
-class WiringFault:
-    """kind: "effort sign", "efforts exchanged", "encoder sign", "encoders exchanged", "velocity sign" or "velocity of
-    another joint". joints: indices, two where joints are exchanged. side: "link" or "motor".
-    """
-
-    kind: str
-    joints: tuple[int, ...]
-    side: str
-
-    def sentence(self, names: tuple[str, ...] | list[str]) -> str:
-        """Return what is wrong, with the names of the joints."""
-        named = " and ".join(names[j] for j in self.joints)
-        other = names[self.joints[-1]]
-        return {
-            "effort sign": f"the effort of {named} acts with the wrong sign",
-            "efforts exchanged": f"the efforts of {named} are exchanged",
-            "encoder sign": f"the {self.side} encoder of {named} has the wrong sign",
-            "encoders exchanged": f"the {self.side} encoders of {named} are exchanged",
-            "velocity sign": f"the {self.side} velocity of {named} has the sign opposite to its position's slope",
-            "velocity of another joint": f"the {self.side} velocity of {names[self.joints[0]]} is that of {other}",
-        }[self.kind]
-
-
-@dataclass(frozen=True)
-class Window:
-    """m samples: t (m,) [s]; q, dq (m, 2n): links, then motors; u (m, n) [N m]: sent in answer to each."""
-
-    t: Array
-    q: Array
-    dq: Array
-    u: Array
-
-
 class WiringCheck:
     """Takes samples and efforts from the start on until every joint was seen to follow, or a fault is found."""
 
@@ -104,7 +71,8 @@ class WiringCheck:
     def skip(self) -> None:
         """Forget the samples so far: the next one does not follow them."""
         self._rows: deque[tuple[float, Array, Array, Array]] = deque(maxlen=WINDOW)
-        self._count, self._agreed, self._last = 0, 0, None
+        self._count, self._agreed = 0, 0
+        self._last: WiringFault | None = None
 
     @property
     def done(self) -> bool:
@@ -130,11 +98,13 @@ class WiringCheck:
             fault, cleared = wiring_fault(self._robot, window, self._cleared)
         self._cleared |= cleared
         self._agreed = self._agreed + 1 if fault is not None and fault == self._last else int(fault is not None)
-        self._last: WiringFault | None = fault
+        self._last = fault
         return fault if self._agreed >= CONFIRMED else None
 
 
-def wiring_fault(robot: Robot, window: Window, cleared: Array) -> tuple[WiringFault | None, Array]:
+def wiring_fault(
+    robot: Robot, window: Window, cleared: NDArray[np.bool_]
+) -> tuple[WiringFault | None, NDArray[np.bool_]]:
     """Return the fault that explains a window of samples, or None, and what follows (2n,).
 
     Of these the first n say that a link follows its spring, so that the joint's encoders are right; the others that
@@ -159,7 +129,7 @@ class _Rows:
     """Unexplained share of signals (k,), and whether each is smooth (k,): noise says nothing."""
 
     unexplained: Array
-    smooth: Array
+    smooth: NDArray[np.bool_]
 
     @classmethod
     def of(cls, robot: Robot, window: Window) -> _Rows:
@@ -182,7 +152,7 @@ def _speeds(window: Window) -> _Rows:
     return _Rows(_unfollowed(mean, slope, SPEED_FACTORS), _smooth(mean))
 
 
-def _differs(window: Window) -> Array:
+def _differs(window: Window) -> NDArray[np.bool_]:
     """Return which velocities (2n,) differ from the slope of their position by more than the noise of that."""
     slope, mean = _slopes(window)
     noise = (np.diff(slope, axis=0) ** 2).sum(axis=0)
@@ -195,7 +165,7 @@ def _slopes(window: Window) -> tuple[Array, Array]:
     return slope, (window.dq[1:] + window.dq[:-1]) / 2
 
 
-def _wrong_velocity(window: Window, failing: Array) -> WiringFault | None:
+def _wrong_velocity(window: Window, failing: NDArray[np.bool_]) -> WiringFault | None:
     """Return the velocity that follows the slope of another position, or of its own with the sign changed."""
     (slope, mean), n = _slopes(window), window.u.shape[1]
     for channel in np.flatnonzero(failing):
@@ -210,7 +180,7 @@ def _wrong_velocity(window: Window, failing: Array) -> WiringFault | None:
     return None
 
 
-def _static(robot: Robot, window: Window) -> Array:
+def _static(robot: Robot, window: Window) -> NDArray[np.bool_]:
     """Return which joints (n,) have springs loaded far beyond the weight that they bear, throughout the window."""
     return np.asarray(_load(robot, window) > OVERLOAD * np.abs(robot.grad_P_l(window.q[0, : robot.n])).max() + 1e-3)
 
@@ -236,15 +206,20 @@ def _unfollowed(y: Array, x: Array, factors: tuple[float, float]) -> Array:
     return np.where(power > 0, left / np.maximum(power, 1e-300), 1.0)
 
 
-def _smooth(y: Array) -> Array:
+def _smooth(y: Array) -> NDArray[np.bool_]:
     """Return which of the signals (m, k) change little from interval to interval."""
     centred = y - y.mean(axis=0)
     power, change = (centred**2).sum(axis=0), (np.diff(y, axis=0) ** 2).sum(axis=0)
-    return (change < ROUGH * power) & (power > 1e-12 * (1 + (y * y).sum(axis=0)))
+    return np.asarray((change < ROUGH * power) & (power > 1e-12 * (1 + (y * y).sum(axis=0))))
 
 
 def _explained(
-    robot: Robot, window: Window, rows: _Rows, failing: Array, overloaded: Array, sound: Array
+    robot: Robot,
+    window: Window,
+    rows: _Rows,
+    failing: NDArray[np.bool_],
+    overloaded: NDArray[np.bool_],
+    sound: NDArray[np.bool_],
 ) -> WiringFault | None:
     """Return the hypothesis whose undoing makes every failing row follow; of about equal ones that of an effort.
 
@@ -256,7 +231,7 @@ def _explained(
     encoders = (links | motors) - set(np.flatnonzero(sound).tolist())  # the spring's torque is in both equations
     scored = [
         (*_score(robot, window, undone(window), tried, rows, failing, overloaded), tried)
-        for tried, undone in _hypotheses(encoders, motors, n)
+        for tried, undone in hypotheses(encoders, motors, n)
     ]
     kept = [each for each in scored if each[1] < FOLLOWS]
     whole = [each for each in kept if not each[0]] or (kept if full else [])
@@ -273,8 +248,8 @@ def _score(
     undone: Window,
     tried: WiringFault,
     rows: _Rows,
-    failing: Array,
-    overloaded: Array,
+    failing: NDArray[np.bool_],
+    overloaded: NDArray[np.bool_],
 ) -> tuple[bool, float]:
     """Return whether rows of other joints still fail once a fault is undone, and the unexplained share of its own rows.
 
@@ -293,41 +268,3 @@ def _score(
         against = (rows.unexplained[known & failing] > AGAINST).any()
         score = float(left[known].mean()) if against else np.inf
     return bool(rest.any()), score
-
-
-Undone = Callable[[Window], Window]
-
-
-def _hypotheses(encoders: set[int], motors: set[int], n: int) -> Iterator[tuple[WiringFault, Undone]]:
-    """Return the faults of suspected joints, each with what undoes it."""
-    none, same, same_encoders = np.ones(2 * n), np.arange(n), np.arange(2 * n)
-    for j in sorted(motors):
-        yield WiringFault("effort sign", (j,), "motor"), _effort(same, _signs(n, j))
-    if len(motors) > 1:
-        signs = np.where(np.isin(same, sorted(motors)), -1.0, 1.0)
-        yield WiringFault("effort sign", tuple(sorted(motors)), "motor"), _effort(same, signs)
-    for i, j in combinations(sorted(motors), 2):
-        yield WiringFault("efforts exchanged", (i, j), "motor"), _effort(_order(n, i, j), none[:n])
-    for side, word in ((0, "link"), (n, "motor")):
-        for j in sorted(encoders):
-            yield WiringFault("encoder sign", (j,), word), _encoders(same_encoders, _signs(2 * n, side + j))
-        for i, j in combinations(sorted(encoders), 2):
-            yield WiringFault("encoders exchanged", (i, j), word), _encoders(_order(2 * n, side + i, side + j), none)
-
-
-def _effort(order: Array, signs: Array) -> Undone:
-    return lambda w: Window(w.t, w.q, w.dq, (w.u * signs)[:, order])
-
-
-def _encoders(order: Array, signs: Array) -> Undone:
-    return lambda w: Window(w.t, (w.q * signs)[:, order], (w.dq * signs)[:, order], w.u)
-
-
-def _signs(size: int, at: int) -> Array:
-    return np.where(np.arange(size) == at, -1.0, 1.0)
-
-
-def _order(size: int, one: int, other: int) -> Array:
-    order = np.arange(size)
-    order[[one, other]] = order[[other, one]]
-    return order
