@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings are right on a part of the labelled faults; exchanged efforts stop the controller before anything moves far."""
+"""Findings are right on a part of the labelled faults; wrong wiring stops the controller before the arm moves far."""
 
 from __future__ import annotations
 

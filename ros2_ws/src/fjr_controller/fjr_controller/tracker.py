@@ -115,7 +115,8 @@ class Tracker:
     "states older than the last", "states repeated", "jumps doubted", "reference restarts", "silences",
     "forward jumps", "observer restarts", "recoveries",
     "starts refused", "stops" and of these "stops: wiring", "stops: link position", "stops: motor position",
-    "stops: link velocity", "stops: motor velocity", "stops: deflection", "stops: tracking error"; "resumes", "efforts not finite",
+    "stops: link velocity", "stops: motor velocity", "stops: deflection", "stops: tracking error"; "resumes",
+    "efforts not finite",
     "efforts saturated" and of these "efforts saturated: <joint>", "efforts rate limited", "gains changed",
     "settings changed", "references changed", "holds".
     """

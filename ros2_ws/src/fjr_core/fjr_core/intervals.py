@@ -120,11 +120,11 @@ def consecutive(record: Record, known: NDArray[np.bool_] | None = None) -> NDArr
 
     known (k,): further condition on each state. A gap is longer than LONGEST_GAP sample periods.
     """
-    known = np.ones(len(record.t), dtype=bool) if known is None else known
-    known = known & np.isfinite(record.position).all(axis=1) & np.isfinite(record.velocity).all(axis=1)
+    measured = np.isfinite(np.hstack([record.position, record.velocity])).all(axis=1)
+    good = np.asarray(measured if known is None else measured & known)
     dt, answered = np.diff(record.t), np.isfinite(held(record.u)).all(axis=1)
-    good = known[:-1] & known[1:] & answered[:-1]
-    return np.flatnonzero(good & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
+    pairs = good[:-1] & good[1:] & answered[:-1]
+    return np.flatnonzero(pairs & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
 
 
 def _latency(record: Record) -> Array:

@@ -22,6 +22,8 @@ from .checks import Array
 from .robot import Robot
 from .wiring_hypotheses import Window, WiringFault, hypotheses
 
+Flags = NDArray[np.bool_]
+
 WINDOW = 20
 """Samples that are compared."""
 FULL = WINDOW - 4
@@ -49,7 +51,7 @@ ROUGH = 0.5
 CONFIRMED = 3
 """Comparisons in a row that must agree on a fault."""
 SOUND = 0.003
-"""Unexplained share of a link's row, up to which the encoders of the joint are right: coupling may hide a wrong sign."""
+"""Unexplained share of a link's row, up to which the encoders of its joint are right: coupling hides wrong signs."""
 EARLY, STRIDE, LATER = 2, 10, 100
 """Samples between comparisons: in the first window, in the STRIDE windows after it, and then."""
 CERTAIN = 0.02
@@ -102,9 +104,7 @@ class WiringCheck:
         return fault if self._agreed >= CONFIRMED else None
 
 
-def wiring_fault(
-    robot: Robot, window: Window, cleared: NDArray[np.bool_]
-) -> tuple[WiringFault | None, NDArray[np.bool_]]:
+def wiring_fault(robot: Robot, window: Window, cleared: Flags) -> tuple[WiringFault | None, Flags]:
     """Return the fault that explains a window of samples, or None, and what follows (2n,).
 
     Of these the first n say that a link follows its spring, so that the joint's encoders are right; the others that
@@ -129,7 +129,7 @@ class _Rows:
     """Unexplained share of signals (k,), and whether each is smooth (k,): noise says nothing."""
 
     unexplained: Array
-    smooth: NDArray[np.bool_]
+    smooth: Flags
 
     @classmethod
     def of(cls, robot: Robot, window: Window) -> _Rows:
@@ -152,7 +152,7 @@ def _speeds(window: Window) -> _Rows:
     return _Rows(_unfollowed(mean, slope, SPEED_FACTORS), _smooth(mean))
 
 
-def _differs(window: Window) -> NDArray[np.bool_]:
+def _differs(window: Window) -> Flags:
     """Return which velocities (2n,) differ from the slope of their position by more than the noise of that."""
     slope, mean = _slopes(window)
     noise = (np.diff(slope, axis=0) ** 2).sum(axis=0)
@@ -165,7 +165,7 @@ def _slopes(window: Window) -> tuple[Array, Array]:
     return slope, (window.dq[1:] + window.dq[:-1]) / 2
 
 
-def _wrong_velocity(window: Window, failing: NDArray[np.bool_]) -> WiringFault | None:
+def _wrong_velocity(window: Window, failing: Flags) -> WiringFault | None:
     """Return the velocity that follows the slope of another position, or of its own with the sign changed."""
     (slope, mean), n = _slopes(window), window.u.shape[1]
     for channel in np.flatnonzero(failing):
@@ -180,7 +180,7 @@ def _wrong_velocity(window: Window, failing: NDArray[np.bool_]) -> WiringFault |
     return None
 
 
-def _static(robot: Robot, window: Window) -> NDArray[np.bool_]:
+def _static(robot: Robot, window: Window) -> Flags:
     """Return which joints (n,) have springs loaded far beyond the weight that they bear, throughout the window."""
     return np.asarray(_load(robot, window) > OVERLOAD * np.abs(robot.grad_P_l(window.q[0, : robot.n])).max() + 1e-3)
 
@@ -206,7 +206,7 @@ def _unfollowed(y: Array, x: Array, factors: tuple[float, float]) -> Array:
     return np.where(power > 0, left / np.maximum(power, 1e-300), 1.0)
 
 
-def _smooth(y: Array) -> NDArray[np.bool_]:
+def _smooth(y: Array) -> Flags:
     """Return which of the signals (m, k) change little from interval to interval."""
     centred = y - y.mean(axis=0)
     power, change = (centred**2).sum(axis=0), (np.diff(y, axis=0) ** 2).sum(axis=0)
@@ -217,9 +217,9 @@ def _explained(
     robot: Robot,
     window: Window,
     rows: _Rows,
-    failing: NDArray[np.bool_],
-    overloaded: NDArray[np.bool_],
-    sound: NDArray[np.bool_],
+    failing: Flags,
+    overloaded: Flags,
+    sound: Flags,
 ) -> WiringFault | None:
     """Return the hypothesis whose undoing makes every failing row follow; of about equal ones that of an effort.
 
@@ -248,8 +248,8 @@ def _score(
     undone: Window,
     tried: WiringFault,
     rows: _Rows,
-    failing: NDArray[np.bool_],
-    overloaded: NDArray[np.bool_],
+    failing: Flags,
+    overloaded: Flags,
 ) -> tuple[bool, float]:
     """Return whether rows of other joints still fail once a fault is undone, and the unexplained share of its own rows.
 
