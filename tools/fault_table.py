@@ -24,12 +24,11 @@ SHORT = {kind: chr(ord("a") + i) for i, kind in enumerate(KINDS)}
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run had and what was found: kinds, and whether joint and side are right."""
+    """What a run had and what was found: kinds, and whether the joint is right."""
 
     kind: str
     said: str
     joint: bool
-    side: bool
 
 
 def outcome(case: FaultCase) -> Outcome:
@@ -37,24 +36,24 @@ def outcome(case: FaultCase) -> Outcome:
     scenario, _, found = case.run()
     findings = judge(found, scenario.tracking_law, joints=scenario.joints).findings
     if not findings:
-        return Outcome(case.kind, HEALTHY, case.kind == HEALTHY, case.kind == HEALTHY)
+        return Outcome(case.kind, HEALTHY, case.kind == HEALTHY)
     first = findings[0]
-    return Outcome(case.kind, first.kind, first.joint == case.joints, first.side == case.side)
+    return Outcome(case.kind, first.kind, first.joint == case.joints)
 
 
 def table(outcomes: Iterable[Outcome]) -> list[str]:
-    """Return labels down, findings across, then how many joints and sides are right, as lines of Markdown."""
+    """Return labels down, findings across, then how many joints are right, as lines of Markdown."""
     listed = list(outcomes)
     counts = Counter((each.kind, each.said) for each in listed)
     others = sorted({each.said for each in listed} - set(KINDS))
     columns = [*KINDS, *others]
-    head = [*(SHORT.get(kind, kind) for kind in columns), "joint right", "side right"]
+    head = [*(SHORT.get(kind, kind) for kind in columns), "joint right"]
     lines = ["| label | " + " | ".join(head) + " |", "| --- " * (len(head) + 1) + "|"]
     for kind in KINDS:
         mine = [each for each in listed if each.kind == kind]
         cells = [str(counts[kind, said] or "") for said in columns]
-        right = [f"{sum(each.joint for each in mine)}/{len(mine)}", f"{sum(each.side for each in mine)}/{len(mine)}"]
-        lines.append(f"| {SHORT[kind]} {kind} | " + " | ".join([*cells, *right]) + " |")
+        right = f"{sum(each.joint for each in mine)}/{len(mine)}"
+        lines.append(f"| {SHORT[kind]} {kind} | " + " | ".join([*cells, right]) + " |")
     return lines
 
 
