@@ -94,7 +94,7 @@ def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
 
 
 def table(summaries: Sequence[RunSummary]) -> str:
-    """The figures that matter, one line per run; above them why a controller stopped."""
+    """Return the figures that matter, one line per run, then the faults found; first why a controller stopped."""
     head = (
         "scenario",
         "peak effort",
@@ -106,7 +106,8 @@ def table(summaries: Sequence[RunSummary]) -> str:
     rows = [head, *(_row(summary.label, summary.report) for summary in summaries)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:]])
+    found = [f"{each.label}: {finding.sentence}" for each in summaries for finding in each.report.verdict.findings]
+    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:], *found])
 
 
 def stops(summaries: Sequence[RunSummary]) -> list[str]:

@@ -58,6 +58,7 @@ class TrackingData:
     answered: Array  # (k,) s, send time of its command, NaN where none came
     reference_mismatch: float  # rad, recorded reference against the one computed here
     notes: tuple[str, ...] = field(default=())  # what is missing or made up for, a sentence each
+    velocities_measured: bool = True  # False: estimated by an observer
     stop: ControllerStop | None = None  # the controller's first stop, None: it never stopped
     units: tuple[Units, ...] = ()  # of each joint; revolute ones by default. Prismatic joints have m and N below
 
@@ -113,6 +114,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
     n = scenario.robot.n
     states, u, answered = _answered_states(bag, scenario, duration)
     t, sent = (states.stamp - states.stamp[0]) * 1e-9, states.publish_time
+    measured = states.velocity
     states = with_velocities(states, u, scenario)
     tracked = recorded_reference(bag, scenario, states.stamp, t)
     balance = Balance(_certified(scenario))
@@ -144,6 +146,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
         notes=(*torn, *states.notes, *tracked.notes, *odd),
         stop=controller_stop(bag, sent, t),
         units=scenario.robot.units,
+        velocities_measured=states.velocity is measured,
     )
 
 

@@ -27,7 +27,8 @@ def verdict(data: TrackingData, scenario: Scenario) -> Verdict:
         return unknown(
             "the law ran with robust action (robust.*), of which V here, the law's without it, knows nothing"
         )
-    return judge(record(data, scenario), scenario.law, data.beta, axes(scenario.controller_values, scenario.robot))
+    judged = axes(scenario.controller_values, scenario.robot)
+    return judge(record(data, scenario), scenario.law, data.beta, judged, data.velocities_measured)
 
 
 def record(data: TrackingData, scenario: Scenario) -> Record:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from copy import copy
 
 import numpy as np
@@ -57,6 +58,11 @@ class Course:
     def resume(self) -> None:
         """See Tracker.resume."""
         self._resuming = bool(self.reason)
+
+    def refuse_wiring(self, sentence: str, joint: str) -> None:
+        """Stop because efforts or sensors are connected wrongly, with what was found."""
+        self._journal.count("stops: wiring")
+        self._stop("stops", f"stopped: {sentence}", joint)
 
     def is_even(self, order: Order, stamp: int, observed: int) -> bool:
         """Whether the sample is the occasion for nothing: what is under way goes on."""
@@ -199,8 +205,9 @@ class Course:
             self._journal.count(f"stops: {v.kind}")
             self._stop(STOPS, f"stopped: {v.sentence}", v.joint, v.value, v.limit)
 
-    def _stop(self, kind: str, sentence: str, joint: str, value: float, limit: float) -> None:
+    def _stop(self, kind: str, sentence: str, joint: str, value: float = math.nan, limit: float = math.nan) -> None:
         self.reason = sentence
         self.fade.stop()
         self.watch.void()
-        self._journal.say(ERROR, kind, sentence, joint=joint, value=value, limit=limit)
+        numbers = {} if math.isnan(value) else {"value": value, "limit": limit}
+        self._journal.say(ERROR, kind, sentence, joint=joint, **numbers)

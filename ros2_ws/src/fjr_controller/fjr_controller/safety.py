@@ -170,13 +170,16 @@ class EffortLimits:
 
 
 class StopPolicy:
-    """Efforts of a stop: none, or the weight of the links, B_m^-1 (grad P_l(q_l) - K_md dq_m) while states come."""
+    """Efforts of a stop: none, or the weight of the links, B_m^-1 (grad P_l(q_l) - K_md dq_m) while states come.
+
+    released: no effort at all, whatever was set: signs or joints are wrong, and the weight would push or drive the arm.
+    """
 
     def __init__(self, law: StaticLaw, settings: Settings) -> None:
         q_l = ca.SX.sym("q_l", law.robot.n)
         self._grad_P_l = numeric("grad_P_l", {"q_l": q_l}, {"grad_P_l": law.robot.links.grad_P_l(q_l)})
         self._q_l = np.zeros(law.robot.n)
-        self._known = False
+        self._known = self.released = False
         self.limit(law, settings)
 
     def limit(self, law: StaticLaw, settings: Settings) -> None:
@@ -191,7 +194,7 @@ class StopPolicy:
 
     def moving(self, q_l: Array, dq_m: Array) -> Array:
         """The effort (n,) for a sample, finite; the motors' motion is damped by K_md."""
-        if not self._holds:
+        if self.released or not self._holds:
             return np.zeros(len(q_l))
         u = self._B_inv @ (self._grad_P_l(q_l)[0] - self._K_md @ dq_m)
         return u if u.dot(u) < np.inf else self.standing()
@@ -202,4 +205,5 @@ class StopPolicy:
 
     def at(self, q_l: Array) -> Array:
         """The effort (n,) for links at rest at q_l (n,) [rad]."""
-        return self._B_inv @ self._grad_P_l(q_l)[0] if self._holds else np.zeros(len(q_l))
+        holds = self._holds and not self.released
+        return self._B_inv @ self._grad_P_l(q_l)[0] if holds else np.zeros(len(q_l))

@@ -19,6 +19,7 @@ from fjr_core.robust import Robust, RobustLaw, sampled_law
 from fjr_core.safety_parameters import Settings
 from fjr_core.sampled_law import BoundStep
 from fjr_core.static_law import BoundCommand, StaticLaw
+from fjr_core.wiring_check import WiringCheck
 
 from .certificate import Certificate
 from .course import Course
@@ -78,6 +79,11 @@ class Tracker:
     tracking error was broken, or the start was refused; latched: every sample is answered by the stop policy
     (`Settings.on_stop`; gravity_hold damps the motors by K_md) until resume() or start().
 
+    Wiring. From the first sample on, and again after resume(), measured velocities are compared with the slopes of the
+    positions and both equations of each joint with the efforts (fjr_core.wiring_check), until every joint was seen to
+    follow. Exchanged joints and wrong signs stop the tracker, without any effort, also where on_stop is gravity_hold.
+    With an observer there are no measured velocities, and nothing is compared.
+
     Order of stamps. A sample older than the last one is not answered (None), a repeated stamp is answered again.
     A stamp that jumped back by more than state_timeout, or an older one after nothing newer came for that long,
     is another beginning (a robot that was reset, a bag that loops), as after start(); but a stop stays latched.
@@ -108,8 +114,9 @@ class Tracker:
     events: what happened, for the caller to take out. counters, with stable names:
     "states older than the last", "states repeated", "jumps doubted", "reference restarts", "silences",
     "forward jumps", "observer restarts", "recoveries",
-    "starts refused", "stops" and of these "stops: link position", "stops: motor position", "stops: link velocity",
-    "stops: motor velocity", "stops: deflection", "stops: tracking error"; "resumes", "efforts not finite",
+    "starts refused", "stops" and of these "stops: wiring", "stops: link position", "stops: motor position",
+    "stops: link velocity", "stops: motor velocity", "stops: deflection", "stops: tracking error"; "resumes",
+    "efforts not finite",
     "efforts saturated" and of these "efforts saturated: <joint>", "efforts rate limited", "gains changed",
     "settings changed", "references changed", "holds".
     """
@@ -133,7 +140,9 @@ class Tracker:
         self._sampled = sampled_law(law, robust)
         self._lead = round(self._sampled.lead * 1e9)
         self._bound, self._memory = self._bind(law)
-        self._stopped, self._bad, self._clipped = 0, False, False
+        self._stopped, self._bad, self._clipped, self._first_stamp = 0, False, False, 0
+        checks = settings.wiring_check and observer is None
+        self._wiring = WiringCheck(law.robot) if checks else None
 
     @property
     def state(self) -> State:
@@ -190,6 +199,7 @@ class Tracker:
         self._reference = self._reference if reference is None else reference
         self._stamps.forget()
         self._course = Course(self._reference, self._settings, self._limits, self._journal)
+        self._look_again()
 
     def answer(self, sample: JointSample, arrival: int) -> Command | None:
         """The command for a sample that arrived at `arrival` [ns, steady clock]; None: too old, nothing is to be sent.
@@ -206,6 +216,7 @@ class Tracker:
             return None
         if not self._measure(sample, order):
             return self._unanswerable(stamp)
+        self._check_wiring(order, stamp)
         course, observed = self._course, self._unknown(order)
         if not course.is_even(order, stamp, observed):
             try:
@@ -222,6 +233,8 @@ class Tracker:
         u = self._send(wanted, V, stamp)
         if self._memory is not None:
             self._memory.accept()
+        if self._wiring is not None and order is not Order.REPEATED:
+            self._wiring.sent(u)
         self._accept(stamp, arrival)
         return self._command(u, jets, V, order is Order.BACK)
 
@@ -305,6 +318,8 @@ class Tracker:
         instead, and is checked again. A sample outside the limits stops again. Nothing happens where nothing is
         stopped.
         """
+        if self._course.reason:
+            self._look_again()
         self._course.resume()
 
     def _measure(self, sample: JointSample, order: Order) -> bool:
@@ -321,6 +336,26 @@ class Tracker:
             self._observer.update(sample.stamp, sample.q_l, sample.q_m, self._efforts.left)
             m.state[...] = self._observer.state
         return bool(m.state.dot(m.state) < np.inf)
+
+    def _look_again(self) -> None:
+        """Check the wiring from the next sample on, and let the stop policy give efforts again."""
+        self._policy.released = False
+        if self._wiring is not None:
+            self._wiring.start()
+
+    def _check_wiring(self, order: Order, stamp: int) -> None:
+        """Stop where the samples so far show that efforts or sensors are connected wrongly."""
+        wiring, m = self._wiring, self._limits
+        if wiring is None or wiring.done or order is Order.REPEATED:
+            return
+        if order is not Order.NEXT:
+            wiring.skip()
+            self._first_stamp = stamp
+        fault = wiring.see((stamp - self._first_stamp) * 1e-9, m.position, m.velocity)
+        if fault is not None and not self._policy.released:
+            self._policy.released = True
+            joints = self._settings.joints
+            self._course.refuse_wiring(fault.sentence(joints), joints[fault.joints[0]])
 
     def _unknown(self, order: Order) -> int:
         """Samples that the velocities need before they count."""

@@ -94,9 +94,7 @@ def intervals(record: Record, balance: Balance, prediction: Prediction) -> Inter
     """Those of a record in which everything was measured and no gap is longer than LONGEST_GAP sample periods."""
     series = balance.along(record.position, record.velocity, record.jets)
     sent, dt = held(record.u), np.diff(record.t)
-    known = np.isfinite(series.V) & np.isfinite(record.position).all(axis=1) & np.isfinite(record.velocity).all(axis=1)
-    good = known[:-1] & known[1:] & np.isfinite(sent[:-1]).all(axis=1)
-    first = np.flatnonzero(good & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
+    first = consecutive(record, np.isfinite(series.V))
     before = sent[np.maximum(first - 1, 0)]
     second, q, dq = first + 1, record.position, record.velocity
     q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
@@ -118,6 +116,18 @@ def intervals(record: Record, balance: Balance, prediction: Prediction) -> Inter
         latency=_latency(record)[first] / dt[first],
         tracking=q[second, : record.u.shape[1]] - record.jets[second, 0],
     )
+
+
+def consecutive(record: Record, known: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:
+    """Return the rows whose state and whose next state were measured, without a gap, under a known effort.
+
+    known (k,): further condition on each state. A gap is longer than LONGEST_GAP sample periods.
+    """
+    measured = np.isfinite(np.hstack([record.position, record.velocity])).all(axis=1)
+    good = np.asarray(measured if known is None else measured & known)
+    dt, answered = np.diff(record.t), np.isfinite(held(record.u)).all(axis=1)
+    pairs = good[:-1] & good[1:] & answered[:-1]
+    return np.flatnonzero(pairs & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
 
 
 def _latency(record: Record) -> Array:

@@ -65,6 +65,11 @@ def safety_parameters(n: int) -> list[Parameter]:
             minimum=1e-3,
             maximum=1e3,
         ),
+        Parameter(
+            "start.wiring_check",
+            True,
+            "Stop where the first samples show exchanged joints or a wrong sign of an effort or encoder",
+        ),
         _duration("start.ramp_time", 0.0, "Time from on_stop's effort to the law's at the start, 0 for none"),
         _duration("start.join_time", 0.0, "Time of the motion from the first state into the reference, 0 for none"),
         _duration("recovery.join_time", 1.0, "The same after a silence, a stop or for another reference, 0 for none"),
@@ -101,6 +106,7 @@ class Settings:
     link_position_lower .. motor_position_upper [rad], link_velocity, motor_velocity [rad/s], deflection
     |q_m - q_l|, tracking_error and start_error |q_l - q_ld| [rad]. on_stop: "zero" or "gravity_hold".
     Times [s]: state_timeout, ramp_time, start_join_time, recovery_join_time. hold_deceleration [rad/s^2].
+    wiring_check: stop at exchanged joints and wrong signs.
     Raises ParameterError, which names the parameter, for other lengths, NaN, a negative bound of a size, a
     lower limit above the upper one, or a time between 0 and SHORTEST.
     """
@@ -124,6 +130,7 @@ class Settings:
     recovery_join_time: float = 1.0
     hold_deceleration: float = 2.0
     units: tuple[Units, ...] = ()
+    wiring_check: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "units", self.units or (REVOLUTE,) * self.n)
@@ -168,6 +175,7 @@ def safety(values: Values, robot: Robot) -> Settings:
         recovery_join_time=_number(values, "recovery.join_time"),
         hold_deceleration=_number(values, "hold.deceleration"),
         units=robot.units,
+        wiring_check=bool(values["start.wiring_check"]),
     )
     if not values["limits.from_robot"]:
         return own

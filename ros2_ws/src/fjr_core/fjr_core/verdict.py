@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -12,6 +12,7 @@ from .cause_errors import CauseErrors, cause_errors, closed_loop
 from .certificate import Balance
 from .checks import Array
 from .effort_age import Acting, acting, effort_age
+from .fault_isolation import UNKNOWN, Finding, isolate
 from .grading import Axes, Grade, detail, grade
 from .growth import floor, growth, rises
 from .intervals import Intervals, Record, intervals, needed
@@ -49,7 +50,8 @@ class Verdict:
     enough was measured. causes: of the violating blocks, the strongest first, out of "model mismatch", "saturation",
     "delay", "loss", "sampling"; empty if none is known. sentence: kind and causes in words. figures: the numbers
     behind them, by name. errors: the tracking error (n,) [rad; m if the joint slides] that each cause makes.
-    detail: causes with the largest of these, e.g. "delay makes 0.14 mrad at joint2".
+    detail: causes with the largest of these, e.g. "delay makes 0.14 mrad at joint2". findings: faults of the robot or
+    its signals, by joint, side and kind.
     """
 
     kind: Literal["holding", "degraded", "violated", "unknown"]
@@ -58,19 +60,36 @@ class Verdict:
     figures: dict[str, float]
     errors: dict[str, Array] = field(default_factory=dict, compare=False)
     detail: str = ""
+    findings: tuple[Finding, ...] = ()
 
 
-def judge(record: Record, law: TrackingLaw, beta: float | None = None, axes: Axes | None = None) -> Verdict:
-    """Return the verdict on a record.
+def judge(
+    record: Record,
+    law: TrackingLaw,
+    beta: float | None = None,
+    axes: Axes | None = None,
+    velocities_measured: bool = True,
+) -> Verdict:
+    """Return the verdict on a record, with the faults that explain it.
 
     beta [1/s]: guaranteed rate of V; None: that of the law at configurations of the record. axes: names, units and
-    tolerances of the joints; None: Axes.plain.
+    tolerances of the joints; None: Axes.plain. velocities_measured: False where an observer estimates them; then no
+    faults are sought.
     """
+    axes = axes or Axes.plain(law.robot.n)
     with np.errstate(all="ignore"):  # a diverging run overflows; every comparison below is written for it
-        return _judged(record, law, beta, axes or Axes.plain(law.robot.n))
+        verdict = _judged(record, law, beta, axes)
+        if not velocities_measured or not np.isfinite(record.velocity).any():
+            return verdict
+        found = isolate(record, law, axes.names)
+    explained = verdict.kind in ("degraded", "violated") and "model mismatch" not in verdict.causes
+    findings = tuple(each for each in found if not (explained and each.kind == UNKNOWN))
+    sentence = "; ".join([verdict.sentence, *(each.sentence for each in findings)])
+    return replace(verdict, sentence=sentence, findings=findings)
 
 
 def _judged(record: Record, law: TrackingLaw, beta: float | None, axes: Axes) -> Verdict:
+    """Return the verdict without findings."""
     if not np.isfinite(record.velocity).any():
         return unknown("the states hold no velocities")
     found = intervals(record, Balance(law), Prediction(law))

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Findings are right on a part of the labelled faults; wrong wiring stops the controller before the arm moves far."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tools"))
+
+from fault_table import BEGIN, KINDS, Outcome, outcome, shares, table  # noqa: E402
+from fjr_core.certificate import Balance  # noqa: E402
+from labelled_faults import FAULTS, FOUND_ON, HEALTHY, TRIED_ON, WIRING, FaultCase, cases  # noqa: E402
+
+pytestmark = pytest.mark.system
+SET = cases(TRIED_ON)
+SEVERAL = [case for case in SET if case.case.scenario == "two_link" and case.kind in FAULTS][2::3]
+MISWIRED = [case for case in SET if case.case.scenario == "two_link" and case.kind in WIRING][::3]
+
+
+def test_the_set_has_every_fault_in_three_sizes_and_healthy_runs() -> None:
+    assert len({*FAULTS, *WIRING}) >= 12
+    assert len(SET) >= 48
+    for kind in FAULTS:
+        for robot in ("paper_k31", "two_link", "arm7"):
+            sizes = [case.size for case in SET if (case.kind, case.case.scenario) == (kind, robot)]
+            assert len(sizes) == 3
+            assert sizes == sorted(set(sizes))
+    assert sum(case.kind == HEALTHY for case in SET) >= 12
+    assert TRIED_ON != FOUND_ON
+
+
+@pytest.mark.parametrize("case", SEVERAL, ids=lambda case: case.name)
+def test_kind_and_joint_of_the_largest_faults_are_right(case: FaultCase) -> None:
+    found = outcome(case)
+    assert (found.said, found.joint) == (case.kind, True)
+
+
+@pytest.mark.parametrize("case", MISWIRED, ids=lambda case: case.name)
+def test_wrong_wiring_stops_the_controller_without_effort_and_is_named(case: FaultCase) -> None:
+    scenario, loop, record = case.run()
+    assert loop.state == "stopped"
+    assert all(name in loop.reason for name in case.joints.split(" and "))
+    assert not record.u[-1].any()
+    assert outcome(case).said == case.kind
+    if case.kind == "efforts exchanged":
+        answered = np.flatnonzero(record.u.any(axis=1))
+        assert answered[-1] < 20
+        V = Balance(scenario.tracking_law).along(record.position, record.velocity, record.jets).V
+        assert V[:30].max() < 1e3 * V[0]
+
+
+@pytest.mark.parametrize("case", [case for case in SET if case.kind == HEALTHY][:9:2], ids=lambda case: case.name)
+def test_healthy_runs_have_no_finding(case: FaultCase) -> None:
+    assert outcome(case).said == HEALTHY
+
+
+def test_the_page_shows_the_set_and_the_shares_that_are_asked_for() -> None:
+    page = (ROOT / "docs" / "fault_isolation.md").read_text(encoding="utf-8").partition(BEGIN)[2]
+    rows = [line for line in page.splitlines() if line.startswith("| ")][2 : 2 + len(KINDS)]
+    counts = [int(cell) for row in rows for cell in row.split("|")[2:-2] if cell.strip()]
+    assert sum(counts) == len(SET)
+    assert all(row.split("|")[-2].strip() != "0/0" for row in rows)
+    kind, joint = map(float, re.findall(r"kind right in ([\d.]+) %, joint in ([\d.]+) %", page)[0])
+    assert kind >= 90
+    assert joint >= 95
+
+
+def test_a_table_counts_joints() -> None:
+    outcomes = [Outcome("inertia", "inertia", True), Outcome("inertia", "unknown", False)]
+    assert shares(outcomes) == (0.5, 0.5)
+    row = next(line for line in table(outcomes) if "inertia" in line)
+    assert row.endswith("| 1/2 |")
