@@ -9,6 +9,7 @@ from pathlib import Path
 
 from . import parameter_file
 from .errors import ParameterError
+from .text_file import read_text
 
 FILE, URDF = "robot.file", "robot.urdf"
 _SCHEME = "package://"
@@ -51,7 +52,7 @@ def inlined(values: Mapping[str, object]) -> dict[str, object]:
     urdf = alone.get(URDF)
     if isinstance(urdf, str) and not is_xml(urdf):
         try:
-            alone[URDF] = Path(urdf).read_text(encoding="utf-8-sig")
+            alone[URDF] = read_text(urdf)
         except (OSError, UnicodeDecodeError) as error:
             raise ParameterError(f"parameter '{URDF}': cannot read {urdf} ({error}); expected a URDF") from None
     return alone
