@@ -154,7 +154,7 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, dur
         bag=str(bag.path),
         bag_complete=bag.complete,
         verdict=verdict(data, scenario),
-        missing=data.notes,
+        missing=(*bag.notes, *data.notes),
         tracking=_tracking(data),
         joints=joint_figures(data),
         storage=_storage(data) if np.isfinite(data.V[0]) else None,
