@@ -8,6 +8,7 @@ import logging
 import sys
 import threading
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -200,4 +201,4 @@ def _report_of_failure(plan: Plan, error: RunError) -> None:
 def _tell(summaries: list[RunSummary]) -> None:
     print(table(summaries))
     print(where_to_look(summaries))
-    print(how_to_play(summaries[0].folder / "bag"))
+    print(how_to_play(Path(summaries[0].report.bag)))
