@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fjr_bringup import compare_run, suite, sweep_command
+from fjr_bringup import compare_run, scenarios, suite, sweep_command
 from fjr_bringup.compare_job import Job
 from fjr_bringup.report_command import _known
 from fjr_core.campaign.store import open_store
@@ -78,6 +78,13 @@ def test_sweeps_with_values_that_do_not_belong_there(folder: Path, text: str) ->
 @given(data=texts(SWEEP))
 def test_sweeps_of_any_text(folder: Path, data: bytes) -> None:
     read_sweep(folder, data)
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "a/" * 3000, "..", "/dev/zero", ""])
+def test_a_sweep_of_a_scenario_that_no_file_can_be(name: str, folder: Path) -> None:
+    assert read_sweep(folder, yaml.safe_dump({**yaml.safe_load(SWEEP), "scenario": name}).encode())
+    assert answer(lambda: scenarios.find(name))
+    assert answer(lambda: suite.find(name))
 
 
 def plan() -> Sweep:

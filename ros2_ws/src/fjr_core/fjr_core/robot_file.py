@@ -74,7 +74,7 @@ def resolve(reference: str, folder: Path) -> Path:
     package, _, path = reference[len(_SCHEME) :].partition("/")
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         share = Path(prefix, "share", package)
-        if prefix and package and share.is_dir():
+        if prefix and package and os.path.isdir(share):
             return share / path
     raise ParameterError(
         f"'{reference}' names package '{package}', which no folder of AMENT_PREFIX_PATH has; "
