@@ -109,6 +109,13 @@ def test_a_flipped_bit_in_the_length_of_a_chunk_costs_at_most_that_chunk(whole: 
             assert bag.notes or len(messages(bag)) == SENT
 
 
+def test_an_index_that_a_flipped_bit_calls_a_message_is_none(whole: Path, folder: Path) -> None:
+    data = content(whole)
+    for _, end in chunks(data, folder):
+        assert data[end] ^ 2 == 5  # from message index to message
+        assert messages(read_bag(written(folder, flipped(data, end, 1)))) == ALL
+
+
 @fuzzed(60)
 @given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
 def test_any_flipped_bit_costs_at_most_one_chunk(whole: Path, folder: Path, place: float, bit: int) -> None:

@@ -29,6 +29,7 @@ CHUNK = struct.Struct("<QQQII")  # begin, end, size, checksum, length of the nam
 COMPRESSIONS = (b"", b"lz4", b"zstd")
 LARGEST_RECORD = 2**30  # bytes
 MOST_EXPANSION, SMALLEST_LIMIT = 200, 2**24  # of a compressed chunk: times its size, bytes that are always allowed
+INDEXED = (Opcode.CHUNK, Opcode.MESSAGE_INDEX)  # records before an index
 SIZES = {Opcode.FOOTER: FOOTER.size, Opcode.DATA_END: 4}
 CANDIDATE = re.compile(rb"(?=[\x05\x06].{4}\0{4})", re.DOTALL)  # a message or a chunk of less than 4 GiB
 BLOCK = 2**20  # bytes that are searched at a time
@@ -59,7 +60,7 @@ class File:
 
     def records(self, known: Container[int]) -> Iterator[Record]:
         """Yield all records before the end of the data; known: channels, for messages outside of chunks."""
-        position = len(MAGIC)
+        position, last = len(MAGIC), 0
         while position < self.size:
             record = self._record(position)
             if record is None or not self._is_followed(record):
@@ -76,8 +77,11 @@ class File:
                 return
             if record.kind == Opcode.FOOTER:
                 return
-            yield record
             position += HEAD.size + len(record.content)
+            if last in INDEXED and record.kind == Opcode.MESSAGE and _fits(Opcode.MESSAGE_INDEX, record.content):
+                continue  # an index that one flipped bit calls a message
+            yield record
+            last = record.kind
 
     def _verify(self, end: Record) -> None:
         """Note damage outside of all that has a checksum of its own."""
