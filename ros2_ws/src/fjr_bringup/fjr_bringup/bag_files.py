@@ -114,8 +114,9 @@ def read_sqlite(path: Path, contents: Contents) -> bool:
     before = contents.count
     if _is_cut_off(path):  # refused as it is
         with tempfile.TemporaryDirectory() as folder:
+            notes = list(contents.notes)
             read_tables(_mended(path, Path(folder)), contents)
-            whole = False
+            contents.notes, whole = notes, False  # its end is missing: that is said as of any bag that was not closed
     else:
         whole = read_tables(path, contents)
         if not whole and contents.count == before:

@@ -138,7 +138,7 @@ class File:
         if kind == Opcode.CHUNK:
             return _is_chunk(begin, length)
         following = self._bytes(position + HEAD.size + length, HEAD.size)
-        if kind == Opcode.MESSAGE and length >= MESSAGE.size and len(following) == HEAD.size:
+        if self.closed and kind == Opcode.MESSAGE and length >= MESSAGE.size and len(following) == HEAD.size:
             kind, length_after = HEAD.unpack(following)
             return MESSAGE.unpack(begin[: MESSAGE.size])[0] in known and kind in range(1, 16) and length_after < 2**32
         return False

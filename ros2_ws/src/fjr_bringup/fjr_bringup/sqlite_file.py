@@ -35,7 +35,7 @@ def _opened(path: Path) -> sqlite3.Connection:
     for name in ("topics", "messages"):
         if not str(kinds.get(name)).upper().startswith("CREATE TABLE"):  # a view might never end
             database.close()
-            raise BagError(f"{path} is not a readable SQLite bag: it has no table '{name}'")
+            raise BagError(f"{path} is not a readable SQLite bag: no such table: {name}")
     return database
 
 
