@@ -152,15 +152,6 @@ def test_a_compiler_that_does_not_work_is_said_once(
 
 
 @with_a_compiler
-def test_a_cache_that_cannot_be_written_is_said_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, function: ca.Function
-) -> None:
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert str(tmp_path / "file") in said_once(caplog, function)
-
-
-@with_a_compiler
 def test_what_casadi_cannot_write_as_c_runs_in_the_virtual_machine(caplog: pytest.LogCaptureFixture) -> None:
     plant = fjr.Plant(fjr.single_link(), "implicit_midpoint", compile=True)
     assert np.isfinite(plant.step(np.zeros(4), [1.0], 1e-3)).all()

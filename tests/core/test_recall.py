@@ -11,7 +11,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.certificate import Balance
-from fjr_core.compile import cache_folder
+from fjr_core.code_cache import cache_folder
 
 pytestmark = pytest.mark.skipif(not (shutil.which("cc") or shutil.which("gcc")), reason="no C compiler")
 POINT = ([0.3, -0.2, 0.4, 0.1], [1.0, 0.5, -0.3, 0.2], np.arange(10.0).reshape(5, 2) / 10)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from . import pins
 from .console import Step, run_logged
+from .quoting import quote_paths
 from .virtualenv import Environment
 
 COPIED = {"setup.py", "setup.cfg", "package.xml"}
@@ -44,6 +45,7 @@ class Workspace:
         self._stamp.unlink(missing_ok=True)
         self._colcon()
         remove_dangling_links(self.install)
+        quote_paths(self.install)
         pins.write_stamp(self._stamp, {"identity": identity, "content": content})
 
     def remove(self) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_bringup.bag_files import files_of, read_file
-from fjr_bringup.bag_topic import BagError, Times, Topic, Topics
+from fjr_bringup.bag_topic import BagError, Contents, Times, Topic
 
 Array = NDArray[np.float64]
 JOINT_STATE, DIAGNOSTICS = "sensor_msgs/msg/JointState", "/diagnostics"
@@ -32,7 +32,8 @@ class JointTable:
 
 @dataclass(frozen=True)
 class Bag:
-    """All topics of a bag. `complete` tells whether the recorder closed it; namespace: where its nodes were.
+    """All topics of a bag. `complete` tells whether the recorder closed it; namespace: where its nodes were; notes: a
+    sentence for each thing that could not be read.
 
     A topic that is not there under its plain name is looked for in namespaces; one in two of them is not chosen.
     """
@@ -41,6 +42,7 @@ class Bag:
     topics: dict[str, Topic]
     complete: bool
     namespace: str = ""
+    notes: tuple[str, ...] = ()
 
     def holds(self, name: str) -> bool:
         """Whether there are messages of a topic."""
@@ -96,9 +98,9 @@ def read_bag(path: str | Path, namespace: str = "") -> Bag:
     """
     path = Path(path)
     path = path / "bag" if (path / "bag").is_dir() else path
-    topics: Topics = {}
-    complete = [read_file(file, topics) for file in files_of(path)]
-    return Bag(path, topics, all(complete), namespace)
+    contents = Contents()
+    complete = [read_file(file, contents) for file in files_of(path)]
+    return Bag(path, contents.topics, all(complete), namespace, tuple(contents.notes))
 
 
 def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array:

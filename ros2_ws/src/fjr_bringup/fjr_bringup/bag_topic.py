@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -16,6 +17,8 @@ from fjr_bringup.schemas import typestore
 from fjr_core.errors import FjrError
 
 Times = NDArray[np.int64]
+TYPE_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
+LONGEST_DEFINITION = 2**20  # characters
 
 
 class BagError(FjrError):
@@ -55,18 +58,36 @@ class Topic:
     @cached_property
     def decoded(self) -> list[Any]:
         """Every message as an object with the fields of its type; raises BagError for bytes that are none."""
-        store = typestore()
-        if self.type_name not in store.fielddefs:
-            store.register(get_types_from_msg(self.definition, self.type_name))
+        if not TYPE_NAME.fullmatch(self.type_name):
+            raise BagError(f"{self.name} has the type {self.type_name!r}; expected one like sensor_msgs/msg/JointState")
+        if len(self.definition) > LONGEST_DEFINITION:
+            raise BagError(f"{self.name} has a definition of {len(self.definition)} characters; expected a message's")
         try:
+            store = typestore()
+            if self.type_name not in store.fielddefs:
+                store.register(get_types_from_msg(self.definition, self.type_name))
             return [store.deserialize_cdr(message.data, self.type_name) for message in self.messages]
         except Exception as error:  # whatever the decoder stumbles over
             raise BagError(f"{self.name} holds bytes that are no {self.type_name} ({error})") from error
 
 
-Topics = dict[str, Topic]
+@dataclass
+class Contents:
+    """What is read from the files of a bag: topics by name, and a sentence for each thing that is lost."""
+
+    topics: dict[str, Topic] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def topic(self, name: str, type_name: str, definition: str) -> Topic:
+        """Return the topic of this name, added where it is new."""
+        return self.topics.setdefault(name, Topic(name, type_name, definition))
+
+    @property
+    def count(self) -> int:
+        """Number of messages."""
+        return sum(len(topic.messages) for topic in self.topics.values())
 
 
-def topic_of(topics: Topics, name: str, type_name: str, definition: str) -> Topic:
-    """The topic of this name, added where it is new."""
-    return topics.setdefault(name, Topic(name, type_name, definition))
+def has_times(message: Message) -> bool:
+    """Whether both times of a message are nanoseconds that a signed 64-bit number holds, as ROS 2 has them."""
+    return 0 <= message.log_time < 2**63 and 0 <= message.publish_time < 2**63

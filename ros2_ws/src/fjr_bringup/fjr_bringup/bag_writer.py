@@ -7,8 +7,8 @@ flushed is readable even when the process is killed before `BagWriter.close` wri
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
 from fjr_bringup import schemas
+from fjr_core.whole_file import write_text
 
 METADATA_VERSION = 9
 ROS_DISTRO = "jazzy"
@@ -83,9 +84,13 @@ class BagWriter:
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
         self._mcap.finish()
         self._stream.close()
-        partial = self.folder / "metadata.yaml.tmp"
-        partial.write_text(yaml.safe_dump({"rosbag2_bagfile_information": metadata}, sort_keys=False))
-        os.replace(partial, self.folder / "metadata.yaml")
+        text = yaml.safe_dump({"rosbag2_bagfile_information": metadata}, sort_keys=False)
+        write_text(self.folder / "metadata.yaml", text)
+
+    def abandon(self) -> None:
+        """Leave the file as far as it could be written, as a kill would."""
+        with suppress(OSError):
+            self._stream.close()
 
     def _metadata(self) -> dict[str, Any]:
         count = sum(channel.count for channel in self.channels)

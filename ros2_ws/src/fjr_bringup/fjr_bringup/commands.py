@@ -218,4 +218,4 @@ def _report_of_failure(name: str, folder: Path, error: RunError) -> None:
 def _tell(summaries: list[RunSummary]) -> None:
     print(table(summaries))
     print(where_to_look(summaries))
-    print(how_to_play(summaries[0].folder / "bag"))
+    print(how_to_play(Path(summaries[0].report.bag)))

@@ -21,6 +21,8 @@ from fjr_bringup.stopping import Interrupted
 from fjr_bringup.words import plural
 from fjr_core.errors import CompareError
 from fjr_core.scenario import parse_scenario
+from fjr_core.text_file import read_json
+from fjr_core.whole_file import is_sealed, write_text
 
 QUIET = 2.0  # s without a progress bar
 GLANCE = 0.2  # s between looks at what is done
@@ -110,9 +112,8 @@ def _end_with_parent() -> None:
 def _done(job: Job, kept: Path) -> Result:
     """In a worker: the result, once it is in a file."""
     result = work(job, lambda part: _told.put((job.key, part)))
-    partial = kept / f"{job.key}.part"
-    partial.write_text(json.dumps(result, allow_nan=False), encoding="utf-8")
-    partial.replace(kept / f"{job.key}.json")
+    path = kept / f"{job.key}.json"
+    write_text(path, json.dumps(result, allow_nan=False), sealed=True)
     return result
 
 
@@ -124,7 +125,9 @@ def _end(pool: ProcessPoolExecutor) -> None:
 
 
 def _read(kept: Path, job: Job) -> Result | None:
+    """The result of a job; None where there is none with the content that it was kept with."""
+    path = kept / f"{job.key}.json"
     try:
-        return dict(json.loads((kept / f"{job.key}.json").read_text(encoding="utf-8")))
+        return read_json(path) if is_sealed(path) else None
     except (OSError, ValueError):
         return None

@@ -13,6 +13,7 @@ from string import Template
 from fjr_bringup.controller_stop import ControllerStop
 from fjr_bringup.plots import Plot, Pool
 from fjr_bringup.verdicts import Verdict
+from fjr_core.whole_file import write_text
 
 PARTS = {"css": "page.css", "script": "page.js", "uplot": "uPlot.iife.min.js", "uplot_css": "uPlot.min.css"}
 HEADINGS = {
@@ -30,7 +31,7 @@ def write_page(path: Path, title: str, body: Sequence[str], plots: Sequence[Plot
     drawn = json.dumps({"arrays": pool.arrays, "plots": packed}).replace("<", "\\u003c")
     parts = {name: _part(file) for name, file in PARTS.items()}
     page = Template(_part("page.html")).substitute(parts, title=escape(title), body="\n".join(body), plots=drawn)
-    path.write_text(page, encoding="utf-8")
+    write_text(path, page)
 
 
 def _part(name: str) -> str:

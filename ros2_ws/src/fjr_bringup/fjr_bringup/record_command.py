@@ -53,6 +53,7 @@ def _told(recorder: Recorder, wanted: Sequence[str], folder: Path) -> str:
     lines = [_line(channel) for channel in channels if channel.count]
     heard = {channel.topic for channel in channels if channel.count}
     lines += [f"not recorded: {topic}, {why}" for topic, why in sorted(recorder.skipped.items())]
+    lines += [f"not complete: {recorder.loss}"] if recorder.loss else []
     lines += [f"nothing came on {topic}" for topic in wanted if topic not in heard | set(recorder.skipped)]
     total = sum(channel.count for channel in channels)
     return "\n".join([*lines, f"{total} messages of {len(heard)} topics in {folder}"])

@@ -8,9 +8,10 @@ waking up once for a batch instead of once per message leaves the processor to t
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +57,7 @@ class Recorder:
         self.writer = BagWriter(folder)
         self.skipped: dict[str, str] = {}  # topic -> why it is not recorded
         self.failure: Exception | None = None
+        self.loss = ""  # why nothing is written any more; the topics are listened to all the same
         self._wanted = frozenset(topics)
         self._tracks: dict[str, Track] = {}
         self._stop = threading.Event()
@@ -71,7 +73,9 @@ class Recorder:
         if not self._stop.is_set():
             self._stop.set()
             self._thread.join()
-            self.writer.close()
+            self._write(self.writer.close)
+            if self.loss:
+                self.writer.abandon()
             self.node.destroy_node()
             self.context.try_shutdown()
 
@@ -112,19 +116,29 @@ class Recorder:
             for track in tuple(self._tracks.values()):
                 self._drain(track)
             if now >= flush:
-                self.writer.flush()
+                self._write(self.writer.flush)
                 flush = now + FLUSH_PERIOD
+
+    def _write(self, write: Callable[..., object], *arguments: object) -> None:
+        """Write, unless that has failed before; a disk that is full or gone ends the recording, not the run."""
+        if self.loss:
+            return
+        try:
+            write(*arguments)
+        except OSError as error:
+            self.loss = f"recording stopped: {error.strerror or error}"
+            print(f"fjr: {self.loss}; all else goes on, {self.writer.path} holds what came before", file=sys.stderr)
 
     def _drain(self, track: Track) -> None:
         """Write all that waits in one subscription's queue: receive time, send time, wire bytes."""
         take, kind = track.subscription.handle.take_message, track.subscription.msg_type
-        write, channel = self.writer.write, track.channel
+        write, keep, channel = self._write, self.writer.write, track.channel
         first = last = b""
         while (taken := take(kind, True)) is not None:
             last, info = taken
             first = first or last
             sequence = info["publication_sequence_number"] or 0
-            write(channel, info["received_timestamp"], info["source_timestamp"], sequence, last)
+            write(keep, channel, info["received_timestamp"], info["source_timestamp"], sequence, last)
         if last:
             track.ends = (track.ends[0] if track.ends else first, last)
 

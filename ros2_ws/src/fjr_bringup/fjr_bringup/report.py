@@ -32,6 +32,7 @@ from fjr_bringup.power import power
 from fjr_bringup.tracking_data import TrackingData
 from fjr_bringup.verdicts import Verdict, verdict
 from fjr_core.scenario import Scenario
+from fjr_core.whole_file import write_text
 
 DECAYED = 1e-4  # of V(0): down to there the decay rate is measured
 VERSIONS = ("fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
@@ -153,7 +154,7 @@ class Report:
 
     def write(self, path: Path) -> None:
         """Write the report as JSON."""
-        path.write_text(json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_text(path, json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n")
 
 
 def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, duration: float) -> Report:
@@ -167,7 +168,7 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, dur
         bag_complete=bag.complete,
         stop=data.stop,
         verdict=verdict(data, scenario),
-        missing=data.notes,
+        missing=(*bag.notes, *data.notes),
         tracking=_tracking(data),
         joints=joint_figures(data),
         storage=_storage(data) if np.isfinite(data.V[0]) else None,

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,7 @@ from fjr_bringup.bag_files import files_of
 from fjr_bringup.summary import FIGURES, RunSummary, compare, reported, table, where_to_look
 from fjr_core.errors import FjrError
 from fjr_core.scenario import load_scenario
+from fjr_core.text_file import read_json
 
 SCENARIO = "scenario.yaml"
 LARGE = 50e6  # bytes; reading more takes a while
@@ -134,10 +134,11 @@ def _inner(path: Path) -> Path:
 def _known(path: Path) -> Mapping[str, Any]:
     """What only the run itself knew, from its own report."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    kinds: dict[str, Any] = {"planned_s": (int, float), "not_recorded": dict, "failure": str}
+    return {name: found[name] for name, kind in kinds.items() if isinstance(found.get(name), kind)}
 
 
 def _labelled(summaries: Sequence[RunSummary]) -> list[RunSummary]:

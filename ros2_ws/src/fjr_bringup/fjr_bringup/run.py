@@ -27,6 +27,7 @@ from fjr_bringup.run_folder import RunFolder
 from fjr_bringup.stopping import Interrupted
 from fjr_core.errors import FjrError
 from fjr_msgs_py import names
+from fjr_msgs_py.log_folder import ensure_log_folder
 from fjr_msgs_py.scheduling import prioritised
 
 PLANT, CONTROLLER = names.PLANT, names.CONTROLLER
@@ -61,7 +62,8 @@ class Plan:
 
 
 def discover_quickly() -> None:
-    """Announce this process often at its start, unless the user chose otherwise."""
+    """Announce this process often at its start, unless the user chose otherwise; give ROS 2 a folder for its logs."""
+    ensure_log_folder()
     profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
 
@@ -89,7 +91,8 @@ def run(plan: Plan, stop: threading.Event) -> Recorded:
         file.write_text(plan.scenario, encoding="utf-8")
         with Recorder(plan.folder / "bag") as recorder:
             _Run(plan, recorder, stop, file).execute(on_go=kept.keep)
-    return Recorded(plan.folder, dict(recorder.skipped))
+    lost = {"all topics, from a moment on": recorder.loss} if recorder.loss else {}
+    return Recorded(plan.folder, {**recorder.skipped, **lost})
 
 
 class _Run:

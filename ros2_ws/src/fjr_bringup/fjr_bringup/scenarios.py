@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,7 @@ def find(name: str | None) -> Path:
     scenarios = known()
     if name in scenarios:
         return scenarios[name]
-    if name and Path(name).is_file():
+    if name and os.path.isfile(name):
         return Path(name)
     what = f"unknown scenario '{name}'" if name else "no scenario given"
     raise ScenarioError(f"{what}: expected a YAML file or one of {', '.join(scenarios)}")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -67,7 +68,7 @@ def find(name: str) -> Path:
     suites = known_suites()
     if name in suites:
         return suites[name]
-    if Path(name).is_file():
+    if os.path.isfile(name):
         return Path(name)
     raise CompareError(f"unknown suite '{name}': expected a YAML file or one of {', '.join(suites)}")
 

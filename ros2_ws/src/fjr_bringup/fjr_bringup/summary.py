@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ import numpy as np
 
 from fjr_bringup import headlines
 from fjr_bringup.bag import Bag, read_bag
+from fjr_bringup.elsewhere import written
 from fjr_bringup.pictures import draw_overview
 from fjr_bringup.power import power
 from fjr_bringup.report import Report, make_report
@@ -47,7 +49,7 @@ def summarise(
     summary = reported(name, bag, scenario, folder, duration, skipped, failure)
     if np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
         with quietly():
-            draw_overview(name, summary.data, summary.report, folder)
+            written(summary.folder, lambda place: draw_overview(name, summary.data, summary.report, place))
     return summary
 
 
@@ -70,9 +72,13 @@ def reported(
             failure=failure,
             planned_s=duration,
         )
-        folder.mkdir(parents=True, exist_ok=True)
-        report.write(folder / FIGURES)
-        write_run_page(folder / PAGE, data, report, power(data, scenario.robot.B_m))
+        flow = power(data, scenario.robot.B_m)
+
+        def write(place: Path) -> None:
+            report.write(place / FIGURES)
+            write_run_page(place / PAGE, data, report, flow)
+
+        folder = written(folder, write)
     return RunSummary(folder, report, data, name)
 
 
@@ -86,11 +92,9 @@ def quietly() -> Iterator[None]:
 
 def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
     """Write comparison.html of several runs into a folder."""
-    path = folder / COMPARISON
     with quietly():
         runs = [Compared(each.label, each.data, each.report, each.folder / PAGE) for each in summaries]
-        write_comparison(path, runs)
-    return path
+        return written(folder, lambda place: write_comparison(place / COMPARISON, runs)) / COMPARISON
 
 
 def table(summaries: Sequence[RunSummary]) -> str:
@@ -165,4 +169,4 @@ def where_to_look(summaries: Sequence[RunSummary]) -> str:
 def how_to_play(bag: Path) -> str:
     """How to play a bag."""
     storage = next(bag.glob("*.mcap"), bag)
-    return f"play a bag: ros2 bag play {bag}   (or open {storage} in Foxglove or PlotJuggler)"
+    return f"play a bag: ros2 bag play {shlex.quote(str(bag))}   (or open {storage} in Foxglove or PlotJuggler)"

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 from collections.abc import Mapping
@@ -139,7 +140,7 @@ def _file(name: str | None) -> Path:
 
 def _scenario(name: str, folder: Path) -> Path:
     beside = folder / name
-    return beside if beside.is_file() else scenarios.find(name)
+    return beside if os.path.isfile(beside) else scenarios.find(name)
 
 
 def _sweep(name: str, text: str, file: SweepFile, wish: Wish) -> Sweep:

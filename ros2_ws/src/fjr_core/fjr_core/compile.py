@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import hashlib
 import logging
 import os
@@ -18,6 +17,9 @@ from functools import cache
 from pathlib import Path
 
 import casadi as ca
+
+from .code_cache import code_folder, is_whole, keep, temporary_folder
+from .private_folder import PrivateFolder
 
 OPTIONS = ("-O3", "-march=native", "-fPIC", "-shared")
 COMPILERS = ("cc", "gcc", "clang")
@@ -34,17 +36,19 @@ def compiled(function: ca.Function) -> ca.Function:
     """The same function as machine code; `function` itself, run by CasADi's virtual machine, where that cannot be.
 
     The C code, the compiler with its options and the processor decide the name of the shared object in
-    cache_folder(); one that is there is only loaded. Two processes may build at once: one builds, the other waits.
-    Derivatives of the result are not available. Says once, as a warning of the logger "fjr_core.compile", why
-    nothing is compiled.
+    code_folder(); one that is there as it was kept is only loaded. Two processes may build at once: one builds, the
+    other waits. Derivatives of the result are not available. Says once, as a warning of the logger
+    "fjr_core.compile", why nothing is compiled.
     """
     return made(function)[0]
 
 
-def made(function: ca.Function) -> tuple[ca.Function, Path | None]:
-    """The same with the shared object that it is in; None where nothing was compiled."""
+def made(function: ca.Function) -> tuple[ca.Function, str | None]:
+    """Compile a function; return it with the name of its file in code_folder(), None where nothing was compiled."""
     try:
-        return _external(function)
+        name = function.name()
+        folder, library = _library(name, _c_code(name, [function]))
+        return ca.external(name, folder.within(library)), library
     except (CompileError, OSError, RuntimeError, ValueError) as error:
         _say_once(str(error))
         return function, None
@@ -56,8 +60,8 @@ def loaded(name: str, functions: Sequence[ca.Function], around: Callable[[str], 
     around: from CasADi's code to the whole source. Cached as machine code of a function is.
     """
     try:
-        source = around(_c_code(name, functions))
-        return ctypes.CDLL(str(_library(name, source, ctypes.CDLL)))
+        folder, library = _library(name, around(_c_code(name, functions)))
+        return ctypes.CDLL(folder.within(library))
     except (CompileError, OSError, RuntimeError, ValueError) as error:
         _say_once(str(error))
         return None
@@ -77,77 +81,48 @@ def can_compile() -> bool:
         return False
 
 
-def is_whole(library: Path) -> bool:
-    """Whether a shared object is there, as it was made."""
-    return _is_whole(library, library.with_suffix(".lock"))
-
-
-def cache_folder() -> Path:
-    """$XDG_CACHE_HOME/fjr, or ~/.cache/fjr."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "fjr"
-
-
-def _external(function: ca.Function) -> tuple[ca.Function, Path]:
-    name = function.name()
-    library = _library(name, _c_code(name, [function]), lambda path: ca.external(name, path))
-    return ca.external(name, str(library)), library
-
-
-def _library(name: str, source: str, load: Callable[[str], object]) -> Path:
-    """The shared object of a C source, which `load` can load: found, or built."""
+def _library(name: str, source: str) -> tuple[PrivateFolder, str]:
+    """The shared object of a C source, found or built: its folder and its name there."""
     compiler = _compiler()
     key = hashlib.sha256("\n".join([source, *machine()]).encode())
-    library = cache_folder() / f"{name}-{key.hexdigest()[:32]}.so"
-    library.parent.mkdir(parents=True, exist_ok=True)
-    _ensure(library, source, compiler)
+    stem = f"{name}-{key.hexdigest()[:32]}"
+    folder = code_folder()
     try:
-        load(str(library))
-    except (OSError, RuntimeError):  # not what was written there
-        library.unlink(missing_ok=True)
-        _ensure(library, source, compiler)
+        return folder, _ensured(folder, stem, source, compiler)
+    except OSError as error:  # it cannot be written
+        folder = temporary_folder(f"cannot write to {folder.path} ({error.strerror or error})")
+        return folder, _ensured(folder, stem, source, compiler)
+
+
+def _ensured(folder: PrivateFolder, stem: str, source: str, compiler: tuple[str, ...]) -> str:
+    """Build the library unless it is there whole, or while this waits another process does; its name."""
+    library = f"{stem}.so"
+    if is_whole(folder, library):
+        return library
+    with folder.locked(f"{stem}.lock"):
+        if not is_whole(folder, library):
+            lines, what = source.count("\n"), stem.rpartition("-")[0]
+            _log.info("making machine code of %s (%d lines of C) in %s: once, some seconds", what, lines, folder.path)
+            keep(folder, library, _built(source, compiler))
     return library
 
 
-def _ensure(library: Path, source: str, compiler: tuple[str, ...]) -> None:
-    """Build the library unless it is there whole, or while this waits another process does.
-
-    The lock's file holds the size of the library: one that lost its end must not be loaded, it would end the process.
-    """
-    lock = library.with_suffix(".lock")
-    if _is_whole(library, lock):
-        return
-    with lock.open("a+") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        if not _is_whole(library, lock):
-            _build(source, compiler, library)
-            held.truncate(0)
-            held.write(str(library.stat().st_size))
-
-
-def _is_whole(library: Path, lock: Path) -> bool:
-    try:
-        return lock.read_text(encoding="utf-8") == str(library.stat().st_size)
-    except FileNotFoundError:
-        return False
-
-
-def _build(source: str, compiler: tuple[str, ...], library: Path) -> None:
-    """Compile to a temporary file beside the library and move it there whole."""
-    name, lines = library.stem.rpartition("-")[0], source.count("\n")
-    _log.info("making machine code of %s (%d lines of C) in %s: once, some seconds", name, lines, library.parent)
-    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+def _built(source: str, compiler: tuple[str, ...]) -> bytes:
+    """The content of the shared object, compiled in a temporary folder of this user's."""
+    with tempfile.TemporaryDirectory() as folder:
         code, made = Path(folder, "code.c"), Path(folder, "code.so")
         code.write_text(source, encoding="utf-8")
         _run([*compiler, *OPTIONS, "-o", str(made), str(code), "-lm"])
         if not made.exists():
             raise CompileError(f"{compiler[0]} wrote no shared object")
-        os.replace(made, library)
+        return made.read_bytes()
 
 
 def _run(command: list[str]) -> None:
     try:
         result = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_BUILD, check=False)
+    except OSError as error:
+        raise CompileError(f"{command[0]} cannot be started: {error.strerror}") from None
     except subprocess.TimeoutExpired:
         raise CompileError(f"{command[0]} did not finish within {LONGEST_BUILD:g} s") from None
     if result.returncode:

@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What can go wrong, under one root: every message says what was seen and what was expected."""
 
+LONGEST = 2000  # characters of a message: it may quote a value of any size
+
 
 class FjrError(Exception):
     """Root of all errors that this project raises on purpose."""
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        return text if len(text) <= LONGEST else f"{text[: LONGEST - 500]} ... {text[-450:]}"
 
 
 class RobotError(FjrError):

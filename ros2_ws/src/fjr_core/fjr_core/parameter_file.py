@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,13 @@ from typing import Any
 import yaml
 
 from .errors import ParameterError
+from .text_file import read_text
+
+DEEPEST, MOST_NODES, LONGEST_NUMBER = 50, 100_000, 100
+"""Levels, values and keys of a document, and characters of a number: what is larger is refused before it costs time."""
+_TAG = "tag:yaml.org,2002:"
+_NUMBERS = (f"{_TAG}int", f"{_TAG}float")
+_UNFIT = re.compile("[\0\ud800-\udfff]")  # no path, no C string and no UTF-8 text can hold these
 
 # What rcl reads and PyYAML takes for text: 1e-3 and 1.5e3 are numbers, y and n are true and false.
 _FLOAT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
@@ -18,21 +26,61 @@ _BOOL = re.compile(r"[yYnN]$")
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads plain words and numbers as rcl does."""
+    """Read plain words and numbers as rcl does, dates as text; refuse what costs more than bounded time and memory."""
 
     bool_values = {**yaml.SafeLoader.bool_values, "y": True, "n": False}
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        keys = [key.value for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise ParameterError(f"has '{key}' twice in one place; expected it once")
-        return super().construct_mapping(node, deep)
+    yaml_implicit_resolvers = {
+        first: [(tag, form) for tag, form in resolvers if tag != f"{_TAG}timestamp"]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    depth = nodes = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
             raise ParameterError(f"has a YAML alias (*{self.peek_event().anchor}), which ROS 2 does not read")
-        return super().compose_node(parent, index)
+        self.depth, self.nodes = self.depth + 1, self.nodes + 1
+        if self.depth > DEEPEST:
+            raise ParameterError(f"is nested more than {DEEPEST} levels deep; expected a parameter file")
+        if self.nodes > MOST_NODES:
+            raise ParameterError(f"holds more than {MOST_NODES} values and keys; expected a parameter file")
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        counts = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        twice = next((key for key, count in counts.items() if count > 1), None)
+        if twice is not None:
+            raise ParameterError(f"has '{_brief(twice)}' twice in one place; expected it once")
+        return super().construct_mapping(node, deep)
+
+    def construct_object(self, node: Any, deep: bool = False) -> Any:
+        if isinstance(node, yaml.ScalarNode):
+            _refuse_unfit(node)
+        try:
+            return super().construct_object(node, deep)
+        except _NO_VALUE:
+            tag, line = node.tag.replace(_TAG, "!!"), node.start_mark.line + 1
+            raise ParameterError(
+                f"has '{_brief(str(node.value))}' in line {line}; expected what the tag {tag} says"
+            ) from None
+
+
+_NO_VALUE = (ValueError, ArithmeticError, LookupError, TypeError, AttributeError)
+
+
+def _refuse_unfit(node: yaml.ScalarNode) -> None:
+    line = node.start_mark.line + 1
+    if node.tag in _NUMBERS and len(node.value) > LONGEST_NUMBER:
+        seen = f"has a number of {len(node.value)} characters ({_brief(node.value)}) in line {line}"
+        raise ParameterError(f"{seen}; expected at most {LONGEST_NUMBER}")
+    unfit = _UNFIT.search(node.value)
+    if unfit:
+        raise ParameterError(f"has the character U+{ord(unfit[0]):04X} in line {line}; expected text without it")
+
+
+def _brief(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:60]}..."
 
 
 class _Dumper(yaml.SafeDumper):
@@ -57,7 +105,12 @@ def parse(text: str) -> Any:
     try:
         return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
-        raise ParameterError(f"is not valid YAML: {' '.join(str(error).split())}") from None
+        raise ParameterError(f"is not valid YAML: {_brief_reason(error)}") from None
+
+
+def _brief_reason(error: yaml.YAMLError) -> str:
+    words = " ".join(str(error).split())
+    return words if len(words) <= 400 else f"{words[:400]}..."
 
 
 def dump(document: Any) -> str:
@@ -68,7 +121,7 @@ def dump(document: Any) -> str:
 def read(path: Path, what: str) -> Any:
     """The document in a file; raises ParameterError that calls the file `what`."""
     try:
-        return parse(path.read_text(encoding="utf-8"))
+        return parse(read_text(path))
     except OSError as error:
         raise ParameterError(f"cannot read {what} {path}: {error.strerror}") from None
     except UnicodeDecodeError as error:

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from .compile import CompileError, cache_folder, compiled, is_whole, machine, made
+from .code_cache import code_folder, is_whole
+from .compile import CompileError, compiled, machine, made
 from .robot import Robot
 
 LINKS = ("M_l", "P_l", "grad_P_l", "C", "grad_T")
@@ -28,25 +30,27 @@ def recalled(name: str, robot: Robot, pattern: str, build: Callable[[], ca.Funct
     pattern: all else that the function depends on. This package's own source belongs to what is compared.
     """
     try:
-        note = _note(name, robot, pattern)
-        found = cache_folder() / note.read_text(encoding="utf-8") if note.exists() else None
-        if found is not None and is_whole(found):
-            return ca.external(name, str(found))
+        note, folder = _note(name, robot, pattern), code_folder()
+        found = (folder.read(note) or b"").decode("ascii", "replace")
+        if found.startswith(f"{name}-") and "/" not in found and is_whole(folder, found):
+            return ca.external(name, folder.within(found))
     except (CompileError, OSError, RuntimeError):
         return compiled(build())
     function, library = made(build())
     if library is not None:
-        note.write_text(library.name, encoding="utf-8")
+        with suppress(OSError):
+            code_folder().write(note, library.encode())
     return function
 
 
-def _note(name: str, robot: Robot, pattern: str) -> Path:
+def _note(name: str, robot: Robot, pattern: str) -> str:
+    """The name of the file that holds the name of the machine code."""
     parts = [name, pattern, ca.__version__, _source(), *machine()]
     parts += [getattr(robot.links, field).serialize() for field in LINKS]
     digest = hashlib.sha256("\n".join(parts).encode())
     for field in MATRICES:
         digest.update(np.ascontiguousarray(getattr(robot, field)).tobytes())
-    return cache_folder() / f"{name}-{digest.hexdigest()[:32]}.note"
+    return f"{name}-{digest.hexdigest()[:32]}.note"
 
 
 @cache

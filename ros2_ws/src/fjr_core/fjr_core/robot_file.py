@@ -9,6 +9,7 @@ from pathlib import Path
 
 from . import parameter_file
 from .errors import ParameterError
+from .text_file import read_text
 
 FILE, URDF = "robot.file", "robot.urdf"
 _SCHEME = "package://"
@@ -51,7 +52,7 @@ def inlined(values: Mapping[str, object]) -> dict[str, object]:
     urdf = alone.get(URDF)
     if isinstance(urdf, str) and not is_xml(urdf):
         try:
-            alone[URDF] = Path(urdf).read_text(encoding="utf-8-sig")
+            alone[URDF] = read_text(urdf)
         except (OSError, UnicodeDecodeError) as error:
             raise ParameterError(f"parameter '{URDF}': cannot read {urdf} ({error}); expected a URDF") from None
     return alone
@@ -73,7 +74,7 @@ def resolve(reference: str, folder: Path) -> Path:
     package, _, path = reference[len(_SCHEME) :].partition("/")
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         share = Path(prefix, "share", package)
-        if prefix and package and share.is_dir():
+        if prefix and package and os.path.isdir(share):
             return share / path
     raise ParameterError(
         f"'{reference}' names package '{package}', which no folder of AMENT_PREFIX_PATH has; "

@@ -22,6 +22,9 @@ from .newton_euler import serial_chain
 from .robot import Robot
 from .urdf_tree import MOVING, UrdfJoint, UrdfTree, read_urdf
 
+MOST_CONTROLLED = 64
+"""Joints of a robot; the law's expressions grow with their square."""
+
 
 def robot_from_urdf(
     path_or_xml: str | os.PathLike[str],
@@ -70,6 +73,8 @@ def robot_from_urdf(
 def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
     if isinstance(joints, str) or not joints:
         raise RobotError(f"joints is {joints!r}; expected a list of joint names")
+    if len(joints) > MOST_CONTROLLED:
+        raise RobotError(f"joints has {len(joints)} names; expected at most {MOST_CONTROLLED}")
     for name in joints:
         joint = _joint(tree, name)
         if joint.mimics:
@@ -127,7 +132,7 @@ def _reduced_model(tree: UrdfTree, joints: Sequence[str], positions: dict[str, f
         raise RobotError(f"Pinocchio cannot be imported ({error}); {wanted}") from None
     try:
         model = pin.buildModelFromXML(tree.skeleton)
-    except (RuntimeError, ValueError) as error:
+    except Exception as error:  # whatever its parser stumbles over
         raise RobotError(f"Pinocchio cannot read the URDF ({error}); expected a valid one") from None
     q = pin.neutral(model)
     for name, position in positions.items():

@@ -10,15 +10,20 @@ import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NoReturn
+from xml.parsers import expat
 
 import numpy as np
 
 from .errors import RobotError
+from .text_file import LARGEST, read_bytes
 
 MOVING = ("revolute", "continuous", "prismatic")
 KINDS = (*MOVING, "fixed", "floating", "planar")
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 NO_LIMIT = (-np.inf, np.inf, np.inf, np.inf)
+DEEPEST, MOST_JOINTS = 100, 500
+LARGEST_NUMBER = 1e30  # beyond it sums and squares are no longer finite
 
 
 @dataclass(frozen=True)
@@ -60,16 +65,41 @@ def _root(path_or_xml: str | os.PathLike[str]) -> ET.Element:
     is_text = isinstance(path_or_xml, str) and path_or_xml.lstrip("\ufeff \t\r\n").startswith("<")
     source = "the URDF text" if is_text else f"URDF {os.fspath(path_or_xml)}"
     try:
-        root = ET.fromstring(str(path_or_xml).lstrip("\ufeff").strip()) if is_text else ET.parse(path_or_xml).getroot()
+        content = str(path_or_xml).lstrip("\ufeff").strip() if is_text else read_bytes(path_or_xml)
+        _check_size(content)
+        root = ET.fromstring(content)
     except OSError as error:
         raise RobotError(f"{source} cannot be read ({error.strerror}); expected a file or XML text") from None
-    except (ET.ParseError, ValueError) as error:
+    except (ET.ParseError, expat.ExpatError, ValueError, LookupError) as error:
         raise RobotError(f"{source} does not parse as XML ({error}); expected a URDF") from None
     if root.tag != "robot":
         raise RobotError(f"{source} has the root element <{root.tag}>; expected the <robot> of a URDF")
     if any("/xacro}" in str(element.tag) for element in root.iter()):
         raise RobotError(f"{source} holds xacro commands; expected a plain URDF, as the program xacro writes it")
     return root
+
+
+def _check_size(content: bytes | str) -> None:
+    """Raise ValueError for XML that would cost much more than its size to build: entities, deep nesting."""
+    if len(content) > LARGEST:
+        raise ValueError(f"larger than {LARGEST // 2**20} MiB")
+    parser, depth = expat.ParserCreate(), 0
+
+    def declared(*_: object) -> NoReturn:
+        raise ValueError("it declares a document type")
+
+    def begun(*_: object) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > DEEPEST:
+            raise ValueError(f"nested more than {DEEPEST} levels deep")
+
+    def ended(*_: object) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser.StartDoctypeDeclHandler, parser.StartElementHandler, parser.EndElementHandler = declared, begun, ended
+    parser.Parse(content, True)
 
 
 def _by_name(root: ET.Element, tag: str) -> dict[str, ET.Element]:
@@ -117,6 +147,8 @@ def _mimics(where: str, element: ET.Element) -> tuple[str, float, float] | None:
 
 def _check_tree(links: list[str], joints: dict[str, UrdfJoint]) -> None:
     """One root, every other link the child of one joint, no loop."""
+    if len(joints) > MOST_JOINTS:
+        raise RobotError(f"the URDF has {len(joints)} joints; expected at most {MOST_JOINTS}")
     carriers: dict[str, str] = {}
     for joint in joints.values():
         for link in (joint.parent, joint.child):
@@ -175,14 +207,21 @@ def _numbers(where: str, element: ET.Element, tag: str, name: str, default: str,
     found = element.find(tag)
     text = default if found is None else found.get(name, default)
     try:
-        values = tuple(float(word) for word in text.split())
+        values = tuple(_float(word) for word in text.split())
     except ValueError:
         values = ()
-    allowed = np.all(np.isfinite(values)) or (tag == "limit" and not np.any(np.isnan(values)))
+    allowed = np.all(np.abs(values) <= LARGEST_NUMBER) or (tag == "limit" and not np.any(np.isnan(values)))
     if len(values) != count or not allowed:
         numbers = "a number" if count == 1 else f"{count} numbers"
         raise RobotError(f'{where} has <{tag} {name}="{text}">; expected {numbers}')
     return values
+
+
+def _float(word: str) -> float:
+    """Read a number as the C locale does: Python also takes 1_000 and the digits of other scripts."""
+    if not word.isascii() or "_" in word:
+        raise ValueError(word)
+    return float(word)
 
 
 def _attribute(where: str, element: ET.Element, tag: str, name: str) -> str:

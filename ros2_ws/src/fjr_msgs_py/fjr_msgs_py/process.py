@@ -20,6 +20,7 @@ from rclpy.task import Future
 from fjr_core import FjrError
 from fjr_core.process_parameters import process_care
 
+from .log_folder import ensure_log_folder
 from .node_parameters import CheckedParameters
 from .scheduling import freeze_garbage, take_care
 
@@ -58,6 +59,7 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda received, _: stopped.append(received))
     node = None
+    ensure_log_folder()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         CheckedParameters.process_arguments = sys.argv if args is None else args

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import fcntl
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,6 +22,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ..errors import FjrError
+from ..text_file import read_json
+from ..whole_file import is_sealed, whole_file, write_text
 from .sweep import Columns, Sweep
 
 LARGEST_PART, SMALLEST_PART, PARTS = 1000, 10, 200
@@ -47,18 +48,18 @@ class Store:
     def missing(self) -> Iterator[tuple[int, int]]:
         """The parts (begin, end) that are not there, in their order."""
         all_parts = [] if self.table.exists() else parts(self.sweep.runs)
-        return (part for part in all_parts if not self._file(*part).exists())
+        return (part for part in all_parts if not is_sealed(self._file(*part)))
 
     def finished(self) -> int:
         """How many runs are there."""
         if self.table.exists():
             return self.sweep.runs
-        return sum(end - begin for begin, end in parts(self.sweep.runs) if self._file(begin, end).exists())
+        return sum(end - begin for begin, end in parts(self.sweep.runs) if is_sealed(self._file(begin, end)))
 
     def keep(self, begin: int, end: int, columns: Columns) -> None:
         """Write a part: after a kill it is there whole or not at all."""
         path = self._file(begin, end)
-        with _whole(path) as scratch:
+        with whole_file(path, sealed=True) as scratch:
             pq.write_table(pa.table(columns), scratch, compression="zstd")
 
     def complete(self) -> Path:
@@ -66,7 +67,7 @@ class Store:
         if not self.table.exists():
             files = [self._file(*part) for part in parts(self.sweep.runs)]
             with (
-                _whole(self.table) as scratch,
+                whole_file(self.table, sealed=True) as scratch,
                 pq.ParquetWriter(scratch, pq.read_schema(files[0]), compression="zstd") as writer,
             ):
                 for file in files:
@@ -102,6 +103,7 @@ def open_store(folder: Path, sweep: Sweep, program: str) -> Iterator[Store]:
         _check(folder, sweep, program)
         for left in folder.rglob("*.part"):
             left.unlink()
+        _check_table(folder / "table.parquet")
         yield Store(folder, sweep)
 
 
@@ -116,14 +118,13 @@ def _check(folder: Path, sweep: Sweep, program: str) -> None:
     path = folder / "campaign.json"
     wanted = {**json.loads(sweep.text), "program": program}
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
     except FileNotFoundError:
         if any(folder.glob("*.parquet")) or any(folder.glob("parts/*.parquet")):
             raise StoreError(
                 f"{folder} holds runs, but no campaign.json that says of what; expected both, or another --output"
             ) from None
-        with _whole(path) as scratch:
-            scratch.write_text(json.dumps(wanted, indent=1), encoding="utf-8")
+        write_text(path, json.dumps(wanted, indent=1))
         return
     except ValueError:
         raise StoreError(f"{path} cannot be read; expected what `fjr sweep` wrote there") from None
@@ -138,19 +139,18 @@ def _check(folder: Path, sweep: Sweep, program: str) -> None:
         )
 
 
+def _check_table(table: Path) -> None:
+    """Raise StoreError for a table that is not as it was written."""
+    if table.exists() and not is_sealed(table):
+        raise StoreError(
+            f"{table} is not what `fjr sweep` wrote there (its SHA-256 digest differs); expected it unchanged, or "
+            "removed, then it is computed again"
+        )
+
+
 def _said(name: str, there: object, here: object) -> str:
     if isinstance(there, (int, float)) and isinstance(here, (int, float)):
         return f"{name} is {there:g}, not {here:g}"
     if isinstance(there, dict) and isinstance(here, dict):
         return f"{name} differs in {', '.join(sorted(k for k in {*there, *here} if there.get(k) != here.get(k)))}"
     return f"{name} differs"
-
-
-@contextmanager
-def _whole(path: Path) -> Iterator[Path]:
-    """A file to write that takes the name `path` once it is written and on disk."""
-    scratch = path.with_name(f"{path.name}.part")
-    yield scratch
-    with scratch.open("rb") as written:
-        os.fsync(written.fileno())
-    os.replace(scratch, path)

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reports of a folder that cannot be written go into a temporary one, and the user is told."""
+
+from __future__ import annotations
+
+import errno
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOTDIR)
+
+
+def written(folder: Path, write: Callable[[Path], object]) -> Path:
+    """Make the folder and call `write` with it; with a new temporary one where the first cannot be written.
+
+    Return the folder that was written. Raises OSError where neither can be.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write(folder)
+        return folder
+    except OSError as error:
+        if error.errno not in UNWRITABLE:
+            raise
+        other = Path(tempfile.mkdtemp(prefix=f"fjr-{folder.name}-"))
+        print(f"fjr: cannot write to {folder} ({error.strerror}); the report is in {other}", file=sys.stderr)
+    write(other)
+    return other

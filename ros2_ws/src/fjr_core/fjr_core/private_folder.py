@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A folder whose files nobody but this user can write, so that what is read there can be trusted.
+
+The folder is opened once, without following a link in its last component, and checked: it belongs to this user and
+others have no permission to write. All files are reached from the open folder. Whoever can rename folders above it
+can therefore not slip another one in between a check and a use.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+MODE = 0o700
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+_FILE = os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
+_opened: dict[tuple[int, int], int] = {}
+
+
+class NotPrivateError(Exception):
+    """A folder that is a link, belongs to somebody else or can be written by others."""
+
+
+@dataclass(frozen=True)
+class PrivateFolder:
+    """An open folder; `open_private` makes one. path: its name, for people."""
+
+    path: Path
+    descriptor: int
+
+    def read(self, name: str) -> bytes | None:
+        """Return the content of a file of this user's; None where there is no such file."""
+        try:
+            descriptor = os.open(name, os.O_RDONLY | _FILE, dir_fd=self.descriptor)
+        except (OSError, ValueError):
+            return None
+        with open(descriptor, "rb") as stream:
+            status = os.fstat(descriptor)
+            return stream.read() if _is_ours(status) and stat.S_ISREG(status.st_mode) else None
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write a file that is there whole or not at all. Raises OSError."""
+        scratch = f".{name}.{secrets.token_hex(8)}"
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FILE
+        try:
+            with open(os.open(scratch, flags, 0o600, dir_fd=self.descriptor), "wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(scratch, name, src_dir_fd=self.descriptor, dst_dir_fd=self.descriptor)
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(scratch, dir_fd=self.descriptor)
+            raise
+
+    @contextmanager
+    def locked(self, name: str) -> Iterator[None]:
+        """Hold a lock among the processes of this user. Raises OSError."""
+        flags = os.O_RDWR | os.O_CREAT | _FILE
+        with open(os.open(name, flags, 0o600, dir_fd=self.descriptor), "r+b") as held:
+            fcntl.flock(held, fcntl.LOCK_EX)
+            yield
+
+    def within(self, name: str) -> str:
+        """A path for the dynamic linker, which leads through the open folder where the system can do that."""
+        through = f"/proc/self/fd/{self.descriptor}"
+        return f"{through if os.path.isdir(through) else self.path}/{name}"
+
+
+def open_private(path: Path) -> PrivateFolder:
+    """Open a folder, made where it is missing; raises NotPrivateError, OSError.
+
+    The descriptor stays open, one for each folder: the dynamic linker takes two files of one name for the same.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(FileExistsError):
+        path.mkdir(mode=MODE)
+    if path.is_symlink():
+        raise NotPrivateError(f"{path} is a symbolic link; expected a folder")
+    descriptor = os.open(path, _FOLDER)
+    status = os.fstat(descriptor)
+    if not _is_ours(status):
+        os.close(descriptor)
+        raise NotPrivateError(_reason(path, status))
+    known = _opened.setdefault((status.st_dev, status.st_ino), descriptor)
+    if known != descriptor:
+        os.close(descriptor)
+    return PrivateFolder(path, known)
+
+
+def _is_ours(status: os.stat_result) -> bool:
+    return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def _reason(path: Path, status: os.stat_result) -> str:
+    if status.st_uid != os.geteuid():
+        return f"{path} belongs to user {status.st_uid}; expected a folder of user {os.geteuid()}"
+    return f"{path} has the mode {stat.S_IMODE(status.st_mode):03o}; expected that only its owner can write there"

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read files of bounded size, and JSON objects in them, with errors of two kinds only."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+LARGEST = 16 * 2**20  # bytes
+_OPEN = os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0)  # a named pipe without a writer must not block
+
+
+def read_bytes(path: str | os.PathLike[str], largest: int = LARGEST) -> bytes:
+    """Return the content of a regular file of at most `largest` bytes.
+
+    Raises OSError, with a reason in words as `strerror`, also for a path that no file can have, for what is no regular
+    file and for what is too large.
+    """
+    try:
+        descriptor = os.open(path, _OPEN)
+    except ValueError as error:  # a NUL or half a surrogate pair in the path
+        raise OSError(errno.EINVAL, str(error)) from None
+    with open(descriptor, "rb") as stream:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EINVAL, "is not a regular file")
+        content = stream.read(largest + 1)
+    if len(content) > largest:
+        raise OSError(errno.EFBIG, f"is larger than {largest // 2**20} MiB")
+    return content
+
+
+def read_text(path: str | os.PathLike[str], largest: int = LARGEST) -> str:
+    """Return the UTF-8 text of a file; a byte order mark is dropped. Raises OSError, UnicodeDecodeError."""
+    return read_bytes(path, largest).decode("utf-8-sig")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file. Raises OSError, and ValueError for everything that is no JSON object."""
+    try:
+        found = json.loads(read_text(path))
+    except RecursionError:
+        raise ValueError("is nested too deeply") from None
+    if not isinstance(found, dict):
+        raise ValueError(f"holds a {type(found).__name__}; expected an object")
+    return found

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A folder for the log files of ROS 2: without one rclpy.init fails."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+
+def ensure_log_folder() -> None:
+    """Set ROS_LOG_DIR to a new temporary folder where the usual one cannot be written, and say so on standard error.
+
+    The usual one: $ROS_LOG_DIR, $ROS_HOME/log or ~/.ros/log. Processes that are started later share the new one.
+    """
+    try:
+        folder = _usual()
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            return
+        reason = f"{folder} cannot be written"
+    except OSError as error:
+        reason = f"{error.filename} cannot be made ({error.strerror})" if error.filename else str(error)
+    os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="fjr-ros-log-")
+    print(f"{reason}; the log files of ROS 2 are in {os.environ['ROS_LOG_DIR']}", file=sys.stderr, flush=True)
+
+
+def _usual() -> Path:
+    for variable, below in (("ROS_LOG_DIR", ""), ("ROS_HOME", "log"), ("HOME", ".ros/log")):
+        if os.environ.get(variable):
+            return Path(os.environ[variable], below)
+    raise OSError("HOME is not set")

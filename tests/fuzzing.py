@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hostile input for readers: what may be wrong in a document or in bytes, and what a reader may answer.
+
+Sixty examples, the same every time; FJR_FUZZ_EXAMPLES=5000 tries that many, others every time.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+import yaml
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+
+from fjr_core.errors import FjrError
+
+LONGEST_SENTENCE = 3000
+_GIVEN = os.environ.get("FJR_FUZZ_EXAMPLES", "")
+
+
+def fuzzed(examples: int) -> settings:
+    """Settings of a test that needs so many examples."""
+    return settings(
+        max_examples=int(_GIVEN or examples),
+        derandomize=not _GIVEN,
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+    )
+
+
+def answer(read: Callable[[], object]) -> str:
+    """The sentence with which input is refused; empty where it is read. Any other exception is the test's failure."""
+    sentence = ""
+    try:
+        read()
+    except FjrError as error:
+        sentence = str(error) or "(nothing)"
+    assert len(sentence) < LONGEST_SENTENCE, sentence[:500]
+    return sentence
+
+
+NUMBERS = (0, -1, 1, 64, 10**30, 0.0, -1.0, 1e-300, 1e300, -1e308, float("nan"), float("inf"))
+WORDS = (
+    "",
+    " ",
+    "x" * 2000,
+    "a\nb",
+    "ä€\U0001f916",
+    "../..",
+    "/dev/zero",
+    "/",
+    "package://",
+    "package://x/y",
+    "<robot>",
+)
+LISTS = (
+    [],
+    [[]],
+    [None],
+    [1.0, "a"],
+    [0.0] * 3,
+    [1.0] * 1000,
+    ["j"] * 300,
+    {},
+    {"a": {}},
+    {1: 2},
+    {"ros__parameters": {}},
+)
+VALUES = st.sampled_from([None, True, *NUMBERS, *WORDS, *LISTS])
+
+
+def places(document: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """The keys that lead to each value of a document."""
+    found = [path] if path else []
+    entries = dict(enumerate(document)) if isinstance(document, list) else document
+    for key, value in entries.items() if isinstance(entries, dict) else ():
+        found += places(value, (*path, key))
+    return found
+
+
+def changed(document: Any, path: tuple[Any, ...], value: Any) -> Any:
+    """A document with another value in one place."""
+    if not path:
+        return value
+    entries = dict(document) if isinstance(document, dict) else list(document)
+    entries[path[0]] = changed(document[path[0]], path[1:], value)
+    return entries
+
+
+@st.composite
+def documents(draw: st.DrawFn, document: Any) -> str:
+    """YAML of a document with up to three values that do not belong there."""
+    for _ in range(draw(st.integers(1, 3))):
+        path = draw(st.sampled_from(places(document) or [()]))
+        document = changed(document, path, draw(VALUES))
+    return yaml.safe_dump(document, allow_unicode=True)
+
+
+FRAGMENTS = (
+    *("\t", "\n", ": ", "- ", "[", "]", "{", "}", "'", '"', "#", "&a ", "*a", "<<: ", "? ", "|", ">", "%"),
+    *(
+        "---\n",
+        "...",
+        "!!int ",
+        "!!float ",
+        "!!bool ",
+        "!!timestamp ",
+        "!!binary ",
+        "!!set ",
+        "!!omap ",
+        "!x ",
+        "!!str",
+    ),
+    *("2024-13-45", "0x_", "1:2", "1e999", "9" * 5000, "[" * 10_000, "{a: " * 200, "a: " * 50),
+    *('"\\0"', '"\\ud800"', "\0", "\x85", "\ufeff"),
+)
+
+
+@st.composite
+def texts(draw: st.DrawFn, text: str) -> bytes:
+    """A text with up to three fragments put in, cut out or replaced; sometimes bytes that are no UTF-8."""
+    for _ in range(draw(st.integers(1, 3))):
+        begin = draw(st.integers(0, len(text)))
+        end = min(len(text), begin + draw(st.sampled_from([0, 0, 1, 5, 200])))
+        text = text[:begin] + draw(st.sampled_from(["", *FRAGMENTS])) + text[end:]
+    data = text.encode("utf-8")
+    return data if draw(st.booleans()) else damaged(draw, data)
+
+
+def damaged(draw: st.DrawFn, data: bytes) -> bytes:
+    """Bytes with one flipped, or cut off, or some put in."""
+    place = draw(st.integers(0, max(0, len(data) - 1)))
+    kind = draw(st.sampled_from(["flip", "cut", "insert"]))
+    if kind == "flip" and data:
+        return data[:place] + bytes([data[place] ^ 1 << draw(st.integers(0, 7))]) + data[place + 1 :]
+    return data[:place] + (draw(st.binary(max_size=20)) + data[place:] if kind == "insert" else b"")
+
+
+@st.composite
+def bytes_of(draw: st.DrawFn, data: bytes) -> bytes:
+    """Bytes with damage in one to four places."""
+    for _ in range(draw(st.integers(1, 4))):
+        data = damaged(draw, data)
+    return data

@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of any bytes: what is undamaged is read, what is lost is said in a sentence, nothing else is raised."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import struct
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from rclpy.qos import QoSProfile
+from rosbags.rosbag2 import CompressionMode
+
+from fjr_bringup import schemas
+from fjr_bringup.bag import Bag, BagError, read_bag
+from fjr_bringup.bag_writer import BagWriter
+from fuzzing import answer, bytes_of, fuzzed
+from system.bags import rewritten
+
+TOPIC, TYPE = "/states", "sensor_msgs/msg/JointState"
+CHUNKS, IN_CHUNK = 6, 40
+SENT = CHUNKS * IN_CHUNK
+
+
+def message(k: int) -> bytes:
+    store = schemas.typestore()
+    header, stamp = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
+    values = np.array([float(k), -float(k)])
+    state = store.types[TYPE](header(stamp(k, 0), ""), ["a", "b"], values, values, values)
+    return bytes(store.serialize_cdr(state, TYPE))
+
+
+ALL = [message(k) for k in range(SENT)]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A closed bag of CHUNKS chunks."""
+    folder = tmp_path_factory.mktemp("whole") / "bag"
+    writer = BagWriter(folder)
+    channel = writer.add_topic(TOPIC, TYPE, [QoSProfile(depth=1)], schemas.type_hash(TYPE))
+    for k, data in enumerate(ALL):
+        writer.write(channel, 10**18 + k, 10**18 + k, k, data)
+        if k % IN_CHUNK == IN_CHUNK - 1:
+            writer.flush()
+    writer.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("damaged")
+
+
+def written(folder: Path, data: bytes, name: str = "some.mcap") -> Path:
+    path = folder / name
+    path.write_bytes(data)
+    return path
+
+
+def messages(bag: Bag) -> list[bytes]:
+    return [each.data for each in bag.topics[TOPIC].messages] if TOPIC in bag.topics else []
+
+
+def content(whole: Path, suffix: str = ".mcap") -> bytes:
+    return next(whole.glob(f"*{suffix}")).read_bytes()
+
+
+def chunks(data: bytes, folder: Path) -> list[tuple[int, int]]:
+    """Begin and end of each chunk, as mcap's own reader finds them."""
+    with open(written(folder, data, "index.mcap"), "rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    return sorted(
+        (each.chunk_start_offset, each.chunk_start_offset + each.chunk_length) for each in summary.chunk_indexes
+    )
+
+
+def flipped(data: bytes, place: int, bit: int = 0) -> bytes:
+    return data[:place] + bytes([data[place] ^ 1 << bit]) + data[place + 1 :]
+
+
+def test_a_flipped_bit_in_a_chunk_costs_that_chunk(whole: Path, folder: Path) -> None:
+    data = content(whole)
+    for number, (begin, end) in enumerate(chunks(data, folder)):
+        rest = ALL[: number * IN_CHUNK] + ALL[(number + 1) * IN_CHUNK :]
+        for place in np.linspace(begin + 60, end - 1, 5, dtype=int):
+            bag = read_bag(written(folder, flipped(data, int(place), int(place) % 8)))
+            assert messages(bag) == rest
+            assert bag.complete
+            assert f"{IN_CHUNK} of {SENT} messages are lost" in " ".join(bag.notes)
+
+
+def test_a_flipped_bit_in_the_length_of_a_chunk_costs_at_most_that_chunk(whole: Path, folder: Path) -> None:
+    data = content(whole)
+    for number, (begin, _) in enumerate(chunks(data, folder)):
+        kept = set(ALL) - set(ALL[number * IN_CHUNK : (number + 1) * IN_CHUNK])
+        for place in range(begin, begin + 60):
+            bag = read_bag(written(folder, flipped(data, place, place % 8)))
+            assert kept <= set(messages(bag))
+            assert bag.notes or len(messages(bag)) == SENT
+
+
+def test_an_index_that_a_flipped_bit_calls_a_message_is_none(whole: Path, folder: Path) -> None:
+    data = content(whole)
+    for _, end in chunks(data, folder):
+        assert data[end] ^ 2 == 5  # from message index to message
+        assert messages(read_bag(written(folder, flipped(data, end, 1)))) == ALL
+
+
+@fuzzed(60)
+@given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
+def test_any_flipped_bit_costs_at_most_one_chunk(whole: Path, folder: Path, place: float, bit: int) -> None:
+    data = content(whole)
+    bag = read_bag(written(folder, flipped(data, int(place * len(data)), bit)))
+    found = messages(bag)
+    assert set(found) <= set(ALL)
+    assert len(found) >= SENT - IN_CHUNK
+    assert bag.notes or len(found) == SENT
+
+
+def test_a_bag_without_damage_has_no_notes(whole: Path) -> None:
+    assert read_bag(whole).notes == ()
+    assert messages(read_bag(whole)) == ALL
+
+
+@fuzzed(60)
+@given(data=st.data())
+def test_mcap_files_of_any_bytes(whole: Path, folder: Path, data: st.DataObject) -> None:
+    path = written(folder, data.draw(bytes_of(content(whole))))
+    answer(lambda: read_bag(path).joints(TOPIC, ("a", "b")))
+
+
+def made(path: Path, compression: CompressionType, chunked: bool, change: Callable[[Writer], None]) -> Path:
+    with open(path, "wb") as stream:
+        writer = Writer(stream, chunk_size=4000, compression=compression, use_chunking=chunked, enable_data_crcs=True)
+        writer.start(profile="ros2")
+        change(writer)
+        writer.finish()
+    return path
+
+
+def fill(writer: Writer, times: tuple[int, ...] = (), definition: bytes = b"") -> None:
+    number = writer.register_schema(TYPE, "ros2msg", definition or schemas.definition(TYPE).encode())
+    channel = writer.register_channel(TOPIC, "cdr", number)
+    for k, data in enumerate(ALL):
+        writer.add_message(channel, k, data, k)
+    for time in times:
+        writer.add_message(channel, time, ALL[0], time)
+
+
+@pytest.mark.parametrize("chunked", [True, False], ids=["chunks", "no chunks"])
+@pytest.mark.parametrize("compression", list(CompressionType), ids=lambda each: each.name)
+def test_what_other_writers_write_is_read_damaged_or_not(
+    compression: CompressionType, chunked: bool, folder: Path
+) -> None:
+    path = made(folder / "other.mcap", compression, chunked, fill)
+    assert messages(read_bag(path)) == ALL
+    assert read_bag(path).notes == ()
+    data = path.read_bytes()
+    for place in range(600, len(data) // 2, len(data) // 25):
+        bag = read_bag(written(folder, flipped(data, place, 5)))
+        assert len(messages(bag)) > SENT / 2
+        assert bag.notes
+
+
+def test_times_beyond_63_bits_are_left_out(folder: Path) -> None:
+    path = made(folder / "late.mcap", CompressionType.NONE, True, lambda writer: fill(writer, (2**63, 2**64 - 1)))
+    bag = read_bag(path)
+    assert bag.topics[TOPIC].publish_time.tolist() == list(range(SENT))
+    assert "2 messages" in " ".join(bag.notes)
+
+
+def test_a_definition_that_is_not_utf8_is_needed_for_unknown_types_only(folder: Path) -> None:
+    path = made(
+        folder / "latin.mcap", CompressionType.NONE, True, lambda writer: fill(writer, (), b"# caf\xe9\nint32 x")
+    )
+    assert len(read_bag(path).topic(TOPIC).decoded) == SENT
+
+
+@pytest.mark.parametrize("name", ["a/msg/B\nint32 x", "a/msg/B", "../../x", "", "import os"])
+@pytest.mark.parametrize("text", ["import os", "int32 x\nstring s='", "\xff", "=" * 70, "a/b/C[] c", "x" * 2**21])
+def test_definitions_that_are_none_are_one_sentence(name: str, text: str) -> None:
+    from mcap.records import Message
+
+    from fjr_bringup.bag_topic import Topic
+
+    topic = Topic("/t", name, text, [Message(0, 0, ALL[0], 0, 0)])
+    with pytest.raises(BagError, match="/t "):
+        _ = topic.decoded
+
+
+def test_a_small_file_cannot_ask_for_much_memory(whole: Path, folder: Path) -> None:
+    data = content(whole)
+    begin, _ = chunks(data, folder)[0]
+    size = struct.pack("<Q", 2**40)
+    bag = read_bag(written(folder, data[: begin + 25] + size + data[begin + 33 :]))
+    assert len(messages(bag)) >= SENT - IN_CHUNK
+    assert bag.notes
+
+
+def test_bytes_of_another_format_are_refused(folder: Path) -> None:
+    for suffix in (".mcap", ".db3"):
+        for data in (b"not a bag, but long enough to be one", bytes(1000), b"SQLite format 3\0", b"\x89MCAP0\r\n"):
+            path = written(folder, data, f"other{suffix}")
+            answer(lambda path=path: read_bag(path).topic(TOPIC))
+
+
+@pytest.fixture(scope="module")
+def tables(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The same bag as SQLite."""
+    return content(rewritten(whole, tmp_path_factory.mktemp("sqlite") / "bag"), ".db3")
+
+
+def test_a_damaged_page_costs_its_messages(tables: bytes, folder: Path) -> None:
+    page = int.from_bytes(tables[16:18], "big")
+    leaves = [begin for begin in range(page, len(tables), page) if tables[begin] == 13]  # rows of a table
+    costs = []
+    for begin in leaves:
+        data = tables[:begin] + bytes(page) + tables[begin + page :]
+        bag = read_bag(written(folder, data, "some.db3"))
+        found = messages(bag)
+        assert set(found) <= set(ALL)
+        assert len(found) == SENT or "damaged" in " ".join(bag.notes)
+        costs.append(SENT - len(found))
+    assert sum(0 < cost <= page / len(ALL[0]) for cost in costs) > 3  # of a leaf with messages
+    assert sum(cost == SENT for cost in costs) <= 1  # of the leaf with the topics
+
+
+@fuzzed(60)
+@given(data=st.data())
+def test_sqlite_files_of_any_bytes(tables: bytes, folder: Path, data: st.DataObject) -> None:
+    path = written(folder, data.draw(bytes_of(tables)), "fuzzed.db3")
+    answer(lambda: read_bag(path).joints(TOPIC, ("a", "b")))
+
+
+ODD = {
+    "no number": "INSERT INTO messages(topic_id, timestamp, data) VALUES ('a', 'b', 'c')",
+    "no topic": "INSERT INTO messages(topic_id, timestamp, data) VALUES (77, 1, x'00')",
+    "before 1970": "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, -5, x'00')",
+    "nothing": "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 2.5, 'text')",
+}
+
+
+@pytest.mark.parametrize("statement", ODD.values(), ids=ODD)
+def test_rows_that_are_no_messages_are_left_out(statement: str, tables: bytes, folder: Path) -> None:
+    path = written(folder, tables, "odd.db3")
+    with closing(sqlite3.connect(path)) as database:
+        database.execute(statement)
+        database.commit()
+    bag = read_bag(path)
+    assert messages(bag) == ALL
+    assert "1 message of" in " ".join(bag.notes)
+
+
+def test_an_endless_view_is_refused(folder: Path) -> None:
+    path = folder / "endless.db3"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("CREATE TABLE topics(id INTEGER, name TEXT, type TEXT)")
+        endless = "WITH RECURSIVE r(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM r) SELECT id, 1 AS topic_id FROM r"
+        database.execute(f"CREATE VIEW messages AS {endless}")
+    assert "no such table: messages" in answer(lambda: read_bag(path))
+
+
+@fuzzed(20)
+@given(data=st.data())
+def test_compressed_bags_of_any_bytes(whole: Path, folder: Path, data: st.DataObject) -> None:
+    source = folder / "compressed"
+    if not source.exists():
+        rewritten(whole, source, compression=CompressionMode.FILE)
+    target = folder / "hostile"
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(source, target)
+    for path in sorted(target.iterdir()):
+        path.write_bytes(data.draw(bytes_of(path.read_bytes())))
+    answer(lambda: read_bag(target).joints(TOPIC, ("a", "b")))

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Suites, sweeps and kept results of any content are read or refused in one sentence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fjr_bringup import compare_run, scenarios, suite, sweep_command
+from fjr_bringup.compare_job import Job
+from fjr_bringup.report_command import _known
+from fjr_core.campaign.store import open_store
+from fjr_core.campaign.sweep import Sweep
+from fjr_core.campaign.sweep_file import usual
+from fjr_core.whole_file import is_sealed, write_text
+from fuzzing import answer, bytes_of, documents, fuzzed, texts
+
+SUITE = """
+laws: [v_dpbc, {label: own, law: pd_gravity, robust: {integral_gain: 1.0}}]
+robots: {paper_k31: {scenario: paper_k31, references: {slow: {reference.frequency: [0.1]}}}}
+imperfections: {late: {delay: 1.0}}
+margins: [delay]
+duration: 2.0
+"""
+SWEEP = """
+scenario: paper_k31
+vary: {stiffness: {uniform: [0.7, 1.3], each_joint: true}, delay: {uniform: [0.0, 0.001]}, payload_mass: 0.1}
+success: {peak: 0.1}
+set: {publish_rate: 500.0}
+runs: 20
+duration: 0.1
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("plans")
+
+
+def read_suite(folder: Path, data: bytes) -> str:
+    path = folder / "suite.yaml"
+    path.write_bytes(data)
+    return answer(lambda: suite.load(path))
+
+
+def read_sweep(folder: Path, data: bytes) -> str:
+    path = folder / "sweep.yaml"
+    path.write_bytes(data)
+    return answer(lambda: sweep_command.planned(str(path), sweep_command.Wish(1, None, folder, {}, {})))
+
+
+@fuzzed(25)
+@given(text=documents(yaml.safe_load(SUITE)))
+def test_suites_with_values_that_do_not_belong_there(folder: Path, text: str) -> None:
+    read_suite(folder, text.encode())
+
+
+@fuzzed(25)
+@given(data=texts(SUITE))
+def test_suites_of_any_text(folder: Path, data: bytes) -> None:
+    read_suite(folder, data)
+
+
+@fuzzed(30)
+@given(text=documents(yaml.safe_load(SWEEP)))
+def test_sweeps_with_values_that_do_not_belong_there(folder: Path, text: str) -> None:
+    read_sweep(folder, text.encode())
+
+
+@fuzzed(30)
+@given(data=texts(SWEEP))
+def test_sweeps_of_any_text(folder: Path, data: bytes) -> None:
+    read_sweep(folder, data)
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "a/" * 3000, "..", "/dev/zero", ""])
+def test_a_sweep_of_a_scenario_that_no_file_can_be(name: str, folder: Path) -> None:
+    assert read_sweep(folder, yaml.safe_dump({**yaml.safe_load(SWEEP), "scenario": name}).encode())
+    assert answer(lambda: scenarios.find(name))
+    assert answer(lambda: suite.find(name))
+
+
+def plan() -> Sweep:
+    text = "/**: {ros__parameters: {compile: false}}"
+    return Sweep("small", text, 20, usual("small", 1e-3).vary, duration=0.1)
+
+
+COLUMNS = {"run": np.arange(10), "success": np.ones(10, bool)}
+
+
+def filled(folder: Path) -> Path:
+    with open_store(folder, plan(), "program") as store:
+        store.keep(0, 10, COLUMNS)
+        assert store.finished() == 10
+    return next((folder / "parts").glob("*.parquet"))
+
+
+@fuzzed(8)
+@given(data=st.data())
+def test_a_part_of_other_bytes_is_computed_again(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    folder = tmp_path_factory.mktemp("store")
+    part = filled(folder)
+    content = data.draw(bytes_of(part.read_bytes()))
+    same = content == part.read_bytes()
+    part.write_bytes(content)
+    with open_store(folder, plan(), "program") as store:
+        assert store.finished() == (10 if same else 0)
+
+
+def test_a_table_of_other_bytes_is_refused(tmp_path: Path) -> None:
+    filled(tmp_path)
+    with open_store(tmp_path, plan(), "program") as store:
+        store.keep(10, 20, COLUMNS)
+        table = store.complete()
+        assert pq.read_table(table).num_rows == 20
+    table.write_bytes(table.read_bytes()[:-1] + b"x")
+
+    def taken_up() -> None:
+        with open_store(tmp_path, plan(), "program"):
+            pass
+
+    assert "SHA-256" in answer(taken_up)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "[]", "3", "{", '{"program": []}', "\0"])
+def test_a_campaign_that_is_none_is_refused(text: str, tmp_path: Path) -> None:
+    filled(tmp_path)
+    (tmp_path / "campaign.json").write_text(text)
+
+    def taken_up() -> None:
+        with open_store(tmp_path, plan(), "program"):
+            pass
+
+    assert answer(taken_up)
+
+
+def test_a_kept_result_of_other_bytes_is_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Job, "key", "job")
+    job = object.__new__(Job)
+    path = tmp_path / "job.json"
+    write_text(path, json.dumps({"law": "v_dpbc"}), sealed=True)
+    assert compare_run._read(tmp_path, job) == {"law": "v_dpbc"}
+    for text in ('{"law": "v_dpbd"}', "[]", "[" * 100_000):
+        path.write_text(text)
+        assert not is_sealed(path)
+        assert compare_run._read(tmp_path, job) is None
+    path.write_text('{"law": "v_dpbc"}')
+    (tmp_path / "job.json.sha256").unlink()
+    assert compare_run._read(tmp_path, job) is None
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "[]", '{"planned_s": "5", "not_recorded": [], "failure": 3}'])
+def test_figures_of_a_run_that_are_none_are_not_used(text: str, tmp_path: Path) -> None:
+    (tmp_path / "report.json").write_text(text)
+    assert _known(tmp_path / "report.json") == {}

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Full disks, folders that cannot be written, no HOME, paths with spaces: what can go on does, with one sentence."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from envsetup.quoting import quote_paths
+from fjr_bringup.bag import read_bag
+from fjr_bringup.elsewhere import written
+from fjr_core.whole_file import write_text
+from fjr_msgs_py.log_folder import ensure_log_folder
+
+LIMIT, SENT = 100_000, 1500  # bytes that a file may have; messages of 100 bytes and more
+
+RECORDER = f"""
+import resource, sys, time
+from pathlib import Path
+import rclpy
+from std_msgs.msg import String
+from fjr_bringup.recorder import Recorder
+recorder = Recorder(Path(sys.argv[1])).start()
+rclpy.init()
+node = rclpy.create_node("talker")
+publisher = node.create_publisher(String, "/words", 10)
+while not (publisher.get_subscription_count() and recorder.matched("/words")):
+    time.sleep(0.005)
+resource.setrlimit(resource.RLIMIT_FSIZE, ({LIMIT}, {LIMIT}))
+for k in range({SENT}):
+    publisher.publish(String(data=f"{{k:0100}}"))
+    while f"{{k:0100}}".encode() not in recorder.last("/words"):
+        time.sleep(0.001)
+recorder.close()
+print(recorder.failure, recorder.loss)
+"""
+
+
+def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
+    """A limit of the kernel on the size of files stands for the disk: writing fails in the same way."""
+    result = subprocess.run(
+        [sys.executable, "-c", RECORDER, str(tmp_path / "bag")],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=150,
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.split()[0] == "None"
+    assert "recording stopped: File too large" in result.stdout
+    assert result.stderr.count("recording stopped") == 1
+    bag = read_bag(tmp_path / "bag")
+    words = [int(each.data) for each in bag.topic("/words").decoded]
+    assert words == list(range(len(words)))
+    assert 100 < len(words) < SENT
+    assert not bag.complete
+
+
+def test_a_report_that_cannot_be_written_is_written_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    for spoilt in ("/dev/null/none", "/dev/null/none/two"):
+        folder = written(Path(spoilt), lambda place: (place / "report.json").write_text("{}"))
+        assert (folder / "report.json").read_text() == "{}"
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert spoilt in said
+        assert str(folder) in said
+    assert written(tmp_path / "good", lambda place: None) == tmp_path / "good"
+    assert capsys.readouterr().err == ""
+
+
+def test_half_a_file_is_never_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_text(tmp_path / "figures.json", "old")
+
+    def full(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_text(tmp_path / "figures.json", "new")
+    assert [path.name for path in tmp_path.iterdir()] == ["figures.json"]
+    assert (tmp_path / "figures.json").read_text() == "old"
+
+
+POOR = [{}, {"HOME": "/proc/nobody"}, {"ROS_HOME": "/proc/ros"}, {"ROS_LOG_DIR": "/dev/null/log"}]
+
+
+@pytest.mark.parametrize("variables", POOR, ids=lambda given: "".join(given) or "nothing")
+def test_ros_starts_where_it_cannot_log(
+    variables: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("ROS_LOG_DIR", variables.get("ROS_LOG_DIR", ""))  # removed at the end, whatever it becomes
+    for _ in range(2):
+        ensure_log_folder()
+    folder = os.environ["ROS_LOG_DIR"]
+    assert os.access(folder, os.W_OK)
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert folder in said
+
+
+def test_a_log_folder_that_can_be_written_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    ensure_log_folder()
+    assert os.environ["ROS_LOG_DIR"] == str(tmp_path / "log")
+    assert capsys.readouterr().err == ""
+
+
+def test_scripts_and_nodes_start_from_a_path_with_spaces(tmp_path: Path) -> None:
+    """As colcon 0.20 and setuptools 79 write them."""
+    root = tmp_path / "Übungs ordner's"
+    install, python = root / "install", root / "bin" / "python"
+    node = install / "arm" / "lib" / "arm" / "node"
+    for path in (node, python):
+        path.parent.mkdir(parents=True)
+    python.symlink_to(sys.executable)
+    name = "_colcon_prefix_chain_sh_COLCON_CURRENT_PREFIX"
+    (install / "setup.sh").write_text(f'{name}={install}\necho "${name}"\n')
+    (install / "local_setup.sh").write_text(
+        f'_colcon_python_executable="{python}"\nsaid="$($_colcon_python_executable -c "print(5)")"\necho "$said"\n'
+    )
+    node.write_text(f'#!"{python}" -x\n# comment\nimport sys\nprint(sys.argv[1:])\n')
+    node.chmod(0o755)
+    for _ in range(2):  # what is quoted stays
+        quote_paths(install)
+    assert _said("sh", str(install / "setup.sh")) == f"{install}\n"
+    assert _said("sh", str(install / "local_setup.sh")) == "5\n"
+    assert _said(str(node), "a b") == "['a b']\n"
+
+
+def _said(*command: str) -> str:
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("_ROS_WHEELS")}
+    return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
