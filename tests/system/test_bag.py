@@ -26,6 +26,7 @@ from std_msgs.msg import String
 from fjr_bringup import schemas
 from fjr_bringup.bag import Bag, BagError, header_stamp, read_bag
 from fjr_bringup.recorder import Recorder
+from patience import Limit
 
 LIMIT = 20.0  # s
 COUNT = 300
@@ -33,9 +34,9 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
 def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + LIMIT
+    limit = Limit(LIMIT)
     while not condition():
-        assert time.monotonic() < deadline, "waited too long"
+        assert not limit.passed(), "waited too long"
         time.sleep(0.005)
 
 

@@ -17,6 +17,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from nodes.harness import Listener, Ros
+from patience import Limit
 from system.executables import NODES, TIME_LIMIT, Executable, fjr
 
 pytestmark = pytest.mark.system
@@ -36,9 +37,9 @@ def start() -> Iterator[Callable[..., Executable]]:
 
 
 def wait_for(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + TIME_LIMIT
+    limit = Limit(TIME_LIMIT)
     while not condition():
-        assert time.monotonic() < end, f"{what} did not come within {TIME_LIMIT} s"
+        assert not limit.passed(), f"{what} did not come within {TIME_LIMIT} s"
         time.sleep(0.02)
 
 
