@@ -145,6 +145,7 @@ def test_nothing_there_is_said_and_ends_with_ctrl_c(terminal: Callable[..., Term
 
 
 def test_one_picture_as_plain_text(loop: dict[str, Executable]) -> None:
+    fjr("echo", "left/joint_states", "--once", "--timeout", "600")
     said = fjr("watch", "--namespace", "/left", "--once")
     assert "shoulder" in said
     assert "\x1b" not in said
