@@ -131,7 +131,7 @@ def test_reset_returns_to_the_initial_state_and_time(ros: Ros, peer: Peer) -> No
 
 
 def test_pause_stops_time_and_publication(ros: Ros, peer: Peer) -> None:
-    ros.plant(start_paused=True)
+    node = ros.plant(start_paused=True)
     ros.until(lambda: peer.effort_publisher.get_subscription_count() >= 2)
     ros.settle()
     assert not peer.states
@@ -141,12 +141,13 @@ def test_pause_stops_time_and_publication(ros: Ros, peer: Peer) -> None:
     ros.until(lambda: nanoseconds(peer.states[-1]) > nanoseconds(peer.states[0]) + 20 * PERIOD)
     call(ros, peer, SetBool, "fjr_plant/pause", data=True)
     ros.settle()
-    stopped, count = nanoseconds(peer.states[-1]), len(peer.states)
+    stopped, count = node._pace.stamp, len(peer.states)
     ros.settle()
     assert len(peer.states) == count
+    resumed = time.monotonic_ns()
     call(ros, peer, SetBool, "fjr_plant/pause", data=False)
     ros.until(lambda: len(peer.states) > count)
-    assert nanoseconds(peer.states[count]) - stopped < 50 * PERIOD
+    assert nanoseconds(peer.states[count]) - stopped <= time.monotonic_ns() - resumed + PERIOD
 
 
 def test_reset_while_paused_does_not_hold_the_robot_after_the_resume(ros: Ros, peer: Peer) -> None:
@@ -167,7 +168,7 @@ def test_a_plant_slower_than_real_time_loses_time_and_says_so(ros: Ros, peer: Pe
     end = time.monotonic() + 0.4
     while time.monotonic() < end:  # nobody spins
         pass
-    ros.until(lambda: node._health.count["time lost"] == 1, "the counter")
+    ros.until(lambda: node._health.count["time lost"] >= 1, "the counter")
 
 
 def test_lockstep_advances_one_sample_per_answer(ros: Ros, peer: Peer) -> None:
