@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -73,7 +73,8 @@ class Ros:
 class Listener(Node):
     """Keeps what it hears from the nodes under test, and publishes nothing."""
 
-    def __init__(self, ros: Ros, prefix: str = "") -> None:
+    def __init__(self, ros: Ros, prefix: str = "", only: Collection[str] | None = None) -> None:
+        """only: the topics to hear, without the prefix; all by default. Each one costs the test's processor time."""
         super().__init__("peer", context=ros.context)
         self._ros = ros
         self.states: list[JointState] = []
@@ -94,6 +95,7 @@ class Listener(Node):
         self.subscriptions_by_topic = {
             topic: self.create_subscription(kind, prefix + topic, keep.append, deep)
             for topic, (kind, keep) in heard.items()
+            if only is None or topic in only
         }
         ros.add(self)
 
