@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: more threads only wait on small matrices
 
@@ -40,6 +41,8 @@ os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="fjr-test-log-")
 atexit.register(shutil.rmtree, os.environ["ROS_LOG_DIR"], ignore_errors=True)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
+settings.register_profile("any machine", settings(), deadline=None)  # no example is too slow: others may use the cores
+settings.load_profile("any machine")
 
 TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from fjr_core.export_c import Loop, export, loop_of, prefix_of, write
 from fjr_core.scenario import load_scenario
+from patience import HANG
 
 SCENARIOS = Path(__file__).parents[2] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
 SHIPPED = sorted(path.stem for path in SCENARIOS.glob("*.yaml"))
@@ -39,7 +40,10 @@ def exported(loop: Loop, folder: Path, samples: int = 100, prefix: str | None = 
 def built(command: Sequence[str], sources: Sequence[Path], program: Path, *options: str) -> Path:
     """A program or object of the sources; fails on the first warning."""
     done = subprocess.run(
-        [*command, *options, *map(str, sources), "-o", str(program), "-lm"], capture_output=True, text=True, timeout=120
+        [*command, *options, *map(str, sources), "-o", str(program), "-lm"],
+        capture_output=True,
+        text=True,
+        timeout=HANG,
     )
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
     return program
@@ -47,7 +51,7 @@ def built(command: Sequence[str], sources: Sequence[Path], program: Path, *optio
 
 def said(program: Path, *arguments: str, code: int = 0) -> str:
     """What a program says that ends with this code."""
-    done = subprocess.run([str(program), *arguments], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([str(program), *arguments], capture_output=True, text=True, timeout=HANG)
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout + done.stderr
 

@@ -147,6 +147,30 @@ def metric(loop: Loop, p: Point) -> tuple[Array, Array]:
     return P, block_diagonal(zero, zero, -inverse(M) @ (C + C.T) @ inverse(M), zero)
 
 
+def interconnection(arm: Arm, coupling: Array) -> Array:
+    """J_v as eq. (44) prints it, with the blocks of eq. (49): `coupling` and minus its transpose."""
+    zero, one = np.zeros((arm.n, arm.n)), np.eye(arm.n)
+    return np.block([
+        [zero, zero, one, zero],
+        [zero, zero, -coupling.T, one],
+        [-one, coupling, zero, zero],
+        [zero, -one, zero, zero],
+    ])  # fmt: skip
+
+
+def structure_as_printed(arm: Arm, gains: GainSet, p: Point, coupling: Array) -> tuple[Array, Array]:
+    """J_v and R_v as eq. (44) prints them, with E_l in R_v."""
+    loop = loop_of(arm, gains)
+    e_l, e_m, *_ = np.split(loop.errors(p.x_v, p.x, p.jets), 4)
+    R_v = block_diagonal(
+        gains.dphi_l(e_l) @ inverse(gains.Pi_l),
+        gains.dphi_m(e_m) @ inverse(gains.Pi_m),
+        closed_form(loop, p)[2] + arm.D_l + gains.K_ld,
+        arm.D_m + gains.K_md,
+    )
+    return interconnection(arm, coupling), R_v
+
+
 def sym(A: Array) -> Array:
     return (A + A.T) / 2
 

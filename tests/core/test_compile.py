@@ -18,6 +18,7 @@ from chains import arm7, scaled_gains
 
 import fjr_core as fjr
 from fjr_core import compile as compiling
+from patience import HANG
 
 EQUAL = 1e-9
 with_a_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
@@ -110,7 +111,7 @@ def test_processes_that_build_at_once_build_once(tmp_path: Path) -> None:
     environment = {**os.environ, "CC": str(logging_compiler(tmp_path)), "PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, "-c", BUILD]
     processes = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(4)]
-    said = [process.communicate(timeout=120)[0].strip() for process in processes]
+    said = [process.communicate(timeout=HANG)[0].strip() for process in processes]
     assert said == ["[1.0, 8.0, 27.0]"] * 4
     assert (tmp_path / "builds").read_text().split() == ["built"]
 

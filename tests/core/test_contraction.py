@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The differential form of the closed loop: (43), (44), (49), and the rate (50)."""
+"""The differential form of the closed loop: (10), (43)-(49), and the rate (50)."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from cases import LOOP_NAMES, LOOPS, Arm, GainSet, Point, linear, planar, random_point, random_state, single
-from oracle import inverse
+from oracle import inverse, jacobian
 from properties import (
     TOLERANCE,
     block_diagonal,
     closed_form,
+    coordinate_steps,
     generator,
     loop_of,
     metric,
     metric_residual,
+    structure_as_printed,
     sym,
 )
 from scipy.integrate import solve_ivp
@@ -43,30 +47,16 @@ def test_differential_storage_decays_by_the_dissipation(arm: Arm, gains: GainSet
     assert metric_residual(P, -dissipated, P @ A / 2, A.T @ P / 2, dP / 2) <= TOLERANCE
 
 
-def interconnection(arm: Arm, gains: GainSet, coupling: np.ndarray) -> np.ndarray:
-    """J_v of eq. (44) with the blocks of eq. (49): `coupling` and minus its transpose."""
-    zero, one = np.zeros((arm.n, arm.n)), np.eye(arm.n)
-    return np.block([
-        [zero, zero, one, zero],
-        [zero, zero, -coupling.T, one],
-        [-one, coupling, zero, zero],
-        [zero, -one, zero, zero],
-    ])  # fmt: skip
+def structure(arm: Arm, gains: GainSet, p: Point, coupling: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """J_v and R_v with the skew part of the printed R_v in J_v: S_H of E_l = S_H - dM_l/2, as in eq. (26)."""
+    J_v, R_v = structure_as_printed(arm, gains, p, coupling)
+    return J_v - (R_v - R_v.T) / 2, sym(R_v)
 
 
 def structure_residual(arm: Arm, gains: GainSet, p: Point, coupling: np.ndarray) -> float:
     """A = (J_v - R_v) P, eq. (44), in metric coordinates."""
-    loop = loop_of(arm, gains)
-    e_l, e_m, *_ = np.split(loop.errors(p.x_v, p.x, p.jets), 4)
-    P, E = metric(loop, p)[0], closed_form(loop, p)[2]
-    R_v = block_diagonal(
-        gains.dphi_l(e_l) @ inverse(gains.Pi_l),
-        gains.dphi_m(e_m) @ inverse(gains.Pi_m),
-        E + arm.D_l + gains.K_ld,
-        arm.D_m + gains.K_md,
-    )
-    J_v = interconnection(arm, gains, coupling)
-    assert np.array_equal(J_v, -J_v.T)
+    loop, (J_v, R_v) = loop_of(arm, gains), structure(arm, gains, p, coupling)
+    P = metric(loop, p)[0]
     return metric_residual(P, P @ generator(loop, p), P @ J_v @ P, -P @ R_v @ P)
 
 
@@ -82,6 +72,52 @@ def test_variational_error_dynamics_have_the_skew_structure(arm: Arm, gains: Gai
 def test_interconnection_as_printed_is_not_that_of_the_loop(arm: Arm, gains: GainSet) -> None:
     """(49) prints K Pi_m; it is as skew as the right one, so only the Jacobian tells."""
     assert structure_residual(arm, gains, random_point(arm, 2), arm.K @ gains.Pi_m) > 1e-3
+
+
+@loops
+@places
+def test_skew_part_of_the_link_damping_belongs_to_the_interconnection(
+    arm: Arm, gains: GainSet, place: tuple[int, bool]
+) -> None:
+    """(44): J_v is skew and R_v symmetric with S_H = (C - C')/2 in J_v and D_l + K_ld - dM_l/2 in R_v."""
+    p = random_point(arm, *place)
+    J_v, R_v = structure(arm, gains, p, arm.K @ inverse(gains.Pi_m))
+    assert np.array_equal(J_v, -J_v.T)
+    assert np.array_equal(R_v, R_v.T)
+    sigma_l, C = slice(2 * arm.n, 3 * arm.n), closed_form(loop_of(arm, gains), p)[1]
+    np.testing.assert_allclose(J_v[sigma_l, sigma_l], -(C - C.T) / 2, atol=1e-12)
+    np.testing.assert_allclose(R_v[sigma_l, sigma_l], arm.D_l + gains.K_ld - (C + C.T) / 2, atol=1e-12)
+
+
+@loops
+@places
+def test_loop_is_the_feedback_of_its_link_and_motor_parts(arm: Arm, gains: GainSet, place: tuple[int, bool]) -> None:
+    """(45) with V_l (46) and (47) with V_m (48), connected by (49) with K Pi_m^-1."""
+    loop, p, n = loop_of(arm, gains), random_point(arm, *place), arm.n
+    e_l, e_m, *_ = np.split(loop.errors(p.x_v, p.x, p.jets), 4)
+    P, zero, one = metric(loop, p)[0], np.zeros((n, n)), np.eye(n)
+    link = [[-gains.dphi_l(e_l) @ inverse(gains.Pi_l), one], [-one, -closed_form(loop, p)[2] - arm.D_l - gains.K_ld]]
+    motor = [[-gains.dphi_m(e_m) @ inverse(gains.Pi_m), one], [-one, -arm.D_m - gains.K_md]]
+    coupling = arm.K @ inverse(gains.Pi_m)
+    to_link, to_motor = [[zero, zero], [coupling, zero]], [[zero, -coupling.T], [zero, zero]]
+    parts = np.block([[np.block(link), np.block(to_link)], [np.block(to_motor), np.block(motor)]])
+    order = np.arange(4 * n).reshape(4, n)[[0, 2, 1, 3]].ravel()  # (q_l, q_m, sigma_l, sigma_m) -> link, motor
+    P_parts = P[np.ix_(order, order)]
+    A = generator(loop, p)[np.ix_(order, order)]
+    assert metric_residual(P_parts, P_parts @ A, P_parts @ parts @ P_parts) <= TOLERANCE
+
+
+@loops
+@places
+def test_external_input_and_its_output_are_a_passive_pair(arm: Arm, gains: GainSet, place: tuple[int, bool]) -> None:
+    """(10), (44): omega enters d sigma_m alone, Psi = (0, 0, 0, I); output Psi' P delta_e = M_m^-1 delta sigma_m."""
+    loop, p, n = loop_of(arm, gains), random_point(arm, *place), arm.n
+    Theta = jacobian(lambda y: loop.errors(y, p.x, p.jets), p.x_v, coordinate_steps(loop, p))
+    rest = loop.field(p.x_v, replace(p, omega=np.zeros(n)))
+    moved = [loop.field(p.x_v, replace(p, omega=e)) - rest for e in np.eye(n)]
+    Psi = np.vstack([np.zeros((3 * n, n)), np.eye(n)])
+    np.testing.assert_allclose(Theta @ np.transpose(moved), Psi, atol=1e-9)
+    np.testing.assert_allclose(Psi.T @ metric(loop, p)[0], np.hstack([np.zeros((n, 3 * n)), inverse(arm.M_m)]))
 
 
 def test_rates_of_table_1() -> None:

@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from cases import FULL, Arm, GainSet, Point, full, linear, planar, random_point, single
-from oracle import LiteralLaw
-from properties import TOLERANCE, Loop, error_dynamics, storage_rate
+from oracle import LiteralLaw, inverse
+from properties import TOLERANCE, Loop, error_dynamics, storage_rate, structure_as_printed
 
 import fjr_core as fjr
 import fjr_core.vdpbc.motor as motor
@@ -103,6 +103,29 @@ def test_each_printed_equation_breaks_its_error_equation(error: str) -> None:
     residuals = error_dynamics(Loop(arm, gains, LiteralLaw(arm, gains, printed=(error,))), p)
     assert {name for name, value in residuals.items() if value > TOLERANCE} == {PRINTED[error]}, residuals
     assert residuals[PRINTED[error]] > FAILS
+
+
+@pytest.mark.parametrize("same", [True, False], ids=["same", "apart"])
+def test_damping_of_44_as_printed_is_symmetric_for_one_joint_only(same: bool) -> None:
+    """R_v with E_l is not symmetric for n = 2; test_contraction.py has the right split, S_H in J_v."""
+    one, two = (single(31.0), linear(1)), (planar("31", 31.0), linear(2))
+    for (arm, gains), is_symmetric in ((one, True), (two, False)):
+        _, R_v = structure_as_printed(arm, gains, random_point(arm, 4, same), arm.K @ inverse(gains.Pi_m))
+        asymmetry = np.max(np.abs(R_v - R_v.T)) / np.max(np.abs(R_v))
+        assert asymmetry == 0 if is_symmetric else asymmetry > FAILS
+
+
+@pytest.mark.parametrize(("k", "t", "share"), [(31.0, 1.329, 2.9e-12), (3.1, 1.493, 1.08e-13)])
+def test_a_hold_of_one_millisecond_takes_V_beyond_its_bound(k: float, t: float, share: float) -> None:
+    """From t [s] on V > V(0) exp(-2 beta t), at V = share V(0): sin t from 0.5 rad at rest."""
+    robot = single(k).robot
+    law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS)
+    start = robot.state(0.5, 0.5, 0, 0)
+    run = fjr.simulate(fjr.Plant(robot), law, fjr.Sine(1.0, 1.0), start, 1.6, sample_period=1e-3)
+    relative = run.V / run.V[0]
+    first = np.argmax(relative > np.exp(-2 * law.rate().beta * run.t))
+    assert run.t[first] == pytest.approx(t, abs=5e-3)
+    assert relative[first] == pytest.approx(share, rel=0.1)
 
 
 @pytest.mark.parametrize("error", ["gravity", "q_md", "spring"])

@@ -22,6 +22,7 @@ from fjr_bringup import suite
 from fjr_core import parameter_file
 from fjr_core.campaign import sweep_file
 from fjr_core.scenario import load_scenario
+from patience import HANG
 
 LINKED = ("ros2_ws", "examples")  # what commands name relative to the checkout
 ENVIRONMENT = {**os.environ, "PATH": f"{os.environ['PATH']}:{Path(sys.executable).parent}"}  # with CMake from a wheel
@@ -43,7 +44,7 @@ def test_every_shell_block_is_one_for_bash(block: Block) -> None:
 
 @pytest.mark.system
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(3600)
 @pytest.mark.usefixtures("nothing_left")
 @pytest.mark.parametrize("page", WITH_BLOCKS, ids=lambda page: page.stem)
 def test_the_blocks_of_a_page_work_one_after_the_other(page: Path, tmp_path: Path) -> None:
@@ -86,7 +87,7 @@ def run(block: Block, command: list[str], folder: Path) -> str:
             command, cwd=folder, stdout=file, stderr=file, start_new_session=True, env=ENVIRONMENT
         )
         STARTED.append(process)
-        code = process.wait(timeout=300)
+        code = process.wait(timeout=HANG)
         if not is_alive(process.pid):
             STARTED.remove(process)
         file.seek(0)

@@ -11,6 +11,7 @@ import pytest
 
 import fjr_core
 from docs.pages import PAGES, ROOT
+from patience import HANG
 
 PUBLIC_NODES = ("fjr_plant.plant_node.PlantNode", "fjr_controller.controller_node.ControllerNode")
 
@@ -19,7 +20,7 @@ PUBLIC_NODES = ("fjr_plant.plant_node.PlantNode", "fjr_controller.controller_nod
 def html(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("docs")
     command = [sys.executable, str(ROOT / "tools" / "build_docs.py"), str(folder)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=170, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=HANG, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     return folder / "html"

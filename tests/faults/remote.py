@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from faults.watcher import EFFORTS
 from fjr_msgs_py.names import LATEST, PLANT
 
-LIMIT = 20.0  # s
+LIMIT = 120.0  # s
 
 
 class Remote:

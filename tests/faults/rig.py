@@ -27,9 +27,10 @@ from faults.remote import Remote
 from faults.watcher import COMMANDS, DIAGNOSTICS, EFFORTS, REFERENCE, STATES, TRUE_STATES, Heard, Watcher
 from fjr_msgs_py.scheduling import prioritised
 from fjr_plant.plant_node import LOCKSTEP_START
+from patience import Limit
 from system.executables import NODES, Executable, scenario
 
-LIMIT = 40.0  # s; longer waits for an event are failures
+LIMIT = 40.0  # s on a free machine; longer waits for an event are failures
 LOOK = 0.002  # s between looks at the queues
 SECOND = 10**9  # ns
 PRIORITY = 10  # of the watcher and the relay, where the system allows it: below the nodes, above all others
@@ -173,11 +174,11 @@ class Rig:
 
     def until(self, happened: Callable[[], Any], what: str) -> None:
         """Look until `happened()` is true; an ended node or a long wait is a failure."""
-        end = time.monotonic() + LIMIT
+        limit = Limit(LIMIT)
         pause = threading.Event()
         self.watcher.look()
         while not happened():
-            assert time.monotonic() < end, f"{what} did not come within {LIMIT:g} s\n{self.words()}"
+            assert not limit.passed(), f"{what} did not come within {LIMIT:g} s\n{self.words()}"
             for name, executable in self._running.items():
                 assert executable.process.poll() is None, f"{name} has ended\n{self.words()}"
             pause.wait(LOOK)

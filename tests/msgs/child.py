@@ -7,6 +7,8 @@ import os
 import subprocess
 import sys
 
+from patience import HANG
+
 
 def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run Python code to its end, alone in its ROS graph; its exit code and what it said."""
@@ -17,5 +19,5 @@ def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
         "PYTHONWARNINGS": "ignore",
     }
     return subprocess.run(
-        [sys.executable, "-c", code, *arguments], env=quiet, capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", code, *arguments], env=quiet, capture_output=True, text=True, timeout=HANG
     )

@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+from patience import HANG
+
 LOADING = """
 import time
 from fjr_msgs_py.loading import end_on_signals
@@ -25,7 +27,7 @@ def test_a_signal_while_loading_ends_the_process_with_0(number: signal.Signals) 
         assert process.stdout is not None
         assert process.stdout.readline() == "loading\n"
         process.send_signal(number)
-        _, said = process.communicate(timeout=30)
+        _, said = process.communicate(timeout=HANG)
     assert (process.returncode, said) == (0, "")
 
 

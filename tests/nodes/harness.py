@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,9 @@ from std_msgs.msg import Float64MultiArray
 from fjr_controller.controller_node import ControllerNode
 from fjr_msgs_py.names import LATEST
 from fjr_plant.plant_node import PlantNode
+from patience import Limit
 
-TIME_LIMIT = 30.0  # s; a test that waits longer for an event has failed
+TIME_LIMIT = 30.0  # s on a free machine; a test that waits longer for an event has failed
 PATIENCE = 60.0  # s; a state_timeout that passes in no test, however busy the machine is
 
 
@@ -53,9 +53,9 @@ class Ros:
 
     def until(self, happened: Callable[[], Any], what: str = "the event") -> None:
         """Spin until `happened()` is true."""
-        end = time.monotonic() + TIME_LIMIT
+        limit = Limit(TIME_LIMIT)
         while not happened():
-            assert time.monotonic() < end, f"{what} did not come within {TIME_LIMIT} s"
+            assert not limit.passed(), f"{what} did not come within {TIME_LIMIT} s of a free machine"
             self.executor.spin_once(timeout_sec=0.05)
 
     def settle(self, rounds: int = 50) -> None:
@@ -73,7 +73,8 @@ class Ros:
 class Listener(Node):
     """Keeps what it hears from the nodes under test, and publishes nothing."""
 
-    def __init__(self, ros: Ros, prefix: str = "") -> None:
+    def __init__(self, ros: Ros, prefix: str = "", only: Collection[str] | None = None) -> None:
+        """only: the topics to hear, without the prefix; all by default. Each one costs the test's processor time."""
         super().__init__("peer", context=ros.context)
         self._ros = ros
         self.states: list[JointState] = []
@@ -96,6 +97,7 @@ class Listener(Node):
                 kind, "/" + topic if topic == "diagnostics" else prefix + topic, keep.append, deep
             )
             for topic, (kind, keep) in heard.items()
+            if only is None or topic in only
         }
         ros.add(self)
 

@@ -175,7 +175,7 @@ def test_a_plant_slower_than_real_time_loses_time_and_says_so(ros: Ros, peer: Pe
     end = time.monotonic() + 0.4
     while time.monotonic() < end:  # nobody spins
         pass
-    ros.until(lambda: node._health.count["time lost"] == 1, "the counter")
+    ros.until(lambda: node._health.count["time lost"] >= 1, "the counter")
 
 
 def test_lockstep_advances_one_sample_per_answer(ros: Ros, peer: Peer) -> None:

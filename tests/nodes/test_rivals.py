@@ -23,6 +23,7 @@ MESSAGES = {
     "/joint_commands": JointState(name=["joint1"], effort=[1.0]),
 }
 EFFORTS = "/effort_controller/commands"
+MANAGER_AND_CONTROLLER = 2  # subscriptions to a topic of commands, before the first answer
 
 
 class Rival:
@@ -33,6 +34,10 @@ class Rival:
         self._message = MESSAGES[topic]
         node = self._ros.add(Node("rival", context=self._ros.context))
         self._publisher = node.create_publisher(type(self._message), topic, LATEST)
+
+    def is_heard_by(self, count: int) -> bool:
+        """Whether so many subscriptions are connected to it."""
+        return int(self._publisher.get_subscription_count()) >= count
 
     @contextmanager
     def talking(self) -> Iterator[None]:
@@ -103,7 +108,9 @@ def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appe
 def test_one_that_is_found_with_the_first_state_ends_the_node(ros: Ros, manager: Manager, appear, topic: str) -> None:
     node = ros.controller()
     manager.meet_controller()
-    with appear(topic).talking():
+    rival = appear(topic)
+    ros.until(lambda: rival.is_heard_by(MANAGER_AND_CONTROLLER), "its connection with the controller")
+    with rival.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.ended, "the end")
     assert isinstance(node.ended, RivalError)
@@ -121,7 +128,9 @@ def test_one_that_is_found_with_the_first_state_leaves_a_managed_start_inactive(
     assert manager.change("configure")
     assert manager.change("activate")
     manager.meet_controller()
-    with appear(EFFORTS).talking():
+    rival = appear(EFFORTS)
+    ros.until(lambda: rival.is_heard_by(MANAGER_AND_CONTROLLER), "its connection with the controller")
+    with rival.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.trouble, "the refusal")
     assert manager.state() == "inactive"

@@ -14,7 +14,9 @@ from typing import IO
 
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
 
-TIME_LIMIT = 60.0  # s
+from patience import HANG, Limit
+
+TIME_LIMIT = 60.0  # s on a free machine
 
 
 class Executable:
@@ -31,7 +33,7 @@ class Executable:
         self.process.send_signal(number)
 
     def end(self) -> tuple[int, str]:
-        code = self.process.wait(timeout=TIME_LIMIT)
+        code = self.process.wait(timeout=HANG)
         self._said.seek(0)
         return code, self._said.read().decode()
 
@@ -43,16 +45,16 @@ class Executable:
 
 
 def wait_for(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + TIME_LIMIT
+    limit = Limit(TIME_LIMIT)
     while not condition():
-        assert time.monotonic() < end, f"{what} did not come within {TIME_LIMIT} s"
+        assert not limit.passed(), f"{what} did not come within {TIME_LIMIT} s"
         time.sleep(0.002)
 
 
 def fjr(*arguments: str, code: int = 0, codes: Collection[int] = ()) -> str:
     """Run the `fjr` command to its end, with exit code `code` or one of `codes`; what it said."""
     command = [Path(get_package_prefix("fjr_bringup")) / "lib" / "fjr_bringup" / "fjr", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=150)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=HANG)
     assert done.returncode in (codes or (code,)), done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done.stdout + done.stderr

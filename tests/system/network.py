@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 from typing import IO
 
-TIME_LIMIT = 30.0  # s
+TIME_LIMIT = 120.0  # s
 ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
 
 

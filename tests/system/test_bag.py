@@ -28,6 +28,7 @@ from fjr_bringup import schemas
 from fjr_bringup.bag import Bag, BagError, header_stamp, read_bag
 from fjr_bringup.recorder import Recorder, Track
 from fjr_bringup.run import ANSWERS, _Run
+from patience import Limit
 
 LIMIT = 20.0  # s
 COUNT = 300
@@ -35,9 +36,9 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
 def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + LIMIT
+    limit = Limit(LIMIT)
     while not condition():
-        assert time.monotonic() < deadline, "waited too long"
+        assert not limit.passed(), "waited too long"
         time.sleep(0.005)
 
 

@@ -156,7 +156,9 @@ def test_a_plant_that_diverges_ends_with_one_sentence(ros: Ros, start) -> None:
 def test_a_rival_that_is_met_with_the_first_state_ends_the_controller_with_one_sentence(ros: Ros, start) -> None:
     peer = Peer(ros)
     controller = start("controller")
-    ros.until(lambda: peer.state_publisher.get_subscription_count() >= 2, "the controller")
+    for publisher in (peer.state_publisher, peer.command_publisher):
+        ros.until(lambda publisher=publisher: publisher.get_subscription_count() >= 2, "the controller")
+    ros.until(lambda: peer.diagnostics, "its first report: it has looked for others at its start and is active")
     while controller.process.poll() is None:
         peer.command_publisher.publish(JointState(name=["joint1"], effort=[1.0]))
         peer.state_publisher.publish(stamped(0.0))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from patience import HANG
 from system.executables import fjr
 
 pytestmark = pytest.mark.system
@@ -25,7 +26,7 @@ def tool(name: str) -> str:
 def run(*command: str | Path) -> str:
     outside = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL")}
     words = [str(word) for word in command]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=150, env=outside)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=HANG, env=outside)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "warning" not in done.stderr
     return done.stdout

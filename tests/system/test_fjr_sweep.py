@@ -22,6 +22,7 @@ from fjr_bringup import sweep_command
 from fjr_bringup.exit_codes import Exit
 from fjr_core.campaign.execution import ClusterError, carry_out, cluster
 from fjr_core.campaign.store import open_store
+from patience import Limit
 from system.executables import Executable, fjr
 
 pytestmark = pytest.mark.system
@@ -196,8 +197,8 @@ def _planned(name: str) -> tuple[Any, str]:
 
 
 def wait_for(found: Any, running: Executable) -> None:
-    end = time.monotonic() + 60
+    limit = Limit(60.0)
     while not found():
         assert running.process.poll() is None, running.end()
-        assert time.monotonic() < end
+        assert not limit.passed()
         time.sleep(0.01)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import ast
 import asyncio
-import time
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,9 @@ from sensor_msgs.msg import JointState
 
 from fjr_core import config
 from fjr_core.scenario import load_scenario
+from patience import Limit
 
-LIMIT = 40.0  # s
+LIMIT = 40.0  # s on a free machine
 OWN_PARAMETERS = {"fjr_plant": config.plant_parameters, "fjr_controller": config.controller_parameters}
 
 
@@ -94,8 +94,8 @@ def answered_steps(count: int) -> bool:
     )
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    deadline = time.monotonic() + LIMIT
-    while len(stamps) < count and time.monotonic() < deadline:
+    limit = Limit(LIMIT)
+    while len(stamps) < count and not limit.passed():
         executor.spin_once(timeout_sec=0.1)
     executor.shutdown()
     node.destroy_node()

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from fjr_bringup.run import set_ros_environment
+from patience import HANG
 from system.executables import NODES, scenario
 from system.network import Network, RefusedError, installed
 
@@ -68,11 +69,11 @@ def run(network: Network, **plant: Any) -> Seen:
         network.start(network.left, *node["plant"], *given),
         network.start(network.right, *node["controller"]),
     ]
-    said = watch.communicate(timeout=90)[0]
+    said = watch.communicate(timeout=HANG)[0]
     assert watch.returncode == 0, network.words()
     for process in reversed(nodes):
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=30) == 0, network.words()
+        assert process.wait(timeout=HANG) == 0, network.words()
     arrays = {name: np.array(values) for name, values in json.loads(said).items()}
     return Seen(**arrays, packets=min(network.sent(network.left), network.sent(network.right)))
 

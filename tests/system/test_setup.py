@@ -16,6 +16,7 @@ from envsetup.console import SetupError
 from envsetup.machine import Machine, has_wheels, uses_sourced_ros
 from envsetup.virtualenv import Environment
 from envsetup.workspace import Workspace, remove_dangling_links
+from patience import HANG
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Machine("Linux", "x86_64", "glibc", (2, 36), "cpython", "")
@@ -31,7 +32,7 @@ def run_setup(target: str, pretend: str, path: Path, **environ: str) -> subproce
     # The guard keeps the start-up hook of the ROS wheels from starting Python twice.
     env = {"PATH": str(path), "HOME": str(path), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", **environ}
     return subprocess.run(
-        [sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=HANG, check=False
     )
 
 

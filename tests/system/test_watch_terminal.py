@@ -10,7 +10,6 @@ import signal
 import struct
 import subprocess
 import termios
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from fcntl import ioctl
@@ -20,6 +19,7 @@ import pyte
 import pytest
 from ament_index_python.packages import get_package_prefix
 
+from patience import Limit
 from system.executables import NODES, TIME_LIMIT, Executable, fjr, scenario
 
 pytestmark = pytest.mark.system
@@ -49,9 +49,9 @@ class Terminal:
 
     def until(self, seen: Callable[[str], bool]) -> str:
         """Read until the screen is as wanted; the screen."""
-        end = time.monotonic() + TIME_LIMIT
+        limit = Limit(TIME_LIMIT)
         while not seen(self.text):
-            assert time.monotonic() < end, self.text
+            assert not limit.passed(), self.text
             self._read(0.2)
         return self.text
 
@@ -62,11 +62,11 @@ class Terminal:
     def interrupt(self) -> int:
         """Ctrl-C; the exit code."""
         self.process.send_signal(signal.SIGINT)
-        end = time.monotonic() + TIME_LIMIT
-        while self.process.poll() is None and time.monotonic() < end:
+        limit = Limit(TIME_LIMIT)
+        while self.process.poll() is None and not limit.passed():
             self._read(0.1)
         self._read(0.1)
-        return self.process.wait(1)
+        return self.process.wait(TIME_LIMIT)
 
     def close(self) -> None:
         if self.process.poll() is None:
@@ -145,6 +145,7 @@ def test_nothing_there_is_said_and_ends_with_ctrl_c(terminal: Callable[..., Term
 
 
 def test_one_picture_as_plain_text(loop: dict[str, Executable]) -> None:
+    fjr("echo", "left/joint_states", "--once", "--timeout", "600")
     said = fjr("watch", "--namespace", "/left", "--once")
     assert "shoulder" in said
     assert "\x1b" not in said

@@ -16,7 +16,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from fjr_core.errors import FjrError
 from fjr_msgs_py.loading import signals_blocked
 
-GRACE = 5.0  # s between asking a node to end and killing it
+GRACE = 20.0  # s between asking a node to end and killing it; imports alone take seconds on a busy machine
 
 # Runs in the child before the node: the kernel ends the node when `fjr` dies in whatever way.
 _FOLLOW_PARENT = """

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import time
+
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -10,7 +12,8 @@ from std_srvs.srv import SetBool
 
 from fjr_core.errors import FjrError
 
-ANSWER_LIMIT = 5.0  # s
+ANSWER_LIMIT = 30.0  # s
+ASK_AGAIN = 2.0  # s without an answer, which is lost where the plant has not found this client yet
 
 
 class RemoteError(FjrError):
@@ -37,10 +40,12 @@ class PlantRemote:
         return self._client.service_is_ready()
 
     def resume(self) -> None:
-        """Call the service; raises RemoteError when it refuses or stays silent."""
-        future = self._client.call_async(SetBool.Request(data=False))
-        self._executor.spin_until_future_complete(future, ANSWER_LIMIT)
-        answer = future.result() if future.done() else None
+        """Call the service until it answers; raises RemoteError when it refuses or stays silent."""
+        latest, answer = time.monotonic() + ANSWER_LIMIT, None
+        while answer is None and time.monotonic() < latest:
+            future = self._client.call_async(SetBool.Request(data=False))
+            self._executor.spin_until_future_complete(future, ASK_AGAIN)
+            answer = future.result() if future.done() else None
         if answer is None or not answer.success:
             why = "no answer" if answer is None else answer.message
             raise RemoteError(f"{self._service} did not let the plant go: {why}")

@@ -32,8 +32,8 @@ from fjr_msgs_py.scheduling import prioritised
 
 PLANT, CONTROLLER = names.PLANT, names.CONTROLLER
 STATES, COMMANDS, ANSWERS = (f"/{topic}" for topic in (names.JOINT_STATES, names.EFFORT_COMMANDS, names.JOINT_COMMANDS))
-STARTUP_LIMIT = 30.0  # s until both nodes are there and connected
-SILENCE_LIMIT = 5.0  # s without a new answered state
+STARTUP_LIMIT = 120.0  # s for each step until both nodes are connected; a node that ends is seen at once
+SILENCE_LIMIT = 15.0  # s without a new answered state
 POLL = 0.02  # s
 GRAPH_PERIOD = 0.5  # s between looks at the graph while running
 RECORDER_PRIORITY = 1  # in lock-step nothing paces the nodes: the recorder comes first and loses nothing

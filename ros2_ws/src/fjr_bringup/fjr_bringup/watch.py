@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -23,7 +24,8 @@ from fjr_core.scenario import Scenario
 PERIOD = 0.1  # s between two pictures on a terminal
 PLAIN_PERIOD = 1.0  # s elsewhere
 LOOK = 1.0  # s between looks at the graph
-FIRST = 10.0  # s that a single picture waits for states and reports at most
+FIRST = 60.0  # s that a single picture waits for states and reports at most
+PATIENCE = 2.0  # s after which it says that it waits
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,11 @@ def _views(listener: FjrWatch, watched: Watched, period: float, stop: threading.
 
 
 def _once(listener: FjrWatch, watched: Watched, console: Console, stop: threading.Event) -> None:
-    begin = time.monotonic()
+    begin, said = time.monotonic(), False
     for view in _views(listener, watched, PERIOD, stop):
+        if time.monotonic() - begin > PATIENCE and not said:
+            said = True
+            print("fjr: waiting for states and reports", file=sys.stderr, flush=True)
         if (view.timing is not None and view.health) or time.monotonic() - begin > FIRST:
             console.print(render(replace(view, missing=tuple(listener.missing())), console.width))
             return

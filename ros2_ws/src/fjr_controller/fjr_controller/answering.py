@@ -176,10 +176,12 @@ class Answering:
         """Look for rivals before the first answer; false where that took so long that the state is old."""
         self._alone = True
         try:
-            return not self._refuse_rivals()
+            listened = self._refuse_rivals()
         except RivalError as error:
             self._refused(error)
             return False
+        self._rivals.trust()
+        return not listened
 
     def _refuse_rivals(self) -> bool:
         """Whether others were listened to and silent (a killed node is not forgotten at once); else RivalError."""

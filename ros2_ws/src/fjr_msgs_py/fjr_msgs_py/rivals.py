@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 from uuid import uuid4
@@ -35,12 +35,13 @@ class Rivals:
     """
 
     def __init__(self, node: Node, kinds: Mapping[str, type], qos: QoSProfile) -> None:
-        """Create a publisher on each topic; kinds: their messages by name of the topic."""
+        """Create a publisher and, until `trust`, a subscription on each topic; kinds: messages by name of the topic."""
         self._node = node
         self._kinds = {node.resolve_topic_name(topic): kind for topic, kind in kinds.items()}
         self._family = self._own_participant()
         self._others: dict[bytes, Other] = {}
         self.publishers = [node.create_publisher(kind, topic, qos) for topic, kind in self._kinds.items()]
+        self._listening = [(topic, kind, self._listen(topic, kind)) for topic, kind in self._kinds.items()]
 
     def appeared(self) -> list[str]:
         """The topics on which a publisher is there that was not at the last call."""
@@ -62,28 +63,31 @@ class Rivals:
         """The topic on which anybody publishes within LISTENING seconds, "" for none; everything else waits.
 
         They count from the moment on that all publishers are connected, MATCHING seconds later at most. Of two that
-        listen to each other the one with the higher GID waits twice as long, and hears the other.
+        listen to each other the one with the higher GID waits twice as long, and hears the other. Messages from before
+        the call do not count: their sender may have ended. The subscriptions are older than the call, so that senders
+        have found them and their next messages arrive.
         """
-        listening = [(topic, kind, self._listen(topic, kind)) for topic, kind in self._kinds.items()]
-        try:
-            yields = max(self._family, default=b"") > min(self._others, default=b"\xff")
-            latest = time.monotonic() + MATCHING
-            end = math.inf
-            while time.monotonic() < end:
-                if end == math.inf and (time.monotonic() > latest or self._connected(listening)):
-                    end = time.monotonic() + LISTENING * (2 if yields else 1)
-                for topic, kind, subscription in listening:
-                    with subscription.handle:
-                        if subscription.handle.take_message(kind, True) is not None:
-                            return topic
-                time.sleep(_POLL)
-            return ""
-        finally:
-            for *_, subscription in listening:
-                self._node.destroy_subscription(subscription)
+        yields = max(self._family, default=b"") > min(self._others, default=b"\xff")
+        latest = time.monotonic() + MATCHING
+        end = math.inf
+        self._taken()
+        while time.monotonic() < end:
+            if end == math.inf and (time.monotonic() > latest or self._connected()):
+                end = time.monotonic() + LISTENING * (2 if yields else 1)
+            if topic := self._taken():
+                return topic
+            time.sleep(_POLL)
+        return ""
+
+    def trust(self) -> None:
+        """Listen no more: from now on others are seen, not heard."""
+        for *_, subscription in self._listening:
+            self._node.destroy_subscription(subscription)
+        self._listening = []
 
     def close(self) -> None:
-        """End the publishers."""
+        """End the publishers and subscriptions."""
+        self.trust()
         for publisher in self.publishers:
             self._node.destroy_publisher(publisher)
 
@@ -107,8 +111,18 @@ class Rivals:
         infos = self._node.get_publishers_info_by_topic(topic)
         return {bytes(info.endpoint_gid): Other(topic, _name(info.node_namespace, info.node_name)) for info in infos}
 
-    def _connected(self, listening: Sequence[tuple[str, type, Any]]) -> bool:
-        return all(heard.get_publisher_count() >= self._node.count_publishers(topic) for topic, _, heard in listening)
+    def _connected(self) -> bool:
+        counts = ((heard.get_publisher_count(), topic) for topic, _, heard in self._listening)
+        return all(count >= self._node.count_publishers(topic) for count, topic in counts)
+
+    def _taken(self) -> str:
+        """A topic on which a message waited, "" where none did; takes one of each topic, all that their queues hold."""
+        found = ""
+        for topic, kind, subscription in self._listening:
+            with subscription.handle:
+                if subscription.handle.take_message(kind, True) is not None:
+                    found = topic
+        return found
 
     def _listen(self, topic: str, kind: type) -> Any:
         return self._node.create_subscription(kind, topic, lambda _: None, _ANY)

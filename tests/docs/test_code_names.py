@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every file, function, class, test and symbol that paper_map.md, errata.md and notation.md name exists."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import fjr_core
+from docs.pages import ROOT, tokens
+
+PACKAGES = ROOT / "ros2_ws" / "src"
+CORE = PACKAGES / "fjr_core" / "fjr_core"
+FOLDERS = (CORE, *sorted(PACKAGES.iterdir()), ROOT / "tests" / "core", ROOT)
+"""Folders that the paths on a page are relative to, in the order of the search."""
+PAGES = tuple(ROOT / "docs" / f"{name}.md" for name in ("paper_map", "errata", "notation"))
+PATH = re.compile(r"([\w*/]+(?:\.(?:py|c|md)|/))(?:::([\w.]+))?")
+NAME = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*")
+
+
+def cells(page: Path) -> Iterator[list[str]]:
+    """The words set as code of each cell of a table."""
+    found = tokens(page)
+    for before, token in zip(found, found[1:], strict=False):
+        if before.type == "td_open":
+            yield [child.content for child in token.children or () if child.type == "code_inline"]
+
+
+def files(path: str, last: list[Path]) -> list[Path]:
+    """The files or folder of a path, which may hold `*`: relative to the last file, or to one of FOLDERS."""
+    folders = [file.parent for file in last[:1]]
+    return next((found for folder in (*FOLDERS, *folders) if (found := sorted(folder.glob(path.rstrip("/"))))), [])
+
+
+def definitions(body: list[ast.stmt], prefix: str = "") -> Iterator[str]:
+    """Names of functions, classes and constants, and `Class.name` of what a class defines."""
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield prefix + node.name
+        if isinstance(node, ast.ClassDef):
+            yield from definitions(node.body, f"{node.name}.")
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        yield from (prefix + target.id for target in targets if isinstance(target, ast.Name))
+
+
+@cache
+def defined(file: Path) -> frozenset[str]:
+    return frozenset(definitions(ast.parse(file.read_text(encoding="utf-8")).body) if file.suffix == ".py" else ())
+
+
+@cache
+def names_of_tests() -> frozenset[str]:
+    return frozenset().union(*(defined(file) for file in (ROOT / "tests").rglob("test_*.py")))
+
+
+def missing(cell: list[str]) -> list[str]:
+    """Files of a cell that are not there, and names that the last file before them does not define."""
+    last: list[Path] = []
+    absent = []
+    for text in cell:
+        path = PATH.fullmatch(text)
+        if path:
+            last = files(path[1], last)
+            absent += [] if last else [text]
+        name = path[2] if path else text if NAME.fullmatch(text) else None
+        if name and name.startswith("test_") and not last:
+            absent += [] if name in names_of_tests() else [name]
+        elif name and last:
+            known = frozenset(dir(fjr_core)).union(*(defined(file) for file in last))
+            absent += [] if name in known else [text]
+    return absent
+
+
+@cache
+def symbols() -> frozenset[str]:
+    """All identifiers in the mathematics."""
+    nodes = [node for file in CORE.rglob("*.py") for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))]
+    names = {getattr(node, key) for node in nodes for key in ("id", "attr", "arg", "name") if hasattr(node, key)}
+    return frozenset(name for name in names if isinstance(name, str))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_files_functions_and_tests_that_a_map_names_exist(page: Path) -> None:
+    found = [name for cell in cells(page) for name in missing(cell)]
+    assert found == []
+
+
+def test_symbols_of_the_notation_are_in_the_code() -> None:
+    rows = [text for texts in first_column(PAGES[2]) for text in texts]
+    assert len(rows) > 15
+    assert {name for text in rows for name in re.findall(r"[A-Za-z_]\w*", text)} - symbols() == set()
+
+
+def first_column(page: Path) -> Iterator[list[str]]:
+    found = tokens(page)
+    for row, cell, token in zip(found, found[1:], found[2:], strict=False):
+        if (row.type, cell.type) == ("tr_open", "td_open"):
+            yield [child.content for child in token.children or () if child.type == "code_inline"]
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        ["virtual.py::derivative_expression", "virtual_velocities"],
+        ["vdpbc/no_such_file.py"],
+        ["vdpbc/law.py::TrackingLaw.no_method"],
+        ["test_law.py::test_the_four_error_equations", "test_of_nothing"],
+        ["test_of_nothing"],
+        ["no_such_folder/"],
+    ],
+    ids=lambda cell: cell[-1],
+)
+def test_a_name_that_does_not_exist_is_found(cell: list[str]) -> None:
+    assert missing(cell) == [cell[-1]]
