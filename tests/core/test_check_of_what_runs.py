@@ -3,19 +3,29 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+import pytest
 from test_sampled_loop import elastic_modes, scaled
 
 import fjr_core as fjr
+from fjr_core.compare.columns import column
+from fjr_core.integral_bound import refuse_fast_integral
 from fjr_core.laws import LAWS, law_kind
 from fjr_core.linear_controller import Sensing
+from fjr_core.linear_loop import linearize, loop_as_run
+from fjr_core.model_errors import radii_with_model_errors
 from fjr_core.observer import VelocityObserver
+from fjr_core.observer_error import error_radii
+from fjr_core.rest import rest_points
 from fjr_core.robust import Robust, sampled_law
-from fjr_core.sampled_law import SampledLaw, bound_step
-from fjr_core.sampled_loop import spectral_radius
+from fjr_core.sampled_law import SampledLaw, Static, bound_step
+from fjr_core.sampled_loop import check, spectral_radius
+from fjr_core.scenario import load_scenario
 
 DRAWS = 60
 BASELINES = [name for name, kind in LAWS.items() if kind.standard is not None]
@@ -155,3 +165,74 @@ def test_check_and_simulation_agree_on_60_draws() -> None:
         assert dies_out(loop, samples) == (radius < 1), (radius, loop)
         stable, unstable = stable + (radius < 1), unstable + (radius > 1)
     assert min(stable, unstable) >= 20, (stable, unstable)
+
+
+def test_a_static_law_is_the_special_case_without_a_state() -> None:
+    for law in (Joint, fjr.TrackingLaw(fjr.planar_two_link(), fjr.Gains(8.0, 20.0, 2.0, 12.0, 40.0, 0.5))):
+        rest = rest_points(law.robot, np.full((1, law.robot.n), 0.4))
+        general = loop_as_run(Static(law), rest, rest, Sensing())
+        for delay in (0.0, 0.7e-3, 2e-3):
+            assert general.radii(1e-3, delay) == pytest.approx(linearize(law, rest.q_l).radii(1e-3, delay), rel=1e-9)
+
+
+@pytest.mark.parametrize("by_torque", [False, True])
+def test_without_model_error_poles_are_those_of_the_loop_and_of_the_observer(by_torque: bool) -> None:
+    """The separation principle; error_radii takes the Jacobian of the observer's function, integrator included."""
+    q_l, period = np.array([[0.5]]), 1e-3
+    for bandwidth in (20.0, 150.0):
+        (radius,) = linearize(Joint, q_l, sensing=Sensing(bandwidth, by_torque)).radii(period)
+        (loop,), (observer,) = linearize(Joint, q_l).radii(period), error_radii(Joint.robot, bandwidth, period, q_l)
+        assert radius == pytest.approx(max(loop, observer), abs=1e-6)
+
+
+def test_too_fast_an_integral_is_unstable_for_the_check_as_in_simulation() -> None:
+    law = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
+    for rate, stable in ((15.0, True), (40.0, False)):
+        sampled = sampled_law(law, Robust(integral_gain=rate))
+        found = check(sampled, 1e-3, configurations=[[0.5]])
+        assert found.stable == stable
+        assert dies_out(Loop(sampled, law.robot, np.array([0.5]), 1e-3, 0.0, Sensing()), 1500) == stable
+    assert check(law, 1e-3, configurations=[[0.5]]).stable
+
+
+def test_radii_with_model_errors_are_those_of_a_plant_that_is_off() -> None:
+    rough = Joint.robot
+    plants = {"stiffness": replace(rough, K=1.3 * rough.K), "motor inertia": replace(rough, M_m=1.3 * rough.M_m)}
+    plants["link inertia"] = fjr.single_link(link_inertia=1.3 * 0.031)
+    radii = radii_with_model_errors(Joint, 1e-3, 5e-3, [[0.3]])
+    assert len(radii) == 12
+    for quantity, plant in plants.items():
+        (exact,) = spectral_radius(Joint, 1e-3, 5e-3, [[0.3]], fjr.Plant(plant))
+        assert radii[quantity, 1.3] == pytest.approx(exact, rel=1e-4), quantity
+
+
+ROWS = re.findall(
+    r"^\| `(\w+)` \|((?: [\d.]+ \|){5})$", Path("docs/robust.md").read_text(encoding="utf-8"), re.MULTILINE
+)
+
+
+@pytest.mark.parametrize(("name", "row"), ROWS)
+def test_rates_of_the_integral_in_the_docs_are_where_the_loop_becomes_unstable(name: str, row: str) -> None:
+    scenario = load_scenario(f"ros2_ws/src/fjr_bringup/scenarios/{name}.yaml")
+    law, where = fjr.TrackingLaw(scenario.robot, scenario.gains), scenario.configurations(2)
+    for hertz, rate in zip((250, 500, 1000, 2000, 10000), row.split("|"), strict=False):
+        for factor in (0.9, 1.1):
+            sampled = sampled_law(law, Robust(integral_gain=factor * float(rate), hold=1 / hertz))
+            assert (spectral_radius(sampled, 1 / hertz, configurations=where).max() < 1) == (factor < 1)
+
+
+def test_the_docs_have_a_row_for_each_paper_joint_and_the_two_link_arm() -> None:
+    assert [name for name, _ in ROWS] == ["paper_k3p1", "paper_k31", "two_link"]
+
+
+def test_an_integral_above_its_bound_is_refused_with_the_bound() -> None:
+    law = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
+    refuse_fast_integral(law, Robust(integral_gain=20.0).checked(1))
+    with pytest.raises(fjr.GainsError, match=r"integral_gain is \[40\] 1/s, .* expected at most \[2\d\] 1/s"):
+        refuse_fast_integral(law, Robust(integral_gain=40.0).checked(1))
+
+
+def test_a_law_that_is_unstable_as_sampled_says_so_in_a_comparison() -> None:
+    scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/paper_k3p1.yaml")
+    sentences = [column("v_dpbc", {"integral_gain": rate}, scenario).tuning for rate in (5.0, 40.0)]
+    assert ["unstable as sampled" in sentence for sentence in sentences] == [False, True]
