@@ -216,7 +216,7 @@ def test_a_start_outside_the_robots_own_range_is_refused() -> None:
     start = [0.35, 2.5, -0.05, -1.45, 0.15, 0.55, 0.15]
     outside = {"initial_link_position": start, "initial_motor_position": start}
     for free, changes in ((True, {}), (False, outside), (True, {**outside, "limits.from_robot": False})):
-        _, made = scenarios.as_run(scenarios.find("arm7"), {**changes, "limits.deflection": [9.0] * 7})
+        _, made = scenarios.as_run(scenarios.find("arm7"), {**changes, "limits.motor_position_upper": [9.0] * 7})
         with nullcontext() if free else pytest.raises(StartError, match="joint2: q_l is 2.5 rad; expected -2 to 2 rad"):
             refuse_start_outside(made)
 

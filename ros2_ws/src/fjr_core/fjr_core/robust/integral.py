@@ -63,11 +63,16 @@ class Integral:
 
 
 def gain_values(robot: Robot, gains: CheckedGains, rates: tuple[Array, Array]) -> Array:
-    """The numbers of Integral.gain_sizes for rates (n,) [1/s] of links and motors."""
-    n, ports = robot.n, ports_at_rest(_looked_at(robot), gains)
-    sides = zip((ports[:, :n, :n], ports[:, n:, n:]), rates, strict=True)
-    K_l, K_m = (_gain(port, rate) for port, rate in sides)
-    return np.concatenate([K.ravel() for K in (K_l, K_m, np.linalg.pinv(K_l), np.linalg.pinv(K_m))])
+    """Return the numbers of Integral.gain_sizes for rates (n,) [1/s] of links and motors; nan where there are none."""
+    n = robot.n
+    try:
+        with np.errstate(all="ignore"):
+            ports = ports_at_rest(_looked_at(robot), gains)
+            K_l, K_m = _gain(ports[:, :n, :n], rates[0]), _gain(ports[:, n:, n:], rates[1])
+            parts = [K_l, K_m, np.linalg.pinv(K_l), np.linalg.pinv(K_m)]
+    except np.linalg.LinAlgError:  # gains beyond double precision, whose effort is not finite either
+        return np.full(4 * n * n, np.nan)
+    return np.concatenate([K.ravel() for K in parts])
 
 
 def ports_at_rest(rest: RestPoints, gains: CheckedGains) -> Array:
