@@ -18,6 +18,7 @@ from fjr_core.robust.delay import Waiting
 from fjr_core.robust.integral import Integral, gain_values
 from fjr_core.robust.options import LONGEST_DELAY
 from fjr_core.sampled_law import Static, bound_step
+from fjr_core.sampled_loop import spectral_radius
 from fjr_core.scenario import load_scenario
 from robust_loops import PERIOD, errors, heavier, pushed, radius, rms
 
@@ -80,21 +81,40 @@ def test_half_of_the_hold_counts() -> None:
 def test_the_loop_with_a_load_rests_on_the_reference_and_is_stable(name: str, robust: Robust) -> None:
     law = LAWS[name]
     q_ld = np.linspace(0.5, -0.4, law.robot.n)
-    error, largest = radius(sampled_law(law, robust), pushed(law.robot, 0.3), q_ld, 10.0)
+    error, largest = radius(sampled_law(law, robust), pushed(law.robot, 0.3), q_ld, 15.0)
     assert error < 1e-9
     assert largest < 1
 
 
+@pytest.mark.parametrize("stiffness", [310.0, 31.0, 3.1])
+def test_the_integral_takes_up_a_torque_at_its_rate_on_stiff_and_soft_joints(stiffness: float) -> None:
+    """The slowest mode of the sampled loop is the rate, to second order in it; a soft joint amplifies the port."""
+    law = fjr.TrackingLaw(fjr.single_link(stiffness=stiffness), fjr.PAPER_GAINS)
+    for side in ("integral_gain", "motor_integral_gain"):
+        slowest = spectral_radius(sampled_law(law, Robust(**{side: 0.1})), PERIOD, configurations=[[0.5]])[0]
+        assert -np.log(slowest) / PERIOD == pytest.approx(0.1, rel=0.02)
+
+
 @pytest.mark.parametrize("name", LAWS)
-def test_the_integral_takes_up_a_torque_at_its_rate_on_a_stiff_joint(name: str) -> None:
-    """K (Pi + (D + K_d) Lambda)^-1 Lambda = rate on the links: see robust.integral."""
+def test_gains_of_the_integral_are_symmetric_and_positive_definite(name: str) -> None:
     law, n = LAWS[name], LAWS[name].robot.n
-    g, rates = law.gains, np.full(n, 3.0)
-    K_l, K_m, K_l_inverse, _ = (K.reshape(n, n) for K in np.split(gain_values(law.robot, g, (rates, np.zeros(n))), 4))
-    compliance = np.linalg.inv(g.Pi_l + (law.robot.D_l + g.K_ld) @ g.Lambda_l)
-    np.testing.assert_allclose(K_l @ (g.Lambda_l @ compliance), 3.0 * np.eye(n), atol=1e-12)
+    values = gain_values(law.robot, law.gains, (np.full(n, 3.0), np.zeros(n)))
+    K_l, K_m, K_l_inverse, _ = (K.reshape(n, n) for K in np.split(values, 4))
+    np.testing.assert_allclose(K_l, K_l.T, rtol=1e-12)
+    assert np.linalg.eigvalsh(K_l).min() > 0
     np.testing.assert_allclose(K_l @ K_l_inverse, np.eye(n), atol=1e-12)
     assert not K_m.any()
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 5.0])
+def test_the_integral_is_stable_on_the_papers_softest_joint(rate: float) -> None:
+    law = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
+    integrating, robot, reference = sampled_law(law, Robust(integral_gain=rate)), law.robot, fjr.Hold([0.5])
+    assert spectral_radius(integrating, PERIOD, configurations=[[0.5]])[0] < 1
+    plain, better = (
+        rms(errors(law, r, reference, pushed(robot, 0.05), 4.0)[-500:]) for r in (None, integrating.robust)
+    )
+    assert plain > (1.5 if rate < 1 else 10) * better
 
 
 # --- the residual

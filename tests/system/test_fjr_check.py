@@ -5,13 +5,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 import fjr_core
+from fjr_bringup import scenarios
 from fjr_bringup.cli import main
 from fjr_bringup.exit_codes import Exit
+from fjr_bringup.stability import StartError, refuse_start_outside
+from fjr_core.linear_controller import Sensing
+from fjr_core.robust import Robust, sampled_law
 from fjr_core.sampled_loop import check
 from fjr_core.scenario import load_scenario
 from system.executables import fjr, scenario
@@ -160,3 +165,64 @@ def test_a_path_on_the_command_line_is_relative_to_where_it_runs(say: Say, tmp_p
 )
 def test_what_is_not_understood_is_one_sentence(say: Say, arguments: list[str], words: str) -> None:
     assert words in say(*arguments, code=2)
+
+
+def test_robust_action_observer_and_delay_are_in_the_loop(say: Say) -> None:
+    options = ("robust.integral_gain:=[5.0]", "measurement.velocity:=observer", "imperfections.state_delay:=0.001")
+    rows = figures(say("check", "paper_k31", *(part for text in options for part in ("--set", text))))
+    for part in ("integral action", "velocity observer of 150.0 rad/s", "delay of 1 ms"):
+        assert part in rows["in the loop"]
+    made = load_scenario(scenario("paper_k31"))
+    law = sampled_law(made.law, Robust(integral_gain=5.0))
+    found = check(law, 1e-3, 1e-3, sensing=Sensing(150.0))
+    assert rows["spectral radius"].startswith(f"{found.spectral_radius:.6f}")
+    assert found.spectral_radius > check(made.law, 1e-3).spectral_radius + 0.01
+
+
+def test_a_delay_that_the_scenario_sets_makes_it_unstable(say: Say) -> None:
+    said = say("check", "paper_k31", "--set", "imperfections.command_delay:=0.008", code=1)
+    assert figures(said)["as sampled"] == "UNSTABLE"
+
+
+def test_an_integral_that_is_too_fast_is_refused_with_the_largest_rate(say: Say) -> None:
+    said = say("check", "paper_k3p1", "--set", "robust.integral_gain:=[40.0]", code=2)
+    assert "integral_gain is [40] 1/s, which makes the loop unstable at a hold of 0.001 s; expected at most [2" in said
+
+
+def test_radii_with_model_errors_stand_next_to_the_nominal_one(say: Say) -> None:
+    rows = figures(say("check", "paper_k31", "--set", "publish_rate:=95.0", "--set", "inner_steps:=200"))
+    assert rows["as sampled"] == "stable"
+    state, _, worst = rows["with model errors"].partition("; the worst is ")
+    kind, _, radius = worst.rpartition(": ")
+    told = [each for name in ("stiffness", "link inertia", "motor inertia") for each in rows[name].split(", ")]
+    assert len(told) == 12
+    assert f"{radius} at {' '.join(kind.split()[-2:])}" in told
+    assert state == ("stable" if float(radius) < 1 else "UNSTABLE")
+    assert max(float(each.split()[0]) for each in told) == float(radius)
+
+
+@pytest.mark.parametrize(
+    ("limit", "words"),
+    [
+        ("limits.link_position_upper:=[0.4]", "joint1: q_l is 0.5 rad; expected -inf to 0.4 rad"),
+        ("limits.motor_position_lower:=[0.6]", "joint1: q_m is 0.5 rad; expected 0.6 to inf rad"),
+    ],
+)
+def test_a_start_outside_a_range_names_the_joint_with_exit_code_1(say: Say, limit: str, words: str) -> None:
+    said = say("check", "paper_k31", "--set", limit, code=1)
+    assert figures(said)["initial position"] == f"BEYOND {words}"
+    assert "starts outside a limit" in said
+
+
+def test_a_start_outside_the_robots_own_range_is_refused() -> None:
+    start = [0.35, 2.5, -0.05, -1.45, 0.15, 0.55, 0.15]
+    outside = {"initial_link_position": start, "initial_motor_position": start}
+    for free, changes in ((True, {}), (False, outside), (True, {**outside, "limits.from_robot": False})):
+        _, made = scenarios.as_run(scenarios.find("arm7"), {**changes, "limits.motor_position_upper": [9.0] * 7})
+        with nullcontext() if free else pytest.raises(StartError, match="joint2: q_l is 2.5 rad; expected -2 to 2 rad"):
+            refuse_start_outside(made)
+
+
+def test_gains_are_checked_with_the_scenarios_robust_action(say: Say) -> None:
+    said = say("gains", "paper_k31", "--beta", "5", "--set", "robust.residual_gain:=[5000.0]", code=1)
+    assert "the spectral radius with the scenario's robust action and observer is" in said

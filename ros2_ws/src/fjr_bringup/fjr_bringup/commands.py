@@ -112,6 +112,7 @@ def _check(options: argparse.Namespace) -> None:
         print(f"fjr: {warning}", file=sys.stderr)
     stability.refuse_coarse_steps(scenario)
     stability.refuse_unstable(scenario, found)
+    stability.refuse_start_outside(scenario)
 
 
 def _gains(options: argparse.Namespace) -> None:

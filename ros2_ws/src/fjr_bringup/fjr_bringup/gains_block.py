@@ -6,7 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fjr_core import config
-from fjr_core.sampled_loop import check
+from fjr_core.checks import Array
+from fjr_core.control_law import robust_action
+from fjr_core.errors import GainsError
+from fjr_core.robust import sampled_law
+from fjr_core.sampled_loop import SampledCheck, check
 from fjr_core.scenario import Scenario
 from fjr_core.synthesis import synthesize
 from fjr_core.vdpbc.law import TrackingLaw
@@ -25,7 +29,7 @@ def text(scenario: Scenario, beta: float, delay: float, everywhere: bool) -> str
     where = None if everywhere else scenario.configurations()
     gains = synthesize(robot, beta, period, delay * period, where)
     law = TrackingLaw(robot, gains)
-    found, rate = check(law, period, delay * period, where), law.rate(where)
+    found, rate = _checked(scenario, law, delay * period, where), law.rate(where)
     place = "everywhere" if everywhere else "along its reference"
     basis = "proven" if rate.proven else "sampled"
     lines = [
@@ -37,6 +41,18 @@ def text(scenario: Scenario, beta: float, delay: float, everywhere: bool) -> str
     for name, entries in config.gain_values(gains, robot.n).items():
         lines.append(_assignment(name.partition(".")[2], entries, robot.n))
     return "\n".join(lines) + "\n"
+
+
+def _checked(scenario: Scenario, law: TrackingLaw, delay: float, where: Array | None) -> SampledCheck:
+    """Check the gains with the scenario's robust action, observer and sensors; raise GainsError where unstable."""
+    robust = robust_action(scenario.controller_values, law)
+    found = check(sampled_law(law, robust), scenario.sample_period, delay, where, sensing=scenario.sensing)
+    if not found.stable:
+        raise GainsError(
+            f"the spectral radius with the scenario's robust action and observer is {found.spectral_radius:.4g}; "
+            "expected less than 1: try a lower rate, slower robust action or a faster observer"
+        )
+    return found
 
 
 def _assignment(name: str, entries: Sequence[float], n: int) -> str:

@@ -10,7 +10,10 @@ from fjr_core.checks import Array
 from fjr_core.control_law import tuning
 from fjr_core.errors import FjrError
 from fjr_core.laws import law_kind
+from fjr_core.model_errors import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_core.rest import plant_matrices, rest_points
+from fjr_core.robust import Robust
+from fjr_core.safety_parameters import Settings, safety
 from fjr_core.sampled_loop import HIGHEST_RATE, SampledCheck, check
 from fjr_core.scenario import Scenario
 from fjr_core.units import joined
@@ -24,13 +27,22 @@ class UnstableError(FjrError):
     """A scenario whose loop is unstable at its sample rate."""
 
 
+class StartError(FjrError):
+    """A scenario whose robot starts outside a limit of the controller."""
+
+
 def checked(scenario: Scenario) -> SampledCheck:
-    """The scenario's law on its plant, sampled at the plant's rate and answered at once, as in lock-step.
+    """Check everything that the nodes run in lock-step: robust action, observer, sensors and the scenario's own delay.
 
     Another law than v-dPBC, whose gains may be for one configuration, is looked at where the links will be.
     """
     where = None if isinstance(scenario.law, TrackingLaw) else scenario.configurations()
-    return check(scenario.law, scenario.sample_period, configurations=where, plant=scenario.plant)
+    return _checked_at(scenario, where)
+
+
+def _checked_at(scenario: Scenario, where: Array | None) -> SampledCheck:
+    law, period, delay = scenario.sampled_law, scenario.sample_period, scenario.loop_delay
+    return check(law, period, delay, where, scenario.plant, scenario.sensing)
 
 
 def refuse_coarse_steps(scenario: Scenario) -> None:
@@ -64,13 +76,16 @@ def table(scenario: Scenario, found: SampledCheck) -> str:
     lowest = "none" if found.lowest_stable_rate is None else f"{found.lowest_stable_rate:.4g} Hz"
     rows = {
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
+        **_in_the_loop(scenario),
         **_decay(scenario),
         "spectral radius": f"{found.spectral_radius:.6f}, the worst of {_count(found)}",
         "    found at q_l": f"{_list(found.configuration)} {_position_unit(scenario)}",
         "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
         "lowest stable rate": lowest,
         **_elsewhere(scenario),
+        **_model_errors(scenario, found),
         **_limits(scenario),
+        **_start(scenario),
         "as sampled": "stable" if found.stable else "UNSTABLE",
     }
     width = max(len(name) for name in rows)
@@ -116,19 +131,92 @@ def _elsewhere(scenario: Scenario) -> dict[str, str]:
     """The same figures where the links will be, or where a law is not looked at first (see checked)."""
     if isinstance(scenario.law, TrackingLaw):
         return {"on the reference": _on_the_reference(scenario, scenario.law)}
-    found = check(scenario.law, scenario.sample_period, plant=scenario.plant)
+    found = _checked_at(scenario, None)
     return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {_count(found)}"}
 
 
 def _on_the_reference(scenario: Scenario, law: TrackingLaw) -> str:
     """The same figures where the links will be."""
     where = scenario.configurations()
-    found = check(law, scenario.sample_period, configurations=where, plant=scenario.plant)
+    found = _checked_at(scenario, where)
     return (
         f"beta {law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it), "
         f"spectral radius {found.spectral_radius:.6f}, "
         f"delay margin {found.delay_margin:.2f} samples"
     )
+
+
+def _in_the_loop(scenario: Scenario) -> dict[str, str]:
+    """What is judged besides plant, law and hold; no row where there is nothing."""
+    robust, sensing, delay = getattr(scenario.sampled_law, "robust", Robust()), scenario.sensing, scenario.loop_delay
+    parts = {
+        "momentum residual": robust.estimates,
+        "integral action": robust.integrates,
+        f"prediction over {1e3 * robust.delay:g} ms": robust.predicts,
+        f"velocity observer of {sensing.bandwidth} rad/s": sensing.bandwidth is not None,
+        "joint torque sensors": sensing.by_torque,
+        f"delay of {1e3 * delay:g} ms (imperfections.state_delay + command_delay)": delay > 0,
+    }
+    named = [name for name, there in parts.items() if there]
+    return {"in the loop": ", ".join(named)} if named else {}
+
+
+def _model_errors(scenario: Scenario, found: SampledCheck) -> dict[str, str]:
+    """Spectral radii where stiffness or inertia of the plant are off, a row for each, and the worst of all."""
+    law, plant, sensing = scenario.sampled_law, scenario.plant, scenario.sensing
+    radii = radii_with_model_errors(law, found.sample_period, found.delay, found.closely, plant, sensing)
+    rows = {
+        f"    {quantity}": ", ".join(f"{radii[quantity, factor]:.6f} at {_percent(factor)}" for factor in FACTORS)
+        for quantity in QUANTITIES
+    }
+    (quantity, factor), worst = max(radii.items(), key=lambda item: item[1])
+    state = "stable" if worst < 1 else "UNSTABLE"
+    return {"with model errors": f"{state}; the worst is {quantity} {_percent(factor)}: {worst:.6f}", **rows}
+
+
+def _percent(factor: float) -> str:
+    return f"{100 * (factor - 1):+.0f} %"
+
+
+def refuse_start_outside(scenario: Scenario) -> None:
+    """Raise StartError in one sentence where the plant starts outside a range that the controller stops at."""
+    found = _outside(scenario)
+    if found:
+        raise StartError(
+            f"scenario {scenario.name} starts outside a limit, where the controller stops: {'; '.join(found)}"
+        )
+
+
+def _start(scenario: Scenario) -> dict[str, str]:
+    """The initial position against the ranges that hold; no row where there are none."""
+    settings = safety(scenario.controller_values, scenario.robot)
+    if not any(np.isfinite(limit).any() for pair in _ranges(settings).values() for limit in pair):
+        return {}
+    found = _outside(scenario)
+    return {"initial position": f"BEYOND {'; '.join(found)}" if found else "within the ranges of the joints"}
+
+
+def _ranges(settings: Settings) -> dict[str, tuple[Array, Array]]:
+    """Lower and upper limit (n,) [rad] of what a start has, by its symbol."""
+    deflection = np.asarray(settings.deflection)
+    return {
+        "q_l": (np.asarray(settings.link_position_lower), np.asarray(settings.link_position_upper)),
+        "q_m": (np.asarray(settings.motor_position_lower), np.asarray(settings.motor_position_upper)),
+        "q_m - q_l": (-deflection, deflection),
+    }
+
+
+def _outside(scenario: Scenario) -> list[str]:
+    """What of the initial position is outside, joint by joint."""
+    q_l, q_m = np.split(scenario.x0[: 2 * scenario.robot.n], 2)
+    values = {"q_l": q_l, "q_m": q_m, "q_m - q_l": q_m - q_l}
+    ranges = _ranges(safety(scenario.controller_values, scenario.robot))
+    return [
+        f"{joint}: {symbol} is {value:.4g} rad; expected {low:.4g} to {high:.4g} rad"
+        for symbol, limits in ranges.items()
+        for joint, value, low, high in zip(scenario.joints, values[symbol], *limits, strict=True)
+        if not low <= value <= high
+    ]
 
 
 def _count(found: SampledCheck) -> str:

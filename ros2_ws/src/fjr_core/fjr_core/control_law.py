@@ -10,6 +10,7 @@ import numpy as np
 
 from . import config
 from .errors import GainsError, ParameterError
+from .integral_bound import refuse_fast_integral
 from .law_slope import rest_position
 from .laws import law_kind
 from .parameters import Value, Values, vector
@@ -33,10 +34,14 @@ def control_law(values: Values, robot: Robot) -> StaticLaw:
 
 
 def robust_action(values: Values, law: StaticLaw) -> Robust:
-    """The robust action of the values, for this law of theirs; raises ParameterError, also where it takes none."""
+    """Return the robust action of the values, for their law.
+
+    Raises ParameterError, also where the law takes none or where integral action is too fast for robust.hold.
+    """
     robust = config.robust(values, law.robot.n)
     try:
         sampled_law(law, robust)
+        refuse_fast_integral(law, robust)
     except GainsError as error:
         raise ParameterError(f"parameters 'robust.*' with 'law.type' {values['law.type']!r}: {error}") from None
     return robust

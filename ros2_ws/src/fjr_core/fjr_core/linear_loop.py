@@ -14,9 +14,11 @@ from .checks import Array
 from .configurations import checked_configurations
 from .errors import StateError
 from .gains import CheckedGains
+from .linear_controller import At, Controller, Sensing, controller, plant_in_velocities, static
 from .plant import Plant
 from .reference import JETS
 from .rest import Indices, RestPoints, error_matrices, feedback, metric_roots, plant_matrices, rest_points
+from .sampled_law import MeasuredLaw, SampledLaw, Static
 from .static_law import StaticLaw
 from .symbolic import directional
 from .vdpbc.law import TrackingLaw
@@ -28,16 +30,18 @@ SERIES = 16  # terms: 0.5^16 / 16! = 7e-19
 
 @dataclass(frozen=True, eq=False)
 class SampledLoop:
-    """Plant and law linearised at k rest configurations: dz = A z + B u, u = F z, before any sampling.
+    """Plant and controller linearised at k rest configurations: dz = A z + B u before any sampling.
 
-    z = P^(1/2) (q_tilde_l, q_tilde_m, sigma_l, sigma_m), so that V = |z|^2 / 2. configurations (k, n) [rad],
-    A (k, 4n, 4n), B (k, 4n, n), F (k, n, 4n).
+    configurations (k, n) [rad], A (k, 4n, 4n), B (k, 4n, n). F (k, n, 4n): the law u = F z of a static loop, in which
+    z = P^(1/2) (q_tilde_l, q_tilde_m, sigma_l, sigma_m), so that V = |z|^2 / 2. with_state: the controller at a sample
+    period [s] where it has a state, z then being positions and velocities; F is not read.
     """
 
     configurations: Array
     A: Array
     B: Array
     F: Array
+    with_state: At | None = None
 
     def critical(self, sample_period: float, delay: float, most: int) -> Indices:
         """Indices: 0, and those of the `most` largest radii at the delay [s] and one sample more."""
@@ -50,12 +54,27 @@ class SampledLoop:
 
         A command computed from z(t_j) is held from t_j + delay to t_j+1 + delay. Exact for the linear loop.
         """
+        loop = self.one_sample_map(sample_period, delay)
+        radii = np.full(len(loop), np.inf)
+        finite = np.flatnonzero(np.isfinite(loop).all(axis=(1, 2)))
+        radii[finite] = np.abs(np.linalg.eigvals(loop[finite])).max(axis=1)
+        return radii
+
+    def one_sample_map(self, sample_period: float, delay: float = 0.0) -> Array:
+        """The map (k, N, N) from one sample to the next of (z, controller state, efforts on their way)."""
         T, (whole, late) = sample_period, _split(delay, sample_period)
+        law = static(self.F) if self.with_state is None else self.with_state(T)
         Phi, Gamma = self._held((1 - late) * T)
         if not late:
-            return _radii(Phi, {whole: Gamma}, self.F)
+            return _joined(Phi, {whole: Gamma}, law)
         Phi_late, Gamma_late = self._held(late * T)
-        return _radii(Phi @ Phi_late, {whole: Gamma, whole + 1: Phi @ Gamma_late}, self.F)
+        return _joined(Phi @ Phi_late, {whole: Gamma, whole + 1: Phi @ Gamma_late}, law)
+
+    def at(self, indices: Indices) -> SampledLoop:
+        """Return the loop at some of its configurations."""
+        whole = self.with_state
+        part = None if whole is None else lambda T: whole(T).at(indices)
+        return SampledLoop(self.configurations[indices], self.A[indices], self.B[indices], self.F[indices], part)
 
     def _held(self, T: float) -> tuple[Array, Array]:
         """Phi (k, 4n, 4n) and Gamma (k, 4n, n): z(t + T) = Phi z(t) + Gamma u with u held."""
@@ -81,26 +100,63 @@ def _integrated_exponential(A: Array, T: float) -> Array:
     return Psi
 
 
-def linearize(law: StaticLaw, configurations: ArrayLike | None = None, plant: Plant | None = None) -> SampledLoop:
+def linearize(
+    law: StaticLaw | SampledLaw,
+    configurations: ArrayLike | None = None,
+    plant: Plant | None = None,
+    sensing: Sensing | None = None,
+) -> SampledLoop:
     """The law on its own robot (or on another plant) about rest at configurations (k, n) [rad].
 
     The plant rests with its links at the configuration and the reference is there too; for another plant this
     leaves out that it would settle beside the reference. z is in the law's momenta, which are made from the
     plant's velocities; of another law than v-dPBC it is the state itself. Raises StateError for shapes that do not fit.
+    A law with a state, or with sensing (an observer, torque sensors), is linearised where its own robot rests; z is
+    then (q_l, q_m, dq_l, dq_m).
     """
+    law, sensing = as_static(law), sensing or Sensing()
     plant = plant or Plant(law.robot)
     if plant.robot.n != law.robot.n:
         raise StateError(f"plant and law have {plant.robot.n} and {law.robot.n} joints; expected equal")
     q_l = looked_at(law, configurations)
     own, real = rest_points(law.robot, q_l), rest_points(plant.robot, q_l)
+    if not isinstance(law, StaticLaw) or not sensing.plain:
+        return loop_as_run(law, own, real, sensing)
     A, B, F = _jacobians(law, plant, real)
     A, B = in_momenta_of(own, real, A, B)
     return in_error_coordinates(own, law.gains, A, B, F) if isinstance(law, TrackingLaw) else SampledLoop(q_l, A, B, F)
 
 
-def looked_at(law: StaticLaw, configurations: ArrayLike | None) -> Array:
+def loop_as_run(law: StaticLaw | SampledLaw, own: RestPoints, real: RestPoints, sensing: Sensing) -> SampledLoop:
+    """The law with its state and sensing, linearised where its own robot rests, on the plant of other rest points."""
+    return on_plant(controller(as_sampled(law), own, sensing), own, real, sensing)
+
+
+def on_plant(at: At, own: RestPoints, real: RestPoints, sensing: Sensing) -> SampledLoop:
+    """A linearised controller on the plant of other rest points; z is (q_l, q_m, dq_l, dq_m)."""
+    A, B = plant_in_velocities(real)
+    seen = sensing.measured(own.robot, real.robot.K)
+    return SampledLoop(own.q_l, A, B, np.swapaxes(B, 1, 2), at if seen is None else lambda T: at(T).seeing(seen))
+
+
+def as_static(law: StaticLaw | SampledLaw) -> StaticLaw | SampledLaw:
+    """The law itself where a sampled law has no state."""
+    return law.law if isinstance(law, Static) and isinstance(law.law, StaticLaw) else law
+
+
+def as_sampled(law: StaticLaw | SampledLaw) -> SampledLaw:
+    """The law as one with a state."""
+    return Static(law) if isinstance(law, StaticLaw) else law
+
+
+def without_state(law: StaticLaw | SampledLaw) -> MeasuredLaw | SampledLaw:
+    """The law below robust action."""
+    return getattr(law, "law", law)
+
+
+def looked_at(law: StaticLaw | SampledLaw, configurations: ArrayLike | None) -> Array:
     """The configurations as given, or those of loops; of a law without a closed form the first few sampled ones."""
-    few = None if isinstance(law, TrackingLaw) else OTHER_LAWS
+    few = None if isinstance(without_state(law), TrackingLaw) else OTHER_LAWS
     return checked_configurations(law.robot, configurations, few)
 
 
@@ -168,24 +224,26 @@ def _law_slope(law: StaticLaw) -> ca.Function:
     return ca.Function("law_slope", [x, q_ld, d_x], [ca.densify(slope)], {"cse": True})
 
 
-def _radii(Phi: Array, inputs: dict[int, Array], F: Array) -> Array:
-    """Spectral radii (k,) of z+ = Phi z + sum of inputs[i] F z(i samples ago), past efforts being states too."""
-    k, n, N = F.shape
-    past = max(inputs)
-    loop = np.zeros((k, N + n * past, N + n * past))
-    loop[:, :N, :N] = Phi
+def _joined(Phi: Array, inputs: dict[int, Array], law: Controller) -> Array:
+    """The map of (z, c, efforts of earlier samples): z+ = Phi z + sum of inputs[i] u(i samples ago), u by the law."""
+    (k, n, N), m = law.F.shape, law.states
+    past = max(*inputs, int(law.reads_sent))
+    start = N + m  # of the efforts
+    u = np.zeros((k, n, start + n * past))
+    u[:, :, :N], u[:, :, N:start] = law.F, law.C
+    loop = np.zeros((k, start + n * past, start + n * past))
+    loop[:, :N, :N], loop[:, N:start, :N], loop[:, N:start, N:start] = Phi, law.G, law.H
+    if past:
+        last = slice(start, start + n)
+        u[:, :, last], loop[:, N:start, last] = law.S, law.J
+        loop[:, last] = u
+        loop[:, start + n :, start:-n] = np.eye(n * (past - 1))
     for i, Gamma in inputs.items():
         if i == 0:
-            loop[:, :N, :N] += Gamma @ F
+            loop[:, :N] += Gamma @ u
         else:
-            loop[:, :N, N + n * (i - 1) : N + n * i] = Gamma
-    if past:
-        loop[:, N : N + n, :N] = F
-        loop[:, N + n :, N:-n] = np.eye(n * (past - 1))
-    radii = np.full(k, np.inf)
-    finite = np.flatnonzero(np.isfinite(loop).all(axis=(1, 2)))
-    radii[finite] = np.abs(np.linalg.eigvals(loop[finite])).max(axis=1)
-    return radii
+            loop[:, :N, start + n * (i - 1) : start + n * i] += Gamma
+    return loop
 
 
 def _split(delay: float, T: float) -> tuple[int, float]:

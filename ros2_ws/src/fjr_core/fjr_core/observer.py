@@ -102,7 +102,7 @@ class VelocityObserver:
         x_hat (4n,) as `state`, y (2n,) the positions [rad] measured after dt [s], u (n,) [N m] held meanwhile,
         gain (2,): g and h / dt; zeros only predict.
         """
-        function = _observer_function(self.robot, _steps(self.robot))
+        function = _observer_function(self.robot, steps_of(self.robot))
         return compiled(function) if self._compile else function
 
     def reset(self) -> None:
@@ -188,8 +188,8 @@ def _coordinates(robot: Robot) -> tuple[ca.Function, ca.Function]:
     )
 
 
-def _steps(robot: Robot) -> int:
-    """Runge-Kutta steps in a call: the fastest mode at rest, elastic or damped, is followed well."""
+def steps_of(robot: Robot) -> int:
+    """Return the number of Runge-Kutta steps in one call, enough for the robot's fastest mode at rest."""
     rest = rest_points(robot, checked_configurations(robot, None, CONFIGURATIONS))
     fastest = float(np.abs(np.linalg.eigvals(plant_matrices(rest)[0])).max())
     return min(max(math.ceil(LONGEST_CALL * fastest / FINE), FEWEST_STEPS), MOST_STEPS)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop as it is run: u(x, x, t) sampled, held and delayed; linearised at rest, judged by its spectral radius.
+"""The loop as it is run, linearised at rest and judged by the spectral radius of its one-sample map.
+
+The map holds everything that runs: the plant under held efforts, the law with its controller state (momentum residual,
+integral, prediction), the velocity observer, the sensors, hold and delay.
 
 The proof of the law is in continuous time. A hold and a delay are what it does not cover, and what this does:
 locally, about rest at sampled configurations. The speed of motion is left out: it adds Coriolis terms of the size
@@ -16,9 +19,11 @@ from numpy.typing import ArrayLike
 
 from .checks import Array
 from .errors import StateError
-from .linear_loop import SampledLoop, closed_form, linearize, looked_at
+from .linear_controller import Sensing
+from .linear_loop import SampledLoop, as_static, closed_form, linearize, looked_at, without_state
 from .plant import Plant
 from .rest import Indices
+from .sampled_law import SampledLaw
 from .static_law import StaticLaw
 from .vdpbc.law import TrackingLaw
 
@@ -27,6 +32,9 @@ KEPT = 16  # configurations of the largest radius at each screened delay: there 
 LONGEST_DELAY = 20.0  # samples; no margin above is reported
 WITHIN = 0.02  # samples within the delay margin, and part above the lowest rate, where all are looked at again
 MOST_STATES = 64  # of plant and waiting efforts: the longest delay at which all are looked at
+WITH_STATE = 8  # configurations, about, at which a controller with a state is looked at: the worst of the static loop
+RATES_WITH_STATE = 3  # the first of these, at which its lowest stable rate is searched for
+MOST_LATE = 5.0  # samples of delay at which the worst are picked
 ROUNDS = 8  # of looks at all
 HIGHEST_RATE = 1e5  # Hz; no rate above is looked at
 LOWEST_RATE = 1.0  # Hz
@@ -42,7 +50,8 @@ class SampledCheck:
     from the given one on (from zero on when the given one is unstable; 0 when none is); at most LONGEST_DELAY.
     lowest_stable_rate [Hz]: the lowest rate down to which all rates are stable, from the given one on; when the
     given one is unstable, the rate above it from which on all are, up to HIGHEST_RATE; None: there is no such rate.
-    The delay [s] stays the same at other rates. configurations: how many were looked at.
+    The delay [s] and all parameters of the controller stay the same at other rates, robust.hold too. configurations:
+    how many were looked at; closely (c, n) [rad]: those on which the margins were searched for.
     """
 
     stable: bool
@@ -53,41 +62,64 @@ class SampledCheck:
     sample_period: float
     delay: float
     configurations: int
+    closely: Array
 
 
 def spectral_radius(
-    law: StaticLaw,
+    law: StaticLaw | SampledLaw,
     sample_period: float,
     delay: float = 0.0,
     configurations: ArrayLike | None = None,
     plant: Plant | None = None,
+    sensing: Sensing | None = None,
 ) -> Array:
     """Spectral radii (k,) of the sampled loop at configurations (k, n); below 1 is stable. See SampledLoop.radii."""
     checked_times(sample_period, delay)
-    return linearize(law, configurations, plant).radii(sample_period, delay)
+    return linearize(law, configurations, plant, sensing).radii(sample_period, delay)
 
 
 def check(
-    law: StaticLaw,
+    law: StaticLaw | SampledLaw,
     sample_period: float,
     delay: float = 0.0,
     configurations: ArrayLike | None = None,
     plant: Plant | None = None,
+    sensing: Sensing | None = None,
 ) -> SampledCheck:
     """Judge the law sampled every sample_period [s] with a loop delay [s]; see SampledCheck and this module.
 
-    configurations (k, n) [rad]: 1024 sampled ones when none are given (64 for another law than v-dPBC, which has no
-    closed form here). Of more than 48 the closed form picks the
-    worst, margins are searched for on these, and all are looked at again just within the margins (for delays that
-    make at most MOST_STATES states). plant: what the law really drives, when its robot differs.
+    law: a static law, or one with a state (robust.sampled_law). configurations (k, n) [rad]: 1024 sampled ones when
+    none are given (64 for another law than v-dPBC, which has no closed form here). Of more than 48 the closed form of
+    the static loop picks the worst, and margins are searched for on these. A static loop is then looked at everywhere
+    just within the margins (for delays that make at most MOST_STATES states). A loop with a controller state is judged
+    on about WITH_STATE of the worst only. plant: what the law really drives, when its robot differs. sensing: what
+    the law gets of the plant; None: its state.
     Raises StateError for times that are not positive (delay: negative) or shapes that do not fit.
     """
     checked_times(sample_period, delay)
-    q_l, plant = looked_at(law, configurations), plant or Plant(law.robot)
-    if not isinstance(law, TrackingLaw) or len(q_l) <= FEW or plant.robot.n != law.robot.n:
-        return _judged(linearize(law, q_l, plant), sample_period, delay)
-    everywhere = closed_form(law, q_l, plant)
-    few = everywhere.critical(sample_period, delay, KEPT)
+    law, sensing = as_static(law), sensing or Sensing()
+    q_l, plant, below = looked_at(law, configurations), plant or Plant(law.robot), without_state(law)
+    with_state = not isinstance(law, StaticLaw) or not sensing.plain
+    most = WITH_STATE if with_state else FEW
+    if len(q_l) <= most or plant.robot.n != law.robot.n:
+        return _judged(linearize(law, q_l, plant, sensing), sample_period, delay)
+    if not isinstance(below, TrackingLaw):
+        few = _evenly(len(q_l), WITH_STATE) if with_state else np.arange(len(q_l))
+        return replace(_judged(linearize(law, q_l[few], plant, sensing), sample_period, delay), configurations=len(few))
+    everywhere = closed_form(below, q_l, plant)
+    static = _of_many(below, everywhere, plant, sample_period, delay)
+    if not with_state:
+        return static
+    few = _worst_of(everywhere, static)
+    found = _judged(linearize(law, q_l[few], plant, sensing), sample_period, delay)
+    return replace(found, configurations=len(few))
+
+
+def _of_many(
+    law: TrackingLaw, everywhere: SampledLoop, plant: Plant, sample_period: float, delay: float
+) -> SampledCheck:
+    """Judge a static loop on the worst configurations of its closed form, and on those that they miss."""
+    q_l, few = everywhere.configurations, everywhere.critical(sample_period, delay, KEPT)
     for _ in range(ROUNDS):
         found = _judged(linearize(law, q_l[few], plant), sample_period, delay)
         missed = np.setdiff1d(_unstable(everywhere, found), few)
@@ -97,8 +129,24 @@ def check(
     return replace(found, configurations=len(q_l))
 
 
+def _worst_of(everywhere: SampledLoop, found: SampledCheck) -> Indices:
+    """Indices of the worst configurations of a static loop as given and at its margins, the worst of each first."""
+    T, delay = found.sample_period, found.delay
+    late = min(max(found.delay_margin, delay / T + 0.5), MOST_LATE)
+    slowest = 1 / (found.lowest_stable_rate or 1 / T)
+    orders = [np.argsort(-everywhere.radii(*times)) for times in ((T, delay), (slowest, delay), (T, late * T))]
+    ranked = np.stack(orders, axis=1)[: WITH_STATE // 2].ravel()
+    return ranked[np.sort(np.unique(ranked, return_index=True)[1])]
+
+
+def _evenly(k: int, most: int) -> Indices:
+    """Up to `most` of k indices, evenly, the first and the last among them."""
+    return np.unique(np.linspace(0, k - 1, min(k, most)).round().astype(np.intp))
+
+
 def _judged(loop: SampledLoop, sample_period: float, delay: float) -> SampledCheck:
     radii = loop.radii(sample_period, delay)
+    at_rates = loop if loop.with_state is None else loop.at(np.arange(len(radii))[:RATES_WITH_STATE])
     worst = int(np.argmax(radii))
     stable = bool(radii[worst] < 1)
     return SampledCheck(
@@ -106,10 +154,11 @@ def _judged(loop: SampledLoop, sample_period: float, delay: float) -> SampledChe
         spectral_radius=float(radii[worst]),
         configuration=loop.configurations[worst],
         delay_margin=_delay_margin(loop, sample_period, delay, stable),
-        lowest_stable_rate=_lowest_stable_rate(loop, 1 / sample_period, delay, stable),
+        lowest_stable_rate=_lowest_stable_rate(at_rates, 1 / sample_period, delay, stable),
         sample_period=sample_period,
         delay=delay,
         configurations=len(loop.configurations),
+        closely=loop.configurations,
     )
 
 

@@ -18,6 +18,9 @@ from .checks import Array
 from .control_law import control_law, robust_action
 from .errors import ParameterError
 from .gains import Gains
+from .imperfection_parameters import channel_errors
+from .linear_controller import Sensing
+from .measurement import OBSERVER, TORQUE
 from .plant import Plant
 from .prediction import Prediction
 from .reference import Reference
@@ -56,6 +59,19 @@ class Scenario:
         """Whether the plant is the very robot that the controller believes in: what is proven is proven for that."""
         names = {name for name in (*self.plant_values, *self.controller_values) if name.startswith("robot.")}
         return all(self.plant_values.get(name) == self.controller_values.get(name) for name in names - {"robot.file"})
+
+    @property
+    def loop_delay(self) -> float:
+        """Known delay of the loop [s]: that of the simulated plant's states and commands, without their jitter."""
+        return sum(channel.delay for channel in channel_errors(self.plant_values))
+
+    @property
+    def sensing(self) -> Sensing:
+        """What the controller's law gets of the plant: measurement.*."""
+        values = self.controller_values
+        observed = values["measurement.velocity"] == OBSERVER
+        bandwidth = float(values["measurement.observer_bandwidth"]) if observed else None  # type: ignore[arg-type]
+        return Sensing(bandwidth, by_torque=values["measurement.motor"] == TORQUE)
 
     @cached_property
     def robot(self) -> Robot:

@@ -12,8 +12,11 @@ import numpy as np
 from ..checks import Array
 from ..robust import Robust, sampled_law
 from ..sampled_law import SampledLaw
+from ..sampled_loop import spectral_radius
 from ..scenario import Scenario
 from ..tuning import Yardstick, tune
+
+FEW = 4  # points of the reference at which a loop is checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,14 @@ def column(name: str, robust: Mapping[str, float], scenario: Scenario) -> Column
     found = tune(name, Yardstick(robot, scenario.reference, scenario.gains, start))
     law = sampled_law(found.law, Robust(**robust, hold=scenario.sample_period))
     gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}  # type: ignore[attr-defined]
-    return Column(law, found.effort_limit, gains, found.sentence)
+    return Column(law, found.effort_limit, gains, found.sentence + _unstable(law, scenario))
+
+
+def _unstable(law: SampledLaw, scenario: Scenario) -> str:
+    """Return what the check says of the loop along the reference where it is unstable as sampled, else nothing."""
+    where, period = scenario.configurations(FEW), scenario.sample_period
+    radius = spectral_radius(law, period, scenario.loop_delay, where, scenario.plant).max()
+    return "" if radius < 1 else f"; unstable as sampled: spectral radius {radius:.4g}"
 
 
 def _plain(value: Any, *names: str) -> dict[str, Any]:

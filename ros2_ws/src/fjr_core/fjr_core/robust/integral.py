@@ -1,21 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """The integral's part of a sample: its gains, and its state moved on by the rate of the last sample.
 
-The integral on the links moves by K port_l (vdpbc.integral), the one on the motors by K port_m. With
-K = rate (Pi Lambda^-1 + D + K_d), made symmetric, it takes up a constant torque at that rate in every direction:
-at rest the errors under a torque theta are qt = (Pi + (D + K_d) Lambda)^-1 theta, and the port is Lambda qt.
+The integral on the links moves by K port_l (vdpbc.integral), the one on the motors by K port_m. A constant torque d
+makes the port G d where the loop settles (ports_at_rest). With K = rate G^-1 the integral takes up the torque at that
+rate. On a soft joint G is large, because the motor stage amplifies the port by K^-1; any larger K drives a mode of the
+loop whose frequency grows with K^2 and which is hardly damped. K is constant, as the extended storage needs, so G is
+the mean over sampled configurations.
 """
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
 from ..checks import Array
+from ..configurations import sample_configurations
 from ..gains import CheckedGains
+from ..rest import RestPoints, error_dynamics, error_matrices, metric_roots, rest_points
 from ..robot import Robot
 
 Terms = dict[str, ca.MX]
+CONFIGURATIONS = 64  # sampled: where the ports at rest are looked at
 SAME = 1e-9  # N m: what was sent is what was wanted
 
 
@@ -56,13 +63,35 @@ class Integral:
 
 
 def gain_values(robot: Robot, gains: CheckedGains, rates: tuple[Array, Array]) -> Array:
-    """The numbers of Integral.gain_sizes for rates (n,) [1/s] of links and motors."""
-    K_l = _gain(gains.Pi_l, gains.Lambda_l, robot.D_l + gains.K_ld, rates[0])
-    K_m = _gain(gains.Pi_m, gains.Lambda_m, robot.D_m + gains.K_md, rates[1])
-    return np.concatenate([K.ravel() for K in (K_l, K_m, np.linalg.pinv(K_l), np.linalg.pinv(K_m))])
+    """Return the numbers of Integral.gain_sizes for rates (n,) [1/s] of links and motors; nan where there are none."""
+    n = robot.n
+    try:
+        with np.errstate(all="ignore"):
+            ports = ports_at_rest(_looked_at(robot), gains)
+            K_l, K_m = _gain(ports[:, :n, :n], rates[0]), _gain(ports[:, n:, n:], rates[1])
+            parts = [K_l, K_m, np.linalg.pinv(K_l), np.linalg.pinv(K_m)]
+    except np.linalg.LinAlgError:  # gains beyond double precision, whose effort is not finite either
+        return np.full(4 * n * n, np.nan)
+    return np.concatenate([K.ravel() for K in parts])
 
 
-def _gain(Pi: Array, Lambda: Array, damping: Array, rate: Array) -> Array:
-    stiff = Pi @ np.linalg.inv(Lambda)
-    root = np.sqrt(rate)
-    return np.asarray(root[:, None] * ((stiff + stiff.T) / 2 + damping) * root)
+def ports_at_rest(rest: RestPoints, gains: CheckedGains) -> Array:
+    """The ports (k, 2n, 2n) [rad/s per N m] that a constant torque on links and motors makes where the loop settles.
+
+    Torques d enter the errors as de = A e + E d, E = de/d(p_l, p_m), so e = -A^-1 E d there. The port is E' P e, P the
+    metric.
+    """
+    E, S = error_matrices(rest, gains)[:, :, 2 * rest.robot.n :], metric_roots(rest, gains)
+    settled = np.linalg.solve(error_dynamics(rest, gains), -E)
+    return np.asarray(np.swapaxes(S @ E, 1, 2) @ (S @ settled))
+
+
+@lru_cache(maxsize=8)
+def _looked_at(robot: Robot) -> RestPoints:
+    return rest_points(robot, sample_configurations(robot, CONFIGURATIONS))
+
+
+def _gain(ports: Array, rate: Array) -> Array:
+    """rate times the inverse of the mean port, made symmetric."""
+    mean, root = ports.mean(axis=0), np.sqrt(rate)
+    return np.asarray(root[:, None] * np.linalg.inv((mean + mean.T) / 2) * root)
