@@ -64,7 +64,7 @@ class Backstepping(Baseline):
         return np.asarray(self.robot.M_m * (self.arrays["c_1"] + self.arrays["c_2"]))
 
 
-def standard(robot: Robot, q_0: Array, omega: float, zeta: float) -> BacksteppingGains:
+def standard(robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan) -> BacksteppingGains:
     """Links with two poles at -omega [rad/s], of the inertia at q_0; motors with the rates zeta omega."""
     K_1 = omega * robot.M_l(q_0) - robot.D_l
     return BacksteppingGains(Lambda=omega, K_1=K_1, c_1=zeta * omega, c_2=zeta * omega)
