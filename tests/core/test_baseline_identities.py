@@ -13,11 +13,14 @@ from oracle import jacobian, stencil
 from plain_loop import PlainLoop, standard_law, standing
 from properties import residual
 from scipy.linalg import solve_continuous_lyapunov
+from scipy.optimize import root
 
 import fjr_core as fjr
-from fjr_core.baselines import feedback_linearisation, lqr
+from fjr_core.baselines import feedback_linearisation, lqr, torque_feedback
 from fjr_core.baselines import standing as tomei
 from fjr_core.baselines.backstepping import BacksteppingGains
+from fjr_core.baselines.torque_feedback import TorqueFeedbackGains
+from fjr_core.gains import relative_eigenvalues
 from fjr_core.laws import LAWS
 
 TOLERANCE = 1e-8
@@ -41,29 +44,38 @@ def djets(p: Point, still: bool) -> Array:
     return np.zeros_like(p.jets) if still else p.djets
 
 
-# motor PD with gravity, torque feedback: the storage of a standing reference
+# laws on the motor side: the storage of a standing reference
+
+ON_MOTORS = ["pd_gravity", "pd_feedforward", "torque_feedback", "torque_feedback_feedforward"]
 
 
-@pytest.mark.parametrize("name", ["pd_gravity", "torque_feedback"])
+def on_motors(loop: PlainLoop, gain: str) -> Array:
+    """K_p or K_theta ("K"), K_d or D_theta ("D")."""
+    arrays = loop.law.arrays  # type: ignore[attr-defined]
+    names = {"K": ("K_p", "K_theta"), "D": ("K_d", "D_theta")}[gain]
+    return np.asarray(next(arrays[name] for name in names if name in arrays))
+
+
+@pytest.mark.parametrize("name", ON_MOTORS)
 @arms
 @seeds
 def test_the_storage_of_a_standing_reference_falls_by_the_damping_alone(name: str, make, seed: int) -> None:
     """dV/dt = -dq' D_l dq - dtheta' (D_m + D) dtheta, whatever the state."""
     arm = make()
     loop, p = loop_of(name, arm), place(arm, seed)
-    D = loop.law.arrays["K_d" if name == "pd_gravity" else "D_theta"]  # type: ignore[attr-defined]
+    D = on_motors(loop, "D")
     jets = standing(p.jets[0])
     _, _, dq, dtheta = loop.parts(p.x)
     dV = loop.rate_of(loop.storage, p.x, jets, np.zeros_like(jets))
     assert residual(dV, -dq @ arm.D_l @ dq, -dtheta @ (arm.D_m + D) @ dtheta) < TOLERANCE
 
 
-@pytest.mark.parametrize("name", ["pd_gravity", "torque_feedback"])
+@pytest.mark.parametrize("name", ON_MOTORS)
 @pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
 def test_the_standing_reference_is_the_only_rest_and_is_reached(name: str, arm: Arm) -> None:
     """Where K_p outweighs gravity: V has one stationary point, and the arm comes to it from far off."""
     loop = loop_of(name, arm)
-    gain = loop.law.arrays["K_p" if name == "pd_gravity" else "K_theta"]  # type: ignore[attr-defined]
+    gain = on_motors(loop, "K")
     assert np.linalg.eigvalsh(tomei.storage_hessians(arm.robot, gain)).min() > 0
     q_d = np.full(arm.n, 0.7)
     x0 = loop.state(np.full(arm.n, -0.8), np.full(arm.n, -1.1), np.full(arm.n, 2.0), np.full(arm.n, -1.0))
@@ -73,21 +85,85 @@ def test_the_standing_reference_is_the_only_rest_and_is_reached(name: str, arm: 
     assert np.all(np.diff(run.V[::50]) <= 1e-9), "V never grows"
 
 
+def gravity_at_rest(arm: Arm, theta: Array) -> Array:
+    """Gravity (n,) [N m] where the links rest with the motors held at theta: K (theta - q) = grad P_l(q)."""
+    found = root(lambda q: arm.K @ (theta - q) - arm.links.grad_P(q), theta, tol=1e-14)
+    return np.asarray(arm.links.grad_P(found.x))
+
+
+@pytest.mark.parametrize("name", ON_MOTORS[2:])
 @arms
 @seeds
-def test_torque_feedback_makes_the_motors_appear_lighter(make, seed: int) -> None:
-    """M_theta ddtheta + D_m dtheta + tau = w, w as for motors of half the inertia."""
+def test_torque_feedback_makes_the_motors_appear_lighter(name: str, make, seed: int) -> None:
+    """M_theta ddtheta + D_m dtheta + tau = w, with gravity computed from the motor positions."""
     arm = make()
-    loop, p = loop_of("torque_feedback", arm), place(arm, seed)
+    loop, p = loop_of(name, arm), place(arm, seed)
     g = loop.law.arrays  # type: ignore[attr-defined]
-    np.testing.assert_allclose(g["M_theta"], arm.M_m / 2)
     q, theta, _, dtheta = loop.parts(p.x)
     q_d = p.jets[0]
     theta_d = q_d + np.linalg.solve(arm.K, arm.links.grad_P(q_d))
-    w = (arm.links.grad_P(q_d), -g["K_theta"] @ (theta - theta_d), -g["D_theta"] @ dtheta)
+    w = (gravity_at_rest(arm, theta), -g["K_theta"] @ (theta - theta_d), -g["D_theta"] @ dtheta)
     ddtheta = loop.ddtheta(p.x, loop.effort(p.x, standing(q_d)))
     left = g["M_theta"] @ ddtheta
     assert residual(left, *w, -arm.D_m @ dtheta, -arm.K @ (theta - q)) < TOLERANCE
+
+
+@arms
+@seeds
+def test_the_shaped_motors_are_passive(make, seed: int) -> None:
+    """dS/dt = dtheta' (g_bar - tau) - dtheta' (D_m + D_theta) dtheta, S the energy of shaped motors and K_theta."""
+    arm = make()
+    loop, p = loop_of("torque_feedback", arm), place(arm, seed)
+    g, jets = loop.law.arrays, standing(p.jets[0])  # type: ignore[attr-defined]
+    theta_d = jets[0] + np.linalg.solve(arm.K, arm.links.grad_P(jets[0]))
+
+    def S(x: Array, _jets: Array) -> float:
+        _, theta, _, dtheta = loop.parts(x)
+        return float(dtheta @ g["M_theta"] @ dtheta + (theta - theta_d) @ g["K_theta"] @ (theta - theta_d)) / 2
+
+    q, theta, _, dtheta = loop.parts(p.x)
+    supplied = dtheta @ (gravity_at_rest(arm, theta) - arm.K @ (theta - q))
+    lost = dtheta @ (arm.D_m + g["D_theta"]) @ dtheta
+    assert residual(loop.rate_of(S, p.x, jets, np.zeros_like(jets)), supplied, -lost) < TOLERANCE
+
+
+@arms
+@seeds
+def test_gravity_from_the_motors_leaves_one_rest_however_soft_the_controller(make, seed: int) -> None:
+    """Links at rest on motors held anywhere: the motors feel -K_theta (theta - theta_d) alone, 0.01 N m/rad here."""
+    arm = make()
+    kind, K_theta = LAWS["torque_feedback"], 0.01
+    gains = TorqueFeedbackGains(0.3 * arm.M_m, K_theta, 1.0)
+    loop = PlainLoop(arm, kind.make(arm.robot, gains))
+    p = place(arm, seed)
+    x, q_d = loop.rest(p.x[: arm.n]), p.jets[0]
+    _, theta, _, _ = loop.parts(x)
+    theta_d = q_d + np.linalg.solve(arm.K, arm.links.grad_P(q_d))
+    pulled = 0.3 * arm.M_m @ loop.ddtheta(x, loop.effort(x, standing(q_d)))
+    weight = np.abs(arm.links.grad_P(q_d)).max()
+    np.testing.assert_allclose(pulled, -K_theta * (theta - theta_d), atol=1e-11 * max(1.0, weight))
+    at_rest = loop.effort(loop.rest(q_d), standing(q_d))
+    np.testing.assert_allclose(arm.B_m @ at_rest, arm.links.grad_P(q_d), rtol=1e-11, atol=1e-12)
+
+
+def test_gravity_cannot_come_from_the_motors_where_it_outweighs_the_springs() -> None:
+    arm = next(arm for arm in ARMS if arm.name == "planar-3.1")
+    with pytest.raises(fjr.GainsError, match="stiffness does not outweigh gravity"):
+        LAWS["torque_feedback"].make(arm.robot, TorqueFeedbackGains(arm.M_m / 2, 60.0, 1.0))
+
+
+@pytest.mark.parametrize("sample_period", [1e-2, 1e-3, 1e-4])
+def test_the_apparent_inertia_is_as_small_as_sampling_allows(sample_period: float) -> None:
+    for arm in STIFF:
+        D = 3.0 * arm.links.M(np.zeros(arm.n))
+        M_theta = torque_feedback.shaped_inertia(arm.robot, D, sample_period)
+        parts = relative_eigenvalues(M_theta, arm.M_m)
+        assert parts.min() >= torque_feedback.LIGHTEST - 1e-9
+        assert parts.max() <= 1 + 1e-9
+        if parts.max() < 1 - 1e-9:
+            turn = np.sqrt(relative_eigenvalues(arm.K, M_theta)) * sample_period
+            assert turn.max() <= torque_feedback.QUICKEST + 1e-9
+            assert relative_eigenvalues(D, M_theta).max() * sample_period <= torque_feedback.MOST_DAMPED + 1e-9
 
 
 # feedback linearisation
@@ -110,6 +186,24 @@ def test_feedback_linearisation_leaves_a_linear_error_of_order_four(make, seed: 
     Q = feedback_linearisation.weight(g["A_0"])
     assert abs(loop.storage(p.x, p.jets) - z @ g["P"] @ z / 2) < 1e-6 * loop.storage(p.x, p.jets)
     assert residual(loop.rate_of(loop.storage, p.x, p.jets), -z @ Q @ z / 2) < 1e-5
+
+
+@arms
+def test_feedback_linearisation_has_two_time_scales(make) -> None:
+    """Two poles at omega for each joint, a pair at half of each elastic mode; bounded by omega and the sample rate."""
+    arm = make()
+    n, omega, q_0 = arm.n, 10.0, np.full(arm.n, 0.3)
+    inverse = np.linalg.inv(arm.links.M(q_0)) + np.linalg.inv(arm.M_m)
+    modes = np.sort(np.sqrt(np.linalg.eigvals(inverse @ arm.K).real))
+    for sample_period in (1e-6, 1e-3):
+        gains = feedback_linearisation.standard(arm.robot, q_0, omega, 1.0, sample_period)
+        arrays = gains.arrays(arm.robot)
+        poles = np.linalg.eigvals(feedback_linearisation.companion(*(arrays[f"A_{k}"] for k in range(4))))
+        size = np.sort(np.abs(poles))
+        fastest = feedback_linearisation.QUICKEST / sample_period
+        wanted = np.clip(np.repeat(modes / 2, 2), omega, fastest)
+        np.testing.assert_allclose(size, np.sort(np.r_[np.full(2 * n, omega), wanted]), rtol=1e-4)
+        assert poles.real.max() < -0.69 * omega
 
 
 # backstepping

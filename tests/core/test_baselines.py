@@ -21,6 +21,7 @@ from fjr_core.laws import LAWS, law_kind
 from fjr_core.sampled_law import Static
 
 STIFF = tuple(arm for arm in ARMS if arm.name != "planar-3.1")  # whose springs cannot hold the arm upright
+REGULATORS = ("pd_gravity", "torque_feedback")  # proven for standing references, without feedforward
 names = pytest.mark.parametrize("name", OTHERS)
 every_law = pytest.mark.parametrize("name", LAWS)
 arms = pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
@@ -35,13 +36,14 @@ def test_at_rest_on_a_standing_reference_the_effort_is_the_weight(name: str, arm
     weight = np.linalg.solve(arm.B_m, arm.links.grad_P(q))
     np.testing.assert_allclose(loop.effort(x, jets), weight, rtol=1e-11, atol=1e-13)
     V = loop.storage(x, jets)
-    assert abs(V) < 1e-25 if LAWS[name].storage else np.isnan(V)
+    rounding = 1e-14 if name.startswith("torque_feedback") else 1e-25  # J; there V is a difference of potentials
+    assert abs(V) < rounding if LAWS[name].storage else np.isnan(V)
 
 
-@pytest.mark.parametrize("name", [name for name in LAWS if name != "pd_gravity"])
+@pytest.mark.parametrize("name", [name for name in LAWS if name not in REGULATORS])
 @arms
 def test_on_a_moving_reference_the_effort_is_the_inverse_dynamics(name: str, arm: Arm) -> None:
-    """Six laws and v-dPBC agree wherever all errors are zero; the oracle differentiates closed forms."""
+    """All laws that track agree wherever all errors are zero; the oracle differentiates closed forms."""
     loop = PlainLoop(arm, standard_law(name, arm))
     for seed in range(3):
         jets = random_point(arm, seed).jets
@@ -116,13 +118,13 @@ def test_machine_code_gives_the_same_numbers(name: str) -> None:
 
 @names
 def test_tracks_the_papers_sine_under_a_hold(name: str) -> None:
-    """From half a radian off, at 1 kHz; motor PD is left with the error of what it does not know, below 0.1 rad."""
+    """From half a radian off, at 1 kHz; regulators are left with the error of what they do not know, below 0.1 rad."""
     arm = ARMS[0]
     law = standard_law(name, arm, 40.0, 0.8)
     x0 = arm.robot.state(0.5, 0.5, 0.0, 0.0)
     run = fjr.simulate(fjr.Plant(arm.robot), law, fjr.Sine(1.0, 1.0), x0, 5.0, 1e-3)
     late = np.abs(run.x[3000:, 0] - run.jets[3000:, 0, 0]).max()
-    assert late < (0.1 if name == "pd_gravity" else 1e-3)
+    assert late < (0.1 if name in REGULATORS else 1e-3)
 
 
 BAD_GAINS = [
@@ -136,7 +138,7 @@ BAD_GAINS = [
     (BacksteppingGains(Lambda=0.0, K_1=1.0, c_1=1.0, c_2=1.0), "positive number"),
     (BacksteppingGains(Lambda=1.0, K_1=-1.0, c_1=1.0, c_2=1.0), "K_1"),
     (TorqueFeedbackGains(M_theta=1.0, K_theta=20.0, D_theta=1.0), "at most 1"),
-    (TorqueFeedbackGains(M_theta=0.001, K_theta=0.1, D_theta=1.0), "outweigh gravity"),
+    (TorqueFeedbackGains(M_theta=0.001, K_theta=-0.1, D_theta=1.0), "K_theta"),
     (LqrGains(Q=np.diag([-1.0, 0, 0, 0]), R=1.0, configuration=0.0), "Q"),
     (LqrGains(Q=np.eye(4), R=0.0, configuration=0.0), "R"),
     (LqrGains(Q=np.eye(4), R=1.0, configuration=[0.0, 1.0]), "configuration"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr compare SUITE`: run what is not yet kept, write page and figures, say what was found."""
+"""`fjr compare SUITE`: run what is not yet kept, write page and figures, say how much was compared."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pathlib import Path
 
 from fjr_bringup import (
     compare_document,
-    compare_findings,
     compare_job,
     compare_page,
     compare_readme,
@@ -38,4 +37,4 @@ def compare(name: str, output: Path, cores: int | None, readme: Path | None, sto
     compare_page.write_page(folder / PAGE, document)
     if readme is not None:
         compare_readme.replace(readme, document)
-    return "\n".join([*map(str, compare_findings.findings(document)), f"page and figures: {folder / PAGE}, {FIGURES}"])
+    return f"{compare_document.extent(document)}\npage and figures: {folder / PAGE}, {FIGURES}"

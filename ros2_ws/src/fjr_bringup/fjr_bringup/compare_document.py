@@ -9,12 +9,14 @@ from typing import Any
 
 from fjr_bringup.compare_job import Job, Result
 from fjr_bringup.suite import Suite
+from fjr_bringup.words import plural
 from fjr_core.laws import LAWS
 
 SHORT = {
     "pd_gravity": "PD + gravity",
     "singular_perturbation": "singular perturbation",
 }
+VERSIONS = {"pd_feedforward": "pd_gravity", "torque_feedback_feedforward": "torque_feedback"}
 
 
 def document(suite: Suite, jobs: Sequence[Job], results: Sequence[Result]) -> dict[str, Any]:
@@ -34,6 +36,19 @@ def document(suite: Suite, jobs: Sequence[Job], results: Sequence[Result]) -> di
     }
 
 
+def extent(document: dict[str, Any]) -> str:
+    """Count laws, versions of them, robots and runs of a comparison, as a sentence."""
+    laws, robots = document["laws"], plural(len(document["robots"]), "robot")
+    kinds = plural(len({law_without_additions(law) for law in laws}), "control law")
+    runs = f"{plural(document['runs'], 'run')} of {document['suite']['duration']:g} s"
+    return f"{kinds} in {plural(len(laws), 'version')} on {robots}, {runs}."
+
+
+def law_without_additions(law: dict[str, Any]) -> str:
+    """Name of the paper's law that a column is, or is a version of."""
+    return VERSIONS.get(str(law["law"]), str(law["law"]))
+
+
 def _title(law: dict[str, Any]) -> str:
     """The column's heading: the label, where the suite gives one."""
     name = str(law["law"])
@@ -43,4 +58,4 @@ def _title(law: dict[str, Any]) -> str:
 def _known(name: str) -> dict[str, str]:
     """What there is to know of a law whatever it runs on."""
     kind = LAWS[name]
-    return {"full_title": kind.title, "paper": kind.paper, "measures": kind.measures}
+    return {"full_title": kind.title, "paper": kind.paper, "measures": kind.measures, "adds": kind.adds}

@@ -65,7 +65,7 @@ def work(job: Job, tell: Tell) -> Result:
     first = next(iter(scenarios.values()))
     wanted = {label: _needs(job, label, scenario) for label, scenario in scenarios.items()}
     try:
-        chosen = column(job.law.law, job.law.robust, first)
+        chosen = column(job.law.law, job.law.robust, first, job.law.retune)
     except FjrError as error:
         raise CompareError(f"{job.name}: {error}") from None
     cells: Result = {}

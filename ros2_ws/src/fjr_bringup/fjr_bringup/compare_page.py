@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a comparison: where ours loses first, then robot by robot margins, errors, efforts, small multiples."""
+"""The page of a comparison: robot by robot small multiples, margins, errors and efforts, then the laws."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fjr_bringup import page
-from fjr_bringup.compare_findings import Finding, count, findings, ours_of
+from fjr_bringup.compare_document import extent
 from fjr_bringup.compare_plots import comparison_plots, looks, place_of
 from fjr_bringup.compare_rows import Row, Value, rows
 from fjr_bringup.words import number, plural
@@ -33,30 +33,18 @@ def write_page(path: Path, document: dict[str, Any]) -> None:
 
 def _head(document: dict[str, Any]) -> list[str]:
     laws, robots, suite = document["laws"], document["robots"], document["suite"]
-    heading = (
-        f"{plural(len({law['law'] for law in laws}), 'law')} on {plural(len(robots), 'robot')}: {', '.join(robots)}"
-    )
-    best, of = count(document)
-    ours = laws[ours_of(document)]["title"]
     figures = [
-        (f"{best} of {of}", f"rows in which no other law is more than 5 % better than {ours}"),
+        (str(len(laws)), "versions of control laws"),
         (str(document["runs"]), f"independent runs of {suite['duration']:g} s"),
         (f"{100 * suite['tracks']:g} % of the motion", "RMS error up to which a stable run tracks"),
         ("one rule", "of tuning for all laws: docs/baselines.md"),
     ]
     return [
-        page.header(f"fjr compare {suite['name']}", heading, None, []),
+        page.header(f"fjr compare {suite['name']}", f"{extent(document)[:-1]}: {', '.join(robots)}", None, []),
         page.tiles(figures),
-        f'<h2 class="section">Where another law is better than {escape(ours)}</h2>',
-        f'<div class="notes">{"".join(map(_finding, findings(document)))}</div>',
+        f'<div class="notes"><p>{escape(NO_RANKING)}</p></div>',
         page.key([(colour, str(law["title"]), dash) for law, (colour, dash) in zip(laws, looks(laws), strict=True)]),
     ]
-
-
-def _finding(found: Finding) -> str:
-    """Where another law is better, law by law."""
-    lines = "".join(f"<li><b>{escape(law)}</b>: {escape(', '.join(what))}</li>" for law, what in found.better.items())
-    return f"<p><b>{escape(found.robot)}.</b> {escape(found.sentence)}</p><ul>{lines}</ul>"
 
 
 def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -> list[str]:
@@ -91,12 +79,18 @@ def _laws(document: dict[str, Any]) -> str:
     lines = [
         [
             escape(law["title"]),
-            *(escape(str(text)) for text in (law["paper"], law["measures"])),
+            *(escape(str(text)) for text in (law["paper"], law["adds"], law["measures"])),
             *_tunings(law, document),
         ]
         for law in document["laws"]
     ]
-    head = ["", "paper", "measures", *(f"tuned on {escape(robot)}" for robot in document["robots"])]
+    head = [
+        "",
+        "paper",
+        "added to the paper's law",
+        "measures",
+        *(f"tuned on {escape(robot)}" for robot in document["robots"]),
+    ]
     return page.table("The laws", head, lines, TUNED, "words")
 
 
@@ -114,6 +108,10 @@ def _margins_text(reference: str, document: dict[str, Any]) -> str:
     )
 
 
+NO_RANKING = (
+    "Rows are facts about one quantity each, not a ranking: the rule of tuning makes bandwidths equal, but not margins "
+    "or peak efforts everywhere, and v-dPBC with the scenario's gains is its yardstick."
+)
 TUNED = (
     "All tuned by one rule to equal bandwidth and peak effort (docs/baselines.md); every command is cut at the same "
     "limit. Gains are in comparison.json."

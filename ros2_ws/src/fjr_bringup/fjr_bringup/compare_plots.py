@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fjr_bringup.bag import Array
+from fjr_bringup.compare_document import law_without_additions
 from fjr_bringup.compare_rows import Row, rows
 from fjr_bringup.plots import Line, Plot
 
@@ -48,8 +49,8 @@ def place_of(number: int) -> str:
 
 
 def looks(laws: Sequence[dict[str, Any]]) -> list[tuple[str, tuple[int, ...]]]:
-    """Colour and dashes of each column: a colour for each law, dashes where it is there again with options."""
-    names = [law["law"] for law in laws]
+    """Colour and dashes of each column: a colour for each law, dashes where it is there again in another version."""
+    names = [law_without_additions(law) for law in laws]
     order = list(dict.fromkeys(names))
     before = [names[:i].count(name) for i, name in enumerate(names)]
     return [

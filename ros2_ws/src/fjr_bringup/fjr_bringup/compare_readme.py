@@ -6,8 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from fjr_bringup.compare_findings import findings
-from fjr_bringup.compare_rows import Row, Value, rows
+from fjr_bringup.compare_document import extent
+from fjr_bringup.compare_rows import Row, rows
 from fjr_bringup.suite import NOMINAL
 from fjr_bringup.words import DASH
 from fjr_core.errors import CompareError
@@ -40,7 +40,7 @@ def _parts(path: Path) -> tuple[str, str]:
 
 
 def markdown(document: dict[str, Any]) -> str:
-    """One table: a line for each quantity of each robot, a column for each law, the best in bold."""
+    """How much is compared, then one table: a line for each quantity of each robot, a column for each law."""
     names = [str(law["title"]) for law in document["laws"]]
     lines = [_line(["", *names]), _line(["---"] * (len(names) + 1))]
     for robot, told in document["robots"].items():
@@ -48,9 +48,8 @@ def markdown(document: dict[str, Any]) -> str:
         lines.append(_line([f"**{robot}**", *[""] * len(names)]))
         lines += [_row(row) for row in rows(document) if row.robot == robot and _is_shown(row, first)]
     command = f"`fjr compare {document['suite']['name']}`"
-    said = f"*{command}. Bold: best, or within 5 % of it; {DASH}: does not even track the nominal robot.*"
-    unbeaten = [f"- {finding.robot}: {finding.sentence}" for finding in findings(document)]
-    return "\n".join([*lines, "", said, "", *unbeaten, ""])
+    said = f"*{command}. {DASH}: does not track the nominal robot.*"
+    return "\n".join([extent(document), "", *lines, "", said, ""])
 
 
 def _is_shown(row: Row, reference: str) -> bool:
@@ -61,11 +60,7 @@ def _is_shown(row: Row, reference: str) -> bool:
 
 def _row(row: Row) -> str:
     what = "RMS error [mrad]" if row.group.startswith("errors") else row.what
-    return _line([what, *(_cell(v, best) for v, best in zip(row.values, row.best, strict=True))])
-
-
-def _cell(value: Value, best: bool) -> str:
-    return f"**{value.words}**" if best else value.words
+    return _line([what, *(value.words for value in row.values)])
 
 
 def _line(cells: list[str]) -> str:

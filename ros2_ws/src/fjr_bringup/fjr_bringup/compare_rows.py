@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A comparison as rows: one quantity each, a value of every law, which is best, and by how much another beats ours."""
+"""A comparison as rows: one quantity each, the value of every law, and which values are best in the row."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from fjr_bringup.suite import NOMINAL
 from fjr_bringup.words import DASH, number, percent
 from fjr_core.compare.axes import AXES, Direction, directions
 
-OURS = "v_dpbc"
 TIE = 0.05  # what differs by less is as good
 Words = Callable[[float], str]
 
@@ -42,20 +41,6 @@ class Row:
         costs = self._costs()
         least = min(costs)
         return tuple(cost < math.inf and cost <= least * (1 + TIE) for cost in costs)
-
-    def counts(self, column: int) -> bool:
-        """Whether a law has a value that can be best."""
-        return self._costs()[column] < math.inf
-
-    def behind(self, ours: int, others: Sequence[int]) -> tuple[int, float] | None:
-        """Which of the others is best and how many times better than ours (inf: ours has no value); None: none is."""
-        costs = self._costs()
-        if not others:
-            return None
-        best = min(others, key=lambda i: costs[i])
-        if not costs[best] < math.inf or costs[ours] <= costs[best] * (1 + TIE):
-            return None
-        return best, costs[ours] / costs[best] if costs[best] > 0 else math.inf
 
     def _costs(self) -> list[float]:
         """Of each law a positive number, less is better; infinite for what does not count."""

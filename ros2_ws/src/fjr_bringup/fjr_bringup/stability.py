@@ -197,7 +197,7 @@ def _start(scenario: Scenario) -> dict[str, str]:
 
 
 def _ranges(settings: Settings) -> dict[str, tuple[Array, Array]]:
-    """Lower and upper limit (n,) [rad] of what a start has, by its symbol."""
+    """Lower and upper limit (n,) [rad, m] of what a start has, by its symbol."""
     deflection = np.asarray(settings.deflection)
     return {
         "q_l": (np.asarray(settings.link_position_lower), np.asarray(settings.link_position_upper)),
@@ -212,9 +212,11 @@ def _outside(scenario: Scenario) -> list[str]:
     values = {"q_l": q_l, "q_m": q_m, "q_m - q_l": q_m - q_l}
     ranges = _ranges(safety(scenario.controller_values, scenario.robot))
     return [
-        f"{joint}: {symbol} is {value:.4g} rad; expected {low:.4g} to {high:.4g} rad"
+        f"{joint}: {symbol} is {value:.4g} {unit.position}; expected {low:.4g} to {high:.4g} {unit.position}"
         for symbol, limits in ranges.items()
-        for joint, value, low, high in zip(scenario.joints, values[symbol], *limits, strict=True)
+        for joint, unit, value, low, high in zip(
+            scenario.joints, scenario.robot.units, values[symbol], *limits, strict=True
+        )
         if not low <= value <= high
     ]
 

@@ -18,22 +18,28 @@ from fjr_core.campaign.scope import refuse_what_is_left_out
 from fjr_core.compare.axes import directions, known
 from fjr_core.compare.trial import TRACKS
 from fjr_core.errors import CompareError, FjrError
+from fjr_core.laws import LAWS, V_DPBC
 from fjr_core.robust import Robust
 
 REQUIRED = ("laws", "robots")
 KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks")
 NOMINAL = "nominal"
 CHANGED = ("reference.", "initial_")  # what the references of a robot may differ in
+GAINS = ("scenario", TUNED := "tuned")  # of v-dPBC
 ROBUST = tuple(each.name for each in fields(Robust) if each.name != "hold")
 
 
 @dataclass(frozen=True)
 class LawChoice:
-    """A column: what it is called, the law, and the robust options on it."""
+    """A column: what it is called, the law, the robust options on it.
+
+    retune: v-dPBC with gains by the rule of docs/baselines.md, as the other laws; else with the scenario's.
+    """
 
     label: str
     law: str
     robust: Mapping[str, float] = field(default_factory=dict)
+    retune: bool = False
 
 
 @dataclass(frozen=True)
@@ -128,18 +134,21 @@ def _law(given: Any) -> LawChoice:
     options = {**_mapping("a law", given)}
     label, law = str(options.pop("label", options.get("law"))), _known_law(options.pop("law", None))
     robust = _mapping(f"'robust' of {label}", options.pop("robust", {}))
+    gains = options.pop("gains", None)
+    if gains not in (None, *GAINS) or (gains and law != V_DPBC):
+        raise CompareError(
+            f"'gains' of {label} is {gains!r}; expected {' or '.join(GAINS)}, of {V_DPBC} only: others are always tuned"
+        )
     for key in options:
-        raise CompareError(f"law '{label}' has an unknown key '{key}'; expected label, law, robust")
+        raise CompareError(f"law '{label}' has an unknown key '{key}'; expected label, law, robust, gains")
     for key in robust:
         if key not in ROBUST:
             raise CompareError(f"law '{label}' has an unknown robust option '{key}'; expected {', '.join(ROBUST)}")
     numbers = {key: _number(f"robust.{key}", value, lambda v: v >= 0) for key, value in robust.items()}
-    return LawChoice(label, law, numbers)
+    return LawChoice(label, law, numbers, gains == TUNED)
 
 
 def _known_law(name: Any) -> str:
-    from fjr_core.laws import LAWS
-
     if not isinstance(name, str) or name not in LAWS:
         raise CompareError(f"unknown law '{name}': expected one of {', '.join(LAWS)}")
     return name

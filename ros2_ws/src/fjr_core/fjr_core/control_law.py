@@ -12,7 +12,7 @@ from . import config
 from .errors import GainsError, ParameterError
 from .integral_bound import refuse_fast_integral
 from .law_slope import rest_position
-from .laws import law_kind
+from .laws import V_DPBC, law_kind
 from .parameters import Value, Values, vector
 from .robot import Robot
 from .robust import Robust, sampled_law
@@ -25,7 +25,7 @@ from .yardstick import Yardstick
 def control_law(values: Values, robot: Robot) -> StaticLaw:
     """The law of the values; raises ParameterError."""
     kind, compile = law_kind(str(values["law.type"])), bool(values["compile"])
-    if kind.standard is None:
+    if kind.name == V_DPBC:
         return TrackingLaw(robot, config.gains(values, robot.n), compile=compile)
     try:
         return kind.make(robot, _gains(values, robot), compile)
@@ -52,15 +52,14 @@ def _gains(values: Values, robot: Robot) -> Any:
     if values["law.tuned"]:
         return tuning(values).law.gains  # type: ignore[attr-defined]
     kind = law_kind(str(values["law.type"]))
-    assert kind.standard is not None
     q_0 = np.asarray(config.reference(values, robot.n).jets(0.0))[0]
     numbers = (float(values[f"law.{name}"]) for name in ("natural_frequency", "damping_ratio"))  # type: ignore[arg-type]
-    return kind.standard(robot, q_0, *numbers)
+    return kind.standard(robot, q_0, *numbers, _sample_period(values))
 
 
 def tuning(values: Values) -> Tuning:
     """The law of the values as the rule tunes it, with what came of it; raises ParameterError or GainsError."""
-    known = ("robot.", "gains.", "reference.", "law.type", "law.start_error", "joints")
+    known = ("robot.", "gains.", "reference.", "law.type", "law.start_error", "law.sample_rate", "joints")
     return _tuned(tuple(sorted((name, value) for name, value in values.items() if name.startswith(known))))
 
 
@@ -75,4 +74,9 @@ def yardstick(values: Values, robot: Robot) -> Yardstick:
     reference = config.reference(values, robot.n)
     error = np.tile(vector(values, "law.start_error", robot.n), 2)
     position = rest_position(robot, np.asarray(reference.jets(0.0))[0]) + error
-    return Yardstick(robot, reference, config.gains(values, robot.n), (position, np.zeros(2 * robot.n)))
+    start = position, np.zeros(2 * robot.n)
+    return Yardstick(robot, reference, config.gains(values, robot.n), start, _sample_period(values))
+
+
+def _sample_period(values: Values) -> float:
+    return 1.0 / float(values["law.sample_rate"])  # type: ignore[arg-type]

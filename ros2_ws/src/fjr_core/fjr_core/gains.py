@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import sqrtm
 
 from . import checks
 from .checks import Array
@@ -89,6 +90,17 @@ def _position_rate(side: str, Lambda: Array, Gamma: Array, Pi: Array) -> float:
             f"Pi_{side} Lambda_{side} + Lambda_{side}' Pi_{side} positive definite"
         )
     return beta
+
+
+def critical_damping(M: Array, K: Array) -> Array:
+    """Damping D (n, n) [N m s/rad] with which M ddq + D dq + K q = 0 is critically damped in every mode.
+
+    D = 2 M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2 for symmetric positive definite M [kg m^2] and K [N m/rad].
+    """
+    root = np.real(sqrtm(M))
+    inverse = np.linalg.inv(root)
+    mean = root @ np.real(sqrtm(inverse @ K @ inverse)) @ root
+    return np.asarray(mean + mean.T, dtype=float)
 
 
 def relative_eigenvalues(A: Array, B: Array) -> Array:

@@ -15,8 +15,8 @@ def law_parameters(n: int) -> list[Parameter]:
         Parameter(
             "law.tuned",
             True,
-            "Gains of another law than v_dpbc by the rule of docs/baselines.md, with v_dpbc under gains.* as the "
-            "yardstick; false: by the two numbers law.natural_frequency and law.damping_ratio",
+            "true: tune the selected law to the bandwidth that v_dpbc has with gains.* (docs/baselines.md); false: "
+            "compute its gains from law.natural_frequency and law.damping_ratio. v_dpbc always has gains.*",
         ),
         Parameter(
             "law.natural_frequency",
@@ -38,5 +38,14 @@ def law_parameters(n: int) -> list[Parameter]:
             (START_ERROR,) * n,
             "Error of all joints of the start at rest whose peak effort the rule makes equal",
             "rad",
+        ),
+        Parameter(
+            "law.sample_rate",
+            1e3,
+            "Rate of the states, which bounds the fast poles of feedback_linearisation and the apparent motor inertia "
+            "of torque_feedback",
+            "Hz",
+            minimum=1.0,
+            maximum=1e5,
         ),
     ]

@@ -15,13 +15,12 @@ from .baselines import (
     singular_perturbation,
     torque_feedback,
 )
-from .checks import Array
 from .errors import ParameterError
-from .robot import Robot
 from .static_law import StaticLaw
+from .vdpbc import two_scale
 from .vdpbc.law import TrackingLaw
 
-Standard = Callable[[Robot, Array, float, float], Any]
+Standard = Callable[..., Any]
 V_DPBC = "v_dpbc"
 
 
@@ -29,9 +28,9 @@ V_DPBC = "v_dpbc"
 class LawKind:
     """A law by its name. make: (robot, gains, compile=False) -> law. measures: what of a joint it needs.
 
-    standard: (robot, configuration (n,), natural frequency [rad/s], damping ratio) -> gains, the paper's usual
-    choice; None for v-dPBC, whose gains are those of the scenario. usual: the usual damping ratio; damping: its range.
-    storage: what its V is, in words; "" where it has none and V is nan.
+    standard: (robot, configuration (n,), natural frequency [rad/s], damping ratio, sample period [s]) -> gains, the
+    usual choice. usual: the usual damping ratio; damping: its range.
+    storage: what its V is, in words; "" where it has none and V is nan. adds: what users add that the paper lacks.
     """
 
     name: str
@@ -40,9 +39,10 @@ class LawKind:
     make: Callable[..., StaticLaw]
     measures: str
     storage: str
-    standard: Standard | None = None
+    standard: Standard
     usual: float = 0.7
     damping: tuple[float, float] = (0.5, 2.0)
+    adds: str = ""
 
 
 _ALL = "both sides"
@@ -54,6 +54,9 @@ _KINDS = (
         TrackingLaw,
         _ALL,
         "decays along every reference",
+        two_scale.standard,
+        0.3,
+        (0.1, 0.5),
     ),
     LawKind(
         "pd_gravity",
@@ -63,6 +66,16 @@ _KINDS = (
         "motor side",
         "decays where the reference stands",
         pd_gravity.standard,
+    ),
+    LawKind(
+        "pd_feedforward",
+        "motor PD + feedforward",
+        "De Luca 2000",
+        pd_gravity.PdFeedforward,
+        "motor side",
+        "decays where the reference stands",
+        pd_gravity.standard,
+        adds="inverse dynamics of the reference",
     ),
     LawKind(
         "singular_perturbation",
@@ -85,7 +98,7 @@ _KINDS = (
     ),
     LawKind(
         "backstepping",
-        "passivity / backstepping",
+        "integrator backstepping",
         "Brogliato, Ortega, Lozano 1995",
         backstepping.Backstepping,
         _ALL,
@@ -102,6 +115,16 @@ _KINDS = (
         "motor side, spring torque",
         "decays where the reference stands",
         torque_feedback.standard,
+    ),
+    LawKind(
+        "torque_feedback_feedforward",
+        "torque feedback + feedforward",
+        "Albu-Schaeffer, Ott, Hirzinger 2007",
+        torque_feedback.TorqueFeedbackFeedforward,
+        "motor side, spring torque",
+        "decays where the reference stands",
+        torque_feedback.standard,
+        adds="inverse dynamics of the reference",
     ),
     LawKind(
         "lqr",

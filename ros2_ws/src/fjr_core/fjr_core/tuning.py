@@ -2,7 +2,7 @@
 """The one rule by which the gains of all laws are chosen, so that they may be compared (docs/baselines.md).
 
 Each law's gains follow from two numbers, a natural frequency and a damping ratio, by its paper's usual choice
-(laws.LawKind.standard). With v-dPBC under the scenario's gains as the yardstick:
+(laws.LawKind.standard). With v-dPBC under the scenario's gains as the yardstick (and v-dPBC itself too, if asked for):
 
 1. The natural frequency makes the bandwidth equal.
 2. The damping ratio is the law's usual one, unless another in its range makes the peak effort equal.
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -38,7 +39,7 @@ STEPS = 16  # of the search
 class Tuning:
     """A law under the rule, with what came of it. bandwidth [rad/s] and peak effort beside the yardstick's.
 
-    omega [rad/s], damping: the two numbers, nan for v-dPBC. effort_limit (n,) [N m]: where all commands are cut.
+    omega [rad/s], damping: the two numbers, nan for the yardstick. effort_limit (n,) [N m]: where all commands are cut.
     """
 
     kind: LawKind
@@ -64,7 +65,7 @@ class Tuning:
     @property
     def sentence(self) -> str:
         """What came of it, in words."""
-        if self.kind.name == V_DPBC:
+        if np.isnan(self.omega):
             return "the yardstick, with the scenario's gains"
         bandwidth = (
             "the same bandwidth" if self.same_bandwidth else f"bandwidth {self._times('bandwidth')}: no more here"
@@ -77,17 +78,17 @@ class Tuning:
         return f"{getattr(self, what) / getattr(self, f'yardstick_{what}'):.2g} times the yardstick's"
 
 
-def tune(name: str, yardstick: Yardstick, compile: bool = False) -> Tuning:
-    """The law called so under the rule. Raises ParameterError for an unknown name, GainsError where nothing is stable.
+def tune(name: str, yardstick: Yardstick, compile: bool = False, retune: bool = False) -> Tuning:
+    """Tune the law of this name. Raises ParameterError for an unknown name, GainsError where nothing is stable.
 
-    compile: the law as machine code.
+    compile: the law as machine code. retune: tune v-dPBC too; else it is the yardstick, with the scenario's gains.
     """
     kind, y = law_kind(name), yardstick
-    if kind.standard is None:
+    if kind.name == V_DPBC and not retune:
         law: StaticLaw = TrackingLaw(y.robot, y.gains, compile)
         return Tuning(kind, law, np.nan, np.nan, y.bandwidth, y.peak, y.bandwidth, y.peak, y.effort_limit)
     found = _chosen(_Family(kind, y))
-    law = found.law if not compile else kind.make(y.robot, found.law.gains, compile)  # type: ignore[attr-defined]
+    law = found.law if not compile else kind.make(y.robot, found.gains, compile)
     return Tuning(
         kind, law, found.omega, found.damping, found.bandwidth, found.peak, y.bandwidth, y.peak, y.effort_limit
     )
@@ -108,6 +109,7 @@ def tuned(
 @dataclass(frozen=True, eq=False)
 class _Candidate:
     law: StaticLaw
+    gains: Any
     omega: float
     damping: float
     bandwidth: float
@@ -144,15 +146,25 @@ class _Family:
         i = int(np.flatnonzero(np.array(seen) >= wanted)[0])
         omega = grid[i] if i == 0 else _root(lambda w: self.bandwidth(w, damping) - wanted, grid[i - 1], grid[i], 1e-3)
         law = self._law(omega, damping)
-        return _Candidate(law, omega, damping, self.yardstick.bandwidth_of(law), self.yardstick.peak_of(law))
+        return _Candidate(
+            law,
+            self._gains(omega, damping),
+            omega,
+            damping,
+            self.yardstick.bandwidth_of(law),
+            self.yardstick.peak_of(law),
+        )
 
     def _law(self, omega: float, damping: float) -> StaticLaw:
-        assert self.kind.standard is not None
-        gains = self.kind.standard(self.yardstick.robot, self.yardstick.q_0, omega, damping)
+        gains = self._gains(omega, damping)
         if self._first is None:
             self._first = self.kind.make(self.yardstick.robot, gains)
             return self._first
         return self._first.with_gains(gains)
+
+    def _gains(self, omega: float, damping: float) -> Any:
+        y = self.yardstick
+        return self.kind.standard(y.robot, y.q_0, omega, damping, y.sample_period)
 
 
 def _chosen(family: _Family) -> _Candidate:

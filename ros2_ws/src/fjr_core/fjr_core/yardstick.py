@@ -35,13 +35,19 @@ class Yardstick:
     """v-dPBC with given gains on a robot along a reference, and what the other laws are measured by.
 
     start: (positions (2n,) [rad], velocities (2n,) [rad/s]) of links and motors; None: at rest, every joint
-    START_ERROR off the reference. Raises GainsError for gains that do not fit, StateError for shapes.
+    START_ERROR off the reference. sample_period [s]: of the loop that the gains are for.
+    Raises GainsError for gains that do not fit, StateError for shapes.
     """
 
     def __init__(
-        self, robot: Robot, reference: Reference, gains: Gains, start: tuple[Array, Array] | None = None
+        self,
+        robot: Robot,
+        reference: Reference,
+        gains: Gains,
+        start: tuple[Array, Array] | None = None,
+        sample_period: float = 1e-3,
     ) -> None:
-        self.robot, self._reference = robot, reference
+        self.robot, self.reference, self.sample_period = robot, reference, sample_period
         self._jets = np.asarray(reference.jets(0.0))
         self.q_0 = np.array(self._jets[0])
         self.start = start or (rest_position(robot, self.q_0) + START_ERROR, np.zeros(2 * robot.n))
@@ -102,8 +108,8 @@ class Yardstick:
     @cached_property
     def needed(self) -> float:
         """Largest share that the reference's own motion needs within HORIZON."""
-        times = np.linspace(0.0, min(self._reference.end, HORIZON), 200)
-        motions = self._reference.jets(times).transpose(1, 2, 0)
+        times = np.linspace(0.0, min(self.reference.end, HORIZON), 200)
+        motions = self.reference.jets(times).transpose(1, 2, 0)
         u = np.linalg.solve(self.robot.B_m, inverse_dynamics(self.robot)(*motions)[-1].full())
         return float(np.max(np.abs(u) / self._scale[:, None]))
 

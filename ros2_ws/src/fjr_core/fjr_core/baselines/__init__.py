@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws that v-dPBC is compared with, each from its paper (docs/baselines.md); by name in laws.LAWS."""
+"""The laws that v-dPBC is compared with (docs/baselines.md): each as its paper has it, some with what users add too."""

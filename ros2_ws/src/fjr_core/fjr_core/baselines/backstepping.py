@@ -5,7 +5,9 @@ manipulators: a comparative study", Automatica 31(7), 1995.
     theta_d = q + K^-1 tau_d (cascade.py)      e_m = theta - theta_d      s_m = de_m + c_1 e_m + s
     B_m u   = M_m (ddtheta_d - c_1 de_m - ds - c_2 s_m) - K e_m + D_m dtheta + K (theta - q)
 
-The paper's unit weights of e_m and s_m are K and M_m here, which gives every term its unit. With
+The link stage is the law of Slotine and Li. The paper's unit weights of e_m and s_m are K and M_m here, which gives
+every term its unit. With c_1 = Lambda and c_2 M_m = K_2 + D_m this is the passivity-based law of the same paper; for
+other c_1, c_2 it is not. With
 V = (s' M_l s + e_m' K e_m + s_m' M_m s_m) / 2 + Lambda e' (K_1 + D_l) e
 
     dV/dt = -de' (K_1 + D_l) de - Lambda^2 e' (K_1 + D_l) e - c_1 e_m' K e_m - c_2 s_m' M_m s_m.
@@ -64,7 +66,7 @@ class Backstepping(Baseline):
         return np.asarray(self.robot.M_m * (self.arrays["c_1"] + self.arrays["c_2"]))
 
 
-def standard(robot: Robot, q_0: Array, omega: float, zeta: float) -> BacksteppingGains:
+def standard(robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan) -> BacksteppingGains:
     """Links with two poles at -omega [rad/s], of the inertia at q_0; motors with the rates zeta omega."""
     K_1 = omega * robot.M_l(q_0) - robot.D_l
     return BacksteppingGains(Lambda=omega, K_1=K_1, c_1=zeta * omega, c_2=zeta * omega)

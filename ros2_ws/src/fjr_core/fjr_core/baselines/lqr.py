@@ -84,7 +84,7 @@ def to_velocities(rest: RestPoints) -> Array:
     return rest.blocks([one, 0, 0, 0], [0, one, 0, 0], [0, 0, inverses[0], 0], [0, 0, 0, inverses[1]])
 
 
-def standard(robot: Robot, q_0: Array, omega: float, zeta: float) -> LqrGains:
+def standard(robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan) -> LqrGains:
     """Link errors and, where zeta asks for it, their rates weighted by the inertia at q_0; efforts by what omega costs.
 
     Q = diag(M_l, 0, c M_l / omega^2, 0), c = 4 zeta^2 - 2;  R weighs with M_l the motion that an effort makes at omega,

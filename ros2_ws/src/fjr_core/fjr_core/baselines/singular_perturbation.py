@@ -20,12 +20,12 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import sqrtm
 
 from .. import checks
 from ..checks import Array
 from ..errors import GainsError
 from ..flow import Flow
+from ..gains import critical_damping
 from ..robot import Robot
 from .baseline import Baseline, damping, effort
 from .inverse import motor_motion
@@ -67,9 +67,6 @@ class SingularPerturbation(Baseline):
         return self.arrays["K_f"]
 
 
-def standard(robot: Robot, q_0: Array, omega: float, zeta: float) -> CompositeGains:
+def standard(robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan) -> CompositeGains:
     """A critically damped slow flow of omega [rad/s]; motors on their springs have the damping ratio zeta."""
-    root = np.real(sqrtm(robot.M_m))
-    inverse = np.linalg.inv(root)
-    mean = root @ np.real(sqrtm(inverse @ robot.K @ inverse)) @ root  # of M_m and K: the geometric one
-    return CompositeGains(K_p=omega**2, K_v=2 * omega, K_f=zeta * (mean + mean.T) - robot.D_m)
+    return CompositeGains(K_p=omega**2, K_v=2 * omega, K_f=zeta * critical_damping(robot.M_m, robot.K) - robot.D_m)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the two laws on the motors' side share: the storage about a standing reference, and when it is one."""
+"""Regulators on the motor side: their standing reference, the storage about it, and when that is positive."""
 
 from __future__ import annotations
 
@@ -16,6 +16,13 @@ from ..rest import rest_points
 from ..robot import Robot
 
 SAMPLED = 256  # configurations at which gravity is compared with the springs
+
+
+def standing_reference(f: Flow) -> tuple[ca.SX, ca.SX]:
+    """theta_d = q_d + K^-1 grad P_l(q_d) (n,) [rad] and its rate [rad/s]: rest of the motors, links at q_d."""
+    q_d = f.jets[:, 0]
+    theta_d = q_d + np.linalg.inv(f.robot.K) @ f.robot.links.grad_P_l(q_d)
+    return theta_d, *f.d(theta_d)
 
 
 def storage(f: Flow, theta_d: ca.SX, dtheta_d: ca.SX, M_theta: ca.SX, K_theta: ca.SX) -> ca.SX:
@@ -48,7 +55,7 @@ def check_position_gain(name: str, K_p: Array, robot: Robot) -> None:
 
 def storage_hessians(robot: Robot, K_p: Array) -> Array:
     """Hessians (k, 2n, 2n) [N m/rad] of V in (q, theta) over sampled configurations."""
-    K, N = robot.K, _gravity_hessians(robot)
+    K, N = robot.K, gravity_hessians(robot)
     blocks = np.block([[K, -K], [-K, K + K_p]])
     hessians = np.repeat(blocks[None], len(N), axis=0)
     hessians[:, : robot.n, : robot.n] += N
@@ -56,6 +63,7 @@ def storage_hessians(robot: Robot, K_p: Array) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _gravity_hessians(robot: Robot) -> Array:
+def gravity_hessians(robot: Robot) -> Array:
+    """Hessians N (k, n, n) [N m/rad] of P_l over sampled configurations."""
     N = rest_points(robot, checked_configurations(robot, None, SAMPLED)).N_l
     return np.asarray((N + N.transpose(0, 2, 1)) / 2)

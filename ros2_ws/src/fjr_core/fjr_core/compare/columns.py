@@ -32,14 +32,15 @@ class Column:
     tuning: str
 
 
-def column(name: str, robust: Mapping[str, float], scenario: Scenario) -> Column:
-    """The law called so for the scenario's robot, start, reference and (of v-dPBC) gains.
+def column(name: str, robust: Mapping[str, float], scenario: Scenario, retune: bool = False) -> Column:
+    """The law of this name for the scenario's robot, start, reference and (of v-dPBC, unless retune) gains.
 
     robust: fields of Robust but hold, which is the sample period. Raises FjrError where there is no such law.
     """
     robot, n = scenario.robot, scenario.robot.n
     start = scenario.x0[: 2 * n], np.hstack(robot.velocities(scenario.x0))
-    found = tune(name, Yardstick(robot, scenario.reference, scenario.gains, start))
+    yardstick = Yardstick(robot, scenario.reference, scenario.gains, start, scenario.sample_period)
+    found = tune(name, yardstick, retune=retune)
     law = sampled_law(found.law, Robust(**robust, hold=scenario.sample_period))
     gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}  # type: ignore[attr-defined]
     return Column(law, found.effort_limit, gains, found.sentence + _unstable(law, scenario))
