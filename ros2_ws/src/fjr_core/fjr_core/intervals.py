@@ -123,10 +123,9 @@ def consecutive(record: Record, known: NDArray[np.bool_] | None = None) -> NDArr
 
     known (k,): further condition on each state. A gap is longer than LONGEST_GAP sample periods.
     """
-    good: NDArray[np.bool_] = np.isfinite(np.hstack([record.position, record.velocity])).all(axis=1)
-    if known is not None:
-        good = good & known
-    dt, answered = np.diff(record.t), np.isfinite(held(record.u)).all(axis=1)
+    finite = np.isfinite(np.hstack([record.position, record.velocity])).all(axis=1)
+    good = np.asarray(finite if known is None else finite & known)
+    dt, answered = np.diff(record.t), np.asarray(np.isfinite(held(record.u)).all(axis=1))
     pairs = good[:-1] & good[1:] & answered[:-1]
     return np.flatnonzero(pairs & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
 
