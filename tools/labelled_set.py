@@ -54,7 +54,8 @@ class Case:
         if not self.robot:
             return text
         document = parameter_file.parse(text)
-        document[f"/**/{PLANT}"]["ros__parameters"].setdefault("robot", {}).update(self.robot)
+        own = document.setdefault(f"/**/{PLANT}", {}).setdefault("ros__parameters", {})
+        own.setdefault("robot", {}).update(self.robot)
         return parameter_file.dump(document)
 
     def loaded(self) -> Scenario:
