@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs with one known fault each, in three sizes, on the paper's joint, the two-link and the seven-joint arm.
 
-Thresholds (fjr_core.fault_isolation and others) were set on the sets of the seeds FOUND_ON; findings are tried on that of
-TRIED_ON. A seed says which joint and side, how large within 20 %, and where the robot starts.
+Thresholds (fjr_core.fault_isolation and others) were set on the sets of the seeds FOUND_ON; findings are tried on that
+of TRIED_ON. A seed says which joint and side, how large within 20 %, and where the robot starts.
 """
 
 from __future__ import annotations
