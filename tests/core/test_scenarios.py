@@ -111,7 +111,7 @@ def test_the_files_of_your_robot_md_fit(tmp_path: Path) -> None:
     (tmp_path / "my_arm.yaml").write_text(robot)
     scenario, key = yaml.safe_load(mine), "ros__parameters"
     for part in (gains, limits):
-        scenario["/**/fjr_controller"][key] |= yaml.safe_load(part)["/**/fjr_controller"][key]
+        scenario["/**"][key] |= yaml.safe_load(part)["/**"][key]
     (tmp_path / "my_scenario.yaml").write_text(yaml.safe_dump(scenario))
     chain = ["shoulder", "elbow", "wrist", "gripper"]
     parts = [link("base_link", 1.0, 0.1, 0.01)]

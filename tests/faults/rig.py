@@ -67,14 +67,17 @@ class Setting:
         """The parameter file of the scenario with what is set here and `more` for each node."""
         document: dict[str, Any] = yaml.safe_load(Path(scenario(self.scenario)).read_text())
         for node in NODES:
-            parameters = document[f"/**/fjr_{node}"]["ros__parameters"]
+            parameters: dict[str, Any] = {}
+            document[f"/**/fjr_{node}"] = {"ros__parameters": parameters}
             for name, value in {**getattr(self, node), **more.get(node, {})}.items():
                 _set(parameters, name, value)
         return document
 
     def parameters(self, node: str) -> dict[str, Any]:
-        """The parameters of a node, by groups."""
-        parameters: dict[str, Any] = self.document()[f"/**/fjr_{node}"]["ros__parameters"]
+        """The parameters of a node and those of all nodes, by groups."""
+        parameters: dict[str, Any] = yaml.safe_load(Path(scenario(self.scenario)).read_text())["/**"]["ros__parameters"]
+        for name, value in getattr(self, node).items():
+            _set(parameters, name, value)
         return parameters
 
     @property

@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fjr_core.description import description
 from fjr_msgs_py.names import LATCHED
-from fjr_plant.plant_node import LOCKSTEP_START
+from fjr_plant.plant_node import LOCKSTEP_START, PlantNode
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, answer, call, command, integrate, state_of
 
@@ -24,14 +24,14 @@ TWO = {f"initial_{side}_{what}": [0.1, 0.2] for side in ("link", "motor") for wh
 
 
 def in_motion(peer: Peer) -> list[JointState]:
-    """The states of a robot that was at rest, from the last one at rest on."""
+    """The states of a robot that was at rest, from the first one in motion on."""
     moving = [i for i, state in enumerate(peer.states) if list(state.position) != list(peer.states[0].position)]
-    return peer.states[moving[0] - 1 :] if moving else []
+    return peer.states[moving[0] :] if moving else []
 
 
-def time_in_motion(peer: Peer) -> int:
-    """Stamped time [ns] since the last state at rest."""
-    return nanoseconds(peer.states[-1]) - nanoseconds(in_motion(peer)[0])
+def time_in_motion(node: PlantNode, peer: Peer) -> int:
+    """Stamped time [ns] since the robot began to move; the last state at rest, stamped then, may be lost."""
+    return nanoseconds(peer.states[-1]) - node._pace.offset
 
 
 def test_stands_still_until_the_first_command(ros: Ros, peer: Peer) -> None:
@@ -45,13 +45,12 @@ def test_stands_still_until_the_first_command(ros: Ros, peer: Peer) -> None:
 
 def test_stamps_the_exact_time_of_the_state(ros: Ros, peer: Peer) -> None:
     """Between two states lie whole inner steps of the held effort, as many as the stamps say."""
-    ros.plant(command_timeout=100.0)
+    node = ros.plant(command_timeout=100.0)
     peer.meet_plant()
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: len(in_motion(peer)) > 20, "states in motion")
-    start, *moving = in_motion(peer)
-    x, stamp, steps_seen = state_of(start), nanoseconds(start), set()
-    for state in moving:
+    x, stamp, steps_seen = state_of(peer.states[0]), node._pace.offset, set()
+    for state in in_motion(peer):
         steps, rest = divmod(nanoseconds(state) - stamp, INNER)
         assert rest == 0
         x = integrate(x, 0.3, steps)
@@ -75,10 +74,10 @@ def test_holds_the_last_command_then_lets_go_after_command_timeout(ros: Ros, pee
     node = ros.plant(command_timeout=0.05)
     peer.meet_plant()
     peer.effort_publisher.publish(command(0.3))
-    ros.until(lambda: len(in_motion(peer)) > 1 and time_in_motion(peer) > 200 * PERIOD)
-    start, last = in_motion(peer)[0], peer.states[-1]
+    ros.until(lambda: in_motion(peer) and time_in_motion(node, peer) > 200 * PERIOD)
+    start, last = peer.states[0], peer.states[-1]
     assert last.effort[1] == 0.0
-    steps = (nanoseconds(last) - nanoseconds(start)) // INNER
+    steps = time_in_motion(node, peer) // INNER
     expected = integrate(integrate(state_of(start), 0.3, 200), 0.0, steps - 200)
     np.testing.assert_allclose(state_of(last), expected, rtol=1e-11, atol=1e-14)
     node.stop()
@@ -115,13 +114,13 @@ def test_counts_skipped_ticks_and_keeps_the_time(ros: Ros, peer: Peer) -> None:
     peer.meet_plant()
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: in_motion(peer))
-    start = in_motion(peer)[0]
+    start = peer.states[0]
     skipped, end = node._health.count["ticks skipped"], time.monotonic() + 0.05
     while time.monotonic() < end:  # nobody spins: the node is late by 50 ticks
         pass
     ros.until(lambda: node._health.count["ticks skipped"] >= skipped + 45, "the counter")
     ros.settle()
-    steps = (nanoseconds(peer.states[-1]) - nanoseconds(start)) // INNER
+    steps = time_in_motion(node, peer) // INNER
     np.testing.assert_allclose(
         state_of(peer.states[-1]), integrate(state_of(start), 0.3, steps), rtol=1e-11, atol=1e-14
     )

@@ -150,7 +150,7 @@ def test_while_stopped_nothing_is_remembered() -> None:
 
 def heard(ros: Ros, plant: dict[str, Any], controller: dict[str, Any], samples: int = SAMPLES) -> Hearer:
     """The paper's joint in lock-step for that many samples, from where the reference begins."""
-    hearer = Hearer(ros)
+    hearer = Hearer(ros, certificates=True)
     ros.controller(use_sim_time=True, compile=True, **controller)
     begin = {"initial_link_position": [0.0], "initial_motor_position": [0.0]}
     begin |= {"initial_link_velocity": [1.0], "initial_motor_velocity": [1.0]}

@@ -55,8 +55,8 @@ class PlantNode(ParameterNode):
     def build(self) -> None:
         """Make the robot from the parameters and start to publish."""
         joints = self.values["joints"]
-        self._health = Health(self, EXPECTED, robot_name(self.values))
         self._model = config.robot(self.values)
+        self._health = Health(self, EXPECTED, robot_name(self.values))
         self._robot, self._transport = self._simulated()
         states, reader = StatePublisher(self, joints), EffortReader(joints)
         self._torques = TorqueReader(joints)

@@ -159,7 +159,9 @@ class RealTime(Pace):
         self._answered = True
         if self._waiting:  # the last state at rest was that of the robot's time now
             self._waiting, self.origin = False, now - self._robot.time
+            self._take(effort)  # acts from the first instant of motion on, however long the log takes
             self._say_once("moving: the first command has come")
+            return
         self.catch_up()
         self._take(effort)
 
