@@ -79,7 +79,7 @@ BAD: dict[str, tuple[JointTrajectory, str, str]] = {
     "nan": (trajectory((1.0, 0.0), (2.0, NAN)), "not finite", "positions of point 1 hold nan for joint1"),
     "infinite": (trajectory((1.0, 0.0), velocities=[INF]), "not finite", "velocities of point 0 hold inf for joint1"),
     "effort": (trajectory((1.0, 0.0), effort=[[1.0]]), "efforts", "point 0 has efforts"),
-    "last velocity": (trajectory((1.0, 0.0), velocities=[0.5]), "moving end", "point, 0, gives joint1 a velocity of 0.5"),
+    "last velocity": (trajectory((1.0, 0.0), velocities=[0.5]), "moving end", "0, gives joint1 a velocity of 0.5"),
 }
 
 

@@ -7,6 +7,7 @@ undone in the data. One that makes the signals follow, and that no other measure
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -52,8 +53,9 @@ CONFIRMED = 3
 """Comparisons in a row that must agree on a fault."""
 SOUND = 0.003
 """Unexplained share of a link's row, up to which the encoders of its joint are right: coupling hides wrong signs."""
-EARLY, STRIDE, LATER = 2, 10, 100
-"""Samples between comparisons: in the first window, in the STRIDE windows after it, and then."""
+EARLY, RARER = 2, 1.1
+"""Samples between comparisons in the first window, and the factor from each later comparison to the next: the mean
+cost of a sample vanishes where noise hides whether a joint follows."""
 CERTAIN = 0.02
 """Unexplained share up to which a fault is believed before the window is full."""
 
@@ -73,7 +75,7 @@ class WiringCheck:
     def skip(self) -> None:
         """Forget the samples so far: the next one does not follow them."""
         self._rows: deque[tuple[float, Array, Array, Array]] = deque(maxlen=WINDOW)
-        self._count, self._agreed = 0, 0
+        self._count = self._due = self._agreed = 0
         self._last: WiringFault | None = None
 
     @property
@@ -85,9 +87,10 @@ class WiringCheck:
         """Take the state q, dq (2n,) at time t [s]; return a fault that CONFIRMED comparisons in a row agree on."""
         self._rows.append((t, q.copy(), dq.copy(), np.zeros(self._robot.n)))
         self._count += 1
-        stride = EARLY if self._count <= WINDOW else STRIDE if self._count <= STRIDE * WINDOW else LATER
-        due = self._count > FEWEST and self._count % stride == 0
-        return self._compared() if due else None
+        if self._count <= FEWEST or self._count < self._due:
+            return None
+        self._due = self._count + EARLY if self._count < WINDOW else math.ceil(RARER * self._count)
+        return self._compared()
 
     def sent(self, u: Array) -> None:
         """Take the effort u (n,) [N m] that answered the last state."""
@@ -188,7 +191,8 @@ class _Evidence:
     def explained(self) -> WiringFault | None:
         """Return the hypothesis whose undoing makes every failing row follow.
 
-        Of about equal ones it is the best of an effort, else the first: link and motor are the same at rest.
+        Of about equal ones it is the best of an effort, else the best, and under a static load the first: link and
+        motor are the same at rest.
 
         Before the window is full, about equal ones are not told apart yet. A full window may keep failing rows of other
         joints: more than one thing is wrong then.
@@ -205,8 +209,10 @@ class _Evidence:
         near = [each[1:] for each in whole if each[1] <= CLEARER * best or not full]
         if not near or (not full and (len(near) > 1 or best > CERTAIN)):
             return None
-        efforts = sorted(each for each in near if each[1].kind.startswith("effort"))
-        return (efforts or near)[0][1]
+        efforts = [each for each in near if each[1].kind.startswith("effort")]
+        if not efforts and self.overloaded.any():
+            return near[0][1]
+        return min(efforts or near, key=lambda each: each[0])[1]
 
     def _score(self, undone: Window, tried: WiringFault) -> tuple[bool, float]:
         """Return whether rows of other joints still fail once a fault is undone, and the unexplained share of its own.
