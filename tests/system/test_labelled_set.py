@@ -11,6 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 
+from fjr_bringup.exit_codes import Exit  # noqa: E402
 from fjr_core.scenario import load_scenario  # noqa: E402
 from fjr_core.verdict import judge  # noqa: E402
 from labelled_bags import read_record  # noqa: E402
@@ -73,7 +74,7 @@ def test_the_verdict_on_bags_of_the_real_nodes(assignments: tuple[str, ...], wan
     force = ["--force"] if wanted == "sampling" else []
     duration = "0.5" if wanted == "sampling" else "2.5"
     arguments = ["run", "paper_k31", "--lockstep", "--duration", duration, "--output", str(tmp_path)]
-    fjr(*arguments, *changes, *force)
+    fjr(*arguments, *changes, *force, codes=(Exit.DONE, Exit.VIOLATED))
     folder = tmp_path / "paper_k31"
     scenario = load_scenario(folder / "scenario.yaml")
     verdict = judge(read_record(folder / "bag", scenario), scenario.law)

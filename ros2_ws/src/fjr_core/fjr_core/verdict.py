@@ -74,13 +74,13 @@ def judge(
 
     beta [1/s]: guaranteed rate of V; None: that of the law at configurations of the record. axes: names, units and
     tolerances of the joints; None: Axes.plain. velocities_measured: False where an observer estimates them; then no
-    faults are sought.
+    faults are sought, nor in a loop that is unstable at its sample period.
     """
     axes = axes or Axes.plain(law.robot.n)
     with np.errstate(all="ignore"):  # a diverging run overflows; every comparison below is written for it
         verdict = _judged(record, law, beta, axes)
-        if not velocities_measured or not np.isfinite(record.velocity).any():
-            return verdict
+        if not velocities_measured or SAMPLING in verdict.causes or not np.isfinite(record.velocity).any():
+            return verdict  # no velocities to judge by, or samples too far apart for a model between them
         found = isolate(record, law, axes.names)
     explained = verdict.kind in ("degraded", "violated") and "model mismatch" not in verdict.causes
     findings = tuple(each for each in found if not (explained and each.kind == UNKNOWN))
