@@ -137,7 +137,7 @@ def _known(path: Path) -> Mapping[str, Any]:
         found = read_json(path)
     except (OSError, ValueError):
         return {}
-    kinds: dict[str, Any] = {"planned_s": (int, float), "not_recorded": dict, "failure": str}
+    kinds: dict[str, Any] = {"scenario": str, "planned_s": (int, float), "not_recorded": dict, "failure": str}
     return {name: found[name] for name, kind in kinds.items() if isinstance(found.get(name), kind)}
 
 
