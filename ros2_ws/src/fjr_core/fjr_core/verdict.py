@@ -38,7 +38,7 @@ from .vdpbc.law import TrackingLaw
 SAMPLING, SATURATION = "sampling", "saturation"
 LOOKED_AT = 12  # configurations of a run at which the sampled loop is linearised
 
-__all__ = ["Axes", "Record", "Verdict", "conclude", "judge"]
+__all__ = ["Axes", "Verdict", "conclude", "judge"]
 
 
 @dataclass(frozen=True)
