@@ -211,8 +211,10 @@ def as_nobody(tmp_path: Path, cache: Path, code: str, variables: dict[str, str] 
         if not folder.exists():
             folder.mkdir()
             os.chown(folder, NOBODY, NOBODY)
-    for folder in (tmp_path, *tmp_path.parents[:2]):
-        folder.chmod(folder.stat().st_mode | 0o055)
+    tmp_path.chmod(0o755)
+    for folder in tmp_path.parents:
+        if folder.stat().st_uid == os.geteuid() and not folder.stat().st_mode & 0o001:
+            folder.chmod(folder.stat().st_mode | 0o011)  # pytest makes its own folders for one user alone
     environment = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}
     environment |= {"XDG_CACHE_HOME": str(cache.parent), "TMPDIR": str(tmp_path / "tmp"), **(variables or {})}
     environment["PYTHONPATH"] = os.pathsep.join(sys.path)

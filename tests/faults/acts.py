@@ -95,7 +95,7 @@ def plant_set(seconds: float, **imperfections: Any) -> Act:
     def act(rig: Rig) -> tuple[int, int]:
         begin = rig.until_full_motion()
         assert rig.remote.set("fjr_plant", values) == ""
-        rig.until_full_motion(seconds)
+        rig.until_stamp(begin + round(seconds * SECOND))
         assert rig.remote.set("fjr_plant", dict.fromkeys(values, 0.0)) == ""
         return begin, rig.robot_time
 
@@ -142,7 +142,7 @@ def intruder(seconds: float) -> Act:
     def act(rig: Rig) -> tuple[int, int]:
         begin = rig.until_full_motion()
         rig.remote.intrude(2e-3, len(rig.setting.reference.amplitude))
-        rig.until_full_motion(seconds)
+        rig.until_stamp(begin + round(seconds * SECOND))
         rig.until(lambda: reported(rig), "the controller's report of another node")
         rig.remote.retreat()
         return begin, rig.now

@@ -190,12 +190,14 @@ class Rig:
 
     @property
     def full_motion(self) -> int:
-        """The true stamp [ns] of the reference's time of great speed."""
-        return self.anchors[-1].zero + round(self.setting.full_motion * SECOND)
+        """The true stamp [ns] of the reference's next time of great speed."""
+        period = round(2 * math.pi / self.setting.reference.frequency[0] * SECOND)
+        first = self.anchors[-1].zero + round(self.setting.full_motion * SECOND)
+        return first + max(0, math.ceil((self.robot_time - first) / period)) * period
 
-    def until_full_motion(self, later: float = 0.0) -> int:
-        """Wait until full motion or so many seconds later; that stamp [ns]."""
-        stamp = self.full_motion + round(later * SECOND)
+    def until_full_motion(self) -> int:
+        """Wait until full motion; that stamp [ns]."""
+        stamp = self.full_motion
         self.until_stamp(stamp)
         return stamp
 
