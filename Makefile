@@ -43,13 +43,13 @@ bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.
 	$(SETUP) bench
 	@$(ENTER) && exec "$(VENV)/bin/python" -m bench $(BENCH_ARGS)
 
-faults: ## do faults to real processes and write the table into docs/faults.md (FAULTS_ARGS="...")
+faults: ## inject faults into the running nodes and write docs/faults.md (FAULTS_ARGS="...")
 	$(SETUP) test
 	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.faults $(FAULTS_ARGS)
 
-compare: ## compare all laws on three robots, minutes, and write the table into README.md (COMPARE_ARGS="...")
+compare: ## compare all laws on three robots, minutes, and write the table into docs/compare.md (COMPARE_ARGS="...")
 	$(SETUP) build
-	@$(ENTER) && exec fjr compare paper --readme $(COMPARE_ARGS)
+	@$(ENTER) && exec fjr compare paper --document $(COMPARE_ARGS)
 
 docs: ## build the pages and the API reference into build/docs/html; a warning is an error
 	$(SETUP) docs

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the measured table of docs/robust.md anew, between its markers, and draw its picture.
+"""Write the table of measurements in docs/robust.md, between its markers, and draw its figure.
 
 . ros2_ws/install/setup.sh && .venv/bin/python tools/robust_table.py
 """
@@ -37,20 +37,20 @@ def law_of(scenario: Scenario) -> fjr.TrackingLaw:
 
 
 def cases() -> list[Case]:
-    """What is wrong, the law, the robot, the reference, the delay [s] and the ways to act."""
+    """Return the cases: disturbance, law, robot, reference, delay [s] and options."""
     joint, planar, arm = (load_scenario(ROOT / f"ros2_ws/src/fjr_bringup/scenarios/{name}.yaml") for name in NAMES)
     load = {"residual": RESIDUAL, "integral": INTEGRAL, "both": BOTH}
     slow = fjr.Sine(0.3, 2 * np.pi * 0.2, offset=arm.reference.jets(0.5)[0])
     wrong = [
-        ("`paper_k31` stands, 0.3 N m on the link", joint, pushed(joint.robot, 0.3), fjr.Hold([0.5]), 0.0, load),
-        ("`paper_k31` moves, 0.3 N m on the link", joint, pushed(joint.robot, 0.3), joint.reference, 0.0, load),
-        ("`two_link` moves, inertia 20 % larger", planar, heavier(planar.robot, 1.2), planar.reference, 0.0, load),
+        ("`paper_k31` at standstill, 0.3 N m on the link", joint, pushed(joint.robot, 0.3), fjr.Hold([0.5]), 0.0, load),
+        ("`paper_k31` moving, 0.3 N m on the link", joint, pushed(joint.robot, 0.3), joint.reference, 0.0, load),
+        ("`two_link` moving, inertia 20 % larger", planar, heavier(planar.robot, 1.2), planar.reference, 0.0, load),
         ("`arm7`, 0.3 rad at 0.2 Hz, inertia 20 % larger", arm, heavier(arm.robot, 1.2), slow, 0.0, load),
-        ("the same, weight too", arm, heavier(arm.robot, 1.2, 1.2), slow, 0.0, load),
+        ("the same, weight 20 % larger too", arm, heavier(arm.robot, 1.2, 1.2), slow, 0.0, load),
     ]
     wrong += [
         (
-            f"`{name}` moves, one sample late",
+            f"`{name}` moving, one sample of delay",
             scenario,
             scenario.robot,
             scenario.reference,
@@ -69,9 +69,9 @@ NAMES = ("paper_k31", "two_link", "arm7")
 
 
 def measured(found: list[tuple[Case, dict[str, Array]]]) -> list[str]:
-    """The table: RMS of q_l - q_ld and how many times less than without robust action."""
+    """Return the rows of the table: RMS of q_l - q_ld [rad] without and with each option, and their ratio."""
     lines = [
-        "| what is wrong | without, rad | robust action | with, rad | times less |",
+        "| disturbance | error without, rad | option | error with, rad | ratio |",
         "| --- | --- | --- | --- | --- |",
     ]
     for (words, *_), runs in found:
@@ -84,7 +84,7 @@ def measured(found: list[tuple[Case, dict[str, Array]]]) -> list[str]:
 
 
 def draw(found: list[tuple[Case, dict[str, Array]]]) -> None:
-    """The first joint's error over time, each way in its colour."""
+    """Draw the largest joint error over time, one colour for each option."""
     colours = {
         "none": "black",
         "residual": COLOURS[0],
@@ -108,7 +108,7 @@ def draw(found: list[tuple[Case, dict[str, Array]]]) -> None:
 
 
 def run(case: Case) -> dict[str, Array]:
-    """Errors (k, n) [rad] without and with each way to act."""
+    """Return the errors (k, n) [rad] without and with each option."""
     _, law, robot, reference, delay, ways = case
     start = 0.5 if law.robot.n == 1 and not isinstance(reference, fjr.Hold) else None
     return {
@@ -117,7 +117,7 @@ def run(case: Case) -> dict[str, Array]:
 
 
 def main() -> None:
-    """Run all, write, draw."""
+    """Run all cases, write the table, draw the figure."""
     found = [(case, run(case)) for case in tqdm(cases(), desc="robust action")]
     before, rest = PAGE.read_text(encoding="utf-8").split(START)
     after = rest.split(END)[1]

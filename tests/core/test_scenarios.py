@@ -107,7 +107,7 @@ def blocks(document: Path) -> list[str]:
 
 
 def test_the_files_of_your_robot_md_fit(tmp_path: Path) -> None:
-    robot, mine, gains, limits = blocks(BRINGUP.parents[2] / "docs" / "your_robot.md")
+    robot, mine, gains, _ros2_control, limits = blocks(BRINGUP.parents[2] / "docs" / "your_robot.md")
     (tmp_path / "my_arm.yaml").write_text(robot)
     scenario, key = yaml.safe_load(mine), "ros__parameters"
     for part in (gains, limits):

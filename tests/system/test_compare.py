@@ -240,15 +240,17 @@ def test_the_page_says_what_was_found(folder: Path, found: dict[str, Any], brows
 
 
 def test_the_table_replaces_the_one_between_the_marks(folder: Path, found: dict[str, Any]) -> None:
-    readme = folder / "READ.md"
-    readme.write_text(f"before\n{compare_readme.BEGIN}\nold\n{compare_readme.END}\nafter\n", encoding="utf-8")
-    compared(folder, QUICK, "--readme", str(readme))
-    first = readme.read_text()
+    page = folder / "page.md"
+    page.write_text(f"before\n{compare_readme.BEGIN}\nold\n{compare_readme.END}\nafter\n", encoding="utf-8")
+    _, said = compared(folder, QUICK, "--document", str(page))
+    assert "deprecated" not in said
+    first = page.read_text()
     assert first == f"before\n{compare_readme.BEGIN}\n{compare_readme.markdown(found)}{compare_readme.END}\nafter\n"
     lines = [line for line in first.splitlines() if line.startswith("|")]
     assert {line.count(" | ") for line in lines} == {3}
-    compared(folder, QUICK, "--readme", str(readme))
-    assert readme.read_text() == first
+    _, said = compared(folder, QUICK, "--readme", str(page))
+    assert "--readme is deprecated; use --document" in said
+    assert page.read_text() == first
 
 
 def test_the_table_counts_what_it_holds_and_names_no_winner(found: dict[str, Any]) -> None:
@@ -348,7 +350,7 @@ def test_a_robot_that_cannot_be_is_one_sentence(
     [
         (["nosuite"], "unknown suite 'nosuite': expected a YAML file or one of paper, quick"),
         (["quick", "--cores", "0"], "expected 1 or more, or all"),
-        (["quick", "--readme", "nowhere.md"], "cannot read nowhere.md"),
+        (["quick", "--document", "nowhere.md"], "cannot read nowhere.md"),
     ],
 )
 def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:

@@ -171,9 +171,11 @@ def _add_comparison(commands: argparse._SubParsersAction[argparse.ArgumentParser
         "--output", type=Path, metavar="DIR", default=Path("runs"), help="compare_SUITE/ in there (default runs)"
     )
     compare.add_argument("--cores", type=_cores, metavar="N", help="of this machine, or `all` (default all)")
+    page = Path("docs", "compare.md")
     compare.add_argument(
-        "--readme", type=Path, metavar="FILE", nargs="?", const=Path("README.md"), help="put the table in FILE, too"
+        "--document", type=Path, metavar="FILE", nargs="?", const=page, help=f"also write the table to FILE ({page})"
     )
+    compare.add_argument("--readme", type=Path, nargs="?", const=page, help=argparse.SUPPRESS)  # deprecated in 0.1.0
 
 
 def _add_listening(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

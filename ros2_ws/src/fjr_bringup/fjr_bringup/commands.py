@@ -178,8 +178,11 @@ def _watch(options: argparse.Namespace) -> None:
 
 
 def _compare(options: argparse.Namespace) -> None:
+    if options.readme is not None:
+        print("fjr: --readme is deprecated; use --document", file=sys.stderr)
+    document = options.document or options.readme
     with stoppable() as stop:
-        print(compare_command.compare(options.suite, options.output, options.cores, options.readme, stop))
+        print(compare_command.compare(options.suite, options.output, options.cores, document, stop))
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, Any]:

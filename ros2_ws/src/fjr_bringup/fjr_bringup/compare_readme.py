@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of a comparison in Markdown, put between two marks in a document, so that nobody writes it by hand."""
+"""Write the table of a comparison in Markdown between two marks of a document (docs/compare.md)."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ BEGIN, END = "<!-- fjr compare: begin -->", "<!-- fjr compare: end -->"
 
 
 def check(path: Path) -> None:
-    """Raise CompareError for a file without the marks."""
+    """Check that a file has the marks; raise CompareError otherwise."""
     _parts(path)
 
 
 def replace(path: Path, document: dict[str, Any]) -> None:
-    """Put the table between the marks in a file; raises CompareError where they are not."""
+    """Write the table of a comparison between the marks of a file; raise CompareError if it lacks them."""
     before, after = _parts(path)
     path.write_text(f"{before}{BEGIN}\n{markdown(document)}{END}{after}", encoding="utf-8")
 
 
 def _parts(path: Path) -> tuple[str, str]:
-    """What is before the first mark and after the second."""
+    """Return the text before the first mark and after the second."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -40,7 +40,7 @@ def _parts(path: Path) -> tuple[str, str]:
 
 
 def markdown(document: dict[str, Any]) -> str:
-    """How much is compared, then one table: a line for each quantity of each robot, a column for each law."""
+    """Return the extent of the comparison and one table: a row for each metric of each robot, a column for each law."""
     names = [str(law["title"]) for law in document["laws"]]
     lines = [_line(["", *names]), _line(["---"] * (len(names) + 1))]
     for robot, told in document["robots"].items():
