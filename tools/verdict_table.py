@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the confusion table of docs/verdict.md anew, between its markers: every run of the labelled set as a bag.
+"""Write the confusion table of docs/diagnosis.md anew, between its markers: every run of the labelled set as a bag.
 
 . ros2_ws/install/setup.sh && .venv/bin/python tools/verdict_table.py
 """
@@ -16,7 +16,7 @@ from fjr_core.verdict import Verdict, judge
 from labelled_bags import read_record, write_bag
 from labelled_set import DEGRADED, FOUND_ON, HOLDING, TRIED_ON, UNDECIDED, VIOLATED, Case, Label, cases, label, run
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "verdict.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
 BEGIN = "<!-- confusion: written by tools/verdict_table.py -->"
 END = "<!-- end of confusion -->"
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
