@@ -135,7 +135,11 @@ ROWS = [
         mode=DIRECT,
     ),
     Row(
-        "parameters set to invalid values", "tracks; each value is refused, the old one stays", acts.nonsense, 0.1, mode=DIRECT
+        "parameters set to invalid values",
+        "tracks; each value is refused, the old one stays",
+        acts.nonsense,
+        0.1,
+        mode=DIRECT,
     ),
     Row(
         "arm7: no states for 200 ms",
