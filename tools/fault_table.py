@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the confusion table of docs/fault_isolation.md anew, between their markers: every run of the labelled faults.
+"""Simulate every labelled fault and regenerate the confusion table of docs/fault_isolation.md between its markers.
 
 . ros2_ws/install/setup.sh && .venv/bin/python tools/fault_table.py            # about 10 min for a seed
 """
@@ -25,7 +25,7 @@ SHORT = {kind: chr(ord("a") + i) for i, kind in enumerate(KINDS)}
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run had and what was found: kinds, and whether the joint is right."""
+    """Injected and found kind of fault of a run, and whether the joint is right."""
 
     kind: str
     said: str
@@ -33,7 +33,7 @@ class Outcome:
 
 
 def outcome(case: FaultCase) -> Outcome:
-    """Run a case and compare the first finding of its verdict with the label."""
+    """Simulate a case and compare the first finding with the label."""
     scenario, _, found = case.run()
     joints = axes(scenario.controller_values, scenario.robot)
     findings = judge(found, scenario.tracking_law, axes=joints).findings
@@ -44,7 +44,7 @@ def outcome(case: FaultCase) -> Outcome:
 
 
 def table(outcomes: Iterable[Outcome]) -> list[str]:
-    """Return labels down, findings across, then how many joints are right, as lines of Markdown."""
+    """Return Markdown lines: a row a label, a column a finding, last the count of right joints."""
     listed = list(outcomes)
     counts = Counter((each.kind, each.said) for each in listed)
     others = sorted({each.said for each in listed} - set(KINDS))
@@ -60,14 +60,14 @@ def table(outcomes: Iterable[Outcome]) -> list[str]:
 
 
 def shares(outcomes: Iterable[Outcome]) -> tuple[float, float]:
-    """Return the shares of faulty runs whose kind is right, and whose joint is."""
+    """Return the shares of faulty runs with the right kind and with the right joint."""
     faulty = [each for each in outcomes if each.kind != HEALTHY]
     kinds, joints = (sum(e.kind == e.said for e in faulty), sum(e.joint for e in faulty))
     return kinds / len(faulty), joints / len(faulty)
 
 
 def confusion(seed: int) -> list[str]:
-    """Return the table of the set of a seed; lines on what is not right go to stderr."""
+    """Return the table of the set of a seed; print each wrong finding to stderr."""
     outcomes = []
     for case in cases(seed):
         outcomes.append(found := outcome(case))
@@ -83,11 +83,11 @@ def confusion(seed: int) -> list[str]:
 
 
 def main() -> int:
-    """Rewrite the page."""
+    """Rewrite the table on the page."""
     page = PAGE.read_text(encoding="utf-8")
     before, rest = page.split(BEGIN)
     _, after = rest.split(END)
-    lines = ["", f"Tried on the set of seed {TRIED_ON}:", "", *confusion(TRIED_ON)]
+    lines = ["", f"Validation set (seed {TRIED_ON}):", "", *confusion(TRIED_ON)]
     PAGE.write_text("\n".join([before + BEGIN, *lines, "", END + after]), encoding="utf-8")
     return 0
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the measured tables of docs/measurements.md anew, between its markers; seeded, so that it repeats.
+"""Regenerate the tables of docs/measurements.md between their markers; seeded, so that they repeat.
 
 . ros2_ws/install/setup.sh && .venv/bin/python tools/measurements_table.py
 """
@@ -22,7 +22,7 @@ SETTLED = 2.0  # s
 
 
 def modes(scenario: Scenario, torque_range: float) -> Iterator[tuple[str, Run]]:
-    """Each way to measure with its run."""
+    """Yield a description of each sensor set with its run; torque_range [N m] of the torque sensors."""
     exact, encoders = Sensors(), Sensors(bits=16)
     yield "all measured, exact", run(scenario, exact, None)
     yield "all measured, encoders", run(scenario, encoders, None)
@@ -35,7 +35,7 @@ def modes(scenario: Scenario, torque_range: float) -> Iterator[tuple[str, Run]]:
 
 
 def measured_table(scenarios: Mapping[str, Scenario]) -> list[str]:
-    """Scenario and mode against errors and ripple."""
+    """Return the table of errors [rad] and ripple [N m] by scenario and sensor set."""
     lines = [
         "| scenario | measurement | RMS, rad | largest, rad | ripple of u, N m |",
         "| --- | --- | --- | --- | --- |",
@@ -48,7 +48,7 @@ def measured_table(scenarios: Mapping[str, Scenario]) -> list[str]:
 
 
 def bandwidth_table(scenarios: Mapping[str, Scenario]) -> list[str]:
-    """Bandwidth against RMS and ripple with encoders, per scenario."""
+    """Return the table of RMS error [rad] and ripple [N m] with encoders by bandwidth and scenario."""
     lines = ["| bandwidth, rad/s | " + " | ".join(f"`{name}`" for name in scenarios) + " |"]
     lines.append("| --- " * (len(scenarios) + 1) + "|")
     for bandwidth in BANDWIDTHS:
@@ -59,7 +59,7 @@ def bandwidth_table(scenarios: Mapping[str, Scenario]) -> list[str]:
 
 
 def mismatch_table(scenarios: Mapping[str, Scenario]) -> list[str]:
-    """Velocities measured and bandwidths against RMS of the paper's joint, the model being wrong."""
+    """Return the table of RMS error [rad] of the paper's joint with a wrong model: by bandwidth."""
     real = single_link(stiffness=32.55, link_inertia=0.0341, gravity_torque=0.88, link_damping=0.15)
     ways = {"measured": None, **{f"{bandwidth:g}": bandwidth for bandwidth in BANDWIDTHS}}
     loop, plant = scenarios["paper_k31"], Plant(real, compile=True)
@@ -69,7 +69,7 @@ def mismatch_table(scenarios: Mapping[str, Scenario]) -> list[str]:
 
 
 def replaced(page: str, name: str, lines: list[str]) -> str:
-    """The page with these lines between the markers of that name; raises ValueError where they are not."""
+    """Return the page with `lines` between the markers `name`; ValueError if the page lacks them."""
     begin, end = f"<!-- {name}: written by tools/measurements_table.py -->", f"<!-- end of {name} -->"
     before, rest = page.split(begin)
     _, after = rest.split(end)
@@ -77,7 +77,7 @@ def replaced(page: str, name: str, lines: list[str]) -> str:
 
 
 def main() -> int:
-    """Rewrite the page."""
+    """Rewrite the tables on the page."""
     scenarios = {name: scenario(name) for name in TORQUE_RANGES}
     page = PAGE.read_text(encoding="utf-8")
     tables = {"measurements": measured_table, "bandwidths": bandwidth_table, "mismatch": mismatch_table}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the confusion table of docs/verdict.md anew, between its markers: every run of the labelled set as a bag.
+"""Diagnose every labelled run from its bag and regenerate the confusion table of docs/diagnosis.md between its markers.
 
 . ros2_ws/install/setup.sh && .venv/bin/python tools/verdict_table.py
 """
@@ -16,7 +16,7 @@ from fjr_core.verdict import Verdict, judge
 from labelled_bags import read_record, write_bag
 from labelled_set import DEGRADED, FOUND_ON, HOLDING, TRIED_ON, UNDECIDED, VIOLATED, Case, Label, cases, label, run
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "verdict.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
 BEGIN = "<!-- confusion: written by tools/verdict_table.py -->"
 END = "<!-- end of confusion -->"
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
@@ -24,7 +24,7 @@ OTHER = "several or none"
 
 
 def judged(case: Case, folder: Path) -> tuple[Label, Verdict]:
-    """The label of a case and the verdict on its bag, which is written into `folder`."""
+    """Write the bag of a case into `folder` and return the label and the diagnosis of the bag."""
     scenario, log = run(case)
     write_bag(log, scenario, folder)
     record = read_record(folder, scenario)
@@ -32,14 +32,14 @@ def judged(case: Case, folder: Path) -> tuple[Label, Verdict]:
 
 
 def said(verdict: Verdict) -> str:
-    """Return the verdict in a word: "holding", its only cause, or what else it is."""
+    """Return the diagnosis as one word: its only cause, OTHER for several causes or none, else its kind."""
     if verdict.kind not in (DEGRADED, VIOLATED):
         return verdict.kind
     return verdict.causes[0] if len(verdict.causes) == 1 else OTHER
 
 
 def table(pairs: Iterable[tuple[str, str]], rows: tuple[str, ...] = NAMES) -> list[str]:
-    """Return labels down, verdicts across, as lines of Markdown."""
+    """Return Markdown lines: a row a label, a column a diagnosis."""
     counts = Counter(pairs)
     known = [name for name in rows if name != UNDECIDED]
     columns = (*known, *sorted({verdict for _, verdict in counts} - set(known)))
@@ -51,7 +51,7 @@ def table(pairs: Iterable[tuple[str, str]], rows: tuple[str, ...] = NAMES) -> li
 
 
 def confusion(seed: int) -> list[str]:
-    """Return the tables of causes and of grades for the set of a seed; print to stderr what is not right."""
+    """Return the tables of causes and of grades of the set of a seed; print each wrong diagnosis to stderr."""
     causes, grades = [], []
     with tempfile.TemporaryDirectory(prefix="fjr-verdicts-") as folder:
         for i, case in enumerate(cases(seed)):
@@ -64,15 +64,15 @@ def confusion(seed: int) -> list[str]:
 
 
 def right(wanted: Label, verdict: Verdict) -> bool:
-    """Return whether the verdict is the label."""
+    """Return whether the diagnosis agrees with the label."""
     graded = verdict.kind == wanted.grade or (wanted.grade == UNDECIDED and verdict.kind in (DEGRADED, VIOLATED))
     return graded and said(verdict) == wanted.cause
 
 
 def main() -> int:
-    """Rewrite the page."""
-    words = {TRIED_ON: "Tried on", FOUND_ON: "The thresholds were found on"}
-    parts = [["", f"{what} the set of seed {seed}:", "", *confusion(seed)] for seed, what in words.items()]
+    """Rewrite the tables on the page."""
+    headings = {TRIED_ON: "Validation set", FOUND_ON: "Set on which the thresholds were tuned"}
+    parts = [["", f"{heading} (seed {seed}):", "", *confusion(seed)] for seed, heading in headings.items()]
     lines = [line for part in parts for line in part]
     before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]

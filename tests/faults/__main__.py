@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do all faults and write their table: `python -m tests.faults [words of a row]`, with the workspace sourced.
+"""Inject all faults and regenerate the table of docs/faults.md: `python -m tests.faults [WORD ...]`.
 
-With words, only the rows that contain one of them are done and printed, and nothing is written.
+The workspace must be sourced. With words, only rows whose name contains one of them run; the table is printed only.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ DOCUMENT = TESTS.parent / "docs" / "faults.md"
 
 
 def main(words: list[str]) -> int:
-    """The exit code: 0 where all efforts were good."""
+    """Return the exit code: 0 if no effort was bad."""
     rows = [row for row in ROWS if not words or any(word in row.name for word in words)]
     done: list[tuple[Row, Outcome]] = []
     for number, row in enumerate(rows, start=1):

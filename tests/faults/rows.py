@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of faults: what is done to the pair of nodes, and what must come of it."""
+"""The rows of the fault table: each fault, the behaviour of the arm and the bounds on the result."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ ARM = Setting(
 
 @dataclass(frozen=True)
 class Row:
-    """A fault, what the arm does, how that is seen, and the bounds of its figures.
+    """A fault, the behaviour of the arm under it, and bounds on the measured values.
 
-    peak: of |q_tilde_l| [rad] from the fault on. recovery: seconds after its end, None: it stays stopped.
-    counted: what the controller must have counted. mode: how the pair runs.
+    peak: largest |q_tilde_l| [rad] from the start of the fault. recovery: time [s] from its end to recovery; None: the
+    controller stays stopped. counted: counters that the controller must have incremented. mode: how the two nodes run.
     """
 
     name: str
@@ -54,14 +54,14 @@ def late(seconds: float) -> Act:
     return acts.plant_set(2.0, state_delay=seconds)
 
 
-FALLS = "swings down without effort, is joined to the reference again over 0.5 s"
+FALLS = "swings down without effort; a 0.5 s transition leads back to the reference"
 LATER = ("silences", "recoveries")
 ROWS = [
-    Row("nothing, for comparison", "tracks", acts.nothing, 0.1),
-    Row("kill -9 of the controller and its return", FALLS, acts.controller_killed, 2.5, mode=DIRECT),
+    Row("no fault", "tracks", acts.nothing, 0.1),
+    Row("kill -9 of the controller, then restart", FALLS, acts.controller_killed, 2.5, mode=DIRECT),
     Row(
-        "kill -9 of the plant and its return",
-        "is back where it was first, is joined to the reference from there",
+        "kill -9 of the plant, then restart",
+        "restarts in its initial state; a transition leads to the reference",
         acts.plant_killed,
         2.5,
         counted=LATER,
@@ -76,7 +76,7 @@ ROWS = [
     Row("states 5 ms late, 2 s", "tracks", late(0.005), 1e-3, 0.0, mode=STEPPED),
     Row(
         "states 8 ms late, 2 s (margin: 5.45 ms)",
-        "swings about the reference between the effort limits",
+        "oscillates about the reference between the effort limits",
         late(0.008),
         0.8,
         1.0,
@@ -91,55 +91,59 @@ ROWS = [
         counted=("state refused: not finite", *LATER),
     ),
     Row(
-        "names of another arm, 200 ms",
+        "joint names of another arm, 200 ms",
         FALLS,
         acts.renamed(0.2),
         1.0,
         counted=("state refused: missing joints", *LATER),
     ),
-    Row("every state twice, 1 s", "tracks", acts.twice(1.0), 0.1, counted=("states repeated",)),
+    Row("every state sent twice, 1 s", "tracks", acts.twice(1.0), 0.1, counted=("states repeated",)),
     Row(
-        "one state again and again, 200 ms",
-        "keeps the effort of that state, is joined to the reference again",
+        "one state repeated, 200 ms",
+        "holds the effort of that state; a transition leads back to the reference",
         acts.frozen(0.2),
         1.0,
         counted=("states repeated", "forward jumps", "recoveries"),
     ),
     Row(
-        "before every state one that is 50 ms older, 1 s",
+        "each state preceded by one 50 ms older, 1 s",
         "tracks",
         acts.aged(1.0, 50),
         0.1,
         counted=("states older than the last",),
     ),
     Row(
-        "stamps jump 10 s forward, after 0.5 s back",
-        "is joined to where the reference is then; after the jump back to its beginning",
+        "stamps jump 10 s forward, then back after 0.5 s",
+        "recovers to the reference at the new time; after the jump back the reference restarts",
         acts.clock_jumped(0.5, 10),
         2.5,
         counted=("forward jumps", "recoveries", "reference restarts"),
     ),
     Row(
         "a second controller is started",
-        "tracks; the second is refused and ends",
+        "tracks; the second controller refuses to start and exits",
         acts.second_controller,
         0.1,
         mode=DIRECT,
     ),
     Row(
         "another node sends zero efforts, 1 s",
-        "tracks worse; the controller reports the other node",
+        "tracks less accurately; the controller reports the other node",
         acts.intruder(1.0),
         1.0,
         counted=("other controllers",),
         mode=DIRECT,
     ),
     Row(
-        "parameters are set to nonsense", "tracks; each is refused, the old one stays", acts.nonsense, 0.1, mode=DIRECT
+        "parameters set to invalid values",
+        "tracks; each value is refused, the old one stays",
+        acts.nonsense,
+        0.1,
+        mode=DIRECT,
     ),
     Row(
         "arm7: no states for 200 ms",
-        "goes on with its weight held, is joined to the reference again over 1 s",
+        "holds its weight; a 1 s transition leads back to the reference",
         acts.silence(0.2),
         1.0,
         counted=LATER,
@@ -147,7 +151,7 @@ ROWS = [
     ),
     Row(
         "arm7: no states for 2 s",
-        "falls, as it has no brakes; out of its range the controller stops and holds the weight",
+        "falls (it has no brakes); outside its range the controller stops and holds the weight",
         acts.silence(2.0),
         10.0,
         None,
@@ -155,8 +159,8 @@ ROWS = [
         setting=ARM,
     ),
     Row(
-        "arm7: kill -9 of the plant and its return",
-        "is joined to the reference",
+        "arm7: kill -9 of the plant, then restart",
+        "a transition leads to the reference",
         acts.plant_killed,
         1.5,
         counted=("silences",),

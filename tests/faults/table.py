@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of docs/faults.md, between two markers."""
+"""Format the table of docs/faults.md, which stands between two markers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from faults.outcome import Outcome
 from faults.rows import Row
 
-BEGIN = "<!-- python -m tests.faults writes from here -->"
-END = "<!-- to here -->"
+BEGIN = "<!-- faults: written by python -m tests.faults -->"
+END = "<!-- end of faults -->"
 HEAD = (
     "| fault | what the arm does | peak q_tilde_l [rad] | recovered after [s] | bad efforts |\n"
     "| --- | --- | ---: | ---: | ---: |"
@@ -18,12 +18,12 @@ HEAD = (
 
 
 def table(done: Iterable[tuple[Row, Outcome]]) -> str:
-    """Markdown, a line for each row."""
+    """Return the table as Markdown, one line a row."""
     return "\n".join([HEAD, *(_line(row, seen) for row, seen in done)])
 
 
 def written(document: str, text: str) -> str:
-    """The document with the text between its markers."""
+    """Return the document with `text` between its markers."""
     before, rest = document.split(BEGIN)
     after = rest.split(END)[1]
     return f"{before}{BEGIN}\n{text}\n{END}{after}"
