@@ -53,7 +53,7 @@ compare: ## compare all laws on three robots, minutes, and write the table into 
 
 docs: ## build the pages and the API reference into build/docs/html; a warning is an error
 	$(SETUP) docs
-	@$(ENTER) && exec "$(VENV)/bin/python" tools/build_docs.py
+	@$(ENTER) && exec "$(VENV)/bin/python" tools/docs/build_docs.py
 
 lint: ## ruff and mypy on all packages
 	$(SETUP) lint

@@ -18,7 +18,7 @@ import numpy
 import pinocchio
 from tqdm import tqdm
 
-from . import (
+from bench import (
     campaign,
     campaign_memory,
     certificate,
@@ -31,8 +31,8 @@ from . import (
     round_trip,
     start_up,
 )
-from .arm import arm7
-from .figures import Figure, table
+from bench.arm import arm7
+from bench.figures import Figure, table
 
 RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
 LONG = ("memory", "sweep-memory")

@@ -3,7 +3,7 @@
 
     python -m bench.bare echo|timer|ping|pong --ros-args ...
 
-They run as ours do: the same executor, garbage collection and priority (fjr_msgs_py.process), messages made once.
+They run as ours do: the same executor, garbage collection and priority (fjr_msgs_py.node.process), messages made once.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from fjr_core.process_parameters import process_parameters
-from fjr_msgs_py import names, process
+from fjr_core.config.process import process_parameters
+from fjr_msgs_py import names
+from fjr_msgs_py.node import process
 
 JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 PERIOD = 1_000_000  # ns

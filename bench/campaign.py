@@ -10,14 +10,13 @@ from time import perf_counter, process_time
 
 import numpy as np
 
+from bench.campaign_peers import NAMES, Peer, mujoco_peer, scipy_peer
+from bench.figures import Figure
+from bench.measure import one_core
 from fjr_core import PAPER_GAINS, Sine, TrackingLaw, single_link
-from fjr_core.campaign import ClosedLoop, Draws
-from fjr_core.checks import Array
-from fjr_core.sampled_law import Static
-
-from .campaign_peers import NAMES, Peer, mujoco_peer, scipy_peer
-from .figures import Figure
-from .measure import one_core
+from fjr_core.control.sampled_law import Static
+from fjr_core.numerics.checks import Array
+from fjr_core.simulation.batch import ClosedLoop, Draws
 
 RUNS, DURATION, PERIOD, INNER_STEPS = 10_000, 5.0, 1e-3, 4
 PART = 250

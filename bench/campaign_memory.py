@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from .figures import Figure
+from bench.figures import Figure
 
 MANY, FEW = 1_000_000, 10_000
 SWEEP = """

@@ -11,13 +11,12 @@ import numpy as np
 import pinocchio as pin
 from scipy.integrate import solve_ivp
 
+from bench.mujoco_arm import MujocoArm
 from fjr_core import TrackingLaw, single_link
-from fjr_core.campaign import ClosedLoop, Draws
-from fjr_core.checks import Array
-from fjr_core.robot import Robot
-from fjr_core.sampled_law import Static
-
-from .mujoco_arm import MujocoArm
+from fjr_core.control.sampled_law import Static
+from fjr_core.numerics.checks import Array
+from fjr_core.robot.robot import Robot
+from fjr_core.simulation.batch import ClosedLoop, Draws
 
 NAMES = ("stiffness", "link_inertia", "gravity", "motor_inertia", "link_damping", "motor_damping")
 GRAVITY = 9.81  # m/s^2

@@ -7,11 +7,11 @@ import json
 
 import numpy as np
 
-from .arm import Arm
-from .figures import Figure
-from .measure import ratio
-from .nodes import controller, driver, output, running, scenario_file
-from .round_trip import LONGEST, PATIENCE, ROUNDS, percentiles
+from bench.arm import Arm
+from bench.figures import Figure
+from bench.measure import ratio
+from bench.nodes import controller, driver, output, running, scenario_file
+from bench.round_trip import LONGEST, PATIENCE, ROUNDS, percentiles
 
 WITH, WITHOUT = "certified", "plain"
 BOUND = 1.10

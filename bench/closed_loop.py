@@ -7,12 +7,11 @@ from time import perf_counter
 
 import numpy as np
 
+from bench.arm import Arm
+from bench.figures import Figure
+from bench.measure import one_core
 from fjr_core import simulate
-from fjr_core.checks import Array
-
-from .arm import Arm
-from .figures import Figure
-from .measure import one_core
+from fjr_core.numerics.checks import Array
 
 DURATION = 3.0  # s
 TOLERANCE = 1e-6  # rad; what halving the step may change

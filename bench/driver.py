@@ -18,9 +18,9 @@ from collections.abc import Sequence
 
 from std_msgs.msg import Float64MultiArray
 
-from fjr_msgs_py import names, process
-
-from .bare import PERIOD, Bare, full_state, stamp
+from bench.bare import PERIOD, Bare, full_state, stamp
+from fjr_msgs_py import names
+from fjr_msgs_py.node import process
 
 BLOCK = 250  # states to one side before it is the other's turn
 BLOCKS = 4  # of each side in a round

@@ -6,7 +6,7 @@ from __future__ import annotations
 import sys
 
 from fjr_core import TrackingLaw
-from fjr_core.scenario import load_scenario
+from fjr_core.config.scenario import load_scenario
 
 
 def main(path: str) -> None:

@@ -8,13 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bench.bare import PERIOD
+from bench.figures import Figure
+from bench.measure import ratio
+from bench.nodes import bare, controller, plant, running, scenario_file
+from bench.tap import Seen, Tap
 from fjr_msgs_py import names
-
-from .bare import PERIOD
-from .figures import Figure
-from .measure import ratio
-from .nodes import bare, controller, plant, running, scenario_file
-from .tap import Seen, Tap
 
 REPEATS = 5
 SECONDS = 5.0

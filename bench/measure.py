@@ -12,7 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
-from fjr_core.checks import Array
+from fjr_core.numerics.checks import Array
 
 REPEATS = 41
 BLOCK = 5e-3  # s; a block is as many calls as take about so long

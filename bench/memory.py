@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fjr_core.checks import Array
+from bench.figures import Figure
+from bench.nodes import controller, plant, running, scenario_file
+from bench.tap import Tap
+from fjr_core.numerics.checks import Array
 from fjr_msgs_py import names
-
-from .figures import Figure
-from .nodes import controller, plant, running, scenario_file
-from .tap import Tap
 
 MINUTES = 10.0
 SETTLED = 1.0  # minutes that do not count

@@ -13,12 +13,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from fjr_bringup import scenarios
-from fjr_bringup.processes import executable
-from fjr_bringup.run import set_ros_environment
-
-from .arm import ROOT, SCENARIO
-from .start_up import DOMAIN
+from bench.arm import ROOT, SCENARIO
+from bench.start_up import DOMAIN
+from fjr_bringup.runner.node_process import executable
+from fjr_bringup.runner.run import set_ros_environment
+from fjr_bringup.scenarios import library
 
 PRIORITY = 50  # as in the scenario; taken where the system allows it
 GRACE = 5.0  # s
@@ -31,7 +30,7 @@ def scenario_file(overrides: Mapping[str, Any] | None = None) -> Iterator[Path]:
     set_ros_environment()
     with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder:
         path = Path(folder, "scenario.yaml")
-        path.write_text(scenarios.as_run(SCENARIO, overrides or {})[0], encoding="utf-8")
+        path.write_text(library.as_run(SCENARIO, overrides or {})[0], encoding="utf-8")
         yield path
 
 

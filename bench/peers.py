@@ -10,15 +10,14 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from bench.arm import Arm, random_motion
+from bench.figures import Figure
+from bench.measure import Call, in_turns, microseconds, ratio
+from bench.mujoco_arm import MujocoArm
 from fjr_core import PAPER_GAINS, TrackingLaw, single_link
-from fjr_core.checks import Array
-from fjr_core.compile import compiled
-from fjr_core.numeric import bind
-
-from .arm import Arm, random_motion
-from .figures import Figure
-from .measure import Call, in_turns, microseconds, ratio
-from .mujoco_arm import MujocoArm
+from fjr_core.numerics.casadi_function import bind
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import compiled
 
 STEP = 2.5e-4  # s
 

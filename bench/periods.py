@@ -6,11 +6,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.figures import Figure
+from bench.nodes import bare, controller, plant, running, scenario_file
+from bench.tap import Tap
 from fjr_msgs_py import names
-
-from .figures import Figure
-from .nodes import bare, controller, plant, running, scenario_file
-from .tap import Tap
 
 SECONDS = 60.0
 LATE = 1_500_000  # ns

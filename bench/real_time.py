@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from fjr_bringup.exit_codes import Exit
-
-from .figures import Figure
-from .start_up import DOMAIN
+from bench.figures import Figure
+from bench.start_up import DOMAIN
+from fjr_bringup.cli.exit_codes import Exit
 
 REPEATS = 3
 BOUND = 2e-4  # rad, after 2 s

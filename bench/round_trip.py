@@ -7,12 +7,11 @@ import json
 
 import numpy as np
 
-from fjr_core.checks import Array
-
-from .arm import Arm
-from .figures import Figure
-from .measure import ratio
-from .nodes import bare, controller, driver, output, running, scenario_file
+from bench.arm import Arm
+from bench.figures import Figure
+from bench.measure import ratio
+from bench.nodes import bare, controller, driver, output, running, scenario_file
+from fjr_core.numerics.checks import Array
 
 ROUNDS = 15
 OURS, BARE = "ours", "bare"

@@ -16,13 +16,12 @@ import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from fjr_bringup.processes import NodeProcess
-from fjr_bringup.run import set_ros_environment
+from bench.arm import ROOT, SCENARIO
+from bench.figures import Figure
+from bench.listener import Listener
+from fjr_bringup.runner.node_process import NodeProcess
+from fjr_bringup.runner.run import set_ros_environment
 from fjr_msgs_py import names
-
-from .arm import ROOT, SCENARIO
-from .figures import Figure
-from .listener import Listener
 
 COLD_REPEATS, WARM_REPEATS, NODE_REPEATS = 3, 3, 7
 LONGEST = 60.0  # s

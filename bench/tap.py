@@ -17,7 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from fjr_msgs_py.messages import nanoseconds
+from fjr_msgs_py.messages.joint_states import nanoseconds
 
 DEPTH = 5000
 PAUSE = 0.05  # s between two looks into the queues

@@ -15,7 +15,7 @@ from ament_index_python.packages import get_package_prefix, get_package_share_di
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from fjr_core import parameter_file
+from fjr_core.config import ros_yaml
 
 TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 ALONE = {"bag": ("record", "play", "info"), "lifecycle": ("get", "list"), "node": ("list", "info")}
@@ -83,7 +83,7 @@ class Graph:
 
     def _set(self, node: Node, name: str, text: str) -> None:
         assert node.has_parameter(name), name
-        value = parameter_file.parse(text)
+        value = ros_yaml.parse(text)
         result = node.set_parameters([Parameter(name, value=value)])[0]
         assert result.successful or "while" in result.reason or "read-only" in result.reason, result.reason
 

@@ -8,7 +8,7 @@ import shlex
 import subprocess
 from collections.abc import Iterator
 
-from fjr_bringup.exit_codes import Exit
+from fjr_bringup.cli.exit_codes import Exit
 
 SHORT = "0.5"  # s of stamped time for commands that record
 

@@ -18,10 +18,10 @@ import pytest
 from docs.arm import my_arm_urdf
 from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
 from docs.shell import script, syntax_error
-from fjr_bringup import suite
-from fjr_core import parameter_file
-from fjr_core.campaign import sweep_file
-from fjr_core.scenario import load_scenario
+from fjr_bringup.studies.comparison import suite
+from fjr_bringup.studies.monte_carlo import sweep_file
+from fjr_core.config import ros_yaml
+from fjr_core.config.scenario import load_scenario
 from patience import HANG
 
 LINKED = ("ros2_ws", "examples")  # what commands name relative to the checkout
@@ -128,20 +128,20 @@ def end_group(leader: subprocess.Popen[bytes]) -> None:
 def do_yaml(block: Block, folder: Path, said: str) -> str:
     """Write the file, or add to it, and read it as the nodes and `fjr` do."""
     if block.marks.get("for") == "ros2_control":  # its nodes are not here; it is a parameter file at least
-        for node in parameter_file.parse(block.text):
-            assert parameter_file.values_for(node, parameter_file.parse(block.text))
+        for node in ros_yaml.parse(block.text):
+            assert ros_yaml.values_for(node, ros_yaml.parse(block.text))
         return said
     file = folder / block.marks["file"]
-    if sweep_file.is_one(parameter_file.parse(block.text)):
+    if sweep_file.is_one(ros_yaml.parse(block.text)):
         file.write_text(block.text, encoding="utf-8")
-        assert sweep_file.read(parameter_file.parse(block.text)).vary
+        assert sweep_file.read(ros_yaml.parse(block.text)).vary
         return said
     if block.marks.get("for") == "compare":
         file.write_text(block.text, encoding="utf-8")
         assert suite.load(file).robots, str(block)
         return said
-    before = parameter_file.parse(file.read_text(encoding="utf-8")) if file.exists() else {}
-    file.write_text(parameter_file.dump(merged(before, parameter_file.parse(block.text))), encoding="utf-8")
+    before = ros_yaml.parse(file.read_text(encoding="utf-8")) if file.exists() else {}
+    file.write_text(ros_yaml.dump(merged(before, ros_yaml.parse(block.text))), encoding="utf-8")
     assert load_scenario(file).warnings == (), str(block)
     return said
 

@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from core.c_program import C99, CPP, SCENARIOS, built, exported, loop, said
+from core.codegen.c_program import C99, CPP, SCENARIOS, built, exported, loop, said
 from docs.pages import ROOT, Block, blocks
-from fjr_core.scenario import load_scenario
+from fjr_core.config.scenario import load_scenario
 
 HERE = Path(__file__).with_name("ros2_control")
 PAGE = ROOT / "docs" / "export_c.md"

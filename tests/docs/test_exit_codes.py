@@ -6,8 +6,8 @@ from __future__ import annotations
 import re
 
 from docs.pages import ROOT
-from fjr_bringup.cli import parser
-from fjr_bringup.exit_codes import MEANINGS, Exit
+from fjr_bringup.cli.app import parser
+from fjr_bringup.cli.exit_codes import MEANINGS, Exit
 
 
 def test_every_exit_code_is_documented() -> None:

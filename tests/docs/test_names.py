@@ -13,7 +13,7 @@ from bench.__main__ import parser as bench_parser
 from docs.pages import PAGES, ROOT, blocks, inline
 from docs.ros2_lines import Graph
 from docs.shell import NOT_RUN, commands, is_run, words
-from fjr_bringup.cli import parser as fjr_parser
+from fjr_bringup.cli.app import parser as fjr_parser
 from nodes.harness import Ros
 
 HELD = [c for page in PAGES for b in blocks(page) if b.language == "sh" for c in commands(b.text) if not is_run(c)]

@@ -25,7 +25,7 @@ from faults.measures import THRESHOLD, Anchor, Motion, Sine
 from faults.relay import Relay, Tamper
 from faults.remote import Remote
 from faults.watcher import COMMANDS, DIAGNOSTICS, EFFORTS, REFERENCE, STATES, TRUE_STATES, Heard, Watcher
-from fjr_msgs_py.scheduling import prioritised
+from fjr_msgs_py.node.scheduling import prioritised
 from fjr_plant.plant_node import LOCKSTEP_START
 from patience import Limit
 from system.executables import NODES, Executable, scenario

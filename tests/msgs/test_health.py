@@ -10,7 +10,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from fjr_msgs_py.health import Health
+from fjr_msgs_py.node.diagnostics import Health
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from patience import HANG
 
 LOADING = """
 import time
-from fjr_msgs_py.loading import end_on_signals
+from fjr_msgs_py.node.loading import end_on_signals
 end_on_signals()
 print("loading", flush=True)
 time.sleep(60)
@@ -32,6 +32,6 @@ def test_a_signal_while_loading_ends_the_process_with_0(number: signal.Signals) 
 
 
 def test_loading_itself_loads_nothing_that_takes_time() -> None:
-    code = "import sys, fjr_msgs_py.loading, fjr_plant.executable, fjr_controller.executable; print(*sys.modules)"
+    code = "import sys, fjr_msgs_py.node.loading, fjr_plant.executable, fjr_controller.executable; print(*sys.modules)"
     modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not {"rclpy", "numpy", "casadi", "fjr_core"} & set(modules)

@@ -12,7 +12,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_core import Measurement
-from fjr_msgs_py.messages import EffortReader, EffortWriter, JointSample, JointStateWriter, MessageError, StateReader
+from fjr_msgs_py.messages.joint_states import (
+    EffortReader,
+    EffortWriter,
+    JointSample,
+    JointStateWriter,
+    MessageError,
+    StateReader,
+)
 from fjr_msgs_py.names import motor_name, state_names
 
 finite = st.floats(allow_nan=False, allow_infinity=False)

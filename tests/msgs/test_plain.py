@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, UInt8MultiArray
 
-from fjr_msgs_py.plain import plain
+from fjr_msgs_py.messages.plain import plain
 
 
 def test_fields_keep_their_order_and_arrays_are_lists() -> None:

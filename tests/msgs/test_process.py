@@ -13,9 +13,9 @@ from msgs.child import run
 FALLING = """
 import sys
 from fjr_core import FjrError
-from fjr_core.process_parameters import process_parameters
-from fjr_msgs_py import process
-from fjr_msgs_py.node_parameters import ParameterNode
+from fjr_core.config.process import process_parameters
+from fjr_msgs_py.node import process
+from fjr_msgs_py.node.parameters import ParameterNode
 from rclpy.parameter import Parameter
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
@@ -55,9 +55,9 @@ sys.exit(process.run(Falling))
 REBUILT = """
 import gc, os, sys
 from fjr_core import FjrError
-from fjr_core.process_parameters import process_parameters
-from fjr_msgs_py import process
-from fjr_msgs_py.node_parameters import ParameterNode
+from fjr_core.config.process import process_parameters
+from fjr_msgs_py.node import process
+from fjr_msgs_py.node.parameters import ParameterNode
 class Rebuilt(ParameterNode):
     def __init__(self):
         super().__init__("rebuilt", lambda n: process_parameters())

@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fjr_core import ParameterError
-from fjr_core.process_parameters import ProcessCare, cores, process_care, process_parameters
-from fjr_msgs_py import scheduling
-from fjr_msgs_py.scheduling import prioritised, take_care, take_priority
+from fjr_core.config.process import ProcessCare, cores, process_care, process_parameters
+from fjr_msgs_py.node import scheduling
+from fjr_msgs_py.node.scheduling import prioritised, take_care, take_priority
 from msgs.child import run
 
 NOBODY = 65534
@@ -27,8 +27,8 @@ NOBODY = 65534
 TAKE_CARE = """
 import json, os, resource, sys, threading
 from pathlib import Path
-from fjr_core.process_parameters import ProcessCare
-from fjr_msgs_py.scheduling import take_care
+from fjr_core.config.process import ProcessCare
+from fjr_msgs_py.node.scheduling import take_care
 care, user, memlock = json.loads(sys.argv[1])
 thread = threading.Thread(target=threading.Event().wait, daemon=True).start()
 if memlock is not None:
@@ -52,8 +52,8 @@ print(json.dumps({
 INTERRUPTED = """
 import os, signal, sys
 from rclpy.node import Node
-from fjr_core.process_parameters import process_parameters
-from fjr_msgs_py import process
+from fjr_core.config.process import process_parameters
+from fjr_msgs_py.node import process
 class Counting(Node):
     def __init__(self):
         super().__init__("counting")

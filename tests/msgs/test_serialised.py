@@ -15,10 +15,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from fjr_core import Measurement
-from fjr_msgs_py.messages import EffortReader, EffortWriter, JointStateWriter, MessageError, StateReader
+from fjr_msgs_py.messages.cdr.layout import FIELDS
+from fjr_msgs_py.messages.cdr.readers import SerialisedEfforts, SerialisedStates
+from fjr_msgs_py.messages.joint_states import EffortReader, EffortWriter, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.names import state_names
-from fjr_msgs_py.serialised import SerialisedEfforts, SerialisedStates
-from fjr_msgs_py.wire import FIELDS
 
 JOINTS = ("elbow", "wr")
 NAMES = state_names(JOINTS)

@@ -6,9 +6,9 @@ from __future__ import annotations
 import pytest
 from sensor_msgs.msg import JointState
 
-from fjr_msgs_py.clock import ClockWriter
-from fjr_msgs_py.messages import MessageError
-from fjr_msgs_py.torques import TorqueReader
+from fjr_msgs_py.messages.clock import ClockWriter
+from fjr_msgs_py.messages.joint_states import MessageError
+from fjr_msgs_py.messages.torques import TorqueReader
 
 JOINTS = ("a", "b", "c")
 CASES = {

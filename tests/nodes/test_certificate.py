@@ -11,9 +11,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float64MultiArray
 
 import fjr_core as fjr
-from fjr_core.certificate import Balance
-from fjr_msgs_py.certificates import LABELS, CertificateValues, CertificateWriter, read_certificate
-from fjr_msgs_py.messages import MessageError
+from fjr_core.monitoring.certificate import Balance
+from fjr_msgs_py.messages.certificate import LABELS, CertificateValues, CertificateWriter, read_certificate
+from fjr_msgs_py.messages.joint_states import MessageError
 from nodes.harness import Listener, Ros, nanoseconds
 
 STATUS = "fjr_controller: certificate"

@@ -12,9 +12,9 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from fjr_msgs_py.names import LATEST
-from fjr_plant import clock_owner
-from fjr_plant.clock_owner import ClockError
 from fjr_plant.plant_node import PlantNode
+from fjr_plant.timing import clock_owner
+from fjr_plant.timing.clock_owner import ClockError
 from nodes.harness import Peer, Ros
 from nodes.plants import Answering
 

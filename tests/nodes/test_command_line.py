@@ -9,7 +9,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_controller.controller_node import ControllerNode
-from fjr_msgs_py.command_line import parameter_rules
+from fjr_msgs_py.node.command_line import parameter_rules
 from fjr_plant.plant_node import PlantNode
 from nodes.harness import Ros
 from system.executables import scenario

@@ -11,9 +11,9 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from trajectory_msgs.msg import JointTrajectory
 
-import fjr_controller.control as control
-from fjr_controller.goals import Code
-from fjr_msgs_py.follow_messages import FollowMessages
+import fjr_controller.components as control
+from fjr_controller.trajectory.goal_tolerances import Code
+from fjr_msgs_py.messages.follow_joint_trajectory import FollowMessages
 from nodes.harness import Ros, stamped
 from nodes.managed import Manager, trajectory
 

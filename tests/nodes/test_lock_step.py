@@ -10,7 +10,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fjr_plant.lock_step import START, LockStepError
+from fjr_plant.timing.lock_step import START, LockStepError
 from nodes.harness import PATIENCE, Listener, Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, Answering, answer, call, integrate, numbers, state_of
 

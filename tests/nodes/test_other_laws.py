@@ -9,8 +9,8 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 
 import fjr_core as fjr
-from fjr_core.control_law import control_law
-from fjr_core.laws import LAWS
+from fjr_core.config.control_law import control_law
+from fjr_core.control.registry import LAWS
 from fjr_msgs_py import names as ros_names
 from nodes.harness import Listener, Peer, Ros, stamped
 

@@ -10,7 +10,7 @@ from rcl_interfaces.msg import Parameter, ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter as RosParameter
 
-from fjr_core import config
+from fjr_core.config import builders
 from nodes.harness import Peer, Ros
 from nodes.managed import Manager
 from nodes.plants import call
@@ -69,8 +69,8 @@ def test_a_controller_loads_its_own_dump_and_nothing_changes(ros: Ros, state: st
 def test_the_description_of_each_parameter_says_when_it_may_change(ros: Ros, peer: Peer, node: str) -> None:
     managed = node == "fjr_controller"
     (ros.controller if managed else ros.plant)()
-    own = config.controller_parameters if managed else config.plant_parameters
-    table = {parameter.name: parameter for parameter in config.all_parameters(own, {})}
+    own = builders.controller_parameters if managed else builders.plant_parameters
+    table = {parameter.name: parameter for parameter in builders.all_parameters(own, {})}
     answer = call(ros, peer, DescribeParameters, f"{node}/describe_parameters", names=list(table))
     for descriptor in answer.descriptors:
         described: ParameterDescriptor = descriptor

@@ -10,8 +10,8 @@ import pytest
 from rclpy.node import Node
 
 from fjr_controller.controller_node import ControllerNode
-from fjr_core import parameter_file
-from fjr_core.scenario import OWN_PARAMETERS, self_contained
+from fjr_core.config import ros_yaml
+from fjr_core.config.scenario import OWN_PARAMETERS, self_contained
 from fjr_plant.plant_node import PlantNode
 from nodes.harness import Ros
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
@@ -66,12 +66,12 @@ def seen_by_rcl(ros: Ros, text: str, path: Path) -> dict[str, Any]:
 
 
 def test_what_is_written_is_what_rcl_reads(ros: Ros, tmp_path: Path) -> None:
-    text = parameter_file.dump({"/**/probe": {"ros__parameters": parameter_file.tree_of(VALUES)}})
+    text = ros_yaml.dump({"/**/probe": {"ros__parameters": ros_yaml.tree_of(VALUES)}})
     assert seen_by_rcl(ros, text, tmp_path / "written.yaml") == VALUES
 
 
 def test_what_is_read_is_what_rcl_reads(ros: Ros, tmp_path: Path) -> None:
-    values = parameter_file.values_for("probe", parameter_file.parse(HAND_WRITTEN))
+    values = ros_yaml.values_for("probe", ros_yaml.parse(HAND_WRITTEN))
     assert seen_by_rcl(ros, HAND_WRITTEN, tmp_path / "hand.yaml") == values
 
 
@@ -88,7 +88,7 @@ def test_a_node_starts_from_a_self_contained_scenario_with_its_urdf_inside(
     }
     given = {node: {"joints": JOINTS, "compile": False, **robot} for node in OWN_PARAMETERS}
     path = tmp_path / "scenario.yaml"
-    path.write_text(parameter_file.dump(self_contained(given, tmp_path)))
+    path.write_text(ros_yaml.dump(self_contained(given, tmp_path)))
     (tmp_path / "arm.urdf").unlink()
     node = ros.start(kind, ["--ros-args", "--params-file", str(path)])
     assert node.get_parameter("robot.urdf").value == two_link_urdf()

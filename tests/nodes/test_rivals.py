@@ -12,9 +12,9 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from fjr_controller.answering import TOPICS, RivalError
+from fjr_controller.ros.command_loop import TOPICS, RivalError
 from fjr_msgs_py.names import LATEST
-from fjr_msgs_py.rivals import Rivals
+from fjr_msgs_py.node.conflicting_publishers import Rivals
 from nodes.harness import Ros, stamped
 from nodes.managed import Manager
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracker import Tracker
-from fjr_core.robust import Robust, RobustLaw
-from fjr_core.scenario import parse_scenario
-from fjr_msgs_py.certificates import read_certificate
+from fjr_controller.tracking.tracker import Tracker
+from fjr_core.config.scenario import parse_scenario
+from fjr_core.control.robust import Robust, RobustLaw
+from fjr_msgs_py.messages.certificate import read_certificate
 from nodes.harness import Ros, nanoseconds
 from nodes.test_certificate import Hearer
-from nodes.tracked import PERIOD, Loop, paper_law, sample, settings, two_link_law
+from tracking.tracked import PERIOD, Loop, paper_law, sample, settings, two_link_law
 
 MS = 1_000_000
 SAMPLES = 700

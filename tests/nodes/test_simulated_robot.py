@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core import config
-from fjr_core import imperfection_parameters as words
-from fjr_core.imperfect_signals import SensorErrors
-from fjr_core.imperfections import Imperfections
-from fjr_core.links import closed_form
-from fjr_core.parameters import complete
+from fjr_core.config import builders
+from fjr_core.config import nonidealities as words
+from fjr_core.config.parameter import complete
+from fjr_core.robot.rigid_arm import closed_form
+from fjr_core.simulation.nonideal_parameters import Imperfections
+from fjr_core.simulation.nonideal_signals import SensorErrors
 from fjr_plant.channel import COMMANDS, STATES, Channel, SampleTimes
 from fjr_plant.simulated_robot import SimulatedRobot
 
@@ -194,7 +194,7 @@ def test_a_payload_where_there_is_no_hand_is_refused() -> None:
 
 
 def values(**given: Any) -> dict[str, Any]:
-    return complete(config.all_parameters(config.plant_parameters, {}), given)
+    return complete(builders.all_parameters(builders.plant_parameters, {}), given)
 
 
 def test_all_are_off_by_default() -> None:

@@ -13,9 +13,9 @@ import pytest
 from trajectory_msgs.msg import JointTrajectory
 
 import fjr_core as fjr
-from fjr_controller.planning import Question
-from fjr_msgs_py.messages import MessageError
-from fjr_msgs_py.trajectories import TrajectoryReader
+from fjr_controller.trajectory.planner import Question
+from fjr_msgs_py.messages.joint_states import MessageError
+from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from nodes.harness import Ros, stamped
 from nodes.managed import Manager, trajectory
 

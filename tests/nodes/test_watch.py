@@ -9,11 +9,11 @@ import pytest
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from fjr_bringup.watch_node import FjrWatch
-from fjr_bringup.watch_render import log_bar, signed_bar, sparkline, text
-from fjr_bringup.watch_state import Watched
-from fjr_bringup.watch_view import Happening, Health, JointLine, Timing, View
-from fjr_msgs_py.labelled import labelled
+from fjr_bringup.monitor.node import FjrWatch
+from fjr_bringup.monitor.state import Watched
+from fjr_bringup.monitor.terminal import log_bar, signed_bar, sparkline, text
+from fjr_bringup.monitor.view import Happening, Health, JointLine, Timing, View
+from fjr_msgs_py.messages.labelled import labelled
 from nodes.harness import Ros
 
 MS = 1_000_000  # ns

@@ -13,7 +13,7 @@ from rcl_interfaces.msg import ParameterType
 from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
-from fjr_core import config
+from fjr_core.config import builders
 from fjr_plant.plant_node import LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
@@ -285,9 +285,9 @@ WIRED_ELSEWHERE = {
 
 
 WIRED_BY_GROUP = (
-    "reference.",  # tests/core/test_reference_parameters.py, test_lifecycle
+    "reference.",  # tests/core/config/test_reference.py, test_lifecycle
     "imperfections.",  # test_plant_imperfections, test_simulated_robot
-    "measurement.",  # tests/core/test_measurement.py, test_limits_over_ros
+    "measurement.",  # tests/core/estimation/test_measurement_model.py, test_limits_over_ros
     "limits.",  # test_safety, test_tracker, test_limits_over_ros
     "on_stop",
     "start.",
@@ -295,7 +295,7 @@ WIRED_BY_GROUP = (
     "hold.",
     "constraints.",  # test_goals
     "allow_partial_joints",  # test_trajectories
-    "law.",  # test_other_laws, tests/core/test_tuning.py
+    "law.",  # test_other_laws, tests/core/tuning/test_equal_bandwidth.py
     "robust.",  # test_robust_action
 )
 
@@ -305,16 +305,16 @@ def test_no_parameter_is_left_out(model: str) -> None:
     tested = WIRED_ELSEWHERE | set(INITIAL_CASES)
     tested |= {f"robot.{parameter}" for case_model, parameter, _, _ in ROBOT_CASES if case_model == model}
     tested |= {f"gains.{name}" for name in GAIN_CASES} | {f"reference.{name}" for name in REFERENCE_CASES}
-    for own in (config.plant_parameters, config.controller_parameters):
-        names = {parameter.name for parameter in config.all_parameters(own, given(model))} - tested
+    for own in (builders.plant_parameters, builders.controller_parameters):
+        names = {parameter.name for parameter in builders.all_parameters(own, given(model))} - tested
         assert {name for name in names if not name.startswith(WIRED_BY_GROUP)} == set()
 
 
 @pytest.mark.parametrize("kind", ["plant", "controller"])
 def test_every_parameter_is_declared_with_description_unit_and_type(ros: Ros, kind: str) -> None:
     node = getattr(ros, kind)()
-    own = {"plant": config.plant_parameters, "controller": config.controller_parameters}[kind]
-    for parameter in config.all_parameters(own, {}):
+    own = {"plant": builders.plant_parameters, "controller": builders.controller_parameters}[kind]
+    for parameter in builders.all_parameters(own, {}):
         descriptor = node.describe_parameter(parameter.name)
         assert descriptor.read_only == (kind == "plant" and not parameter.dynamic)
         assert parameter.description in descriptor.description

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fjr_core.scenario import load_scenario
+from fjr_core.config.scenario import load_scenario
 from system.executables import scenario
 from system.recorded import Recorded, record
 

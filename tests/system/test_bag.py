@@ -24,10 +24,10 @@ from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from fjr_bringup import schemas
-from fjr_bringup.bag import Bag, BagError, header_stamp, read_bag
-from fjr_bringup.recorder import Recorder, Track
-from fjr_bringup.run import ANSWERS, _Run
+from fjr_bringup.recording import message_types
+from fjr_bringup.recording.reader import Bag, BagError, header_stamp, read_bag
+from fjr_bringup.recording.recorder import Recorder, Track
+from fjr_bringup.runner.run import ANSWERS, _Run
 from patience import Limit
 
 LIMIT = 20.0  # s
@@ -44,7 +44,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 def joint_state(k: int) -> bytes:
     """A serialised JointState of varying size, order and content, without undefined bytes in its padding."""
-    store = schemas.typestore()
+    store = message_types.typestore()
     header, stamp, kind = (
         store.types[name] for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", JOINT_STATE)
     )
@@ -166,7 +166,7 @@ def test_topics_keep_type_hash_and_quality_of_service(recorded: tuple[Path, list
     }
     assert {"/joint_states", "/rosout", "/parameter_events"} <= set(topics)
     for topic in topics.values():
-        assert topic["type_description_hash"] == schemas.type_hash(topic["type"])
+        assert topic["type_description_hash"] == message_types.type_hash(topic["type"])
         assert topic["serialization_format"] == "cdr"
     (offered,) = topics["/joint_states"]["offered_qos_profiles"]
     assert (offered["reliability"], offered["durability"]) == ("reliable", "volatile")
@@ -250,8 +250,8 @@ import sys, time
 from pathlib import Path
 import rclpy
 from std_msgs.msg import String
-from fjr_bringup.recorder import Recorder, Track
-from fjr_bringup.run import ANSWERS, _Run
+from fjr_bringup.recording.recorder import Recorder, Track
+from fjr_bringup.runner.run import ANSWERS, _Run
 recorder = Recorder(Path(sys.argv[1])).start()
 rclpy.init()
 node = rclpy.create_node("talker")

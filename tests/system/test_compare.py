@@ -15,13 +15,16 @@ from typing import Any
 import pytest
 import yaml
 
-from fjr_bringup import compare_job, compare_readme, compare_run, suite
-from fjr_bringup.compare_document import extent
-from fjr_bringup.compare_rows import Row, Value, rows
-from fjr_bringup.exit_codes import Exit
-from fjr_core import program_digest
+from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.studies.comparison import job as comparison_job
+from fjr_bringup.studies.comparison import markdown as comparison_markdown
+from fjr_bringup.studies.comparison import pool as comparison_pool
+from fjr_bringup.studies.comparison import suite
+from fjr_bringup.studies.comparison.results import extent
+from fjr_bringup.studies.comparison.rows import Row, Value, rows
+from fjr_core.control.registry import LAWS, V_DPBC
 from fjr_core.errors import CompareError, FjrError
-from fjr_core.laws import LAWS, V_DPBC
+from fjr_core.numerics import program_digest
 from patience import HANG, Limit
 from system.browser import Browser
 from system.executables import TIME_LIMIT, Executable, fjr
@@ -128,7 +131,7 @@ class Failing:
     def __init__(self, kill: bool) -> None:
         self.kill = kill
 
-    def __call__(self, job: compare_job.Job, kept: Path) -> compare_job.Result:
+    def __call__(self, job: comparison_job.Job, kept: Path) -> comparison_job.Result:
         if job.law.law == "v_dpbc":
             time.sleep(HANG)
         if self.kill:
@@ -140,32 +143,32 @@ class Failing:
 def test_what_fails_is_said_while_others_are_at_work(
     kill: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    jobs = compare_job.jobs(suite.read("mine", {**QUICK, "laws": ["v_dpbc", "torque_feedback"]}))
-    monkeypatch.setattr(compare_run, "_done", Failing(kill))
+    jobs = comparison_job.jobs(suite.read("mine", {**QUICK, "laws": ["v_dpbc", "torque_feedback"]}))
+    monkeypatch.setattr(comparison_pool, "_done", Failing(kill))
     begun = time.monotonic()
     with pytest.raises(CompareError, match=words):
-        compare_run.run(jobs, tmp_path, 2, threading.Event())
+        comparison_pool.run(jobs, tmp_path, 2, threading.Event())
     assert time.monotonic() - begun < HANG
 
 
 def test_a_reference_that_stands_still_is_one_sentence() -> None:
     still = {"still": {"reference.amplitude": [0.0], "reference.offset": [0.0], **AT_REST}, "slow": {}}
-    job = compare_job.jobs(suite.read("mine", {**QUICK, "robots": {"paper_k31": {"references": still}}}))[0]
+    job = comparison_job.jobs(suite.read("mine", {**QUICK, "robots": {"paper_k31": {"references": still}}}))[0]
     with pytest.raises(CompareError, match="'still' of paper_k31: the reference stands still"):
-        compare_job.work(job, lambda _: None)
+        comparison_job.work(job, lambda _: None)
 
 
 def test_what_is_kept_depends_on_the_code_and_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    job = compare_job.jobs(suite.read("mine", QUICK))[0]
+    job = comparison_job.jobs(suite.read("mine", QUICK))[0]
     keys = [job.key, job.key]
     monkeypatch.setattr(program_digest, "source_digest", lambda: "another")
-    compare_job._source.cache_clear()
+    comparison_job._source.cache_clear()
     keys.append(job.key)
     monkeypatch.setenv("PATH", "")
-    compare_job._source.cache_clear()
+    comparison_job._source.cache_clear()
     keys.append(job.key)
     monkeypatch.undo()
-    compare_job._source.cache_clear()
+    comparison_job._source.cache_clear()
     assert job.key == keys[0] == keys[1]
     assert len(set(keys)) == 3
 
@@ -241,11 +244,12 @@ def test_the_page_says_what_was_found(folder: Path, found: dict[str, Any], brows
 
 def test_the_table_replaces_the_one_between_the_marks(folder: Path, found: dict[str, Any]) -> None:
     page = folder / "page.md"
-    page.write_text(f"before\n{compare_readme.BEGIN}\nold\n{compare_readme.END}\nafter\n", encoding="utf-8")
+    page.write_text(f"before\n{comparison_markdown.BEGIN}\nold\n{comparison_markdown.END}\nafter\n", encoding="utf-8")
     _, said = compared(folder, QUICK, "--document", str(page))
     assert "deprecated" not in said
     first = page.read_text()
-    assert first == f"before\n{compare_readme.BEGIN}\n{compare_readme.markdown(found)}{compare_readme.END}\nafter\n"
+    block = f"{comparison_markdown.BEGIN}\n{comparison_markdown.markdown(found)}{comparison_markdown.END}"
+    assert first == f"before\n{block}\nafter\n"
     lines = [line for line in first.splitlines() if line.startswith("|")]
     assert {line.count(" | ") for line in lines} == {3}
     _, said = compared(folder, QUICK, "--readme", str(page))
@@ -255,7 +259,7 @@ def test_the_table_replaces_the_one_between_the_marks(folder: Path, found: dict[
 
 def test_the_table_counts_what_it_holds_and_names_no_winner(found: dict[str, Any]) -> None:
     """2 control laws in 3 columns, whatever a sentence next to the table says."""
-    text = compare_readme.markdown(found)
+    text = comparison_markdown.markdown(found)
     assert text.startswith(f"2 control laws in 3 versions on 1 robot, {found['runs']} runs of 2 s.\n")
     lines = [line for line in text.splitlines() if line.startswith("|")]
     assert lines[0].count(" | ") == len(found["laws"])

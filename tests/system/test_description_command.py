@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from fjr_core.scenario import load_scenario
+from fjr_core.config.scenario import load_scenario
 from system.executables import fjr, scenario
 
 pytestmark = pytest.mark.system

@@ -14,7 +14,7 @@ import pytest
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from fjr_bringup.exit_codes import Exit
+from fjr_bringup.cli.exit_codes import Exit
 from nodes.harness import Peer, Ros, stamped
 from nodes.test_controller_node import paper_effort
 from system.executables import NODES, Executable, scenario, wait_for

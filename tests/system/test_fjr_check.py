@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 import fjr_core
-from fjr_bringup import scenarios
-from fjr_bringup.cli import main
-from fjr_bringup.exit_codes import Exit
-from fjr_bringup.stability import StartError, refuse_start_outside
-from fjr_core.linear_controller import Sensing
-from fjr_core.robust import Robust, sampled_law
-from fjr_core.sampled_loop import check
-from fjr_core.scenario import load_scenario
+from fjr_bringup.cli.app import main
+from fjr_bringup.cli.check import StartError, refuse_start_outside
+from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.scenarios import library
+from fjr_core.config.scenario import load_scenario
+from fjr_core.control.robust import Robust, sampled_law
+from fjr_core.stability.linear_controller import Sensing
+from fjr_core.stability.sampled_loop import check
 from system.executables import fjr, scenario
 
 pytestmark = pytest.mark.system
@@ -218,7 +218,7 @@ def test_a_start_outside_the_robots_own_range_is_refused() -> None:
     start = [0.35, 2.5, -0.05, -1.45, 0.15, 0.55, 0.15]
     outside = {"initial_link_position": start, "initial_motor_position": start}
     for free, changes in ((True, {}), (False, outside), (True, {**outside, "limits.from_robot": False})):
-        _, made = scenarios.as_run(scenarios.find("arm7"), {**changes, "limits.motor_position_upper": [9.0] * 7})
+        _, made = library.as_run(library.find("arm7"), {**changes, "limits.motor_position_upper": [9.0] * 7})
         with nullcontext() if free else pytest.raises(StartError, match="joint2: q_l is 2.5 rad; expected -2 to 2 rad"):
             refuse_start_outside(made)
 

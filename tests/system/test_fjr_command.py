@@ -16,7 +16,7 @@ from ament_index_python.packages import get_package_share_directory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from fjr_bringup.exit_codes import Exit
+from fjr_bringup.cli.exit_codes import Exit
 from nodes.harness import Listener, Ros
 from system.executables import NODES, Executable, fjr, wait_for
 

@@ -15,9 +15,9 @@ import pytest
 import yaml
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
-from fjr_bringup.bag import header_stamp, read_bag
-from fjr_bringup.tracking_data import TrackingData, tracking_data
-from fjr_core.scenario import Scenario, load_scenario
+from fjr_bringup.analysis.run_data import TrackingData, tracking_data
+from fjr_bringup.recording.reader import header_stamp, read_bag
+from fjr_core.config.scenario import Scenario, load_scenario
 from system.bags import STORE, rewritten
 from system.executables import fjr, scenario
 

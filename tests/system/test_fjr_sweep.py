@@ -18,10 +18,10 @@ import matplotlib.image
 import pyarrow.parquet as pq
 import pytest
 
-from fjr_bringup import sweep_command
-from fjr_bringup.exit_codes import Exit
-from fjr_core.campaign.execution import ClusterError, carry_out, cluster
-from fjr_core.campaign.store import open_store
+from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.studies.monte_carlo import command as monte_carlo_command
+from fjr_bringup.studies.monte_carlo.pool import ClusterError, carry_out, cluster
+from fjr_bringup.studies.monte_carlo.store import open_store
 from patience import Limit
 from system.executables import Executable, fjr
 
@@ -191,8 +191,8 @@ def test_without_dask_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch) 
 
 
 def _planned(name: str) -> tuple[Any, str]:
-    wish = sweep_command.Wish(1, None, Path(), {}, {})
-    plan = sweep_command.planned(name, wish)
+    wish = monte_carlo_command.Wish(1, None, Path(), {}, {})
+    plan = monte_carlo_command.planned(name, wish)
     return plan, plan.loop.fingerprint
 
 

@@ -13,13 +13,16 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fjr_bringup import compare_run, scenarios, suite, sweep_command
-from fjr_bringup.compare_job import Job
-from fjr_bringup.report_command import _known
-from fjr_core.campaign.store import open_store
-from fjr_core.campaign.sweep import Sweep
-from fjr_core.campaign.sweep_file import usual
-from fjr_core.whole_file import is_sealed, write_text
+from fjr_bringup.atomic_file import is_sealed, write_text
+from fjr_bringup.cli.report import _known
+from fjr_bringup.scenarios import library
+from fjr_bringup.studies.comparison import pool as comparison_pool
+from fjr_bringup.studies.comparison import suite
+from fjr_bringup.studies.comparison.job import Job
+from fjr_bringup.studies.monte_carlo import command as monte_carlo_command
+from fjr_bringup.studies.monte_carlo.store import open_store
+from fjr_bringup.studies.monte_carlo.sweep_file import usual
+from fjr_core.experiments.monte_carlo.sweep import Sweep
 from fuzzing import answer, bytes_of, documents, fuzzed, texts
 
 SUITE = """
@@ -53,7 +56,7 @@ def read_suite(folder: Path, data: bytes) -> str:
 def read_sweep(folder: Path, data: bytes) -> str:
     path = folder / "sweep.yaml"
     path.write_bytes(data)
-    return answer(lambda: sweep_command.planned(str(path), sweep_command.Wish(1, None, folder, {}, {})))
+    return answer(lambda: monte_carlo_command.planned(str(path), monte_carlo_command.Wish(1, None, folder, {}, {})))
 
 
 @fuzzed(25)
@@ -83,7 +86,7 @@ def test_sweeps_of_any_text(folder: Path, data: bytes) -> None:
 @pytest.mark.parametrize("name", ["x" * 5000, "a/" * 3000, "..", "/dev/zero", ""])
 def test_a_sweep_of_a_scenario_that_no_file_can_be(name: str, folder: Path) -> None:
     assert read_sweep(folder, yaml.safe_dump({**yaml.safe_load(SWEEP), "scenario": name}).encode())
-    assert answer(lambda: scenarios.find(name))
+    assert answer(lambda: library.find(name))
     assert answer(lambda: suite.find(name))
 
 
@@ -146,14 +149,14 @@ def test_a_kept_result_of_other_bytes_is_computed_again(tmp_path: Path, monkeypa
     job = object.__new__(Job)
     path = tmp_path / "job.json"
     write_text(path, json.dumps({"law": "v_dpbc"}), sealed=True)
-    assert compare_run._read(tmp_path, job) == {"law": "v_dpbc"}
+    assert comparison_pool._read(tmp_path, job) == {"law": "v_dpbc"}
     for text in ('{"law": "v_dpbd"}', "[]", "[" * 100_000):
         path.write_text(text)
         assert not is_sealed(path)
-        assert compare_run._read(tmp_path, job) is None
+        assert comparison_pool._read(tmp_path, job) is None
     path.write_text('{"law": "v_dpbc"}')
     (tmp_path / "job.json.sha256").unlink()
-    assert compare_run._read(tmp_path, job) is None
+    assert comparison_pool._read(tmp_path, job) is None
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "[]", '{"planned_s": "5", "not_recorded": [], "failure": 3}'])

@@ -8,20 +8,20 @@ from pathlib import Path
 
 import pytest
 
-from fjr_bringup import headlines
-from fjr_bringup.exit_codes import Exit
-from fjr_bringup.stability import checked, table
-from fjr_bringup.summary import summarise
-from fjr_bringup.watch_render import text
-from fjr_bringup.watch_state import Watched
-from fjr_controller.safety import StateLimits
+from fjr_bringup.analysis import headlines
+from fjr_bringup.cli.check import checked, table
+from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.monitor.state import Watched
+from fjr_bringup.monitor.terminal import text
+from fjr_bringup.report.write import summarise
+from fjr_controller.tracking.limits import StateLimits
+from fjr_core.config.motion import motion_limits
+from fjr_core.config.safety import safety
+from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import ParameterError, TrajectoryError
-from fjr_core.motion_limits import check_motion
-from fjr_core.motion_parameters import motion_limits
-from fjr_core.references import Hold
-from fjr_core.safety_parameters import safety
-from fjr_core.scenario import Scenario, load_scenario
-from fjr_core.units import PRISMATIC, REVOLUTE
+from fjr_core.robot.joint_units import PRISMATIC, REVOLUTE
+from fjr_core.trajectories.motion_limits import check_motion
+from fjr_core.trajectories.point_to_point import Hold
 from system.executables import fjr
 
 pytestmark = pytest.mark.system

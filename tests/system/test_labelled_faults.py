@@ -13,11 +13,11 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 
-from fault_table import BEGIN, KINDS, Outcome, outcome, shares, table  # noqa: E402
-from faulty_loop import Fault, FaultyLoop  # noqa: E402
-from fjr_core.certificate import Balance  # noqa: E402
-from labelled_faults import FAULTS, FOUND_ON, HEALTHY, TRIED_ON, WIRING, FaultCase, cases  # noqa: E402
-from labelled_set import Case  # noqa: E402
+from diagnosis_benchmark.fault_runs import FAULTS, FOUND_ON, HEALTHY, TRIED_ON, WIRING, FaultCase, cases  # noqa: E402
+from diagnosis_benchmark.fault_table import BEGIN, KINDS, Outcome, outcome, shares, table  # noqa: E402
+from diagnosis_benchmark.faulty_loop import Fault, FaultyLoop  # noqa: E402
+from diagnosis_benchmark.runs import Case  # noqa: E402
+from fjr_core.monitoring.certificate import Balance  # noqa: E402
 
 pytestmark = pytest.mark.system
 SET = cases(TRIED_ON)

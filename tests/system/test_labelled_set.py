@@ -11,13 +11,13 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 
-from fjr_bringup.exit_codes import Exit  # noqa: E402
-from fjr_core.scenario import load_scenario  # noqa: E402
-from fjr_core.verdict import judge  # noqa: E402
-from labelled_bags import read_record  # noqa: E402
-from labelled_set import DEGRADED, FOUND_ON, HOLDING, TRIED_ON, UNDECIDED, VIOLATED, Case, cases  # noqa: E402
+from diagnosis_benchmark.bags import read_record  # noqa: E402
+from diagnosis_benchmark.runs import DEGRADED, FOUND_ON, HOLDING, TRIED_ON, UNDECIDED, VIOLATED, Case, cases  # noqa: E402
+from diagnosis_benchmark.table import BEGIN, NAMES, judged, right, said, table  # noqa: E402
+from fjr_bringup.cli.exit_codes import Exit  # noqa: E402
+from fjr_core.config.scenario import load_scenario  # noqa: E402
+from fjr_core.monitoring.diagnosis import judge  # noqa: E402
 from system.executables import fjr  # noqa: E402
-from verdict_table import BEGIN, NAMES, judged, right, said, table  # noqa: E402
 
 pytestmark = pytest.mark.system
 SET = cases(TRIED_ON)

@@ -16,12 +16,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-from fjr_core import config
-from fjr_core.scenario import load_scenario
+from fjr_core.config import builders
+from fjr_core.config.scenario import load_scenario
 from patience import Limit
 
 LIMIT = 40.0  # s on a free machine
-OWN_PARAMETERS = {"fjr_plant": config.plant_parameters, "fjr_controller": config.controller_parameters}
+OWN_PARAMETERS = {"fjr_plant": builders.plant_parameters, "fjr_controller": builders.controller_parameters}
 
 
 def installed(*parts: str) -> Path:
@@ -72,7 +72,7 @@ def test_scenarios_exist_and_fit() -> None:
 def test_parameters_set_by_the_launch_file_are_declared_by_the_node() -> None:
     for call in calls("Node"):
         own = OWN_PARAMETERS[constant(call["package"])]
-        known = {"use_sim_time", *(parameter.name for parameter in config.all_parameters(own, {}))}  # ROS 2's, ours
+        known = {"use_sim_time", *(parameter.name for parameter in builders.all_parameters(own, {}))}  # ROS 2's, ours
         set_here = [node for node in ast.walk(call["parameters"]) if isinstance(node, ast.Dict)]
         for node in set_here:
             assert {constant(key) for key in node.keys if key} <= known

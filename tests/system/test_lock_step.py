@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fjr_plant.lock_step import START
+from fjr_plant.timing.lock_step import START
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, Answering
 from system.executables import NODES, Executable

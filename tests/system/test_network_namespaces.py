@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fjr_bringup.run import set_ros_environment
+from fjr_bringup.runner.run import set_ros_environment
 from patience import HANG
 from system.executables import NODES, scenario
 from system.network import Network, RefusedError, installed

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fjr_bringup.plots import Pool, drawable, thinned
-from fjr_bringup.timing_plots import HALF, bins
-from fjr_bringup.words import milliseconds, number, percent
+from fjr_bringup.formatting import milliseconds, number, percent
+from fjr_bringup.report.figure import Pool, drawable, thinned
+from fjr_bringup.report.timing_figures import HALF, bins
 
 VALUES = st.floats(-1e6, 1e6, width=32)
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from envsetup.quoting import quote_paths
-from fjr_bringup.bag import read_bag
-from fjr_bringup.elsewhere import written
-from fjr_core.whole_file import write_text
-from fjr_msgs_py.log_folder import ensure_log_folder
+from fjr_bringup.atomic_file import write_text
+from fjr_bringup.recording.reader import read_bag
+from fjr_bringup.report.fallback_folder import written
+from fjr_msgs_py.node.log_folder import ensure_log_folder
 
 LIMIT, SENT = 100_000, 1500  # bytes that a file may have; messages of 100 bytes and more
 
@@ -24,7 +24,7 @@ import resource, sys, time
 from pathlib import Path
 import rclpy
 from std_msgs.msg import String
-from fjr_bringup.recorder import Recorder
+from fjr_bringup.recording.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1])).start()
 rclpy.init()
 node = rclpy.create_node("talker")

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fjr_bringup.exit_codes import Exit
-from fjr_bringup.joint_lines import LABEL_GAP, apart
-from fjr_bringup.report import _counts
-from fjr_bringup.tracking_data import TrackingData
+from fjr_bringup.analysis.metrics import _counts
+from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.plotting.joint_lines import LABEL_GAP, apart
 from system.executables import fjr
 
 pytestmark = pytest.mark.system

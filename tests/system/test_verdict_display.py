@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fjr_bringup import page, side_by_side_page
-from fjr_bringup.report import _finite
-from fjr_bringup.watch_render import _status
-from fjr_bringup.watch_view import Health
-from fjr_controller.witness import LEVELS
-from fjr_core.verdict import Verdict
+from fjr_bringup.analysis.metrics import _finite
+from fjr_bringup.monitor.terminal import _status
+from fjr_bringup.monitor.view import Health
+from fjr_bringup.report import html, runs_report
+from fjr_controller.ros.certificate_publisher import LEVELS
+from fjr_core.monitoring.diagnosis import Verdict
 
 pytestmark = pytest.mark.system
 DEGRADED = Verdict(
@@ -31,19 +31,19 @@ DEGRADED = Verdict(
 
 
 def test_the_page_shows_the_number_in_amber() -> None:
-    line = page.verdict_line(DEGRADED)
+    line = html.verdict_line(DEGRADED)
     assert 'class="verdict degraded"' in line
     assert "Degraded: delay makes 0.14 mrad at joint2" in line
-    css = (files("fjr_bringup") / "page" / "page.css").read_text(encoding="utf-8")
+    css = (files("fjr_bringup") / "report" / "templates" / "page.css").read_text(encoding="utf-8")
     rule = re.search(r"\.degraded[^{]*\{([^}]*)\}", css)
     assert rule is not None
     assert "--doubt" in rule[1]
-    assert side_by_side_page.COLOURED["degraded"] == "maybe"
+    assert runs_report.COLOURED["degraded"] == "maybe"
 
 
 def test_every_verdict_has_a_level_a_heading_and_a_colour() -> None:
     kinds = {"holding", "degraded", "violated", "unknown"}
-    assert set(page.HEADINGS) == set(side_by_side_page.COLOURED) == set(LEVELS) == kinds
+    assert set(html.HEADINGS) == set(runs_report.COLOURED) == set(LEVELS) == kinds
 
 
 def test_the_terminal_shows_a_degraded_verdict_in_yellow() -> None:

@@ -11,11 +11,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from .console import PREFIX, SetupError, say
-from .extras import Extra, browser, compiler, cpp_compiler, openmp, pinocchio
-from .machine import Machine, base_interpreter, ros_candidates, ros_interpreter, uses_sourced_ros
-from .virtualenv import Environment
-from .workspace import Workspace
+from envsetup.console import PREFIX, SetupError, say
+from envsetup.extras import Extra, browser, compiler, cpp_compiler, openmp, pinocchio
+from envsetup.machine import Machine, base_interpreter, ros_candidates, ros_interpreter, uses_sourced_ros
+from envsetup.virtualenv import Environment
+from envsetup.workspace import Workspace
 
 ROOT = Path(__file__).resolve().parents[2]
 ENTRY = ROOT / "tools" / "setup_env.py"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .console import Step, run_logged
+from envsetup.console import Step, run_logged
 
 
 def has_apt() -> bool:

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from .console import SetupError, say
-from .debian import apt_install, has_apt
+from envsetup.console import SetupError, say
+from envsetup.debian import apt_install, has_apt
 
 COMPILERS = ("cc", "gcc", "clang")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")

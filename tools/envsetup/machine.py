@@ -11,8 +11,8 @@ import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from .console import SetupError
-from .debian import has_apt
+from envsetup.console import SetupError
+from envsetup.debian import has_apt
 
 DISTRO = "jazzy"
 OLDEST_GLIBC = (2, 28)

@@ -10,10 +10,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from . import pins
-from .console import SetupError, Step, clean_environment, run_logged, say
-from .debian import apt_install
-from .machine import base_interpreter, debian_venv_package
+from envsetup import pins
+from envsetup.console import SetupError, Step, clean_environment, run_logged, say
+from envsetup.debian import apt_install
+from envsetup.machine import base_interpreter, debian_venv_package
 
 OUTSIDE = """
 import importlib.metadata, json, sys

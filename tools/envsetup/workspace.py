@@ -11,10 +11,10 @@ import os
 import shutil
 from pathlib import Path
 
-from . import pins
-from .console import Step, run_logged
-from .quoting import quote_paths
-from .virtualenv import Environment
+from envsetup import pins
+from envsetup.console import Step, run_logged
+from envsetup.quoting import quote_paths
+from envsetup.virtualenv import Environment
 
 COPIED = {"setup.py", "setup.cfg", "package.xml"}
 """Files whose contents enter the build."""

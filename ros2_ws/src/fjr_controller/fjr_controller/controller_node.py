@@ -10,15 +10,17 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
-from fjr_core import FjrError, config
-from fjr_core.process_parameters import process_care, process_parameters
-from fjr_msgs_py import names, process
-from fjr_msgs_py.events import EventWriter
-from fjr_msgs_py.node_parameters import ManagedParameterNode
+from fjr_core import FjrError
+from fjr_core.config import builders
+from fjr_core.config.process import process_care, process_parameters
+from fjr_msgs_py import names
+from fjr_msgs_py.messages.events import EventWriter
+from fjr_msgs_py.node import process
+from fjr_msgs_py.node.parameters import ManagedParameterNode
 
-from .answering import RIVALS, RivalError
-from .control import Control
-from .events import Event
+from .components import Control
+from .ros.command_loop import RIVALS, RivalError
+from .tracking.events import Event
 
 SUCCESS, FAILURE, ERROR = (getattr(TransitionCallbackReturn, name) for name in ("SUCCESS", "FAILURE", "ERROR"))
 
@@ -37,7 +39,7 @@ class ControllerNode(ManagedParameterNode):
     def __init__(self, **node_kwargs: Any) -> None:
         self._control: Control | None = None
         self._at_birth = False  # the parameters have just been read, and what is wrong is raised instead of logged
-        super().__init__(names.CONTROLLER, config.controller_parameters, **node_kwargs)
+        super().__init__(names.CONTROLLER, builders.controller_parameters, **node_kwargs)
 
     def may_wait(self) -> bool:
         """Parameters that do not fit may be mended, unless the node is to start at once."""

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from fjr_msgs_py.loading import end_on_signals, without_blas_threads
+from fjr_msgs_py.node.loading import end_on_signals, without_blas_threads
 
 
 def main() -> int:

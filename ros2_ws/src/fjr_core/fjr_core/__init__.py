@@ -10,33 +10,33 @@ Paper: R. Reyes-Baez, A. van der Schaft, B. Jayawardhana, "Virtual Differential 
 Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstrings are its.
 """
 
-from .arms import planar_two_link, single_link
-from .bodies import Body
-from .certificate import Balance
-from .circle import Circle
+from .control.vdpbc.convergence_rate import Rate
+from .control.vdpbc.gains import PAPER_GAINS, Gains
+from .control.vdpbc.law import Evaluation, TrackingLaw
 from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError
-from .gains import PAPER_GAINS, Gains
-from .intervals import Record
-from .joining import join, shifted
-from .limits import JointLimits
-from .measurement import Measurement
-from .motion_limits import MotionLimits, check_motion
-from .multi_sine import MultiSine
-from .newton_euler import serial_chain
-from .observer import VelocityObserver
-from .plant import Plant
-from .reference import Reference, Sine
-from .references import Hold, PointToPoint, standing
-from .robot import Robot
-from .sampled_loop import SampledCheck, check, spectral_radius
-from .simulate import Trajectory, simulate
-from .spline import Spline
-from .synthesis import synthesize
-from .urdf import robot_from_urdf
-from .vdpbc.law import Evaluation, TrackingLaw
-from .vdpbc.rate import Rate
-from .verdict import Verdict, judge
-from .virtual import VirtualSystem
+from .estimation.measurement_model import Measurement
+from .estimation.velocity_observer import VelocityObserver
+from .monitoring.certificate import Balance
+from .monitoring.diagnosis import Verdict, judge
+from .monitoring.innovations import Record
+from .robot.closed_form_arms import planar_two_link, single_link
+from .robot.joint_limits import JointLimits
+from .robot.newton_euler import serial_chain
+from .robot.port_hamiltonian import Plant
+from .robot.rigid_body import Body
+from .robot.robot import Robot
+from .robot.urdf_import import robot_from_urdf
+from .robot.virtual_system import VirtualSystem
+from .simulation.closed_loop import Trajectory, simulate
+from .stability.sampled_loop import SampledCheck, check, spectral_radius
+from .trajectories.circle import Circle
+from .trajectories.motion_limits import MotionLimits, check_motion
+from .trajectories.multi_sine import MultiSine
+from .trajectories.point_to_point import Hold, PointToPoint, standing
+from .trajectories.reference import Reference, Sine
+from .trajectories.spline import Spline
+from .trajectories.transition import join, shifted
+from .tuning.gain_synthesis import synthesize
 
 __all__ = [
     "PAPER_GAINS",

@@ -27,7 +27,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from fjr_core.imperfect_signals import NANOSECONDS, ChannelErrors
+from fjr_core.simulation.nonideal_signals import NANOSECONDS, ChannelErrors
 
 STATES, COMMANDS, SENSORS, PERIOD = range(4)  # which random sequence of a seed is whose
 Item = TypeVar("Item")

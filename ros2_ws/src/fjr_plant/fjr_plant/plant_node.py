@@ -9,23 +9,25 @@ from typing import Any
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from fjr_core import FjrError, Plant, config
-from fjr_core import imperfection_parameters as words
-from fjr_core.description import description, robot_name
-from fjr_msgs_py import names, process
-from fjr_msgs_py.descriptions import publish_description
-from fjr_msgs_py.health import Health
-from fjr_msgs_py.messages import EffortReader, MessageError
-from fjr_msgs_py.node_parameters import ParameterNode
-from fjr_msgs_py.torques import TorqueReader
+from fjr_core import FjrError, Plant
+from fjr_core.config import builders
+from fjr_core.config import nonidealities as words
+from fjr_core.robot.urdf_export import description, robot_name
+from fjr_msgs_py import names
+from fjr_msgs_py.messages.descriptions import publish_description
+from fjr_msgs_py.messages.joint_states import EffortReader, MessageError
+from fjr_msgs_py.messages.torques import TorqueReader
+from fjr_msgs_py.node import process
+from fjr_msgs_py.node.diagnostics import Health
+from fjr_msgs_py.node.parameters import ParameterNode
 
-from .deferred import Answer, DeferredTrigger
-from .lock_step import START as LOCKSTEP_START
-from .lock_step import LockStep
-from .pace import Pace, Rig
-from .real_time import RealTime
 from .simulated_robot import SimulatedRobot
-from .states import StatePublisher
+from .state_publisher import StatePublisher
+from .timing.deferred_service import Answer, DeferredTrigger
+from .timing.lock_step import START as LOCKSTEP_START
+from .timing.lock_step import LockStep
+from .timing.real_time import RealTime
+from .timing.time_base import Pace, Rig
 from .transport import Transport
 
 __all__ = ["LOCKSTEP_START", "PlantNode", "main"]
@@ -50,12 +52,12 @@ class PlantNode(ParameterNode):
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__(names.PLANT, config.plant_parameters, **node_kwargs)
+        super().__init__(names.PLANT, builders.plant_parameters, **node_kwargs)
 
     def build(self) -> None:
         """Make the robot from the parameters and start to publish."""
         joints = self.values["joints"]
-        self._model = config.robot(self.values)
+        self._model = builders.robot(self.values)
         self._health = Health(self, EXPECTED, robot_name(self.values))
         self._robot, self._transport = self._simulated()
         states, reader = StatePublisher(self, joints), EffortReader(joints)
@@ -100,7 +102,7 @@ class PlantNode(ParameterNode):
         inner_step = round(1e9 / values["publish_rate"] / values["inner_steps"])  # ns
         plant = Plant(model, values["integrator"], compile=values["compile"])
         motion, sensors = words.imperfections(values, model), words.sensor_errors(values, model.n)
-        seed, x0 = words.seed(values), config.initial_state(values, model)
+        seed, x0 = words.seed(values), builders.initial_state(values, model)
         robot = SimulatedRobot(plant, x0, inner_step, motion, sensors, seed)
         robot.warm_up()
         transport = Transport(inner_step * values["inner_steps"], inner_step, seed)

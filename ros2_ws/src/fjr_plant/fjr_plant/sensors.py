@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fjr_core.checks import Array
-from fjr_core.imperfect_signals import SensorErrors
+from fjr_core.numerics.checks import Array
+from fjr_core.simulation.nonideal_signals import SensorErrors
 
 from .channel import SENSORS, generator
 

@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from fjr_core import ParameterError, Plant, StateError
-from fjr_core.checks import Array
-from fjr_core.imperfect_plant import ImperfectPlant
-from fjr_core.imperfect_signals import SensorErrors
-from fjr_core.imperfections import Imperfections, friction_rate
+from fjr_core.numerics.checks import Array
+from fjr_core.simulation.nonideal_parameters import Imperfections, friction_rate
+from fjr_core.simulation.nonideal_plant import ImperfectPlant
+from fjr_core.simulation.nonideal_signals import SensorErrors
 
 from .sensors import Sensors
 from .stepping import Stepper, Velocities

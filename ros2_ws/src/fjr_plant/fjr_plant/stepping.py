@@ -7,8 +7,8 @@ import casadi as ca
 import numpy as np
 
 from fjr_core import Robot
-from fjr_core.checks import Array
-from fjr_core.numeric import bind, dense_function, not_converged
+from fjr_core.numerics.casadi_function import bind, dense_function, not_converged
+from fjr_core.numerics.checks import Array
 
 
 class Stepper:

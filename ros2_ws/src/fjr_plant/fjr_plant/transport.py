@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from fjr_core.checks import Array
-from fjr_core.imperfect_signals import ChannelErrors
+from fjr_core.numerics.checks import Array
+from fjr_core.simulation.nonideal_signals import ChannelErrors
 
 from .channel import COMMANDS, STATES, Channel, SampleTimes, channel
-from .states import Sample
+from .state_publisher import Sample
 
 
 class Transport:

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Find in a bag when and why the controller stopped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fjr_bringup.recording.reader import Array, Bag, Times
+from fjr_controller.tracking.events import STARTS_REFUSED, STOPS
+from fjr_msgs_py import names
+
+EVENTS = f"/{names.CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
+HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}
+
+
+@dataclass(frozen=True)
+class ControllerStop:
+    """A stop of the controller. at_s [s]: time of the run; heading: what happened; reason: why, one sentence."""
+
+    at_s: float
+    heading: str
+    reason: str
+
+    @property
+    def sentence(self) -> str:
+        """Heading and reason."""
+        return f"{self.heading}: {self.reason}"
+
+
+def controller_stop(bag: Bag, sent: Times, t: Array) -> ControllerStop | None:
+    """The first stop in a bag; None where the controller never stopped.
+
+    sent (k,) [ns]: send times of the states of the run; t (k,) [s]: their times in the run.
+    """
+    if not bag.holds(EVENTS):
+        return None
+    topic = bag.topic(EVENTS)
+    for event, when in zip(topic.decoded, topic.publish_time, strict=True):
+        if event.name in HEADINGS:
+            row = int(np.searchsorted(sent, when, side="right")) - 1
+            _, _, reason = event.message.partition(": ")
+            at = float(t[max(row, 0)])
+            return ControllerStop(at, HEADINGS[event.name].format(at), reason)
+    return None

@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of a run, from its bag and scenario alone: report.json. Absent figures are null, never invented.
+
+docs/reports.md says what each of them means.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fjr_bringup.analysis.controller_stop import ControllerStop
+from fjr_bringup.analysis.joint_metrics import (
+    AT_LIMIT,
+    SETTLED,
+    STEADY_AFTER,
+    JointFigures,
+    initial_error,
+    joint_figures,
+    rms,
+    settling_time,
+)
+from fjr_bringup.analysis.power_balance import power
+from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.analysis.verdicts import Verdict, verdict
+from fjr_bringup.atomic_file import write_text
+from fjr_bringup.recording.reader import Array, Bag
+from fjr_core.config.scenario import Scenario
+
+DECAYED = 1e-4  # of V(0): down to there the decay rate is measured
+VERSIONS = ("fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How well the joints followed; errors and efforts are the largest of all joints, each with its joint.
+
+    Of a prismatic joint they are in m and N (JointFigures).
+    """
+
+    peak_effort_nm: float
+    peak_effort_joint: str | None  # null: no effort is known; the next two alike
+    largest_share_joint: str | None
+    max_error_after_2s_joint: str | None
+    peak_effort_by_joint_nm: dict[str, float]
+    effort_limit_by_joint_nm: dict[str, float]  # null: none is given
+    largest_share_of_effort_limit: float | None  # of all joints that have a limit; null: none has
+    initial_error_rad: float
+    max_error_after_2s_rad: float | None
+    rms_error_after_2s_rad: float | None
+    settling_time_2_percent_s: float | None  # from then on |error| stays within 2 % of the initial one
+    saturated_fraction: float | None  # of the commands, with any joint at its limit; null: no limit is given
+    reference_mismatch_rad: float  # recorded reference against the scenario's: a cross-check, near 0
+
+
+@dataclass(frozen=True)
+class Storage:
+    """Storage function V against its bound V(0) exp(-2 beta t), which is proven for continuous time.
+
+    The loop is sampled: a late command lifts V over the bound for a moment, and once V is tiny the hold keeps
+    it on a floor while the bound goes on towards zero.
+    """
+
+    initial: float
+    guaranteed_decay_rate_per_s: float  # 2 beta
+    guarantee_is_proven: bool  # for every configuration; else 2 beta is the least at configurations of the run
+    measured_decay_rate_per_s: float | None  # mean rate while V falls from V(0) to 1e-4 V(0)
+    leaves_bound_at_s: float | None  # stays above it from then on; null: never
+    relative_where_it_leaves: float | None  # V / V(0) there
+    largest_ratio_to_bound_before: float  # 1 or less: V never passed the bound before it left for good
+    max_relative_after_2s: float | None  # the floor, V / V(0)
+
+
+@dataclass(frozen=True)
+class Energy:
+    """The power balance, integrated over the run [J]: stored = supplied - dissipated + residual."""
+
+    supplied_j: float
+    dissipated_j: float
+    stored_j: float
+    residual_j: float
+    rms_residual_of_supplied: float  # of the power left over, relative to the RMS of the power supplied
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Send times as stamped by the middleware: period of the states; from a state to its command."""
+
+    period_p50_us: float
+    period_p99_us: float
+    period_max_us: float
+    latency_p50_us: float
+    latency_p99_us: float
+    latency_max_us: float
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Every sample is in here: nominal = published + missing; published = answered + unanswered."""
+
+    nominal: int  # duration times rate
+    published: int  # states recorded
+    missing: int  # nominal samples that are not in the bag (negative: more came than nominal)
+    gaps: int  # steps between stamps longer than 1.5 sample periods
+    longest_gap_s: float
+    answered: int | None  # states whose command was recorded; this and the next three null: no command was
+    answered_in_time: int | None  # before the next state was sent
+    late: int | None  # after it
+    unanswered: int | None
+    published_fraction: float  # of nominal
+    answered_in_time_fraction: float | None  # of nominal
+    lost_by_recorder: dict[str, int | None]  # topic -> gaps in the publisher's numbering; null: several publish
+
+
+@dataclass(frozen=True)
+class Report:
+    """All figures of one run."""
+
+    scenario: str
+    duration_s: float
+    sample_period_s: float
+    lockstep: bool
+    bag: str
+    bag_complete: bool  # it was closed; else the run or its recorder was killed
+    stop: ControllerStop | None  # why and when the controller stopped; null: it never did
+    verdict: Verdict
+    missing: tuple[str, ...]  # what the bag does not hold, and what was taken instead
+    tracking: Tracking
+    joints: list[JointFigures]
+    storage: Storage | None  # null: V is not known, for want of the motors' side
+    energy: Energy | None
+    timing: Timing
+    counts: Counts
+    diagnostics: dict[str, dict[str, str]]  # last counters of each node
+    versions: dict[str, str]
+    not_recorded: dict[str, str] = field(default_factory=dict)  # topic -> why the recorder left it out
+    failure: str = ""  # why the run ended before its time
+    planned_s: float | None = None  # how long the run was to be; null: not known to the one who reports
+
+    def of_joint(self, joint: str | None) -> JointFigures:
+        """The figures of a joint; those of the first one for None."""
+        return next((each for each in self.joints if each.joint == joint), self.joints[0])
+
+    def as_json(self) -> dict[str, Any]:
+        """The figures as JSON holds them: finite numbers only."""
+        return dict(_finite(asdict(self)))
+
+    def write(self, path: Path) -> None:
+        """Write the report as JSON."""
+        write_text(path, json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n")
+
+
+def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, duration: float) -> Report:
+    """The report of a run of `duration` seconds of stamped time."""
+    return Report(
+        scenario=name,
+        duration_s=duration,
+        sample_period_s=data.sample_period,
+        lockstep=data.lockstep,
+        bag=str(bag.path),
+        bag_complete=bag.complete,
+        stop=data.stop,
+        verdict=verdict(data, scenario),
+        missing=(*bag.notes, *data.notes),
+        tracking=_tracking(data),
+        joints=joint_figures(data),
+        storage=_storage(data) if np.isfinite(data.V[0]) else None,
+        energy=_energy(data, scenario) if np.isfinite(data.H[0]) else None,
+        timing=_timing(data),
+        counts=_counts(data, duration, bag.lost()),
+        diagnostics=bag.counters(),
+        versions=_versions(),
+    )
+
+
+def _tracking(data: TrackingData) -> Tracking:
+    size = np.abs(data.error).max(axis=1)
+    steady = data.error[data.t >= STEADY_AFTER]
+    peak, peak_joint = _largest(data.peak_effort, data.joints)
+    share, share_joint = _largest(data.peak_effort / data.effort_limit, data.joints)
+    worst, worst_joint = _largest(np.abs(steady).max(axis=0), data.joints) if steady.size else (None, None)
+    joints = joint_figures(data)
+    return Tracking(
+        peak_effort_nm=peak,
+        peak_effort_joint=peak_joint,
+        largest_share_joint=share_joint if share > 0 else None,
+        max_error_after_2s_joint=worst_joint,
+        peak_effort_by_joint_nm={each.joint: each.peak_effort_nm for each in joints},
+        effort_limit_by_joint_nm={each.joint: each.effort_limit_nm for each in joints},
+        largest_share_of_effort_limit=share if share > 0 else None,
+        initial_error_rad=float(size[0]),
+        max_error_after_2s_rad=worst,
+        rms_error_after_2s_rad=rms(steady) if steady.size else None,
+        settling_time_2_percent_s=settling_time(data.t, size, SETTLED * initial_error(data)),
+        saturated_fraction=_saturated(data),
+        reference_mismatch_rad=data.reference_mismatch,
+    )
+
+
+def _largest(values: Array, joints: Sequence[str]) -> tuple[float, str | None]:
+    """The largest of values (n,) and its joint; NaN and None where none is known."""
+    if np.isnan(values).all():
+        return math.nan, None
+    j = int(np.nanargmax(values))
+    return float(values[j]), joints[j]
+
+
+def _saturated(data: TrackingData) -> float | None:
+    """Of the commands, those with any joint at its limit."""
+    sent = data.u[np.isfinite(data.u).all(axis=1)]
+    if not (len(sent) and np.isfinite(data.effort_limit).any()):
+        return None
+    return float((np.abs(sent) >= AT_LIMIT * data.effort_limit).any(axis=1).mean())
+
+
+def _energy(data: TrackingData, scenario: Scenario) -> Energy:
+    flow = power(data, scenario.robot.B_m)
+    supplied, dissipated, stored, residual = (
+        float(np.nansum(each * flow.dt)) for each in (flow.supplied, flow.dissipated, flow.stored, flow.residual)
+    )
+    known = np.isfinite(flow.residual)
+    left = rms(flow.residual[known]) / (rms(flow.supplied[known]) or np.nan) if known.any() else np.nan
+    return Energy(supplied, dissipated, stored, residual, left)
+
+
+def _storage(data: TrackingData) -> Storage:
+    relative, ratio = data.relative_storage, data.V / data.bound
+    within = np.flatnonzero(ratio <= 1.0)  # V(0) itself is on the bound, unless it is 0
+    leaves = int(within[-1]) + 1 if within.size else 0
+    low = np.flatnonzero(relative <= DECAYED)
+    steady = relative[data.t >= STEADY_AFTER]
+    stays = leaves == len(data.t)
+    return Storage(
+        initial=float(data.V[0]),
+        guaranteed_decay_rate_per_s=2.0 * data.beta,
+        guarantee_is_proven=data.beta_is_proven,
+        measured_decay_rate_per_s=float(-np.log(relative[low[0]]) / data.t[low[0]]) if low.size else None,
+        leaves_bound_at_s=None if stays else float(data.t[leaves]),
+        relative_where_it_leaves=None if stays else float(relative[leaves]),
+        largest_ratio_to_bound_before=float(ratio[:leaves].max(initial=1.0)),
+        max_relative_after_2s=float(steady.max()) if steady.size else None,
+    )
+
+
+def _timing(data: TrackingData) -> Timing:
+    latency = data.latency[~np.isnan(data.latency)]
+    return Timing(*_percentiles(np.diff(data.sent)), *_percentiles(latency))
+
+
+def _percentiles(seconds: Array) -> tuple[float, float, float]:
+    """50 %, 99 % and largest, in microseconds."""
+    values = seconds * 1e6 if seconds.size else np.array([np.nan])
+    return float(np.percentile(values, 50)), float(np.percentile(values, 99)), float(values.max())
+
+
+def _counts(data: TrackingData, duration: float, lost_messages: dict[str, int | None]) -> Counts:
+    nominal, published = round(duration / data.sample_period), len(data.t)
+    answered = ~np.isnan(data.answered)
+    known, in_time = answered.any(), int((data.answered < data.deadline)[answered].sum())
+    steps = np.diff(data.t, append=data.t[-1])
+    return Counts(
+        nominal=nominal,
+        published=published,
+        missing=nominal - published,
+        gaps=int((steps > 1.5 * data.sample_period).sum()),
+        longest_gap_s=float(steps.max()),
+        answered=int(answered.sum()) if known else None,
+        answered_in_time=in_time if known else None,
+        late=int(answered.sum()) - in_time if known else None,
+        unanswered=published - int(answered.sum()) if known else None,
+        published_fraction=published / nominal,
+        answered_in_time_fraction=in_time / nominal if known else None,
+        lost_by_recorder=lost_messages,
+    )
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in VERSIONS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _finite(value: Any) -> Any:
+    """Return the value with null for numbers that are not finite, and arrays as lists."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Synthesised gains as a block of YAML for a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from fjr_core.config import builders
+from fjr_core.config.control_law import robust_action
+from fjr_core.config.scenario import Scenario
+from fjr_core.control.robust import sampled_law
+from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.errors import GainsError
+from fjr_core.numerics.checks import Array
+from fjr_core.stability.sampled_loop import SampledCheck, check
+from fjr_core.tuning.gain_synthesis import synthesize
+
+DIGITS = 4
+INDENT = " " * 6
+
+
+def text(scenario: Scenario, beta: float, delay: float, everywhere: bool) -> str:
+    """Gains for the scenario's robot with rate beta [1/s] at its sample rate and a delay [samples].
+
+    The rate holds along the scenario's reference, or everywhere within the joints' range. Raises GainsError
+    where there are no such gains.
+    """
+    robot, period = scenario.robot, scenario.sample_period
+    where = None if everywhere else scenario.configurations()
+    gains = synthesize(robot, beta, period, delay * period, where)
+    law = TrackingLaw(robot, gains)
+    found, rate = _checked(scenario, law, delay * period, where), law.rate(where)
+    place = "everywhere" if everywhere else "along its reference"
+    basis = "proven" if rate.proven else "sampled"
+    lines = [
+        f"# for {scenario.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / period:g} Hz "
+        f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples",
+        "# in place of `gains` below ros__parameters:",
+        "    gains:",
+    ]
+    for name, entries in builders.gain_values(gains, robot.n).items():
+        lines.append(_assignment(name.partition(".")[2], entries, robot.n))
+    return "\n".join(lines) + "\n"
+
+
+def _checked(scenario: Scenario, law: TrackingLaw, delay: float, where: Array | None) -> SampledCheck:
+    """Check the gains with the scenario's robust action, observer and sensors; raise GainsError where unstable."""
+    robust = robust_action(scenario.controller_values, law)
+    found = check(sampled_law(law, robust), scenario.sample_period, delay, where, sensing=scenario.sensing)
+    if not found.stable:
+        raise GainsError(
+            f"the spectral radius with the scenario's robust action and observer is {found.spectral_radius:.4g}; "
+            "expected less than 1: try a lower rate, slower robust action or a faster observer"
+        )
+    return found
+
+
+def _assignment(name: str, entries: Sequence[float], n: int) -> str:
+    """One gain; a matrix has one row a line."""
+    head = f"{INDENT}{name}: ["
+    numbers = [repr(float(f"{entry:.{DIGITS}g}")) for entry in entries]
+    rows = [", ".join(numbers[i : i + n]) for i in range(0, len(numbers), n)]
+    return head + f",\n{' ' * len(head)}".join(rows) + "]"

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node behind `fjr watch`: listens to a running loop without disturbing it.
+
+Like the recorder it has no executor: `listen` empties the queues a few times a second. Of a thousand states a second
+only the times are read, from their bytes, and one message is deserialised. Subscriptions are best effort, so that no
+publisher ever waits for a slow terminal.
+"""
+
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
+
+from fjr_bringup.monitor.state import Watched
+from fjr_bringup.monitor.view import Health
+from fjr_bringup.recording.reader import header_stamp
+from fjr_msgs_py import names
+from fjr_msgs_py.messages.labelled import labelled
+
+DEPTH = 4000  # messages between two looks
+CERTIFICATE = "~/certificate"
+Times = list[tuple[int, int]]
+
+
+class FjrWatch:
+    """Subscribes with a node, under its namespace and remaps; what is heard goes into `watched`."""
+
+    def __init__(self, node: Node, watched: Watched, controller: str = names.CONTROLLER) -> None:
+        """controller: name of the node whose ~/ topics are meant."""
+        self._node, self._watched = node, watched
+        self._now = 0.0
+        self._space = f"{node.get_namespace()}/".lstrip("/")
+        own = {name: name.replace("~", controller) for name in (names.TRACKING_ERROR, CERTIFICATE, names.EVENTS)}
+        self._topics: list[str] = []
+        self._stamped = [
+            (self._subscribe(JointState, names.JOINT_STATES), watched.sent, self._on_state),
+            (self._subscribe(JointState, names.JOINT_COMMANDS), watched.answered, self._on_command),
+        ]
+        self._newest = [
+            (self._subscribe(JointState, own[names.TRACKING_ERROR], 1), self._on_error),
+            (self._subscribe(Float64MultiArray, own[CERTIFICATE], 1), self._on_certificate),
+            (self._subscribe(Float64MultiArray, names.EFFORT_COMMANDS, 1), self._on_efforts),
+            (self._subscribe(String, names.ROBOT_DESCRIPTION, 1, names.LATCHED), self._on_description),
+        ]
+        self._every = [
+            (self._subscribe(DiagnosticArray, names.DIAGNOSTICS, 100), self._on_diagnostics),
+            (self._subscribe(DiagnosticStatus, own[names.EVENTS], 100), self._on_event),
+        ]
+        self._joints: list[str] = []
+        self._named_efforts = False
+
+    def listen(self, now: float) -> None:
+        """Take in all that has come; `now` [s] is what its age is counted from."""
+        self._now = now
+        for subscription, tell, handle in self._stamped:
+            data, times = _drained(subscription)
+            tell(times)
+            if data:
+                handle(deserialize_message(data, subscription.msg_type))
+        for subscription, on_newest in self._newest:
+            for one in _all(subscription)[-1:]:
+                on_newest(deserialize_message(one, subscription.msg_type))
+        for subscription, on_each in self._every:
+            for one in _all(subscription):
+                on_each(deserialize_message(one, subscription.msg_type))
+
+    def missing(self) -> list[str]:
+        """Topics that nobody publishes; of the two commands one is enough."""
+        silent = [topic for topic in self._topics if not self._node.count_publishers(topic)]
+        commands = {self._stamped[1][0].topic_name, self._newest[2][0].topic_name}
+        return silent if commands <= set(silent) else [topic for topic in silent if topic not in commands]
+
+    def _subscribe(self, kind: type, topic: str, depth: int = DEPTH, qos: QoSProfile | None = None) -> Subscription:
+        profile = qos or QoSProfile(
+            reliability=ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.VOLATILE,
+            history=HistoryPolicy.KEEP_LAST,
+            depth=depth,
+        )
+        subscription = self._node.create_subscription(kind, topic, lambda _: None, profile, raw=True)
+        self._topics.append(subscription.topic_name)
+        return subscription
+
+    def _on_state(self, message: JointState) -> None:
+        self._joints = [name for name in message.name if not name.endswith(names.motor_name(""))]
+        position, velocity = (dict(zip(message.name, values)) for values in (message.position, message.velocity))  # noqa: B905
+        self._watched.state(self._now, position, velocity)
+
+    def _on_command(self, message: JointState) -> None:
+        self._named_efforts = True
+        self._watched.effort(dict(zip(message.name, message.effort)))  # noqa: B905
+
+    def _on_efforts(self, message: Float64MultiArray) -> None:
+        """Where no stamped and named command comes: by the labels, or in the order of the states' joints."""
+        if not self._named_efforts:
+            in_order = dict(zip(self._joints, message.data))  # noqa: B905
+            self._watched.effort(labelled(message) or in_order)
+
+    def _on_error(self, message: JointState) -> None:
+        self._watched.error(dict(zip(message.name, message.position)))  # noqa: B905
+
+    def _on_certificate(self, message: Float64MultiArray) -> None:
+        self._watched.certificate(labelled(message))
+
+    def _on_description(self, message: String) -> None:
+        self._watched.description(message.data)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if not status.name.startswith(self._space):
+                continue  # another robot's
+            values = {pair.key: pair.value for pair in status.values}
+            health = Health(status.name, status.level[0], status.message, values.get("state", ""))
+            self._watched.health(self._now, health)
+
+    def _on_event(self, message: DiagnosticStatus) -> None:
+        self._watched.event(self._now, message.level[0], message.name, message.message)
+
+
+def _drained(subscription: Subscription) -> tuple[bytes, Times]:
+    """The newest message, and stamp and send time [ns] of all."""
+    data, times = b"", []
+    take, kind = subscription.handle.take_message, subscription.msg_type
+    while (taken := take(kind, True)) is not None:
+        data, info = taken
+        times.append((header_stamp(data), info["source_timestamp"]))
+    return data, times
+
+
+def _all(subscription: Subscription) -> list[bytes]:
+    found = []
+    while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+        found.append(taken[0])
+    return found

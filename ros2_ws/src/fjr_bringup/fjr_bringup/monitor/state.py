@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `fjr watch` has heard: numbers in, a View out; no ROS, no clock of its own."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from xml.etree import ElementTree
+
+import numpy as np
+
+from fjr_bringup.monitor.view import Happening, Health, JointLine, Timing, View
+from fjr_msgs_py.names import motor_name
+
+WINDOW = 2_000_000_000  # ns of stamps and send times that the timing is of
+HISTORY = 120  # values of V
+EVENTS = 6
+STALE = 5.0  # s without a report
+NANO = 1e-9
+
+Values = Mapping[str, float]
+
+
+class Watched:
+    """Collects; `view` says what to show. Times `now` are seconds of any one clock that only goes forward."""
+
+    def __init__(self, title: str, effort_limits: Values | None = None) -> None:
+        """effort_limits [N m] by joint: win over those of the robot's description."""
+        self._title = title
+        self._given_limits = dict(effort_limits or {})
+        self._limits: dict[str, float] = {}
+        self._prismatic: set[str] = set()
+        self._position: Values = {}
+        self._velocity: Values = {}
+        self._error: Values = {}
+        self._effort: Values = {}
+        self._peak: dict[str, float] = {}
+        self._heard: float | None = None
+        self._sent: deque[tuple[int, int]] = deque()  # stamp, send time [ns] of states
+        self._answered: dict[int, int] = {}  # send time [ns] of the command by the stamp of its state
+        self._certificate: dict[str, float] | None = None
+        self._history: deque[float] = deque(maxlen=HISTORY)
+        self._health: dict[str, tuple[float, Health]] = {}
+        self._events: deque[tuple[float, Happening]] = deque(maxlen=EVENTS)
+
+    def state(self, now: float, position: Values, velocity: Values) -> None:
+        """Positions [rad] and velocities [rad/s] by name, as measured."""
+        self._heard, self._position, self._velocity = now, position, velocity
+
+    def error(self, position: Values) -> None:
+        """Tracking errors [rad] by joint."""
+        self._error = position
+
+    def effort(self, effort: Values) -> None:
+        """Commanded efforts [N m] by joint."""
+        self._effort = effort
+        for joint, value in effort.items():
+            self._peak[joint] = max(self._peak.get(joint, 0.0), abs(value))
+
+    def sent(self, times: Sequence[tuple[int, int]]) -> None:
+        """Stamp and send time [ns] of states; of a stamp that is sent again the first counts."""
+        for stamp, time in times:
+            if self._sent and stamp < self._sent[-1][0]:  # the robot was reset
+                self._sent.clear()
+                self._answered.clear()
+            if not self._sent or stamp > self._sent[-1][0]:
+                self._sent.append((stamp, time))
+        while self._sent and self._sent[-1][1] - self._sent[0][1] > WINDOW:
+            self._answered.pop(self._sent.popleft()[0], None)
+
+    def answered(self, times: Sequence[tuple[int, int]]) -> None:
+        """Stamp of the state and send time [ns] of commands."""
+        for stamp, time in times:
+            self._answered.setdefault(stamp, time)
+        oldest = self._sent[0][0] if self._sent else 0
+        for stamp in [stamp for stamp in self._answered if stamp < oldest]:
+            del self._answered[stamp]
+
+    def certificate(self, values: dict[str, float]) -> None:
+        """The newest certificate, by label."""
+        self._certificate = values
+        if "V" in values:
+            self._history.append(values["V"])
+
+    def health(self, now: float, status: Health) -> None:
+        """The newest report of a node."""
+        self._health[status.name] = now, status
+
+    def event(self, now: float, level: int, kind: str, sentence: str) -> None:
+        """Something happened."""
+        self._events.appendleft((now, Happening(0.0, level, kind, sentence)))
+
+    def description(self, urdf: str) -> None:
+        """The robot's URDF: effort limits and prismatic joints; one that cannot be read has none."""
+        try:
+            joints = list(ElementTree.fromstring(urdf).iter("joint"))
+        except ElementTree.ParseError:
+            joints = []
+        self._prismatic = {joint.get("name", "") for joint in joints if joint.get("type") == "prismatic"}
+        limits = ((joint.get("name", ""), joint.find("limit")) for joint in joints)
+        given = ((name, _number(limit.get("effort"))) for name, limit in limits if limit is not None)
+        self._limits = {name: effort for name, effort in given if effort > 0}
+
+    def view(self, now: float, missing: Sequence[str] = ()) -> View:
+        """What to show."""
+        return View(
+            title=self._title,
+            joints=tuple(self._line(name) for name in self._joints()),
+            silence=None if self._heard is None else max(0.0, now - self._heard),
+            timing=self._timing(),
+            certificate=self._certificate,
+            history=tuple(self._history),
+            health=tuple(self._aged(now, *self._health[name]) for name in sorted(self._health)),
+            happenings=tuple(Happening(now - then, e.level, e.kind, e.sentence) for then, e in self._events),
+            missing=tuple(missing),
+        )
+
+    def _joints(self) -> list[str]:
+        """Names of the joints: without the motors of others."""
+        names = list(self._position) or list(self._effort)
+        motors = {motor_name(name) for name in names}
+        return [name for name in names if name not in motors]
+
+    def _line(self, name: str) -> JointLine:
+        q_l, q_m = self._position.get(name), self._position.get(motor_name(name))
+        return JointLine(
+            name=name,
+            position=q_l,
+            velocity=self._velocity.get(name),
+            deflection=None if q_l is None or q_m is None else q_m - q_l,
+            error=self._error.get(name),
+            effort=self._effort.get(name),
+            limit=self._given_limits.get(name, self._limits.get(name)),
+            peak=self._peak.get(name, 0.0),
+            prismatic=name in self._prismatic,
+        )
+
+    def _timing(self) -> Timing | None:
+        if len(self._sent) < 2:
+            return None
+        sent = np.array([time for _, time in self._sent], dtype=float) * NANO
+        waits = [self._answered[stamp] - time for stamp, time in self._sent if stamp in self._answered]
+        under_way = self._sent[-1][0] not in self._answered
+        unanswered = len(self._sent) - len(waits) - under_way
+        latency = _percentiles(np.array(waits) * NANO) if waits else None
+        rate = (len(sent) - 1) / max(sent[-1] - sent[0], NANO)
+        return Timing(float(rate), _percentiles(np.diff(sent)), latency, unanswered if waits else 0)
+
+    def _aged(self, now: float, then: float, status: Health) -> Health:
+        if now - then <= STALE:
+            return status
+        return Health(status.name, 3, f"no report for {now - then:.0f} s; the last: {status.message}", status.state)
+
+
+def _percentiles(values: np.ndarray) -> tuple[float, float, float]:
+    p50, p99 = np.percentile(values, (50, 99))
+    return float(p50), float(p99), float(values.max())
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float(text or 0.0)
+    except ValueError:
+        return 0.0

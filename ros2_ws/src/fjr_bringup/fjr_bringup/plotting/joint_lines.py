@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joints in pictures: their colours, and their names at the ends of their lines."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.recording.reader import Array
+
+# Okabe and Ito's palette, told apart by colour-blind readers too
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DRAWABLE = 1e12
+LABEL_GAP = 0.062  # of the height of the axes, between names
+
+
+def colour(joint: int) -> str:
+    """Colour of a joint."""
+    return COLOURS[joint % len(COLOURS)]
+
+
+def drawable(values: Array) -> Array:
+    """The values without those of a loop that diverged beyond all axes."""
+    return np.where(np.abs(values) < DRAWABLE, values, np.nan)
+
+
+def name_joints(ax: Axes, data: TrackingData, lines: Array) -> None:
+    """The joints' names at the ends of their lines (k, n), where there are several joints, none over another."""
+    if len(data.joints) == 1:
+        return
+    ax.get_ylim()  # settles what transData means
+    ends = {}
+    for j in range(len(data.joints)):
+        drawn = lines[np.isfinite(drawable(lines[:, j])), j]
+        if drawn.size:
+            point = ax.transData.transform((data.t[-1], drawn[-1]))
+            ends[j] = float(ax.transAxes.inverted().transform(point)[1])
+    for j, height in zip(ends, apart(np.array(list(ends.values()))), strict=True):
+        ax.annotate(
+            data.joints[j],
+            (data.t[-1], height),
+            (4, 0),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            color=colour(j),
+            va="center",
+        )
+
+
+def apart(heights: Array) -> list[float]:
+    """The heights moved apart to LABEL_GAP, as little as possible: neighbours too close share their mean."""
+    order = np.argsort(heights)
+    groups: list[list[float]] = []
+    for place, height in enumerate(heights[order]):
+        groups.append([height - LABEL_GAP * place])
+        while len(groups) > 1 and np.mean(groups[-2]) > np.mean(groups[-1]):
+            groups[-2:] = [groups[-2] + groups[-1]]
+    placed = [float(np.mean(group)) for group in groups for _ in group]
+    return [placed[rank] + LABEL_GAP * float(rank) for rank in np.argsort(order)]

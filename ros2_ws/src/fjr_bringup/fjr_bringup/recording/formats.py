@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a bag: MCAP, SQLite, and what rosbag2 compressed as a whole; each read as far as it can be.
+
+An MCAP file is read front to back, so the file of a run that was killed (no index, no metadata.yaml, a torn last
+record) gives everything up to the last flushed chunk, and one that is damaged everything but the damaged chunk. So does
+a SQLite file, without metadata.yaml or not. What is lost is said in Contents.notes.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Message, Schema
+from rosbags.highlevel import AnyReader
+
+from fjr_bringup.formatting import plural
+from fjr_bringup.recording.mcap_reader import MAGIC, MESSAGE, UNREADABLE, File, inner, unpacked
+from fjr_bringup.recording.message_types import typestore
+from fjr_bringup.recording.sqlite_reader import read_tables
+from fjr_bringup.recording.topic import BagError, Contents, Topic, has_times
+from fjr_core.config import ros_yaml
+from fjr_core.errors import FjrError
+
+
+def read_mcap(path: Path, contents: Contents) -> bool:
+    """Add the messages of a file to `contents`; true when the file ends as a closed file does. Raises BagError."""
+    before = contents.count
+    with open(path, "rb") as stream:
+        begin = stream.read(len(MAGIC))
+        if sum(a == b for a, b in zip(begin, MAGIC, strict=False)) < min(len(begin), 6):
+            raise BagError(f"{path} is not an MCAP file: it begins with other bytes")
+        file = File(stream)
+        reader = _McapReader(file, contents)
+        reader.read()
+    read = contents.count - before
+    if not read and (file.damage or reader.strange):
+        raise BagError(f"{path} is not a readable MCAP file: it is damaged at byte {(file.damage or [0])[0]}")
+    contents.notes += _losses(path.name, file, read, reader.strange)
+    return file.closed
+
+
+def _losses(name: str, file: File, read: int, strange: int) -> Iterator[str]:
+    """A sentence for each kind of loss."""
+    places = [str(position) for position in sorted(set(file.damage))]
+    if places:
+        known = file.count is not None and file.count >= read
+        lost = f"{(file.count or 0) - read} of {file.count}" if known else "an unknown number of"
+        where = ", ".join(places[:3]) + (f" and {len(places) - 3} more places" if len(places) > 3 else "")
+        yield f"{name} is damaged at byte {where}; {lost} messages are lost"
+    if strange:
+        yield f"{name}: {plural(strange, 'message')} of no known topic or with a time beyond 63 bits left out"
+
+
+class _McapReader:
+    """Sorts the records of a file into topics; `strange`: how many messages fit nowhere."""
+
+    def __init__(self, file: File, contents: Contents) -> None:
+        self.strange = 0
+        self._file = file
+        self._contents = contents
+        self._schemas: dict[int, Schema] = {}
+        self._topics: dict[int, Topic] = {}
+
+    def read(self) -> None:
+        """Read all that is whole."""
+        file, known = self._file, {*self._file.channels}
+        for record in file.records(known):
+            try:
+                if record.kind == Opcode.CHUNK:
+                    for kind, content in inner(unpacked(record.content)):
+                        self._add(kind, content)
+                else:
+                    self._add(record.kind, record.content)
+            except UNREADABLE:
+                file.damage.append(record.position)
+            known |= self._topics.keys()
+
+    def _add(self, kind: int, content: bytes) -> None:
+        if kind == Opcode.MESSAGE:
+            number, sequence, log_time, publish_time = MESSAGE.unpack_from(content)
+            message = Message(number, log_time, content[MESSAGE.size :], publish_time, sequence)
+            topic = self._topic(number)
+            if topic is not None and has_times(message):
+                topic.messages.append(message)
+            else:
+                self.strange += 1
+        elif kind == Opcode.SCHEMA:
+            schema = Schema.read(ReadDataStream(BytesIO(content)))
+            self._schemas[schema.id] = schema
+        elif kind == Opcode.CHANNEL:
+            self._open(Channel.read(ReadDataStream(BytesIO(content))))
+
+    def _topic(self, number: int) -> Topic | None:
+        """The topic of a channel; one whose own record is lost is known from the summary."""
+        if number not in self._topics and number in self._file.channels:
+            self._open(self._file.channels[number])
+        return self._topics.get(number)
+
+    def _open(self, channel: Channel) -> None:
+        schema = self._schemas.get(channel.schema_id) or self._file.schemas.get(channel.schema_id)
+        if schema is not None:
+            text = schema.data.decode("utf-8", "replace")
+            self._topics[channel.id] = self._contents.topic(channel.topic, schema.name, text)
+
+
+def read_sqlite(path: Path, contents: Contents) -> bool:
+    """Add the messages of a SQLite file, which knows one time of each message: when it was received."""
+    before = contents.count
+    if _is_cut_off(path):  # refused as it is
+        with tempfile.TemporaryDirectory() as folder:
+            notes = list(contents.notes)
+            read_tables(_mended(path, Path(folder)), contents)
+            contents.notes, whole = notes, False  # its end is missing: that is said as of any bag that was not closed
+    else:
+        whole = read_tables(path, contents)
+        if not whole and contents.count == before:
+            contents.notes.append(f"{path.name} is damaged; no message in it can be read")
+    for topic in contents.topics.values():
+        topic.messages.sort(key=lambda message: message.log_time)
+    return whole
+
+
+def _is_cut_off(path: Path) -> bool:
+    """Whether a SQLite file is shorter than the pages that its header counts."""
+    with open(path, "rb") as stream:
+        header = stream.read(32)
+    return len(header) == 32 and int.from_bytes(header[28:32], "big") * _page(header) > path.stat().st_size
+
+
+def _page(header: bytes) -> int:
+    """Bytes of a page."""
+    size = int.from_bytes(header[16:18], "big")
+    return 2**16 if size <= 1 else size
+
+
+def _mended(path: Path, folder: Path) -> Path:
+    """A copy whose header says the number of pages that there are."""
+    copy = folder / path.name
+    shutil.copyfile(path, copy)
+    with copy.open("r+b") as stream:
+        page = _page(stream.read(32))
+        pages = path.stat().st_size // page
+        stream.seek(28)
+        stream.write(pages.to_bytes(4, "big"))
+        stream.truncate(pages * page)
+    return copy
+
+
+def read_compressed(folder: Path, contents: Contents) -> bool:
+    """Add the messages of a whole folder that rosbag2 compressed, by the rosbags library."""
+    try:
+        with AnyReader([folder], default_typestore=typestore()) as reader:
+            for connection, time, data in reader.messages():
+                topic = contents.topic(connection.topic, connection.msgtype, connection.msgdef.data)
+                message = Message(connection.id, time, data, time, 0)
+                if has_times(message):
+                    topic.messages.append(message)
+    except Exception as error:  # whatever the library stumbles over
+        raise BagError(f"{folder} is not a readable compressed bag: {error or type(error).__name__}") from error
+    return True
+
+
+READERS: dict[str, Callable[[Path, Contents], bool]] = {".mcap": read_mcap, ".db3": read_sqlite}
+
+
+def files_of(path: Path) -> list[Path]:
+    """The files of a bag, given by its folder, by one of its files or by the folder of a run; raises BagError."""
+    if not path.exists():
+        raise BagError(f"{path} does not exist; expected the folder of a bag or of a run, or an .mcap or .db3 file")
+    if path.is_file():
+        if path.suffix in READERS:
+            return [path]
+        raise BagError(f"{path} is not a bag: expected an .mcap or .db3 file, or a folder that holds some")
+    if _is_compressed(path):
+        return [path]
+    files = sorted(file for suffix in READERS for file in path.glob(f"*{suffix}"))
+    if files:
+        return files
+    raise BagError(f"{path} is not a bag: expected a folder with .mcap or .db3 files in it, or such a file")
+
+
+def _is_compressed(folder: Path) -> bool:
+    """Whether rosbag2 compressed the files of a bag, or each message."""
+    try:
+        found = ros_yaml.read(folder / "metadata.yaml", "metadata")
+        return bool(found["rosbag2_bagfile_information"].get("compression_mode", ""))
+    except (FjrError, LookupError, TypeError, AttributeError):
+        return False
+
+
+def read_file(path: Path, contents: Contents) -> bool:
+    """Add the messages of one of files_of; true when it was closed as it should be."""
+    if path.is_file() and path.stat().st_size == 0:
+        return False
+    return READERS.get(path.suffix, read_compressed)(path, contents)

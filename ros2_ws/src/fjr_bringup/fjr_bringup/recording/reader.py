@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read a bag back into numpy arrays: stamps, send times, and one column per joint, mapped by name."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fjr_bringup.recording.formats import files_of, read_file
+from fjr_bringup.recording.topic import BagError, Contents, Times, Topic
+
+Array = NDArray[np.float64]
+JOINT_STATE, DIAGNOSTICS = "sensor_msgs/msg/JointState", "/diagnostics"
+
+
+@dataclass(frozen=True)
+class JointTable:
+    """A JointState topic as arrays: k messages, n joints in the order asked for; absent values are NaN."""
+
+    stamp: Times  # (k,) header stamp [ns]
+    publish_time: Times  # (k,) send time [ns]
+    position: Array  # (k, n)
+    velocity: Array  # (k, n)
+    effort: Array  # (k, n)
+
+
+@dataclass(frozen=True)
+class Bag:
+    """All topics of a bag. `complete` tells whether the recorder closed it; namespace: where its nodes were; notes: a
+    sentence for each thing that could not be read.
+
+    A topic that is not there under its plain name is looked for in namespaces; one in two of them is not chosen.
+    """
+
+    path: Path
+    topics: dict[str, Topic]
+    complete: bool
+    namespace: str = ""
+    notes: tuple[str, ...] = ()
+
+    def holds(self, name: str) -> bool:
+        """Whether there are messages of a topic."""
+        return self._full_name(name) is not None
+
+    def topic(self, name: str) -> Topic:
+        """One topic; raises BagError, naming what was recorded, when there is none or it is empty."""
+        found = self._full_name(name)
+        if found is None:
+            raise BagError(f"{self.path} holds no message of {self.namespace}{name}; it holds {self._contents()}")
+        return self.topics[found]
+
+    def _full_name(self, name: str) -> str | None:
+        recorded = [topic for topic, found in self.topics.items() if found.messages]
+        if self.namespace + name in recorded:
+            return self.namespace + name
+        others = [] if self.namespace else [topic for topic in recorded if topic.endswith(name)]
+        if len(others) > 1:
+            raise BagError(f"{self.path} holds {' and '.join(sorted(others))}: name one of them by its --namespace")
+        return others[0] if others else None
+
+    def _contents(self) -> str:
+        recorded = sorted(name for name, topic in self.topics.items() if topic.messages)
+        return ", ".join(recorded) or ("nothing" if self.complete else "nothing, and was not closed")
+
+    def joints(self, name: str, joints: Sequence[str]) -> JointTable:
+        """A JointState topic with columns in the order of `joints`, whatever order the messages have."""
+        topic = self.topic(name)
+        if topic.type_name != JOINT_STATE:
+            raise BagError(f"{topic.name} of {self.path} is a {topic.type_name}; expected {JOINT_STATE}")
+        messages = topic.decoded
+        stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages], dtype=np.int64)
+        columns = (_columns(messages, what, joints) for what in ("position", "velocity", "effort"))
+        return JointTable(stamps, topic.publish_time, *columns)
+
+    def lost(self) -> dict[str, int | None]:
+        """Messages sent but not recorded, by topic; None where it cannot be known."""
+        return {name: topic.lost for name, topic in sorted(self.topics.items()) if topic.messages}
+
+    def counters(self) -> dict[str, dict[str, str]]:
+        """The last /diagnostics of each part: name -> key -> value, as published."""
+        last: dict[str, dict[str, str]] = {}
+        for message in self.topic(DIAGNOSTICS).decoded if self.holds(DIAGNOSTICS) else []:
+            for status in message.status:
+                last[status.name] = {pair.key: pair.value for pair in status.values}
+        return last
+
+
+def read_bag(path: str | Path, namespace: str = "") -> Bag:
+    """Read a bag: its folder, one of its files, or the folder of a run with `bag` in it; raises BagError.
+
+    namespace: of the topics to look at, empty or with a slash before it.
+    """
+    path = Path(path)
+    path = path / "bag" if (path / "bag").is_dir() else path
+    contents = Contents()
+    complete = [read_file(file, contents) for file in files_of(path)]
+    return Bag(path, contents.topics, all(complete), namespace, tuple(contents.notes))
+
+
+def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array:
+    """Values `what` of the named joints, (k, n)."""
+    table = np.full((len(messages), len(joints)), np.nan)
+    places: dict[tuple[str, ...], list[int]] = {}
+    for row, message in enumerate(messages):
+        names, values = tuple(message.name), getattr(message, what)
+        if names not in places:
+            places[names] = [names.index(joint) if joint in names else -1 for joint in joints]
+        for column, place in enumerate(places[names]):
+            if 0 <= place < len(values):
+                table[row, column] = values[place]
+    return table
+
+
+def header_stamp(data: bytes) -> int:
+    """Stamp [ns] of a serialised message that starts with a std_msgs/Header."""
+    sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
+    return int(sec) * 10**9 + int(nanosec)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr record`: topics into an MCAP bag until Ctrl-C, for machines without ros2cli."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from fjr_bringup.recording.echo import absolute
+from fjr_bringup.recording.recorder import Recorder
+from fjr_bringup.recording.run_folder import FolderError
+from fjr_bringup.recording.writer import Channel
+from fjr_core.errors import FjrError
+
+POLL = 0.05  # s
+
+
+class RecordError(FjrError):
+    """A recording that could not go on."""
+
+
+def record(topics: Sequence[str], folder: Path | None, duration: float | None, stop: threading.Event) -> str:
+    """Record the named topics, or all, for `duration` [s] or until `stop`; returns what to tell.
+
+    folder: of the bag, which must not be there yet; None is one named after the time. Raises FjrError.
+    """
+    wanted = [absolute(topic) for topic in topics]
+    folder = folder or Path(f"bag_{datetime.now():%Y_%m_%d-%H_%M_%S}")
+    if folder.exists():
+        raise FolderError(f"{folder} exists: not overwritten; expected the name of a new folder")
+    what = ", ".join(wanted) or "all topics"
+    end = "Ctrl-C ends" if duration is None else f"for {duration:g} s"
+    print(f"fjr: records {what} into {folder}; {end}", file=sys.stderr, flush=True)
+    with Recorder(folder, topics=wanted) as recorder:
+        _wait(recorder, duration, stop)
+    return _told(recorder, wanted, folder)
+
+
+def _wait(recorder: Recorder, duration: float | None, stop: threading.Event) -> None:
+    end = None if duration is None else time.monotonic() + duration
+    while not stop.wait(POLL) and (end is None or time.monotonic() < end):
+        if recorder.failure:
+            raise RecordError(f"the recorder failed: {recorder.failure}")
+
+
+def _told(recorder: Recorder, wanted: Sequence[str], folder: Path) -> str:
+    """One line per topic, then what is missing."""
+    channels = sorted(recorder.writer.channels, key=lambda channel: channel.topic)
+    lines = [_line(channel) for channel in channels if channel.count]
+    heard = {channel.topic for channel in channels if channel.count}
+    lines += [f"not recorded: {topic}, {why}" for topic, why in sorted(recorder.skipped.items())]
+    lines += [f"not complete: {recorder.loss}"] if recorder.loss else []
+    lines += [f"nothing came on {topic}" for topic in wanted if topic not in heard | set(recorder.skipped)]
+    total = sum(channel.count for channel in channels)
+    return "\n".join([*lines, f"{total} messages of {len(heard)} topics in {folder}"])
+
+
+def _line(channel: Channel) -> str:
+    return f"{channel.count:9} {channel.topic} ({channel.type_name})"

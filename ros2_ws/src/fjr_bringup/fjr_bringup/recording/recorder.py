@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Record every topic of the ROS graph, or some, into a rosbag2 bag, cheaply enough to sit beside a 1 kHz loop.
+
+No executor: one thread looks at the graph and empties the subscriptions' queues a hundred times a second.
+The middleware stamps each message when it was sent and when it came in, so batching costs no accuracy, and
+waking up once for a batch instead of once per message leaves the processor to the nodes.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from fjr_bringup.recording.message_types import SchemaError, message_class, type_hash
+from fjr_bringup.recording.writer import BagWriter, Channel
+
+QUEUE_DEPTH = 5000  # messages per topic between two drains: 5 s at 1 kHz
+DRAIN_PERIOD = 0.01  # s
+DISCOVERY_PERIOD = 0.1  # s
+FLUSH_PERIOD = 0.5  # s; a kill loses at most this much, and the drain in progress
+
+
+@dataclass
+class Track:
+    """A topic being recorded: where it comes from, where it goes, the first and the last message seen.
+
+    ends: replaced as a whole, because other threads read it while messages are taken; None before the first message.
+    """
+
+    subscription: Subscription
+    channel: Channel
+    publishers: list[TopicEndpointInfo]
+    ends: tuple[bytes, bytes] | None = None
+
+
+class Recorder:
+    """Records from `start` to `close`; use as a context manager. Owns its rclpy context and one thread."""
+
+    def __init__(self, folder: Path, node_name: str = "fjr_recorder", topics: Collection[str] = ()) -> None:
+        """topics: names from the root of those to record; none is all."""
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node: Node = rclpy.create_node(
+            node_name, context=self.context, enable_rosout=False, start_parameter_services=False
+        )
+        self.writer = BagWriter(folder)
+        self.skipped: dict[str, str] = {}  # topic -> why it is not recorded
+        self.failure: Exception | None = None
+        self.loss = ""  # why nothing is written any more; the topics are listened to all the same
+        self._wanted = frozenset(topics)
+        self._tracks: dict[str, Track] = {}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="recorder")
+
+    def start(self) -> Recorder:
+        """Begin to look for topics and record them."""
+        self._thread.start()
+        return self
+
+    def close(self) -> None:
+        """Empty the queues once more and close the bag, so that it is complete and readable."""
+        if not self._stop.is_set():
+            self._stop.set()
+            self._thread.join()
+            self._write(self.writer.close)
+            if self.loss:
+                self.writer.abandon()
+            self.node.destroy_node()
+            self.context.try_shutdown()
+
+    def __enter__(self) -> Recorder:
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def ends(self, topic: str) -> tuple[bytes, bytes] | None:
+        """First and latest message of a topic as they came over the wire; None when none has come."""
+        return self._tracks[topic].ends if topic in self._tracks else None
+
+    def last(self, topic: str) -> bytes:
+        """Latest message of a topic as it came over the wire; empty when none has come."""
+        ends = self.ends(topic)
+        return ends[1] if ends else b""
+
+    def matched(self, topic: str) -> int:
+        """How many publishers of a topic are connected to this recorder."""
+        return self._tracks[topic].subscription.get_publisher_count() if topic in self._tracks else 0
+
+    def _run(self) -> None:
+        try:
+            self._record()
+        except Exception as error:  # told to the caller, who stops the run
+            self.failure = error
+
+    def _record(self) -> None:
+        look = flush = 0.0
+        stopping = False
+        while not stopping:
+            stopping = self._stop.wait(DRAIN_PERIOD)
+            now = time.monotonic()
+            if now >= look and not stopping:
+                self._discover()
+                look = now + DISCOVERY_PERIOD
+            for track in tuple(self._tracks.values()):
+                self._drain(track)
+            if now >= flush:
+                self._write(self.writer.flush)
+                flush = now + FLUSH_PERIOD
+
+    def _write(self, write: Callable[..., object], *arguments: object) -> None:
+        """Write, unless that has failed before; a disk that is full or gone ends the recording, not the run."""
+        if self.loss:
+            return
+        try:
+            write(*arguments)
+        except OSError as error:
+            self.loss = f"recording stopped: {error.strerror or error}"
+            print(f"fjr: {self.loss}; all else goes on, {self.writer.path} holds what came before", file=sys.stderr)
+
+    def _drain(self, track: Track) -> None:
+        """Write all that waits in one subscription's queue: receive time, send time, wire bytes."""
+        take, kind = track.subscription.handle.take_message, track.subscription.msg_type
+        write, keep, channel = self._write, self.writer.write, track.channel
+        first = last = b""
+        while (taken := take(kind, True)) is not None:
+            last, info = taken
+            first = first or last
+            sequence = info["publication_sequence_number"] or 0
+            write(keep, channel, info["received_timestamp"], info["source_timestamp"], sequence, last)
+        if last:
+            track.ends = (track.ends[0] if track.ends else first, last)
+
+    def _discover(self) -> None:
+        """Subscribe to topics that have appeared; follow publishers that have come or gone."""
+        for topic, types in self.node.get_topic_names_and_types():
+            publishers = self.node.get_publishers_info_by_topic(topic)
+            if not publishers or topic in self.skipped or (self._wanted and topic not in self._wanted):
+                continue
+            if topic not in self._tracks:
+                self._subscribe(topic, types[0], publishers)
+            elif len(publishers) > len(self._tracks[topic].publishers):
+                self._follow(self._tracks[topic], publishers)
+
+    def _subscribe(self, topic: str, type_name: str, publishers: list[TopicEndpointInfo]) -> None:
+        try:
+            subscription = self._subscription(message_class(type_name), topic, publishers)
+            digest = str(publishers[0].topic_type_hash)
+            digest = digest if digest.startswith("RIHS") else type_hash(type_name)
+            offered = [info.qos_profile for info in publishers]
+            channel = self.writer.add_topic(topic, type_name, offered, digest)
+        except SchemaError as error:
+            self.skipped[topic] = str(error)
+            return
+        self._tracks[topic] = Track(subscription, channel, publishers)
+
+    def _follow(self, track: Track, publishers: list[TopicEndpointInfo]) -> None:
+        """More publishers than before: note what they offer, and ask for less if one would not match."""
+        track.publishers = publishers
+        wanted, old = adapted_qos(publishers), track.subscription
+        if (wanted.reliability, wanted.durability) != (
+            old.qos_profile.reliability,
+            old.qos_profile.durability,
+        ):
+            self._drain(track)
+            track.subscription = self._subscription(old.msg_type, old.topic, publishers)
+            self.node.destroy_subscription(old)
+
+    def _subscription(self, kind: type, topic: str, publishers: list[TopicEndpointInfo]) -> Subscription:
+        return self.node.create_subscription(kind, topic, _never, adapted_qos(publishers), raw=True)
+
+
+def adapted_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
+    """The strongest QoS that every publisher's offer satisfies, with a deep queue on the reader's side."""
+    offers = [info.qos_profile for info in publishers]
+    reliable = all(offer.reliability == QoSReliabilityPolicy.RELIABLE for offer in offers)
+    latched = all(offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=QUEUE_DEPTH,
+        reliability=QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE,
+    )
+
+
+def _never(_message: bytes) -> None:
+    """Subscriptions are emptied by the recorder's thread; no executor ever calls this."""

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One topic of a bag: its raw messages and their times."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from mcap.records import Message
+from numpy.typing import NDArray
+from rosbags.typesys import get_types_from_msg
+
+from fjr_bringup.recording.message_types import typestore
+from fjr_core.errors import FjrError
+
+Times = NDArray[np.int64]
+TYPE_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
+LONGEST_DEFINITION = 2**20  # characters
+
+
+class BagError(FjrError):
+    """What is not a bag, cannot be read, or lacks what is asked of it."""
+
+
+@dataclass
+class Topic:
+    """The raw messages of one topic in the order they came."""
+
+    name: str
+    type_name: str
+    definition: str
+    messages: list[Message] = field(default_factory=list)
+
+    @cached_property
+    def publish_time(self) -> Times:
+        """Middleware's send time of each message [ns], (k,); the receive time where the bag holds no other."""
+        return np.array([message.publish_time for message in self.messages], dtype=np.int64)
+
+    @cached_property
+    def log_time(self) -> Times:
+        """Receive time of each message [ns], (k,)."""
+        return np.array([message.log_time for message in self.messages], dtype=np.int64)
+
+    @cached_property
+    def sequence(self) -> Times:
+        """Publisher's own count of its messages, (k,); zeros where the recorder did not keep it."""
+        return np.array([message.sequence for message in self.messages], dtype=np.int64)
+
+    @property
+    def lost(self) -> int | None:
+        """Messages sent but not recorded, from gaps in the numbering; None with several publishers or no numbers."""
+        steps = np.diff(self.sequence)
+        return int((steps - 1).sum()) if (steps >= 1).all() else None
+
+    @cached_property
+    def decoded(self) -> list[Any]:
+        """Every message as an object with the fields of its type; raises BagError for bytes that are none."""
+        if not TYPE_NAME.fullmatch(self.type_name):
+            raise BagError(f"{self.name} has the type {self.type_name!r}; expected one like sensor_msgs/msg/JointState")
+        if len(self.definition) > LONGEST_DEFINITION:
+            raise BagError(f"{self.name} has a definition of {len(self.definition)} characters; expected a message's")
+        try:
+            store = typestore()
+            if self.type_name not in store.fielddefs:
+                store.register(get_types_from_msg(self.definition, self.type_name))
+            return [store.deserialize_cdr(message.data, self.type_name) for message in self.messages]
+        except Exception as error:  # whatever the decoder stumbles over
+            raise BagError(f"{self.name} holds bytes that are no {self.type_name} ({error})") from error
+
+
+@dataclass
+class Contents:
+    """What is read from the files of a bag: topics by name, and a sentence for each thing that is lost."""
+
+    topics: dict[str, Topic] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def topic(self, name: str, type_name: str, definition: str) -> Topic:
+        """Return the topic of this name, added where it is new."""
+        return self.topics.setdefault(name, Topic(name, type_name, definition))
+
+    @property
+    def count(self) -> int:
+        """Number of messages."""
+        return sum(len(topic.messages) for topic in self.topics.values())
+
+
+def has_times(message: Message) -> bool:
+    """Whether both times of a message are nanoseconds that a signed 64-bit number holds, as ROS 2 has them."""
+    return 0 <= message.log_time < 2**63 and 0 <= message.publish_time < 2**63

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The story of one run in plots: it follows, at this effort, with the proof at work, and the loop kept time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from fjr_bringup.analysis import headlines
+from fjr_bringup.analysis.metrics import Report
+from fjr_bringup.analysis.power_balance import Power
+from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.formatting import number, percent
+from fjr_bringup.recording.reader import Array
+from fjr_bringup.report.figure import Line, Plot, colour, drawable
+from fjr_bringup.report.timing_figures import latency, period, timeline
+from fjr_core.robot.joint_units import joined
+
+FEW = 2  # joints; efforts of more are shown as shares of their limits at first
+
+
+def run_plots(data: TrackingData, report: Report, flow: Power) -> list[Plot]:
+    """All plots that the data have something for, in the order of the page."""
+    drawn = [
+        tracking(data),
+        error(data, report),
+        effort(data, report),
+        storage(data, report),
+        rate(data),
+        balance(flow, report),
+        period(data, report),
+        latency(data, report),
+        timeline(data, report),
+    ]
+    return [plot for plot in drawn if not plot.is_empty]
+
+
+def tracking(data: TrackingData) -> Plot:
+    """q_l on top of q_ld."""
+    many = len(data.joints) > 1
+    size = np.abs(data.error).max(axis=1)
+    verb = "follow" if size[-1] <= max(size[0], 1e-3) else "do not follow"
+    if not many:
+        verb = {"follow": "follows", "do not follow": "does not follow"}[verb]
+    reference = [_line("reference" if j == 0 else "", data.q_ld[:, j], "grey", 4.0) for j in range(len(data.joints))]
+    links = _per_joint(data, data.q_l)
+    return Plot(
+        "tracking",
+        f"The {'links' if many else 'link'} {verb} the reference",
+        "Link positions over the reference (grey).",
+        data.t,
+        [*reference, *links],
+        y_label=f"q_l, q_ld [{joined(each.position for each in data.units)}]",
+    )
+
+
+def error(data: TrackingData, report: Report) -> Plot:
+    """|q_l - q_ld| on a log axis."""
+    worst, first = report.tracking.max_error_after_2s_rad, report.tracking.initial_error_rad
+    title = f"The error begins at {headlines.initial_error(report)}"
+    if worst is not None and np.isfinite(worst):
+        goes = "falls" if worst < first else "goes"
+        title = f"The error {goes} from {headlines.initial_error(report)} to {headlines.steady_error(report)}"
+    settled = report.tracking.settling_time_2_percent_s
+    caption = "Tracking error of each joint; log axis." + (
+        f" Within 2 % of the initial error from {number(settled, 's')} on." if settled else ""
+    )
+    lines = _per_joint(data, np.abs(data.error), width=1.2)
+    return Plot(
+        "error", title, caption, data.t, lines, y_label=f"|q_l − q_ld| [{headlines.position_unit(report)}]", y_log=True
+    )
+
+
+def effort(data: TrackingData, report: Report) -> Plot:
+    """The commands with their limits; where all joints have one, as a share of it too."""
+    title, unit = f"The effort peaks at {headlines.peak_effort_and_share(report)}", headlines.effort_unit(report)
+    limited = np.isfinite(data.effort_limit)
+    caption = "Commands, held from state to state. " + _limits_said(report)
+    torque = Plot("effort", title, caption, data.t, _efforts(data, np.ones(len(limited))), y_label=f"u [{unit}]")
+    if not limited.all():
+        return torque
+    shares = Plot("effort", title, caption, data.t, _efforts(data, data.effort_limit / 100.0), y_label="u [% of limit]")
+    first, second = ((torque, unit), (shares, "% of limit"))[:: 1 if len(limited) <= FEW else -1]
+    return replace(first[0], views={second[1]: second[0]})
+
+
+def _limits_said(report: Report) -> str:
+    saturated = report.tracking.saturated_fraction
+    if saturated is None:
+        return "The scenario gives no limit."
+    return f"Limits dashed; {percent(saturated) + ' of the commands reach' if saturated else 'no command reaches'} one."
+
+
+def _efforts(data: TrackingData, unit: Array) -> list[Line]:
+    limits = np.where(np.isfinite(data.effort_limit), data.effort_limit, np.nan) / unit
+    same = np.allclose(limits, limits[0])
+    lines = _per_joint(data, data.u / unit, width=1.3, step=True)
+    for j in range(1 if same else len(limits)):
+        if np.isfinite(limits[j]):
+            shade, flat = "grey" if same else colour(j), np.full(len(data.t), limits[j])
+            lines += [
+                _line("limit" if same and i == 0 else "", sign * flat, shade, 1.0, (6, 4))
+                for i, sign in enumerate((1, -1))
+            ]
+    return lines
+
+
+def storage(data: TrackingData, report: Report) -> Plot:
+    """V against V(0) exp(-2 beta t) on a log axis, with the reason why it leaves the bound."""
+    found, relative = report.storage, drawable(data.relative_storage, log=True)
+    floor = float(np.nanmin(relative, initial=1e-3)) / 30.0
+    with np.errstate(all="ignore"):
+        bound = data.bound / (data.V[0] or 1.0)
+    lines = [
+        _line("V / V(0)", relative, "c1", 1.5),
+        _line("bound exp(−2βt)", np.where(bound > floor, bound, np.nan), "grey", 1.5, (6, 4)),
+    ]
+    title, caption = "V and its bound", ""
+    if found is not None:
+        basis = "proven" if found.guarantee_is_proven else "sampled"
+        least = f"{basis}: at least {number(found.guaranteed_decay_rate_per_s, '1/s')}"
+        measured = found.measured_decay_rate_per_s
+        title = f"V falls at {number(measured, '1/s')}; {least}" if measured else f"V and its bound; {least}"
+        caption = _why(data, report)
+    return Plot("storage", title, caption, data.t, lines, y_label="V(t) / V(0)", y_log=True, y_range=(floor, None))
+
+
+def _why(data: TrackingData, report: Report) -> str:
+    found = report.storage
+    if found is None or found.leaves_bound_at_s is None or found.relative_where_it_leaves is None:
+        return "V stays within its bound throughout."
+    there = number(found.relative_where_it_leaves)
+    leaves = f"V leaves the bound at {number(found.leaves_bound_at_s, 's')}, at {there} V(0)."
+    if report.verdict.kind == "holding":
+        return (
+            f"{leaves} The proof is for continuous time: holding u for {number(data.sample_period * 1e3, 'ms')} "
+            "is a small disturbance, which keeps V on a floor."
+        )
+    return leaves
+
+
+def rate(data: TrackingData) -> Plot:
+    """-dV/dt as the model has it for the effort sent, as it was measured, and what the bound asks for."""
+    with np.errstate(all="ignore"):
+        measured = -np.diff(data.V) / np.diff(data.t)
+    predicted = -data.dV
+    least = data.beta * (data.V[:-1] + data.V[1:])
+    lines = [
+        _line("predicted", predicted, "grey", 4.0),
+        _line("measured", measured, "c1", 1.2),
+        _line("2βV, the bound's", least, "c2", 1.2, (6, 4)),
+    ]
+    caption = (
+        "Power that leaves V, from state to state: predicted by the model for the effort sent, measured, and what the "
+        "bound asks for. Gaps: V grows, fed by the hold."
+    )
+    return Plot("rate", _rate_title(predicted, measured), caption, data.t[:-1], lines, y_label="−dV/dt [W]", y_log=True)
+
+
+def _rate_title(predicted: Array, measured: Array) -> str:
+    known = np.isfinite(predicted) & np.isfinite(measured)
+    size = float(np.abs(measured[known]).sum()) if known.any() else 0.0
+    if not 0 < size < np.inf:
+        return "The rate of V"
+    apart = float(np.abs(predicted - measured)[known].sum()) / size
+    return f"V's rate is predicted {'to' if apart < 0.1 else 'only to'} {number(100 * apart, '%', 2)}"
+
+
+def balance(flow: Power, report: Report) -> Plot:
+    """The energy supplied, dissipated and stored since the start; the same as power."""
+    title, energy = "Energy balance", report.energy
+    if energy is not None and np.isfinite(energy.rms_residual_of_supplied):
+        left = number(100 * energy.rms_residual_of_supplied, "%", 2)
+        title = f"Of the power supplied the balance leaves {left} over"
+    caption = (
+        "By the model: what the motors supply is stored or dissipated. What is left over is friction, load, delay or "
+        "parameters that the model does not know."
+    )
+    watts = Plot("power", title, caption, flow.t, _flows(flow, np.asarray), y_label="power [W]")
+    joules = _flows(flow, lambda values: np.nancumsum(values * flow.dt))
+    return Plot("power", title, caption, flow.t, joules, y_label="energy since the start [J]", views={"W": watts})
+
+
+def _flows(flow: Power, shown: Callable[[Array], Array]) -> list[Line]:
+    if not np.isfinite(flow.residual).any():
+        return []
+    return [
+        _line("supplied", shown(flow.supplied), "c1", 1.5),
+        _line("dissipated", shown(flow.dissipated), "c2", 1.5),
+        _line("stored", shown(flow.stored), "c3", 1.5),
+        _line("left over", shown(flow.residual), "bad", 1.2),
+    ]
+
+
+def _per_joint(data: TrackingData, values: Array, width: float = 1.5, step: bool = False) -> list[Line]:
+    return [Line(joint, values[:, j], colour(j), width, step=step) for j, joint in enumerate(data.joints)]
+
+
+def _line(label: str, values: Array, shade: str, width: float, dash: tuple[int, ...] = ()) -> Line:
+    return Line(label, values, shade, width, dash)

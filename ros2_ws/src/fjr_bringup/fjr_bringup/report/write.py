@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a recorded run to its report and page, and the short table at the end of the command."""
+
+from __future__ import annotations
+
+import shlex
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fjr_bringup.analysis import headlines
+from fjr_bringup.analysis.metrics import Report, make_report
+from fjr_bringup.analysis.power_balance import power
+from fjr_bringup.analysis.run_data import TrackingData, tracking_data
+from fjr_bringup.plotting.overview import draw_overview
+from fjr_bringup.recording.reader import Bag, read_bag
+from fjr_bringup.report.fallback_folder import written
+from fjr_bringup.report.run_report import write_run_page
+from fjr_bringup.report.runs_figures import Compared
+from fjr_bringup.report.runs_report import write_comparison
+from fjr_core.config.scenario import Scenario, load_scenario
+
+PAGE, FIGURES, COMPARISON = "report.html", "report.json", "comparison.html"
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """A finished run: where its report is, what it showed, and what that was drawn from."""
+
+    folder: Path
+    report: Report
+    data: TrackingData
+    label: str = ""  # tells it from others beside it
+
+
+def summarise(
+    name: str, folder: Path, duration: float | None, skipped: Mapping[str, str] | None = None, failure: str = ""
+) -> RunSummary:
+    """Write report.json, report.html and overview.png into a run's folder, also of a run that diverged or hardly began.
+
+    duration: how long it was to run [s], None for as long as it was answered; skipped: topics that could not be
+    recorded; failure: why it ended early.
+    """
+    scenario, bag = load_scenario(folder / "scenario.yaml"), read_bag(folder / "bag")
+    summary = reported(name, bag, scenario, folder, duration, skipped, failure)
+    if np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
+        with quietly():
+            written(summary.folder, lambda place: draw_overview(name, summary.data, summary.report, place))
+    return summary
+
+
+def reported(
+    name: str,
+    bag: Bag,
+    scenario: Scenario,
+    folder: Path,
+    duration: float | None = None,
+    skipped: Mapping[str, str] | None = None,
+    failure: str = "",
+) -> RunSummary:
+    """Write report.json and report.html of any bag into a folder; the rest as in summarise."""
+    with quietly():
+        data = tracking_data(bag, scenario, duration or np.inf)
+        lasted = duration or float(data.t[-1]) + data.sample_period
+        report = replace(
+            make_report(name, bag, scenario, data, lasted),
+            not_recorded=dict(skipped or {}),
+            failure=failure,
+            planned_s=duration,
+        )
+        flow = power(data, scenario.robot.B_m)
+
+        def write(place: Path) -> None:
+            report.write(place / FIGURES)
+            write_run_page(place / PAGE, data, report, flow)
+
+        folder = written(folder, write)
+    return RunSummary(folder, report, data, name)
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """No warnings of numpy and matplotlib about values that are not finite: these are what a report is for."""
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
+    """Write comparison.html of several runs into a folder."""
+    with quietly():
+        runs = [Compared(each.label, each.data, each.report, each.folder / PAGE) for each in summaries]
+        return written(folder, lambda place: write_comparison(place / COMPARISON, runs)) / COMPARISON
+
+
+def table(summaries: Sequence[RunSummary]) -> str:
+    """Return the figures that matter, one line per run, then the faults found; first why a controller stopped."""
+    head = (
+        "scenario",
+        "peak effort",
+        "error after 2 s",
+        "answered in time",
+        "V decays at (at least)",
+        "verdict",
+    )
+    rows = [head, *(_row(summary.label, summary.report) for summary in summaries)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    found = [f"{each.label}: {finding.sentence}" for each in summaries for finding in each.report.verdict.findings]
+    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:], *found])
+
+
+def stops(summaries: Sequence[RunSummary]) -> list[str]:
+    """A headline for each run in which the controller stopped."""
+    return [f"{each.label}: {each.report.stop.sentence}" for each in summaries if each.report.stop]
+
+
+def _row(label: str, report: Report) -> tuple[str, ...]:
+    counts = report.counts
+    in_time = _number(counts.answered_in_time_fraction and 100 * counts.answered_in_time_fraction, "{:.2f} %")
+    return (
+        label + (" (lock-step)" if report.lockstep else ""),
+        headlines.peak_effort_and_share(report, _effort),
+        headlines.steady_error(report, _error),
+        f"{in_time} of {counts.nominal}",
+        _decay(report),
+        _verdict(report),
+    )
+
+
+def _verdict(report: Report) -> str:
+    if report.stop:
+        return "stopped"
+    return report.verdict.kind + (f": {report.verdict.detail}" if report.verdict.detail else "")
+
+
+def _decay(report: Report) -> str:
+    storage = report.storage
+    if storage is None:
+        return "-"
+    basis = "proven" if storage.guarantee_is_proven else "sampled"
+    measured = _number(storage.measured_decay_rate_per_s, "{:.1f}")
+    return f"{measured} ({basis}: {storage.guaranteed_decay_rate_per_s:.1f}) 1/s"
+
+
+def _effort(value: float, unit: str) -> str:
+    if not np.isfinite(value):
+        return "-"
+    return f"{value:.2f} {unit}" if value < 1e6 else f"{value:.1e} {unit}"
+
+
+def _error(value: float, unit: str) -> str:
+    return f"{value:.1e} {unit}" if np.isfinite(value) else "-"
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None or not np.isfinite(value) else form.format(value)
+
+
+def where_to_look(summaries: Sequence[RunSummary]) -> str:
+    """Paths of what was written, for a browser."""
+    return "\n".join(["", *(f"{each.label}: {each.folder / PAGE}, {each.folder / FIGURES}" for each in summaries)])
+
+
+def how_to_play(bag: Path) -> str:
+    """How to play a bag."""
+    storage = next(bag.glob("*.mcap"), bag)
+    return f"play a bag: ros2 bag play {shlex.quote(str(bag))}   (or open {storage} in Foxglove or PlotJuggler)"

@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run a scenario: two real nodes as processes, everything recorded, nothing left behind.
+
+The order matters. The recorder listens first; the plant starts paused; only when nobody else drives this
+ROS domain the controller starts; only when all are connected the plant is let go. Ending goes backwards:
+the controller first, so that its last zero effort reaches the plant and the bag.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+
+from fjr_bringup.interrupt import Interrupted
+from fjr_bringup.progress import Progress
+from fjr_bringup.recording.reader import header_stamp
+from fjr_bringup.recording.recorder import Recorder
+from fjr_bringup.recording.run_folder import RunFolder
+from fjr_bringup.runner.node_process import NodeProcess
+from fjr_bringup.runner.plant_client import PlantRemote
+from fjr_core.errors import FjrError
+from fjr_msgs_py import names
+from fjr_msgs_py.node.log_folder import ensure_log_folder
+from fjr_msgs_py.node.scheduling import prioritised
+
+PLANT, CONTROLLER = names.PLANT, names.CONTROLLER
+STATES, COMMANDS, ANSWERS = (f"/{topic}" for topic in (names.JOINT_STATES, names.EFFORT_COMMANDS, names.JOINT_COMMANDS))
+STARTUP_LIMIT = 120.0  # s for each step until both nodes are connected; a node that ends is seen at once
+SILENCE_LIMIT = 15.0  # s without a new answered state
+POLL = 0.02  # s
+GRAPH_PERIOD = 0.5  # s between looks at the graph while running
+RECORDER_PRIORITY = 1  # in lock-step nothing paces the nodes: the recorder comes first and loses nothing
+
+
+class RunError(FjrError):
+    """A run that could not start or could not be finished. `kept`: its folder if something of it was recorded."""
+
+    def __init__(self, sentence: str, kept: Path | None = None) -> None:
+        super().__init__(sentence)
+        self.kept = kept
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to run: name, scenario text as the nodes get it, seconds of stamped time, where to write, how.
+
+    folder: of the newest run of that name; run() makes a numbered one that this name then links to.
+    """
+
+    name: str
+    scenario: str
+    duration: float
+    folder: Path
+    lockstep: bool
+
+
+def discover_quickly() -> None:
+    """Announce this process often at its start, unless the user chose otherwise; give ROS 2 a folder for its logs."""
+    ensure_log_folder()
+    profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+
+
+def set_ros_environment() -> None:
+    """Quick discovery, on this machine only, here and in the nodes, unless the user chose otherwise."""
+    discover_quickly()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A finished run: its own folder, and the topics that could not be recorded, with the reason."""
+
+    folder: Path
+    skipped: dict[str, str]
+
+
+def run(plan: Plan, stop: threading.Event) -> Recorded:
+    """Run the plan; bag, scenario and logs are in a new folder then. Raises FjrError or Interrupted."""
+    set_ros_environment()
+    with RunFolder(plan.folder) as kept:
+        plan = replace(plan, folder=kept.path)
+        file = plan.folder / "scenario.yaml"
+        file.write_text(plan.scenario, encoding="utf-8")
+        with Recorder(plan.folder / "bag") as recorder:
+            _Run(plan, recorder, stop, file).execute(on_go=kept.keep)
+    lost = {"all topics, from a moment on": recorder.loss} if recorder.loss else {}
+    return Recorded(plan.folder, {**recorder.skipped, **lost})
+
+
+class _Run:
+    """One run in progress."""
+
+    def __init__(self, plan: Plan, recorder: Recorder, stop: threading.Event, file: Path) -> None:
+        self.plan = plan
+        self.recorder = recorder
+        self.stop = stop
+        self.file = file
+        self.remote = PlantRemote(recorder.context, PLANT)
+        self.nodes: dict[str, NodeProcess] = {}
+        self.going = False  # whether the plant was let go
+
+    def execute(self, on_go: Callable[[], None]) -> None:
+        """Start, run and end; `on_go` is called when everything is in place and the run begins."""
+        try:
+            self._start(PLANT, "fjr_plant", "plant_node", "-p", "start_paused:=true")
+            self._wait_for(PLANT, STATES)
+            self._refuse_others()
+            clock = ("-p", "use_sim_time:=true") if self.plan.lockstep else ()
+            self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)
+            self._wait_for(CONTROLLER, ANSWERS)
+            self._wait(self._matched, STARTUP_LIMIT, "plant and controller to find each other")
+            self._refuse_others()
+            self._wait(self.remote.ready, STARTUP_LIMIT, "the plant's pause service")
+            on_go()
+            self.going = True
+            with prioritised(RECORDER_PRIORITY if self.plan.lockstep else 0):
+                self.remote.resume()
+                self._follow()
+        except FjrError as error:
+            kept = f"\nwhat was recorded is in {self.plan.folder}" if self.going else ""
+            raise RunError(f"{error}{kept}", self.plan.folder if self.going else None) from None
+        finally:
+            self._end()
+
+    def _start(self, node: str, package: str, name: str, *arguments: str) -> None:
+        log = self.plan.folder / f"{name}.log"
+        self.nodes[node] = NodeProcess(package, name, ["--params-file", str(self.file), *arguments], log)
+
+    def _wait_for(self, node: str, signature: str) -> None:
+        """Wait until the node publishes `signature`, and the recorder is connected to all that it publishes."""
+        try:
+            self._wait(lambda: signature in self.remote.published_by(node), STARTUP_LIMIT, f"{node} to appear")
+            self._wait(lambda: not self._unconnected(node), STARTUP_LIMIT, f"{node} to be heard")
+        except RunError as error:
+            head, _, words = str(error).partition("\n")
+            raise RunError(f"{head}; {self._graph(node)}\n{words}") from None
+
+    def _unconnected(self, node: str) -> list[str]:
+        """Topics of the node that the recorder is not connected to."""
+        topics = self.remote.published_by(node)
+        return [topic for topic in topics if self.recorder.matched(topic) < self._ours(topic)]
+
+    def _graph(self, node: str) -> str:
+        """What is seen of a node that is waited for."""
+        topics, silent = self.remote.published_by(node), self._unconnected(node)
+        seen = f"it publishes {', '.join(topics) or 'nothing'}; not connected to {', '.join(silent) or 'none of these'}"
+        others = ", ".join(sorted(self.recorder.node.get_node_names())) or "none"
+        return f"{seen}; nodes in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: {others}"
+
+    def _ours(self, topic: str) -> int:
+        """How many publishers the nodes of this run have on a topic; others may be there that answer nobody."""
+        infos = self.recorder.node.get_publishers_info_by_topic(topic)
+        return sum(info.node_name in self.nodes for info in infos)
+
+    def _matched(self) -> bool:
+        """The controller reads the plant's states and the plant its commands, as the graph tells it."""
+        obeyed = ANSWERS if self.plan.lockstep else COMMANDS
+        return self._reads(CONTROLLER, STATES) and self._reads(PLANT, obeyed)
+
+    def _reads(self, node: str, topic: str) -> bool:
+        return node in (info.node_name for info in self.recorder.node.get_subscriptions_info_by_topic(topic))
+
+    def _refuse_others(self) -> None:
+        """Raise RunError when anyone but our two nodes publishes states or commands in this domain."""
+        for topic, owner in ((STATES, PLANT), (COMMANDS, CONTROLLER), (ANSWERS, CONTROLLER)):
+            publishers = [info.node_name for info in self.recorder.node.get_publishers_info_by_topic(topic)]
+            if (owner in self.nodes and publishers.count(owner) > 1) or set(publishers) - {owner}:
+                found = ", ".join(sorted(publishers))
+                raise RunError(
+                    f"{topic} has other publishers in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')} "
+                    f"({found}): stop them or set another ROS_DOMAIN_ID"
+                )
+
+    def _follow(self) -> None:
+        """Wait until `duration` seconds of stamped time since the first answered state are in the bag."""
+        with Progress(self.plan.name, self.plan.duration) as progress:
+            last, deadline, look = 0.0, time.monotonic() + SILENCE_LIMIT, 0.0
+            while last < self.plan.duration:
+                self._pause()
+                if time.monotonic() > look:
+                    self._refuse_others()  # a node without our discovery profile may show up only after 3 s
+                    look = time.monotonic() + GRAPH_PERIOD
+                elapsed = self._elapsed()
+                if elapsed > last:
+                    last, deadline = elapsed, time.monotonic() + SILENCE_LIMIT
+                    progress.at(elapsed)
+                elif time.monotonic() > deadline:
+                    raise RunError(f"no answered state for {SILENCE_LIMIT:g} s\n{self._words()}")
+        self._refuse_others()
+
+    def _elapsed(self) -> float:
+        """Stamped time [s] from the first to the latest answered state."""
+        ends = self.recorder.ends(ANSWERS)
+        return (header_stamp(ends[1]) - header_stamp(ends[0])) * 1e-9 if ends else 0.0
+
+    def _wait(self, condition: Callable[[], bool], limit: float, what: str) -> None:
+        deadline = time.monotonic() + limit
+        while not condition():
+            if time.monotonic() > deadline:
+                raise RunError(f"waited {limit:g} s for {what}\n{self._words()}")
+            self._pause()
+
+    def _pause(self) -> None:
+        """A moment's wait that ends the run when it has to end."""
+        if self.stop.wait(POLL):
+            raise Interrupted(self.plan.folder if self.going else None)
+        for node in self.nodes.values():
+            node.check()
+        if self.recorder.failure:
+            raise RunError(f"the recorder failed: {self.recorder.failure}")
+
+    def _words(self) -> str:
+        return "\n".join(f"{node.name} says:\n{node.last_lines()}" for node in self.nodes.values())
+
+    def _end(self) -> None:
+        """End the controller, then the plant; the recorder still listens."""
+        for name in (CONTROLLER, PLANT):
+            if name in self.nodes:
+                self.nodes[name].stop()
+        with suppress(Exception):
+            self.remote.close()

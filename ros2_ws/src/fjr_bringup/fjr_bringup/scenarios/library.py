@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Installed scenarios, and the one file a run really uses: a scenario with what the command line changes."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
+from fjr_core.config import builders, robot_file, ros_yaml
+from fjr_core.config.scenario import OWN_PARAMETERS, Scenario, parse_scenario, self_contained
+from fjr_core.errors import FjrError, ParameterError
+
+
+class ScenarioError(FjrError):
+    """A scenario that does not exist, or a workspace that is not sourced."""
+
+
+def folder() -> Path:
+    """Where the scenarios are installed."""
+    try:
+        return Path(get_package_share_directory("fjr_bringup"), "scenarios")
+    except (PackageNotFoundError, OSError) as error:  # OSError: no workspace is sourced at all
+        raise ScenarioError(
+            "package fjr_bringup is not installed here: build with `colcon build` in ros2_ws, "
+            "then `. ros2_ws/install/setup.sh`"
+        ) from error
+
+
+def known() -> dict[str, Path]:
+    """Installed scenarios by name."""
+    return {path.stem: path for path in sorted(folder().glob("*.yaml"))}
+
+
+def summary(path: Path) -> str:
+    """First sentence of a scenario's first comment: what it is."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    comments = [line.lstrip("# ") for line in lines if line.startswith("#") and "SPDX" not in line]
+    return comments[0].partition(". ")[0] if comments else ""
+
+
+def find(name: str | None) -> Path:
+    """Path of a scenario given by installed name or by file; raises ScenarioError naming the known ones."""
+    scenarios = known()
+    if name in scenarios:
+        return scenarios[name]
+    if name and os.path.isfile(name):
+        return Path(name)
+    what = f"unknown scenario '{name}'" if name else "no scenario given"
+    raise ScenarioError(f"{what}: expected a YAML file or one of {', '.join(scenarios)}")
+
+
+def parse_assignment(text: str) -> tuple[str, Any]:
+    """``name:=value`` with the value as YAML (numbers like 1e-3 included); raises ParameterError."""
+    name, separator, value = text.partition(":=")
+    if not (name and separator):
+        raise ParameterError(f"'{text}' is not an assignment; expected name:=value, e.g. robot.joint_stiffness:=[31.0]")
+    try:
+        return name.strip(), ros_yaml.parse(value)
+    except ParameterError as error:
+        raise ParameterError(f"value of '{name}' {error}") from None
+
+
+def as_run(path: Path, overrides: Mapping[str, Any]) -> tuple[str, Scenario]:
+    """A scenario with parameters changed and all that it needs from other files in it: its text, and what it means.
+
+    Raises ParameterError, naming the scenario.
+    """
+    try:
+        text = _self_contained(path, overrides)
+        return text, parse_scenario(path.stem, text)
+    except ParameterError as error:
+        raise ParameterError(f"scenario {path.stem}: {error}") from None
+
+
+def _self_contained(path: Path, overrides: Mapping[str, Any]) -> str:
+    document = ros_yaml.read(path, "scenario")
+    given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
+    for name, value in overrides.items():
+        for node in _nodes_with(name, given, path.parent):
+            given[node] |= robot_file.absolute({name: value}, Path.cwd())  # a path is relative to where `fjr` runs
+    changes = "".join(f"\n#   {name}:={_brief(value)}" for name, value in overrides.items())
+    header = f"# {path.name} as it was run" + (f", with{changes}" if changes else "")
+    return f"{header}\n{ros_yaml.dump(self_contained(given, path.parent))}"
+
+
+def _brief(value: Any) -> str:
+    text = " ".join(str(value).split())
+    return text if len(text) <= 80 else f"{text[:80]} ..."
+
+
+def _nodes_with(name: str, given: Mapping[str, Mapping[str, object]], folder: Path) -> list[str]:
+    """The nodes that have a parameter; raises ParameterError for a name that none has."""
+    if not isinstance(name, str):
+        raise ParameterError(f"the name of a parameter is {name!r}; expected text")
+    by_node = {node: _parameter_names(node, values, folder) for node, values in given.items()}
+    nodes = [node for node, names in by_node.items() if name in names]
+    if not nodes:
+        everything = sorted(set().union(*by_node.values()))
+        close = difflib.get_close_matches(name, everything, n=1)
+        hint = f"; did you mean '{close[0]}'?" if close else f": expected one of {', '.join(everything)}"
+        raise ParameterError(f"unknown parameter '{name}'{hint}")
+    return nodes
+
+
+def _parameter_names(node: str, values: Mapping[str, object], folder: Path) -> list[str]:
+    merged = robot_file.merged(values, node, folder)
+    return [parameter.name for parameter in builders.all_parameters(OWN_PARAMETERS[node], merged)]

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One law on one robot, as far as one process does it: all references and imperfections, and the margins."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fjr_bringup.studies.comparison.suite import LawChoice, Suite, scenario_texts
+from fjr_core.config.scenario import Scenario, parse_scenario
+from fjr_core.errors import CompareError, FjrError
+from fjr_core.experiments.comparison import Needs, Trial, directions, needs
+from fjr_core.experiments.comparison.tuned_law import Column, column
+from fjr_core.numerics.jit import can_compile
+from fjr_core.numerics.program_digest import program_digest
+from fjr_core.simulation.batch import ClosedLoop
+
+DRAWN = 600  # points of a trace
+SETTLED = 0.02  # of the motion: within that an error has settled
+Result = dict[str, Any]
+Tell = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a process is told: plain values only. scenarios: (reference, text) each."""
+
+    law: LawChoice
+    robot: str
+    scenarios: tuple[tuple[str, str], ...]
+    imperfections: Mapping[str, Mapping[str, float]]
+    margins: tuple[str, ...]
+    duration: float
+    settle_after: float
+    tracks: float
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"{self.law.label} on {self.robot}"
+
+    @property
+    def key(self) -> str:
+        """What the result depends on: this job, fjr_core, CasADi, whether the loop is compiled, and this module."""
+        return hashlib.sha256((json.dumps(asdict(self)) + _source()).encode()).hexdigest()[:32]
+
+
+def jobs(suite: Suite) -> list[Job]:
+    """Every law on every robot, robot by robot; raises CompareError for a robot that cannot be."""
+    texts = [(robot.label, scenario_texts(robot)) for robot in suite.robots]
+    shared = (suite.imperfections, suite.margins, suite.duration, suite.settle_after, suite.tracks)
+    return [Job(law, robot, found, *shared) for robot, found in texts for law in suite.laws]
+
+
+def work(job: Job, tell: Tell) -> Result:
+    """Do it all; `tell` gets how much of it is done, 0 to 1. The same numbers every time, in plain values."""
+    scenarios = {label: parse_scenario(job.robot, text) for label, text in job.scenarios}
+    first = next(iter(scenarios.values()))
+    wanted = {label: _needs(job, label, scenario) for label, scenario in scenarios.items()}
+    try:
+        chosen = column(job.law.law, job.law.robust, first, job.law.retune)
+    except FjrError as error:
+        raise CompareError(f"{job.name}: {error}") from None
+    cells: Result = {}
+    found: Result = {}
+    runs = 0
+    for done, (label, scenario) in enumerate(scenarios.items(), 1):
+        trial = _trial(job, scenario, chosen, wanted[label])
+        each = trial.cells(list(job.imperfections.values()))
+        cells[label] = {name: asdict(cell) for name, cell in zip(job.imperfections, each, strict=True)}
+        found = found or {**_margins(job, trial), "trace": _trace(trial)}
+        runs += len(each) + len(trial.looked_at)
+        tell(done / len(scenarios))
+    return {
+        "robot": _robot(first, wanted),
+        "gains": dict(chosen.gains),
+        "tuning": chosen.tuning,
+        "effort_limit_nm": chosen.effort_limit.tolist(),
+        "cells": cells,
+        **found,
+        "runs": runs,
+    }
+
+
+def _margins(job: Job, trial: Trial) -> Result:
+    """Margins, and the curves that the search for them has made."""
+    edges = trial.margins(directions(job.margins))
+    curves = {}
+    for axis in job.margins:
+        levels, cells = trial.curve(axis)
+        curves[axis] = {"levels": levels.tolist(), "relative": [cell.relative for cell in cells]}
+    return {"margins": {name: asdict(edge) for name, edge in edges.items()}, "curves": curves}
+
+
+def _needs(job: Job, label: str, scenario: Scenario) -> Needs:
+    """Of the reference; first of all, for no law can be tuned along one that stands still."""
+    try:
+        return needs(scenario.robot, scenario.reference)
+    except CompareError as error:
+        raise CompareError(f"'{label}' of {job.robot}: {error}") from None
+
+
+def _trial(job: Job, scenario: Scenario, chosen: Column, wanted: Needs) -> Trial:
+    loop = ClosedLoop(
+        scenario.plant.robot,
+        chosen.law,
+        scenario.reference,
+        scenario.x0,
+        job.duration,
+        scenario.sample_period,
+        inner_steps=int(scenario.plant_values["inner_steps"]),  # type: ignore[arg-type]
+        settle_after=job.settle_after,
+        band=SETTLED * wanted.motion,
+    )
+    return Trial(loop, wanted, chosen.effort_limit, job.tracks)
+
+
+def _robot(first: Scenario, wanted: Mapping[str, Needs]) -> Result:
+    """What is the same for every law."""
+    return {
+        "joints": list(first.joints),
+        "sample_period_s": first.sample_period,
+        "references": {
+            label: {"motion_rad": each.motion, "torque_nm": each.torque.tolist()} for label, each in wanted.items()
+        },
+    }
+
+
+def _trace(trial: Trial) -> Result:
+    """The nominal run, to look at."""
+    loop, run = trial.loop, trial.recorded()
+    error = run.x[0, :, : loop.robot.n] - loop.reference.jets(run.t)[:, 0]
+    rows = np.unique(np.linspace(0, len(run.t) - 1, DRAWN).astype(int))
+    return {
+        "t": run.t[rows].tolist(),
+        "error": _numbers(np.abs(error).max(axis=1)[rows]),
+        "effort": _numbers(np.abs(run.u[0]).max(axis=1)[rows]),
+    }
+
+
+def _numbers(values: np.ndarray) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+@cache
+def _source() -> str:
+    return program_digest(can_compile()) + Path(__file__).read_text(encoding="utf-8")

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write the table of a comparison in Markdown between two marks of a document (docs/compare.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from fjr_bringup.formatting import DASH
+from fjr_bringup.studies.comparison.results import extent
+from fjr_bringup.studies.comparison.rows import Row, rows
+from fjr_bringup.studies.comparison.suite import NOMINAL
+from fjr_core.errors import CompareError
+
+BEGIN, END = "<!-- fjr compare: begin -->", "<!-- fjr compare: end -->"
+
+
+def check(path: Path) -> None:
+    """Check that a file has the marks; raise CompareError otherwise."""
+    _parts(path)
+
+
+def replace(path: Path, document: dict[str, Any]) -> None:
+    """Write the table of a comparison between the marks of a file; raise CompareError if it lacks them."""
+    before, after = _parts(path)
+    path.write_text(f"{before}{BEGIN}\n{markdown(document)}{END}{after}", encoding="utf-8")
+
+
+def _parts(path: Path) -> tuple[str, str]:
+    """Return the text before the first mark and after the second."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise CompareError(f"cannot read {path}: {error.strerror}") from None
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise CompareError(f"{path} lacks the lines '{BEGIN}' and '{END}'; expected both, in this order")
+    return before, after
+
+
+def markdown(document: dict[str, Any]) -> str:
+    """Return the extent of the comparison and one table: a row for each metric of each robot, a column for each law."""
+    names = [str(law["title"]) for law in document["laws"]]
+    lines = [_line(["", *names]), _line(["---"] * (len(names) + 1))]
+    for robot, told in document["robots"].items():
+        first = next(iter(told["references"]))
+        lines.append(_line([f"**{robot}**", *[""] * len(names)]))
+        lines += [_row(row) for row in rows(document) if row.robot == robot and _is_shown(row, first)]
+    command = f"`fjr compare {document['suite']['name']}`"
+    said = f"*{command}. {DASH}: does not track the nominal robot.*"
+    return "\n".join([extent(document), "", *lines, "", said, ""])
+
+
+def _is_shown(row: Row, reference: str) -> bool:
+    if row.group == "margins":
+        return True
+    return (row.group, row.what) in {(f"errors {reference}", NOMINAL), (f"metrics {reference}", "peak effort")}
+
+
+def _row(row: Row) -> str:
+    what = "RMS error [mrad]" if row.group.startswith("errors") else row.what
+    return _line([what, *(value.words for value in row.values)])
+
+
+def _line(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"

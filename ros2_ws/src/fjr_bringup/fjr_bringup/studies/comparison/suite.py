@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A suite: which laws are compared on which robots, along which references, under which imperfections."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import get_package_share_directory
+
+from fjr_bringup.scenarios import library
+from fjr_core.config import ros_yaml
+from fjr_core.control.registry import LAWS, V_DPBC
+from fjr_core.control.robust import Robust
+from fjr_core.errors import CompareError, FjrError
+from fjr_core.experiments.comparison.perturbations import directions, known
+from fjr_core.experiments.comparison.trial import TRACKS
+from fjr_core.experiments.monte_carlo.scope import refuse_what_is_left_out
+
+REQUIRED = ("laws", "robots")
+KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks")
+NOMINAL = "nominal"
+CHANGED = ("reference.", "initial_")  # what the references of a robot may differ in
+GAINS = ("scenario", TUNED := "tuned")  # of v-dPBC
+ROBUST = tuple(each.name for each in fields(Robust) if each.name != "hold")
+
+
+@dataclass(frozen=True)
+class LawChoice:
+    """A column: what it is called, the law, the robust options on it.
+
+    retune: v-dPBC with gains by the rule of docs/baselines.md, as the other laws; else with the scenario's.
+    """
+
+    label: str
+    law: str
+    robust: Mapping[str, float] = field(default_factory=dict)
+    retune: bool = False
+
+
+@dataclass(frozen=True)
+class RobotChoice:
+    """A robot: what it is called, the scenario it comes from, and changes of that scenario for each reference."""
+
+    label: str
+    scenario: str
+    references: Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Suite:
+    """What `fjr compare` compares. duration, settle_after [s]: of every run, and where its errors begin to count.
+
+    imperfections: levels by axis, by name; margins: the axes on which the largest level is searched for, along the
+    first reference. tracks: see fjr_core.experiments.comparison.Trial.
+    """
+
+    name: str
+    laws: tuple[LawChoice, ...]
+    robots: tuple[RobotChoice, ...]
+    imperfections: Mapping[str, Mapping[str, float]]
+    margins: tuple[str, ...]
+    duration: float
+    settle_after: float
+    tracks: float
+
+
+def find(name: str) -> Path:
+    """Path of a suite given by installed name or by file; raises CompareError naming the known ones."""
+    suites = known_suites()
+    if name in suites:
+        return suites[name]
+    if os.path.isfile(name):
+        return Path(name)
+    raise CompareError(f"unknown suite '{name}': expected a YAML file or one of {', '.join(suites)}")
+
+
+def known_suites() -> dict[str, Path]:
+    """Installed suites by name."""
+    library.folder()  # says what is wrong where nothing is installed
+    return {
+        path.stem: path for path in sorted(Path(get_package_share_directory("fjr_bringup"), "suites").glob("*.yaml"))
+    }
+
+
+def load(path: Path) -> Suite:
+    """Read a suite; raises CompareError, naming the file, for anything that does not fit."""
+    try:
+        return read(path.stem, ros_yaml.read(path, "suite"))
+    except CompareError as error:
+        raise CompareError(f"suite {path}: {error}") from None
+
+
+def read(name: str, document: Any) -> Suite:
+    """A suite from its document; raises CompareError."""
+    given = _mapping("a suite", document)
+    for key in given:
+        if key not in KEYS:
+            raise CompareError(f"unknown key '{key}'; expected one of {', '.join(KEYS)}")
+    for key in REQUIRED:
+        if not given.get(key):
+            raise CompareError(f"has no '{key}'; expected at least one")
+    duration = _number("duration", given.get("duration", 6.0), lambda value: 0 < value <= 600)
+    return Suite(
+        name=name,
+        laws=_laws(given["laws"]),
+        robots=tuple(_robot(label, each) for label, each in _mapping("'robots'", given["robots"]).items()),
+        imperfections=_imperfections(given.get("imperfections", {})),
+        margins=_margins(given.get("margins", [])),
+        duration=duration,
+        settle_after=_number("settle_after", given.get("settle_after", duration / 2), lambda v: 0 <= v < duration),
+        tracks=_number("tracks", given.get("tracks", TRACKS), lambda value: 0 < value < 1),
+    )
+
+
+def _laws(given: Any) -> tuple[LawChoice, ...]:
+    if not isinstance(given, list):
+        raise CompareError(f"'laws' is {given!r}; expected a list")
+    laws = tuple(_law(each) for each in given)
+    labels = [law.label for law in laws]
+    twice = next((label for label in labels if labels.count(label) > 1), None)
+    if twice is not None:
+        raise CompareError(f"law '{twice}' is there twice; expected it once, or another label")
+    return laws
+
+
+def _law(given: Any) -> LawChoice:
+    if isinstance(given, str):
+        return LawChoice(given, _known_law(given))
+    options = {**_mapping("a law", given)}
+    label, law = str(options.pop("label", options.get("law"))), _known_law(options.pop("law", None))
+    robust = _mapping(f"'robust' of {label}", options.pop("robust", {}))
+    gains = options.pop("gains", None)
+    if gains not in (None, *GAINS) or (gains and law != V_DPBC):
+        raise CompareError(
+            f"'gains' of {label} is {gains!r}; expected {' or '.join(GAINS)}, of {V_DPBC} only: others are always tuned"
+        )
+    for key in options:
+        raise CompareError(f"law '{label}' has an unknown key '{key}'; expected label, law, robust, gains")
+    for key in robust:
+        if key not in ROBUST:
+            raise CompareError(f"law '{label}' has an unknown robust option '{key}'; expected {', '.join(ROBUST)}")
+    numbers = {key: _number(f"robust.{key}", value, lambda v: v >= 0) for key, value in robust.items()}
+    return LawChoice(label, law, numbers, gains == TUNED)
+
+
+def _known_law(name: Any) -> str:
+    if not isinstance(name, str) or name not in LAWS:
+        raise CompareError(f"unknown law '{name}': expected one of {', '.join(LAWS)}")
+    return name
+
+
+def _robot(label: str, given: Any) -> RobotChoice:
+    options = _mapping(f"robot '{label}'", given)
+    for key in options:
+        if key not in ("scenario", "references"):
+            raise CompareError(f"robot '{label}' has an unknown key '{key}'; expected scenario, references")
+    name = str(options.get("scenario", label))
+    references = _mapping(f"'references' of {label}", options.get("references") or {"scenario": {}})
+    changes = {str(key): _mapping(f"reference '{key}' of {label}", value or {}) for key, value in references.items()}
+    for reference, each in changes.items():
+        for key in each:
+            if not str(key).startswith(CHANGED):
+                raise CompareError(
+                    f"reference '{reference}' of {label} changes '{key}'; expected names that begin with "
+                    f"{' or '.join(CHANGED)}: the robot is the same along all of them"
+                )
+    return RobotChoice(str(label), name, changes)
+
+
+def scenario_texts(robot: RobotChoice) -> tuple[tuple[str, str], ...]:
+    """(reference, scenario's text) for each reference of a robot; raises CompareError or FjrError naming it."""
+    path = library.find(robot.scenario)
+    try:
+        return tuple((label, _text(path, changes)) for label, changes in robot.references.items())
+    except FjrError as error:
+        raise CompareError(f"robot '{robot.label}': {error}") from None
+
+
+def _text(path: Path, changes: Mapping[str, Any]) -> str:
+    text, scenario = library.as_run(path, changes)
+    refuse_what_is_left_out(scenario, "a suite says these itself, use 'imperfections'")
+    return text
+
+
+def _imperfections(given: Any) -> dict[str, dict[str, float]]:
+    """By name, the nominal plant first."""
+    found: dict[str, dict[str, float]] = {NOMINAL: {}}
+    for name, levels in _mapping("'imperfections'", given).items():
+        if str(name) == NOMINAL:
+            raise CompareError(
+                f"an imperfection is called '{NOMINAL}'; expected another name: that is the plant without"
+            )
+        each = _mapping(f"imperfection '{name}'", levels or {})
+        numbers = {axis: _number(f"'{axis}' of '{name}'", level, lambda _: True) for axis, level in each.items()}
+        found[str(name)] = {axis: known(axis).checked(level) for axis, level in numbers.items()}
+    return found
+
+
+def _margins(given: Any) -> tuple[str, ...]:
+    if not isinstance(given, list):
+        raise CompareError(f"'margins' is {given!r}; expected a list of imperfections")
+    names = tuple(str(name) for name in given)
+    directions(names)
+    return names
+
+
+def _mapping(what: str, given: Any) -> dict[str, Any]:
+    if not isinstance(given, dict):
+        raise CompareError(f"{what} is {given!r}; expected a mapping")
+    return given
+
+
+def _number(what: str, given: Any, fits: Callable[[float], bool]) -> float:
+    if isinstance(given, bool) or not isinstance(given, (int, float)) or not (math.isfinite(given) and fits(given)):
+        raise CompareError(f"{what} is {given!r}; expected a number in range")
+    return float(given)

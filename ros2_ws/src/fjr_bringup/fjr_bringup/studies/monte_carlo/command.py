@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr sweep`: a campaign from a scenario or a sweep's file, carried out, taken up again, and shown."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from fjr_bringup.formatting import number, percent, plural
+from fjr_bringup.interrupt import Interrupted
+from fjr_bringup.scenarios import library
+from fjr_bringup.studies.monte_carlo import sweep_file
+from fjr_bringup.studies.monte_carlo.picture import draw
+from fjr_bringup.studies.monte_carlo.pool import Workers, carry_out, cluster, threads
+from fjr_bringup.studies.monte_carlo.report import write_page
+from fjr_bringup.studies.monte_carlo.store import Store, open_store
+from fjr_bringup.studies.monte_carlo.sweep_file import SweepFile
+from fjr_core.config import ros_yaml
+from fjr_core.errors import ParameterError
+from fjr_core.experiments.monte_carlo.sensitivity import Summary, summarised
+from fjr_core.experiments.monte_carlo.sweep import Sweep
+
+SLOW = "no C compiler is here: Python runs the campaign, some thousand times slower; expected a compiler, e.g. gcc"
+
+
+@dataclass(frozen=True)
+class Wish:
+    """Where to run (cores, or a Dask scheduler's address), where to write, and what the command line changes."""
+
+    cores: int
+    scheduler: str | None
+    output: Path
+    overrides: Mapping[str, Any]
+    numbers: Mapping[str, Any]
+
+
+def planned(name: str | None, wish: Wish) -> Sweep:
+    """The campaign that is meant; raises FjrError."""
+    path = _file(name)
+    document = ros_yaml.read(path, "sweep")
+    if not sweep_file.is_one(document):
+        text, scenario = library.as_run(path, wish.overrides)
+        return _sweep(path.stem, text, sweep_file.usual(path.stem, scenario.sample_period), wish)
+    try:
+        file = sweep_file.read(document)
+        text, _ = library.as_run(_scenario(file.scenario, path.parent), {**file.changes, **wish.overrides})
+        return _sweep(path.stem, text, file, wish)
+    except ParameterError as error:
+        raise ParameterError(f"sweep {path.stem} {error}") from None
+
+
+def sweep(name: str | None, wish: Wish, stop: threading.Event) -> str:
+    """Carry the campaign out, write table, figures, picture and page; what to tell. Raises FjrError, Interrupted."""
+    plan = planned(name, wish)
+    plan.refuse_stiff_friction()
+    if wish.scheduler is None and not plan.loop.compiled:
+        print(f"fjr: {SLOW}", file=sys.stderr)
+    folder = wish.output / plan.name
+    with open_store(folder, plan, plan.loop.fingerprint) as store:
+        with _workers(wish) as workers:
+            _carry_out(store, workers, stop)
+        store.complete()
+        return _shown(store)
+
+
+def _workers(wish: Wish) -> AbstractContextManager[Workers]:
+    return cluster(wish.scheduler) if wish.scheduler else threads(wish.cores)
+
+
+def _carry_out(store: Store, workers: Workers, stop: threading.Event) -> None:
+    total, there = store.sweep.runs, store.finished()
+    if there:
+        print(f"{store.sweep.name}: {there} of {total} runs are there already", file=sys.stderr, flush=True)
+    if there == total:
+        return
+    terminal = sys.stderr.isatty()
+    if not terminal:
+        where = f"on {plural(workers.count, 'core')}"
+        print(f"{store.sweep.name}: {plural(total - there, 'run')} {where}", file=sys.stderr, flush=True)
+    form = "{desc}: {percentage:3.0f}% |{bar}| {n}/{total} runs, {rate_fmt}, {remaining} left"
+    with tqdm(
+        total=total, initial=there, desc=store.sweep.name, bar_format=form, unit=" runs", disable=not terminal
+    ) as bar:
+        whole = carry_out(store, workers, bar.update, stop)
+    if not whole:
+        raise Interrupted(store.folder)
+
+
+def _shown(store: Store) -> str:
+    summary = summarised(store.sweep, store.column)
+    figures = store.folder / "summary.json"
+    figures.write_text(json.dumps(summary.as_json(), indent=1) + "\n", encoding="utf-8")
+    picture = draw(store, summary, store.folder / "overview.png")
+    page = write_page(store, summary, picture, store.folder / "report.html")
+    return f"{table(store.sweep, summary)}\nopen {page}; all runs: {store.table}"
+
+
+def table(plan: Sweep, summary: Summary) -> str:
+    """What came out, as lines of a table."""
+    share = f"{percent(summary.succeeded / summary.runs)} of {summary.runs} succeed"
+    lines = [
+        f"{plan.name}: {share} (95 %: {percent(summary.low)} to {percent(summary.high)}), {summary.stable} are stable",
+        f"  {'':14}{'median':>12}{'95 %':>12}{'99 %':>12}{'worst':>12}",
+    ]
+    for name, unit in UNITS.items():
+        values = "".join(f"{number(value):>12}" for value in summary.quantiles[name])
+        lines.append(f"  {name:14}{values} {unit}")
+    hint = "decided by" if summary.runs >= ENOUGH else "decided by, at a guess"
+    lines.append(f"  {hint:28}{'success':>10}{'rms error':>12}")
+    for effect in summary.effects[:5]:
+        lines.append(f"  {effect.name:28}{percent(effect.success, 0):>10}{percent(effect.error, 0):>12}")
+    return "\n".join(lines)
+
+
+ENOUGH = 200
+"""Runs from which on what decides is more than a guess."""
+UNITS = {"rms": "rad", "peak": "rad", "final": "rad", "settling": "s", "effort_peak": "N m", "power": "W"}
+
+
+def _file(name: str | None) -> Path:
+    """An installed sweep or scenario by its name, or a file."""
+    folder = library.folder().parent / "sweeps"
+    installed = {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    if name in installed:
+        return installed[name]
+    try:
+        return library.find(name)
+    except library.ScenarioError as error:
+        raise library.ScenarioError(f"{error}; or of the sweeps {', '.join(installed)}") from None
+
+
+def _scenario(name: str, folder: Path) -> Path:
+    beside = folder / name
+    return beside if os.path.isfile(beside) else library.find(name)
+
+
+def _sweep(name: str, text: str, file: SweepFile, wish: Wish) -> Sweep:
+    numbers = {"runs": sweep_file.RUNS, **file.numbers, **wish.numbers}
+    return Sweep(name, text, vary=file.vary, success=file.success, **numbers)

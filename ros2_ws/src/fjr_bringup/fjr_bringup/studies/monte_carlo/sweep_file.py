@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sweep's YAML file: which scenario, what is drawn, what counts as success."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from fjr_core.errors import ParameterError
+from fjr_core.experiments.monte_carlo import distributions
+from fjr_core.experiments.monte_carlo.distributions import Distribution
+
+WHOLE = ("runs", "seed")
+SECONDS = ("duration", "settle_after", "band", "lost")
+MAPPINGS = ("vary", "success", "set")
+KEYS = ("scenario", *MAPPINGS, *WHOLE, *SECONDS)
+RUNS = 1000
+
+
+@dataclass(frozen=True)
+class SweepFile:
+    """scenario: name or path; vary: what is drawn; changes: of the scenario's parameters; numbers: Sweep's others."""
+
+    scenario: str
+    vary: Mapping[str, Distribution]
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    success: Mapping[str, float] = field(default_factory=dict)
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+
+def is_one(document: object) -> bool:
+    """Whether a YAML document is a sweep's, not a scenario's."""
+    return isinstance(document, Mapping) and "scenario" in document and "/**" not in document
+
+
+def read(document: Mapping[str, Any]) -> SweepFile:
+    """The file of a parsed document; raises ParameterError."""
+    for key in document:
+        if key not in KEYS:
+            close = difflib.get_close_matches(str(key), KEYS, n=1)
+            hint = f"did you mean '{close[0]}'?" if close else f"expected some of {', '.join(KEYS)}"
+            raise ParameterError(f"has '{key}'; {hint}")
+    for key in MAPPINGS:
+        if not isinstance(document.get(key, {}), Mapping):
+            raise ParameterError(f"has {document[key]!r} as '{key}'; expected a mapping")
+    vary = {str(name): distributions.read(str(name), given) for name, given in document.get("vary", {}).items()}
+    if not any(one.kind != distributions.FIXED for one in vary.values()):
+        raise ParameterError(f"draws nothing; expected 'vary' with {distributions.FORM}")
+    success = {name: _number(f"success.{name}", value) for name, value in document.get("success", {}).items()}
+    numbers: dict[str, Any] = {key: _whole(key, document[key]) for key in WHOLE if key in document}
+    numbers |= {key: _number(key, document[key]) for key in SECONDS if key in document}
+    return SweepFile(str(document["scenario"]), vary, document.get("set", {}), success, numbers)
+
+
+def usual(scenario: str, sample_period: float) -> SweepFile:
+    """What is drawn where nobody says what: how far a robot of known make may be from its data sheet."""
+    document = {
+        "stiffness": {"uniform": [0.7, 1.3], "each_joint": True},
+        "link_inertia": {"uniform": [0.8, 1.2]},
+        "gravity": {"uniform": [0.9, 1.1]},
+        "motor_inertia": {"uniform": [0.9, 1.1], "each_joint": True},
+        "link_damping": {"log_uniform": [0.5, 2.0], "each_joint": True},
+        "motor_damping": {"log_uniform": [0.5, 2.0], "each_joint": True},
+        "delay": {"uniform": [0.0, sample_period]},
+    }
+    return SweepFile(scenario, {name: distributions.read(name, given) for name, given in document.items()})
+
+
+def _whole(name: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _is_finite(value) or value != int(value):
+        raise ParameterError(f"has {value!r} as '{name}'; expected a whole number")
+    return int(value)
+
+
+def _number(name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _is_finite(value):
+        raise ParameterError(f"has {value!r} as '{name}'; expected a number")
+    return float(value)
+
+
+def _is_finite(value: float) -> bool:
+    """Whether a double can hold a number, or a whole number of any size."""
+    return abs(value) <= sys.float_info.max

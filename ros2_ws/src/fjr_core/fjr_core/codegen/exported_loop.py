@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is exported: a closed loop, and its parts as CasADi functions of which C can be made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from ..config.measurement import measurement_parameters
+from ..config.nonidealities import imperfection_parameters
+from ..config.scenario import Scenario
+from ..control.sampled_law import SampledLaw
+from ..errors import StateError
+from ..numerics import integrators
+from ..numerics.casadi_function import dense_function
+from ..numerics.checks import Array
+from ..robot.port_hamiltonian import Plant
+from ..trajectories.reference import Reference
+from .reference_function import jets_function
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A sampled closed loop: joints (n) by name, x0 (4n,) the plant's first state, times in seconds.
+
+    Raises StateError where law, reference, plant and names have not the same number of joints.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    law: SampledLaw
+    reference: Reference
+    plant: Plant
+    x0: Array
+    sample_period: float
+    inner_steps: int
+
+    def __post_init__(self) -> None:
+        n = [self.law.robot.n, self.reference.n, self.plant.robot.n, len(self.joints), np.size(self.x0) / 4]
+        if len(set(n)) != 1:
+            raise StateError(f"law, reference, plant, names and x0 have {n} joints; expected equally many")
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def inner_step(self) -> float:
+        """Step of the integrator [s]."""
+        return self.sample_period / self.inner_steps
+
+    @cached_property
+    def functions(self) -> dict[str, ca.Function]:
+        """By their names in C; none of them is machine code."""
+        return {
+            "reference": jets_function(self.reference),
+            "law": self.law.step_function,
+            "plant_measure": self._measurement(),
+            "plant_step": integrators.step_as_c(self.plant.integrator, self.plant.dynamics),
+        }
+
+    def _measurement(self) -> ca.Function:
+        """x (4n,) -> position (q_l, q_m), velocity (dq_l, dq_m), each (2n,)."""
+        x = ca.SX.sym("x", 4 * self.n)
+        velocity = ca.vertcat(*self.plant.robot.velocity_expressions(x))
+        return dense_function("measure", {"x": x}, {"position": x[: 2 * self.n], "velocity": velocity}, cse=True)
+
+
+def loop_of(scenario: Scenario) -> Loop:
+    """The closed loop of a scenario, with the law's options where it has any; the plant is without imperfections."""
+    steps = int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
+    return Loop(
+        scenario.name,
+        scenario.joints,
+        scenario.sampled_law,
+        scenario.reference,
+        scenario.plant,
+        scenario.x0,
+        scenario.sample_period,
+        steps,
+    )
+
+
+def left_out(scenario: Scenario) -> list[str]:
+    """Names of the parameters by which plant or measurement of the scenario do more than what is exported."""
+    known = {
+        "plant_values": imperfection_parameters(len(scenario.joints)),
+        "controller_values": measurement_parameters(len(scenario.joints)),
+    }
+    pairs = [(getattr(scenario, values), parameter) for values, all_ in known.items() for parameter in all_]
+    return [parameter.name for values, parameter in pairs if values[parameter.name] != parameter.default]

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The built-in references as CasADi functions t -> jets, of which C can be made.
+
+Of what turns or swings only the position is written here; its derivatives are CasADi's, total ones along the angle's.
+"""
+
+from __future__ import annotations
+
+from functools import singledispatch
+
+import casadi as ca
+import numpy as np
+
+from ..errors import TrajectoryError
+from ..numerics.casadi_function import dense_function
+from ..numerics.checks import Array
+from ..numerics.symbolic import directional
+from ..trajectories.circle import Circle
+from ..trajectories.multi_sine import MultiSine
+from ..trajectories.piecewise_polynomial import DEGREE, Pieces
+from ..trajectories.point_to_point import Hold, PointToPoint
+from ..trajectories.reference import JETS, Reference, Sine
+from ..trajectories.spline import Spline
+from ..trajectories.transition import Joined, Shifted
+
+FAR = 1e300  # s; times beyond are not told apart
+KNOWN = "Sine, MultiSine, PointToPoint, Circle, Hold, Spline, joined or shifted"
+
+
+def jets_function(reference: Reference) -> ca.Function:
+    """The CasADi function t -> jets (n, 5) of a built-in reference; raises TrajectoryError for another."""
+    t = ca.MX.sym("t")
+    return dense_function("reference", {"t": t}, {"jets": jets_expression(reference, t)})
+
+
+@singledispatch
+def jets_expression(reference: object, _t: ca.MX) -> ca.MX:
+    """q_ld .. d4q_ld (n, 5) at time t [s]."""
+    raise TrajectoryError(f"a reference {type(reference).__name__} cannot be written as C; expected one of {KNOWN}")
+
+
+@jets_expression.register
+def _(reference: Sine, t: ca.MX) -> ca.MX:
+    a, w, phase = (np.atleast_2d(value) for value in (reference.amplitude, reference.frequency, reference.phase))
+    return _swinging(a, w, phase, np.asarray(reference.offset), t)
+
+
+@jets_expression.register
+def _(reference: MultiSine, t: ca.MX) -> ca.MX:
+    a, w, phase = (np.asarray(value) for value in (reference.amplitude, reference.frequency, reference.phase))
+    return _swinging(a, w, phase, np.asarray(reference.offset), t)
+
+
+@jets_expression.register
+def _(reference: Hold, _t: ca.MX) -> ca.MX:
+    return ca.MX(ca.DM(reference.jets(0.0).T))
+
+
+@jets_expression.register
+def _(reference: Pieces, t: ca.MX) -> ca.MX:
+    edges, origins, rates, coefficients = reference.table
+    i = ca.low(ca.DM([-FAR, *edges, FAR]), t, {"lookup_mode": "binary"})
+    s = (t - _entry(origins, i)) * _entry(rates, i)
+    row, value = _entry(coefficients, i), ca.MX.zeros(JETS * reference.n)
+    for part in reversed(ca.vertsplit(row, JETS * reference.n)):
+        value = value * s + part
+    assert row.numel() == (DEGREE + 1) * value.numel()
+    return ca.reshape(value, reference.n, JETS)
+
+
+@jets_expression.register
+def _(reference: PointToPoint, t: ca.MX) -> ca.MX:
+    within = ca.fmod(ca.fmax(t, 0.0), reference.period) if reference.returns else t
+    return jets_expression(reference.pieces, within)
+
+
+@jets_expression.register
+def _(reference: Circle, t: ca.MX) -> ca.MX:
+    angle = [ca.SX.sym(name) for name in ("angle", "w", "dw", "ddw", "d3w")]
+    swept = reference.radius * ca.vertcat(ca.cos(angle[0]), ca.sin(angle[0]))
+    place = ca.vertcat(swept, ca.DM.zeros(reference.n - 2)) + ca.DM(np.asarray(reference.centre))
+    turning = dense_function("turning", {"angle": ca.vertcat(*angle)}, {"jets": _along(place, angle)}, cse=True)
+    return turning(jets_expression(reference.angle, t).T)
+
+
+@jets_expression.register
+def _(reference: Spline, t: ca.MX) -> ca.MX:
+    return jets_expression(reference.pieces, t)
+
+
+@jets_expression.register
+def _(reference: Joined, t: ca.MX) -> ca.MX:
+    sides = (jets_expression(side, t) for side in (reference.way, reference.target))
+    return ca.if_else(t < reference.joined, *sides)
+
+
+@jets_expression.register
+def _(reference: Shifted, t: ca.MX) -> ca.MX:
+    return jets_expression(reference.reference, t - reference.t0)
+
+
+def _swinging(amplitude: Array, frequency: Array, phase: Array, offset: Array, t: ca.MX) -> ca.MX:
+    """offset + sum of amplitude sin(frequency t + phase), tables (m, n), offset (n,)."""
+    m, n = amplitude.shape
+    angle = [ca.SX.sym("angle", m, n), ca.SX(ca.DM(frequency)), *(ca.SX.zeros(m, n) for _ in range(JETS - 2))]
+    place = ca.DM(offset) + ca.sum1(ca.DM(amplitude) * ca.sin(angle[0])).T
+    swing = dense_function("swing", {"angle": angle[0]}, {"jets": _along(place, angle)}, cse=True)
+    return swing(ca.DM(frequency) * t + ca.DM(phase))
+
+
+def _along(place: ca.SX, angle: list[ca.SX]) -> ca.SX:
+    """place (n,) and its four derivatives (n, 5) along the angle's, angle[k] being the k-th of these."""
+    rates = [ca.vec(ca.SX(rate)) for rate in angle]
+    moves = [k for k, rate in enumerate(rates[:-1]) if not rate.is_constant()]
+    z, dz = (ca.vertcat(*(rates[k + step] for k in moves)) for step in (0, 1))
+    rows = [ca.SX(place)]
+    for _ in range(JETS - 1):
+        rows.append(directional(rows[-1], z, dz))
+    return ca.horzcat(*rows)
+
+
+def _entry(table: Array, i: ca.MX) -> ca.MX:
+    """table[i] as a column, i a whole number that is known at run time only."""
+    width = int(np.prod(table.shape[1:], dtype=int))
+    return ca.MX(ca.DM(table.ravel()))[i * width + ca.DM(range(width))]

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Regulators on the motor side: their standing reference, the storage about it, and when that is positive."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from ...errors import GainsError
+from ...numerics.checks import Array
+from ...robot.configuration_sampling import checked_configurations
+from ...robot.equilibrium import rest_points
+from ...robot.robot import Robot
+from ..lie_derivative import Flow
+
+SAMPLED = 256  # configurations at which gravity is compared with the springs
+
+
+def standing_reference(f: Flow) -> tuple[ca.SX, ca.SX]:
+    """theta_d = q_d + K^-1 grad P_l(q_d) (n,) [rad] and its rate [rad/s]: rest of the motors, links at q_d."""
+    q_d = f.jets[:, 0]
+    theta_d = q_d + np.linalg.inv(f.robot.K) @ f.robot.links.grad_P_l(q_d)
+    return theta_d, *f.d(theta_d)
+
+
+def storage(f: Flow, theta_d: ca.SX, dtheta_d: ca.SX, M_theta: ca.SX, K_theta: ca.SX) -> ca.SX:
+    """V [J]: energy of the errors with motors of inertia M_theta held by springs K_theta; Tomei 1991, eq. (10) there.
+
+    V = (de' M_l de + de_m' M_theta de_m + (e_m - e)' K (e_m - e) + e_m' K_theta e_m) / 2
+        + P_l(q) - P_l(q_d) - e' grad P_l(q_d),   e = q - q_d, e_m = theta - theta_d, K (theta_d - q_d) = grad P_l(q_d).
+    """
+    robot, m, q_d, dq_d = f.robot, f.measured, f.jets[:, 0], f.jets[:, 1]
+    e, de, e_m, de_m = m.q_l - q_d, m.dq_l - dq_d, m.q_m - theta_d, m.dq_m - dtheta_d
+    kinetic = ca.dot(de, f.M_l @ de) + ca.dot(de_m, M_theta @ de_m)
+    springs = ca.dot(e_m - e, robot.K @ (e_m - e)) + ca.dot(e_m, K_theta @ e_m)
+    weight = robot.links.P_l(m.q_l) - robot.links.P_l(q_d) - ca.dot(e, robot.links.grad_P_l(q_d))
+    return (kinetic + springs) / 2 + weight
+
+
+def check_position_gain(name: str, K_p: Array, robot: Robot) -> None:
+    """Raise GainsError unless the springs K and K_p outweigh gravity: then q_d is the only rest, and V has its minimum.
+
+    The Hessian of V, [[K + N, -K], [-K, K + K_p]] with N that of P_l, is positive definite at all sampled
+    configurations. Tomei 1991 asks for more: the smallest eigenvalue without N above the largest |N|.
+    """
+    smallest = float(np.linalg.eigvalsh(storage_hessians(robot, K_p))[:, 0].min())
+    if not smallest > 0:
+        raise GainsError(
+            f"{name} and the joints' stiffness do not outweigh gravity: the Hessian of the storage has an eigenvalue "
+            f"of {smallest:.4g} N m/rad; expected positive ones, else a standing reference is no minimum (Tomei 1991)"
+        )
+
+
+def storage_hessians(robot: Robot, K_p: Array) -> Array:
+    """Hessians (k, 2n, 2n) [N m/rad] of V in (q, theta) over sampled configurations."""
+    K, N = robot.K, gravity_hessians(robot)
+    blocks = np.block([[K, -K], [-K, K + K_p]])
+    hessians = np.repeat(blocks[None], len(N), axis=0)
+    hessians[:, : robot.n, : robot.n] += N
+    return hessians
+
+
+@lru_cache(maxsize=8)
+def gravity_hessians(robot: Robot) -> Array:
+    """Hessians N (k, n, n) [N m/rad] of P_l over sampled configurations."""
+    N = rest_points(robot, checked_configurations(robot, None, SAMPLED)).N_l
+    return np.asarray((N + N.transpose(0, 2, 1)) / 2)

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inverse dynamics of a flexible-joint robot: what its motors must do for a given motion of its links.
+
+The link positions are a flat output (De Luca, 2000, "Feedforward/feedback laws for the control of flexible robots",
+ICRA; Spong 1987): from q .. d4q follow, without integration,
+
+    tau   = M_l ddq + C_l dq + D_l dq + grad P_l         torque of the springs
+    theta = q + K^-1 tau                                 positions of the motors
+    u     = B_m^-1 (M_m ddtheta + D_m dtheta + tau)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from ..numerics.symbolic import directional
+from ..robot.robot import Robot
+
+
+@dataclass(frozen=True)
+class MotorMotion:
+    """tau (n,) [N m] of the springs, theta, dtheta, ddtheta (n,) of the motors, torque (n,) [N m] = B_m u."""
+
+    tau: ca.SX
+    theta: ca.SX
+    dtheta: ca.SX
+    ddtheta: ca.SX
+    torque: ca.SX
+
+
+def spring_torque(robot: Robot, q: ca.SX, dq: ca.SX, ddq: ca.SX) -> ca.SX:
+    """tau (n,) [N m] that moves the links so: inverse dynamics of the rigid arm."""
+    links = robot.links
+    return links.M_l(q) @ ddq + links.C(q, dq, dq) + robot.D_l @ dq + links.grad_P_l(q)
+
+
+def motor_motion(robot: Robot, *motion: ca.SX) -> MotorMotion:
+    """The motors' motion for q, dq, ddq, d3q, d4q (n,) of the links."""
+    return MotorMotion(*inverse_dynamics(robot)(*motion))
+
+
+@lru_cache(maxsize=8)
+def inverse_dynamics(robot: Robot) -> ca.Function:
+    """The CasADi function (q, dq, ddq, d3q, d4q) -> what MotorMotion names."""
+    names = ("q", "dq", "ddq", "d3q", "d4q")
+    q, dq, ddq, d3q, d4q = motion = [ca.SX.sym(name, robot.n) for name in names]
+    tau = spring_torque(robot, q, dq, ddq)
+    dtau = directional(tau, ca.vertcat(q, dq, ddq), ca.vertcat(dq, ddq, d3q))
+    ddtau = directional(dtau, ca.vertcat(q, dq, ddq, d3q), ca.vertcat(dq, ddq, d3q, d4q))
+    K_inverse = ca.sparsify(ca.DM(np.linalg.inv(robot.K)))
+    theta, dtheta, ddtheta = q + K_inverse @ tau, dq + K_inverse @ dtau, ddq + K_inverse @ ddtau
+    torque = robot.M_m @ ddtheta + robot.D_m @ dtheta + tau
+    return ca.Function("motor_motion", motion, [tau, theta, dtheta, ddtheta, torque])

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which robust action a law takes, as checked numbers; everything is off by default."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...errors import GainsError
+from ...numerics import checks
+from ...numerics.checks import Array
+
+GAINS = ("residual_gain", "motor_residual_gain", "integral_gain", "motor_integral_gain")
+HOLD = 1e-3  # s
+LONGEST_DELAY = 32  # samples of hold
+FASTEST = 1e4  # 1/s: no loop takes more
+
+
+@dataclass(frozen=True, eq=False)
+class Robust:
+    """Robust action (docs/robust.md); each gain a scalar or (n,), 0 to FASTEST, 0 for none.
+
+    residual_gain [1/s]: rate L of the estimate of a torque on the links, fed forward. motor_residual_gain [1/s]: of
+    a torque on the motors. integral_gain [1/s]: rate at which the integral on the links takes up a torque there.
+    motor_integral_gain [1/s]: the same on the motors. delay [s]: of the loop, over which the state is predicted; 0:
+    no prediction. hold [s]: how long an effort is held, half of which counts too, and for two of
+    which at most a rate is integrated; the period of the states.
+    """
+
+    residual_gain: ArrayLike = 0.0
+    motor_residual_gain: ArrayLike = 0.0
+    integral_gain: ArrayLike = 0.0
+    motor_integral_gain: ArrayLike = 0.0
+    delay: float = 0.0
+    hold: float = HOLD
+
+    def checked(self, n: int) -> Robust:
+        """The same with gains (n,). Raises GainsError for what is out of range, not finite or of another shape."""
+        gains = {name: _gain(name, getattr(self, name), n) for name in GAINS}
+        for name, value in (("delay", self.delay), ("hold", self.hold)):
+            if not (np.isfinite(value) and value >= 0):
+                raise GainsError(f"{name} is {value} s; expected a finite number of 0 or more")
+        if self.delay and not self.delay <= LONGEST_DELAY * self.hold:
+            raise GainsError(
+                f"delay is {self.delay} s with a hold of {self.hold} s; expected at most {LONGEST_DELAY} holds"
+            )
+        checked = replace(self, **gains)  # type: ignore[arg-type]
+        if checked.integrates and not self.hold:
+            raise GainsError(f"hold is {self.hold} s with an integral; expected more than 0")
+        return checked
+
+    @property
+    def estimates(self) -> bool:
+        """Whether torques are estimated from momenta."""
+        return bool(np.any(self.residual_gain) or np.any(self.motor_residual_gain))
+
+    @property
+    def integrates(self) -> bool:
+        """Whether there is integral action."""
+        return bool(np.any(self.integral_gain) or np.any(self.motor_integral_gain))
+
+    @property
+    def predicts(self) -> bool:
+        """Whether the state is predicted."""
+        return self.delay > 0
+
+    @property
+    def off(self) -> bool:
+        """Whether there is none of all this."""
+        return not (self.estimates or self.integrates or self.predicts)
+
+    @property
+    def lead(self) -> float:
+        """How far the state is predicted [s]: the delay and half of the hold."""
+        return self.delay + self.hold / 2 if self.predicts else 0.0
+
+
+def _gain(name: str, value: ArrayLike, n: int) -> Array:
+    array = checks.vector(name, value, n, GainsError)
+    if not np.all((array >= 0) & (array <= FASTEST)):
+        raise GainsError(f"{name} is {array.tolist()} 1/s; expected 0 to {FASTEST:g}")
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rate beta at which V decays: block by block, and as eq. (50) has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
+from ...robot.robot import Robot
+from .gains import CheckedGains, relative_eigenvalues
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Rates [1/s]: V(t) <= V(0) exp(-2 beta t) in continuous time with omega = 0.
+
+    beta = min(beta_l, beta_m, beta_sigma_l, beta_sigma_m); beta_paper is eq. (50), never larger.
+    proven: M_l was covered for every q_l. Otherwise beta and beta_paper are the minimum over the
+    sampled configurations, an upper estimate of the true ones.
+    """
+
+    beta: float
+    beta_paper: float
+    beta_l: float
+    beta_m: float
+    beta_sigma_l: float
+    beta_sigma_m: float
+    proven: bool
+
+
+NO_RATE = Rate(*(float("nan"),) * 6, proven=False)
+"""Of a law without one."""
+
+
+def rate(robot: Robot, gains: CheckedGains, configurations: ArrayLike | None = None) -> Rate:
+    """Rates of the law, from the vertices of M_l where they are known, else from configurations (k, n) [rad]."""
+    proven = configurations is None and robot.links.M_l_vertices is not None
+    samples = () if proven else checked_configurations(robot, configurations, RATE_CONFIGURATIONS)
+    inertias = [robot.M_l(q_l) for q_l in samples] or list(robot.links.M_l_vertices or ())
+    damping_l, damping_m = robot.D_l + gains.K_ld, robot.D_m + gains.K_md
+    beta_sigma_l = min(float(relative_eigenvalues(damping_l, M_l)[0]) for M_l in inertias)
+    beta_sigma_m = float(relative_eigenvalues(damping_m, robot.M_m)[0])
+    smallest_damping = min(float(np.linalg.eigvalsh(damping)[0]) for damping in (damping_l, damping_m))
+    largest_inertia = max(float(np.linalg.eigvalsh(M)[-1]) for M in (*inertias, robot.M_m))
+    beta_q = min(gains.beta_l, gains.beta_m)
+    return Rate(
+        beta=min(beta_q, beta_sigma_l, beta_sigma_m),
+        beta_paper=min(beta_q, smallest_damping / largest_inertia),
+        beta_l=gains.beta_l,
+        beta_m=gains.beta_m,
+        beta_sigma_l=beta_sigma_l,
+        beta_sigma_m=beta_sigma_m,
+        proven=proven,
+    )

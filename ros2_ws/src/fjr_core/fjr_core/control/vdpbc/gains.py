@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gains of the law, and the conditions (32) and (41) under which its proof holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import sqrtm
+
+from ...errors import GainsError
+from ...numerics import checks
+from ...numerics.checks import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """phi = Lambda qt + Gamma qt^3 (componentwise cube), metrics Pi and injected damping K_d, for _l and _m.
+
+    Lambda [1/s], Pi [N m/rad], K_ld and K_md [N m s/rad], Gamma [1/(s rad^2)]; each a scalar, a vector
+    (n,) (diagonal) or a matrix (n, n).
+    """
+
+    Lambda_l: ArrayLike
+    Pi_l: ArrayLike
+    K_ld: ArrayLike
+    Lambda_m: ArrayLike
+    Pi_m: ArrayLike
+    K_md: ArrayLike
+    Gamma_l: ArrayLike = 0.0
+    Gamma_m: ArrayLike = 0.0
+
+    def checked(self, n: int) -> CheckedGains:
+        """The gains as matrices for n joints.
+
+        Raises GainsError for a wrong shape or a non-finite entry, Pi or K_d not symmetric positive
+        definite, or condition (32) or (41) broken.
+        """
+        arrays = {f.name: checks.matrix(f.name, getattr(self, f.name), n, GainsError) for f in fields(self)}
+        for name in ("Pi_l", "K_ld", "Pi_m", "K_md"):
+            arrays[name] = checks.positive_definite(name, arrays[name], GainsError)
+        for array in arrays.values():
+            array.setflags(write=False)
+        return CheckedGains(
+            **arrays,
+            beta_l=_position_rate("l", arrays["Lambda_l"], arrays["Gamma_l"], arrays["Pi_l"]),
+            beta_m=_position_rate("m", arrays["Lambda_m"], arrays["Gamma_m"], arrays["Pi_m"]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedGains:
+    """Gains as (n, n) matrices that satisfy (32) and (41), with the rates beta_l and beta_m [1/s] they give."""
+
+    Lambda_l: Array
+    Pi_l: Array
+    K_ld: Array
+    Lambda_m: Array
+    Pi_m: Array
+    K_md: Array
+    Gamma_l: Array
+    Gamma_m: Array
+    beta_l: float
+    beta_m: float
+
+
+PAPER_GAINS = Gains(Lambda_l=10.0, Pi_l=20.0, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=0.3)
+"""Table 1 (Pi_l = 2 Lambda_l, Pi_m = 4 Lambda_m)."""
+
+
+def _position_rate(side: str, Lambda: Array, Gamma: Array, Pi: Array) -> float:
+    """The largest beta with Pi dphi + dphi' Pi >= 2 beta Pi for every error: condition (32), (41).
+
+    dphi = Lambda + 3 Gamma diag(qt^2). The cubic part must not subtract for any qt: sym(Pi Gamma e_i e_i')
+    >= 0 for every i holds just when Pi Gamma is diagonal and nonnegative; it vanishes at qt = 0.
+    """
+    equation = {"l": "(32)", "m": "(41)"}[side]
+    product = Pi @ Gamma
+    off_diagonal = product - np.diag(np.diag(product))
+    if np.max(np.abs(off_diagonal)) > 1e-12 * np.max(np.abs(product)) or np.min(np.diag(product)) < 0:
+        raise GainsError(
+            f"Pi_{side} Gamma_{side} is {product.tolist()}; condition {equation} needs it diagonal and nonnegative"
+        )
+    linear = Pi @ Lambda
+    beta = float(relative_eigenvalues((linear + linear.T) / 2, Pi)[0])
+    if not beta > 0:
+        raise GainsError(
+            f"Lambda_{side} with this Pi_{side} gives beta_{side} = {beta:.3g} 1/s; condition {equation} needs "
+            f"Pi_{side} Lambda_{side} + Lambda_{side}' Pi_{side} positive definite"
+        )
+    return beta
+
+
+def critical_damping(M: Array, K: Array) -> Array:
+    """Damping D (n, n) [N m s/rad] with which M ddq + D dq + K q = 0 is critically damped in every mode.
+
+    D = 2 M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2 for symmetric positive definite M [kg m^2] and K [N m/rad].
+    """
+    root = np.real(sqrtm(M))
+    inverse = np.linalg.inv(root)
+    mean = root @ np.real(sqrtm(inverse @ K @ inverse)) @ root
+    return np.asarray(mean + mean.T, dtype=float)
+
+
+def relative_eigenvalues(A: Array, B: Array) -> Array:
+    """Eigenvalues (n,), ascending, of symmetric A relative to symmetric positive definite B: A v = lambda B v."""
+    L_inverse = np.linalg.inv(np.linalg.cholesky(B))
+    return np.asarray(np.linalg.eigvalsh(L_inverse @ A @ L_inverse.T), dtype=float)

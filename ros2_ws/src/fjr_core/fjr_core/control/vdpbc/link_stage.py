@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The link stage, eqs. (30)-(33): the torque u_l that the springs would have to give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from ..lie_derivative import Flow
+from .symbolic_gains import GainTerms
+
+
+@dataclass(frozen=True)
+class LinkStage:
+    """Errors of the links and the wanted spring torque, as expressions (n,)."""
+
+    q_tilde_l: ca.SX
+    s_l: ca.SX
+    sigma_l: ca.SX
+    u_l: ca.SX
+
+
+def link_stage(flow: Flow, gains: GainTerms) -> LinkStage:
+    """The link stage of the law; M_l, C_l, D_l at the measured state, P_l at the virtual q_lv.
+
+    With v_lr = M_l^-1 p_lr, the rate and the workless force of eq. (33) are
+    dp_lr + E_l v_lr = M_l dv_lr + (dM_l + E_l) v_lr = M_l dv_lr + C_l v_lr.
+    A torque on the links that is known (Flow.load) is taken off.
+    """
+    links, D_l = flow.robot.links, flow.robot.D_l
+    q_l, dq_l = flow.measured.q_l, flow.measured.dq_l
+    q_lv, dq_lv = flow.virtual.q_l, flow.virtual.dq_l
+    q_ld, dq_ld = flow.jets[:, 0], flow.jets[:, 1]
+
+    q_tilde_l = q_lv - q_ld  # (30)
+    v_lr = dq_ld - gains.phi_l(q_tilde_l)  # (31)
+    s_l = dq_lv - v_lr  # (30)
+    sigma_l = flow.M_l @ s_l
+
+    (dv_lr,) = flow.d(v_lr)
+    u_lff = flow.M_l @ dv_lr + links.C(q_l, dq_l, v_lr) + links.grad_P_l(q_lv) + D_l @ v_lr  # (33)
+    u_lfb = -gains.Pi_l @ q_tilde_l - gains.K_ld @ s_l
+    return LinkStage(q_tilde_l, s_l, sigma_l, u_l=u_lff + u_lfb - flow.external)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gains as the law's equations take them: as numbers, or as symbols that get their numbers later."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import casadi as ca
+import numpy as np
+
+from ...errors import GainsError
+from ...numerics.checks import Array
+from .gains import CheckedGains
+
+
+@dataclass(frozen=True, eq=False)
+class GainTerms:
+    """Matrices (n, n) of the law, CasADi numbers or symbols; names as in Gains."""
+
+    Lambda_l: ca.SX
+    Pi_l: ca.SX
+    K_ld: ca.SX
+    Lambda_m: ca.SX
+    Pi_m: ca.SX
+    K_md: ca.SX
+    Gamma_l: ca.SX
+    Gamma_m: ca.SX
+    Pi_m_inverse: ca.SX
+
+    def phi_l(self, q_tilde_l: ca.SX) -> ca.SX:
+        """phi_l (n,) [rad/s] of eq. (31)."""
+        return self.Lambda_l @ q_tilde_l + self.Gamma_l @ q_tilde_l**3
+
+    def phi_m(self, q_tilde_m: ca.SX) -> ca.SX:
+        """phi_m (n,) [rad/s] of eq. (40)."""
+        return self.Lambda_m @ q_tilde_m + self.Gamma_m @ q_tilde_m**3
+
+
+def terms(gains: CheckedGains) -> GainTerms:
+    """The gains as numbers."""
+    return GainTerms(**{f.name: ca.sparsify(ca.DM(_term(gains, f.name))) for f in fields(GainTerms)})
+
+
+class ArraySymbols:
+    """Symbols in the place of named arrays of numbers, so that one function serves all arrays of a shape.
+
+    A square matrix that is diagonal here stays diagonal, and whatever was zero there but on the diagonal stays zero.
+    """
+
+    def __init__(self, arrays: Mapping[str, Array]) -> None:
+        self._shapes = {name: _shape(array) for name, array in arrays.items()}
+        self.symbols = {name: ca.SX.sym(name, shape) for name, shape in self._shapes.items()}
+        self.vector = ca.vertcat(*(ca.vertcat(*symbol.nonzeros()) for symbol in self.symbols.values()))
+
+    @property
+    def pattern(self) -> str:
+        """Which arrays are diagonal."""
+        return str({name: shape.is_diag() for name, shape in self._shapes.items()})
+
+    def values(self, arrays: Mapping[str, Array]) -> Array:
+        """The numbers of the symbols in `vector`; raises GainsError for arrays of another shape."""
+        parts: list[float] = []
+        for name, shape in self._shapes.items():
+            if shape.is_square() and shape.is_diag() and _off_diagonal(arrays[name]).any():
+                raise GainsError(
+                    f"{name.removesuffix('_inverse')} has entries off the diagonal; expected a diagonal matrix, "
+                    "as when the law was built"
+                )
+            parts += ca.project(ca.DM(arrays[name]), shape).nonzeros()
+        return np.array(parts, dtype=float)
+
+
+class GainSymbols:
+    """Symbols in the place of gains, so that one function serves all gains of a shape: see ArraySymbols."""
+
+    def __init__(self, gains: CheckedGains) -> None:
+        self._arrays = ArraySymbols(_arrays(gains))
+        self.terms, self.vector = GainTerms(**self._arrays.symbols), self._arrays.vector
+
+    @property
+    def pattern(self) -> str:
+        """Which gains are diagonal."""
+        return self._arrays.pattern
+
+    def values(self, gains: CheckedGains) -> Array:
+        """The numbers of the symbols in `vector`; raises GainsError for gains of another shape."""
+        return self._arrays.values(_arrays(gains))
+
+
+def _arrays(gains: CheckedGains) -> dict[str, Array]:
+    return {f.name: _term(gains, f.name) for f in fields(GainTerms)}
+
+
+def _term(gains: CheckedGains, name: str) -> Array:
+    return np.asarray(np.linalg.inv(gains.Pi_m) if name == "Pi_m_inverse" else getattr(gains, name), dtype=float)
+
+
+def _shape(array: Array) -> ca.Sparsity:
+    if array.ndim == 2 and array.shape[0] == array.shape[1] and not _off_diagonal(array).any():
+        return ca.Sparsity.diag(len(array))
+    return ca.Sparsity.dense(*(array.shape if array.ndim == 2 else (len(array), 1)))
+
+
+def _off_diagonal(array: Array) -> Array:
+    return np.asarray(array - np.diag(np.diag(array)))

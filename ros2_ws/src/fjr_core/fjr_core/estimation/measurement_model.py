@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the joints' states really hold: measured velocities or none, motor positions behind gears, or joint torques."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..numerics import checks
+from ..numerics.checks import Array
+
+MEASURED, OBSERVER = "measured", "observer"
+POSITION, TORQUE = "position", "torque"
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """Where velocities and motor positions of n joints come from.
+
+    velocity: "measured", or by an "observer", and then velocities in the states are not read.
+    motor: "position", or the joint "torque" tau = K zeta of a sensor, from which q_m = q_l + K^-1 tau.
+    gear_ratio (n,): the motors' own angle is gear_ratio times q_m; negative where a gear turns the other way.
+    K (n, n): joint stiffness [N m/rad], None where motor is "position".
+
+    Raises ParameterError for an unknown word, a ratio that is 0 or not finite, torque without a stiffness, and what
+    does not go together: torque with measured velocities (the rate of a torque is not measured) or with a gear ratio.
+    """
+
+    n: int
+    velocity: str = MEASURED
+    motor: str = POSITION
+    gear_ratio: Array | float = 1.0
+    K: Array | None = None
+
+    def __post_init__(self) -> None:
+        _one_of("measurement.velocity", self.velocity, MEASURED, OBSERVER)
+        _one_of("measurement.motor", self.motor, POSITION, TORQUE)
+        ratio = checks.vector("measurement.gear_ratio", self.gear_ratio, self.n, ParameterError)
+        if not np.all(ratio):
+            raise ParameterError(f"measurement.gear_ratio is {ratio.tolist()}; expected no zeros")
+        ratio.setflags(write=False)
+        object.__setattr__(self, "gear_ratio", ratio)
+        if self.motor == TORQUE:
+            self._check_torque()
+
+    def _check_torque(self) -> None:
+        if not self.observed:
+            raise ParameterError(
+                f"measurement.velocity is '{self.velocity}' with measurement.motor 'torque'; expected '{OBSERVER}', "
+                "since a torque sensor does not tell the motor's velocity"
+            )
+        if self.geared:
+            ratio = np.asarray(self.gear_ratio).tolist()
+            raise ParameterError(
+                f"measurement.gear_ratio is {ratio} with measurement.motor 'torque'; expected 1, no motor angle is read"
+            )
+        if self.K is None:
+            raise ParameterError("K is None with measurement.motor 'torque'; expected the joint stiffness")
+        object.__setattr__(self, "K", checks.matrix("K", self.K, self.n, ParameterError))
+
+    @property
+    def observed(self) -> bool:
+        """Whether an observer has to find the velocities."""
+        return self.velocity == OBSERVER
+
+    @property
+    def by_torque(self) -> bool:
+        """Whether motor positions come from joint torques."""
+        return self.motor == TORQUE
+
+    @property
+    def geared(self) -> bool:
+        """Whether motor angles have to be divided by a ratio."""
+        return bool(np.any(np.asarray(self.gear_ratio) != 1))
+
+
+def _one_of(name: str, value: str, *words: str) -> None:
+    if value not in words:
+        raise ParameterError(f"{name} is {value!r}; expected one of {', '.join(words)}")

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a number of a campaign is drawn from: read from a sweep's file, checked, drawn by the run's number."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from ...errors import ParameterError
+from ...numerics.checks import Array
+from ...simulation.batch import counter_rng
+
+UNIFORM, NORMAL, LOG_UNIFORM, FIXED = "uniform", "normal", "log_uniform", "fixed"
+WIDEST = 4.0
+"""Standard deviations where a normal distribution is cut off."""
+EACH_JOINT = "each_joint"
+FORM = "{uniform: [low, high]}, {log_uniform: [low, high]}, {normal: [mean, deviation]}, or a number"
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """kind with its two numbers: low and high, or mean and standard deviation; of a fixed one its values.
+
+    each_joint: drawn for every joint by itself, else once for all. A normal one is cut off at WIDEST deviations.
+    """
+
+    kind: str
+    numbers: tuple[float, ...]
+    each_joint: bool = False
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The least and the largest value that can be drawn."""
+        if self.kind == NORMAL:
+            mean, deviation = self.numbers
+            return mean - WIDEST * deviation, mean + WIDEST * deviation
+        return min(self.numbers), max(self.numbers)
+
+    def at(self, share: Array) -> Array:
+        """The value that a share (in [0, 1)) of all draws is below; elementwise."""
+        low, high = self.numbers[0], self.numbers[-1]
+        if self.kind == UNIFORM:
+            return np.asarray(low + (high - low) * share)
+        if self.kind == LOG_UNIFORM:
+            return np.asarray(low * (high / low) ** share)
+        outside = ndtr(-WIDEST)
+        return np.asarray(low + high * ndtri(outside + (1 - 2 * outside) * share))
+
+    def share(self, value: Array) -> Array:
+        """The inverse of `at`."""
+        low, high = self.numbers[0], self.numbers[-1]
+        if self.kind == UNIFORM:
+            return np.asarray((value - low) / (high - low))
+        if self.kind == LOG_UNIFORM:
+            return np.asarray(np.log(value / low) / np.log(high / low))
+        outside = ndtr(-WIDEST)
+        return np.asarray((ndtr((value - low) / high) - outside) / (1 - 2 * outside))
+
+    def drawn(self, name: str, seed: int, first: int, count: int, n: int) -> Array:
+        """For the runs first .. first + count - 1: (count, n), (count,) of one number a run; fixed: as it is."""
+        if self.kind == FIXED:
+            return np.array(self.numbers if len(self.numbers) > 1 else self.numbers[0])
+        words = counter_rng.rows((seed, stream(name)), first, count, n if self.each_joint else 1)
+        values = self.at(counter_rng.unit(words))
+        return values if self.each_joint else values[:, 0]
+
+    @property
+    def as_yaml(self) -> Any:
+        """What `read` makes the same of."""
+        if self.kind == FIXED:
+            return list(self.numbers) if len(self.numbers) > 1 else self.numbers[0]
+        return {self.kind: list(self.numbers)} | ({EACH_JOINT: True} if self.each_joint else {})
+
+
+def stream(name: str) -> int:
+    """The second word of the key that a number of this name is drawn with: never 0, which is the noise's."""
+    return zlib.crc32(name.encode()) | 1 << 32
+
+
+def read(name: str, given: object) -> Distribution:
+    """A distribution as a sweep's file has it; raises ParameterError."""
+    if isinstance(given, (int, float)) and not isinstance(given, bool):
+        return Distribution(FIXED, _numbers(name, [given]))
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        return Distribution(FIXED, _numbers(name, given))
+    if not isinstance(given, Mapping):
+        raise ParameterError(f"'{name}' is {given!r}; expected {FORM}")
+    kinds = [key for key in given if key in (UNIFORM, NORMAL, LOG_UNIFORM)]
+    unknown = [key for key in given if key not in (*kinds, EACH_JOINT)]
+    if len(kinds) != 1 or unknown or not isinstance(given.get(EACH_JOINT, False), bool):
+        raise ParameterError(f"'{name}' is {dict(given)}; expected {FORM}, and each_joint: true where it is wanted")
+    return _checked(name, Distribution(kinds[0], _numbers(name, given[kinds[0]]), given.get(EACH_JOINT, False)))
+
+
+def _checked(name: str, one: Distribution) -> Distribution:
+    if len(one.numbers) != 2:
+        raise ParameterError(f"'{name}' has {len(one.numbers)} numbers; expected two for {one.kind}")
+    low, high = one.numbers
+    if one.kind == NORMAL and not high > 0:
+        raise ParameterError(f"'{name}' has the standard deviation {high:g}; expected more than 0")
+    if one.kind != NORMAL and not low < high:
+        raise ParameterError(f"'{name}' goes from {low:g} to {high:g}; expected the smaller number first")
+    if one.kind == LOG_UNIFORM and not low > 0:
+        raise ParameterError(f"'{name}' goes from {low:g} on; expected more than 0 for log_uniform")
+    return one
+
+
+def _numbers(name: str, given: object) -> tuple[float, ...]:
+    try:
+        numbers = np.array(given, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        numbers = np.array(np.nan)
+    if numbers.ndim != 1 or not len(numbers) or not np.all(np.isfinite(numbers)):
+        raise ParameterError(f"'{name}' has {given!r}; expected a list of finite numbers")
+    return tuple(numbers.tolist())

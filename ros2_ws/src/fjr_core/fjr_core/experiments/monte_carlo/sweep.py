@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A Monte-Carlo campaign as one plain value: a scenario, what is drawn, what counts as success; any part of it, run."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.safety import safety
+from ...config.scenario import Scenario, parse_scenario
+from ...errors import FjrError, ParameterError
+from ...simulation.batch import counter_rng
+from ...simulation.batch.closed_loop import ClosedLoop
+from ...simulation.batch.draws import LEVELS, PER_RUN, SMOOTHING, Draws, width
+from ...simulation.batch.outcomes import FIELDS, PER_JOINT, Outcomes
+from ...simulation.batch.uncertain_robot import FRICTION
+from ...simulation.nonideal_parameters import Imperfections, friction_rate
+from . import distributions
+from .distributions import Distribution
+from .scope import refuse_what_is_left_out
+
+MEASURES = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
+"""Outcomes that success may set a limit to."""
+MOST_RUNS = 10**9
+REACH = 2.0
+"""Largest product of friction's rate about rest and the step: Runge-Kutta is stable to 2.78, here with room."""
+NOISE_SEED = "seed"
+
+
+class CampaignError(FjrError):
+    """A part of a campaign that cannot be run as the others are."""
+
+
+Columns = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """`runs` runs of `duration` [s] of a scenario, given as its self-contained text.
+
+    vary: by the names of Draws what is drawn, or fixed at another value. seed: of all of it. settle_after [s],
+    band, lost [rad]: see ClosedLoop. success: the largest value of an outcome of every joint with which a stable run
+    succeeds. Raises ParameterError.
+    """
+
+    name: str
+    scenario_text: str
+    runs: int
+    vary: Mapping[str, Distribution]
+    duration: float = 5.0
+    seed: int = 0
+    settle_after: float = 1.0
+    band: float = 0.01
+    lost: float = float(np.pi / 2)
+    success: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.runs <= MOST_RUNS:
+            raise ParameterError(f"'runs' is {self.runs}; expected 1 to {MOST_RUNS}")
+        if not 0 <= self.seed < 2**64:
+            raise ParameterError(f"'seed' is {self.seed}; expected 0 to 2^64 - 1")
+        for name, limit in self.success.items():
+            if name not in MEASURES:
+                raise ParameterError(f"'success' has '{name}'; expected some of {', '.join(MEASURES)}")
+            if np.isnan(limit):
+                raise ParameterError(f"'success' has {limit} as '{name}'; expected a number")
+        refuse_what_is_left_out(self.scenario, "a sweep draws these itself, use 'vary'")
+        for name, distribution in self.vary.items():
+            self._check(name, distribution)
+        first = self.draws(0, 1)
+        for name in LEVELS:
+            _ = first.columns(name, self.scenario.robot.n)
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """The scenario of the nominal run."""
+        return parse_scenario(self.name, self.scenario_text)
+
+    @cached_property
+    def loop(self) -> ClosedLoop:
+        """The closed loop that all runs are runs of."""
+        s = self.scenario
+        return ClosedLoop(
+            s.plant.robot, s.sampled_law, s.reference, s.x0, self.duration, s.sample_period,
+            int(s.plant_values["inner_steps"]), self.settle_after, self.band, self.lost,  # type: ignore[arg-type]
+        )  # fmt: skip
+
+    def refuse_stiff_friction(self) -> None:
+        """Raise ParameterError where the steepest friction that may be drawn is too much for the steps of the plant."""
+        least, most = ({name: one.range[side] for name, one in self.vary.items()} for side in (0, 1))
+        robot, inertia = self.scenario.plant.robot, [least.get(name, 1.0) for name in ("link_inertia", "motor_inertia")]
+        levels = {name: most[name] for name in FRICTION if name in most}
+        steepest = Imperfections(robot.n, **levels, smoothing=least.get("smoothing", SMOOTHING))
+        M_l, M_m = inertia[0] * robot.M_l(self.scenario.x0[: robot.n]), inertia[1] * robot.M_m
+        rate, dt = friction_rate(steepest, M_l, M_m), self.loop.sample_period / self.loop.inner_steps
+        if rate * dt > REACH:
+            enough = rate * dt / REACH * least.get("smoothing", SMOOTHING)
+            raise ParameterError(
+                f"friction may damp at {rate:.3g} 1/s, too fast for steps of {1e3 * dt:.3g} ms; "
+                f"expected a smoothing of at least {enough:.2g} rad/s, or more inner_steps"
+            )
+
+    def draws(self, begin: int, end: int) -> Draws:
+        """What the runs begin .. end - 1 draw, the same whatever is drawn beside; limits of effort: the scenario's."""
+        n, count = self.scenario.robot.n, end - begin
+        limit = np.broadcast_to(safety(self.scenario.controller_values, self.scenario.robot).effort, n)
+        fixed: dict[str, Any] = {"effort_limit": np.tile(limit, (count, 1))}
+        for name, distribution in self.vary.items():
+            values = distribution.drawn(name, self.seed, begin, count, n)
+            per_joint = distribution.kind == distributions.FIXED and values.ndim and name not in PER_RUN
+            fixed[name] = np.tile(values, (count, 1)) if per_joint else values
+            if name == "payload_position" and not per_joint and values.ndim:  # one number a run, for x, y and z
+                fixed[name] = values[:, None]
+        seeds = counter_rng.rows((self.seed, distributions.stream(NOISE_SEED)), begin, count, 1)[:, 0]
+        return Draws(count, **fixed, seed=seeds)
+
+    def part(self, begin: int, end: int) -> Columns:
+        """The rows of the runs begin .. end - 1: number, what was drawn, what came out; columns by their names."""
+        draws = self.draws(begin, end)
+        outcomes = self.loop.run(draws)
+        drawn = {
+            column: values
+            for name in self.drawn
+            for column, values in zip(self.columns(name), draws.columns(name, self.scenario.robot.n).T, strict=False)
+        }
+        came_out = {key: values for name in FIELDS for key, values in self._columns_of(name, outcomes).items()}
+        return {"run": np.arange(begin, end), **drawn, "success": self.succeeded(outcomes), **came_out}
+
+    def succeeded(self, outcomes: Outcomes) -> NDArray[np.bool_]:
+        """Which runs are stable and keep every limit (k,)."""
+        kept = [np.asarray(getattr(outcomes, name)) <= limit for name, limit in self.success.items()]
+        each = [one.all(axis=1) if one.ndim > 1 else one for one in kept]
+        return np.asarray(np.logical_and.reduce([outcomes.stable, *each]))
+
+    @property
+    def drawn(self) -> list[str]:
+        """Names of what differs from run to run."""
+        return [name for name, one in self.vary.items() if one.kind != distributions.FIXED]
+
+    def columns(self, name: str) -> list[str]:
+        """The columns of a drawn number: one, or one a joint."""
+        joints = self.scenario.joints
+        return [f"{name}.{joint}" for joint in joints] if self.vary[name].each_joint else [name]
+
+    @property
+    def text(self) -> str:
+        """The whole campaign as JSON; two that are equal here have equal results."""
+        values = {name: getattr(self, name) for name in _PLAIN}
+        vary = {name: one.as_yaml for name, one in self.vary.items()}
+        return json.dumps({**values, "vary": vary, "success": dict(self.success)}, indent=1)
+
+    def _columns_of(self, name: str, outcomes: Outcomes) -> Columns:
+        values = getattr(outcomes, name)
+        if name not in PER_JOINT:
+            return {name: values}
+        return {f"{name}.{joint}": column for joint, column in zip(self.scenario.joints, values.T, strict=True)}
+
+    def _check(self, name: str, one: Distribution) -> None:
+        if name not in LEVELS:
+            raise ParameterError(f"'vary' has '{name}'; expected some of {', '.join(LEVELS)}")
+        if one.each_joint and (name in PER_RUN or name == "payload_position"):
+            raise ParameterError(f"'{name}' has each_joint; it is one for all joints")
+        if one.kind == distributions.FIXED:
+            self._check_fixed(name, len(one.numbers))
+            return
+        try:
+            Draws(2, **{name: np.array(one.range)})
+        except ParameterError as error:
+            raise ParameterError(f"'vary': {error}, whatever is drawn") from None
+
+    def _check_fixed(self, name: str, given: int) -> None:
+        most = 1 if name in PER_RUN else width(name, self.scenario.robot.n)
+        if given not in (1, most):
+            expected = "a single one" if most == 1 else f"1 or {most}"
+            raise ParameterError(f"'vary': {name} has {given} numbers; expected {expected}")
+
+
+_PLAIN = ("name", "scenario_text", "runs", "duration", "seed", "settle_after", "band", "lost")
+
+
+def from_text(text: str) -> Sweep:
+    """The campaign that Sweep.text describes."""
+    values = json.loads(text)
+    vary = {name: distributions.read(name, given) for name, given in values.pop("vary").items()}
+    return Sweep(**values, vary=vary)
+
+
+_recent = lru_cache(maxsize=2)(from_text)
+_building = threading.Lock()
+
+
+def run_part(text: str, begin: int, end: int, compiled: bool) -> Columns:
+    """Sweep.part of a campaign given as text: what a worker, here or elsewhere, is asked for.
+
+    compiled: whether the others run machine code. Raises CampaignError where this one cannot do as they do.
+    """
+    with _building:  # once for all threads of a process
+        sweep = _recent(text)
+        if sweep.loop.compiled != compiled:
+            here, there = ("without", "with") if compiled else ("with", "without")
+            raise CampaignError(f"a worker is {here} a C compiler; expected one {there}, as where the campaign began")
+    return sweep.part(begin, end)

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compute the tracking error that each cause makes: its disturbances, propagated through the linearised sampled loop.
+
+    e_k+1 = (Phi + Gamma F) e_k + w_k        e = (q_l, q_m, dq_l, dq_m) less that of the undisturbed loop
+
+w_k is the effect of the cause on the state in interval k: of an effort that is not the law's, or the residual of the
+model. What the causes leave of the measured tracking error is the loop's own: the initial error and the hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..control.vdpbc.law import TrackingLaw
+from ..numerics.checks import Array
+from ..robot.equilibrium import feedback, plant_matrices, rest_points
+from ..robot.robot import Robot
+from ..stability.linearization import SampledLoop
+from .delay_estimation import Acting
+from .innovations import Intervals, foreseen
+from .storage_budget import CAUSES, blocks_of, foreign, state_change
+from .thresholds import BLOCK, GAP
+
+
+@dataclass(frozen=True)
+class CauseErrors:
+    """Tracking errors in b blocks, by cause.
+
+    peaks (b, 4, n): largest |q_l - q_ld| [rad, m] that each of CAUSES makes in a block. own (b, n): largest error that
+    the causes leave, the loop's own.
+    """
+
+    peaks: Array
+    own: Array
+
+
+def closed_loop(law: TrackingLaw, configurations: Array, period: float) -> Array:
+    """Return Phi + Gamma F (k, 4n, 4n) in positions and velocities at k configurations (k, n), held for period [s]."""
+    rest, robot = rest_points(law.robot, configurations), law.robot
+    one = np.eye(robot.n)
+    momenta = rest.blocks([one, 0, 0, 0], [0, one, 0, 0], [0, 0, rest.M_l, 0], [0, 0, 0, robot.M_m])
+    A, B = plant_matrices(rest)
+    F = feedback(rest, law.gains)
+    Phi, Gamma = SampledLoop(configurations, A, B, F)._held(period)
+    return np.asarray(np.linalg.solve(momenta, (Phi + Gamma @ F) @ momenta))
+
+
+def cause_errors(
+    found: Intervals,
+    acted: Acting,
+    robot: Robot,
+    period: float,
+    limit: Array,
+    loops: Array,
+    start: Array | None = None,
+) -> tuple[CauseErrors, Array]:
+    """Return the errors that the causes make in the whole blocks of the intervals, and e (4n, 4) of each after them.
+
+    loops (m, 4n, 4n): closed loops at m configurations, spread evenly over the intervals. start (4n, 4): e of each
+    cause before the first interval; None: zero.
+    """
+    count, n = len(found) // BLOCK * BLOCK, robot.n
+    w = disturbances(found, acted, robot, period, limit)
+    e = np.zeros((4 * n, len(CAUSES))) if start is None else start
+    steps = np.maximum(1, np.round(found.dt / period)).astype(int)
+    made = np.zeros((count, len(CAUSES), n))
+    for k in range(count):
+        loop = loops[k * len(loops) // count]
+        for _ in range(steps[k]):
+            e = loop @ e
+        e = e + w[k]
+        made[k] = e[:n].T
+    own = found.tracking[:count] - made.sum(axis=1)
+    return CauseErrors(_peaks(made), _peaks(own)), e
+
+
+def disturbances(found: Intervals, acted: Acting, robot: Robot, period: float, limit: Array) -> Array:
+    """Return the change of the state (k, 4n, 4) that each of CAUSES makes in each interval."""
+    other, answered = found.sent - found.law, found.answered[:, None]
+    saturation = other * (answered & ~foreign(found, limit)[:, None]) + acted.cut
+    loss = acted.lost + other * ~answered + _outdated(found, period)
+    mismatch = found.error - state_change(found, acted.cut + acted.late + acted.lost + foreseen(found), robot)
+    efforts = (state_change(found, effort, robot) for effort in (saturation, acted.late, loss))
+    return np.stack([mismatch, *efforts], axis=2)
+
+
+def _outdated(found: Intervals, period: float) -> Array:
+    """Return the mean effort (k, n) by which the law, sampled within a gap, would have differed from the held one."""
+    law = np.vstack([found.law[1:], found.law[-1:]])
+    samples = np.maximum(1.0, np.round(found.dt / period)) * (found.dt > GAP * period)
+    share = np.divide(samples - 1, 2 * samples, out=np.zeros_like(samples), where=samples > 0)
+    return np.asarray((found.law - law) * share[:, None])
+
+
+def _peaks(values: Array) -> Array:
+    return np.asarray(np.abs(blocks_of(values)).max(axis=1))

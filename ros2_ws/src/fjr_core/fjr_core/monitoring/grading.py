@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Grade a violation by the tracking error that its causes make, and put that error in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..control.vdpbc.law import TrackingLaw
+from ..errors import StateError
+from ..numerics.checks import Array, vector
+from .cause_errors import CauseErrors
+from .storage_budget import CAUSES
+from .thresholds import RELATIVE, TOLERANCE
+
+Flags = NDArray[np.bool_]
+
+LARGE = 0.1  # rad, m; smaller errors are written in thousandths
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Joints as a verdict names and grades them.
+
+    names, units: of n joints; a unit is "rad" or "m". tolerance (n,) [rad, m]: tracking error up to which a violation
+    of the decay of V is a degradation. Raises StateError for numbers that do not fit.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    tolerance: Array
+
+    def __post_init__(self) -> None:
+        tolerance = vector("tolerance", self.tolerance, len(self.names), StateError)
+        if not (tolerance > 0).all():
+            raise StateError(f"tolerance is {tolerance.tolist()}; expected positive numbers")
+        if len(self.units) != len(self.names):
+            raise StateError(f"units are {self.units}; expected one for each of {len(self.names)} joints")
+        object.__setattr__(self, "tolerance", tolerance)
+
+    @classmethod
+    def plain(cls, n: int) -> Axes:
+        """Return n turning joints called joint1 .. jointn, with the default tolerance."""
+        return cls(tuple(f"joint{j + 1}" for j in range(n)), ("rad",) * n, np.full(n, TOLERANCE))
+
+    def storage(self, law: TrackingLaw) -> float:
+        """Return V [J] of links at rest that are off by the tolerance, or by TOLERANCE if larger: e' Pi_l e / 2."""
+        e = np.maximum(self.tolerance, TOLERANCE)
+        return float(e @ law.gains.Pi_l @ e) / 2
+
+    def largest(self, errors: Array) -> str:
+        """Return the largest of errors (n,), by its tolerance, with its joint: "0.14 mrad at joint2"."""
+        j = int(np.argmax(errors / self.tolerance))
+        size = f"{errors[j]:.2g} " if errors[j] >= LARGE else f"{1e3 * errors[j]:.2g} m"
+        return f"{size}{self.units[j]} at {self.names[j]}"
+
+
+@dataclass(frozen=True)
+class Grade:
+    """Tracking errors by cause [rad, m], and whether they are within the tolerance."""
+
+    errors: dict[str, Array]
+    within: bool
+
+
+def grade(made: CauseErrors, judged: Flags, decay: float, tolerance: Array) -> Grade:
+    """Return the largest error (n,) that each cause makes in the judged blocks (b,) outside a transient.
+
+    decay: guaranteed factor of V in a block; the loop's own error, once there, may take its root to vanish. Where that
+    envelope exceeds both the tolerance (n,) and what the causes make, the block is of a transient; if all judged blocks
+    are, all count. Within: the causes make at most the tolerance plus RELATIVE times the envelope.
+    """
+    total, own = made.peaks.sum(axis=1), _envelope(made.own, np.sqrt(decay))
+    transient = ((own > tolerance) & (own > total)).any(axis=1)
+    counted = judged & ~transient if (judged & ~transient).any() else judged
+    within = bool((total[counted] <= tolerance + RELATIVE * own[counted]).all())
+    return Grade(dict(zip(CAUSES, made.peaks[counted].max(axis=0, initial=0.0), strict=True)), within)
+
+
+def _envelope(values: Array, decay: float) -> Array:
+    """Return the running maximum of values (b, n) that shrinks by a factor from block to block."""
+    values = values.copy()
+    for previous, value in pairwise(values):
+        np.maximum(value, decay * previous, out=value)
+    return values
+
+
+def detail(causes: Sequence[str], errors: dict[str, Array], axes: Axes) -> str:
+    """Return causes with the error that each makes: "delay makes 0.14 mrad at joint2, sampling"."""
+    return ", ".join(f"{cause} makes {axes.largest(errors[cause])}" if cause in errors else cause for cause in causes)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the model makes of a measured state within one sample period, the effort held; in what is measured."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from ..control.vdpbc.law import TrackingLaw
+from ..numerics.casadi_function import dense_function
+from ..numerics.checks import Array
+from ..numerics.integrators import rk4_expression
+from ..robot.port_hamiltonian import Plant
+
+STEPS = 4  # of the integrator in a call
+LONGEST = 1e-3  # s of a call; more is made in several
+
+
+class Prediction:
+    """Positions and velocities (2n,) after dt [s] under a held effort, by the law's robot; machine code as the law."""
+
+    def __init__(self, law: TrackingLaw) -> None:
+        self._law = law
+
+    def along(self, position: Array, velocity: Array, u: Array, dt: Array) -> tuple[Array, Array]:
+        """The same of k intervals: position, velocity (k, 2n), u (k, n) [N m], dt (k,) [s]."""
+        if not len(dt):
+            return position, velocity
+        calls = max(1, int(np.ceil(dt.max() / LONGEST - 1e-6)))
+        q, dq = ca.DM(position.T), ca.DM(velocity.T)
+        for _ in range(calls):
+            q, dq = self.function(q, dq, u.T, dt[None] / calls)
+        return q.full().T, dq.full().T
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """The CasADi function (position, velocity, u, dt) -> next position, next velocity."""
+        return self._law.derived("prediction", self._derived)
+
+    def _derived(self) -> ca.Function:
+        robot = self._law.robot
+        n = robot.n
+        symbols = {name: ca.MX.sym(name, size) for name, size in (("position", 2 * n), ("velocity", 2 * n), ("u", n))}
+        position, velocity, u = symbols.values()
+        dt, dynamics = ca.MX.sym("dt"), Plant(robot).dynamics
+        to_state, to_velocity = self._momenta()
+        x = to_state(position, velocity)
+        for _ in range(STEPS):
+            x = rk4_expression(dynamics, x, (u, u, u), dt / STEPS)
+        outputs = {"next_position": x[: 2 * n], "next_velocity": to_velocity(x)}
+        return dense_function("prediction", {**symbols, "dt": dt}, outputs)
+
+    def _momenta(self) -> tuple[ca.Function, ca.Function]:
+        """(position, velocity) -> x, and x -> velocity."""
+        robot = self._law.robot
+        n = robot.n
+        position, velocity, x = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n), ca.SX.sym("x", 4 * n)
+        state = ca.vertcat(position, robot.links.M_l(position[:n]) @ velocity[:n], robot.M_m @ velocity[n:])
+        return (
+            dense_function("to_state", {"position": position, "velocity": velocity}, {"x": state}),
+            dense_function("to_velocity", {"x": x}, {"velocity": ca.vertcat(*robot.velocity_expressions(x))}),
+        )

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measure how far V grew, beyond what the hold, the noise and the tolerated tracking error explain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..numerics.checks import Array
+from .innovations import Intervals
+from .storage_budget import Supplies, foreign
+from .thresholds import PREDICTED
+
+CONTINUOUS = 1e-6  # relative difference of V between the end of an interval and the start of the next
+
+
+def rises(found: Intervals, limit: Array, lowest: float = np.inf) -> Array:
+    """Return V at the end of each interval and the lowest V before it (2, k) [J].
+
+    An interval without the law's effort counts as V = 0; after it, and after a missing interval, the search for the
+    lowest V starts again. lowest [J]: the lowest V before the first interval. limit (n,) [N m]: of the efforts.
+    """
+    found_lowest, other, before = np.zeros(len(found)), foreign(found, limit), np.inf
+    for k, (V0, V1) in enumerate(zip(found.V0.tolist(), found.V1.tolist(), strict=True)):
+        lowest = V0 if abs(V0 - before) > CONTINUOUS * V0 and k else min(lowest, V0)
+        found_lowest[k], before = lowest, np.inf if other[k] else V1
+    return np.stack([np.where(other, 0.0, found.V1), found_lowest])
+
+
+def floor(blocks: Supplies, decay: float, tolerated: float) -> float:
+    """Return the storage [J] that hold, noise and the tolerated tracking error explain.
+
+    decay: guaranteed factor of V in a block. tolerated [J]: storage of the tolerated error. The rest is the level at
+    which V loses as much in a block as hold and noise supply in one of the lower quartile: a diverging loop must not
+    raise its own floor.
+    """
+    if not len(blocks.V):
+        return tolerated
+    supplied = blocks.hold + blocks.noise
+    supply = PREDICTED * float(np.quantile(np.where(np.isfinite(supplied), supplied, np.finfo(float).max), 0.25))
+    return tolerated + supply / max(1 - decay, np.finfo(float).eps)
+
+
+def growth(risen: Array, floor: float) -> float:
+    """Return the largest ratio of V to the lowest V before it plus the floor [J]; risen (2, k) as from `rises`."""
+    V, lowest = risen
+    return float(np.max(V / (lowest + floor), initial=0.0))

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CasADi functions called with NumPy arrays at the cost of the arithmetic, not of the conversion."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import StateError
+from .checks import Array
+
+SPREAD = ("u", "delta_u", "omega")  # efforts: a scalar stands for n equal entries
+
+
+class NumericFunction(threading.local):
+    """A CasADi function on float arrays; buffers are bound once per thread, results are fresh copies.
+
+    `shapes` gives the NumPy shape of every argument. CasADi stores columns first, so an argument of
+    shape (5, n) here is the symbol of shape (n, 5) there.
+    """
+
+    def __init__(self, function: ca.Function, shapes: tuple[tuple[int, ...], ...]) -> None:
+        self._function = function
+        self._names = function.name_in()
+        self._arguments = [np.zeros(shape) for shape in shapes]
+        self._results = [np.zeros(_numpy_shape(function, i)) for i in range(function.n_out())]
+        self._trigger = bind(function, self._arguments, self._results)
+
+    def __call__(self, *arguments: ArrayLike) -> tuple[Array, ...]:
+        """Evaluate; raises StateError when an argument does not fit (a scalar may stand for those in SPREAD)."""
+        for name, own, given in zip(self._names, self._arguments, arguments, strict=True):
+            if type(given) is np.ndarray and given.shape == own.shape and given.dtype == own.dtype:
+                own[...] = given
+            else:
+                _assign(name, own, given)
+        try:
+            self._trigger()
+        except RuntimeError:
+            raise not_converged(self._function) from None
+        return tuple([result.copy() for result in self._results])
+
+
+def _assign(name: str, own: Array, given: ArrayLike) -> None:
+    try:
+        shape = np.shape(given)
+        if shape == own.shape or (shape == () and name in SPREAD):
+            own[...] = given
+            return
+    except (TypeError, ValueError):
+        raise StateError(f"{name} is {given!r}; expected numbers of shape {own.shape}") from None
+    raise StateError(f"{name} has shape {shape}; expected {own.shape}")
+
+
+def not_converged(function: ca.Function) -> StateError:
+    """What a function that solves for its result means when it fails."""
+    return StateError(f"{function.name()} did not converge; expected a shorter step")
+
+
+def bind(function: ca.Function, arguments: Sequence[Array], results: Sequence[Array]) -> Callable[[], None]:
+    """A callable that evaluates the function from and into these arrays, which it keeps; no argument may be a result.
+
+    All are contiguous float arrays of the sizes that the function has. Not for two threads at once.
+    """
+    buffer, trigger = function.buffer()
+    for i, array in enumerate(arguments):
+        buffer.set_arg(i, array.data)
+    for i, array in enumerate(results):
+        buffer.set_res(i, array.data)
+    trigger.held = (buffer, *arguments, *results)  # as long as it lives, so do they
+    return trigger
+
+
+def _numpy_shape(function: ca.Function, i: int) -> tuple[int, ...]:
+    rows, columns = function.size_out(i)
+    return (columns, rows) if columns > 1 else (rows,)
+
+
+def dense_function(
+    name: str, inputs: dict[str, ca.SX | ca.MX], outputs: dict[str, ca.SX | ca.MX], cse: bool = False
+) -> ca.Function:
+    """A CasADi function of named symbols and expressions with dense outputs; cse: say repeated terms once."""
+    dense = [ca.densify(e) for e in outputs.values()]
+    return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs), {"cse": cse})
+
+
+def numeric(
+    name: str, inputs: dict[str, ca.SX | ca.MX], outputs: dict[str, ca.SX | ca.MX], **shapes: tuple[int, ...]
+) -> NumericFunction:
+    """Bind named symbols and expressions to a callable; `shapes` overrides an argument's (rows,) shape."""
+    function = dense_function(name, inputs, outputs)
+    return NumericFunction(function, tuple(shapes.get(key, (s.numel(),)) for key, s in inputs.items()))

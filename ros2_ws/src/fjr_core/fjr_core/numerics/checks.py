@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks at the boundary: values become finite float arrays of the expected shape, or one clear sentence."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import FjrError
+
+Array = NDArray[np.float64]
+
+
+def finite(name: str, value: ArrayLike, error: type[FjrError]) -> Array:
+    """Return `value` as a float array, or raise `error` when it holds anything else than finite numbers."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise error(f"{name} is {value!r}; expected numbers") from None
+    if not np.all(np.isfinite(array)):
+        raise error(f"{name} is {array.tolist()}; expected finite numbers")
+    return array
+
+
+def vector(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
+    """Return `value` as (n,); a scalar stands for n equal entries."""
+    array = finite(name, value, error)
+    if array.ndim == 0:
+        return np.full(n, float(array))
+    if array.shape != (n,):
+        raise error(f"{name} has shape {array.shape}; expected a scalar or ({n},)")
+    return array
+
+
+def matrix(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
+    """Return `value` as (n, n); a scalar or a vector stands for a diagonal matrix."""
+    array = finite(name, value, error)
+    if array.shape in ((), (n,)):
+        return np.diag(vector(name, array, n, error))
+    if array.shape != (n, n):
+        raise error(f"{name} has shape {array.shape}; expected a scalar, ({n},) or ({n}, {n})")
+    return array
+
+
+def symmetric(name: str, array: Array, error: type[FjrError]) -> Array:
+    """Return the square matrix `array`, or raise when it is not symmetric to rounding."""
+    asymmetry = float(np.max(np.abs(array - array.T)))
+    if asymmetry > 1e-12 * float(np.max(np.abs(array))):
+        raise error(f"{name} is not symmetric (largest difference {asymmetry:.3g}); expected a symmetric matrix")
+    return (array + array.T) / 2
+
+
+def positive_definite(name: str, array: Array, error: type[FjrError]) -> Array:
+    """Return the symmetric positive definite matrix `array`, or raise."""
+    array = symmetric(name, array, error)
+    smallest, largest = np.linalg.eigvalsh(array)[[0, -1]]
+    if not smallest > 1e-14 * largest:
+        raise error(f"{name} has smallest eigenvalue {smallest:.3g}; expected a positive definite matrix")
+    return array
+
+
+def positive_semidefinite(name: str, array: Array, error: type[FjrError]) -> Array:
+    """Return the symmetric positive semidefinite matrix `array`, or raise."""
+    array = symmetric(name, array, error)
+    smallest = float(np.linalg.eigvalsh(array)[0])
+    if smallest < -1e-14 * float(np.max(np.abs(array))):
+        raise error(f"{name} has smallest eigenvalue {smallest:.3g}; expected a positive semidefinite matrix")
+    return array

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps x -> x(t + dt) of dx/dt = f(x, u) with u held: explicit, and structure-preserving."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+
+from ..errors import ParameterError
+
+Field = Callable[[ca.SX, ca.SX], ca.SX]
+"""dx/dt = f(x, u) on expressions; a CasADi function is one."""
+
+
+def rk4(f: ca.Function) -> ca.Function:
+    """The classical Runge-Kutta step of order 4 as a CasADi function (x, u, dt) -> x_next."""
+    x, u, dt = _symbols(f, ca.SX)
+    return _step("rk4", x, u, dt, rk4_expression(f, x, (u, u, u), dt))
+
+
+def rk4_expression(f: Field, x: ca.SX, inputs: tuple[ca.SX, ca.SX, ca.SX], dt: ca.SX) -> ca.SX:
+    """The same step as an expression, with the inputs of f at the start, the middle and the end of the step."""
+    start, middle, end = inputs
+    k1 = f(x, start)
+    k2 = f(x + dt / 2 * k1, middle)
+    k3 = f(x + dt / 2 * k2, middle)
+    k4 = f(x + dt * k3, end)
+    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def implicit_midpoint(f: ca.Function, solver: str = "newton") -> ca.Function:
+    """The implicit midpoint rule (order 2, symplectic) as a CasADi function (x, u, dt) -> x_next.
+
+    Solves dx = dt f(x + dx/2, u) for the increment dx by Newton's method, so that the tolerance is that of
+    an increment, however far x is from the origin. Called with numbers, a step that does not converge
+    raises StateError. solver: CasADi's "newton", or "fast_newton", which can be written as C but searches no shorter
+    way where a full step of Newton's method leads off.
+    """
+    x, u, dt = _symbols(f, ca.SX)
+    dx = ca.SX.sym("dx", x.numel())
+    problem = {"x": dx, "p": ca.vertcat(x, u, dt), "g": dx - dt * f(x + dx / 2, u)}
+    newton = ca.rootfinder("newton", solver, problem, {"abstol": 1e-13, "abstolStep": 1e-15, "max_iter": 50})
+    x, u, dt = _symbols(f, ca.MX)
+    return _step("implicit_midpoint", x, u, dt, x + newton(dt * f(x, u), ca.vertcat(x, u, dt)))
+
+
+INTEGRATORS: dict[str, Callable[[ca.Function], ca.Function]] = {"rk4": rk4, "implicit_midpoint": implicit_midpoint}
+
+
+def step(name: str, f: ca.Function) -> ca.Function:
+    """The step of the integrator called `name` for dx/dt = f(x, u); raises ParameterError when unknown."""
+    if name not in INTEGRATORS:
+        raise ParameterError(f"integrator is {name!r}; expected one of {', '.join(INTEGRATORS)}")
+    return INTEGRATORS[name](f)
+
+
+def step_as_c(name: str, f: ca.Function) -> ca.Function:
+    """The same step, of which CasADi can write C."""
+    return implicit_midpoint(f, "fast_newton") if name == "implicit_midpoint" else step(name, f)
+
+
+def step_expression(name: str, f: ca.Function, x: ca.MX, inputs: tuple[ca.MX, ca.MX, ca.MX], dt: ca.MX) -> ca.MX:
+    """The same with the inputs of f at the start, the middle and the end of the step, as an expression."""
+    return rk4_expression(f, x, inputs, dt) if name == "rk4" else step(name, f)(x, inputs[1], dt)
+
+
+def _symbols(f: ca.Function, kind: type) -> tuple[ca.SX, ca.SX, ca.SX]:
+    return kind.sym("x", f.size1_in(0)), kind.sym("u", f.size1_in(1)), kind.sym("dt")  # type: ignore[attr-defined]
+
+
+def _step(name: str, x: ca.SX, u: ca.SX, dt: ca.SX, x_next: ca.SX) -> ca.Function:
+    return ca.Function(name, [x, u, dt], [ca.densify(x_next)], ["x", "u", "dt"], ["x_next"])

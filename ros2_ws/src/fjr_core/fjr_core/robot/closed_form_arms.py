@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots in closed form: the paper's joint and a planar two-link arm."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import RobotError
+from ..numerics import checks
+from .rigid_arm import Hand, Links, closed_form
+from .robot import Robot
+
+STANDARD_GRAVITY = 9.81  # m/s^2; of a payload where the model has no gravity of its own
+
+
+def single_link(
+    stiffness: ArrayLike = 31.0,
+    link_inertia: ArrayLike = 0.031,
+    gravity_torque: ArrayLike = 0.8,
+    motor_inertia: ArrayLike = 0.004,
+    link_damping: ArrayLike = 0.2,
+    motor_damping: ArrayLike = 0.007,
+    input_gain: ArrayLike = 1.0,
+) -> Robot:
+    """The paper's joint, Table 1: one link, hanging straight down at q_l = 0.
+
+    M_l = link_inertia [kg m^2] about the joint, P_l = gravity_torque (1 - cos q_l) [N m]; the rest as in
+    Robot. The table's figure 2 has stiffness = 3.1 N m/rad. Raises RobotError.
+    A payload hangs in gravity of 9.81 m/s^2, in a vertical plane; the link's x axis points along it.
+    """
+    (inertia,) = _positive("link_inertia", link_inertia, 1)
+    (load,) = checks.vector("gravity_torque", gravity_torque, 1, RobotError)
+    M_l = np.array([[inertia]])
+    hand = _planar_hand((), STANDARD_GRAVITY)
+    links = closed_form(1, lambda q_l: ca.SX(M_l), lambda q_l: load * (1 - ca.cos(q_l)), vertices=(M_l,), hand=hand)
+    return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
+
+
+def planar_two_link(
+    stiffness: ArrayLike = (40.0, 25.0),
+    link_mass: ArrayLike = (1.2, 0.8),
+    link_length: ArrayLike = (0.3, 0.25),
+    link_com: ArrayLike = (0.15, 0.12),
+    link_inertia: ArrayLike = (0.010, 0.005),
+    gravity: ArrayLike = 9.81,
+    motor_inertia: ArrayLike = (0.02, 0.01),
+    link_damping: ArrayLike = (0.2, 0.1),
+    motor_damping: ArrayLike = (0.02, 0.01),
+    input_gain: ArrayLike = 1.0,
+) -> Robot:
+    """A two-link arm in a vertical plane, hanging straight down at q_l = 0; relative joint angles.
+
+    link_mass [kg], link_length and link_com (joint to centre of mass) [m], link_inertia about the centre
+    of mass [kg m^2], each (2,); gravity [m/s^2]; the rest as in Robot. Raises RobotError.
+    The second link's x axis points along it.
+    Equations: M. W. Spong, S. Hutchinson, M. Vidyasagar, Robot Modeling and Control, sec. 7.4.
+    """
+    m1, m2 = _positive("link_mass", link_mass, 2)
+    l1, _ = _positive("link_length", link_length, 2)
+    c1, c2 = _positive("link_com", link_com, 2)
+    I1, I2 = _positive("link_inertia", link_inertia, 2)
+    (g,) = checks.vector("gravity", gravity, 1, RobotError)
+    constant = np.array([[I1 + m1 * c1**2 + m2 * l1**2, 0], [0, 0]]) + (I2 + m2 * c2**2) * np.ones((2, 2))
+    coupling = m2 * l1 * c2 * np.array([[2, 1], [1, 0]])
+
+    def potential(q_l: ca.SX) -> ca.SX:
+        q_1, q_2 = q_l[0], q_l[1]
+        first, second = m1 * c1 + m2 * l1, m2 * c2
+        return g * (first * (1 - ca.cos(q_1)) + second * (1 - ca.cos(q_1 + q_2)))
+
+    links = closed_form(
+        2,
+        lambda q_l: constant + coupling * ca.cos(q_l[1]),
+        potential,
+        vertices=(constant + coupling, constant - coupling),
+        hand=_planar_hand((l1,), g),
+    )
+    return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
+
+
+def _planar_hand(lengths: tuple[float, ...], gravity: float) -> Hand:
+    """The last link of an arm in a vertical plane: x along it, y the way that it swings where it hangs, z normal.
+
+    lengths [m]: of the links before it.
+    """
+    q_l, r = ca.SX.sym("q_l", len(lengths) + 1), ca.SX.sym("r", 3)
+    angles = ca.cumsum(q_l)
+    place = ca.vertcat(0, 0, 0)
+    for i, length in enumerate(lengths):
+        place += length * _along(angles[i])
+    across = ca.vertcat(ca.cos(angles[-1]), 0, ca.sin(angles[-1]))
+    position = place + r[0] * _along(angles[-1]) + r[1] * across + r[2] * ca.vertcat(0, -1, 0)
+    return Hand(ca.Function("position", [q_l, r], [position]), np.array([0.0, 0.0, -gravity]))
+
+
+def _along(angle: ca.SX) -> ca.SX:
+    """The direction of a link that is turned by this angle from straight down, in x forward, z up."""
+    return ca.vertcat(ca.sin(angle), 0, -ca.cos(angle))
+
+
+def _robot(links: Links, **constants: ArrayLike) -> Robot:
+    M_m, K, D_l, D_m, B_m = (
+        checks.matrix(name, constants[name], links.n, RobotError) for name in ("M_m", "K", "D_l", "D_m", "B_m")
+    )
+    return Robot(links, M_m, K, D_l, D_m, B_m)
+
+
+def _positive(name: str, value: ArrayLike, n: int) -> checks.Array:
+    array = checks.vector(name, value, n, RobotError)
+    if not np.all(array > 0):
+        raise RobotError(f"{name} is {array.tolist()}; expected positive numbers")
+    return array

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one symbolic recursion for serial chains: inertia, Coriolis product, gravity and energies of the links.
+
+Body i turns about, or slides along, the z axis of its own frame; vectors of body i are in that frame. Outwards go
+velocities and accelerations, inwards forces (Luh, Walker, Paul 1980) and composite bodies (Walker, Orin 1982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import RobotError
+from ..numerics import checks
+from ..numerics.checks import Array
+from .rigid_arm import Hand, Links
+from .rigid_body import Body, rotation_to, z_aligned
+
+
+def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81)) -> Links:
+    """Links of a serial chain from its base; gravity (3,) [m/s^2] in the base's frame. Raises RobotError."""
+    g = ca.DM(checks.vector("gravity", gravity, 3, RobotError))
+    chain = z_aligned(bodies)
+    if not chain:
+        raise RobotError("a chain without bodies; expected at least one")
+    n = len(chain)
+    q, v, w = (ca.SX.sym(name, n) for name in ("q_l", "v", "w"))
+    frames = [_frame(body, q[i]) for i, body in enumerate(chain)]
+    composites = _composites(chain, frames)
+    return Links(
+        n=n,
+        M_l=ca.Function("M_l", [q], [_inertia(chain, frames, composites)]),
+        P_l=ca.Function("P_l", [q], [_potential(frames, composites, g)]),
+        grad_P_l=ca.Function("grad_P_l", [q], [_gravity(chain, frames, composites, g)]),
+        C=ca.Function("C", [q, v, w], [_coriolis(chain, frames, v, w)]),
+        grad_T=ca.Function("grad_T", [q, v], [_kinetic_gradient(chain, frames, v)]),
+        hand=Hand(_point(q, frames, rotation_to(np.asarray(bodies[-1].axis))), g.full().ravel()),
+    )
+
+
+def _point(q: ca.SX, frames: list[_Frame], turn: Array) -> ca.Function:
+    """(q_l, r) -> where in the base's frame the point r of the last body is; turn: from its own frame to frames[-1]."""
+    r = ca.SX.sym("r", 3)
+    here = _sparse(turn.T) @ r
+    for frame in reversed(frames):
+        here = frame.r + frame.inwards(here)
+    return ca.Function("position", [q, r], [here])
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Where a body's frame is in its parent's: rotation R and origin r."""
+
+    R: ca.SX
+    r: ca.SX
+
+    def inwards(self, vector: ca.SX) -> ca.SX:
+        return self.R @ vector
+
+    def outwards(self, vector: ca.SX) -> ca.SX:
+        return self.R.T @ vector
+
+
+@dataclass(frozen=True)
+class _Mass:
+    """Mass m, first moment h = sum m r and second moment J = sum m r r' (pseudo-inertia) about the frame's origin."""
+
+    m: float
+    h: ca.SX
+    J: ca.SX
+
+    @property
+    def I(self) -> ca.SX:  # noqa: E743 - the inertia about the origin
+        return ca.trace(self.J) * ca.SX.eye(3) - self.J
+
+    def seen_from(self, frame: _Frame) -> _Mass:
+        """The same about the parent's origin, in the parent's frame."""
+        h, r = frame.inwards(self.h), frame.r
+        J = frame.R @ self.J @ frame.R.T + r @ h.T + h @ r.T + self.m * r @ r.T
+        return _Mass(self.m, h + self.m * r, J)
+
+    def __add__(self, other: _Mass) -> _Mass:
+        return _Mass(self.m + other.m, self.h + other.h, self.J + other.J)
+
+
+def _frame(body: Body, q: ca.SX) -> _Frame:
+    rotation, translation = np.asarray(body.rotation), ca.SX(np.asarray(body.translation))
+    if body.prismatic:
+        return _Frame(_sparse(rotation), translation + _sparse(rotation[:, 2]) * q)
+    s, c = ca.sin(q), ca.cos(q)
+    turn = ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
+    return _Frame(_sparse(rotation) @ turn, translation)
+
+
+def _sparse(array: Array) -> ca.SX:
+    return ca.SX(ca.sparsify(ca.DM(array)))
+
+
+def _mass(body: Body) -> _Mass:
+    com, inertia = np.asarray(body.com), np.asarray(body.inertia)
+    J = np.trace(inertia) / 2 * np.eye(3) - inertia + body.mass * np.outer(com, com)
+    return _Mass(body.mass, ca.SX(body.mass * com), ca.SX((J + J.T) / 2))
+
+
+def _composites(chain: list[Body], frames: list[_Frame]) -> list[_Mass]:
+    """Body i with all that it carries, in its own frame."""
+    composites = [_mass(body) for body in chain]
+    for i in reversed(range(1, len(chain))):
+        composites[i - 1] += composites[i].seen_from(frames[i])
+    return composites
+
+
+def _inertia(chain: list[Body], frames: list[_Frame], composites: list[_Mass]) -> ca.SX:
+    """M_l column by column: the wrench that accelerates composite i by 1 along its joint, felt at each joint."""
+    M = ca.SX.zeros(len(chain), len(chain))
+    for i, (body, composite) in enumerate(zip(chain, composites, strict=True)):
+        h, J = composite.h, composite.J
+        if body.prismatic:
+            force, moment = ca.vertcat(0, 0, composite.m), ca.vertcat(h[1], -h[0], 0)
+        else:
+            force, moment = ca.vertcat(-h[1], h[0], 0), ca.vertcat(-J[0, 2], -J[1, 2], J[0, 0] + J[1, 1])
+        for j in reversed(range(i + 1)):
+            M[i, j] = M[j, i] = (force if chain[j].prismatic else moment)[2]
+            force = frames[j].inwards(force)
+            moment = frames[j].inwards(moment) + ca.cross(frames[j].r, force)
+    return M
+
+
+def _gravity(chain: list[Body], frames: list[_Frame], composites: list[_Mass], g: ca.DM) -> ca.SX:
+    """grad P_l: the moment of the composite's weight about joint i, or the weight along it, negative."""
+    torques, here = [], ca.SX(g)
+    for body, frame, composite in zip(chain, frames, composites, strict=True):
+        here = frame.outwards(here)
+        pull = composite.m * here if body.prismatic else ca.cross(composite.h, here)
+        torques.append(-pull[2])
+    return ca.vertcat(*torques)
+
+
+def _potential(frames: list[_Frame], composites: list[_Mass], g: ca.DM) -> ca.SX:
+    """P_l = -g' h of the whole arm, zero at the base's origin."""
+    return -ca.dot(g, composites[0].seen_from(frames[0]).h)
+
+
+def _coriolis(chain: list[Body], frames: list[_Frame], v: ca.SX, w: ca.SX) -> ca.SX:
+    """C(q, v) w with the Christoffel symbols: the polar form of c(q, v) = C(q, v) v, in one recursion.
+
+    The accelerations of a body's points r are a + U r; every product of two velocities is the mean of both orders.
+    """
+    omega_v = omega_w = a = alpha = ca.SX.zeros(3)
+    U = ca.SX.zeros(3, 3)
+    wrenches = []
+    for i, (body, frame) in enumerate(zip(chain, frames, strict=True)):
+        a = frame.outwards(a + U @ frame.r)
+        omega_v, omega_w, alpha = (frame.outwards(vector) for vector in (omega_v, omega_w, alpha))
+        cross = (_cross_z(omega_v) * w[i] + _cross_z(omega_w) * v[i]) / 2
+        if body.prismatic:
+            a += 2 * cross
+        else:
+            alpha += cross
+            omega_v, omega_w = omega_v + _along_z(v[i]), omega_w + _along_z(w[i])
+        U = ca.skew(alpha) + _centripetal(omega_v, omega_w)
+        mass = _mass(body)
+        wrenches.append((mass.m * a + U @ mass.h, _moment(U @ mass.J) + ca.cross(mass.h, a)))
+    return _felt(chain, frames, wrenches)
+
+
+def _felt(chain: list[Body], frames: list[_Frame], wrenches: list[tuple[ca.SX, ca.SX]]) -> ca.SX:
+    """What each joint feels of the wrenches (force, moment) on the bodies that it carries."""
+    torques = []
+    force = moment = ca.SX.zeros(3)
+    for body, frame, (own_force, own_moment) in zip(reversed(chain), reversed(frames), reversed(wrenches), strict=True):
+        force, moment = force + own_force, moment + own_moment
+        torques.append((force if body.prismatic else moment)[2])
+        force = frame.inwards(force)
+        moment = frame.inwards(moment) + ca.cross(frame.r, force)
+    return ca.vertcat(*reversed(torques))
+
+
+def _kinetic_gradient(chain: list[Body], frames: list[_Frame], v: ca.SX) -> ca.SX:
+    """d/dq (v' M_l v / 2), v held: momenta of the composites times the change of their velocities with q_i."""
+    omega = velocity = ca.SX.zeros(3)
+    motions, momenta = [], []
+    for i, (body, frame) in enumerate(zip(chain, frames, strict=True)):
+        velocity = frame.outwards(velocity + ca.cross(omega, frame.r))
+        omega = frame.outwards(omega)
+        if body.prismatic:
+            velocity += _along_z(v[i])
+        else:
+            omega += _along_z(v[i])
+        mass = _mass(body)
+        motions.append((velocity, omega))
+        momenta.append((mass.m * velocity + ca.cross(omega, mass.h), mass.I @ omega + ca.cross(mass.h, velocity)))
+    gradient = []
+    linear = angular = ca.SX.zeros(3)
+    for i in reversed(range(len(chain))):
+        linear, angular = linear + momenta[i][0], angular + momenta[i][1]
+        velocity, omega = motions[i]
+        if chain[i].prismatic:
+            gradient.append(ca.dot(linear, _cross_z(omega)))
+        else:
+            gradient.append(ca.dot(angular, _cross_z(omega)) + ca.dot(linear, _cross_z(velocity)))
+        linear = frames[i].inwards(linear)
+        angular = frames[i].inwards(angular) + ca.cross(frames[i].r, linear)
+    return ca.vertcat(*reversed(gradient))
+
+
+def _along_z(value: ca.SX) -> ca.SX:
+    return ca.vertcat(0, 0, value)
+
+
+def _cross_z(vector: ca.SX) -> ca.SX:
+    """vector x z."""
+    return ca.vertcat(vector[1], -vector[0], 0)
+
+
+def _centripetal(omega_v: ca.SX, omega_w: ca.SX) -> ca.SX:
+    """(skew(omega_v) skew(omega_w) + skew(omega_w) skew(omega_v)) / 2."""
+    product = (omega_v @ omega_w.T + omega_w @ omega_v.T) / 2
+    return product - ca.trace(product) * ca.SX.eye(3)
+
+
+def _moment(UJ: ca.SX) -> ca.SX:
+    """Sum of m r x U r, from U J with J = sum m r r'."""
+    return ca.vertcat(UJ[2, 1] - UJ[1, 2], UJ[0, 2] - UJ[2, 0], UJ[1, 0] - UJ[0, 1])

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A point mass on the last link: every term of the rigid arm is affine in the mass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from ..errors import RobotError
+from .rigid_arm import Carrier, Hand
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """The arm with a point of `mass` [kg] at `position` (3,) [m] in its last link's frame, both expressions.
+
+    With the point at p(q_l) and J = dp/dq_l a mass adds m J'J to M_l and -m g'p to P_l.
+    Raises RobotError for links without a hand.
+    """
+
+    links: Carrier
+    mass: ca.SX
+    position: ca.SX
+
+    def __post_init__(self) -> None:
+        if self.links.hand is None:
+            raise RobotError("these links do not say where their last one is; expected links with a hand")
+
+    def M_l(self, q_l: ca.SX) -> ca.SX:
+        """Inertia (n, n) with the payload."""
+        J = self._jacobian(q_l, self.position)
+        return self.links.M_l(q_l) + self.mass * (J.T @ J)
+
+    def P_l(self, q_l: ca.SX) -> ca.SX:
+        """Potential energy with the payload."""
+        return self.links.P_l(q_l) - self.mass * ca.dot(self._hand.gravity, self._hand.position(q_l, self.position))
+
+    def grad_P_l(self, q_l: ca.SX) -> ca.SX:
+        """Its gradient (n,)."""
+        return self.links.grad_P_l(q_l) - self.mass * (self._jacobian(q_l, self.position).T @ self._hand.gravity)
+
+    def grad_T(self, q_l: ca.SX, v: ca.SX) -> ca.SX:
+        """d/dq_l (v' M_l v / 2) (n,) with the payload, v held."""
+        return self.links.grad_T(q_l, v) + self.mass * self._point_grad_T(q_l, v, self.position)
+
+    @property
+    def _hand(self) -> Hand:
+        assert self.links.hand is not None
+        return self.links.hand
+
+    @cached_property
+    def _jacobian(self) -> ca.Function:
+        """(q_l, r) -> dp/dq_l (3, n)."""
+        q_l, r = ca.SX.sym("q_l", self.links.n), ca.SX.sym("r", 3)
+        return ca.Function("jacobian", [q_l, r], [ca.jacobian(self._hand.position(q_l, r), q_l)])
+
+    @cached_property
+    def _point_grad_T(self) -> ca.Function:
+        """(q_l, v, r) -> d/dq_l (|dp|^2 / 2) (n,), dp = J v."""
+        q_l, v, r = ca.SX.sym("q_l", self.links.n), ca.SX.sym("v", self.links.n), ca.SX.sym("r", 3)
+        dp = ca.jtimes(self._hand.position(q_l, r), q_l, v)
+        return ca.Function("point_grad_T", [q_l, v, r], [ca.gradient(ca.dot(dp, dp) / 2, q_l)])

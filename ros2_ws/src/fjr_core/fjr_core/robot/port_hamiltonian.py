@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The flexible-joint robot as a port-Hamiltonian system, eq. (36): dx = (J - R) dH/dx + G u."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Protocol
+
+import casadi as ca
+from numpy.typing import ArrayLike
+
+from ..numerics import integrators, symbolic
+from ..numerics.casadi_function import NumericFunction, dense_function, numeric
+from ..numerics.checks import Array
+from ..numerics.jit import compiled
+from .rigid_arm import RigidArm
+from .robot import Robot
+
+
+class Elastic(Protocol):
+    """What eq. (36) needs of a robot, whose matrices may be expressions: Robot, or campaign.uncertain's."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+
+    @property
+    def links(self) -> RigidArm:
+        """The rigid arm on the link side."""
+
+    @property
+    def K(self) -> ca.SX:
+        """Stiffness (n, n)."""
+
+    @property
+    def D_l(self) -> ca.SX:
+        """Damping of the links (n, n)."""
+
+    @property
+    def D_m(self) -> ca.SX:
+        """Damping of the motors (n, n)."""
+
+    @property
+    def B_m(self) -> ca.SX:
+        """Input matrix (n, n)."""
+
+    def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
+        """(dq_l, dq_m) at x (4n,)."""
+
+
+def structure(robot: Robot) -> tuple[Array, Array, Array]:
+    """Return J (4n, 4n) skew, R (4n, 4n) positive semidefinite and G (4n, n) of eq. (36); all constant."""
+    J, R, G = (ca.evalf(part).full() for part in structure_expressions(robot))
+    return J, R, G
+
+
+def structure_expressions(robot: Elastic) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """The same as expressions, of a robot whose matrices may be expressions too."""
+    n = robot.n
+    zero, one = ca.SX(2 * n, 2 * n), ca.SX.eye(2 * n)
+    J = ca.blockcat([[zero, one], [-one, zero]])
+    R = ca.diagcat(zero, symbolic.sparse(robot.D_l), symbolic.sparse(robot.D_m))
+    G = ca.vertcat(ca.SX(3 * n, n), symbolic.sparse(robot.B_m))
+    return J, R, G
+
+
+def gradient_expression(robot: Elastic, x: ca.SX, links: RigidArm | None = None, cubic: ca.SX | None = None) -> ca.SX:
+    """dH/dx (4n,) as an expression; d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l = -d/dq_l (dq_l' M_l dq_l / 2), (22).
+
+    links: in place of the robot's, e.g. with a payload. cubic (n,) [N m/rad^3]: springs K zeta + cubic zeta^3.
+    """
+    links = links or robot.links
+    q_l, q_m, _, _ = symbolic.blocks(x, robot.n)
+    dq_l, dq_m = robot.velocity_expressions(x, links)
+    spring = spring_expression(robot, q_m - q_l, cubic)
+    dH_dq_l = -links.grad_T(q_l, dq_l) + links.grad_P_l(q_l) - spring
+    return ca.vertcat(dH_dq_l, spring, dq_l, dq_m)
+
+
+def spring_expression(robot: Elastic, zeta: ca.SX, cubic: ca.SX | None = None) -> ca.SX:
+    """Torque (n,) of the springs: K zeta, or K zeta + cubic zeta^3."""
+    linear = robot.K @ zeta
+    return linear if cubic is None else linear + cubic * zeta**3
+
+
+def derivative_expression(robot: Elastic, x: ca.SX, u: ca.SX, dH: ca.SX | None = None) -> ca.SX:
+    """dx/dt (4n,) of eq. (36) as an expression; dH (4n,): another gradient than the robot's."""
+    J, R, G = structure_expressions(robot)
+    dH = gradient_expression(robot, x) if dH is None else dH
+    return (J - R) @ dH + G @ u
+
+
+class Plant:
+    """The robot as a system to integrate; pure functions of (x, u), bound once.
+
+    integrator: "rk4" (explicit, order 4) or "implicit_midpoint" (order 2, no drift of the energy).
+    compile: the step as machine code where the machine has a C compiler (compile.compiled).
+    Units: positions rad, momenta N m s, effort u N m. Raises StateError for wrong shapes and
+    ParameterError for an unknown integrator.
+    """
+
+    def __init__(self, robot: Robot, integrator: str = "rk4", compile: bool = False) -> None:
+        self.robot = robot
+        self.integrator = integrator
+        self.compiles = compile
+        self._vm_step = integrators.step(integrator, self.dynamics)
+
+    @cached_property
+    def dynamics(self) -> ca.Function:
+        """The CasADi function (x, u) -> dx, with derivatives."""
+        x, u = ca.SX.sym("x", 4 * self.robot.n), ca.SX.sym("u", self.robot.n)
+        return dense_function("dynamics", {"x": x, "u": u}, {"dx": derivative_expression(self.robot, x, u)}, cse=True)
+
+    @cached_property
+    def step_function(self) -> ca.Function:
+        """The CasADi function (x, u, dt) -> x_next; machine code if that was asked for."""
+        return compiled(self._vm_step) if self.compiles else self._vm_step
+
+    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """dx/dt (4n,) at state x (4n,) under effort u (n,), eq. (36)."""
+        return self._derivative(x, u)[0]
+
+    def step(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
+        """State after dt seconds in one step of the integrator, u held."""
+        return self._step(x, u, dt)[0]
+
+    def gradient(self, x: ArrayLike) -> Array:
+        """dH/dx (4n,): (force of the links, of the motors, dq_l, dq_m)."""
+        return self._gradient(x)[0]
+
+    def structure(self, x: ArrayLike | None = None) -> tuple[Array, Array, Array]:
+        """J, R and G of eq. (36); constant here, so x is not needed."""
+        return structure(self.robot)
+
+    @cached_property
+    def _step(self) -> NumericFunction:
+        return NumericFunction(self.step_function, ((4 * self.robot.n,), (self.robot.n,), ()))
+
+    @cached_property
+    def _derivative(self) -> NumericFunction:
+        return NumericFunction(self.dynamics, ((4 * self.robot.n,), (self.robot.n,)))
+
+    @cached_property
+    def _gradient(self) -> NumericFunction:
+        x = ca.SX.sym("x", 4 * self.robot.n)
+        return numeric("gradient", {"x": x}, {"dH": gradient_expression(self.robot, x)})

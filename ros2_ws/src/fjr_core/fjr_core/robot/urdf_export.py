@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Any robot as a URDF: an arm's own, or one for a robot in closed form with the same inertia and gravity."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+from ..config import robot_file
+from ..config.parameter import Values, names, vector
+from ..config.robot import MODEL
+from .closed_form_arms import STANDARD_GRAVITY
+
+SMALLEST_LOAD = 1e-9  # N m; below it a single link hangs in no gravity
+WEIGHTLESS_LENGTH = 0.3  # m, of a single link without gravity
+LIGHT, DARK = "0.85 0.85 0.88 1", "0.30 0.33 0.38 1"
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A link of an arm in a vertical plane: mass [kg], length and place of its centre [m] along -z from its joint.
+
+    inertia [kg m^2] about the centre, in the plane; a negative length points up.
+    """
+
+    mass: float
+    length: float
+    com: float
+    inertia: float
+
+
+def description(values: Values) -> str:
+    """URDF text of the robot that the values of robot_parameters describe; raises ParameterError for no file.
+
+    Robots in closed form hang along -z in the x-z plane; their gravity is the model's, not the reader's.
+    """
+    if values[MODEL.name] == "urdf":
+        return str(robot_file.inlined(values)["robot.urdf"])
+    build = {"single_link": _single_link, "planar_two_link": _planar_two_link}[str(values[MODEL.name])]
+    return _urdf(str(values[MODEL.name]), names(values, "joints"), build(values))
+
+
+def robot_name(values: Values) -> str:
+    """Return the name that the robot has in its URDF."""
+    return str(ElementTree.fromstring(description(values)).get("name", ""))
+
+
+def _single_link(values: Values) -> list[Rod]:
+    """A uniform rod with inertia I about its joint and m g com = the gravity torque: I = 4/3 m com^2.
+
+    Without gravity it is balanced at its joint.
+    """
+    inertia, load = (float(vector(values, f"robot.{name}", 1)[0]) for name in ("link_inertia", "gravity_torque"))
+    if abs(load) < SMALLEST_LOAD:
+        return [Rod(12 * inertia / WEIGHTLESS_LENGTH**2, WEIGHTLESS_LENGTH, 0.0, inertia)]
+    com = 0.75 * inertia * STANDARD_GRAVITY / load
+    return [Rod(abs(load) / (STANDARD_GRAVITY * abs(com)), 2 * com, com, inertia / 4)]
+
+
+def _planar_two_link(values: Values) -> list[Rod]:
+    columns = (vector(values, f"robot.link_{name}", 2) for name in ("mass", "length", "com", "inertia"))
+    return [Rod(*map(float, row)) for row in zip(*columns, strict=True)]
+
+
+def _urdf(name: str, joints: tuple[str, ...], rods: list[Rod]) -> str:
+    """A chain of rods; each joint turns about -y, so that a hanging link swings towards x where its angle grows."""
+    robot = ElementTree.Element("robot", name=name)
+    for colour, rgba in (("light", LIGHT), ("dark", DARK)):
+        ElementTree.SubElement(ElementTree.SubElement(robot, "material", name=colour), "color", rgba=rgba)
+    base = ElementTree.SubElement(robot, "link", name="base_link")
+    _cylinder(base, 0.02, 0.08, "0 0 0", "dark", across=True)
+    parent, height = "base_link", 0.0
+    for i, (joint, rod) in enumerate(zip(joints, rods, strict=True), start=1):
+        _joint(robot, joint, parent, f"link{i}", height)
+        _link(ElementTree.SubElement(robot, "link", name=f"link{i}"), rod)
+        parent, height = f"link{i}", -rod.length
+    ElementTree.indent(robot)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def _joint(robot: ElementTree.Element, name: str, parent: str, child: str, height: float) -> None:
+    joint = ElementTree.SubElement(robot, "joint", name=name, type="continuous")
+    ElementTree.SubElement(joint, "parent", link=parent)
+    ElementTree.SubElement(joint, "child", link=child)
+    ElementTree.SubElement(joint, "origin", xyz=f"0 0 {height!r}")
+    ElementTree.SubElement(joint, "axis", xyz="0 -1 0")
+
+
+def _link(link: ElementTree.Element, rod: Rod) -> None:
+    radius = min(0.02, abs(rod.length) / 8)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=f"0 0 {-rod.com!r}")
+    ElementTree.SubElement(inertial, "mass", value=repr(rod.mass))
+    across, along = repr(rod.inertia), repr(min(rod.inertia, rod.mass * radius**2 / 2))
+    moments = {"ixx": across, "iyy": across, "izz": along, "ixy": "0", "ixz": "0", "iyz": "0"}
+    ElementTree.SubElement(inertial, "inertia", moments)
+    _cylinder(link, radius, abs(rod.length), f"0 0 {-rod.length / 2!r}", "light")
+    _cylinder(link, 1.4 * radius, 3 * radius, "0 0 0", "dark", across=True)
+
+
+def _cylinder(
+    link: ElementTree.Element, radius: float, length: float, xyz: str, colour: str, across: bool = False
+) -> None:
+    visual = ElementTree.SubElement(link, "visual")
+    ElementTree.SubElement(visual, "origin", xyz=xyz, rpy=f"{math.pi / 2 if across else 0.0!r} 0 0")
+    geometry = ElementTree.SubElement(visual, "geometry")
+    ElementTree.SubElement(geometry, "cylinder", radius=repr(radius), length=repr(length))
+    ElementTree.SubElement(visual, "material", name=colour)

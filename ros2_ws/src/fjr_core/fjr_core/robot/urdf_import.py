@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A flexible-joint robot from a URDF and the elastic data of its joints; Pinocchio merges what does not move."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import RobotError
+from ..numerics import checks
+from .joint_limits import JointLimits
+from .newton_euler import serial_chain
+from .rigid_arm import Hand, Links
+from .rigid_body import Body
+from .robot import Robot
+from .urdf_parser import MOVING, UrdfJoint, UrdfTree, read_urdf
+
+MOST_CONTROLLED = 64
+"""Joints of a robot; the law's expressions grow with their square."""
+
+
+def robot_from_urdf(
+    path_or_xml: str | os.PathLike[str],
+    joints: Sequence[str],
+    stiffness: ArrayLike,
+    motor_inertia: ArrayLike,
+    link_damping: ArrayLike = 0.0,
+    motor_damping: ArrayLike = 0.0,
+    gravity: ArrayLike = (0.0, 0.0, -9.81),
+    *,
+    gear_ratio: ArrayLike | None = None,
+    locked: Mapping[str, float] | None = None,
+    input_gain: ArrayLike = 1.0,
+) -> Robot:
+    """The robot whose n joints are the named ones, in the named order; every other joint of the URDF is locked.
+
+    path_or_xml: a file, or XML text that starts with '<'. joints: names of revolute, continuous or prismatic
+    joints that form one serial chain, in any order. gravity (3,) [m/s^2] in the root link's frame.
+    stiffness K [N m/rad], motor_inertia M_m [kg m^2], link_damping D_l, motor_damping D_m [N m s/rad] and
+    input_gain B_m: scalar, (n,) or (n, n), in the named order and on the link side of the gear. With
+    gear_ratio r, scalar or (n,), motor_inertia J is the rotor's own and M_m = r J r.
+    locked: positions [rad, m] of joints that are not named, 0 where it says nothing; mimicking joints follow.
+    The limits of the URDF become robot.limits. Raises RobotError; needs Pinocchio.
+    """
+    tree = read_urdf(path_or_xml)
+    named = _named(tree, joints)
+    model = _reduced_model(tree, joints, _locked_positions(tree, joints, dict(locked or {})))
+    chain = _chain(model, joints)
+    links = serial_chain([_body(model, i, tree.joints[name]) for i, name in enumerate(chain, 1)], gravity)
+    _check_inertia(links, chain)
+    values = {
+        "stiffness": stiffness,
+        "motor_inertia": motor_inertia,
+        "link_damping": link_damping,
+        "motor_damping": motor_damping,
+        "input_gain": input_gain,
+    }
+    K, M_m, D_l, D_m, B_m = (checks.matrix(name, value, len(chain), RobotError) for name, value in values.items())
+    if gear_ratio is not None:
+        M_m = _reflected(M_m, gear_ratio)
+    limits = JointLimits(*np.array([joint.limits for joint in named]).T)
+    prismatic = tuple(joint.kind == "prismatic" for joint in named)
+    return Robot(_in_order(links, [chain.index(name) for name in joints]), M_m, K, D_l, D_m, B_m, limits, prismatic)
+
+
+def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
+    if isinstance(joints, str) or not joints:
+        raise RobotError(f"joints is {joints!r}; expected a list of joint names")
+    if len(joints) > MOST_CONTROLLED:
+        raise RobotError(f"joints has {len(joints)} names; expected at most {MOST_CONTROLLED}")
+    for name in joints:
+        joint = _joint(tree, name)
+        if joint.mimics:
+            raise RobotError(f"joint '{name}' mimics '{joint.mimics[0]}'; expected joints that move by themselves")
+        if joint.kind not in MOVING:
+            raise RobotError(f"joint '{name}' is {joint.kind}; expected a {', '.join(MOVING)} joint")
+        if list(joints).count(name) > 1:
+            raise RobotError(f"joint '{name}' is named twice; expected every joint once")
+    return [tree.joints[name] for name in joints]
+
+
+def _joint(tree: UrdfTree, name: str) -> UrdfJoint:
+    if name not in tree.joints:
+        close = get_close_matches(str(name), tree.joints, n=1)
+        hint = f"did you mean '{close[0]}'? " if close else ""
+        moving = [joint.name for joint in tree.joints.values() if joint.kind in MOVING]
+        raise RobotError(f"the URDF has no joint '{name}'; {hint}expected some of {', '.join(moving)}")
+    return tree.joints[name]
+
+
+def _locked_positions(tree: UrdfTree, joints: Sequence[str], locked: dict[str, float]) -> dict[str, float]:
+    """Positions of all moving joints that are not named."""
+    for name, position in locked.items():
+        joint = _joint(tree, name)
+        if name in joints:
+            raise RobotError(f"joint '{name}' is named and locked; expected one of the two")
+        if joint.mimics or joint.kind not in MOVING:
+            what = f"mimics '{joint.mimics[0]}'" if joint.mimics else f"is {joint.kind}"
+            raise RobotError(f"locked joint '{name}' {what}; expected a joint that moves by itself")
+        checks.vector(f"position of locked joint '{name}'", [position], 1, RobotError)
+    moving = [joint for joint in tree.joints.values() if joint.kind in MOVING and joint.name not in joints]
+    return {joint.name: _position(tree, joint, joints, locked) for joint in moving}
+
+
+def _position(tree: UrdfTree, joint: UrdfJoint, joints: Sequence[str], locked: dict[str, float]) -> float:
+    """Where a joint is locked: as said, as the joint that it mimics, or at 0."""
+    scale, offset = 1.0, 0.0
+    for _ in tree.joints:
+        if joint.mimics is None:
+            return scale * locked.get(joint.name, 0.0) + offset
+        leader, multiplier, shift = joint.mimics
+        scale, offset = scale * multiplier, scale * shift + offset
+        if leader in joints:
+            raise RobotError(f"joint '{joint.name}' mimics the named joint '{leader}'; expected it to be independent")
+        joint = _joint(tree, leader)
+    raise RobotError(f"joint '{joint.name}' mimics itself; expected another joint")
+
+
+def _reduced_model(tree: UrdfTree, joints: Sequence[str], positions: dict[str, float]) -> Any:
+    """Pinocchio's model with the joints at `positions` locked."""
+    try:
+        pin = importlib.import_module("pinocchio")
+    except ImportError as error:
+        wanted = "expected it for reading a URDF: pip install pin, or ros-jazzy-pinocchio"
+        raise RobotError(f"Pinocchio cannot be imported ({error}); {wanted}") from None
+    try:
+        model = pin.buildModelFromXML(tree.skeleton)
+    except Exception as error:  # whatever its parser stumbles over
+        raise RobotError(f"Pinocchio cannot read the URDF ({error}); expected a valid one") from None
+    q = pin.neutral(model)
+    for name, position in positions.items():
+        q[model.joints[model.getJointId(name)].idx_q] = position
+    return pin.buildReducedModel(model, [model.getJointId(name) for name in positions], q)
+
+
+def _chain(model: Any, joints: Sequence[str]) -> list[str]:
+    """The named joints from the base outwards."""
+    names, parents = list(model.names)[1:], list(model.parents)[1:]
+    for i, parent in enumerate(parents):
+        if parent != i:
+            other, base = names[i - 1], names[parent - 1] if parent else "the base"
+            raise RobotError(
+                f"joints '{other}' and '{names[i]}' are on different branches after {base}; expected one serial chain"
+            )
+    return names
+
+
+def _body(model: Any, i: int, joint: UrdfJoint) -> Body:
+    placement, inertia = model.jointPlacements[i], model.inertias[i]
+    return Body(
+        rotation=placement.rotation,
+        translation=placement.translation,
+        axis=joint.axis,
+        mass=float(inertia.mass),
+        com=inertia.lever,
+        inertia=inertia.inertia,
+        prismatic=joint.kind == "prismatic",
+    )
+
+
+def _check_inertia(links: Links, chain: list[str]) -> None:
+    """Name the outermost joint that can move without moving any mass, in a few configurations."""
+    for q_l in (np.zeros(links.n), np.linspace(0.3, 1.4, links.n), np.linspace(-1.2, 0.7, links.n)):
+        M_l = links.M_l(q_l).full()
+        for i in reversed(range(links.n)):
+            if not np.linalg.eigvalsh(M_l[i:, i:])[0] > 1e-14 * np.max(M_l[i:, i:]):
+                raise RobotError(
+                    f"joint '{chain[i]}' can move without moving mass (M_l is singular); "
+                    "expected links with mass and inertia beyond it"
+                )
+
+
+def _reflected(J: checks.Array, gear_ratio: ArrayLike) -> checks.Array:
+    """Inertia r J r on the link side of gears of ratio r."""
+    ratio = checks.vector("gear_ratio", gear_ratio, len(J), RobotError)
+    if not np.all(ratio != 0):
+        raise RobotError(f"gear_ratio is {ratio.tolist()}; expected numbers other than 0")
+    return np.diag(ratio) @ J @ np.diag(ratio)
+
+
+def _in_order(links: Links, order: list[int]) -> Links:
+    """The same links, joint k being the chain's joint order[k]."""
+    if order == list(range(links.n)):
+        return links
+    named = [ca.SX.sym(name, links.n) for name in ("q_l", "v", "w")]
+    q, v, w = (vector[[order.index(i) for i in range(links.n)]] for vector in named)
+    assert links.hand is not None  # every serial chain has one
+    r = ca.SX.sym("r", 3)
+    return Links(
+        n=links.n,
+        M_l=ca.Function("M_l", named[:1], [links.M_l(q)[order, order]]),
+        P_l=ca.Function("P_l", named[:1], [links.P_l(q)]),
+        grad_P_l=ca.Function("grad_P_l", named[:1], [links.grad_P_l(q)[order]]),
+        C=ca.Function("C", named, [links.C(q, v, w)[order]]),
+        grad_T=ca.Function("grad_T", named[:2], [links.grad_T(q, v)[order]]),
+        hand=Hand(ca.Function("position", [named[0], r], [links.hand.position(q, r)]), links.hand.gravity),
+    )

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A URDF as a tree of checked joints and links, before any number of it is used.
+
+Only kinematics and inertia are looked at: visuals, collision shapes and extensions are left aside.
+"""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NoReturn
+from xml.parsers import expat
+
+import numpy as np
+
+from ..errors import RobotError
+from ..files.text_file import LARGEST, read_bytes
+
+MOVING = ("revolute", "continuous", "prismatic")
+KINDS = (*MOVING, "fixed", "floating", "planar")
+INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+NO_LIMIT = (-np.inf, np.inf, np.inf, np.inf)
+DEEPEST, MOST_JOINTS = 100, 500
+LARGEST_NUMBER = 1e30  # beyond it sums and squares are no longer finite
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A joint as the URDF has it: axis in its own frame, limits (lower, upper, velocity, effort), infinite if none.
+
+    mimics: (joint, multiplier, offset) of <mimic>, or None.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    axis: tuple[float, ...]
+    limits: tuple[float, ...]
+    mimics: tuple[str, float, float] | None
+
+
+@dataclass(frozen=True)
+class UrdfTree:
+    """All joints by name, and the URDF reduced to what moves: `skeleton`, every joint fixed, revolute or prismatic."""
+
+    joints: dict[str, UrdfJoint]
+    skeleton: str
+
+
+def read_urdf(path_or_xml: str | os.PathLike[str]) -> UrdfTree:
+    """Read a file, or XML text (which starts with '<'). Raises RobotError with one sentence for whatever is wrong."""
+    root = _root(path_or_xml)
+    links = _by_name(root, "link")
+    joints = {name: _joint(name, element) for name, element in _by_name(root, "joint").items()}
+    _check_tree(list(links), joints)
+    for name, element in links.items():
+        _check_inertial(f"link '{name}'", element)
+    return UrdfTree(joints, _skeleton(root, joints))
+
+
+def _root(path_or_xml: str | os.PathLike[str]) -> ET.Element:
+    is_text = isinstance(path_or_xml, str) and path_or_xml.lstrip("\ufeff \t\r\n").startswith("<")
+    source = "the URDF text" if is_text else f"URDF {os.fspath(path_or_xml)}"
+    try:
+        content = str(path_or_xml).lstrip("\ufeff").strip() if is_text else read_bytes(path_or_xml)
+        _check_size(content)
+        root = ET.fromstring(content)
+    except OSError as error:
+        raise RobotError(f"{source} cannot be read ({error.strerror}); expected a file or XML text") from None
+    except (ET.ParseError, expat.ExpatError, ValueError, LookupError) as error:
+        raise RobotError(f"{source} does not parse as XML ({error}); expected a URDF") from None
+    if root.tag != "robot":
+        raise RobotError(f"{source} has the root element <{root.tag}>; expected the <robot> of a URDF")
+    if any("/xacro}" in str(element.tag) for element in root.iter()):
+        raise RobotError(f"{source} holds xacro commands; expected a plain URDF, as the program xacro writes it")
+    return root
+
+
+def _check_size(content: bytes | str) -> None:
+    """Raise ValueError for XML that would cost much more than its size to build: entities, deep nesting."""
+    if len(content) > LARGEST:
+        raise ValueError(f"larger than {LARGEST // 2**20} MiB")
+    parser, depth = expat.ParserCreate(), 0
+
+    def declared(*_: object) -> NoReturn:
+        raise ValueError("it declares a document type")
+
+    def begun(*_: object) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > DEEPEST:
+            raise ValueError(f"nested more than {DEEPEST} levels deep")
+
+    def ended(*_: object) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser.StartDoctypeDeclHandler, parser.StartElementHandler, parser.EndElementHandler = declared, begun, ended
+    parser.Parse(content, True)
+
+
+def _by_name(root: ET.Element, tag: str) -> dict[str, ET.Element]:
+    found: dict[str, ET.Element] = {}
+    for element in root.findall(tag):
+        name = element.get("name")
+        if not name or name in found:
+            raise RobotError(f"the URDF has a {tag} named {name!r} twice or without a name; expected one of each name")
+        found[name] = element
+    if not found:
+        raise RobotError(f"the URDF has no <{tag}>; expected links and the joints between them")
+    return found
+
+
+def _joint(name: str, element: ET.Element) -> UrdfJoint:
+    kind, where = element.get("type", ""), f"joint '{name}'"
+    if kind not in KINDS:
+        raise RobotError(f"{where} has the type {kind!r}; expected one of {', '.join(KINDS)}")
+    _check_origin(where, element)
+    axis = _numbers(where, element, "axis", "xyz", "1 0 0", 3)
+    if kind in MOVING and not np.linalg.norm(axis) > 0:
+        raise RobotError(f"{where} has the axis 0 0 0; expected a direction")
+    parent, child = (_attribute(where, element, tag, "link") for tag in ("parent", "child"))
+    return UrdfJoint(name, kind, parent, child, axis, _limits(where, kind, element), _mimics(where, element))
+
+
+def _limits(where: str, kind: str, element: ET.Element) -> tuple[float, ...]:
+    """(lower, upper, velocity, effort): zeros and what is absent mean that no limit is given."""
+    names = ("lower", "upper", "velocity", "effort")
+    lower, upper, velocity, effort = (_number(where, element, "limit", name, "0") for name in names)
+    if velocity < 0 or effort < 0 or lower > upper:
+        seen = f"lower={lower:g} upper={upper:g} velocity={velocity:g} effort={effort:g}"
+        raise RobotError(f"{where} has <limit> {seen}; expected lower <= upper, velocity and effort 0 or more")
+    if kind == "continuous" or lower == upper == 0:
+        lower, upper = NO_LIMIT[:2]
+    return lower, upper, velocity or np.inf, effort or np.inf
+
+
+def _mimics(where: str, element: ET.Element) -> tuple[str, float, float] | None:
+    if element.find("mimic") is None:
+        return None
+    multiplier = _number(where, element, "mimic", "multiplier", "1")
+    return _attribute(where, element, "mimic", "joint"), multiplier, _number(where, element, "mimic", "offset", "0")
+
+
+def _check_tree(links: list[str], joints: dict[str, UrdfJoint]) -> None:
+    """One root, every other link the child of one joint, no loop."""
+    if len(joints) > MOST_JOINTS:
+        raise RobotError(f"the URDF has {len(joints)} joints; expected at most {MOST_JOINTS}")
+    carriers: dict[str, str] = {}
+    for joint in joints.values():
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise RobotError(f"joint '{joint.name}' names the link '{link}'; expected one of {', '.join(links)}")
+        if joint.child in carriers:
+            both = f"'{carriers[joint.child]}' and '{joint.name}'"
+            raise RobotError(f"link '{joint.child}' is the child of joints {both} (a closed chain); expected a tree")
+        carriers[joint.child] = joint.name
+    roots = [link for link in links if link not in carriers]
+    if len(roots) > 1:
+        raise RobotError(f"links {', '.join(roots)} have no parent joint; expected a single root")
+    for link in links:
+        if any(above == link for above in _ancestors(link, carriers, joints)):
+            raise RobotError(f"link '{link}' carries itself (a closed chain); expected a tree")
+    for joint in joints.values():
+        if joint.kind in ("floating", "planar"):
+            raise RobotError(f"joint '{joint.name}' is {joint.kind}; expected an arm with a fixed base")
+
+
+def _ancestors(link: str, carriers: dict[str, str], joints: dict[str, UrdfJoint]) -> Iterator[str]:
+    for _ in range(len(joints)):
+        if link not in carriers:
+            return
+        link = joints[carriers[link]].parent
+        yield link
+
+
+def _check_inertial(where: str, link: ET.Element) -> None:
+    inertial = link.find("inertial")
+    if inertial is None:
+        return
+    _check_origin(where, inertial)
+    mass = _number(where, inertial, "mass", "value", "")
+    xx, xy, xz, yy, yz, zz = (_number(where, inertial, "inertia", name, "") for name in INERTIA)
+    if mass < 0:
+        raise RobotError(f"{where} has the mass {mass}; expected 0 or more")
+    if mass == 0 and any((xx, xy, xz, yy, yz, zz)):
+        raise RobotError(f"{where} has the mass 0 and an inertia; expected a mass, or neither")
+    smallest, _, largest = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if smallest < -1e-12 * abs(largest):
+        raise RobotError(f"{where} has the principal inertia {smallest:.3g}; expected 0 or more")
+
+
+def _check_origin(where: str, element: ET.Element) -> None:
+    for name in ("xyz", "rpy"):
+        _numbers(where, element, "origin", name, "0 0 0", 3)
+
+
+def _number(where: str, element: ET.Element, tag: str, name: str, default: str) -> float:
+    return _numbers(where, element, tag, name, default, 1)[0]
+
+
+def _numbers(where: str, element: ET.Element, tag: str, name: str, default: str, count: int) -> tuple[float, ...]:
+    """The numbers of <tag name="..."> inside the element; infinite only in <limit>, never nan."""
+    found = element.find(tag)
+    text = default if found is None else found.get(name, default)
+    try:
+        values = tuple(_float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    allowed = np.all(np.abs(values) <= LARGEST_NUMBER) or (tag == "limit" and not np.any(np.isnan(values)))
+    if len(values) != count or not allowed:
+        numbers = "a number" if count == 1 else f"{count} numbers"
+        raise RobotError(f'{where} has <{tag} {name}="{text}">; expected {numbers}')
+    return values
+
+
+def _float(word: str) -> float:
+    """Read a number as the C locale does: Python also takes 1_000 and the digits of other scripts."""
+    if not word.isascii() or "_" in word:
+        raise ValueError(word)
+    return float(word)
+
+
+def _attribute(where: str, element: ET.Element, tag: str, name: str) -> str:
+    found = element.find(tag)
+    value = None if found is None else found.get(name)
+    if not value:
+        raise RobotError(f'{where} has no <{tag} {name}="...">; expected one')
+    return value
+
+
+def _skeleton(root: ET.Element, joints: dict[str, UrdfJoint]) -> str:
+    """The URDF with inertias and placements only; continuous joints count as revolute, limits are left open.
+
+    Links get names of their own: Pinocchio keeps links and joints in one list of frames.
+    """
+    robot = ET.Element("robot", name=root.get("name", "robot"))
+    for link in root.findall("link"):
+        ET.SubElement(robot, "link", name=f"link {link.get('name')}").extend(link.findall("inertial"))
+    for element in root.findall("joint"):
+        joint = joints[element.get("name", "")]
+        kind = "revolute" if joint.kind == "continuous" else joint.kind
+        bare = ET.SubElement(robot, "joint", name=joint.name, type=kind)
+        bare.extend(child for child in element if child.tag in ("origin", "axis"))
+        ET.SubElement(bare, "parent", link=f"link {joint.parent}")
+        ET.SubElement(bare, "child", link=f"link {joint.child}")
+        ET.SubElement(bare, "limit", lower="0", upper="0", effort="0", velocity="0")
+    return ET.tostring(robot, encoding="unicode")

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The virtual system of the robot, eqs. (25)-(28) and (38): linear structure at x, energy at x_v."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import casadi as ca
+from numpy.typing import ArrayLike
+
+from ..numerics import symbolic
+from ..numerics.casadi_function import NumericFunction, numeric
+from ..numerics.checks import Array
+from .robot import Robot
+
+
+def derivative_expression(robot: Robot, x_v: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX:
+    """dx_v/dt (4n,) of eq. (38) as an expression; M_l, E_l and D at the measured x, P_l and spring at x_v."""
+    links, K = robot.links, robot.K
+    q_l = symbolic.blocks(x, robot.n)[0]
+    q_lv, q_mv, _, _ = symbolic.blocks(x_v, robot.n)
+    dq_l = robot.velocity_expressions(x)[0]
+    dq_lv, dq_mv = velocities(robot, x_v, x)
+    spring = K @ (q_mv - q_lv)
+    dp_lv = -(links.grad_P_l(q_lv) - spring) - links.E(q_l, dq_l, dq_lv) - robot.D_l @ dq_lv
+    dp_mv = -spring - robot.D_m @ dq_mv + robot.B_m @ u
+    return ca.vertcat(dq_lv, dq_mv, dp_lv, dp_mv)
+
+
+def velocities(robot: Robot, x_v: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """(dq_lv, dq_mv) = (M_l(q_l)^-1 p_lv, M_m^-1 p_mv): the inertia at the measured q_l, eq. (27)."""
+    q_l, n = symbolic.blocks(x, robot.n)[0], robot.n
+    return robot.velocity_expressions(ca.vertcat(q_l, x_v[n:]))
+
+
+class VirtualSystem:
+    """The virtual control system Gamma(x_v, x, u) of a robot and its variational system.
+
+    Gamma(x, x, u) is the plant's derivative. Raises StateError for wrong shapes.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+
+    def derivative(self, x_v: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """dx_v/dt (4n,) at the virtual state x_v and the measured state x (4n,) under effort u (n,), eq. (38)."""
+        return self._derivative(x_v, x, u)[0]
+
+    def variational(self, x_v: ArrayLike, x: ArrayLike, delta_x_v: ArrayLike, delta_u: ArrayLike) -> Array:
+        """d(delta x_v)/dt (4n,) for variations delta_x_v (4n,) and delta_u (n,), eq. (28)."""
+        return self._variational(x_v, x, delta_x_v, delta_u)[0]
+
+    def _symbols(self) -> dict[str, ca.SX]:
+        n = self.robot.n
+        return {"x_v": ca.SX.sym("x_v", 4 * n), "x": ca.SX.sym("x", 4 * n), "u": ca.SX.sym("u", n)}
+
+    @cached_property
+    def _derivative(self) -> NumericFunction:
+        symbols = self._symbols()
+        return numeric("virtual", symbols, {"dx_v": derivative_expression(self.robot, **symbols)})
+
+    @cached_property
+    def _variational(self) -> NumericFunction:
+        symbols = self._symbols()
+        x_v, x, u = symbols.values()
+        dx_v = derivative_expression(self.robot, **symbols)
+        deltas = {"delta_x_v": ca.SX.sym("delta_x_v", x_v.numel()), "delta_u": ca.SX.sym("delta_u", u.numel())}
+        variation = symbolic.directional(dx_v, ca.vertcat(x_v, u), ca.vertcat(*deltas.values()))
+        return numeric("variational", {"x_v": x_v, "x": x, **deltas}, {"d_delta_x_v": variation})

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sampled closed loop of one robot, law and reference, run many times with drawn numbers."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...control.sampled_law import SampledLaw
+from ...errors import StateError
+from ...numerics import checks
+from ...numerics.checks import Array
+from ...robot.robot import Robot
+from ...trajectories.reference import Reference
+from . import python_loop, uncertain_robot
+from .draws import Draws
+from .outcomes import Outcomes, width
+from .program import LANES, Program, campaign
+
+LAST = 1.0  # s; what Outcomes.final is the mean of
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Runs sample by sample: t (s,), x (k, s, 4n), u (k, s, n) as sent; nan after a run was lost."""
+
+    t: Array
+    x: Array
+    u: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """The plant `robot` under a SampledLaw, which believes in its own robot, along a reference.
+
+    x0 (4n,): the state at the start of the nominal plant; every run starts at its positions and velocities.
+    duration, sample_period [s]. inner_steps: Runge-Kutta steps of order 4 a sample (more where a delay divides it).
+    settle_after [s], band [rad]: see Outcomes. lost [rad]: a run whose link error is beyond that, or whose numbers
+    are not finite, is ended as not stable. What is run is compiled once and cached; without a C compiler Python
+    runs the same loop, some thousand times slower. A run's numbers depend on its own draws only, bit by bit,
+    whatever runs beside it. Raises StateError and ParameterError.
+    """
+
+    robot: Robot
+    law: SampledLaw
+    reference: Reference
+    x0: ArrayLike
+    duration: float
+    sample_period: float
+    inner_steps: int = 4
+    settle_after: float = 1.0
+    band: float = 0.01
+    lost: float = np.pi / 2
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "x0", checks.vector("x0", self.x0, 4 * self.robot.n, StateError))
+        joints = (self.robot.n, self.law.robot.n, self.reference.n)
+        if len(set(joints)) != 1:
+            raise StateError(
+                f"plant, law and reference have {joints[0]}, {joints[1]} and {joints[2]} joints; expected equal"
+            )
+        for name in ("duration", "sample_period", "lost", "band"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise StateError(f"{name} is {getattr(self, name)}; expected a positive finite number")
+        if not 0 <= self.settle_after < self.duration:
+            raise StateError(f"settle_after is {self.settle_after} s; expected 0 to less than {self.duration} s")
+        if self._first > self._samples:
+            raise StateError(
+                f"no sample of {self.sample_period:g} s lies between settle_after, {self.settle_after:g} s, and the "
+                f"end, {self.duration:g} s; expected at least one"
+            )
+        if self.inner_steps < 1:
+            raise StateError(f"inner_steps is {self.inner_steps}; expected 1 or more")
+
+    @property
+    def compiled(self) -> bool:
+        """Whether runs are machine code here; builds it."""
+        return self._program.library is not None
+
+    @property
+    def fingerprint(self) -> str:
+        """Tells apart loops of another law, plant or program."""
+        return self._program.fingerprint
+
+    def run(self, draws: Draws) -> Outcomes:
+        """All runs, on the core that calls; other threads go on meanwhile."""
+        return Outcomes.of(self._run(draws, None), self.robot.n)
+
+    def recorded(self, draws: Draws) -> tuple[Outcomes, Recorded]:
+        """The same with every sample: for few runs."""
+        n, samples = self.robot.n, self._samples
+        trace = np.full((draws.runs, samples + 1, 5 * n), np.nan)
+        outcomes = Outcomes.of(self._run(draws, trace), n)
+        return outcomes, Recorded(self._t, trace[..., : 4 * n], trace[..., 4 * n :])
+
+    def _run(self, draws: Draws, trace: Array | None) -> Array:
+        rows = np.empty((draws.runs, width(self.robot.n)))
+        values: dict[str, Any] = {**self._constants, **self._drawn(draws), "rows": rows, "trace": trace}
+        ages = values["segments"][:, :, 0]
+        values["ring"] = int(ages.max(initial=0)) + 1
+        if self._program.library is None:
+            python_loop.run(self._program, values)
+            return rows
+        ring = np.zeros((LANES, values["ring"], self.robot.n))
+        filled = campaign(**values)
+        self._program.library.run_campaign(ctypes.byref(filled), 0, draws.runs, _pointer(ring))
+        return rows
+
+    def _drawn(self, draws: Draws) -> dict[str, NDArray[Any]]:
+        n = self.robot.n
+        parts = {name: draws.columns(name, n) for name in uncertain_robot.NAMES}
+        full = np.hstack([parts[name] != 0 for name in (*uncertain_robot.FRICTION, "payload_mass")]).any(axis=1)
+        sensing = [draws.columns(name, n) for name in ("position_noise", "velocity_noise", "resolution")]
+        segments, dt = _segments(draws.columns("delay", n)[:, 0], self.sample_period, self.inner_steps)
+        return {
+            "parameters": uncertain_robot.vector(parts),
+            "sensing": np.ascontiguousarray(np.hstack(sensing)),
+            "limit": draws.columns("effort_limit", n),
+            "full": np.asarray(full, dtype=np.uint8),
+            "segments": segments,
+            "dt": dt,
+            "seeds": np.asarray(draws.seed, dtype=np.uint64),
+        }
+
+    @property
+    def _samples(self) -> int:
+        return int(self.duration / self.sample_period + 1e-9)
+
+    @property
+    def _first(self) -> int:
+        """The first sample whose error counts."""
+        return int(np.ceil(self.settle_after / self.sample_period - 1e-9))
+
+    @cached_property
+    def _t(self) -> Array:
+        return np.asarray(self.sample_period * np.arange(self._samples + 1))
+
+    @cached_property
+    def _constants(self) -> dict[str, Any]:
+        """What all runs share; the reference is tabulated once."""
+        positions, velocities = np.split(np.asarray(self.x0), 2)[0], np.hstack(self.robot.velocities(self.x0))
+        return {
+            "samples": self._samples,
+            "first": self._first,
+            "last_second": max(0, self._samples - round(LAST / self.sample_period)),
+            "period": self.sample_period,
+            "lost": self.lost,
+            "band": self.band,
+            "jets": np.ascontiguousarray(self.reference.jets(self._t + self.law.lead)),
+            "target": np.ascontiguousarray(self.reference.jets(self._t)[:, 0]),
+            "gains": np.ascontiguousarray(self.law.gain_values, dtype=float),
+            "memory": np.ascontiguousarray(self.law.memory, dtype=float),
+            "position": np.ascontiguousarray(positions),
+            "velocity": velocities,
+        }
+
+    @cached_property
+    def _program(self) -> Program:
+        return Program(self.robot, self.law)
+
+
+def _segments(delay: Array, period: float, inner_steps: int) -> tuple[NDArray[np.int64], Array]:
+    """The sample period cut where the effort changes: (k, 2, 2) age of the effort and steps, (k, 2) their dt [s]."""
+    whole, late = np.divmod(delay, period)
+    lengths = np.stack([late, period - late], axis=1)
+    steps = np.ceil(lengths / (period / inner_steps) - 1e-9).astype(np.int64)
+    ages = np.stack([whole + 1, whole], axis=1).astype(np.int64)
+    return np.ascontiguousarray(np.stack([ages, steps], axis=2)), lengths / np.maximum(steps, 1)
+
+
+def _pointer(array: Array) -> Any:
+    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What k runs of a campaign draw: how each run's robot, sensors and loop depart from the nominal ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...errors import ParameterError
+from ...numerics.checks import Array
+
+PER_RUN = ("delay", "position_noise", "velocity_noise", "resolution", "payload_mass", "smoothing")
+"""Levels that are one number a run; of the others each joint may have its own."""
+POSITIVE = ("stiffness", "link_inertia", "motor_inertia", "smoothing", "effort_limit")
+SMOOTHING = 0.01  # rad/s
+UNITS = {
+    "coulomb_l": "N m",
+    "coulomb_m": "N m",
+    "smoothing": "rad/s",
+    "external": "N m",
+    "payload_mass": "kg",
+    "payload_position": "m",
+    "delay": "s",
+    "position_noise": "rad",
+    "velocity_noise": "rad/s",
+    "resolution": "rad",
+    "effort_limit": "N m",
+}
+"""Of levels; the other fields are factors."""
+SIGNED = ("gravity", "external", "payload_position")
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """k runs. Every field is a scalar for all runs, (k,), or (k, n) for the joints of each; nominal by default.
+
+    Factors of the plant's own numbers: stiffness, link_inertia, gravity, motor_inertia, link_damping, motor_damping
+    (see uncertain for matrices; those of damping may be 0, that of gravity of either sign). Levels: coulomb_l,
+    coulomb_m [N m] friction of links and of motors, multiplied by tanh(v / smoothing), smoothing [rad/s] (k,);
+    external [N m] constant torque on the links; payload_mass [kg] (k,) at payload_position (3,) or (k, 3) [m] in the
+    last link's frame; delay [s] (k,) from a sample to the effort that answers it, any fraction of the sample period;
+    position_noise [rad] and velocity_noise [rad/s] (k,) standard deviations, white; resolution [rad] (k,) of the
+    encoders, 0: exact; effort_limit [N m] where the command is cut, which the law is told of. seed (k,) uint64: of
+    the run's noise, by default the run's number. Raises ParameterError.
+    """
+
+    runs: int
+    stiffness: ArrayLike = 1.0
+    link_inertia: ArrayLike = 1.0
+    gravity: ArrayLike = 1.0
+    motor_inertia: ArrayLike = 1.0
+    link_damping: ArrayLike = 1.0
+    motor_damping: ArrayLike = 1.0
+    coulomb_l: ArrayLike = 0.0
+    coulomb_m: ArrayLike = 0.0
+    smoothing: ArrayLike = SMOOTHING
+    external: ArrayLike = 0.0
+    payload_mass: ArrayLike = 0.0
+    payload_position: ArrayLike = 0.0
+    delay: ArrayLike = 0.0
+    position_noise: ArrayLike = 0.0
+    velocity_noise: ArrayLike = 0.0
+    resolution: ArrayLike = 0.0
+    effort_limit: ArrayLike = np.inf
+    seed: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.runs, bool) or not isinstance(self.runs, (int, np.integer)) or self.runs < 0:
+            raise ParameterError(f"runs is {self.runs!r}; expected a whole number, 0 or more")
+        for name in LEVELS:
+            object.__setattr__(self, name, _frozen(self._checked(name)))
+        object.__setattr__(self, "seed", _frozen(self._seeds()))
+
+    def columns(self, name: str, n: int) -> Array:
+        """One field as (k, n), or (k, 1) of what is one number a run, (k, 3) of payload_position."""
+        value, most = np.asarray(getattr(self, name)), 1 if name in PER_RUN else width(name, n)
+        each = value.shape == (self.runs,) and name != "payload_position"  # whose one list is always x, y, z
+        column = value[:, None] if each else value
+        if column.ndim and column.shape[-1] not in (1, most):
+            raise ParameterError(
+                f"{name} has shape {value.shape}; expected a scalar, ({self.runs},) or {(self.runs, most)}"
+            )
+        return np.ascontiguousarray(np.broadcast_to(column, (self.runs, most)))
+
+    def taken(self, which: slice | Iterable[int]) -> Draws:
+        """Some of the runs, as they are: with their seeds."""
+        index = np.arange(self.runs)[which if isinstance(which, slice) else np.asarray(list(which), dtype=int)]
+        values = {name: _taken(getattr(self, name), index, self.runs, name) for name in (*LEVELS, "seed")}
+        return Draws(len(index), **values)
+
+    def _checked(self, name: str) -> Array:
+        try:
+            array = np.array(getattr(self, name), dtype=float)
+        except (TypeError, ValueError):
+            raise ParameterError(f"{name} is {getattr(self, name)!r}; expected numbers") from None
+        if np.any(np.isnan(array)) or (name != "effort_limit" and not np.all(np.isfinite(array))):
+            raise ParameterError(f"{name} has entries that are not finite; expected finite numbers")
+        fits = array.ndim == 0 or (name == "payload_position" and array.shape == (3,)) or len(array) == self.runs
+        if not fits or array.ndim > (1 if name in PER_RUN else 2):
+            raise ParameterError(
+                f"{name} has shape {array.shape}; expected a scalar or one entry for each of {self.runs} runs"
+            )
+        if name in POSITIVE and not np.all(array > 0):
+            raise ParameterError(f"{name} is {array.min():g} at least; expected positive numbers")
+        if name not in (*POSITIVE, *SIGNED) and not np.all(array >= 0):
+            raise ParameterError(f"{name} is {array.min():g} at least; expected 0 or more")
+        return array
+
+    def _seeds(self) -> NDArray[np.uint64]:
+        seeds = np.arange(self.runs) if self.seed is None else np.asarray(self.seed)
+        if seeds.shape not in ((), (self.runs,)) or seeds.dtype.kind not in "iu":
+            raise ParameterError(
+                f"seed is of {seeds.dtype} and shape {seeds.shape}; expected {self.runs} whole numbers"
+            )
+        return np.broadcast_to(seeds, self.runs).astype(np.uint64)
+
+
+LEVELS = tuple(field.name for field in fields(Draws) if field.name not in ("runs", "seed"))
+
+
+def _frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
+    array.setflags(write=False)
+    return array
+
+
+def width(name: str, n: int) -> int:
+    """How many numbers a level that is not PER_RUN has in a run of a robot with n joints."""
+    return 3 if name == "payload_position" else n
+
+
+def _taken(value: NDArray[np.generic], index: NDArray[np.int_], runs: int, name: str) -> NDArray[np.generic]:
+    whole = value.ndim == 0 or (name == "payload_position" and value.ndim == 1)
+    return value if whole else value[index]

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot whose numbers are arguments: what a run of a campaign draws goes in as one vector.
+
+A factor f of a matrix scales it from both sides, S M S with S = diag(sqrt f): it stays symmetric positive definite, a
+diagonal matrix has its entries multiplied by f, and one factor for all joints multiplies the matrix. Of the links'
+inertia that is M_l(q_l) -> S M_l(q_l) S, so that v' S M_l S v is the kinetic energy of S v and all follows from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+
+from ...numerics import integrators, symbolic
+from ...numerics.casadi_function import dense_function
+from ...numerics.checks import Array
+from ...robot.payload import Loaded
+from ...robot.port_hamiltonian import derivative_expression, gradient_expression
+from ...robot.rigid_arm import Hand, Links, RigidArm
+from ...robot.robot import Robot
+from ..nonideal_plant import friction
+
+ROOTS = ("stiffness", "link_inertia", "motor_inertia", "link_damping", "motor_damping")
+"""Factors that come as their square roots."""
+SCALED = (*ROOTS, "gravity")
+FRICTION = ("coulomb_l", "coulomb_m")
+SIZES = {"payload_mass": 1, "payload_position": 3, "smoothing": 1}  # of the others: one entry per joint
+NAMES = (*SCALED, *FRICTION, "external", *SIZES)
+"""The parts of the argument `parameters` of all functions here, in this order."""
+
+
+def size(n: int) -> int:
+    """Length of the argument `parameters` for n joints."""
+    return sum(SIZES.get(name, n) for name in NAMES)
+
+
+@dataclass(frozen=True)
+class ScaledLinks:
+    """Links with sqrt factors (n,) of their inertia and factors (n,) of their gravity torques, expressions."""
+
+    links: Links
+    root: ca.SX
+    gravity: ca.SX
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.links.n
+
+    @property
+    def hand(self) -> Hand | None:
+        """Where a payload can be."""
+        return self.links.hand
+
+    def M_l(self, q_l: ca.SX) -> ca.SX:
+        """Inertia S M_l S (n, n)."""
+        return _both_sides(self.root, self.links.M_l(q_l))
+
+    def P_l(self, q_l: ca.SX) -> ca.SX:
+        """Potential energy for one factor of all joints; else the torques are none of a potential."""
+        return self.gravity[0] * self.links.P_l(q_l)
+
+    def grad_P_l(self, q_l: ca.SX) -> ca.SX:
+        """Gravity torques (n,)."""
+        return self.gravity * self.links.grad_P_l(q_l)
+
+    def grad_T(self, q_l: ca.SX, v: ca.SX) -> ca.SX:
+        """d/dq_l (v' S M_l S v / 2) (n,), v held."""
+        return self.links.grad_T(q_l, self.root * v)
+
+
+@dataclass(frozen=True)
+class ScaledRobot:
+    """A robot with the drawn numbers in place of its own; expressions."""
+
+    robot: Robot
+    links: RigidArm
+    p: SimpleNamespace
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.robot.n
+
+    @property
+    def K(self) -> ca.SX:
+        """Stiffness (n, n)."""
+        return _both_sides(self.p.stiffness, symbolic.sparse(self.robot.K))
+
+    @property
+    def D_l(self) -> ca.SX:
+        """Damping of the links (n, n)."""
+        return _both_sides(self.p.link_damping, symbolic.sparse(self.robot.D_l))
+
+    @property
+    def D_m(self) -> ca.SX:
+        """Damping of the motors (n, n)."""
+        return _both_sides(self.p.motor_damping, symbolic.sparse(self.robot.D_m))
+
+    @property
+    def B_m(self) -> ca.SX:
+        """Input matrix (n, n)."""
+        return symbolic.sparse(self.robot.B_m)
+
+    def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
+        """(dq_l, dq_m) = (M_l^-1 p_l, S^-1 M_m^-1 S^-1 p_m)."""
+        q_l, _, p_l, p_m = symbolic.blocks(x, self.n)
+        inverse = _both_sides(1 / self.p.motor_inertia, symbolic.sparse(np.linalg.inv(self.robot.M_m)))
+        return symbolic.solve((links or self.links).M_l(q_l), p_l), inverse @ p_m
+
+    def momenta(self, q_l: ca.SX, dq_l: ca.SX, dq_m: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """(p_l, p_m) = (M_l dq_l, S M_m S dq_m)."""
+        root = self.p.motor_inertia
+        return self.links.M_l(q_l) @ dq_l, root * (symbolic.sparse(self.robot.M_m) @ (root * dq_m))
+
+
+def _both_sides(root: ca.SX, matrix: ca.SX) -> ca.SX:
+    """S A S, entry by entry r_i A_ij r_j; of the diagonal r_i^2 A_ii."""
+    return matrix * (root @ root.T)
+
+
+class UncertainPlant:
+    """Eq. (36) with drawn numbers as CasADi functions of (.., parameters): what one run is integrated with.
+
+    friction, payload: whether there are these at all; without, their parameters are not read and a step costs less.
+    Momenta are those of the drawn inertia. All functions can be written as C.
+    """
+
+    def __init__(self, robot: Robot, friction: bool, payload: bool) -> None:
+        self.robot = robot
+        self._friction, self._payload = friction, payload and robot.links.hand is not None
+
+    @cached_property
+    def dynamics(self) -> ca.Function:
+        """(x, inputs) -> dx (4n,); inputs: effort u (n,), parameters."""
+        n = self.robot.n
+        x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", n + size(n))
+        u, parameters = ca.vertsplit(inputs, [0, n, inputs.numel()])
+        p, robot = self._drawn(parameters)
+        dH = gradient_expression(robot, x)
+        dx = derivative_expression(robot, x, u, dH)
+        _, _, dq_l, dq_m = symbolic.blocks(dH, n)
+        links, motors = p.external, ca.SX(n, 1)
+        if self._friction:
+            links, motors = links - self._torque(dq_l, p.coulomb_l, p), -self._torque(dq_m, p.coulomb_m, p)
+        dx += ca.vertcat(ca.SX(2 * n, 1), links, motors)
+        return dense_function("uncertain_dynamics", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
+
+    def step(self, name: str) -> ca.Function:
+        """(x, u, parameters, dt) -> x after dt seconds, a Runge-Kutta step of order 4, u held."""
+        n = self.robot.n
+        x, u, parameters = (ca.SX.sym(key, k) for key, k in (("x", 4 * n), ("u", n), ("parameters", size(n))))
+        dt = ca.SX.sym("dt")
+        x_next = integrators.rk4(self.dynamics)(x, ca.vertcat(u, parameters), dt)
+        inputs = {"x": x, "u": u, "parameters": parameters, "dt": dt}
+        return dense_function(name, inputs, {"x_next": x_next}, cse=True)
+
+    def velocity(self, name: str) -> ca.Function:
+        """(x, parameters) -> (dq_l, dq_m) (2n,)."""
+        n = self.robot.n
+        x, parameters = ca.SX.sym("x", 4 * n), ca.SX.sym("parameters", size(n))
+        _, robot = self._drawn(parameters)
+        velocity = ca.vertcat(*robot.velocity_expressions(x))
+        return dense_function(name, {"x": x, "parameters": parameters}, {"velocity": velocity}, cse=True)
+
+    def state(self, name: str) -> ca.Function:
+        """(position (2n,), velocity (2n,), parameters) -> x (4n,)."""
+        n = self.robot.n
+        sizes = {"position": 2 * n, "velocity": 2 * n, "parameters": size(n)}
+        position, velocity, parameters = symbols = [ca.SX.sym(key, k) for key, k in sizes.items()]
+        _, robot = self._drawn(parameters)
+        momenta = robot.momenta(position[:n], velocity[:n], velocity[n:])
+        return dense_function(name, dict(zip(sizes, symbols, strict=True)), {"x": ca.vertcat(position, *momenta)})
+
+    def _drawn(self, parameters: ca.SX) -> tuple[SimpleNamespace, ScaledRobot]:
+        p = named(parameters, self.robot.n)
+        links = ScaledLinks(self.robot.links, p.link_inertia, p.gravity)
+        loaded = Loaded(links, p.payload_mass, p.payload_position) if self._payload else links
+        return p, ScaledRobot(self.robot, loaded, p)
+
+    @staticmethod
+    def _torque(v: ca.SX, level: ca.SX, p: SimpleNamespace) -> ca.SX:
+        return friction(v, level, level, ca.SX(1), p.smoothing)
+
+
+def named(parameters: ca.SX, n: int) -> SimpleNamespace:
+    """The parts of `parameters` by their names."""
+    ends = np.cumsum([0, *(SIZES.get(name, n) for name in NAMES)]).tolist()
+    return SimpleNamespace(**dict(zip(NAMES, ca.vertsplit(parameters, ends), strict=True)))
+
+
+def vector(parts: dict[str, Array]) -> Array:
+    """`parameters` of k runs (k, size) from their parts, each (k, its size); factors as they are."""
+    columns = [np.sqrt(parts[name]) if name in ROOTS else parts[name] for name in NAMES]
+    return np.ascontiguousarray(np.hstack(columns))

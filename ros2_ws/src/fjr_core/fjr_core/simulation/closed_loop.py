@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The closed loop in one function, without ROS: in continuous time, or sampled with a zero-order hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..control.sampled_law import SampledLaw, bound_step
+from ..control.static_law import StaticLaw
+from ..errors import StateError
+from ..numerics import checks
+from ..numerics.casadi_function import NumericFunction, bind, not_converged
+from ..numerics.checks import Array
+from ..numerics.integrators import rk4_expression
+from ..robot.coordinates import law_view, velocity_function
+from ..robot.port_hamiltonian import Plant
+from ..trajectories.reference import JETS, Reference
+
+CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
+INNER_STEP = 2.5e-4  # s; integrator step under a hold
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A closed-loop run at k instants: t (k,), x (k, 4n), u (k, n), jets (k, 5, n), V (k,); SI units."""
+
+    t: Array
+    x: Array
+    u: Array
+    jets: Array
+    V: Array
+
+
+def simulate(
+    plant: Plant,
+    law: StaticLaw | SampledLaw,
+    reference: Reference,
+    x0: ArrayLike,
+    duration: float,
+    sample_period: float | None = None,
+    inner_step: float | None = None,
+    delay: float = 0.0,
+) -> Trajectory:
+    """Run u(x, x, t) on the plant from x0 (4n,) for `duration` seconds.
+
+    sample_period [s]: the law is evaluated once a sample and held (plant.step inside, at most inner_step
+    each); None: continuous time, the law in every stage of a Runge-Kutta step of inner_step. Times are
+    multiples of the sample period (of inner_step in continuous time) up to the duration.
+    delay [s]: the effort for the state at t acts from t + delay on, none before the first; Trajectory.u is
+    what the law said at t. Only for a sampled loop.
+    The plant's robot and the law's may differ (model mismatch): the law then gets the plant's positions and
+    velocities, with momenta by its own inertia, and V is its own; Trajectory.x is the plant's state.
+    law: a SampledLaw (e.g. robust.RobustLaw) only with a sample_period; it gets the reference `lead` later.
+    Raises StateError for shapes or numbers that do not fit, and when the loop diverges to non-finite numbers.
+    """
+    x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
+    n = {plant.robot.n, law.robot.n, reference.n}
+    if len(n) != 1:
+        raise StateError(
+            f"plant, law and reference have {plant.robot.n}, {law.robot.n} and {reference.n} joints; expected equal"
+        )
+    if inner_step is not None:
+        _positive("inner_step", inner_step)
+    if not (np.isfinite(delay) and delay >= 0) or (delay and sample_period is None):
+        raise StateError(f"delay is {delay} s; expected 0 or more with a sample_period, 0 in continuous time")
+    period = sample_period if sample_period is not None else inner_step or CONTINUOUS_STEP
+    t = _times(duration, period)
+    jets = reference.jets(t)
+    if sample_period is None:
+        if not isinstance(law, StaticLaw):
+            raise StateError(f"law is a {type(law).__name__} without a sample_period; expected a StaticLaw, or one")
+        return _continuous(plant, law, reference, x0, t, period)
+    segments = _segments(period, delay, inner_step or INNER_STEP)
+    if isinstance(law, StaticLaw):
+        return _sampled(plant, x0, t, jets, segments, partial(_static, plant, law, jets))
+    return _sampled(plant, x0, t, jets, segments, partial(_remembering, plant, law, reference.jets(t + law.lead), t))
+
+
+def _times(duration: float, period: float) -> Array:
+    _positive("duration", duration)
+    _positive("period", period)
+    return np.asarray(period * np.arange(int(duration / period + 1e-9) + 1), dtype=float)
+
+
+def _positive(name: str, value: float) -> None:
+    if not (np.isfinite(value) and value > 0):
+        raise StateError(f"{name} is {value} s; expected a positive finite number")
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """A part of the sample period under one effort, which is `age` samples old, in `steps` steps of dt [s]."""
+
+    age: int
+    steps: int
+    dt: float
+
+
+def _segments(period: float, delay: float, inner_step: float) -> list[_Segment]:
+    """The sample period cut where the effort changes."""
+    whole, late = divmod(delay, period)
+    parts = [(int(whole) + 1, late), (int(whole), period - late)]
+    steps = [int(np.ceil(length / inner_step - 1e-9)) for _, length in parts]
+    return [_Segment(age, k, length / k) for (age, length), k in zip(parts, steps, strict=True) if k]
+
+
+Asked = Callable[[int], None]
+"""Evaluates the law for sample k, from the plant's state in an array into efforts (n,) and V (1,)."""
+
+
+def _sampled(
+    plant: Plant, x0: Array, t: Array, jets: Array, segments: list[_Segment], bound: Callable[..., Asked]
+) -> Trajectory:
+    n = plant.robot.n
+    run = _empty_trajectory(n, t, jets)
+    x, u, x_next, V = x0.copy(), np.zeros(n), np.zeros_like(x0), np.zeros(1)
+    ask = bound(x, u, V)
+    held = [np.zeros(n) for _ in segments]
+    steps = [
+        bind(plant.step_function, [x, effort, np.array([segment.dt])], [x_next])
+        for effort, segment in zip(held, segments, strict=True)
+    ]
+    for k in range(len(t)):
+        if not x.dot(x) < np.inf:
+            raise _diverged(t[k])
+        ask(k)
+        run.x[k], run.u[k], run.V[k] = x, u, V[0]
+        if k + 1 == len(t):
+            break
+        for segment, effort, step in zip(segments, held, steps, strict=True):
+            if k >= segment.age:
+                effort[...] = run.u[k - segment.age]
+            try:
+                for _ in range(segment.steps):
+                    step()
+                    x[...] = x_next
+            except RuntimeError:
+                raise not_converged(plant.step_function) from None
+    return run
+
+
+def _static(plant: Plant, law: StaticLaw, jets: Array, x: Array, u: Array, V: Array) -> Asked:
+    """A law without memory."""
+    now = np.zeros(jets.shape[1:])
+    seen, look = _bound_view(law_view(plant.robot, law.robot), x)
+    evaluate = bind(law.command_function, [seen, now], [u, V])
+
+    def ask(k: int) -> None:
+        now[...] = jets[k]
+        look()
+        evaluate()
+
+    return ask
+
+
+def _remembering(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, u: Array, V: Array) -> Asked:
+    """A law with a memory."""
+    n, now, velocity = plant.robot.n, np.zeros(jets.shape[1:]), np.zeros(len(x) // 2)
+    look = bind(velocity_function(plant.robot), [x], [velocity])
+    step = bound_step(law, x[: 2 * n], velocity, now, getattr(law, "ready_step", None))
+
+    def ask(k: int) -> None:
+        now[...] = jets[k]
+        look()
+        step.dt[0] = t[k] - t[k - 1] if k else 0.0
+        step.evaluate()
+        step.keep()
+        u[...], V[...] = step.u, step.V
+        step.sent[...] = u
+
+    return ask
+
+
+def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t: Array, dt: float) -> Trajectory:
+    step = _closed_loop_step(plant, law)
+    run = _empty_trajectory(law.robot.n, t, reference.jets(t))
+    run.x[0] = x0
+    instants = (t[:-1], t[:-1] + dt / 2, t[1:])
+    for k, stages in enumerate(zip(*(reference.jets(instant) for instant in instants), strict=True)):
+        run.x[k + 1] = step(run.x[k], *stages, dt)[0]
+        if not np.isfinite(run.x[k + 1]).all():
+            raise _diverged(t[k + 1])
+    x = np.zeros_like(x0)
+    seen, look = _bound_view(law_view(plant.robot, law.robot), x)
+    for k, jets in enumerate(run.jets):
+        x[...] = run.x[k]
+        look()
+        run.u[k], run.V[k] = law.command_and_storage(seen, jets)
+    return run
+
+
+def _closed_loop_step(plant: Plant, law: StaticLaw) -> NumericFunction:
+    """One Runge-Kutta step of dx = f(x) + G u(x, x, t), the reference given at its three instants."""
+    n = plant.robot.n
+    x, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("dt")
+    start, middle, end = (ca.MX.sym(name, n, JETS) for name in ("start", "middle", "end"))
+    view = law_view(plant.robot, law.robot)
+
+    def f(x: ca.MX, jets: ca.MX) -> ca.MX:
+        return plant.dynamics(x, law.command_function(view(x) if view else x, jets)[0])
+
+    x_next = rk4_expression(f, x, (start, middle, end), dt)
+    function = ca.Function("closed_loop_step", [x, start, middle, end, dt], [x_next])
+    return NumericFunction(function, ((4 * n,), (JETS, n), (JETS, n), (JETS, n), ()))
+
+
+def _bound_view(view: ca.Function | None, x: Array) -> tuple[Array, Callable[[], None]]:
+    """The array with the law's state, and what fills it from the plant's state in x."""
+    if view is None:
+        return x, lambda: None
+    seen = np.zeros_like(x)
+    return seen, bind(view, [x], [seen])
+
+
+def _diverged(t: float) -> StateError:
+    return StateError(f"the closed loop diverged: the state is not finite at t = {t:.6g} s")
+
+
+def _empty_trajectory(n: int, t: Array, jets: Array) -> Trajectory:
+    return Trajectory(t, np.empty((len(t), 4 * n)), np.empty((len(t), n)), jets, np.empty(len(t)))

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated robot with friction, cubic springs, torque ripple, a weak and slow actuator, a payload and pushes.
+
+    dq_l = (M_l + m J'J)^-1 p_l                      dq_m = M_m^-1 p_m
+    dp_l = -dH/dq_l - D_l dq_l - F_l(dq_l) + tau     dp_m = -dH/dq_m - D_m dq_m - F_m(dq_m) + r(q_m) + B_m a
+    H    = eq. (36) with the payload + sum cubic zeta^4 / 4
+    T da/dt = cut(u) - a                             exactly, also in the middle of a step
+
+All imperfections are numbers that go into one function, so that they change while the robot moves.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import ParameterError
+from ..numerics import symbolic
+from ..numerics.casadi_function import NumericFunction, dense_function, numeric
+from ..numerics.checks import Array
+from ..numerics.integrators import step_expression
+from ..numerics.jit import compiled
+from ..robot.payload import Loaded
+from ..robot.port_hamiltonian import Plant, derivative_expression, gradient_expression, spring_expression
+from ..robot.rigid_arm import Links, RigidArm
+from .nonideal_parameters import NAMES, SIZES, Imperfections
+
+SHORTEST_LAG = 1e-12  # s
+
+
+class ImperfectPlant:
+    """A plant beside which numbers say how it departs from eq. (36); pure functions, bound once.
+
+    The state is (x, a) (5n,): x of eq. (36) with the payload's momenta in p_l, and the actuators' output a (n,).
+    Where the links cannot carry a payload, it is ignored: `check` refuses one.
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant = plant
+        self.robot = plant.robot
+
+    def check(self, imperfections: Imperfections) -> None:
+        """Raise ParameterError for imperfections that this robot cannot have."""
+        if imperfections.n != self.robot.n:
+            raise ParameterError(f"imperfections are of {imperfections.n} joints; expected {self.robot.n}")
+        if self.robot.links.hand is None and np.any(imperfections.payload_mass):
+            raise ParameterError("payload_mass is not 0 for links that do not say where a hand is; expected 0")
+
+    def step(self, state: ArrayLike, u: ArrayLike, external: ArrayLike, parameters: ArrayLike, dt: float) -> Array:
+        """State (5n,) after dt seconds; command u (n,), external (n,) torques on the links, Imperfections.vector."""
+        return self._step(state, u, external, parameters, dt)[0]
+
+    def derivative(self, x: ArrayLike, applied: ArrayLike, external: ArrayLike, parameters: ArrayLike) -> Array:
+        """dx/dt (4n,) at x (4n,) under what the actuators give (n,) and torques `external` (n,) on the links."""
+        return self._derivative(x, np.concatenate([applied, external, parameters]))[0]
+
+    def applied(self, a: ArrayLike, u: ArrayLike, parameters: ArrayLike) -> Array:
+        """What the actuators give now (n,), with the output a (n,) behind them and the command u (n,)."""
+        return self._applied(a, u, parameters)[0]
+
+    def measure(self, x: ArrayLike, parameters: ArrayLike) -> tuple[Array, Array]:
+        """Velocities (dq_l, dq_m) (2n,) [rad/s] and spring torques (n,) [N m] at x (4n,)."""
+        velocity, spring = self._measure(x, parameters)
+        return velocity, spring
+
+    def hamiltonian(self, x: ArrayLike, parameters: ArrayLike) -> float:
+        """Energy [J] at x (4n,), with the payload and the cubic part of the springs."""
+        return float(self._hamiltonian(x, parameters)[0][0])
+
+    def state(self, position: ArrayLike, velocity: ArrayLike, parameters: ArrayLike) -> Array:
+        """x (4n,) from positions and velocities (2n,) of links and motors, with the payload's momenta."""
+        return self._state(position, velocity, parameters)[0]
+
+    @cached_property
+    def dynamics(self) -> ca.Function:
+        """(x, inputs) -> dx (4n,); inputs: what the actuators give, torques on the links, parameters."""
+        n = self.robot.n
+        x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", 2 * n + size(n))
+        applied, external, parameters = ca.vertsplit(inputs, [0, n, 2 * n, inputs.numel()])
+        p, q_m = named(parameters, n), x[n : 2 * n]
+        dH = gradient_expression(self.robot, x, self._links(p), p.cubic)
+        _, _, dq_l, dq_m = symbolic.blocks(dH, n)
+        F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing)
+        F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing)
+        ripple = p.ripple * ca.sin(p.ripple_periods * q_m + p.ripple_phase)
+        dx = derivative_expression(self.robot, x, applied, dH)
+        dx += ca.vertcat(ca.SX.zeros(2 * n), external - F_l, ripple - F_m)
+        return dense_function("imperfect_dynamics", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
+
+    @cached_property
+    def step_function(self) -> ca.Function:
+        """(state, u, external, parameters, dt) -> next state; machine code if the plant's step is."""
+        n = self.robot.n
+        sizes = {"state": 5 * n, "u": n, "external": n, "parameters": size(n), "dt": 1}
+        symbols = {name: ca.MX.sym(name, rows) for name, rows in sizes.items()}
+        state, u, external, parameters, dt = symbols.values()
+        x, a = ca.vertsplit(state, [0, 4 * n, 5 * n])
+        applied = [self._actuators(a, u, parameters, t) for t in (0, dt / 2, dt)]
+        start, middle, end = (ca.vertcat(b, external, parameters) for b in applied)
+        x_next = step_expression(self.plant.integrator, self.dynamics, x, (start, middle, end), dt)
+        function = dense_function("imperfect_step", symbols, {"next": ca.vertcat(x_next, applied[-1])})
+        return compiled(function) if self.plant.compiles else function
+
+    def _links(self, p: SimpleNamespace) -> Links | RigidArm:
+        links = self.robot.links
+        return links if links.hand is None else Loaded(links, p.payload_mass, p.payload_position)
+
+    @cached_property
+    def _actuators(self) -> ca.Function:
+        """(a, u, parameters, t) -> what the actuators give t seconds later: the cut command, behind the lag."""
+        n = self.robot.n
+        a, u, parameters, t = ca.SX.sym("a", n), ca.SX.sym("u", n), ca.SX.sym("parameters", size(n)), ca.SX.sym("t")
+        p = named(parameters, n)
+        cut = ca.fmin(ca.fmax(u, -p.effort_limit), p.effort_limit)
+        lagged = cut + (a - cut) * ca.exp(-t / ca.fmax(p.lag, SHORTEST_LAG))
+        return dense_function(
+            "actuators",
+            {"a": a, "u": u, "parameters": parameters, "t": t},
+            {"applied": ca.if_else(p.lag > 0, lagged, cut)},
+        )
+
+    @cached_property
+    def _step(self) -> NumericFunction:
+        n = self.robot.n
+        return NumericFunction(self.step_function, ((5 * n,), (n,), (n,), (size(n),), ()))
+
+    @cached_property
+    def _derivative(self) -> NumericFunction:
+        n = self.robot.n
+        return NumericFunction(self.dynamics, ((4 * n,), (2 * n + size(n),)))
+
+    @cached_property
+    def _applied(self) -> NumericFunction:
+        n = self.robot.n
+        a, u, parameters = (ca.SX.sym(name, rows) for name, rows in (("a", n), ("u", n), ("parameters", size(n))))
+        return numeric(
+            "applied", {"a": a, "u": u, "parameters": parameters}, {"b": self._actuators(a, u, parameters, 0)}
+        )
+
+    def _at(self) -> tuple[ca.SX, ca.SX, SimpleNamespace]:
+        n = self.robot.n
+        x, parameters = ca.SX.sym("x", 4 * n), ca.SX.sym("parameters", size(n))
+        return x, parameters, named(parameters, n)
+
+    @cached_property
+    def _measure(self) -> NumericFunction:
+        x, parameters, p = self._at()
+        q_l, q_m, _, _ = symbolic.blocks(x, self.robot.n)
+        velocities = ca.vertcat(*self.robot.velocity_expressions(x, self._links(p)))
+        springs = spring_expression(self.robot, q_m - q_l, p.cubic)
+        return numeric("measure", {"x": x, "parameters": parameters}, {"velocities": velocities, "springs": springs})
+
+    @cached_property
+    def _hamiltonian(self) -> NumericFunction:
+        x, parameters, p = self._at()
+        q_l, q_m, _, _ = symbolic.blocks(x, self.robot.n)
+        H = self.robot.hamiltonian_expression(x, self._links(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
+        return numeric("imperfect_hamiltonian", {"x": x, "parameters": parameters}, {"H": H})
+
+    @cached_property
+    def _state(self) -> NumericFunction:
+        n = self.robot.n
+        rows = {"position": 2 * n, "velocity": 2 * n, "parameters": size(n)}
+        position, velocity, parameters = symbols = [ca.SX.sym(name, k) for name, k in rows.items()]
+        p_l = self._links(named(parameters, n)).M_l(position[:n]) @ velocity[:n]
+        x = ca.vertcat(position, p_l, self.robot.M_m @ velocity[n:])
+        return numeric("imperfect_state", dict(zip(rows, symbols, strict=True)), {"x": x})
+
+
+def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing: ca.SX) -> ca.SX:
+    """Torque (n,) against the velocity v (n,), beside the viscous damping: v' F >= 0.
+
+    B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30(7), 1994, with tanh(v / smoothing)
+    in place of sign(v) as in S. Andersson, A. Soderberg, S. Bjorklund, Tribology International 40(4), 2007.
+    """
+    level = coulomb + ca.fmax(static - coulomb, 0) * ca.exp(-((v / stribeck) ** 2))
+    return level * ca.tanh(v / smoothing)
+
+
+def size(n: int) -> int:
+    """Length of Imperfections.vector for n joints."""
+    return sum(SIZES.get(name, n) for name in NAMES)
+
+
+def named(parameters: ca.SX, n: int) -> SimpleNamespace:
+    """The parts of Imperfections.vector by their names."""
+    ends = np.cumsum([0, *(SIZES.get(name, n) for name in NAMES)]).tolist()
+    return SimpleNamespace(**dict(zip(NAMES, ca.vertsplit(parameters, ends), strict=True)))

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller as the node runs it, linearised at rest: velocity observer, law and controller state in one sample.
+
+    u  = F y + C c + S s          y: measured positions and velocities, c: controller state, s: the last effort sent
+    c+ = G y + H c + J s
+
+All are deviations from rest. The observer and the law's step function are linearised by their Jacobians; those of the
+observer have a closed form, because a Runge-Kutta step about an equilibrium is a polynomial of the plant's matrix.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from ..control.sampled_law import ARGUMENTS, SampledLaw, Static
+from ..control.vdpbc.law import TrackingLaw
+from ..estimation.velocity_observer import LONGEST_CALL, corrections, steps_of
+from ..numerics.checks import Array
+from ..robot.equilibrium import Indices, RestPoints, feedback, plant_matrices
+from ..robot.robot import Robot
+from ..trajectories.reference import JETS
+
+DIRECTIONS = 16  # of a Jacobian, found at once
+MOST_SAMPLES = 64  # at rest until the controller state stays as it is: more than any delay has
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """The matrices above, a stack over k rest points: F (k, n, 4n), C (k, n, m), S (k, n, n), G, H, J (k, m, .)."""
+
+    F: Array
+    C: Array
+    S: Array
+    G: Array
+    H: Array
+    J: Array
+
+    @property
+    def states(self) -> int:
+        """m, the size of the controller state."""
+        return int(self.H.shape[1])
+
+    @property
+    def reads_sent(self) -> bool:
+        """Whether the last effort sent is read."""
+        return bool(self.S.any() or self.J.any())
+
+    def seeing(self, measured: Array) -> Controller:
+        """Return the controller that gets measured (4n, 4n) times y."""
+        return replace(self, F=self.F @ measured, G=self.G @ measured)
+
+    def at(self, indices: Indices) -> Controller:
+        """Some of the rest points."""
+        return replace(self, **{name: getattr(self, name)[indices] for name in "FCSGHJ"})
+
+
+At = Callable[[float], Controller]
+"""The controller at a sample period [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sensing:
+    """What the law gets of the plant. bandwidth [rad/s]: of the velocity observer; None: velocities are measured.
+
+    by_torque: motor positions come from the joint torque sensors, q_m = q_l + K^-1 tau with the law's K.
+    """
+
+    bandwidth: float | None = None
+    by_torque: bool = False
+
+    @property
+    def plain(self) -> bool:
+        """Whether the law gets the plant's state itself."""
+        return self.bandwidth is None and not self.by_torque
+
+    def measured(self, own: Robot, K: Array) -> Array | None:
+        """What the sensors make of the plant's state (4n, 4n) whose stiffness is K (n, n); None: the state itself."""
+        if not self.by_torque:
+            return None
+        n, ratio = own.n, np.linalg.solve(own.K, K)
+        seen = np.eye(4 * n)
+        seen[n : 2 * n, :n], seen[n : 2 * n, n : 2 * n] = np.eye(n) - ratio, ratio
+        return seen
+
+
+def static(F: Array) -> Controller:
+    """A controller without state: u = F y."""
+    k, n, N = F.shape
+    empty = np.zeros((k, n, 0))
+    return Controller(F, empty, np.zeros((k, n, n)), np.zeros((k, 0, N)), np.zeros((k, 0, 0)), np.zeros((k, 0, n)))
+
+
+def controller(law: SampledLaw, rest: RestPoints, sensing: Sensing) -> At:
+    """The law's controller about the rest points of its own robot, the reference at rest there."""
+    alone = _law_alone(law, rest)
+    if sensing.bandwidth is None:
+        return alone
+    return lambda T: _behind_observer(alone(T), rest, sensing.bandwidth, T)  # type: ignore[arg-type]
+
+
+def _law_alone(law: SampledLaw, rest: RestPoints) -> At:
+    if isinstance(law, Static):
+        if isinstance(law.law, TrackingLaw):
+            found = static(feedback(rest, law.law.gains) @ _momenta(rest))
+        else:
+            found = _linearised(law, rest, 1.0)
+        return lambda _: found
+    return lru_cache(maxsize=2)(lambda T: _linearised(law, rest, T))
+
+
+def _momenta(rest: RestPoints) -> Array:
+    """dx = T dy: momenta of velocities at rest (k, 4n, 4n)."""
+    one = np.eye(rest.robot.n)
+    return rest.blocks([one, 0, 0, 0], [0, one, 0, 0], [0, 0, rest.M_l, 0], [0, 0, 0, rest.robot.M_m])
+
+
+def plant_in_velocities(rest: RestPoints) -> tuple[Array, Array]:
+    """A (k, 4n, 4n) and B (k, 4n, n) of a robot about its rest points, in y = (q_l, q_m, dq_l, dq_m)."""
+    A, B = plant_matrices(rest)
+    T = _momenta(rest)
+    return np.asarray(np.linalg.solve(T, A @ T)), np.asarray(np.linalg.solve(T, B))
+
+
+def _linearised(law: SampledLaw, rest: RestPoints, T: float) -> Controller:
+    """The step function's Jacobian at each rest point, samples T [s] apart."""
+    n, m = rest.robot.n, len(law.memory)
+    step, blocks = law.step_function, []
+    for x, u in zip(rest.x, rest.u, strict=True):
+        at = [x[: 2 * n], np.zeros(2 * n), _standing(x[:n]), law.gain_values, _state_at_rest(law, step, x, u, T), u, T]
+        blocks.append(np.split(_jacobian(step, at), [n]))
+    of_u, of_next = (np.array(rows) for rows in zip(*blocks, strict=True))
+    parts = [np.split(rows, [4 * n, 4 * n + m], axis=2) for rows in (of_u, of_next)]
+    return _without_constants(Controller(*parts[0], *parts[1]))
+
+
+def _without_constants(law: Controller) -> Controller:
+    """Drop the states that nothing else changes, such as an integral whose gain is 0: they stay at rest."""
+    while law.states:
+        others = law.H * (1 - np.eye(law.states))
+        moves = np.concatenate([law.G, law.J, others], axis=2).any(axis=(0, 2))
+        if moves.all():
+            break
+        law = Controller(
+            law.F, law.C[:, :, moves], law.S, law.G[:, moves], law.H[:, moves][:, :, moves], law.J[:, moves]
+        )
+    return law
+
+
+def _standing(q_l: Array) -> Array:
+    """Jets (n, 5) of a reference at rest."""
+    return np.column_stack([q_l, np.zeros((len(q_l), JETS - 1))])
+
+
+def _state_at_rest(law: SampledLaw, step: ca.Function, x: Array, u: Array, T: float) -> Array:
+    """The controller state (m,) that stays as it is at rest under the effort that holds the robot there."""
+    n, state = law.robot.n, law.memory
+    for k in range(MOST_SAMPLES if len(state) else 0):
+        dt = T if k else 0.0
+        after = step(x[: 2 * n], np.zeros(2 * n), _standing(x[:n]), law.gain_values, state, u, dt)[2].full().ravel()
+        if k > 1 and np.allclose(after, state, rtol=1e-12, atol=1e-12):
+            return np.asarray(after)
+        state = after
+    return state
+
+
+@lru_cache(maxsize=4)
+def _forward(step: ca.Function) -> ca.Function:
+    """Directional derivatives of a step function, kept: CasADi builds them anew when nobody holds them."""
+    return step.forward(DIRECTIONS)
+
+
+def _jacobian(step: ca.Function, at: list[Array]) -> Array:
+    """Jacobian (n + m, 5 n + m) of (u, next) in (position, velocity, memory, sent), DIRECTIONS columns at a time."""
+    moved = [ARGUMENTS.index(name) for name in ("position", "velocity", "memory", "sent")]
+    sizes = [step.size1_in(i) for i in moved]
+    total = sum(sizes)
+    columns = -(-total // DIRECTIONS) * DIRECTIONS
+    seeds = dict(zip(moved, np.split(np.eye(total, columns), np.cumsum(sizes)[:-1]), strict=True))
+    forward, values, found = _forward(step), step(*at), []
+    for k in range(0, columns, DIRECTIONS):
+        part = [
+            seeds[i][:, k : k + DIRECTIONS] if i in moved else ca.DM(step.size1_in(i), step.size2_in(i) * DIRECTIONS)
+            for i in range(step.n_in())
+        ]
+        u, _, after = forward(*at, *values, *part)
+        found.append(np.vstack([u.full(), after.full()]))
+    return np.hstack(found)[:, :total]
+
+
+def _behind_observer(law: Controller, rest: RestPoints, bandwidth: float, T: float) -> Controller:
+    """The law fed with the observer's estimate, which joins the controller state; see observer for its equations."""
+    n = rest.robot.n
+    g, h = corrections(bandwidth, T)
+    correct = np.vstack([g * np.eye(2 * n), h / T * np.eye(2 * n)])
+    Phi, Gamma = _predicted(rest, T)
+    X, U = Phi - correct @ Phi[:, : 2 * n], Gamma - correct @ Gamma[:, : 2 * n]
+    Y = np.broadcast_to(np.hstack([correct, np.zeros((4 * n, 2 * n))]), Phi.shape)
+    stacked = [np.concatenate([a, b], axis=1) for a, b in ((law.G @ Y, Y), (law.J + law.G @ U, U))]
+    none = np.zeros((len(Phi), 4 * n, law.states))
+    H = np.concatenate([np.concatenate([law.H, law.G @ X], axis=2), np.concatenate([none, X], axis=2)], axis=1)
+    return Controller(
+        law.F @ Y, np.concatenate([law.C, law.F @ X], axis=2), law.S + law.F @ U, stacked[0], H, stacked[1]
+    )
+
+
+def _predicted(rest: RestPoints, T: float) -> tuple[Array, Array]:
+    """Phi (k, 4n, 4n) and Gamma (k, 4n, n) of the observer's Runge-Kutta steps over T [s], an effort held."""
+    n = rest.robot.n
+    A, B = plant_in_velocities(rest)
+    steps = math.ceil(T / LONGEST_CALL) * steps_of(rest.robot)
+    whole = np.zeros((len(A), 5 * n, 5 * n))
+    whole[:, : 4 * n, : 4 * n], whole[:, : 4 * n, 4 * n :] = A * (T / steps), B * (T / steps)
+    step = one = np.eye(5 * n)
+    for i in (4, 3, 2, 1):
+        step = one + whole @ step / i
+    over = np.linalg.matrix_power(step, steps)
+    return over[:, : 4 * n, : 4 * n], over[:, : 4 * n, 4 * n :]

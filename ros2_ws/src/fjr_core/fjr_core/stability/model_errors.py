@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sampled loop on a plant that is not quite the model: stiffness or inertia off by 20 or 30 %, one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..control.sampled_law import SampledLaw
+from ..control.static_law import StaticLaw
+from ..robot.configuration_sampling import checked_configurations
+from ..robot.equilibrium import RestPoints, rest_points
+from ..robot.port_hamiltonian import Plant
+from .linear_controller import Sensing, controller
+from .linearization import as_sampled, on_plant
+
+FACTORS = (0.7, 0.8, 1.2, 1.3)
+"""Of a quantity of the plant over what it is without the error."""
+
+QUANTITIES: Mapping[str, Callable[[RestPoints, float], RestPoints]] = {
+    "stiffness": lambda rest, factor: replace(rest, robot=replace(rest.robot, K=factor * rest.robot.K)),
+    "link inertia": lambda rest, factor: replace(rest, M_l=factor * rest.M_l),
+    "motor inertia": lambda rest, factor: replace(rest, robot=replace(rest.robot, M_m=factor * rest.robot.M_m)),
+}
+"""What may be off, of all joints at once; the weight of the links stays."""
+
+
+def radii_with_model_errors(
+    law: StaticLaw | SampledLaw,
+    sample_period: float,
+    delay: float,
+    configurations: ArrayLike,
+    plant: Plant | None = None,
+    sensing: Sensing | None = None,
+) -> dict[tuple[str, float], float]:
+    """Return the largest spectral radius at the configurations (k, n) [rad] for each (quantity, factor).
+
+    The law keeps its model. Arguments as in sampled_loop.check. Raises StateError for shapes that do not fit.
+    """
+    sensing, q_l = sensing or Sensing(), checked_configurations(law.robot, configurations)
+    own, real = rest_points(law.robot, q_l), rest_points((plant or Plant(law.robot)).robot, q_l)
+    at = controller(as_sampled(law), own, sensing)
+    return {
+        (quantity, factor): float(np.max(on_plant(at, own, change(real, factor), sensing).radii(sample_period, delay)))
+        for quantity, change in QUANTITIES.items()
+        for factor in FACTORS
+    }

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits of a motion, and the sentence that says where a reference would break them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import TrajectoryError
+from ..numerics.checks import Array
+from ..numerics.reference_checks import freeze
+from ..robot.joint_limits import JointLimits
+from ..robot.joint_units import REVOLUTE, Units
+from .piecewise_polynomial import Pieces
+from .reference import Reference
+from .spline import Spline
+
+ROUNDING = 1e-9  # by which a limit may be passed, relative to it
+_NUMBERS = ("lower", "upper", "velocity", "acceleration")
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """Limits of n joints: positions lower, upper [rad], |velocity| [rad/s] and |acceleration| [rad/s^2], each (n,).
+
+    Scalars stand for every joint; infinite means that no limit is given. Raises TrajectoryError for other
+    lengths, nan, a negative velocity or acceleration and lower > upper. units: of each joint, revolute by default.
+    """
+
+    lower: ArrayLike
+    upper: ArrayLike
+    velocity: ArrayLike = np.inf
+    acceleration: ArrayLike = np.inf
+    units: tuple[Units, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = max(int(np.size(getattr(self, name))) for name in _NUMBERS)
+        for name in _NUMBERS:
+            freeze(self, name, _limit(name, getattr(self, name), n))
+        object.__setattr__(self, "units", self.units or (REVOLUTE,) * n)
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        if not np.all(lower <= upper):
+            raise TrajectoryError(f"lower limit is {lower.tolist()}, upper {upper.tolist()}; expected lower <= upper")
+        for name in ("velocity", "acceleration"):
+            limit = np.asarray(getattr(self, name))
+            if np.any(limit < 0):
+                raise TrajectoryError(f"{name} limit is {limit.tolist()}; expected no negative number")
+
+    @staticmethod
+    def of(limits: JointLimits | None, n: int, acceleration: ArrayLike = np.inf) -> MotionLimits:
+        """A robot's own limits (robot.limits; None: no limits of its n joints), with those of acceleration."""
+        if limits is None:
+            return MotionLimits(np.full(n, -np.inf), np.full(n, np.inf), np.inf, acceleration)
+        return MotionLimits(limits.lower, limits.upper, limits.velocity, acceleration)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(np.size(self.lower))
+
+    @property
+    def least(self) -> Array:
+        """(3, n): what position, velocity and acceleration must not be below."""
+        return np.array([self.lower, -np.asarray(self.velocity), -np.asarray(self.acceleration)])
+
+    @property
+    def greatest(self) -> Array:
+        """(3, n): what position, velocity and acceleration must not be above."""
+        return np.array([self.upper, self.velocity, self.acceleration])
+
+
+def check_motion(
+    reference: Reference | Pieces,
+    limits: MotionLimits,
+    t0: float = 0.0,
+    t1: float = np.inf,
+    joints: Sequence[str] = (),
+) -> None:
+    """Raise TrajectoryError when the reference leaves the limits between t0 and t1 [s] (may be infinite).
+
+    The sentence names the joint (by `joints`, else by its number), the point of a Spline or the time, the value
+    and the limit. The given points are looked at first, then all between them, by Reference.extremes; polynomials
+    whose hull is within the limits need no such look.
+    """
+    if limits.n != reference.n:
+        raise TrajectoryError(f"limits are of {limits.n} joints; expected those of the reference, {reference.n}")
+    if isinstance(reference, Spline):
+        later = int(np.searchsorted(np.asarray(reference.times), t0))
+        given = (reference.positions, reference.velocities, reference.accelerations)
+        q, dq, ddq = (None if rows is None else np.asarray(rows)[later:] for rows in given)
+        check_points(limits, np.asarray(q), dq, ddq, joints, later)
+    hull = reference.hull(t0, t1) if isinstance(reference, (Spline, Pieces)) else ()
+    if hull and not any(_beyond(bounds, limits).any() for bounds in hull):
+        return
+    e = reference.extremes(t0, t1)
+    for values, at in ((e.lower, e.lower_at), (e.upper, e.upper_at)):
+        wrong = np.argwhere(_beyond(values, limits))
+        if len(wrong):
+            row, joint = wrong[0]
+            when = "" if np.isnan(at[row, joint]) else f" at {at[row, joint]:.4g} s"
+            subject = f"joint {_name(joints, joint)} would reach"
+            raise TrajectoryError(f"{subject} {_sentence(values[:, joint], limits, row, joint, when)}")
+
+
+def check_points(
+    limits: MotionLimits,
+    positions: ArrayLike,
+    velocities: ArrayLike | None = None,
+    accelerations: ArrayLike | None = None,
+    joints: Sequence[str] = (),
+    first: int = 0,
+) -> None:
+    """Raise TrajectoryError when a point (k, n) asks for more than the limits allow, naming point and joint.
+
+    Points are counted as in the message, from 0; `first` is the number of the first one.
+    """
+    rows = [np.asarray(positions, dtype=float)]
+    rows += [np.zeros_like(rows[0]) if given is None else np.asarray(given) for given in (velocities, accelerations)]
+    points = np.stack(rows, axis=1)
+    wrong = np.argwhere(_beyond(points, limits))
+    if len(wrong):
+        point, row, joint = wrong[0]
+        subject = f"point {point + first} of joint {_name(joints, joint)} asks for"
+        raise TrajectoryError(f"{subject} {_sentence(points[point, :, joint], limits, row, joint)}")
+
+
+def _beyond(values: Array, limits: MotionLimits) -> Array:
+    """Which of the values (.., 3, n) are beyond their limits."""
+    least, greatest = limits.least, limits.greatest
+    low = least - ROUNDING * np.where(np.isfinite(least), np.abs(least), 0.0)
+    high = greatest + ROUNDING * np.where(np.isfinite(greatest), np.abs(greatest), 0.0)
+    return np.asarray((values < low) | (values > high))
+
+
+def _sentence(values: Array, limits: MotionLimits, row: int, joint: int, when: str = "") -> str:
+    """The value (3,)[row] with its time, and the limit that it breaks."""
+    value, unit = values[row], limits.units[joint][row]
+    limit = limits.greatest[row, joint] if value > limits.greatest[row, joint] else limits.least[row, joint]
+    if row:
+        value, limit = abs(value), abs(limit)
+    return f"{_digits(value, limit)} {unit}{when}; its limit is {limit:.6g} {unit}"
+
+
+def _digits(value: float, limit: float) -> str:
+    """The value, with as many digits as tell it from the limit."""
+    short = f"{value:.6g}"
+    return f"{value:.12g}" if short == f"{limit:.6g}" else short
+
+
+def _name(joints: Sequence[str], joint: int) -> str:
+    return f"'{joints[joint]}'" if len(joints) else str(joint)
+
+
+def _limit(name: str, value: ArrayLike, n: int) -> Array:
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise TrajectoryError(f"{name} limit is {value!r}; expected numbers") from None
+    if array.shape not in ((), (n,)) or np.any(np.isnan(array)):
+        raise TrajectoryError(
+            f"{name} limit is {array.tolist()}; expected a number or {n}, one per joint, infinite for none"
+        )
+    return np.array(np.broadcast_to(array, n))

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""v-dPBC as the yardstick of the other laws: its bandwidth and its peak effort, and how theirs are measured.
+
+Bandwidth [rad/s]: links and reference at rest where the reference begins, the linear loop from a step of the
+reference's position to the links, T(s) with T(0) = 1; the lowest frequency at which a link motion of unit kinetic
+energy comes out at less than 2^-1/2, the smallest singular value of M_l^1/2 T M_l^-1/2. Peak effort: of the first
+answer at the start, or what the reference itself needs where that is more, as the largest share of the joints' effort
+limits, in N m where the robot has none.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from ..control.baselines.lqr import velocity_matrices
+from ..control.inverse_dynamics import inverse_dynamics
+from ..control.static_law import StaticLaw
+from ..control.vdpbc.gains import Gains
+from ..control.vdpbc.law import TrackingLaw
+from ..numerics.checks import Array
+from ..robot.robot import Robot
+from ..stability.law_slope import rest_position, slope_at_rest
+from ..trajectories.reference import Reference
+
+BANDWIDTH_TOLERANCE = 0.01  # relative; within it bandwidths count as equal
+PEAK_TOLERANCE = 0.1  # relative; within it peak efforts count as equal
+GRID: Array = np.geomspace(0.02, 4.0, 100, dtype=float)  # where a bandwidth is looked for, times the yardstick's
+START_ERROR = 0.1  # rad; of all joints at rest, where no start is given
+HORIZON = 10.0  # s of the reference whose effort is looked at
+
+
+class Yardstick:
+    """v-dPBC with given gains on a robot along a reference, and what the other laws are measured by.
+
+    start: (positions (2n,) [rad], velocities (2n,) [rad/s]) of links and motors; None: at rest, every joint
+    START_ERROR off the reference. sample_period [s]: of the loop that the gains are for.
+    Raises GainsError for gains that do not fit, StateError for shapes.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        reference: Reference,
+        gains: Gains,
+        start: tuple[Array, Array] | None = None,
+        sample_period: float = 1e-3,
+    ) -> None:
+        self.robot, self.reference, self.sample_period = robot, reference, sample_period
+        self._jets = np.asarray(reference.jets(0.0))
+        self.q_0 = np.array(self._jets[0])
+        self.start = start or (rest_position(robot, self.q_0) + START_ERROR, np.zeros(2 * robot.n))
+        self._A, self._B = velocity_matrices(robot, self.q_0)
+        self._root = np.linalg.cholesky(robot.M_l(self.q_0)).T
+        self._scale = _scale(robot)
+        self.gains, self.law = gains, TrackingLaw(robot, gains)
+        self.peak = self.peak_of(self.law)
+        self.bandwidth = self._widest(np.asarray(np.geomspace(1e-2, 1e4, 1200)))
+
+    @cached_property
+    def effort_limit(self) -> Array:
+        """The common limit (n,) [N m]: v-dPBC's peak effort, but a fifth more than the reference itself needs."""
+        return np.asarray(self._scale * max(self.peak, 1.2 * self.needed))
+
+    def peak_of(self, law: StaticLaw) -> float:
+        """Peak effort of a law: see the module."""
+        u, _ = law.measured_command(*self.start, self._jets)
+        return max(float(np.max(np.abs(u) / self._scale)), self.needed)
+
+    def same_bandwidth(self, bandwidth: float) -> bool:
+        """Whether it is the yardstick's."""
+        return alike(bandwidth, self.bandwidth, BANDWIDTH_TOLERANCE)
+
+    def same_peak(self, peak: float) -> bool:
+        """Whether it is the yardstick's."""
+        return alike(peak, self.peak, PEAK_TOLERANCE)
+
+    def loop(self, law: StaticLaw) -> tuple[Array, Array]:
+        """The closed loop dx = A x + B dq_ld about rest at q_0."""
+        F, G = slope_at_rest(law, self.q_0)
+        return self._A + self._B @ F, self._B @ G
+
+    def bandwidth_of(self, law: StaticLaw) -> float:
+        """Bandwidth [rad/s], see the module; 0 where the loop is unstable, at most 4 times the yardstick's."""
+        A, B = self.loop(law)
+        if not np.linalg.eigvals(A).real.max() < 0:
+            return 0.0
+        return self._crossing(A, B, GRID * self.bandwidth)
+
+    def _widest(self, frequencies: Array) -> float:
+        found = self._crossing(*self.loop(self.law), frequencies)
+        return self._crossing(*self.loop(self.law), GRID * found)
+
+    def _crossing(self, A: Array, B: Array, frequencies: Array) -> float:
+        """The first crossing of 2^-1/2 among the frequencies [rad/s], interpolated."""
+        n = self.robot.n
+        s = 1j * frequencies[:, None, None]
+        T = np.linalg.solve(s * np.eye(4 * n) - A, (B @ np.linalg.inv(self._root))[None].astype(complex))
+        gain = np.linalg.svd(self._root @ T[:, :n], compute_uv=False)[:, -1] * 2**0.5
+        below = np.flatnonzero(gain < 1)
+        if not len(below) or not below[0]:
+            return float(frequencies[0 if len(below) else -1])
+        i = int(below[0])
+        logs = np.log(gain[[i, i - 1]]), np.log(frequencies[[i, i - 1]])
+        return float(np.exp(np.interp(0.0, *logs)))
+
+    @cached_property
+    def needed(self) -> float:
+        """Largest share that the reference's own motion needs within HORIZON."""
+        times = np.linspace(0.0, min(self.reference.end, HORIZON), 200)
+        motions = self.reference.jets(times).transpose(1, 2, 0)
+        u = np.linalg.solve(self.robot.B_m, inverse_dynamics(self.robot)(*motions)[-1].full())
+        return float(np.max(np.abs(u) / self._scale[:, None]))
+
+
+def alike(one: float, other: float, tolerance: float) -> bool:
+    """Whether two numbers, 0 or more, are equal to a tolerance relative to the other."""
+    return abs(one - other) <= tolerance * other
+
+
+def _scale(robot: Robot) -> Array:
+    """The efforts (n,) [N m] that count as one: the limits of the joints, or 1 N m where not all are known."""
+    limits = robot.limits
+    return limits.effort if limits is not None and np.isfinite(limits.effort).all() else np.ones(robot.n)

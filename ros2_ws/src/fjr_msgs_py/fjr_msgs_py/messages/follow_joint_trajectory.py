@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""numpy <-> control_msgs/action/FollowJointTrajectory, where control_msgs is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from trajectory_msgs.msg import JointTrajectory
+
+from .joint_states import set_stamp
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """Where an action is: stamp [ns], desired and actual positions [rad] and velocities [rad/s], each (n,)."""
+
+    stamp: int
+    q_d: Array
+    dq_d: Array
+    q: Array
+    dq: Array
+
+
+class FollowMessages:
+    """The messages of FollowJointTrajectory; `kind` is the action's type."""
+
+    def __init__(self, kind: Any, joints: Sequence[str]) -> None:
+        self.kind = kind
+        self._joints = list(joints)
+
+    def trajectory(self, request: Any) -> JointTrajectory:
+        """The trajectory that a goal asks for."""
+        return request.trajectory
+
+    def tolerances(self, request: Any) -> tuple[Sequence[Any], Sequence[Any], float]:
+        """Path and goal tolerances that a goal asks for, and the time [s] allowed after its end."""
+        time = request.goal_time_tolerance
+        return request.path_tolerance, request.goal_tolerance, time.sec + time.nanosec * 1e-9
+
+    def result(self, code: int, sentence: str) -> Any:
+        """The result with a code and its reason."""
+        return self.kind.Result(error_code=code, error_string=sentence)
+
+    def feedback(self, progress: Progress) -> Any:
+        """The feedback: desired, actual, and desired minus actual."""
+        message = self.kind.Feedback(joint_names=self._joints)
+        set_stamp(message, progress.stamp)
+        rows = {
+            "desired": (progress.q_d, progress.dq_d),
+            "actual": (progress.q, progress.dq),
+            "error": (progress.q_d - progress.q, progress.dq_d - progress.dq),
+        }
+        for name, (positions, velocities) in rows.items():
+            point = getattr(message, name)
+            point.positions, point.velocities = positions.tolist(), velocities.tolist()
+        return message
+
+
+def follow_messages(joints: Sequence[str]) -> FollowMessages | None:
+    """The messages, or None where control_msgs is not installed."""
+    try:
+        return FollowMessages(import_module("control_msgs.action").FollowJointTrajectory, joints)
+    except ImportError:
+        return None

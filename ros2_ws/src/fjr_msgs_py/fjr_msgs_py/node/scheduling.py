@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Care for the cycles of a whole process, where the system allows it: priority, memory, cores, garbage collector.
+
+What is asked for and refused is a sentence, never an error: the node then runs without it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import resource
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from fjr_core.config.process import ProcessCare
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h of Linux
+_CAP_IPC_LOCK = 14  # linux/capability.h
+
+
+def take_care(care: ProcessCare) -> list[str]:
+    """Give this process all that is asked for; returns the sentences of what is refused."""
+    refusals = (use_cores(care.cores), lock_memory() if care.lock_memory else "", take_priority(care.priority))
+    return [sentence for sentence in refusals if sentence]
+
+
+def take_priority(priority: int, inherited: bool = True) -> str:
+    """Schedule every thread of this process as SCHED_FIFO at `priority` (0: leave it as it is).
+
+    inherited: threads and processes that begin later are scheduled so, too.
+    Returns an empty string, or a sentence that says why it is not so.
+    """
+    if priority == 0:
+        return ""
+    try:
+        _schedule(os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK), priority)
+    except (OSError, AttributeError) as error:
+        return (
+            f"realtime_priority {priority} is refused ({error}): ordinary scheduling is used, cycles will come later; "
+            "allow it by an rtprio limit (/etc/security/limits.conf) or CAP_SYS_NICE, or set realtime_priority to 0"
+        )
+    return ""
+
+
+@contextmanager
+def prioritised(priority: int) -> Iterator[None]:
+    """Real-time scheduling of this process inside the block, where the system allows it, else nothing.
+
+    Not of the processes that it starts, nor of threads that begin there. One that loads at such a priority takes a
+    whole core, and the kernel then keeps all real-time threads from it, those of running nodes, too: for 50 ms of each
+    second (kernel.sched_rt_runtime_us).
+    """
+    refused = take_priority(priority, inherited=False)
+    try:
+        yield
+    finally:
+        if priority and not refused:
+            try:
+                _schedule(os.SCHED_OTHER, 0)
+            except PermissionError:  # only the privileged may take back what their children are not given
+                _schedule(os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, 0)
+
+
+def use_cores(cores: frozenset[int]) -> str:
+    """Keep every thread of this process on these cores (none: leave it as it is).
+
+    Returns an empty string, or a sentence that says why it is not so, or not wholly.
+    """
+    if not cores:
+        return ""
+    error = ""
+    try:
+        for thread in _threads():
+            with suppress(ProcessLookupError):
+                os.sched_setaffinity(thread, cores)
+        used = os.sched_getaffinity(0)
+    except AttributeError:
+        return "cpu_affinity is refused (this system has no sched_setaffinity): leave it empty"
+    except OSError as refused:
+        error, used = f" ({refused})", os.sched_getaffinity(0)
+    if used == cores:
+        return ""
+    return (
+        f"cpu_affinity '{_listed(cores)}' is refused{error}: the node may use '{_listed(used)}'; "
+        f"expected some of this machine's {os.cpu_count()} cores, counted from 0 (a container may allow fewer)"
+    )
+
+
+def lock_memory() -> str:
+    """Keep all present and future memory of this process in RAM, so that no page has to be fetched in a cycle.
+
+    Returns an empty string, or a sentence that says why it is not so. A limit that the process could outgrow
+    counts as a refusal: beyond it, memory would be denied in mid-motion.
+    """
+    reason = _denied_lock()
+    if not reason:
+        return ""
+    return (
+        f"lock_memory is refused ({reason}): pages may be fetched in a cycle; "
+        "allow it by memlock unlimited (/etc/security/limits.conf) or CAP_IPC_LOCK, or set lock_memory to false"
+    )
+
+
+def freeze_garbage() -> None:
+    """Take all objects of now out of the garbage collector's sight, dead ones first.
+
+    For the moment when something large was built: a full collection of a node takes 16 ms before and 4 us after.
+    """
+    gc.unfreeze()
+    gc.collect()
+    gc.freeze()
+
+
+def _denied_lock() -> str:
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    if limit != resource.RLIM_INFINITY and not _capable(_CAP_IPC_LOCK):
+        return f"the memlock limit is {limit // 1024} kB"
+    try:
+        mlockall = ctypes.CDLL(None, use_errno=True).mlockall
+    except (OSError, AttributeError):
+        return "this system has no mlockall"
+    return os.strerror(ctypes.get_errno()) if mlockall(_MCL_CURRENT | _MCL_FUTURE) else ""
+
+
+def _capable(capability: int) -> bool:
+    """Whether this process has one of Linux's capabilities."""
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+            if line.startswith("CapEff:"):
+                return bool(int(line.split()[1], 16) >> capability & 1)
+    return False
+
+
+def _schedule(policy: int, priority: int) -> None:
+    for thread in _threads():
+        with suppress(ProcessLookupError):
+            os.sched_setscheduler(thread, policy, os.sched_param(priority))
+
+
+def _threads() -> list[int]:
+    """The threads of this process; any of them may end at any time."""
+    return [int(thread) for thread in os.listdir("/proc/self/task")]
+
+
+def _listed(cores: Iterable[int]) -> str:
+    return ",".join(str(core) for core in sorted(cores))

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ownership of /clock in lock-step: two publishers would make the time of all nodes jump back and forth."""
+
+from __future__ import annotations
+
+import time
+
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+
+from fjr_core import FjrError
+from fjr_msgs_py import names
+from fjr_msgs_py.messages.clock import ClockWriter
+from fjr_msgs_py.node.conflicting_publishers import Rivals
+from fjr_msgs_py.node.diagnostics import Health
+
+OTHERS = "other clocks"
+LOOK_PERIOD = 0.5  # s between looks at the graph
+SETTLING = 5.0  # s in which whoever was there before is discovered
+
+
+class ClockError(FjrError):
+    """Another process publishes the time."""
+
+
+class ClockOwner:
+    """Publishes the time, unless another process does.
+
+    The topic is looked at when the node starts, before the first answer counts, and twice a second. A newcomer
+    (younger than SETTLING, or not answered yet) that hears another time ends with ClockError; an established owner
+    goes on and reports the other one.
+    """
+
+    def __init__(self, node: Node, health: Health) -> None:
+        self._health = health
+        self._rivals = Rivals(node, {names.CLOCK: Clock}, names.LATEST)
+        self._topic = node.resolve_topic_name(names.CLOCK)
+        self._space = node.get_namespace().rstrip("/")
+        (self._publisher,) = self._rivals.publishers
+        self._writer = ClockWriter()
+        self._settled = time.monotonic() + SETTLING
+        self._next_look = 0.0
+        self.refuse_others()
+
+    def show(self, stamp: int) -> None:
+        """Publish the time [ns]."""
+        self._publisher.publish(self._writer.fill(stamp))
+
+    def refuse_others(self) -> None:
+        """Raise ClockError if another process publishes the time now."""
+        self._rivals.appeared()
+        if self._rivals.others and self._rivals.heard():
+            raise ClockError(self._sentence("publishes"))
+
+    def look(self, established: bool) -> None:
+        """Meet publishers that have appeared since the last look; raises ClockError for a newcomer of a node."""
+        now = time.monotonic()
+        if now < self._next_look:
+            return
+        self._next_look = now + LOOK_PERIOD
+        if not self._rivals.appeared():
+            return
+        if established and now > self._settled:
+            self._health.error(OTHERS, self._sentence("has begun to publish"))
+        else:
+            self.refuse_others()
+
+    def _sentence(self, acts: str) -> str:
+        own = f"{self._space or '/NAMESPACE'}/clock"
+        return (
+            f"{self._rivals.named(self._topic)} {acts} on {self._topic}; expected one owner of the time: start this "
+            f"plant and its controller with -r {names.CLOCK}:={own}"
+        )

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots as files: where they are found, what wins, and what a file that is none is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_core.config import builders, parameter, robot_file, ros_yaml
+from fjr_core.config.scenario import CONTROLLER, OWN_PARAMETERS, load_scenario, parse_scenario, self_contained
+from two_link_urdf import JOINTS, LINK_DAMPING, MOTOR_DAMPING, MOTOR_INERTIA, STIFFNESS, two_link_urdf
+
+ROBOT = f"""
+/**:
+  ros__parameters:
+    joints: {JOINTS}
+    robot:
+      model: urdf
+      urdf: arms/two_link.urdf
+      joint_stiffness: {STIFFNESS}
+      motor_inertia: {MOTOR_INERTIA}
+      link_damping: {LINK_DAMPING}
+      motor_damping: {MOTOR_DAMPING}
+"""
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An installed package `my_arm` with a robot file and its URDF."""
+    share = tmp_path / "install" / "share" / "my_arm"
+    (share / "robots" / "arms").mkdir(parents=True)
+    (share / "robots" / "two_link.yaml").write_text(ROBOT)
+    (share / "robots" / "arms" / "two_link.urdf").write_text(two_link_urdf())
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path / 'install'}")
+    return share
+
+
+def scenario(folder: Path, robot: str, more: str = "") -> Path:
+    path = folder / "mine.yaml"
+    path.write_text(f"/**:\n  ros__parameters:\n    robot:\n{robot}\n{more}")
+    return path
+
+
+def the_arm() -> fjr.Robot:
+    return fjr.planar_two_link()
+
+
+def assert_same_robot(one: fjr.Robot, other: fjr.Robot) -> None:
+    for name in ("M_m", "K", "D_l", "D_m", "B_m"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-12)
+    q_l = np.linspace(0.3, -0.8, one.n)
+    np.testing.assert_allclose(one.M_l(q_l), other.M_l(q_l), rtol=1e-12)
+    np.testing.assert_allclose(one.grad_P_l(q_l), other.grad_P_l(q_l), rtol=1e-12)
+
+
+REFERENCES = {
+    "package": "package://my_arm/robots/two_link.yaml",
+    "absolute": "{share}/robots/two_link.yaml",
+    "relative": "robots/two_link.yaml",
+}
+
+
+@pytest.mark.parametrize("kind", REFERENCES)
+def test_a_robot_file_is_found_and_its_urdf_beside_it(workspace: Path, kind: str) -> None:
+    path = scenario(workspace, f"      file: {REFERENCES[kind].format(share=workspace)}")
+    loaded = load_scenario(path)
+    assert loaded.joints == tuple(JOINTS)
+    assert loaded.warnings == ()
+    assert_same_robot(loaded.robot, the_arm())
+    assert_same_robot(loaded.plant.robot, the_arm())
+
+
+def test_what_the_scenario_says_wins_over_the_robot_file(workspace: Path) -> None:
+    changes = "/**/fjr_controller:\n  ros__parameters:\n    robot.joint_stiffness: [30.0, 20.0]\n"
+    path = scenario(workspace, "      file: robots/two_link.yaml\n      link_damping: [0.5, 0.6]", changes)
+    loaded = load_scenario(path)
+    np.testing.assert_array_equal(np.diag(loaded.robot.K), [30.0, 20.0])
+    np.testing.assert_array_equal(np.diag(loaded.plant.robot.K), STIFFNESS)
+    for robot in (loaded.robot, loaded.plant.robot):
+        np.testing.assert_array_equal(np.diag(robot.D_l), [0.5, 0.6])
+
+
+def test_without_a_robot_file_both_nodes_have_the_papers_joint() -> None:
+    loaded = parse_scenario("nothing", "/**:\n  ros__parameters:\n    joints: [joint1]\n")
+    assert_same_robot(loaded.robot, fjr.single_link())
+    assert_same_robot(loaded.plant.robot, fjr.single_link())
+
+
+def test_a_self_contained_scenario_needs_no_other_file(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    changes = "/**/fjr_controller:\n  ros__parameters:\n    robot.joint_stiffness: [30.0, 20.0]\n"
+    path = scenario(workspace, "      file: package://my_arm/robots/two_link.yaml", changes)
+    document = ros_yaml.read(path, "scenario")
+    given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
+    text = ros_yaml.dump(self_contained(given, path.parent))
+    expected = load_scenario(path)
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    (workspace / "robots" / "arms" / "two_link.urdf").unlink()
+    alone = parse_scenario("alone", text)
+    assert "package://" not in text
+    assert alone.warnings == ()
+    assert_same_robot(alone.robot, expected.robot)
+    assert_same_robot(alone.plant.robot, expected.plant.robot)
+    assert text.count("<robot") == 1, "what the nodes share is written once"
+
+
+BAD_FILES = {
+    "missing": ("      file: robots/none.yaml", ["robot.file", "cannot read robot file", "none.yaml"]),
+    "unknown package": ("      file: package://nobody/a.yaml", ["robot.file", "'nobody'", "AMENT_PREFIX_PATH"]),
+    "no package": ("      file: package:///a.yaml", ["robot.file", "AMENT_PREFIX_PATH"]),
+    "gains in it": ("      file: robots/gains.yaml", ["robot.file", "'gains.K_ld'", "expected joints and robot.*"]),
+    "names another": ("      file: robots/chain.yaml", ["robot.file", "'robot.file'"]),
+    "not YAML": ("      file: robots/arms/two_link.urdf", ["robot.file", "two_link.urdf"]),
+    "a folder": ("      file: robots", ["robot.file", "cannot read robot file"]),
+    "a number": ("      file: 7", ["robot.file", "7", "expected a string"]),
+    "urdf in no package": ("      model: urdf\n      urdf: package://nobody/a.urdf", ["robot.urdf", "'nobody'"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_a_robot_file_that_is_none_is_one_sentence_with_the_parameter(workspace: Path, case: str) -> None:
+    robot, words = BAD_FILES[case]
+    head = "/**:\n  ros__parameters:\n"
+    (workspace / "robots" / "gains.yaml").write_text(f"{head}    gains:\n      K_ld: [1.0]\n")
+    (workspace / "robots" / "chain.yaml").write_text(f"{head}    robot:\n      file: two_link.yaml\n")
+    refuse(lambda: load_scenario(scenario(workspace, robot)), *words)
+
+
+def refuse(call: Callable[[], object], *words: str) -> None:
+    with pytest.raises(fjr.ParameterError) as caught:
+        call()
+    message = str(caught.value)
+    assert all(word in message for word in words), message
+    assert "\n" not in message
+
+
+def urdf_values(**changes: object) -> dict[str, object]:
+    given: dict[str, object] = {
+        "joints": JOINTS,
+        "robot.model": "urdf",
+        "robot.urdf": two_link_urdf(wrist_mass=0.5),
+        "robot.joint_stiffness": STIFFNESS,
+        "robot.motor_inertia": MOTOR_INERTIA,
+    }
+    given |= {f"robot.{name}": value for name, value in changes.items()}
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def urdf_robot(**changes: object) -> fjr.Robot:
+    given = urdf_values(**changes)
+    if "robot.joints" in given:
+        given["joints"] = given.pop("robot.joints")
+    known = builders.all_parameters(builders.controller_parameters, given)
+    return builders.robot(parameter.complete(known, given))
+
+
+BAD_VALUES = [
+    ({"urdf": None}, "robot.urdf", "not given"),
+    ({"joint_stiffness": None}, "robot.joint_stiffness", "not given", "N m/rad"),
+    ({"motor_inertia": None}, "robot.motor_inertia", "not given"),
+    ({"joint_stiffness": [1.0, 2.0, 3.0]}, "robot.joint_stiffness", "3 entries", "expected 2", "4"),
+    ({"joint_stiffness": [-1.0, 2.0]}, "robot.joint_stiffness", "positive definite"),
+    ({"gear_ratio": [100.0]}, "robot.gear_ratio", "1 entries", "expected 2"),
+    ({"gravity": [0.0, -9.81]}, "robot.gravity", "2 entries", "expected 3"),
+    ({"gravity": 9.81}, "robot.gravity", "expected a list"),
+    ({"locked_joints": ["wrist"], "locked_positions": [0.1, 0.2]}, "robot.locked_positions", "2 entries", "expected 1"),
+    ({"locked_joints": ["knee"]}, "robot.", "knee"),
+    ({"locked_joints": ["elbow"]}, "robot.", "elbow"),
+    ({"joints": ["shoulder", "elbw"]}, "'elbw'", "did you mean 'elbow'"),
+    ({"joints": ["shoulder", "shoulder"]}, "joints", "different names"),
+    ({"urdf": "<robot"}, "robot.urdf"),
+    ({"urdf": "/there/is/no.urdf"}, "robot.urdf", "/there/is/no.urdf"),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), [(changes, words) for changes, *words in BAD_VALUES])
+def test_a_urdf_robot_that_cannot_be_is_one_sentence_with_the_parameter(
+    changes: dict[str, object], words: list[str]
+) -> None:
+    refuse(lambda: urdf_robot(**changes), *words)
+
+
+def test_a_urdf_robot_needs_its_joints_named() -> None:
+    given = urdf_values()
+    del given["joints"]
+    refuse(lambda: builders.all_parameters(builders.controller_parameters, given), "'joints' is not given", "urdf")
+
+
+def test_motor_inertia_is_reflected_unless_a_gear_ratio_is_given() -> None:
+    np.testing.assert_array_equal(np.diag(urdf_robot().M_m), MOTOR_INERTIA)
+    np.testing.assert_allclose(np.diag(urdf_robot(gear_ratio=[10.0, 5.0]).M_m), [2.0, 0.25])
+
+
+def test_a_locked_joint_stands_where_it_is_told() -> None:
+    bent = urdf_robot(locked_joints=["wrist"], locked_positions=[0.9])
+    expected = fjr.robot_from_urdf(two_link_urdf(0.5), JOINTS, STIFFNESS, MOTOR_INERTIA, locked={"wrist": 0.9})
+    np.testing.assert_allclose(bent.M_l([0.1, 0.2]), expected.M_l([0.1, 0.2]), rtol=1e-12)
+    assert np.max(np.abs(bent.M_l([0.1, 0.2]) - urdf_robot().M_l([0.1, 0.2]))) > 1e-3
+
+
+def test_a_full_matrix_is_given_by_rows() -> None:
+    K = urdf_robot(joint_stiffness=[40.0, 3.0, 3.0, 25.0]).K
+    np.testing.assert_array_equal(K, [[40.0, 3.0], [3.0, 25.0]])
+
+
+@pytest.mark.parametrize(("name", "joints"), [("single_link", ["a"]), ("planar_two_link", ["a", "b"])])
+def test_parameters_of_closed_form_robots_keep_their_defaults(name: str, joints: list[str]) -> None:
+    given: dict[str, object] = {"robot.model": name, "joints": joints}
+    known = builders.all_parameters(builders.plant_parameters, given)
+    assert_same_robot(builders.robot(parameter.complete(known, given)), getattr(fjr, name)())
+
+
+def test_gains_survive_the_way_through_a_parameter_file() -> None:
+    full = [[2.0, 0.3], [0.3, 1.0]]
+    gains = fjr.Gains(Lambda_l=[8.0, 9.0], Pi_l=full, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=full, Gamma_m=1.0)
+    written = ros_yaml.tree_of(builders.gain_values(gains, 2))
+    section = {f"/**/{CONTROLLER}": {"ros__parameters": written}}
+    given = ros_yaml.values_for(CONTROLLER, ros_yaml.parse(ros_yaml.dump(section)))
+    known = builders.controller_parameters(2)
+    read = builders.gains(parameter.complete(known, given), 2).checked(2)
+    for name in ("Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md", "Gamma_l", "Gamma_m"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(gains.checked(2), name))
+
+
+def test_a_package_is_looked_for_in_the_order_of_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for prefix in ("a", "b"):
+        (tmp_path / prefix / "share" / "pkg").mkdir(parents=True)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'none'}:{tmp_path / 'b'}:{tmp_path / 'a'}")
+    assert robot_file.resolve("package://pkg/x/y.yaml", Path("/")) == tmp_path / "b" / "share" / "pkg" / "x" / "y.yaml"

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robots and scenarios that are shipped, and how scenario files are read."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import fjr_core as fjr
+from fjr_core.config import ros_yaml
+from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario
+from two_link_urdf import joint, link
+
+BRINGUP = Path(__file__).parents[3] / "ros2_ws" / "src" / "fjr_bringup"
+SCENARIOS = sorted(path.stem for path in (BRINGUP / "scenarios").glob("*.yaml"))
+ARMS = ("two_link", "arm7")
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """package://fjr_bringup is the source folder."""
+    (tmp_path / "share").mkdir()
+    (tmp_path / "share" / "fjr_bringup").symlink_to(BRINGUP)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+
+
+def load(name: str) -> Scenario:
+    return load_scenario(BRINGUP / "scenarios" / f"{name}.yaml")
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_shipped_scenario_fits_and_law_and_plant_have_the_same_robot(name: str) -> None:
+    scenario = load(name)
+    assert scenario.warnings == ()
+    assert scenario.sample_period == 1e-3
+    for matrix in ("M_m", "K", "D_l", "D_m", "B_m"):
+        np.testing.assert_array_equal(getattr(scenario.robot, matrix), getattr(scenario.plant.robot, matrix))
+
+
+ROBOTS = {
+    "paper_k31": fjr.single_link,
+    "paper_k3p1": lambda: fjr.single_link(stiffness=3.1),
+    "two_link": fjr.planar_two_link,
+}
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("name", ROBOTS)
+def test_robot_files_say_what_the_closed_forms_default_to(name: str) -> None:
+    robot, expected = load(name).robot, ROBOTS[name]()
+    q_l = np.full(robot.n, 0.7)
+    for matrix in ("M_m", "K", "D_l", "D_m", "B_m"):
+        np.testing.assert_array_equal(getattr(robot, matrix), getattr(expected, matrix))
+    np.testing.assert_array_equal(robot.M_l(q_l), expected.M_l(q_l))
+    np.testing.assert_array_equal(robot.grad_P_l(q_l), expected.grad_P_l(q_l))
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("name", ARMS)
+def test_the_arms_are_at_rest_until_the_first_command(name: str) -> None:
+    """The springs carry the weight: the force on the links is below the rounding of the file's numbers."""
+    scenario = load(name)
+    n = scenario.robot.n
+    rate = scenario.plant.derivative(scenario.x0, np.zeros(n))
+    np.testing.assert_allclose(rate[: 3 * n], 0.0, atol=1e-4)
+
+
+@pytest.mark.usefixtures("installed")
+def test_arm7_starts_at_rest_and_every_joint_0p05_rad_off_a_sine_of_0p3_rad_at_half_a_hertz() -> None:
+    scenario = load("arm7")
+    jets, n = scenario.reference.jets(0.0), 7
+    np.testing.assert_allclose(np.abs(scenario.x0[:n] - jets[0]), 0.05, atol=1e-9)
+    np.testing.assert_allclose(scenario.reference.amplitude, 0.3)
+    np.testing.assert_allclose(scenario.reference.frequency, math.pi)
+    np.testing.assert_allclose(jets[1], 0.0, atol=1e-9)
+
+
+@pytest.mark.usefixtures("installed")
+def test_arm7_has_the_limits_of_its_urdf_and_the_reference_keeps_them() -> None:
+    scenario = load("arm7")
+    limits, jets = scenario.robot.limits, scenario.reference.jets(np.linspace(0, 2, 201))
+    assert limits is not None
+    np.testing.assert_array_equal(limits.effort, [176, 176, 110, 110, 110, 40, 40])
+    assert np.all((limits.lower < jets[:, 0]) & (jets[:, 0] < limits.upper))
+    assert np.all(np.abs(jets[:, 1]) < limits.velocity)
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("name", ARMS)
+def test_the_arms_are_on_the_reference_within_three_seconds_and_within_their_limits(name: str) -> None:
+    scenario = load(name)
+    run = scenario.simulate(3.5)
+    error = np.abs(run.x[:, : scenario.robot.n] - run.jets[:, 0]).max(axis=1)
+    assert np.max(error[run.t >= 3.0]) < 1e-4
+    if scenario.robot.limits is not None:
+        assert np.all(np.abs(run.u).max(axis=0) < scenario.robot.limits.effort)
+
+
+def blocks(document: Path) -> list[str]:
+    """The YAML blocks of a Markdown document."""
+    return [part.partition("```")[0] for part in document.read_text(encoding="utf-8").split("```yaml\n")[1:]]
+
+
+def test_the_files_of_your_robot_md_fit(tmp_path: Path) -> None:
+    robot, mine, gains, _ros2_control, limits = blocks(BRINGUP.parents[2] / "docs" / "your_robot.md")
+    (tmp_path / "my_arm.yaml").write_text(robot)
+    scenario, key = yaml.safe_load(mine), "ros__parameters"
+    for part in (gains, limits):
+        scenario["/**"][key] |= yaml.safe_load(part)["/**"][key]
+    (tmp_path / "my_scenario.yaml").write_text(yaml.safe_dump(scenario))
+    chain = ["shoulder", "elbow", "wrist", "gripper"]
+    parts = [link("base_link", 1.0, 0.1, 0.01)]
+    for parent, child in zip(["base", *chain], chain, strict=False):
+        parts += [link(f"{child}_link", 1.0, 0.1, 0.01), joint(child, f"{parent}_link", f"{child}_link", -0.2)]
+    (tmp_path / "my_arm.urdf").write_text(f"<robot name='my_arm'>{''.join(parts)}</robot>")
+    scenario = load_scenario(tmp_path / "my_scenario.yaml")
+    assert scenario.warnings == ()
+    assert scenario.joints == ("shoulder", "elbow", "wrist")
+    np.testing.assert_allclose(np.diag(scenario.robot.M_m), [1.2, 0.8, 0.32])
+
+
+NUMBERS = {"1e-1": 0.1, "1E3": 1000.0, "1.5e2": 150.0, "+2.e-1": 0.2, "-.5e+1": -5.0, "0.3": 0.3, ".inf": math.inf}
+
+
+@pytest.mark.parametrize("text", NUMBERS)
+def test_numbers_are_read_as_ros_reads_them(text: str) -> None:
+    value = ros_yaml.parse(f"[{text}]")[0]
+    assert isinstance(value, float)
+    assert value == NUMBERS[text]
+
+
+def test_a_number_in_a_scenario_may_be_written_with_an_exponent_alone() -> None:
+    text = "/**:\n  ros__parameters:\n    robot:\n      link_damping: [1e-1]\n    publish_rate: 5e2\n"
+    scenario = parse_scenario("exponent", text)
+    assert scenario.robot.D_l.tolist() == [[0.1]]
+    assert scenario.sample_period == 2e-3
+
+
+def test_an_exponent_in_quotes_stays_text() -> None:
+    assert ros_yaml.parse("'1e-1'") == "1e-1"
+
+
+def test_what_is_written_is_read_again() -> None:
+    document = {
+        "/**": {
+            "ros__parameters": {
+                "a": ["1e-3", "on", "plain", "", "a: b", "#"],
+                "b": [1e-7, 0.1, 1e22, 3.0],
+                "c": "<a>\n  \"x\" 'y'\n\n\ttab: [1]\n</a>\n",
+                "d": True,
+                "e": "<a> trailing \nblanks\n",
+                "f": 3,
+            }
+        }
+    }
+    text = ros_yaml.dump(document)
+    assert ros_yaml.parse(text) == document
+
+
+def test_a_section_that_is_there_twice_is_refused() -> None:
+    with pytest.raises(fjr.ParameterError, match="'/\\*\\*/fjr_controller' twice"):
+        ros_yaml.parse("/**/fjr_controller: {a: 1}\n/**/fjr_controller: {b: 2}\n")
+
+
+def changed(name: str, **parameters: object) -> Scenario:
+    """A shipped scenario with changed values of both nodes, or of one: plant_..., controller_..."""
+    made = load(name)
+    values = {"plant": dict(made.plant_values), "controller": dict(made.controller_values)}
+    for key, value in parameters.items():
+        node, _, parameter = key.partition("__")
+        values[node][parameter.replace("__", ".")] = value
+    return Scenario(name, values["plant"], values["controller"])
+
+
+@pytest.mark.usefixtures("installed")
+def test_the_plant_is_the_model_unless_one_of_them_is_changed() -> None:
+    assert changed("two_link").plant_is_the_model
+    assert not changed("two_link", plant__robot__motor_inertia=(0.06, 0.03)).plant_is_the_model
+
+
+@pytest.mark.usefixtures("installed")
+def test_configurations_of_a_reference_reach_all_of_every_joints_swing() -> None:
+    """Whatever the frequencies: equal instants of the slowest would see a multiple of it stand still."""
+    swing = {"controller__reference__amplitude": (0.5, 3.0), "controller__reference__phase": (0.0, 0.0)}
+    for frequency in ((0.125, 4.0), (1.0, 1.0), (4.0, 0.125), (0.0, 2.0)):
+        made = changed("two_link", **swing, controller__reference__frequency=frequency)
+        q_l = made.configurations()[1:] - np.asarray(made.reference.offset)
+        for j, amplitude in enumerate((0.5, 3.0)):
+            reached = np.ptp(q_l[:, j]) / (2 * amplitude)
+            assert reached > 0.95 if frequency[j] else reached == 0.0
+
+
+@pytest.mark.usefixtures("installed")
+def test_joints_of_one_frequency_keep_their_phases_in_configurations() -> None:
+    made = changed("two_link", controller__reference__frequency=(2.0, 2.0), controller__reference__phase=(0.0, 0.0))
+    q_l = made.configurations()[1:] - np.asarray(made.reference.offset)
+    first, second = (q_l / np.asarray(made.reference.amplitude)).T
+    assert second == pytest.approx(first)
+
+
+def test_plant_and_controller_with_other_joints_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "order.yaml"
+    node = "/**/{}:\n  ros__parameters: {{joints: [{}], robot: {{model: planar_two_link}}}}\n"
+    path.write_text(node.format("fjr_plant", "a, b") + node.format("fjr_controller", "b, a"))
+    with pytest.raises(fjr.ParameterError, match="'joints' is .* expected the same"):
+        load_scenario(path)
+
+
+def test_an_alias_is_refused_as_ros_refuses_it() -> None:
+    with pytest.raises(fjr.ParameterError, match="alias"):
+        ros_yaml.parse("a: &x [1.0]\nb: *x\n")
+
+
+@pytest.mark.parametrize("values", [{"a": 1, "a.b": 2}, {"a.b": 2, "a.b.c": 1}])
+def test_a_value_with_values_below_it_is_no_tree(values: dict[str, int]) -> None:
+    with pytest.raises(fjr.ParameterError, match="which has a value"):
+        ros_yaml.tree_of(values)
+
+
+def test_no_aliases_are_written() -> None:
+    shared = [1.0, 2.0]
+    assert "&" not in ros_yaml.dump({"a": shared, "b": shared})

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The law u(x_v, x, t) against the literal one, its closed-loop error dynamics and its storage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.cases import LOOP_NAMES, LOOPS, POINTS, Arm, GainSet, Point, planar, random_point, single
+from core.oracles.oracle import LiteralLaw
+from core.oracles.properties import TOLERANCE, error_dynamics, loop_of, residual, storage_rate, storage_terms
+
+loops = pytest.mark.parametrize(("arm", "gains"), LOOPS, ids=LOOP_NAMES)
+points = pytest.mark.parametrize(
+    "place", POINTS, ids=lambda p: f"{p[0]}-{'same' if p[1] else 'apart'}-{'omega' if p[2] else 'free'}"
+)
+
+
+def relative(seen: np.ndarray, wanted: np.ndarray) -> float:
+    return float(np.max(np.abs(seen - wanted)) / np.max(np.abs(wanted)))
+
+
+@loops
+@pytest.mark.parametrize("same", [True, False], ids=["same", "apart"])
+def test_law_agrees_with_the_literal_equations(arm: Arm, gains: GainSet, same: bool) -> None:
+    """Every value of eqs. (30)-(43) in 80 digits, the dots by nested differences along the flow."""
+    law, literal = loop_of(arm, gains).law, LiteralLaw(arm, gains)
+    for seed in (20, 21):
+        p = random_point(arm, seed, same)
+        seen, wanted = (
+            law.evaluate(p.x_v, p.x, p.jets, p.omega),
+            literal.evaluate(p.x_v, p.x, p.jets, p.omega),
+        )
+        for name in ("u", "u_l", "q_md", "q_tilde_l", "sigma_l", "q_tilde_m", "sigma_m", "V"):
+            assert relative(np.asarray(getattr(seen, name)), getattr(wanted, name)) <= TOLERANCE, name
+        assert relative(law.effort(p.x_v, p.x, p.jets, p.omega), wanted.u) <= TOLERANCE
+
+
+@loops
+@points
+def test_the_four_error_equations(arm: Arm, gains: GainSet, place: tuple[int, bool, bool]) -> None:
+    residuals = error_dynamics(loop_of(arm, gains), random_point(arm, *place))
+    assert max(residuals.values()) <= TOLERANCE, residuals
+
+
+@loops
+@points
+def test_exact_rate_of_the_storage(arm: Arm, gains: GainSet, place: tuple[int, bool, bool]) -> None:
+    assert storage_rate(loop_of(arm, gains), random_point(arm, *place)) <= TOLERANCE
+
+
+@loops
+@points
+def test_dissipation_and_dV_are_the_terms_of_the_exact_rate(
+    arm: Arm, gains: GainSet, place: tuple[int, bool, bool]
+) -> None:
+    loop, p = loop_of(arm, gains), random_point(arm, *place)
+    *lost, supplied = storage_terms(loop, p)
+    e = loop.law.evaluate(p.x_v, p.x, p.jets, p.omega)
+    assert residual(e.dissipation, *(-term for term in lost)) <= 1e-13
+    assert residual(e.dV, *lost, supplied) <= 1e-13
+
+
+@loops
+def test_storage_is_positive_and_loses_at_least_beta(arm: Arm, gains: GainSet) -> None:
+    """V > 0 and dV <= -2 beta V for omega = 0."""
+    law = loop_of(arm, gains).law
+    beta = law.rate().beta
+    for seed in range(50):
+        p = random_point(arm, seed, same=seed % 2 == 0)
+        e = law.evaluate(p.x_v, p.x, p.jets)
+        assert e.V > 0
+        assert e.dV <= -2 * beta * e.V * (1 - 1e-12)
+
+
+@loops
+def test_storage_vanishes_where_all_errors_do(arm: Arm, gains: GainSet) -> None:
+    """On the reference, with springs and motors as the law wants them, V = 0 and u is finite."""
+    p, x_v = on_reference(arm, gains)
+    e = loop_of(arm, gains).law.evaluate(x_v, p.x, p.jets)
+    assert e.V <= 1e-20
+    assert np.all(np.isfinite(e.u))
+
+
+def on_reference(arm: Arm, gains: GainSet) -> tuple[Point, np.ndarray]:
+    """A measured state on the reference, and the virtual state with all errors zero, found block by block."""
+    law, p = loop_of(arm, gains).law, random_point(arm, 30)
+    M = arm.links.M(p.x[: arm.n])
+    q_lv, p_lv, zero = p.jets[0], M @ p.jets[1], np.zeros(arm.n)
+    q_mv = law.evaluate(np.concatenate([q_lv, q_lv, p_lv, zero]), p.x, p.jets).q_md
+    sigma_m = law.evaluate(np.concatenate([q_lv, q_mv, p_lv, zero]), p.x, p.jets).sigma_m
+    return p, np.concatenate([q_lv, q_mv, p_lv, -sigma_m])
+
+
+@loops
+def test_effort_is_that_of_evaluate_and_omega_enters_through_B_m(arm: Arm, gains: GainSet) -> None:
+    p, law = random_point(arm, 31), loop_of(arm, gains).law
+    free, pushed = law.effort(p.x_v, p.x, p.jets), law.effort(p.x_v, p.x, p.jets, p.omega)
+    assert np.array_equal(pushed, law.evaluate(p.x_v, p.x, p.jets, p.omega).u)
+    assert residual(arm.B_m @ (pushed - free), p.omega) <= 1e-9
+    assert np.array_equal(law.effort(p.x_v, p.x, p.jets, 1.5), law.effort(p.x_v, p.x, p.jets, np.full(arm.n, 1.5)))
+
+
+def test_law_is_a_pure_function() -> None:
+    arm = planar("31", 31.0)
+    law, (p, other) = (
+        fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS),
+        (random_point(arm, seed) for seed in (1, 2)),
+    )
+    inputs = [p.x_v.copy(), p.x.copy(), p.jets.copy()]
+    first = law.effort(*inputs)
+    kept = first.copy()
+    law.effort(other.x_v, other.x, other.jets)
+    assert np.array_equal(law.effort(*inputs), kept)
+    assert np.array_equal(first, kept)
+    assert all(np.array_equal(a, b) for a, b in zip(inputs, (p.x_v, p.x, p.jets), strict=True))
+
+
+def test_inputs_may_be_lists_or_strided_arrays() -> None:
+    arm = planar("31", 31.0)
+    law, p = fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS), random_point(arm, 3)
+    wanted = law.effort(p.x_v, p.x, p.jets)
+    assert np.array_equal(law.effort(p.x_v.tolist(), p.x.tolist(), p.jets.tolist()), wanted)
+    assert np.array_equal(law.effort(np.repeat(p.x_v, 2)[::2], p.x, np.asfortranarray(p.jets)), wanted)
+
+
+ROBOT_CHANGES = {
+    "stiffness": 30.0,
+    "link_mass": (1.3, 0.8),
+    "link_length": (0.31, 0.25),
+    "link_com": (0.16, 0.12),
+    "link_inertia": (0.011, 0.005),
+    "gravity": 9.7,
+    "motor_inertia": 0.03,
+    "link_damping": 0.3,
+    "motor_damping": 0.03,
+    "input_gain": 1.1,
+}
+GAIN_CHANGES = {
+    "Lambda_l": 11.0,
+    "Pi_l": 21.0,
+    "K_ld": 0.7,
+    "Lambda_m": 16.0,
+    "Pi_m": 61.0,
+    "K_md": 0.4,
+    "Gamma_l": 0.1,
+    "Gamma_m": 0.1,
+}
+
+
+@pytest.mark.parametrize("name", ROBOT_CHANGES)
+def test_every_robot_parameter_changes_the_effort(name: str) -> None:
+    p = random_point(planar("31", 31.0), 5)
+    before, after = fjr.planar_two_link(), fjr.planar_two_link(**{name: ROBOT_CHANGES[name]})
+    efforts = [fjr.TrackingLaw(robot, fjr.PAPER_GAINS).effort(p.x_v, p.x, p.jets) for robot in (before, after)]
+    assert np.max(np.abs(efforts[0] - efforts[1])) > 1e-6
+
+
+@pytest.mark.parametrize("name", GAIN_CHANGES)
+def test_every_gain_changes_the_effort(name: str) -> None:
+    arm, p = single(31.0), random_point(single(31.0), 5)
+    values = {"Lambda_l": 10.0, "Pi_l": 20.0, "K_ld": 0.6, "Lambda_m": 15.0, "Pi_m": 60.0, "K_md": 0.3}
+    changed = fjr.Gains(**{**values, name: GAIN_CHANGES[name]})
+    efforts = [fjr.TrackingLaw(arm.robot, g).effort(p.x_v, p.x, p.jets) for g in (fjr.PAPER_GAINS, changed)]
+    assert np.max(np.abs(efforts[0] - efforts[1])) > 1e-6
+
+
+@pytest.mark.parametrize("row", range(5))
+def test_every_derivative_of_the_reference_is_used(row: int) -> None:
+    arm, p = single(31.0), random_point(single(31.0), 6)
+    law, jets = fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS), p.jets.copy()
+    jets[row] += 0.01
+    assert law.effort(p.x_v, p.x, jets) != law.effort(p.x_v, p.x, p.jets)

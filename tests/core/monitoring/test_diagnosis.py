@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verdicts on runs of the simulated loop: each cause alone, with and without a measured torque; what is unknown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_core.monitoring.certificate import Balance
+from fjr_core.monitoring.delay_estimation import acting, effort_age
+from fjr_core.monitoring.diagnosis import judge
+from fjr_core.monitoring.grading import Axes
+from fjr_core.monitoring.innovations import Record, intervals, needed
+from fjr_core.monitoring.one_step_prediction import Prediction
+
+PERIOD, DURATION = 1e-3, 2.5
+LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
+REFERENCE = fjr.Sine(1.0, 1.0)
+
+
+@cache
+def record(delay: float = 0.0, measured: bool = False, **robot: float) -> Record:
+    """The paper's joint, sampled; `robot`: what the plant is that the law does not know."""
+    real = fjr.single_link(**robot)
+    x0 = real.state(0.5, 0.5, 0.0, 0.0)
+    run = fjr.simulate(fjr.Plant(real), LAW, REFERENCE, x0, DURATION, PERIOD, delay=delay)
+    velocity = np.array([np.concatenate(real.velocities(x)) for x in run.x])
+    shifted = np.vstack([np.zeros((1, 1)), run.u[:-1]])
+    return Record(
+        t=run.t,
+        position=run.x[:, :2],
+        velocity=velocity,
+        jets=run.jets,
+        u=run.u,
+        u_applied=shifted if measured else None,
+        sent=None,
+        answered=None,
+        sample_period=PERIOD,
+        effort_limit=np.array([np.inf]),
+    )
+
+
+def test_a_perfect_model_foretells_the_next_state() -> None:
+    found = intervals(record(), Balance(LAW), Prediction(LAW))
+    assert np.abs(found.error).max() <= 1e-11
+    assert np.abs(found.V1 - found.foretold).max() <= 1e-11
+    assert np.abs(needed(found, LAW.robot) - found.sent).max() <= 1e-7
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_a_healthy_run_holds(measured: bool) -> None:
+    verdict = judge(record(measured=measured), LAW)
+    assert (verdict.kind, verdict.causes) == ("holding", ())
+    assert verdict.figures["violated share"] == 0.0
+    assert verdict.figures["spectral radius"] < 1
+    strict = Axes(("joint1",), ("rad",), np.array([1e-9]))
+    assert judge(record(measured=measured), LAW, axes=strict).kind == "holding"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("stiffness", 29.0),
+        ("link_inertia", 0.034),
+        ("motor_inertia", 0.0035),
+        ("motor_inertia", 0.0046),
+        ("motor_inertia", 0.0054),
+        ("motor_inertia", 0.007),
+        ("link_damping", 0.25),
+    ],
+)
+def test_another_robot_is_a_mismatch(name: str, value: float) -> None:
+    verdict = judge(record(**{name: value}), LAW)
+    assert verdict.kind in ("degraded", "violated")
+    assert verdict.causes == ("model mismatch",)
+    assert "not the model" in verdict.sentence
+
+
+@pytest.mark.parametrize("delay", [0.7e-3, 1e-3, 2.4e-3, 4e-3])
+def test_a_delay_is_found_and_measured_from_the_motion_alone(delay: float) -> None:
+    seen = record(delay=delay)
+    found = intervals(seen, Balance(LAW), Prediction(LAW))
+    age = acting(found, effort_age(found, LAW.robot), needed(found, LAW.robot)).age
+    assert age * PERIOD == pytest.approx(delay, abs=0.02 * PERIOD)
+    verdict = judge(seen, LAW)
+    assert (verdict.kind, verdict.causes) == ("degraded", ("delay",))
+    assert verdict.figures["effort age"] == pytest.approx(delay, abs=0.02 * PERIOD)
+
+
+@pytest.mark.parametrize("latency", [0.2e-3, 0.35e-3, 0.6e-3])
+@pytest.mark.parametrize("measured", [False, True])
+def test_answers_within_the_sample_are_as_they_should_be_but_no_delay_beyond(latency: float, measured: bool) -> None:
+    """In real time the older effort acts until the answer comes; by the times of sending that is foreseen."""
+    late = record(delay=latency, measured=measured)
+    known = replace(late, sent=late.t, answered=late.t + latency)
+    assert judge(late, LAW).causes == ("delay",)
+    assert judge(known, LAW).kind == "holding"
+    assert judge(replace(known, answered=late.t + latency + 0.1e-3), LAW).kind == "holding"
+    later = replace(record(delay=latency + 2e-3), sent=late.t, answered=late.t + latency)
+    assert judge(later, LAW).causes == ("delay",)
+    other = replace(record(delay=latency, stiffness=29.0), sent=late.t, answered=late.t + latency)
+    assert judge(other, LAW).causes[0] == "model mismatch"
+
+
+def test_states_that_are_missing_are_a_loss() -> None:
+    """Every second state was never seen, so each effort was held for two periods."""
+    real = fjr.simulate(fjr.Plant(LAW.robot), LAW, REFERENCE, LAW.robot.state(0.5, 0.5, 0, 0), DURATION, 2 * PERIOD)
+    velocity = np.array([np.concatenate(LAW.robot.velocities(x)) for x in real.x])
+    seen = replace(record(), t=real.t, position=real.x[:, :2], velocity=velocity, jets=real.jets, u=real.u)
+    verdict = judge(seen, LAW)
+    assert (verdict.kind, verdict.causes) == ("degraded", ("loss",))
+    assert verdict.figures["gaps"] == len(real.t) - 1
+
+
+def looped(noise: float = 0.0, limit: float = np.inf) -> Record:
+    """The loop run on velocities with white noise [rad/s], the effort cut off at the limit [N m]."""
+    plant, rng = fjr.Plant(LAW.robot), np.random.default_rng(7)
+    x, rows = LAW.robot.state(0.5, 0.5, 0.0, 0.0), []
+    for k in range(round(DURATION / PERIOD)):
+        q, dq = x[:2], np.concatenate(LAW.robot.velocities(x)) + noise * rng.standard_normal(2)
+        jets = REFERENCE.jets(k * PERIOD)
+        u = np.clip(LAW.measured_command(q, dq, jets)[0], -limit, limit)
+        rows.append((k * PERIOD, q, dq, jets, u))
+        for _ in range(4):
+            x = plant.step(x, u, PERIOD / 4)
+    t, position, velocity, jets, u = map(np.array, zip(*rows, strict=True))
+    given = {"t": t, "position": position, "velocity": velocity, "jets": jets, "u": u}
+    return replace(record(), **given, effort_limit=np.array([limit]))
+
+
+def test_an_effort_at_its_limit_is_saturation() -> None:
+    verdict = judge(looped(limit=0.7), LAW)
+    assert (verdict.kind, verdict.causes) == ("violated", ("saturation",))
+    assert judge(looped(limit=30.0), LAW).kind == "holding"
+
+
+def test_an_effort_that_is_not_the_laws_is_not_judged() -> None:
+    """A ramp or a stop: nobody said that V falls there."""
+    seen = looped(limit=0.7)
+    assert judge(replace(seen, effort_limit=np.array([np.inf])), LAW).kind == "holding"
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2])
+def test_noise_of_the_sensors_is_no_violation(noise: float) -> None:
+    assert judge(looped(noise=noise), LAW).kind == "holding"
+
+
+def test_sampled_too_slowly() -> None:
+    real = LAW.robot
+    run = fjr.simulate(fjr.Plant(real), LAW, REFERENCE, real.state(0.5, 0.5, 0, 0), 0.4, 0.02)
+    velocity = np.array([np.concatenate(real.velocities(x)) for x in run.x])
+    seen = replace(
+        record(), t=run.t, position=run.x[:, :2], velocity=velocity, jets=run.jets, u=run.u, sample_period=0.02
+    )
+    verdict = judge(seen, LAW)
+    assert (verdict.kind, verdict.causes) == ("violated", ("sampling",))
+    assert verdict.figures["spectral radius"] > 1
+
+
+def test_what_cannot_be_judged_is_unknown_with_a_reason() -> None:
+    whole = record()
+    nothing = np.full_like(whole.velocity, np.nan)
+    assert "no velocities" in judge(replace(whole, velocity=nothing), LAW).sentence
+    unanswered = judge(replace(whole, u=np.full_like(whole.u, np.nan)), LAW)
+    assert (unanswered.kind, unanswered.causes) == ("unknown", ())
+    few = {name: getattr(whole, name)[:30] for name in ("t", "position", "velocity", "jets", "u")}
+    assert "29 answered states" in judge(replace(whole, **few), LAW).sentence
+    other = judge(replace(whole, u=whole.u + 0.1), LAW)
+    assert "seldom the law's" in other.sentence
+
+
+def test_a_record_says_what_does_not_fit() -> None:
+    with pytest.raises(fjr.StateError, match=r"jets has shape \(3, 5, 1\); expected \(2501, 5, 1\)"):
+        replace(record(), jets=np.zeros((3, 5, 1)))
+    with pytest.raises(fjr.StateError, match="sample_period is 0"):
+        replace(record(), sample_period=0.0)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The verdict while a loop runs in real time: answers come within the sample, a little sooner or later each time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_core.monitoring.diagnosis import Verdict
+from fjr_core.monitoring.grading import Axes
+from fjr_core.monitoring.latency import WINDOW, Latency
+from fjr_core.monitoring.online_certificate import Forecast
+from fjr_core.monitoring.online_diagnosis import RunningVerdict
+
+PERIOD, BETA = 1e-3, 10.0
+LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
+REFERENCE = fjr.Sine(1.0, 1.0)
+
+
+def run(seconds: float, told: bool = True, late: int = 0, tolerance: float = 1e-3, **robot: float) -> list[Verdict]:
+    """A verdict each second; `told`: the latency of each answer, `late`: samples that efforts are older besides."""
+    real = fjr.single_link(**robot)
+    plant, x = fjr.Plant(real), real.state(0.5, 0.5, 0.0, 0.0)
+    forecast = Forecast(LAW)
+    running = RunningVerdict(LAW, np.array([np.inf]), forecast, Axes(("joint1",), ("rad",), np.array([tolerance])))
+    latencies = np.random.default_rng(7).uniform(0.15e-3, 0.5e-3, int(seconds / PERIOD))
+    efforts, verdicts = [np.zeros(1)] * (late + 2), []
+    for k, latency in enumerate(latencies):
+        velocity, jets = np.concatenate(real.velocities(x)), REFERENCE.jets(k * PERIOD)
+        u, _ = LAW.measured_command(x[:2], velocity, jets)
+        efforts.append(u)
+        forecast.take(PERIOD, x[:2], velocity, jets, u, latency if told else 0.0)
+        if k:
+            running.look(BETA)
+        x = plant.step(x, efforts[-2 - late], latency)
+        x = plant.step(x, efforts[-1 - late], PERIOD - latency)
+        if (k + 1) % round(1 / PERIOD) == 0:
+            verdicts.append(running.verdict())
+    return verdicts
+
+
+def test_a_loop_that_answers_within_the_sample_holds_where_its_latency_is_known() -> None:
+    assert [verdict.kind for verdict in run(3.0)] == ["holding"] * 3
+    assert [verdict.kind for verdict in run(3.0, tolerance=1e-9)] == ["holding"] * 3
+    assert "holding" not in [verdict.kind for verdict in run(3.0, told=False)]
+
+
+@pytest.mark.parametrize("late", [1, 2])
+def test_efforts_that_act_samples_late_are_a_delay(late: int) -> None:
+    for verdict in run(2.0, late=late):
+        assert (verdict.kind, verdict.causes) == ("degraded", ("delay",))
+        assert verdict.figures["effort age"] == pytest.approx(late * PERIOD, abs=0.6 * PERIOD)
+
+
+@pytest.mark.parametrize("robot", [{"stiffness": 22.0}, {"link_inertia": 0.05}, {"motor_inertia": 0.007}])
+def test_another_robot_is_a_mismatch(robot: dict[str, float]) -> None:
+    assert [verdict.causes for verdict in run(2.0, **robot)] == [("model mismatch",)] * 2
+
+
+@pytest.mark.parametrize("offset", [0, 5_000_000_000, -5_000_000_000])
+def test_latency_is_the_same_by_any_clock(offset: int) -> None:
+    latency, ways = Latency(), [120_000, 100_000, 250_000, 100_000]
+    found = [
+        latency.of(k * 1_000_000, k * 1_000_000 + way + offset, k * 1_000_000 + way + offset + 50_000)
+        for k, way in enumerate(ways)
+    ]
+    assert found == pytest.approx([50e-6, 50e-6, 200e-6, 50e-6])
+
+
+def test_the_difference_of_clocks_is_found_anew_where_it_grows() -> None:
+    latency = Latency()
+    for k in range(3 * WINDOW):
+        jump = 3_000_000 if k >= WINDOW else 0
+        last = latency.of(k, k + 100_000 + jump, k + 100_000 + jump)
+    assert last == 0.0
+    latency.forget()
+    assert latency.of(0, 7, 9) == pytest.approx(2e-9)

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled code is loaded only from a folder that this user alone can write, and only as it was kept."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_core.files import private_folder
+from fjr_core.monitoring.certificate import Balance
+from fjr_core.numerics import code_cache
+from fjr_core.numerics import jit as compiling
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to another user")
+NOBODY = 65534
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty cache, and no temporary one yet."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("CC", raising=False)
+    compiling._say_once.cache_clear()
+    code_cache._temporary_base.cache_clear()
+    yield tmp_path / "cache" / "fjr"
+    code_cache._temporary_base.cache_clear()
+
+
+def function() -> ca.Function:
+    x = ca.SX.sym("x", 3)
+    return ca.Function("cubes", [x], [x**3])
+
+
+def assert_compiled(made: ca.Function | None = None) -> None:
+    made = made or compiling.compiled(function())
+    assert made.class_name() == "External"
+    assert made([1, 2, 3]).full().ravel().tolist() == [1, 8, 27]
+
+
+def planted(library: Path, marker: Path) -> None:
+    """Put a shared object of the same name and size there that leaves a mark where it is loaded."""
+    code = library.parent.parent / "planted.c"
+    code.write_text(
+        f'#include <stdio.h>\n__attribute__((constructor)) static void mark(void) {{ fclose(fopen("{marker}", "w")); }}'
+    )
+    made = code.with_suffix(".so")
+    subprocess.run(["cc", "-shared", "-fPIC", "-Os", "-s", "-o", str(made), str(code)], check=True)
+    size, content = library.stat().st_size, made.read_bytes()
+    library.write_bytes(content.ljust(size, b"\0"))
+
+
+def the_library(cache: Path, name: str = "cubes") -> Path:
+    (found,) = cache.glob(f"{name}-*.so")
+    return found
+
+
+def in_another_process(code: str) -> str:
+    """What Python says to this; a process that has loaded nothing yet."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    return result.stdout + result.stderr
+
+
+COMPILE = """
+import casadi as ca
+from fjr_core.numerics.jit import compiled
+x = ca.SX.sym("x", 3)
+f = compiled(ca.Function("cubes", [x], [x**3]))
+print(f.class_name(), f([1, 2, 3]).full().ravel().tolist())
+"""
+BALANCE = """
+import numpy as np, fjr_core as fjr
+from fjr_core.monitoring.certificate import Balance
+balance = Balance(fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True))
+print(balance.at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V > 0)
+"""
+
+
+def test_a_planted_library_of_the_same_name_and_size_is_not_run(cache: Path, tmp_path: Path) -> None:
+    assert_compiled()
+    planted(the_library(cache), tmp_path / "marker")
+    assert "External [1.0, 8.0, 27.0]" in in_another_process(COMPILE)
+    assert not (tmp_path / "marker").exists()
+
+
+def test_a_planted_library_is_not_recalled(cache: Path, tmp_path: Path) -> None:
+    law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
+    wanted = Balance(law).at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V
+    assert wanted > 0
+    planted(the_library(cache, "certificate"), tmp_path / "marker")
+    assert "True" in in_another_process(BALANCE)
+    assert not (tmp_path / "marker").exists()
+
+
+def writable_by_others(cache: Path) -> None:
+    cache.chmod(0o777)
+
+
+def writable_by_the_group(cache: Path) -> None:
+    cache.chmod(0o770)
+
+
+def a_link(cache: Path) -> None:
+    cache.rename(cache.with_name("elsewhere"))
+    cache.symlink_to("elsewhere")
+
+
+def of_another_user(cache: Path) -> None:
+    os.chown(cache, NOBODY, -1)
+
+
+def a_file(cache: Path) -> None:
+    shutil.rmtree(cache)
+    cache.touch()
+
+
+SPOILT = [writable_by_others, writable_by_the_group, a_link, pytest.param(of_another_user, marks=as_root), a_file]
+
+
+@pytest.mark.parametrize("spoil", SPOILT)
+def test_a_folder_that_is_not_private_gives_nothing(
+    spoil: Callable[[Path], None], cache: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Not even with a digest that fits: who can write the library can write that."""
+    assert_compiled()
+    library, marker = the_library(cache), tmp_path / "marker"
+    planted(library, marker)
+    library.with_name(f"{library.name}.sha256").write_bytes(code_cache._digest(library.read_bytes()))
+    spoil(cache)
+    with caplog.at_level(logging.WARNING, "fjr_core.numerics.jit"):
+        for _ in range(2):
+            assert_compiled()
+    assert not marker.exists()
+    (sentence,) = caplog.messages
+    assert str(cache) in sentence
+    temporary = Path(os.environ["XDG_CACHE_HOME"])
+    assert temporary.stat().st_mode & 0o777 == 0o700
+    assert the_library(temporary / "fjr").exists()
+
+
+def test_a_file_that_is_a_link_or_another_users_is_not_read(cache: Path, tmp_path: Path) -> None:
+    folder = private_folder.open_private(cache)
+    folder.write("mine", b"content")
+    assert folder.read("mine") == b"content"
+    (cache / "link").symlink_to(cache / "mine")
+    os.mkfifo(cache / "pipe")
+    (cache / "open").write_bytes(b"content")
+    (cache / "open").chmod(0o666)
+    if os.geteuid() == 0:
+        (cache / "theirs").write_bytes(b"content")
+        os.chown(cache / "theirs", NOBODY, -1)
+    for name in ("link", "pipe", "open", "theirs", "none", "a\0b", "../outside"):
+        (tmp_path / "cache" / "outside").symlink_to(cache / "mine") if name == "../outside" else None
+        assert folder.read(name) is None
+
+
+def test_the_folder_is_made_for_this_user_alone(cache: Path) -> None:
+    before = os.umask(0)
+    try:
+        assert_compiled()
+    finally:
+        os.umask(before)
+    assert cache.stat().st_mode & 0o777 == 0o700
+    assert all(path.stat().st_mode & 0o077 == 0 for path in cache.iterdir())
+
+
+def test_another_folder_put_in_its_place_is_not_read(cache: Path, tmp_path: Path) -> None:
+    """Between the check and the use, by someone who can write the folder above."""
+    folder = private_folder.open_private(cache)
+    folder.write("name", b"right")
+    cache.rename(tmp_path / "moved")
+    cache.mkdir()
+    (cache / "name").write_bytes(b"wrong")
+    assert folder.read("name") == b"right"
+    assert Path(folder.within("name")).read_bytes() == b"right"
+
+
+@as_root
+def test_a_folder_that_cannot_be_written_gives_what_it_holds(cache: Path, tmp_path: Path) -> None:
+    """As a user to whom modes apply: what is compiled is loaded, anything else goes into a temporary folder."""
+    said = as_nobody(tmp_path, cache, COMPILE + "import os\nos.chmod(os.environ['XDG_CACHE_HOME'] + '/fjr', 0o500)")
+    assert said == "External [1.0, 8.0, 27.0]\n"
+    assert as_nobody(tmp_path, cache, COMPILE) == "External [1.0, 8.0, 27.0]\n"
+    said = as_nobody(tmp_path, cache, COMPILE.replace("cubes", "others"))
+    assert "External [1.0, 8.0, 27.0]" in said
+    assert said.count("cannot write to") == 1
+
+
+@as_root
+@pytest.mark.parametrize("variables", [{}, {"HOME": "/nonexistent"}], ids=["no HOME", "HOME that is not there"])
+def test_without_a_home_a_temporary_folder_is_used(variables: dict[str, str], cache: Path, tmp_path: Path) -> None:
+    said = as_nobody(tmp_path, cache, COMPILE, {"XDG_CACHE_HOME": "", **variables})
+    assert "External [1.0, 8.0, 27.0]" in said
+    assert said.count("compiled code is kept in") == 1
+    assert not list((tmp_path / "tmp").iterdir())  # removed at the end
+
+
+def as_nobody(tmp_path: Path, cache: Path, code: str, variables: dict[str, str] | None = None) -> str:
+    """What Python says to this when another user runs it, whose are cache and temporary folder."""
+    for folder in (cache.parent, tmp_path / "tmp"):
+        if not folder.exists():
+            folder.mkdir()
+            os.chown(folder, NOBODY, NOBODY)
+    tmp_path.chmod(0o755)
+    for folder in tmp_path.parents:
+        if folder.stat().st_uid == os.geteuid() and not folder.stat().st_mode & 0o001:
+            folder.chmod(folder.stat().st_mode | 0o011)  # pytest makes its own folders for one user alone
+    environment = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}
+    environment |= {"XDG_CACHE_HOME": str(cache.parent), "TMPDIR": str(tmp_path / "tmp"), **(variables or {})}
+    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
+    become = f"import os, casadi, fjr_core.numerics.jit\nos.setgroups([]); os.setgid({NOBODY}); os.setuid({NOBODY})\n"
+    result = subprocess.run(
+        [sys.executable, "-c", become + code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout + result.stderr

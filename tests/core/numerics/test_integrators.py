@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Integrators: order of convergence, and the energy of undamped robots under the implicit midpoint rule."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import fjr_core as fjr
+from core.oracles.cases import PLANAR
+
+ORDERS = {"rk4": 4, "implicit_midpoint": 2}
+DURATION = 0.2
+
+
+def linear_joint() -> tuple[fjr.Robot, np.ndarray]:
+    """The paper's joint without gravity, and the matrix of its linear dynamics."""
+    M, m, D, d, k = 0.031, 0.004, 0.2, 0.007, 31.0
+    rows = [[0, 0, 1 / M, 0], [0, 0, 0, 1 / m], [-k, k, -D / M, 0], [k, -k, 0, -d / m]]
+    return fjr.single_link(stiffness=k, gravity_torque=0.0), np.array(rows)
+
+
+def walk(plant: fjr.Plant, x: np.ndarray, u: np.ndarray, steps: int) -> np.ndarray:
+    for _ in range(steps):
+        x = plant.step(x, u, DURATION / steps)
+    return x
+
+
+def measured_order(plant: fjr.Plant, x: np.ndarray, u: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    steps = np.array([160, 320, 640])
+    errors = [np.max(np.abs(walk(plant, x, u, k) - exact)) for k in steps]
+    return -np.diff(np.log2(errors))
+
+
+@pytest.mark.parametrize("integrator", ORDERS)
+def test_order_of_convergence_against_the_closed_form_of_a_linear_joint(integrator: str) -> None:
+    robot, A = linear_joint()
+    x, u = robot.state(0.5, 0.7, -1, 2), np.array([0.4])
+    augmented = np.zeros((5, 5))  # A is singular (the joint turns freely): the constant u as a fifth state
+    augmented[:4, :4], augmented[3, 4] = A, u[0]
+    exact = (expm(augmented * DURATION) @ np.append(x, 1.0))[:4]
+    orders = measured_order(fjr.Plant(robot, integrator), x, u, exact)
+    assert orders == pytest.approx(ORDERS[integrator], abs=0.1)
+
+
+@pytest.mark.parametrize("integrator", ORDERS)
+@pytest.mark.parametrize("robot", [fjr.single_link(), fjr.planar_two_link(**PLANAR)], ids=["single", "planar"])
+def test_order_of_convergence_against_a_high_precision_solution(robot: fjr.Robot, integrator: str) -> None:
+    n, plant = robot.n, fjr.Plant(robot, integrator)
+    x, u = robot.state(np.full(n, 0.8), np.full(n, 0.7), np.full(n, -2), np.full(n, 1)), np.full(n, 0.5)
+    run = solve_ivp(lambda _, y: plant.derivative(y, u), (0, DURATION), x, method="DOP853", rtol=1e-13, atol=1e-14)
+    assert measured_order(plant, x, u, run.y[:, -1]) == pytest.approx(ORDERS[integrator], abs=0.1)
+
+
+def free_robots() -> dict[str, tuple[fjr.Robot, np.ndarray]]:
+    """Undamped robots that fall from rest with unloaded springs."""
+    single = fjr.single_link(link_damping=0.0, motor_damping=0.0)
+    planar = fjr.planar_two_link(**PLANAR, link_damping=0.0, motor_damping=0.0)
+    return {
+        "single": (single, single.state(1.0, 1.0, 0, 0)),
+        "planar": (planar, planar.state([0.4, -0.25], [0.4, -0.25], [0, 0], [0, 0])),
+    }
+
+
+@pytest.mark.parametrize("name", ["single", "planar"])
+def test_implicit_midpoint_keeps_the_energy_of_a_free_robot(name: str) -> None:
+    """30 s at 1 ms: within 1e-6 of its start, and no drift (last against first seconds, and slope)."""
+    robot, x = free_robots()[name]
+    plant, u, H = fjr.Plant(robot, "implicit_midpoint"), np.zeros(robot.n), []
+    for _ in range(30_000):
+        H.append(robot.hamiltonian(x))
+        x = plant.step(x, u, 1e-3)
+    H = np.array(H) / H[0]
+    assert np.max(np.abs(H - 1)) <= 1e-6
+    wobble = np.max(H) - np.min(H)
+    assert abs(np.mean(H[-5000:]) - np.mean(H[:5000])) <= 0.05 * wobble
+    assert abs(np.polyfit(np.linspace(0, 1, len(H)), H, 1)[0]) <= 0.05 * wobble
+
+
+def test_implicit_midpoint_is_symmetric_in_time() -> None:
+    robot, x = free_robots()["planar"]
+    plant, u = fjr.Plant(robot, "implicit_midpoint"), np.zeros(robot.n)
+    assert plant.step(plant.step(x, u, 1e-3), u, -1e-3) == pytest.approx(x, abs=1e-12)
+
+
+@pytest.mark.parametrize("integrator", ORDERS)
+def test_steps_far_from_the_origin(integrator: str) -> None:
+    """A joint that has turned many times, under a large effort, steps like one that has not."""
+    robot = fjr.single_link()
+    plant, turns = fjr.Plant(robot, integrator), 2 * np.pi * 1000
+    near, far = (robot.state(0.3 + q, 0.5 + q, 5, -3) for q in (0.0, turns))
+    steps = [plant.step(x, [250.0], 1e-3) for x in (near, far)]
+    assert steps[1] - steps[0] == pytest.approx(np.array([turns, turns, 0, 0]), abs=1e-9)
+
+
+@pytest.mark.parametrize("dt", [0.1, 10.0])
+def test_implicit_midpoint_solves_its_equation_even_for_huge_steps(dt: float) -> None:
+    robot, x = free_robots()["planar"]
+    plant, u = fjr.Plant(robot, "implicit_midpoint"), np.array([0.3, -0.2])
+    z = plant.step(x, u, dt)
+    assert z - x == pytest.approx(dt * plant.derivative((x + z) / 2, u), abs=1e-11)

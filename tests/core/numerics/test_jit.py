@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Machine code: the same numbers as CasADi's virtual machine, cached by content, safe for processes side by side."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.cases import LOOPS, Arm, GainSet, random_point
+from core.oracles.chains import arm7, scaled_gains
+from fjr_core.numerics import jit as compiling
+from patience import HANG
+
+EQUAL = 1e-9
+with_a_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache for every test, and nothing said yet."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    compiling._say_once.cache_clear()
+    return tmp_path / "fjr"
+
+
+@pytest.fixture
+def function() -> ca.Function:
+    x = ca.SX.sym("x", 3)
+    return ca.Function("cubes", [x], [x**3 + ca.sin(x)])
+
+
+def logging_compiler(folder: Path) -> Path:
+    """A C compiler that writes a line for every library it builds."""
+    script = folder / "logging-cc"
+    script.write_text(
+        f'#!/bin/sh\ncase "$*" in *--version*) ;; *) echo built >> "{folder}/builds" ;; esac\nexec cc "$@"\n'
+    )
+    script.chmod(0o755)
+    return script
+
+
+def libraries(cache: Path) -> list[Path]:
+    return sorted(cache.glob("*.so"))
+
+
+SEVEN = (arm7(), scaled_gains(arm7()))
+
+
+@pytest.mark.parametrize(("arm", "gains"), [*LOOPS[::4], SEVEN], ids=lambda case: case.name)
+def test_law_and_plant_are_the_same_numbers_as_machine_code(arm: Arm, gains: GainSet) -> None:
+    as_c, in_vm = (fjr.TrackingLaw(arm.robot, gains.gains, compile=flag) for flag in (True, False))
+    fast, slow = (fjr.Plant(arm.robot, compile=flag) for flag in (True, False))
+    for seed in range(5):
+        p = random_point(arm, seed)
+        assert as_c.effort(p.x_v, p.x, p.jets, p.omega) == pytest.approx(
+            in_vm.effort(p.x_v, p.x, p.jets, p.omega), rel=EQUAL
+        )
+        assert as_c.command(p.x, p.jets) == pytest.approx(in_vm.command(p.x, p.jets), rel=EQUAL)
+        assert as_c.command(p.x, p.jets) == pytest.approx(in_vm.effort(p.x, p.x, p.jets), rel=EQUAL)
+        here, there = as_c.evaluate(p.x_v, p.x, p.jets), in_vm.evaluate(p.x_v, p.x, p.jets)
+        assert (here.V, here.dV) == pytest.approx((there.V, there.dV), rel=EQUAL)
+        assert fast.step(p.x, p.u, 1e-3) == pytest.approx(slow.step(p.x, p.u, 1e-3), rel=EQUAL)
+
+
+@with_a_compiler
+def test_what_is_compiled_comes_from_the_cache_folder(cache: Path) -> None:
+    law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
+    assert not cache.exists()  # nothing is compiled before it is used
+    assert law.command_function.class_name() == "External"
+    assert [path.name.partition("-")[0] for path in libraries(cache)] == ["command"]
+
+
+@with_a_compiler
+def test_a_function_is_built_once_and_another_one_anew(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, function: ca.Function
+) -> None:
+    monkeypatch.setenv("CC", str(logging_compiler(tmp_path)))
+    for _ in range(3):
+        assert compiling.compiled(function)([1, 2, 3]).full().ravel() == pytest.approx(
+            np.arange(1, 4) ** 3 + np.sin([1, 2, 3])
+        )
+    x = ca.SX.sym("x", 3)
+    changed = compiling.compiled(ca.Function("cubes", [x], [x**3 + ca.cos(x)]))
+    assert changed([1, 2, 3]).full().ravel() == pytest.approx(np.arange(1, 4) ** 3 + np.cos([1, 2, 3]))
+    assert (tmp_path / "builds").read_text().split() == ["built", "built"]
+    assert len(libraries(cache)) == 2
+
+
+BUILD = """
+import casadi as ca
+from fjr_core.numerics.jit import compiled
+x = ca.SX.sym("x", 3)
+f = compiled(ca.Function("cubes", [x], [x**3]))
+assert f.class_name() == "External", f.class_name()
+print(f([1, 2, 3]).full().ravel().tolist())
+"""
+
+
+@with_a_compiler
+def test_processes_that_build_at_once_build_once(tmp_path: Path) -> None:
+    environment = {**os.environ, "CC": str(logging_compiler(tmp_path)), "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", BUILD]
+    processes = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    said = [process.communicate(timeout=HANG)[0].strip() for process in processes]
+    assert said == ["[1.0, 8.0, 27.0]"] * 4
+    assert (tmp_path / "builds").read_text().split() == ["built"]
+
+
+def said_once(caplog: pytest.LogCaptureFixture, function: ca.Function) -> str:
+    """Compile twice; the one warning. The function stays usable."""
+    with caplog.at_level(logging.WARNING, "fjr_core.numerics.jit"):
+        for _ in range(2):
+            assert compiling.compiled(function) is function
+    assert len(caplog.messages) == 1
+    return caplog.messages[0]
+
+
+def test_without_a_compiler_the_virtual_machine_runs_and_it_is_said_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, function: ca.Function
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    sentence = said_once(caplog, function)
+    assert "no C compiler (cc, gcc, clang)" in sentence
+    assert "apt-get install gcc" in sentence
+    law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
+    assert np.isfinite(law.command(np.zeros(4), np.zeros((5, 1)))).all()
+
+
+@pytest.mark.parametrize(
+    ("compiler", "words"),
+    [
+        ("false", "false failed"),
+        ("true", "true wrote no shared object"),
+        ("no-such-cc", "no C compiler (no-such-cc)"),
+        ('gcc "', "No closing"),
+    ],
+)
+def test_a_compiler_that_does_not_work_is_said_once(
+    compiler: str, words: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, function: ca.Function
+) -> None:
+    monkeypatch.setenv("CC", compiler)
+    assert words in said_once(caplog, function)
+
+
+@with_a_compiler
+def test_what_casadi_cannot_write_as_c_runs_in_the_virtual_machine(caplog: pytest.LogCaptureFixture) -> None:
+    plant = fjr.Plant(fjr.single_link(), "implicit_midpoint", compile=True)
+    assert np.isfinite(plant.step(np.zeros(4), [1.0], 1e-3)).all()
+    assert "implicit_midpoint" in caplog.text
+
+
+@with_a_compiler
+@pytest.mark.parametrize("left", [0, 100, 4096, 9000])
+def test_a_library_that_lost_its_end_is_built_again(left: int, cache: Path, function: ca.Function) -> None:
+    compiling.compiled(function)
+    (library,) = libraries(cache)
+    library.write_bytes(library.read_bytes()[:left])
+    assert compiling.compiled(function)([1, 2, 3]).full().shape == (3, 1)
+
+
+@with_a_compiler
+def test_a_library_that_is_none_is_built_again(cache: Path, function: ca.Function) -> None:
+    compiling.compiled(function)
+    (library,) = libraries(cache)
+    library.write_bytes(b"x" * library.stat().st_size)
+    assert compiling.compiled(function).class_name() == "External"

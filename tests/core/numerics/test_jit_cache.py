@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Machine code is found again for the same robot and gains' shape, and for no other."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_core.monitoring.certificate import Balance
+from fjr_core.numerics.code_cache import cache_folder
+
+pytestmark = pytest.mark.skipif(not (shutil.which("cc") or shutil.which("gcc")), reason="no C compiler")
+POINT = ([0.3, -0.2, 0.4, 0.1], [1.0, 0.5, -0.3, 0.2], np.arange(10.0).reshape(5, 2) / 10)
+
+
+@pytest.fixture
+def derivations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """An empty cache, and what was derived since."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    seen: list[str] = []
+    derive = Balance._derived
+    monkeypatch.setattr(Balance, "_derived", lambda self: seen.append("certificate") or derive(self))
+    return seen
+
+
+def balance(gains: fjr.Gains = fjr.PAPER_GAINS, **robot: float) -> Balance:
+    return Balance(fjr.TrackingLaw(fjr.planar_two_link(**robot), gains, compile=True))
+
+
+def test_the_second_time_nothing_is_derived(derivations: list[str]) -> None:
+    first = balance().at(*POINT)
+    second = balance().at(*POINT)
+    assert len(derivations) == 1
+    assert (first.V, first.dV, first.H) == (second.V, second.dV, second.H)
+
+
+def test_gains_are_numbers_but_their_shape_is_not(derivations: list[str]) -> None:
+    balance().at(*POINT)
+    balance(fjr.Gains(11.0, 21.0, 0.7, 16.0, 61.0, 0.4)).at(*POINT)
+    assert len(derivations) == 1
+    full = [[20.0, 1.0], [1.0, 12.0]]
+    balance(fjr.Gains(10.0, full, 0.6, 15.0, 60.0, 0.3)).at(*POINT)
+    assert len(derivations) == 2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"stiffness": 30.0}, {"gravity": 9.7}, {"link_mass": (1.3, 0.8)}, {"motor_damping": 0.05}, {"input_gain": 1.1}],
+    ids=lambda change: next(iter(change)),
+)
+def test_another_robot_is_derived(derivations: list[str], change: dict) -> None:
+    one = balance().at(*POINT, [1.0, 2.0])
+    other = balance(**change).at(*POINT, [1.0, 2.0])
+    assert len(derivations) == 2
+    assert one.u_law.tolist() != other.u_law.tolist() or one.supplied != other.supplied
+
+
+def test_machine_code_that_is_not_whole_is_made_anew(derivations: list[str]) -> None:
+    wanted = balance().at(*POINT).V
+    for library in cache_folder().glob("certificate-*.so"):
+        library.write_bytes(library.read_bytes()[:100])
+    assert wanted == balance().at(*POINT).V
+    assert len(derivations) == 2

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random serial chains and URDFs, and Pinocchio's view of them: the oracle for arms of any number of joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+import fjr_core as fjr
+from core.oracles.cases import Arm, Array, GainSet, gain_set, square
+from fjr_core.robot.rigid_arm import Links
+
+ROBOTS = Path(__file__).parents[3] / "ros2_ws/src/fjr_bringup/robots"
+ARM7 = ROBOTS / "arm7.urdf"
+ARM7_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
+
+
+class PinocchioLinks:
+    """M, C, P and grad_P of the named joints of a Pinocchio model, the others at rest in the given positions.
+
+    Takes plain numbers only. `f` is there because the closed forms of oracles/cases.py have it.
+    """
+
+    def __init__(self, model: Any, names: Any, locked: dict[str, float] | None = None) -> None:
+        self.model, self.data, self.n = model, model.createData(), len(names)
+        self.joints = [model.joints[model.getJointId(name)] for name in names]
+        self.rows = [joint.idx_v for joint in self.joints]
+        self.rest = pin.neutral(model)
+        for name, position in (locked or {}).items():
+            self._place(self.rest, model.joints[model.getJointId(name)], position)
+
+    def _place(self, q: Array, joint: Any, position: float) -> None:
+        """Pinocchio has continuous joints as (cos, sin)."""
+        values = [position] if joint.nq == 1 else [np.cos(position), np.sin(position)]
+        q[joint.idx_q : joint.idx_q + joint.nq] = values
+
+    def q(self, q_l: Array) -> Array:
+        q = self.rest.copy()
+        for joint, position in zip(self.joints, q_l, strict=True):
+            self._place(q, joint, position)
+        return q
+
+    def v(self, dq_l: Array) -> Array:
+        v = np.zeros(self.model.nv)
+        v[self.rows] = dq_l
+        return v
+
+    def M(self, q_l: Array, f: Any = np) -> Array:
+        upper = np.triu(pin.crba(self.model, self.data, self.q(q_l)))
+        return (upper + np.triu(upper, 1).T)[np.ix_(self.rows, self.rows)]
+
+    def C(self, q_l: Array, dq_l: Array, f: Any = np) -> Array:
+        C = pin.computeCoriolisMatrix(self.model, self.data, self.q(q_l), self.v(dq_l))
+        return C[np.ix_(self.rows, self.rows)].copy()
+
+    def P(self, q_l: Array, f: Any = np) -> float:
+        return float(pin.computePotentialEnergy(self.model, self.data, self.q(q_l)))
+
+    def grad_P(self, q_l: Array, f: Any = np) -> Array:
+        return pin.computeGeneralizedGravity(self.model, self.data, self.q(q_l))[self.rows].copy()
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The same random chain twice: as Links, and as Pinocchio's model."""
+
+    links: Links
+    pinocchio: PinocchioLinks
+
+    @property
+    def n(self) -> int:
+        return self.links.n
+
+
+@cache
+def random_chain(n: int, seed: int) -> Chain:
+    """A chain of n joints: axes along coordinates or not, turning or sliding, gravity in any direction."""
+    rng = np.random.default_rng((n, seed))
+    gravity = rng.normal(size=3) * 5
+    model, bodies, parent = pin.Model(), [], 0
+    for i in range(n):
+        axis, prismatic = random_axis(rng), bool(rng.random() < 0.3)
+        joint = (pin.JointModelPrismaticUnaligned if prismatic else pin.JointModelRevoluteUnaligned)(*axis)
+        placement = pin.SE3(random_rotation(rng), rng.uniform(-0.5, 0.5, 3))
+        mass, com, inertia = random_inertia(rng)
+        parent = model.addJoint(parent, joint, placement, f"joint{i}")
+        model.appendBodyToJoint(parent, pin.Inertia(mass, com, inertia), pin.SE3.Identity())
+        bodies.append(fjr.Body(placement.rotation, placement.translation, axis, mass, com, inertia, prismatic))
+    model.gravity.linear = gravity
+    return Chain(fjr.serial_chain(bodies, gravity), PinocchioLinks(model, list(model.names)[1:]))
+
+
+def random_axis(rng: np.random.Generator) -> Array:
+    """A coordinate axis, one of them reversed, or any direction: a unit vector."""
+    axis = rng.normal(size=3) if rng.random() < 0.5 else rng.choice([-1, 1]) * np.eye(3)[rng.integers(3)]
+    return axis / np.linalg.norm(axis)
+
+
+def random_rotation(rng: np.random.Generator) -> Array:
+    return pin.rpy.rpyToMatrix(rng.uniform(-3, 3, 3))
+
+
+def random_inertia(rng: np.random.Generator) -> tuple[float, Array, Array]:
+    """Mass, centre of mass and inertia about it of a box in any posture."""
+    mass, turn = rng.uniform(0.5, 4.0), random_rotation(rng)
+    squares = rng.uniform(0.05, 0.4, 3) ** 2
+    inertia = turn @ np.diag(mass / 12 * (np.sum(squares) - squares)) @ turn.T
+    return mass, rng.uniform(-0.3, 0.3, 3), (inertia + inertia.T) / 2
+
+
+@dataclass(frozen=True)
+class UrdfCase:
+    """A random URDF, the joints to be named in an order that is not the chain's, and where the others are locked."""
+
+    xml: str
+    joints: tuple[str, ...]
+    locked: dict[str, float]
+    gravity: Array
+
+    @property
+    def pinocchio(self) -> PinocchioLinks:
+        """The whole arm, read by Pinocchio from the same text."""
+        model = pin.buildModelFromXML(self.xml)
+        model.gravity.linear = self.gravity
+        return PinocchioLinks(model, self.joints, self.locked)
+
+
+def random_urdf(n: int, seed: int) -> UrdfCase:
+    """n named joints in a chain with fixed and locked joints between them, and a branch at every link."""
+    rng = np.random.default_rng((n, seed))
+    parts, tip = [link_xml("base", rng)], "base"
+    named: list[str] = []
+    locked: dict[str, float] = {}
+    for i in range(n):
+        for kind in rng.permutation(["fixed", "locked", "named"]):
+            child = f"{kind}_link{i}"
+            parts += [joint_xml(f"{kind}{i}", kind_of(kind, rng), tip, child, rng), link_xml(child, rng)]
+            tip = child
+        parts += [
+            joint_xml(f"side{i}", kind_of("locked", rng), tip, f"side_link{i}", rng),
+            link_xml(f"side_link{i}", rng),
+        ]
+        named.append(f"named{i}")
+        locked |= {f"locked{i}": rng.uniform(-2, 2), f"side{i}": rng.uniform(-2, 2)}
+    order = tuple(str(name) for name in rng.permutation(named))
+    return UrdfCase(robot_xml(*parts), order, locked, rng.normal(size=3) * 5)
+
+
+def kind_of(role: str, rng: np.random.Generator) -> str:
+    return "fixed" if role == "fixed" else str(rng.choice(["revolute", "continuous", "prismatic"]))
+
+
+def robot_xml(*parts: str) -> str:
+    return '<robot name="random">' + "".join(parts) + "</robot>"
+
+
+def numbers(values: Any) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def link_xml(name: str, rng: np.random.Generator) -> str:
+    mass, com, inertia = random_inertia(rng)
+    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    values = " ".join(f'{key}="{float(inertia[at])!r}"' for key, at in entries.items())
+    origin = f'<origin xyz="{numbers(com)}" rpy="{numbers(rng.uniform(-3, 3, 3))}"/>'
+    return f'<link name="{name}"><inertial>{origin}<mass value="{mass!r}"/><inertia {values}/></inertial></link>'
+
+
+def joint_xml(name: str, kind: str, parent: str, child: str, rng: np.random.Generator) -> str:
+    place = f'<origin xyz="{numbers(rng.uniform(-0.5, 0.5, 3))}" rpy="{numbers(rng.uniform(-3, 3, 3))}"/>'
+    axis = f'<axis xyz="{numbers(random_axis(rng))}"/><limit lower="-3" upper="3" effort="9" velocity="2"/>'
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{place}{axis}</joint>'
+
+
+STIFF = {
+    "stiffness": (10000.0, 10000.0, 8000.0, 8000.0, 5000.0, 4000.0, 3000.0),
+    "motor_inertia": (0.6, 0.6, 0.45, 0.45, 0.2, 0.2, 0.2),
+    "link_damping": 0.5,
+    "motor_damping": (2.0, 2.0, 1.5, 1.5, 1.0, 0.5, 0.5),
+    "input_gain": 1.0,
+}
+
+
+def urdf_arm(name: str, urdf: Any, joints: tuple[str, ...], **values: Any) -> Arm:
+    """The robot from the URDF beside Pinocchio's model of the whole of it."""
+    robot = fjr.robot_from_urdf(urdf, list(joints), **values)
+    model = pin.buildModelFromXML(Path(urdf).read_text() if isinstance(urdf, Path) else urdf)
+    keys = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
+    matrices = (square(values[key], len(joints)) for key in keys)
+    return Arm(name, robot, PinocchioLinks(model, joints), *matrices)  # type: ignore[arg-type]
+
+
+@cache
+def arm7() -> Arm:
+    """The seven-joint arm with a stiff drive train."""
+    return urdf_arm("arm7", ARM7, ARM7_JOINTS, **STIFF)
+
+
+def scaled_gains(arm: Arm, beta: float = 10.0, cubic: bool = False) -> GainSet:
+    """Gains of the robot's own scale: Pi_l and K_ld go with diag M_l, Pi_m with K, K_md with M_m."""
+    M = np.diag(arm.links.M(np.full(arm.n, 0.5)))
+    Pi_l, Pi_m = beta**2 * M, np.diag(arm.K)
+    return gain_set(
+        f"scaled{'-cubic' if cubic else ''}",
+        arm.n,
+        Lambda_l=beta,
+        Pi_l=Pi_l,
+        K_ld=2 * beta * M,
+        Lambda_m=1.5 * beta,
+        Pi_m=Pi_m,
+        K_md=2 * beta * np.diag(arm.M_m),
+        Gamma_l=4.0 if cubic else 0.0,
+        Gamma_m=2.0 if cubic else 0.0,
+    )

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The law that counts on a torque on the links, with integral action, in 80 digits: each slope a difference."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from core.oracles.cases import Arm, Array, GainSet
+from core.oracles.oracle import STEP, Instant, LiteralLaw, exact, inverse, mp
+
+
+class LiteralLoadedLaw(LiteralLaw):
+    """At x_v = x; z = (x, integral, s). known (3, n): the torque counted on as a Taylor polynomial."""
+
+    def __init__(self, arm: Arm, gains: GainSet, known: Array, gain: Array, matched: Array) -> None:
+        super().__init__(arm, gains)
+        self.known, self.gain, self.omega = exact(known), exact(gain), -exact(matched)
+
+    def at(self, x: Array, jets: Array, integral: Array) -> Instant:
+        """The law's values at the state, where the reference's jets are these and the integral stands so."""
+        law = copy.copy(self)
+        law.jets = exact(jets)
+        return Instant(law, np.concatenate([exact(x), exact(integral), [mp.mpf(0)]]))
+
+    def states(self, z: Array) -> tuple[Array, Array, Any]:
+        return z[: 4 * self.n], z[: 4 * self.n], z[-1]
+
+    def external(self, z: Array) -> Array:
+        w = sum(self.known[i] * z[-1] ** i / mp.factorial(i) for i in range(3))
+        return np.asarray(w + z[4 * self.n : 5 * self.n])
+
+    def d(self, e: Callable[[Array], Array], z: Array, port: Array | None = None) -> Array:
+        """Along the flow that the law believes in; the integral moves by gain * port."""
+        dx = self.plant.derivative(z[: 4 * self.n], exact(np.arange(self.n) - 0.7))
+        dx[2 * self.n : 3 * self.n] += self.external(z)
+        rate = exact(np.zeros(self.n)) if port is None else self.gain @ port
+        return self.along(e, z, np.concatenate([dx, rate, [mp.mpf(1)]]))
+
+    def along(self, e: Callable[[Array], Array], z: Array, dz: Array) -> Any:
+        return (e(z + STEP * dz) - e(z - STEP * dz)) / (2 * STEP)
+
+    def by_momentum(self, e: Callable[[Array], Array], z: Array) -> Array:
+        """de/dp_l (n, n) of a vector, (n,) of a number."""
+        units = [exact(np.eye(5 * self.n + 1)[2 * self.n + i]) for i in range(self.n)]
+        return np.stack([self.along(e, z, unit) for unit in units], axis=-1)
+
+    def u_l(self, z: Array) -> Array:
+        return super().u_l(z) - self.external(z)
+
+    def first_port(self, z: Array) -> Array:
+        """What the stage of q_md knows of dV/dp_l."""
+        return inverse(self.M(z)) @ self.sigma_l(z) - self.by_momentum(self.q_md, z).T @ self.Pi_m @ self.q_tilde_m(z)
+
+    def v_mr(self, z: Array) -> Array:
+        e, coupling = self.q_tilde_m(z), inverse(self.Pi_m) @ self.plant.K.T @ inverse(self.M(z)) @ self.sigma_l(z)
+        return self.d(self.q_md, z, self.first_port(z)) - self.Lambda_m @ e - self.Gamma_m @ e**3 - coupling
+
+    def port(self, z: Array) -> Array:
+        """dV/dp_l, of the storage itself."""
+        return self.by_momentum(self.V, z)
+
+    def u(self, z: Array) -> Array:
+        q_l, q_m, _, _ = self.plant.split(z[: 4 * self.n])
+        slope = self.by_momentum(self.v_mr, z)
+        port = self.first_port(z) - slope.T @ self.sigma_m(z)
+        lag = slope @ self.gain @ inverse(self.plant.K) @ self.Pi_m @ self.q_tilde_m(z)
+        dv_mr, s_m = self.d(self.v_mr, z, port), inverse(self.plant.M_m) @ self.sigma_m(z)
+        u_mff = self.plant.M_m @ (dv_mr + lag) + self.plant.K @ (q_m - q_l) + self.plant.D_m @ self.v_mr(z)
+        u_mfb = -self.Pi_m @ self.q_tilde_m(z) - self.K_md @ s_m + self.omega
+        return inverse(self.plant.B_m) @ (u_mff + u_mfb)
+
+    def dV(self, x: Array, jets: Array, integral: Array, u: Array, torque: Array) -> float:
+        """dV/dt where the robot really goes, under the effort u and torques (2n,); its integral moves by gain * port.
+
+        jets (6, n): the reference with its fifth derivative; the torque counted on moves as its polynomial.
+        """
+        law = copy.copy(self)
+        law.jets = exact(jets)
+        z = np.concatenate([exact(x), exact(integral), [mp.mpf(0)]])
+        dx = self.plant.derivative(exact(x), exact(u))
+        dx[2 * self.n :] += exact(torque)
+        return float(law.along(law.V, z, np.concatenate([dx, self.gain @ law.port(z), [mp.mpf(1)]])))

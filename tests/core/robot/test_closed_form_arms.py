@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots: inertia, energy and Coriolis terms against closed forms, and their structure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.cases import ARMS, PLANAR, Arm, random_state
+from core.oracles.oracle import jacobian, stencil
+from core.oracles.properties import TOLERANCE, residual
+
+arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+seeds = pytest.mark.parametrize("seed", range(4))
+
+
+def configuration(arm: Arm, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return tuple(np.random.default_rng(seed).uniform(-3, 3, (3, arm.n)))  # type: ignore[return-value]
+
+
+def coriolis_matrix(arm: Arm, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    return np.stack([arm.robot.coriolis(q, v, e) for e in np.eye(arm.n)], axis=1)
+
+
+@arms
+@seeds
+def test_closed_forms_of_inertia_coriolis_and_gravity(arm: Arm, seed: int) -> None:
+    q, v, w = configuration(arm, seed)
+    assert arm.robot.n == arm.n
+    assert arm.robot.M_l(q) == pytest.approx(arm.links.M(q), rel=1e-14)
+    assert arm.robot.coriolis(q, v, w) == pytest.approx(arm.links.C(q, v) @ w, rel=1e-12, abs=1e-15)
+    assert arm.robot.P_l(q) == pytest.approx(arm.links.P(q), rel=1e-14)
+    assert arm.robot.grad_P_l(q) == pytest.approx(arm.links.grad_P(q), rel=1e-13)
+
+
+@arms
+def test_constant_matrices(arm: Arm) -> None:
+    for name in ("K", "M_m", "D_l", "D_m", "B_m"):
+        assert np.array_equal(getattr(arm.robot, name), getattr(arm, name)), name
+
+
+@arms
+@seeds
+def test_dM_minus_2C_is_skew(arm: Arm, seed: int) -> None:
+    q, v, _ = configuration(arm, seed)
+    dM = stencil(lambda s: arm.robot.M_l(q + s * v), 0.02)
+    C = coriolis_matrix(arm, q, v)
+    assert residual(dM, C, C.T) <= TOLERANCE
+
+
+@arms
+@seeds
+def test_E_plus_its_transpose_is_minus_dM(arm: Arm, seed: int) -> None:
+    """E_l is read from the plant: d/dq (p' M^-1 p / 2) = E dq, quadratic in dq, polarised."""
+    q, v, _ = configuration(arm, seed)
+    M = arm.robot.M_l(q)
+    E = workless_matrix(arm, q, v)
+    dM = stencil(lambda s: arm.robot.M_l(q + s * v), 0.02)
+    assert np.max(np.abs(E + E.T + dM)) <= TOLERANCE * np.max(np.abs(M) + np.abs(dM))
+    C = coriolis_matrix(arm, q, v)
+    assert np.max(np.abs(E + C.T)) <= TOLERANCE * np.max(np.abs(M) + np.abs(C))
+
+
+def workless_matrix(arm: Arm, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
+    """E_l(q, dq) of eq. (37), column by column, from the virtual system (38)."""
+    n, zero = arm.n, np.zeros(arm.n)
+    x = np.concatenate([q, q, arm.links.M(q) @ dq, zero])
+    system = fjr.VirtualSystem(arm.robot)
+
+    def force(dq_lv: np.ndarray) -> np.ndarray:
+        x_v = np.concatenate([q, q, arm.links.M(q) @ dq_lv, zero])
+        return system.derivative(x_v, x, zero)[2 * n : 3 * n] + arm.D_l @ dq_lv
+
+    return np.stack([force(zero) - force(e) for e in np.eye(n)], axis=1)
+
+
+@arms
+@seeds
+def test_gradient_of_the_potential(arm: Arm, seed: int) -> None:
+    q, *_ = configuration(arm, seed)
+    gradient = jacobian(lambda y: np.array([arm.robot.P_l(y)]), q, np.full(arm.n, 0.02))[0]
+    assert residual(arm.robot.grad_P_l(q), gradient) <= TOLERANCE
+
+
+@arms
+@seeds
+def test_state_and_velocities_are_inverse_and_momenta_are_M_times_velocity(arm: Arm, seed: int) -> None:
+    q_l, dq_l, dq_m = configuration(arm, seed)
+    x = arm.robot.state(q_l, q_l + 0.1, dq_l, dq_m)
+    wanted = np.concatenate([q_l, q_l + 0.1, arm.links.M(q_l) @ dq_l, arm.M_m @ dq_m])
+    assert x == pytest.approx(wanted, rel=1e-13, abs=1e-15)
+    for seen, velocity in zip(arm.robot.velocities(x), (dq_l, dq_m), strict=True):
+        assert seen == pytest.approx(velocity, rel=1e-12)
+
+
+@arms
+@seeds
+def test_hamiltonian_is_kinetic_gravity_and_spring_energy(arm: Arm, seed: int) -> None:
+    x = random_state(arm, np.random.default_rng(seed))
+    q_l, q_m, p_l, p_m = np.split(x, 4)
+    kinetic = p_l @ np.linalg.solve(arm.links.M(q_l), p_l) / 2 + p_m @ np.linalg.solve(arm.M_m, p_m) / 2
+    wanted = kinetic + arm.links.P(q_l) + (q_m - q_l) @ arm.K @ (q_m - q_l) / 2
+    assert arm.robot.hamiltonian(x) == pytest.approx(wanted, rel=1e-13)
+
+
+def test_single_link_has_the_values_of_table_1() -> None:
+    robot = fjr.single_link()
+    values = {"K": 31.0, "M_m": 0.004, "D_l": 0.2, "D_m": 0.007, "B_m": 1.0}
+    assert {name: getattr(robot, name).item() for name in values} == values
+    assert robot.M_l([0.7]).item() == 0.031
+    assert robot.P_l([0.7]) == pytest.approx(0.8 * (1 - np.cos(0.7)), rel=1e-15)
+
+
+def test_planar_two_link_hangs_straight_down_at_zero_with_zero_energy() -> None:
+    robot = fjr.planar_two_link(**PLANAR)
+    assert robot.P_l([0, 0]) == 0
+    assert np.array_equal(robot.grad_P_l([0, 0]), [0, 0])
+    assert robot.P_l([0.3, 0]) > 0 < robot.P_l([0, -0.3])
+
+
+def test_a_robot_is_frozen() -> None:
+    robot = fjr.single_link()
+    with pytest.raises(AttributeError):
+        robot.K = np.eye(1)  # type: ignore[misc]
+    with pytest.raises(ValueError, match="read-only"):
+        robot.K[0, 0] = 2.0

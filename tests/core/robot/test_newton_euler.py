@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The symbolic recursion against Pinocchio on random chains, and the identities of its own matrices."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import fjr_core as fjr
+from core.oracles.cases import PLANAR, Array
+from core.oracles.chains import Chain, random_chain
+
+CHAINS = [(n, seed) for n in range(1, 10) for seed in range(4)]
+all_chains = pytest.mark.parametrize("chain", [pytest.param(c, id=f"{c[0]}-joints-{c[1]}") for c in CHAINS])
+
+
+def numbers(chain: Chain, count: int) -> Array:
+    return np.random.default_rng(chain.n).uniform(-2, 2, (count, chain.n))
+
+
+def value(result: ca.DM) -> Array:
+    array = result.full()
+    return array.ravel() if array.shape[1] == 1 and array.shape[0] > 1 else array
+
+
+def relative(left: Array, right: Array, scale: float = 0.0) -> float:
+    """Largest difference over the largest entry, or over the scale where that is larger."""
+    left, right = np.asarray(left).reshape(np.shape(right)), np.asarray(right)
+    return float(np.max(np.abs(left - right)) / max(np.max(np.abs(right)), scale, 1e-3))
+
+
+def columns(product: Any, n: int) -> Array:
+    """The matrix behind a product with w."""
+    return np.column_stack([product(e).full().ravel() for e in np.eye(n)])
+
+
+@all_chains
+def test_inertia_is_pinocchios(chain: tuple[int, int]) -> None:
+    c = random_chain(*chain)
+    (q,) = numbers(c, 1)
+    M = c.links.M_l(q).full()
+    assert relative(M, c.pinocchio.M(q)) < 1e-10
+    assert np.array_equal(M, M.T)
+
+
+@all_chains
+def test_coriolis_product_is_pinocchios(chain: tuple[int, int]) -> None:
+    c = random_chain(*chain)
+    q, v, w = numbers(c, 3)
+    assert relative(c.links.C(q, v, w), c.pinocchio.C(q, v) @ w) < 1e-10
+
+
+@all_chains
+def test_gravity_and_potential_are_pinocchios(chain: tuple[int, int]) -> None:
+    c = random_chain(*chain)
+    q, other = numbers(c, 2)
+    assert relative(c.links.grad_P_l(q), c.pinocchio.grad_P(q)) < 1e-10
+    here, there = c.pinocchio.P(q), c.pinocchio.P(other)
+    assert relative(c.links.P_l(q) - c.links.P_l(other), np.array([[here - there]]), abs(here)) < 1e-10
+
+
+@all_chains
+def test_forward_dynamics_is_the_articulated_body_algorithm(chain: tuple[int, int]) -> None:
+    c = random_chain(*chain)
+    q, dq, tau = numbers(c, 3)
+    M, bias = c.links.M_l(q).full(), value(c.links.C(q, dq, dq) + c.links.grad_P_l(q))
+    aba = pin.aba(c.pinocchio.model, c.pinocchio.data, q, dq, tau)
+    assert relative(np.linalg.solve(M, tau - bias.ravel()), aba) < 1e-10
+
+
+@all_chains
+def test_kinetic_gradient_is_the_transposed_coriolis_product(chain: tuple[int, int]) -> None:
+    c = random_chain(*chain)
+    q, v = numbers(c, 2)
+    assert relative(c.links.grad_T(q, v), c.pinocchio.C(q, v).T @ v) < 1e-10
+
+
+@all_chains
+def test_inertia_rate_minus_twice_coriolis_is_skew(chain: tuple[int, int]) -> None:
+    c = random_chain(*chain)
+    q, v = numbers(c, 2)
+    dM = columns(lambda e: c.links.dM(q, v, e), c.n)
+    S = dM - 2 * columns(lambda e: c.links.C(q, v, e), c.n)
+    assert relative(S + S.T, 0 * S, float(np.max(np.abs(dM)))) < 1e-12
+
+
+@all_chains
+def test_workless_forces_are_minus_the_transposed_coriolis_matrix(chain: tuple[int, int]) -> None:
+    c = random_chain(*chain)
+    q, v = numbers(c, 2)
+    symbols = [ca.SX.sym(name, c.n) for name in ("q", "v", "w")]
+    workless = ca.Function("E", symbols, [c.links.E(*symbols)])
+    E = columns(lambda e: workless(q, v, e), c.n)
+    dM = columns(lambda e: c.links.dM(q, v, e), c.n)
+    assert relative(E, -c.pinocchio.C(q, v).T) < 1e-10
+    assert relative(E + E.T, -dM) < 1e-12
+
+
+@pytest.mark.parametrize("n", [3, 7])
+def test_coriolis_product_is_bilinear_and_symmetric_in_both_velocities(n: int) -> None:
+    links = random_chain(n, 0).links
+    q, v, w = numbers(random_chain(n, 0), 3)
+    twice = links.C(q, v + w, v + w) - links.C(q, v - w, v - w)
+    assert relative(links.C(q, v, w), value(twice) / 4) < 1e-12
+    assert relative(links.C(q, v, w), value(links.C(q, w, v))) < 1e-12
+
+
+def planar_bodies(m: Any, l1: float, c: Any, inertia: Any) -> list[fjr.Body]:
+    """Two links that hang along -z and turn about y."""
+    places, thin = ((0, 0, 0), (0, 0, -l1)), np.diag([0.0, 1.0, 0.0])
+    return [fjr.Body(np.eye(3), places[i], (0, 1, 0), m[i], (0, 0, -c[i]), inertia[i] * thin) for i in range(2)]
+
+
+def test_two_bodies_in_a_plane_are_the_closed_form() -> None:
+    closed = fjr.planar_two_link(**PLANAR).links
+    bodies = planar_bodies(PLANAR["link_mass"], 0.3, PLANAR["link_com"], PLANAR["link_inertia"])
+    chain = fjr.serial_chain(bodies)
+    q, v, w = np.random.default_rng(1).uniform(-2, 2, (3, 2))
+    assert relative(chain.M_l(q), closed.M_l(q).full()) < 1e-14
+    assert relative(chain.grad_P_l(q), value(closed.grad_P_l(q))) < 1e-14
+    for name in ("C", "dM"):
+        assert relative(getattr(chain, name)(q, v, w), value(getattr(closed, name)(q, v, w))) < 1e-13
+    assert relative(chain.grad_T(q, v), value(closed.grad_T(q, v))) < 1e-13
+    assert relative(chain.P_l(q) - chain.P_l(0 * q), (closed.P_l(q) - closed.P_l(0 * q)).full()) < 1e-13
+
+
+def test_a_point_mass_on_a_slide_weighs_along_it() -> None:
+    slide = fjr.Body(np.eye(3), (0, 0, 1), (0, 0, -2), 3.0, (0.1, 0.2, 0.3), np.zeros((3, 3)), prismatic=True)
+    links = fjr.serial_chain([slide], (0, 0, -10))
+    assert float(links.M_l(0.4)) == pytest.approx(3.0)
+    assert float(links.grad_P_l(0.4)) == pytest.approx(-30.0)
+    assert float(links.P_l(0.4)) == pytest.approx(3.0 * 10 * (1 + 0.3 - 0.4))
+
+
+GOOD: dict[str, Any] = {
+    "rotation": np.eye(3),
+    "translation": (0, 0, 0),
+    "axis": (0, 0, 1),
+    "mass": 1.0,
+    "com": (0, 0, 0),
+    "inertia": np.eye(3),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "sentence"),
+    [
+        ("mass", -1.0, "mass is -1.0 kg; expected 0 or more"),
+        ("mass", "heavy", "mass is 'heavy'; expected numbers"),
+        ("rotation", np.diag([1.0, 1.0, -1.0]), "expected a rotation matrix"),
+        ("mass", np.nan, "mass is nan"),
+        ("axis", (0, 0, 0), "axis is zero; expected a direction"),
+        ("axis", (0, 1), r"axis has shape \(2,\)"),
+        ("com", (0, np.inf, 0), "com is .*; expected finite numbers"),
+        ("translation", "here", "translation is 'here'; expected numbers"),
+        ("rotation", 2 * np.eye(3), "expected a rotation matrix"),
+        ("rotation", np.eye(2), r"rotation has shape \(2, 2\)"),
+        ("inertia", np.diag([1.0, 1.0, -0.1]), "inertia has smallest eigenvalue -0.1"),
+        ("inertia", [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]], "inertia is not symmetric"),
+    ],
+)
+def test_a_body_that_cannot_be_is_refused(name: str, wrong: Any, sentence: str) -> None:
+    with pytest.raises(fjr.RobotError, match=sentence):
+        fjr.Body(**{**GOOD, name: wrong})
+
+
+def test_a_chain_needs_bodies_and_a_gravity_vector() -> None:
+    with pytest.raises(fjr.RobotError, match="expected at least one"):
+        fjr.serial_chain([])
+    with pytest.raises(fjr.RobotError, match=r"gravity has shape \(2,\)"):
+        fjr.serial_chain([fjr.Body(**GOOD)], (0, -9.81))

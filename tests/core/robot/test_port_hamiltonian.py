@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant (36) as a port-Hamiltonian system: structure, gradient, power balance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.cases import ARMS, Arm, random_point
+from core.oracles.oracle import LiteralPlant, exact, jacobian, stencil
+from core.oracles.properties import TOLERANCE, residual
+
+arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+seeds = pytest.mark.parametrize("seed", range(4))
+
+
+def energy_scale(arm: Arm, x: np.ndarray) -> np.ndarray:
+    """Steps of the stencil in x: 0.02 rad, and inertia times 0.2 rad/s."""
+    angle = np.full(arm.n, 0.02)
+    return np.concatenate([angle, angle, 0.2 * np.diag(arm.links.M(x[: arm.n])), 0.2 * np.diag(arm.M_m)])
+
+
+@arms
+@seeds
+def test_gradient_is_that_of_the_hamiltonian(arm: Arm, seed: int) -> None:
+    x = random_point(arm, seed).x
+    wanted = jacobian(lambda y: np.array([arm.robot.hamiltonian(y)]), x, energy_scale(arm, x))[0]
+    for seen, block in zip(np.split(fjr.Plant(arm.robot).gradient(x), 4), np.split(wanted, 4), strict=True):
+        assert residual(seen, block) <= TOLERANCE
+
+
+@arms
+def test_J_is_skew_and_R_is_symmetric_positive_semidefinite(arm: Arm) -> None:
+    J, R, G = fjr.Plant(arm.robot).structure(random_point(arm, 0).x)
+    n = arm.n
+    assert np.array_equal(J, -J.T)
+    assert np.array_equal(R, R.T)
+    assert np.min(np.linalg.eigvalsh(R)) >= -1e-15
+    assert np.array_equal(R[2 * n : 3 * n, 2 * n : 3 * n], arm.D_l)
+    assert np.array_equal(R[3 * n :, 3 * n :], arm.D_m)
+    assert np.array_equal(G, np.vstack([np.zeros((3 * n, n)), arm.B_m]))
+
+
+@arms
+@seeds
+def test_derivative_is_structure_times_gradient(arm: Arm, seed: int) -> None:
+    p, plant = random_point(arm, seed), fjr.Plant(arm.robot)
+    J, R, G = plant.structure(p.x)
+    gradient = plant.gradient(p.x)
+    assert residual(plant.derivative(p.x, p.u), J @ gradient, -R @ gradient, G @ p.u) <= TOLERANCE
+
+
+@arms
+@seeds
+def test_derivative_agrees_with_the_literal_plant(arm: Arm, seed: int) -> None:
+    p = random_point(arm, seed)
+    wanted = LiteralPlant(arm).derivative(exact(p.x), exact(p.u)).astype(float)
+    assert fjr.Plant(arm.robot).derivative(p.x, p.u) == pytest.approx(wanted, rel=1e-12, abs=1e-12)
+
+
+@arms
+@seeds
+def test_power_balance(arm: Arm, seed: int) -> None:
+    """dH/dt = dq_m' B_m u - dq_l' D_l dq_l - dq_m' D_m dq_m."""
+    p = random_point(arm, seed)
+    dx = fjr.Plant(arm.robot).derivative(p.x, p.u)
+    dq_l, dq_m = dx[: arm.n], dx[arm.n : 2 * arm.n]
+    dH = stencil(lambda s: arm.robot.hamiltonian(p.x + s * dx), 0.004)
+    assert residual(dH, dq_m @ arm.B_m @ p.u, -dq_l @ arm.D_l @ dq_l, -dq_m @ arm.D_m @ dq_m) <= TOLERANCE
+
+
+@arms
+def test_equilibrium_under_gravity_is_at_rest(arm: Arm) -> None:
+    """Springs that carry the gravity torque and motors that hold the springs: nothing moves."""
+    q_l = np.linspace(0.4, -0.7, arm.n)
+    torque = arm.links.grad_P(q_l)
+    x = arm.robot.state(q_l, q_l + np.linalg.solve(arm.K, torque), np.zeros(arm.n), np.zeros(arm.n))
+    dx = fjr.Plant(arm.robot).derivative(x, np.linalg.solve(arm.B_m, torque))
+    assert dx == pytest.approx(np.zeros(4 * arm.n), abs=1e-13)

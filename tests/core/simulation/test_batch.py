@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled closed loop of many runs: the same numbers as `simulate`, whatever runs beside a run."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.cases import ARMS, Arm, linear
+from core.oracles.chains import arm7, scaled_gains
+from fjr_core import ParameterError, StateError
+from fjr_core.control.sampled_law import Static
+from fjr_core.numerics import program_digest
+from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, outcomes, python_loop
+from fjr_core.simulation.batch.program import Program
+
+PERIOD = 1e-3
+AGREE = 1e-9
+with_a_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
+LOOPS = [(ARMS[0], linear(1).gains), (ARMS[-1], linear(2).gains), (arm7(), scaled_gains(arm7()).gains)]
+ROBOTS = [pytest.param(*loop, id=loop[0].name) for loop in LOOPS]
+
+
+def start(robot: fjr.Robot) -> Any:
+    q_l = np.linspace(0.3, 0.1, robot.n)
+    return robot.state(q_l, q_l, np.full(robot.n, 0.1), np.full(robot.n, -0.1))
+
+
+def loop_of(robot: fjr.Robot, gains: fjr.Gains, duration: float = 0.3, **changes: Any) -> ClosedLoop:
+    law = Static(fjr.TrackingLaw(changes.pop("believed", robot), gains))
+    reference = fjr.Sine(amplitude=np.full(robot.n, 0.4), frequency=3.0)
+    values = {"settle_after": 0.1, **changes}
+    return ClosedLoop(robot, law, reference, start(robot), duration, PERIOD, **values)
+
+
+def paper_loop(**changes: Any) -> ClosedLoop:
+    return loop_of(ARMS[0].robot, fjr.PAPER_GAINS, **changes)
+
+
+def simulated(loop: ClosedLoop, delay: float = 0.0) -> fjr.Trajectory:
+    law = loop.law.law  # type: ignore[attr-defined]
+    return fjr.simulate(
+        fjr.Plant(loop.robot), law, loop.reference, loop.x0, loop.duration, PERIOD, PERIOD / loop.inner_steps, delay
+    )
+
+
+def every_row(result: Outcomes) -> np.ndarray[Any, Any]:
+    return np.column_stack([getattr(result, name) for name in outcomes.FIELDS])
+
+
+@pytest.mark.parametrize(("arm", "gains"), ROBOTS)
+@pytest.mark.parametrize("delay", [0.0, 0.3e-3, 1e-3, 2.6e-3])
+def test_nominal_draws_are_simulate(arm: Arm, gains: fjr.Gains, delay: float) -> None:
+    loop = loop_of(arm.robot, gains, duration=0.15)
+    result, recorded = loop.recorded(Draws(1, delay=delay))
+    run = simulated(loop, delay)
+    error = np.abs(run.x[:, : arm.n] - run.jets[:, 0])
+    assert recorded.t == pytest.approx(run.t, abs=1e-15)
+    assert recorded.x[0] == pytest.approx(run.x, rel=AGREE, abs=AGREE)
+    assert recorded.u[0] == pytest.approx(run.u, rel=AGREE, abs=AGREE * np.abs(run.u).max())
+    assert result.rms[0] == pytest.approx(np.sqrt(np.mean(error[100:] ** 2, axis=0)), rel=1e-9)
+    assert result.peak[0] == pytest.approx(error[100:].max(axis=0), rel=1e-9)
+    assert result.effort_peak[0] == pytest.approx(np.abs(run.u).max(axis=0), rel=1e-9)
+    assert result.stable[0]
+
+
+def test_the_last_second_and_the_settling_time_are_what_they_say() -> None:
+    loop = paper_loop(duration=1.6, band=0.02)
+    result, recorded = loop.recorded(Draws(1, external=0.1))
+    error = np.abs(recorded.x[0, :, 0] - loop.reference.jets(recorded.t)[:, 0, 0])
+    assert result.final[0, 0] == pytest.approx(error[-1001:].mean(), rel=1e-12)
+    outside = np.flatnonzero(error > 0.02)
+    assert result.settling[0] == (np.inf if outside[-1] == 1600 else pytest.approx((outside[-1] + 1) * PERIOD))
+    velocity = np.array([loop.robot.velocities(x)[1][0] for x in recorded.x[0]])
+    assert result.power[0] == pytest.approx(np.abs(recorded.u[0, :, 0] * velocity).mean(), rel=1e-12)
+
+
+MANY = {
+    "stiffness": np.linspace(0.7, 1.3, 7),
+    "gravity": np.linspace(0.5, 1.5, 7),
+    "delay": np.linspace(0, 3e-3, 7),
+    "position_noise": np.where(np.arange(7) % 2, 1e-5, 0),
+    "coulomb_l": np.where(np.arange(7) % 3, 0.05, 0),
+}
+
+
+def test_a_run_is_the_same_bits_alone_and_among_others() -> None:
+    loop = paper_loop()
+    together = loop.run(Draws(7, **MANY))
+    apart = [loop.run(Draws(7, **MANY).taken(part)) for part in (slice(0, 3), [3], [6, 5, 4])]
+    rows = every_row(Outcomes.joined(apart))
+    assert rows[[0, 1, 2, 3, 6, 5, 4]].tobytes() == every_row(together).tobytes()
+
+
+def everything(n: int) -> dict[str, Any]:
+    """Two runs in which nothing is nominal."""
+    rng = np.random.default_rng(5)
+    factors = ("stiffness", "link_inertia", "gravity", "motor_inertia", "link_damping", "motor_damping")
+    drawn: dict[str, Any] = {name: rng.uniform(0.8, 1.2, (2, n)) for name in factors}
+    return drawn | {
+        "coulomb_l": 0.02, "coulomb_m": [0.0, 0.03], "external": rng.uniform(-0.2, 0.2, (2, n)),
+        "payload_mass": 0.05, "payload_position": [0.1, 0.02, -0.03], "delay": [0.4e-3, 1.7e-3],
+        "position_noise": [0, 1e-5], "velocity_noise": 1e-3, "resolution": 1e-5, "effort_limit": 40.0,
+        "seed": np.array([2**63 + 5, 7], dtype=np.uint64),
+    }  # fmt: skip
+
+
+@with_a_compiler
+@pytest.mark.parametrize(("arm", "gains"), ROBOTS[:2])
+def test_without_a_compiler_the_numbers_are_the_same(
+    arm: Arm, gains: fjr.Gains, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draws = Draws(2, **everything(arm.n))
+    fast, samples = loop_of(arm.robot, gains).recorded(draws)
+    monkeypatch.setenv("PATH", "")
+    slow_loop = loop_of(arm.robot, gains)
+    slow, slow_samples = slow_loop.recorded(draws)
+    assert not slow_loop.compiled
+    assert samples.x == pytest.approx(slow_samples.x, rel=1e-7, abs=AGREE)
+    assert every_row(fast) == pytest.approx(every_row(slow), rel=1e-7)
+
+
+@with_a_compiler
+def test_noise_is_numpys_philox() -> None:
+    library = Program(ARMS[0].robot, Static(fjr.TrackingLaw(ARMS[0].robot, fjr.PAPER_GAINS))).library
+    assert library is not None
+    for seed, sample, n in ((0, 0, 1), (3, 17, 7), (2**64 - 1, 2**33, 2)):
+        z = np.empty((n, 4))
+        arguments = (ctypes.c_uint64(seed), ctypes.c_uint64(sample), ctypes.c_longlong(n))
+        library.noise_of(*arguments, z.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
+        assert z == pytest.approx(python_loop.normals(seed, sample, n), rel=1e-12, abs=1e-15)
+
+
+def test_noise_is_white_and_of_the_level_asked_for() -> None:
+    z = np.array([python_loop.normals(5, k, 2) for k in range(2000)]).reshape(2000, 8)
+    assert z.mean(axis=0) == pytest.approx(0, abs=0.1)
+    assert np.cov(z.T) == pytest.approx(np.eye(8), abs=0.1)
+    assert np.mean(z[1:] * z[:-1], axis=0) == pytest.approx(0, abs=0.1)
+
+
+def test_a_model_that_is_wrong_is_what_simulate_has_with_another_plant() -> None:
+    """Drawn factors against a plant that is built with the multiplied numbers."""
+    believed = fjr.single_link(stiffness=31.0)
+    plant = fjr.single_link(31.0 * 0.8, link_inertia=0.031 * 1.3, gravity_torque=0.8 * 1.1, motor_inertia=0.004 * 0.9,
+                            link_damping=0.2 * 0.5, motor_damping=0.007 * 2.0)  # fmt: skip
+    factors = {"stiffness": 0.8, "link_inertia": 1.3, "gravity": 1.1, "motor_inertia": 0.9, "link_damping": 0.5,
+               "motor_damping": 2.0}  # fmt: skip
+    drawn = loop_of(believed, fjr.PAPER_GAINS).recorded(Draws(1, **factors))[1]
+    law = fjr.TrackingLaw(believed, fjr.PAPER_GAINS)
+    x0 = plant.state(0.3, 0.3, 0.1, -0.1)
+    run = fjr.simulate(fjr.Plant(plant), law, fjr.Sine(0.4, 3.0), x0, 0.3, PERIOD)
+    assert drawn.x[0] == pytest.approx(run.x, rel=AGREE, abs=AGREE)
+    assert drawn.u[0] == pytest.approx(run.u, rel=AGREE, abs=AGREE)
+
+
+FIELDS = {
+    "stiffness": 0.9, "link_inertia": 1.1, "gravity": 1.2, "motor_inertia": 1.1, "link_damping": 2.0,
+    "motor_damping": 2.0, "coulomb_l": 0.05, "coulomb_m": 0.05, "external": 0.1, "delay": 5e-4,
+    "position_noise": 1e-4, "velocity_noise": 1e-3, "resolution": 1e-3, "effort_limit": 5.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_every_number_that_is_drawn_is_felt(name: str) -> None:
+    result = paper_loop().run(Draws(2, **{name: [Draws(1).columns(name, 1)[0, 0], FIELDS[name]]}))
+    assert result.rms[0] != result.rms[1]
+
+
+def test_payload_and_smoothing_and_seed_are_felt() -> None:
+    loop = paper_loop()
+    base = {"payload_mass": 0.1, "payload_position": [0.2, 0, 0], "coulomb_l": 0.05, "position_noise": 1e-4}
+    changes = [{}, {"payload_position": [0.3, 0, 0]}, {"smoothing": 0.05}, {"seed": 3}]
+    found = [float(loop.run(Draws(1, **{**base, **change})).rms[0, 0]) for change in changes]
+    assert len(set(found)) == len(changes)
+
+
+def test_a_run_that_diverges_is_lost_and_the_others_go_on() -> None:
+    result = paper_loop().run(Draws(3, delay=[0.0, 0.02, 0.0]))
+    assert result.stable.tolist() == [True, False, True]
+    assert result.lost_at[1] < 0.3
+    assert np.isinf([result.rms[1, 0], result.peak[1, 0], result.settling[1], result.lost_at[0]]).all()
+    assert result.rms[0] == result.rms[2]
+
+
+def test_the_law_is_told_what_was_sent() -> None:
+    """The effort beyond the limit never reaches the plant."""
+    _, recorded = paper_loop().recorded(Draws(1, effort_limit=3.0))
+    assert np.abs(recorded.u).max() == 3.0
+
+
+@pytest.mark.parametrize("runs", [1, 2, 3, 4])
+def test_one_place_of_the_payload_is_that_of_all_runs(runs: int) -> None:
+    found = Draws(runs, payload_position=(0.1, 0.2, 0.3)).columns("payload_position", 1)
+    assert np.array_equal(found, np.tile([0.1, 0.2, 0.3], (runs, 1)))
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"stiffness": 0.0}, "stiffness is 0 at least; expected positive"),
+        ({"stiffness": [1.0, 1.0]}, "stiffness has shape (2,)"),
+        ({"stiffness": np.ones((3, 2))}, "stiffness has shape (3, 2)"),
+        ({"delay": -1e-3}, "delay is -0.001 at least; expected 0 or more"),
+        ({"delay": np.ones((3, 1))}, "delay has shape (3, 1)"),
+        ({"external": np.nan}, "external has entries that are not finite"),
+        ({"gravity": "much"}, "gravity is 'much'; expected numbers"),
+        ({"seed": [0.5, 1, 2]}, "seed is of float64"),
+    ],
+)
+def test_draws_that_cannot_be_are_refused_in_a_sentence(values: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        paper_loop().run(Draws(3, **values))
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"duration": 0.0}, "duration is 0.0; expected a positive"),
+        ({"settle_after": 0.3}, "settle_after is 0.3 s; expected 0 to less than 0.3 s"),
+        ({"duration": 0.3004, "settle_after": 0.3002}, "no sample of 0.001 s lies between settle_after, 0.3002 s, and"),
+        ({"inner_steps": 0}, "inner_steps is 0; expected 1 or more"),
+        ({"believed": ARMS[-1].robot}, "1, 2 and 1 joints; expected equal"),
+    ],
+)
+def test_a_loop_that_cannot_be_is_refused_in_a_sentence(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(StateError, match=words):
+        paper_loop(**changes)
+
+
+@with_a_compiler
+def test_the_fingerprint_holds_source_casadi_and_whether_it_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = [paper_loop().fingerprint, paper_loop().fingerprint]
+    with monkeypatch.context() as patch:
+        patch.setenv("PATH", "")
+        found.append(paper_loop().fingerprint)
+    for name in ("a.py", "a.c", "b.c"):
+        (tmp_path / name).write_text(name)
+        program_digest.source_digest.cache_clear()
+        digest = program_digest.source_digest(tmp_path)
+        monkeypatch.setattr(program_digest, "source_digest", lambda digest=digest: digest)
+        found.append(paper_loop().fingerprint)
+        monkeypatch.undo()
+    monkeypatch.setattr(program_digest.ca, "__version__", "another")
+    found.append(paper_loop().fingerprint)
+    assert found[0] == found[1]
+    assert len(set(found)) == len(found) - 1
+
+
+@with_a_compiler
+def test_it_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    for _ in range(2):
+        assert paper_loop().compiled
+    assert len(list((tmp_path / "fjr").glob("campaign-*.so"))) == 1
+    assert os.access(tmp_path, os.W_OK)

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's example and a planar arm in closed loop, without ROS."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import fjr_core as fjr
+from core.oracles.cases import PLANAR
+
+STIFFNESS = (31.0, 3.1)
+PEAK_EFFORT = {31.0: 26.203, 3.1: 255.762}
+stiffnesses = pytest.mark.parametrize("k", STIFFNESS)
+REFERENCE = fjr.Sine(1.0, 1.0)
+
+
+def joint(k: float) -> tuple[fjr.Plant, fjr.TrackingLaw, np.ndarray]:
+    robot = fjr.single_link(stiffness=k)
+    return fjr.Plant(robot), fjr.TrackingLaw(robot, fjr.PAPER_GAINS), robot.state(0.5, 0.5, 0, 0)
+
+
+@cache
+def paper_run(k: float, sample_period: float | None = None) -> fjr.Trajectory:
+    plant, law, x0 = joint(k)
+    return fjr.simulate(plant, law, REFERENCE, x0, 5.0, sample_period)
+
+
+@stiffnesses
+def test_peak_effort_of_the_papers_example(k: float) -> None:
+    """After the same transient, a much larger effort for the softer joint; the peak is at t = 0."""
+    u = np.abs(paper_run(k).u[:, 0])
+    assert np.max(u) == pytest.approx(PEAK_EFFORT[k], rel=1e-3)
+    assert np.argmax(u) == 0
+
+
+@stiffnesses
+def test_link_is_on_the_reference_after_one_second(k: float) -> None:
+    run = paper_run(k)
+    assert np.max(np.abs(run.x[:, 0] - np.sin(run.t))[run.t >= 1]) < 1e-8
+
+
+@stiffnesses
+def test_storage_stays_below_its_exponential_bound_in_continuous_time(k: float) -> None:
+    run, beta = paper_run(k), joint(k)[1].rate().beta
+    assert np.max(run.V / run.V[0] - np.exp(-2 * beta * run.t)) <= 1e-18
+
+
+@stiffnesses
+def test_under_a_hold_of_one_millisecond_the_link_tracks_to_ten_microradians(k: float) -> None:
+    run = paper_run(k, 1e-3)
+    assert np.max(np.abs(run.x[:, 0] - np.sin(run.t))[run.t >= 2]) <= 1e-5
+    assert np.max(np.abs(run.u)) == pytest.approx(PEAK_EFFORT[k], rel=1e-3)
+
+
+@stiffnesses
+def test_continuous_run_agrees_with_an_independent_integrator(k: float) -> None:
+    plant, law, x0 = joint(k)
+
+    def field(t: float, x: np.ndarray) -> np.ndarray:
+        return plant.derivative(x, law.effort(x, x, REFERENCE.jets(t)))
+
+    run = paper_run(k)
+    t = run.t[:10_001:500]
+    wanted = solve_ivp(field, (0, 1), x0, method="DOP853", rtol=1e-12, atol=1e-14, t_eval=t).y.T
+    seen = run.x[:10_001:500]
+    assert np.max(np.abs(seen - wanted) / np.max(np.abs(wanted), axis=0)) <= 1e-8
+
+
+@stiffnesses
+def test_continuous_run_agrees_with_the_closed_form_of_the_errors(k: float) -> None:
+    """One joint and linear phi: the errors obey a constant matrix, e(t) = exp(A t) e(0)."""
+    M, m, Pi_m = 0.031, 0.004, 60.0
+    A = np.array([
+        [-10, 0, 1 / M, 0],
+        [0, -15, -k / Pi_m / M, 1 / m],
+        [-20, k, -(0.2 + 0.6) / M, 0],
+        [0, -Pi_m, 0, -(0.007 + 0.3) / m],
+    ])  # fmt: skip
+    run, law = paper_run(k), joint(k)[1]
+
+    def errors(i: int) -> np.ndarray:
+        e = law.evaluate(run.x[i], run.x[i], run.jets[i])
+        return np.concatenate([e.q_tilde_l, e.q_tilde_m, e.sigma_l, e.sigma_m])
+
+    start = errors(0)
+    for i in (100, 1000, 3000):
+        assert errors(i) == pytest.approx(expm(A * run.t[i]) @ start, rel=1e-6, abs=1e-9)
+
+
+@stiffnesses
+def test_held_run_agrees_with_an_independent_integrator_between_samples(k: float) -> None:
+    plant, law, x = joint(k)
+    run = fjr.simulate(plant, law, REFERENCE, x, 0.05, 1e-3)
+    for i, t in enumerate(run.t[:-1]):
+        u = law.effort(x, x, REFERENCE.jets(t))
+        assert run.u[i] == pytest.approx(u, rel=1e-5, abs=1e-5)
+        x = solve_ivp(lambda _, y, u=u: plant.derivative(y, u), (0, 1e-3), x, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    assert run.x[-1] == pytest.approx(x, abs=1e-7)
+
+
+def test_shapes_and_times_of_a_run() -> None:
+    plant, law, x0 = joint(31.0)
+    run = fjr.simulate(plant, law, REFERENCE, x0, 0.1, 1e-3)
+    assert run.t == pytest.approx(1e-3 * np.arange(101), abs=1e-15)
+    assert [a.shape for a in (run.x, run.u, run.jets, run.V)] == [(101, 4), (101, 1), (101, 5, 1), (101,)]
+    assert np.array_equal(run.x[0], x0)
+    assert np.array_equal(run.jets, REFERENCE.jets(run.t))
+
+
+def test_a_run_never_exceeds_its_duration() -> None:
+    plant, law, x0 = joint(31.0)
+    assert fjr.simulate(plant, law, REFERENCE, x0, 0.0036, 1e-3).t[-1] == pytest.approx(0.003, abs=1e-15)
+    assert fjr.simulate(plant, law, REFERENCE, x0, 0.3, 1e-3).t[-1] == pytest.approx(0.3, abs=1e-15)
+
+
+def test_finer_inner_steps_change_a_run_little_and_coarser_ones_more() -> None:
+    """inner_step is used: the error against a fine run falls with the fourth power."""
+    plant, law, x0 = joint(31.0)
+    ends = [fjr.simulate(plant, law, REFERENCE, x0, 0.2, 4e-3, h).x[-1] for h in (4e-3, 2e-3, 1e-4)]
+    errors = [np.max(np.abs(end - ends[-1])) for end in ends[:2]]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.6)
+
+
+def test_integrator_of_the_plant_is_used_under_a_hold() -> None:
+    _, law, x0 = joint(31.0)
+    ends = [
+        fjr.simulate(fjr.Plant(law.robot, name), law, REFERENCE, x0, 0.1, 1e-3).x[-1]
+        for name in ("rk4", "implicit_midpoint")
+    ]
+    assert 0 < np.max(np.abs(ends[0] - ends[1])) < 1e-3
+
+
+def planar_arm() -> tuple[fjr.Robot, fjr.Gains, fjr.Sine]:
+    robot = fjr.planar_two_link(**PLANAR)
+    gains = fjr.Gains(Lambda_l=8, Pi_l=20, K_ld=(2, 0.5), Lambda_m=12, Pi_m=60, K_md=(0.5, 0.3))
+    return robot, gains, fjr.Sine((0.8, 0.6), (1.0, 1.7), offset=(0.2, -0.1), phase=(0.0, 0.5))
+
+
+def test_planar_arm_tracks_in_continuous_time_within_its_bound() -> None:
+    robot, gains, reference = planar_arm()
+    law = fjr.TrackingLaw(robot, gains)
+    run = fjr.simulate(fjr.Plant(robot), law, reference, robot.state([0.5, 0], [0.5, 0], [0, 0], [0, 0]), 3.0)
+    beta = law.rate().beta
+    assert beta > 4
+    assert np.max(run.V / run.V[0] - np.exp(-2 * beta * run.t)) <= 1e-18
+    assert np.max(np.abs(run.x[-1, :2] - run.jets[-1, 0])) < 1e-8
+
+
+def test_planar_arm_tracks_under_a_hold_of_one_millisecond() -> None:
+    robot, gains, reference = planar_arm()
+    law, x0 = fjr.TrackingLaw(robot, gains), robot.state([0.5, 0], [0.5, 0], [0, 0], [0, 0])
+    run = fjr.simulate(fjr.Plant(robot), law, reference, x0, 4.0, 1e-3)
+    late = run.t >= 3
+    assert np.max(np.abs(run.x[late, :2] - run.jets[late, 0])) < 1e-4
+
+
+def test_model_mismatch_is_allowed_and_disturbs() -> None:
+    plant, (_, law, x0) = fjr.Plant(fjr.single_link(link_inertia=0.033)), joint(31.0)
+    run = fjr.simulate(plant, law, REFERENCE, x0, 3.0, 1e-3)
+    assert 1e-6 < np.max(np.abs(run.x[-1000:, 0] - run.jets[-1000:, 0, 0])) < 0.05
+
+
+@pytest.mark.parametrize("samples", [0.25, 1.0, 2.6])
+def test_a_delayed_effort_acts_that_much_later(samples: float) -> None:
+    """Against an independent integrator that switches efforts at t_k + delay; no effort before the first."""
+    period, steps = 2e-3, 12
+    plant, law, x = joint(3.1)
+    run = fjr.simulate(plant, law, REFERENCE, x, period * steps, period, delay=samples * period)
+
+    def held(t: float) -> np.ndarray:
+        k = int(np.floor(t / period - samples + 1e-9))
+        return run.u[k] if k >= 0 else np.zeros(1)
+
+    cuts = np.unique(np.concatenate([run.t, (run.t + samples % 1 * period)[:-1]]))
+    for start, end in zip(cuts, cuts[1:], strict=False):
+        u = held((start + end) / 2)
+        x = solve_ivp(lambda _, y, u=u: plant.derivative(y, u), (start, end), x, "DOP853", rtol=1e-12, atol=1e-14).y[
+            :, -1
+        ]
+    assert run.x[-1] == pytest.approx(x, abs=1e-7)
+    for state, jets, u in zip(run.x, run.jets, run.u, strict=True):
+        assert u == pytest.approx(law.effort(state, state, jets), rel=1e-12)
+
+
+def test_no_delay_is_a_delay_of_nothing() -> None:
+    plant, law, x0 = joint(31.0)
+    runs = [fjr.simulate(plant, law, REFERENCE, x0, 0.1, 1e-3, delay=delay) for delay in (0.0, 1e-12)]
+    assert runs[0].x == pytest.approx(runs[1].x, abs=1e-8)
+
+
+@pytest.mark.parametrize("compile", [False, True])
+def test_a_compiled_run_is_the_same_run(compile: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    plant, law, x0 = joint(31.0)
+    here = fjr.Plant(plant.robot, compile=compile), fjr.TrackingLaw(law.robot, fjr.PAPER_GAINS, compile=compile)
+    for period in (1e-3, None):
+        run, same = (fjr.simulate(*pair, REFERENCE, x0, 0.05, period) for pair in (here, (plant, law)))
+        assert run.x == pytest.approx(same.x, rel=1e-9)
+        assert run.u == pytest.approx(same.u, rel=1e-9)
+
+
+@pytest.mark.parametrize("sample_period", [1e-3, None])
+def test_the_law_of_another_inertia_gets_the_plants_velocities(sample_period: float | None) -> None:
+    robot, gains, reference = planar_arm()
+    heavy = fjr.planar_two_link(**{**PLANAR, "link_mass": (2.0, 0.5), "motor_inertia": (0.06, 0.03)})
+    law, x0 = fjr.TrackingLaw(robot, gains), heavy.state([0.5, 0.1], [0.5, 0.2], [0.3, -0.2], [0.1, 0.4])
+    run = fjr.simulate(fjr.Plant(heavy), law, reference, x0, 0.1, sample_period)
+    assert np.array_equal(run.x[0], x0)
+    for x, jets, u, storage in zip(run.x[::20], run.jets[::20], run.u[::20], run.V[::20], strict=True):
+        q_l, q_m = x[:2], x[2:4]
+        seen = robot.state(q_l, q_m, *heavy.velocities(x))
+        assert u == pytest.approx(law.effort(seen, seen, jets), rel=1e-9)
+        assert storage == pytest.approx(law.evaluate(seen, seen, jets).V, rel=1e-9)
+
+
+def test_continuous_run_of_a_law_with_another_inertia_agrees_with_an_independent_integrator() -> None:
+    robot, gains, reference = planar_arm()
+    heavy = fjr.planar_two_link(**{**PLANAR, "motor_inertia": (0.06, 0.03)})
+    plant, law, x0 = fjr.Plant(heavy), fjr.TrackingLaw(robot, gains), heavy.state([0.5, 0.1], [0.5, 0.2], 0, 0)
+
+    def field(t: float, x: np.ndarray) -> np.ndarray:
+        seen = robot.state(x[:2], x[2:4], *heavy.velocities(x))
+        return plant.derivative(x, law.effort(seen, seen, reference.jets(t)))
+
+    run = fjr.simulate(plant, law, reference, x0, 0.1)
+    wanted = solve_ivp(field, (0, run.t[-1]), x0, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+    assert run.x[-1] == pytest.approx(wanted, rel=1e-7, abs=1e-9)
+
+
+def test_an_equal_robot_is_the_same_robot_and_a_view_of_it_changes_nothing() -> None:
+    (robot, gains, reference), (twin, _, _) = planar_arm(), planar_arm()
+    law, x0 = fjr.TrackingLaw(robot, gains), robot.state([0.5, 0.1], [0.5, 0.2], 0, 0)
+    runs = [fjr.simulate(fjr.Plant(r), law, reference, x0, 0.1, 1e-3) for r in (robot, twin)]
+    assert np.array_equal(runs[0].x, runs[1].x)

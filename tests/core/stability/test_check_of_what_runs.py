@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The check of the sampled loop with everything that runs, against the simulated nonlinear loop."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.stability.test_sampled_loop import elastic_modes, scaled
+from fjr_core.config.scenario import load_scenario
+from fjr_core.control.registry import LAWS, law_kind
+from fjr_core.control.robust import Robust, sampled_law
+from fjr_core.control.sampled_law import SampledLaw, Static, bound_step
+from fjr_core.estimation.observer_stability import error_radii
+from fjr_core.estimation.velocity_observer import VelocityObserver
+from fjr_core.experiments.comparison.tuned_law import column
+from fjr_core.robot.equilibrium import rest_points
+from fjr_core.stability.integral_bound import refuse_fast_integral
+from fjr_core.stability.linear_controller import Sensing
+from fjr_core.stability.linearization import linearize, loop_as_run
+from fjr_core.stability.model_errors import radii_with_model_errors
+from fjr_core.stability.sampled_loop import check, spectral_radius
+
+DRAWS = 60
+BASELINES = [name for name, kind in LAWS.items() if kind.standard is not None]
+HAIR = 3e-3  # draws whose radius is nearer to 1 are drawn again: a short run cannot tell them
+START, FAR, NOTHING = 1e-7, 1e-3, 1e-12  # rad: error at the start, of a loop that diverges, and rounding
+Joint = fjr.TrackingLaw(fjr.single_link(stiffness=31.0), fjr.PAPER_GAINS)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Everything that runs: the law with its state, the plant, the configuration, times [s] and sensing."""
+
+    law: SampledLaw
+    plant: fjr.Robot
+    q_l: np.ndarray
+    period: float
+    delay: float
+    sensing: Sensing
+
+    @property
+    def radius(self) -> float:
+        """Spectral radius by the check."""
+        plant = fjr.Plant(self.plant)
+        return float(spectral_radius(self.law, self.period, self.delay, [self.q_l], plant, self.sensing)[0])
+
+
+def drawn(rng: np.random.Generator) -> Loop:
+    """A robot, a law on it with robust options, an observer or none, a rate and a delay."""
+    robot, plant = drawn_robot(rng)
+    q_l = rng.uniform(-1, 1, robot.n)
+    fastest = np.median(elastic_modes(robot, q_l))
+    period = round(float(np.clip(10 ** rng.uniform(-1.3, 0.3) / fastest, 2e-4, 0.02)), 6)
+    delay = round(float(period * rng.choice([0, 0, 1, rng.uniform(0, 2)])), 6)
+    bandwidth = float(rng.uniform(60, 400)) if rng.random() < 0.4 else None
+    sensing = Sensing(bandwidth, by_torque=bandwidth is not None and rng.random() < 0.3)
+    return Loop(drawn_law(rng, robot, q_l, period, delay), plant, q_l, period, delay, sensing)
+
+
+def drawn_robot(rng: np.random.Generator) -> tuple[fjr.Robot, fjr.Robot]:
+    """The law's robot, and the plant: the same, or without weight one whose stiffness or inertia is off."""
+    if rng.random() < 0.2:
+        robot = fjr.planar_two_link(tuple(40 * 10 ** rng.uniform(-0.5, 0.5, 2)))
+        return robot, robot
+    stiffness, mistaken = float(10 ** rng.uniform(0, 3)), rng.random() < 0.3
+    robot = fjr.single_link(stiffness=stiffness, gravity_torque=0.0 if mistaken else 0.8)
+    wrong = {name: getattr(robot, name) * rng.choice([0.7, 0.8, 1.2, 1.3]) for name in (rng.choice(["K", "M_m"]),)}
+    return robot, replace(robot, **wrong) if mistaken else robot
+
+
+def drawn_law(rng: np.random.Generator, robot: fjr.Robot, q_l: np.ndarray, period: float, delay: float) -> SampledLaw:
+    """A baseline, or v-dPBC with some of the robust options; some of it predicts over the delay."""
+    predicted = Robust(delay=delay, hold=period) if rng.random() < 0.4 else Robust(hold=period)
+    if rng.random() < 0.3:
+        kind = law_kind(rng.choice(BASELINES))
+        assert kind.standard is not None
+        return sampled_law(kind.make(robot, kind.standard(robot, q_l, rng.uniform(5, 30), kind.usual)), predicted)
+    law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS if robot.n == 1 and rng.random() < 0.5 else scaled(robot, q_l, rng))
+    residual = 10 ** rng.uniform(1, 2.3, 2) * rng.integers(0, 2, 2)
+    integral = 10 ** rng.uniform(0.7, 2, 2) * rng.integers(0, 2, 2)
+    gains = ("residual_gain", "motor_residual_gain", "integral_gain", "motor_integral_gain")
+    return sampled_law(law, replace(predicted, **dict(zip(gains, map(float, [*residual, *integral]), strict=True))))
+
+
+def dies_out(loop: Loop, samples: int) -> bool:
+    """Whether the nonlinear loop returns to rest that starts START off, its positions measured without errors."""
+    plant, n, T = loop.plant, loop.plant.n, loop.period
+    q_m = loop.q_l + np.linalg.solve(plant.K, plant.grad_P_l(loop.q_l))
+    rest = np.concatenate([loop.q_l, q_m])
+    x = plant.state(*np.split(rest + START * np.cos(np.arange(2 * n)), 2), np.zeros(n), np.zeros(n))
+    position, velocity, jets = np.zeros(2 * n), np.zeros(2 * n), np.zeros((5, n))
+    jets[0] = loop.q_l
+    step, measure = bound_step(loop.law, position, velocity, jets), measuring(loop, position, velocity)
+    advance = advancing(loop)
+    held = np.linalg.solve(plant.B_m, plant.grad_P_l(loop.q_l))  # before the first answer
+    efforts, off = [held] * (int(loop.delay / T) + 2), np.zeros(samples)
+    step.sent[...] = held
+    for k in range(samples):
+        off[k] = np.abs(x[: 2 * n] - rest).max()
+        if not off[k] < FAR:
+            return False
+        measure(k, x, step.sent)
+        step.dt[0] = T if k else 0.0
+        step.evaluate()
+        step.keep()
+        step.sent[...] = step.u
+        efforts = [step.u.copy(), *efforts[:-1]]
+        x = advance(x, efforts)
+    fifth = samples // 5
+    return bool(off[-fifth:].max() < max(off[fifth : 2 * fifth].max(), NOTHING))
+
+
+def measuring(loop: Loop, position: np.ndarray, velocity: np.ndarray) -> Callable[[int, np.ndarray, np.ndarray], None]:
+    """What fills position and velocity for the law from sample k of the plant's state."""
+    own, plant, n = loop.law.robot, loop.plant, loop.plant.n
+    observer = None if loop.sensing.bandwidth is None else VelocityObserver(own, loop.sensing.bandwidth)
+
+    def measure(k: int, x: np.ndarray, sent: np.ndarray) -> None:
+        q_l, q_m = np.split(x[: 2 * n], 2)
+        if loop.sensing.by_torque:
+            q_m = q_l + np.linalg.solve(own.K, plant.K @ (q_m - q_l))
+        if observer is None:
+            position[...], velocity[...] = np.concatenate([q_l, q_m]), np.concatenate(plant.velocities(x))
+            return
+        observer.update(k * round(loop.period * 1e9), q_l, q_m, sent)
+        position[...], velocity[...] = np.split(observer.state, 2)
+
+    return measure
+
+
+def advancing(loop: Loop) -> Callable[[np.ndarray, list[np.ndarray]], np.ndarray]:
+    """The plant's motion over a sample period under the efforts of the last samples, the newest first."""
+    step, (whole, late) = fjr.Plant(loop.plant).step_function, divmod(round(loop.delay * 1e6), round(loop.period * 1e6))
+    longest = 0.3 / elastic_modes(loop.plant, loop.q_l).max() / 3
+    parts = []
+    for age, seconds in ((whole + 1, late * 1e-6), (whole, loop.period - late * 1e-6)):
+        steps = int(np.ceil(seconds / longest))
+        if steps:
+            parts.append((age, step.fold(steps) if steps > 1 else step, seconds / steps))
+
+    def advance(x: np.ndarray, efforts: list[np.ndarray]) -> np.ndarray:
+        for age, fold, dt in parts:
+            x = fold(x, efforts[age], dt).full().ravel()
+        return x
+
+    return advance
+
+
+def test_check_and_simulation_agree_on_60_draws() -> None:
+    """Draws within HAIR of the boundary, where a short run cannot tell, are drawn again."""
+    rng, stable, unstable = np.random.default_rng(12), 0, 0
+    while stable + unstable < DRAWS:
+        loop = drawn(rng)
+        radius = loop.radius
+        if abs(radius - 1) < HAIR:
+            continue
+        samples = int(np.clip(8 / abs(np.log(radius)), 100, 3000))
+        assert dies_out(loop, samples) == (radius < 1), (radius, loop)
+        stable, unstable = stable + (radius < 1), unstable + (radius > 1)
+    assert min(stable, unstable) >= 20, (stable, unstable)
+
+
+def test_a_static_law_is_the_special_case_without_a_state() -> None:
+    for law in (Joint, fjr.TrackingLaw(fjr.planar_two_link(), fjr.Gains(8.0, 20.0, 2.0, 12.0, 40.0, 0.5))):
+        rest = rest_points(law.robot, np.full((1, law.robot.n), 0.4))
+        general = loop_as_run(Static(law), rest, rest, Sensing())
+        for delay in (0.0, 0.7e-3, 2e-3):
+            assert general.radii(1e-3, delay) == pytest.approx(linearize(law, rest.q_l).radii(1e-3, delay), rel=1e-9)
+
+
+@pytest.mark.parametrize("by_torque", [False, True])
+def test_without_model_error_poles_are_those_of_the_loop_and_of_the_observer(by_torque: bool) -> None:
+    """The separation principle; error_radii takes the Jacobian of the observer's function, integrator included."""
+    q_l, period = np.array([[0.5]]), 1e-3
+    for bandwidth in (20.0, 150.0):
+        (radius,) = linearize(Joint, q_l, sensing=Sensing(bandwidth, by_torque)).radii(period)
+        (loop,), (observer,) = linearize(Joint, q_l).radii(period), error_radii(Joint.robot, bandwidth, period, q_l)
+        assert radius == pytest.approx(max(loop, observer), abs=1e-6)
+
+
+def test_too_fast_an_integral_is_unstable_for_the_check_as_in_simulation() -> None:
+    law = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
+    for rate, stable in ((15.0, True), (40.0, False)):
+        sampled = sampled_law(law, Robust(integral_gain=rate))
+        found = check(sampled, 1e-3, configurations=[[0.5]])
+        assert found.stable == stable
+        assert dies_out(Loop(sampled, law.robot, np.array([0.5]), 1e-3, 0.0, Sensing()), 1500) == stable
+    assert check(law, 1e-3, configurations=[[0.5]]).stable
+
+
+def test_radii_with_model_errors_are_those_of_a_plant_that_is_off() -> None:
+    rough = Joint.robot
+    plants = {"stiffness": replace(rough, K=1.3 * rough.K), "motor inertia": replace(rough, M_m=1.3 * rough.M_m)}
+    plants["link inertia"] = fjr.single_link(link_inertia=1.3 * 0.031)
+    radii = radii_with_model_errors(Joint, 1e-3, 5e-3, [[0.3]])
+    assert len(radii) == 12
+    for quantity, plant in plants.items():
+        (exact,) = spectral_radius(Joint, 1e-3, 5e-3, [[0.3]], fjr.Plant(plant))
+        assert radii[quantity, 1.3] == pytest.approx(exact, rel=1e-4), quantity
+
+
+ROWS = re.findall(
+    r"^\| `(\w+)` \|((?: [\d.]+ \|){5})$", Path("docs/robust.md").read_text(encoding="utf-8"), re.MULTILINE
+)
+
+
+@pytest.mark.parametrize(("name", "row"), ROWS)
+def test_rates_of_the_integral_in_the_docs_are_where_the_loop_becomes_unstable(name: str, row: str) -> None:
+    scenario = load_scenario(f"ros2_ws/src/fjr_bringup/scenarios/{name}.yaml")
+    law, where = fjr.TrackingLaw(scenario.robot, scenario.gains), scenario.configurations(2)
+    for hertz, rate in zip((250, 500, 1000, 2000, 10000), row.split("|"), strict=False):
+        for factor in (0.9, 1.1):
+            sampled = sampled_law(law, Robust(integral_gain=factor * float(rate), hold=1 / hertz))
+            assert (spectral_radius(sampled, 1 / hertz, configurations=where).max() < 1) == (factor < 1)
+
+
+def test_the_docs_have_a_row_for_each_paper_joint_and_the_two_link_arm() -> None:
+    assert [name for name, _ in ROWS] == ["paper_k3p1", "paper_k31", "two_link"]
+
+
+def test_an_integral_above_its_bound_is_refused_with_the_bound() -> None:
+    law = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
+    refuse_fast_integral(law, Robust(integral_gain=20.0).checked(1))
+    with pytest.raises(fjr.GainsError, match=r"integral_gain is \[40\] 1/s, .* expected at most \[2\d\] 1/s"):
+        refuse_fast_integral(law, Robust(integral_gain=40.0).checked(1))
+
+
+def test_a_law_that_is_unstable_as_sampled_says_so_in_a_comparison() -> None:
+    scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/paper_k3p1.yaml")
+    sentences = [column("v_dpbc", {"integral_gain": rate}, scenario).tuning for rate in (5.0, 40.0)]
+    assert ["unstable as sampled" in sentence for sentence in sentences] == [False, True]

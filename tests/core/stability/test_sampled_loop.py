@@ -1,0 +1,406 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The check of the sampled loop: against hand-written linear loops, and against the simulated nonlinear loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import polar
+from scipy.signal import cont2discrete
+from scipy.stats import qmc
+
+import fjr_core as fjr
+from core.oracles.chains import arm7
+from fjr_core.robot.configuration_sampling import loop_configurations, sample_configurations
+from fjr_core.robot.equilibrium import feedback, plant_matrices, rest_points
+from fjr_core.stability.linearization import in_error_coordinates, linearize
+from fjr_core.stability.sampled_loop import check, spectral_radius
+
+SAMPLES = 400  # of a simulated run: 0.98^400 = 3e-4, 1.02^400 = 3e3
+
+
+def chain3(rng: np.random.Generator) -> fjr.Robot:
+    """Three joints about random axes."""
+
+    def rotation() -> np.ndarray:
+        R = polar(rng.normal(size=(3, 3)))[0]
+        return R * np.linalg.det(R)
+
+    def body() -> fjr.Body:
+        places = rng.uniform(-0.2, 0.2, (2, 3))
+        inertia = np.diag(rng.uniform(0.01, 0.015, 3))
+        return fjr.Body(rotation(), places[0], rng.normal(size=3), rng.uniform(0.5, 2), places[1], inertia)
+
+    return fjr.Robot(
+        fjr.serial_chain([body() for _ in range(3)]),
+        M_m=np.diag(rng.uniform(0.02, 0.1, 3)),
+        K=np.diag(rng.uniform(50, 300, 3)),
+        D_l=np.diag(rng.uniform(0, 0.1, 3)),
+        D_m=np.diag(rng.uniform(0, 0.1, 3)),
+        B_m=np.diag(rng.uniform(0.5, 2, 3)),
+    )
+
+
+def scaled(robot: fjr.Robot, q_l: np.ndarray, rng: np.random.Generator) -> fjr.Gains:
+    """Gains of random size in the shape of the robot's inertia and stiffness."""
+    c_1, c_2, c_3, c_4 = rng.uniform(8, 25, 4)
+    M_l, g = robot.M_l(q_l), rng.uniform(0.9, 1.4)
+    return fjr.Gains(c_1, c_1**2 * M_l, c_2 * M_l, c_3, g * robot.K, c_4 * robot.M_m)
+
+
+def elastic_modes(robot: fjr.Robot, q_l: np.ndarray) -> np.ndarray:
+    """[rad/s] of the links against held motors."""
+    return np.sqrt(np.linalg.eigvals(np.linalg.solve(robot.M_l(q_l), robot.K)).real)
+
+
+def rest_run(law: fjr.TrackingLaw, q_l: np.ndarray, period: float, delay: float = 0.0, samples: int = SAMPLES) -> bool:
+    """Whether the simulated loop dies out that starts 1e-5 rad off rest at q_l, with the reference there."""
+    robot, n = law.robot, law.robot.n
+    off = 1e-5 * np.cos(np.arange(2 * n))
+    q_m = q_l + np.linalg.solve(robot.K, robot.grad_P_l(q_l))
+    x0 = robot.state(q_l + off[:n], q_m + off[n:], 0, 0)
+    inner = 0.2 / elastic_modes(robot, q_l).max()
+    reference = fjr.Sine(np.zeros(n), 1.0, q_l)
+    try:
+        run = fjr.simulate(fjr.Plant(robot), law, reference, x0, samples * period, period, inner, delay)
+    except fjr.StateError:
+        return False
+    part = samples // 5
+    return bool(run.V[-part:].max() < run.V[part : 2 * part].max())
+
+
+# A linear plant, where every number can be had another way.
+
+
+def hand_written_law(z: np.ndarray, M: float, Mm: float, K: float, D: float, Dm: float) -> float:
+    """u of Table 1 at z = (q_l, q_m, dq_l, dq_m) without gravity, q_ld = 0: eqs. (30)-(42) with scalars."""
+    q, q_m, dq, dq_m = z
+    ddq = (K * (q_m - q) - D * dq) / M
+    d3q = (K * (dq_m - dq) - D * ddq) / M
+
+    def u_l(q: float, dq: float) -> float:
+        return -M * 10 * dq - D * 10 * q - 20 * q - 0.6 * (dq + 10 * q)
+
+    q_md, dq_md, ddq_md = q + u_l(q, dq) / K, dq + u_l(dq, ddq) / K, ddq + u_l(ddq, d3q) / K
+    v_mr = dq_md - 15 * (q_m - q_md) - K / 60 * (dq + 10 * q)
+    dv_mr = ddq_md - 15 * (dq_m - dq_md) - K / 60 * (ddq + 10 * dq)
+    return Mm * dv_mr + K * (q_m - q) + Dm * v_mr - 60 * (q_m - q_md) - 0.3 * (dq_m - v_mr)
+
+
+def hand_written_radius(values: tuple[float, ...], period: float, parts: int, late: int) -> float:
+    """Spectral radius by stepping every unit vector through one period of `parts` steps, u delayed by `late` steps."""
+    M, Mm, K, D, Dm = values
+    A = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-K / M, K / M, -D / M, 0], [K / Mm, -K / Mm, 0, -Dm / Mm]])
+    B = np.array([[0], [0], [0], [1 / Mm]])
+    Phi, Gamma, *_ = cont2discrete((A, B, np.eye(4), np.zeros((4, 1))), period / parts, "zoh")
+    waiting = -(-late // parts)  # efforts on their way
+
+    def one_period(state: np.ndarray) -> np.ndarray:
+        z, efforts = state[:4], [hand_written_law(state[:4], *values), *state[4:]]  # the newest first
+        for step in range(parts):
+            age = -((step - late) // parts)
+            z = Phi @ z + Gamma[:, 0] * efforts[max(age, 0)]
+        return np.concatenate([z, efforts[:waiting]])
+
+    loop = np.array([one_period(unit) for unit in np.eye(4 + waiting)]).T
+    return float(np.abs(np.linalg.eigvals(loop)).max())
+
+
+def linear_joint(stiffness: float) -> tuple[fjr.TrackingLaw, tuple[float, ...]]:
+    robot = fjr.single_link(stiffness=stiffness, gravity_torque=0.0)
+    return fjr.TrackingLaw(robot, fjr.PAPER_GAINS), (0.031, 0.004, stiffness, 0.2, 0.007)
+
+
+@pytest.mark.parametrize("stiffness", [31.0, 3.1, 300.0])
+@pytest.mark.parametrize("period", [1e-3, 0.02])
+@pytest.mark.parametrize("tenths", [0, 3, 10, 15, 20, 37])
+def test_radius_of_a_linear_loop_is_that_of_the_hand_written_one(stiffness: float, period: float, tenths: int) -> None:
+    law, values = linear_joint(stiffness)
+    (radius,) = spectral_radius(law, period, tenths / 10 * period, [[0.3]])
+    assert radius == pytest.approx(hand_written_radius(values, period, 10, tenths), rel=1e-8)
+
+
+@pytest.mark.parametrize(("period", "delay"), [(0.02, 0.0), (0.016, 0.004), (0.01, 0.012), (0.004, 0.02)])
+def test_radius_of_a_linear_loop_is_the_growth_of_its_simulation(period: float, delay: float) -> None:
+    law, _ = linear_joint(31.0)
+    (radius,) = spectral_radius(law, period, delay, [[0.0]])
+    start, reference = [1e-3, 0, 0, 0], fjr.Sine(0.0, 1.0)
+    run = fjr.simulate(fjr.Plant(law.robot), law, reference, start, 200 * period, period, 2e-4, delay)
+    q_l = run.x[120:, 0]  # only the slowest pair of modes is left: q_l(k+2) = a q_l(k+1) + b q_l(k)
+    a, b = np.linalg.lstsq(np.stack([q_l[1:-1], q_l[:-2]], axis=1), q_l[2:])[0]
+    assert np.abs(np.roots([1, -a, -b])).max() == pytest.approx(radius, rel=1e-4)
+
+
+# Any robot: what is linearised, and in which coordinates.
+
+
+@cache
+def small_laws() -> tuple[fjr.TrackingLaw, ...]:
+    rng = np.random.default_rng(1)
+    robots = (fjr.single_link(), fjr.planar_two_link(), chain3(rng))
+    return tuple(fjr.TrackingLaw(robot, scaled(robot, np.full(robot.n, 0.4), rng)) for robot in robots)
+
+
+def laws() -> tuple[fjr.TrackingLaw, ...]:
+    robot = arm7().robot
+    return (*small_laws(), fjr.TrackingLaw(robot, scaled(robot, np.full(7, 0.4), np.random.default_rng(2))))
+
+
+def test_jacobian_of_the_law_is_its_closed_form_at_rest() -> None:
+    """The check takes the law that runs, synthesis the closed form: they agree."""
+    for law in laws():
+        loop = linearize(law, sample_configurations(law.robot, 5))
+        rest = rest_points(law.robot, loop.configurations)
+        closed = in_error_coordinates(rest, law.gains, *plant_matrices(rest), feedback(rest, law.gains))
+        for name in ("A", "B", "F"):
+            expected = getattr(closed, name)
+            np.testing.assert_allclose(getattr(loop, name), expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
+
+
+def test_loop_in_error_coordinates_contracts_at_the_rate_before_sampling() -> None:
+    """-sym(A + B F) >= beta, with equality at the worst configuration: V = |z|^2 / 2."""
+    for law in laws():
+        q_l = sample_configurations(law.robot, 6)
+        loop = linearize(law, q_l)
+        generator = loop.A + loop.B @ loop.F
+        fastest = np.linalg.eigvalsh((generator + np.swapaxes(generator, 1, 2)) / 2).max()
+        assert -fastest == pytest.approx(law.rate(q_l).beta, rel=1e-6)
+
+
+def test_radius_tends_to_the_continuous_loop() -> None:
+    for law in small_laws():
+        loop = linearize(law, sample_configurations(law.robot, 3))
+        continuous = np.linalg.eigvals(loop.A + loop.B @ loop.F).real.max(axis=1)
+        for period in (1e-4, 1e-5):
+            np.testing.assert_allclose(np.log(loop.radii(period)) / period, continuous, rtol=4e3 * period)
+
+
+def test_delay_of_whole_samples_is_the_limit_of_fractions() -> None:
+    for law in small_laws():
+        loop = linearize(law, sample_configurations(law.robot, 3))
+        for whole in (1, 2):
+            for side in (-1e-6, 1e-6):
+                np.testing.assert_allclose(
+                    loop.radii(2e-3, (whole + side) * 2e-3), loop.radii(2e-3, whole * 2e-3), 1e-3
+                )
+
+
+def test_another_plant_is_what_the_law_drives() -> None:
+    law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
+    soft = fjr.Plant(fjr.single_link(stiffness=10.0))
+    own, real = linearize(law, [[0.2]]), linearize(law, [[0.2]], soft)
+    assert not np.allclose(own.A, real.A)
+    np.testing.assert_array_equal(linearize(law, [[0.2]], fjr.Plant(law.robot)).A, own.A)
+    rest = rest_points(soft.robot, np.array([[0.2]]))
+    expected = np.linalg.eigvals(plant_matrices(rest)[0])
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(real.A)), np.sort(expected), rtol=1e-9)
+
+
+MISTAKEN = {
+    "heavy motors": {"motor_inertia": (0.06, 0.03)},
+    "light motors": {"motor_inertia": (0.008, 0.004)},
+    "heavy first link": {"link_mass": (2.4, 0.5)},
+    "load": {"link_mass": (1.2, 3.0), "link_inertia": (0.02, 0.05)},
+}
+
+
+def simulated_radius(law: fjr.TrackingLaw, plant: fjr.Robot, q_l: np.ndarray, period: float, late: float) -> float:
+    """Of the map z(k) -> z(k + 1) of runs that start 1e-6 off rest, z = (x, u one sample ago, u two ago)."""
+    rest, reference, befores, afters = np.hstack([q_l, q_l, 0 * q_l, 0 * q_l]), fjr.Sine(0 * q_l, 1.0, q_l), [], []
+    for off in 1e-6 * np.eye(4 * plant.n):
+        x0 = plant.state(*np.split(rest + off, 4))
+        run = fjr.simulate(fjr.Plant(plant), law, reference, x0, 5 * period, period, 5e-4, late * period)
+        u = np.vstack([np.zeros((2, plant.n)), run.u])
+        z = np.hstack([run.x - rest, u[1:-1], u[:-2]])
+        befores.append(z[:-1])
+        afters.append(z[1:])
+    before, after = np.vstack(befores), np.vstack(afters)
+    size = np.abs(before).max(axis=0)
+    loop = np.linalg.lstsq(before / size, after / size)[0]
+    return float(np.abs(np.linalg.eigvals(loop)).max())
+
+
+@pytest.mark.parametrize("late", [0.0, 1.5])
+@pytest.mark.parametrize("period", [1e-3, 6e-3])
+@pytest.mark.parametrize("name", MISTAKEN)
+def test_radius_of_a_law_with_another_inertia_is_that_of_its_simulation(name: str, period: float, late: float) -> None:
+    """The law sees velocities, and makes momenta by its own inertia. Without weight both robots rest alike."""
+    own, plant = (fjr.planar_two_link(gravity=0.0, **values) for values in ({}, MISTAKEN[name]))
+    law, q_l = fjr.TrackingLaw(own, fjr.Gains(8.0, 20.0, 2.0, 12.0, 40.0, 0.5)), np.array([0.3, 0.7])
+    (radius,) = spectral_radius(law, period, late * period, [q_l], fjr.Plant(plant))
+    assert simulated_radius(law, plant, q_l, period, late) == pytest.approx(radius, rel=1e-4)
+
+
+# The nonlinear loop.
+
+
+@dataclass(frozen=True)
+class Draw:
+    law: fjr.TrackingLaw
+    q_l: np.ndarray
+    period: float
+    delay: float
+
+    @property
+    def radius(self) -> float:
+        return float(spectral_radius(self.law, self.period, self.delay, [self.q_l])[0])
+
+
+def drawn(seed: int) -> Draw:
+    """A robot of some kind, gains of some size, a sample period of the order of its elastic modes, a delay."""
+    rng = np.random.default_rng(100 + seed)
+    c = rng.uniform(0.5, 2, 4)
+    robot = (
+        lambda: fjr.single_link(31 * c[0], 0.031 * c[1], 0.8 * c[2], 0.004 * c[3]),
+        lambda: fjr.planar_two_link((40 * c[0], 25 * c[1]), motor_inertia=(0.02 * c[2], 0.01 * c[3])),
+        lambda: chain3(rng),
+        lambda: fjr.single_link(300 * c[0], 0.5 * c[1], 2 * c[2], 0.2 * c[3], link_damping=0.1),
+        lambda: arm7().robot,
+    )[seed % 5]()
+    q_l = rng.uniform(-1, 1, robot.n)
+    period = rng.uniform(0.15, 0.9) / np.median(elastic_modes(robot, q_l))
+    gains = fjr.PAPER_GAINS if seed % 10 == 0 else scaled(robot, q_l, rng)
+    return Draw(fjr.TrackingLaw(robot, gains), q_l, period, period * rng.choice([0, 1, rng.uniform(0, 2)]))
+
+
+def test_prediction_and_simulated_sampled_loop_agree() -> None:
+    draws = [drawn(seed) for seed in range(30)]
+    judged = [(draw, draw.radius) for draw in draws if abs(draw.radius - 1) >= 0.02]
+    stable = sum(radius < 1 for _, radius in judged)
+    assert len(judged) >= max(20, 3 / 4 * len(draws))
+    assert stable >= 8
+    assert len(judged) - stable >= 8
+    for draw, radius in judged:
+        assert rest_run(draw.law, draw.q_l, draw.period, draw.delay) == (radius < 1), (draw, radius)
+
+
+@pytest.mark.parametrize("stiffness", [31.0, 3.1])
+def test_margins_of_the_paper_scenarios_are_those_of_the_simulation(stiffness: float) -> None:
+    """10 % inside both margins the loop dies out, 10 % outside it does not."""
+    law, q_l = fjr.TrackingLaw(fjr.single_link(stiffness), fjr.PAPER_GAINS), np.array([0.4])
+    found = check(law, 1e-3, configurations=[q_l])
+    assert found.stable
+    assert found.lowest_stable_rate is not None
+    assert rest_run(law, q_l, 1e-3, 0.9e-3 * found.delay_margin, 3000)
+    assert not rest_run(law, q_l, 1e-3, 1.1e-3 * found.delay_margin, 3000)
+    assert rest_run(law, q_l, 1 / (1.1 * found.lowest_stable_rate))
+    assert not rest_run(law, q_l, 1 / (0.9 * found.lowest_stable_rate))
+
+
+def test_margins_are_where_the_radius_crosses_one() -> None:
+    for law in small_laws():
+        q_l = sample_configurations(law.robot, 4)
+        found = check(law, 1e-3, 0.5e-3, q_l)
+        assert found.lowest_stable_rate is not None
+        assert found.spectral_radius == spectral_radius(law, 1e-3, 0.5e-3, q_l).max()
+        assert found.spectral_radius == spectral_radius(law, 1e-3, 0.5e-3, [found.configuration])[0]
+        for side, stable in ((-0.02, True), (0.02, False)):
+            assert (spectral_radius(law, 1e-3, (found.delay_margin + side) * 1e-3, q_l).max() < 1) == stable
+            slower = (1 + side) / found.lowest_stable_rate
+            assert (spectral_radius(law, slower, 0.5e-3, q_l).max() < 1) == stable
+
+
+def test_a_loop_that_overflows_is_unstable() -> None:
+    law = fjr.TrackingLaw(fjr.single_link(1e6), fjr.PAPER_GAINS)
+    assert np.isinf(spectral_radius(law, 1e5, configurations=[[np.pi]])[0])
+
+
+def test_an_unstable_loop_is_told_what_would_be_stable() -> None:
+    law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
+    slow = check(law, 0.02)
+    assert not slow.stable
+    assert slow.delay_margin == 0
+    assert slow.lowest_stable_rate == pytest.approx(check(law, 1e-3).lowest_stable_rate, rel=0.01)
+    late = check(law, 1e-3, 8e-3)
+    assert not late.stable
+    assert late.delay_margin == pytest.approx(check(law, 1e-3).delay_margin, abs=0.02)
+    assert late.lowest_stable_rate is None
+
+
+def test_table_1_recipe_on_a_stiff_arm_is_unstable_as_sampled_and_in_simulation() -> None:
+    law = fjr.TrackingLaw(arm7().robot, fjr.PAPER_GAINS)
+    found = check(law, 1e-3)
+    assert not found.stable
+    assert found.spectral_radius > 2
+    assert law.rate().beta > 0  # in continuous time nothing is wrong with it
+    assert not rest_run(law, np.full(7, 0.4), 1e-3, samples=100)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.3e-3])
+def test_of_many_configurations_the_worst_decide(delay: float) -> None:
+    """What is picked by the closed form gives the figures of all."""
+    for law in small_laws():
+        q_l = sample_configurations(law.robot, 150)
+        found, radii = check(law, 1e-3, delay, q_l), spectral_radius(law, 1e-3, delay, q_l)
+        assert found.configurations == 150
+        assert found.spectral_radius == pytest.approx(radii.max(), rel=1e-12)
+        inside, outside = ((found.delay_margin + side) * 1e-3 for side in (-0.025, 0.025))
+        assert spectral_radius(law, 1e-3, inside, q_l).max() < 1 <= spectral_radius(law, 1e-3, outside, q_l).max()
+
+
+# Configurations and bad input.
+
+
+@dataclass(frozen=True)
+class Limited:
+    """What sample_configurations needs of a robot."""
+
+    n: int
+    limits: fjr.JointLimits | None
+
+
+def test_configurations_fill_the_limits_and_begin_with_zero() -> None:
+    infinite = np.full(3, np.inf)
+    lower, upper = np.array([-2.0, -np.inf, 4.0]), np.array([-0.5, np.inf, np.inf])
+    limits = fjr.JointLimits(lower, upper, infinite, infinite)
+    q_l = sample_configurations(Limited(3, limits), 400)  # type: ignore[arg-type]
+    assert q_l.shape == (400, 3)
+    np.testing.assert_allclose(q_l[0], [-0.5, 0.0, 4.0])
+    assert np.all(q_l >= lower)
+    assert np.all(q_l <= upper)
+    np.testing.assert_allclose(q_l[1:].min(axis=0), [-2, -np.pi, 4], atol=0.05)
+    np.testing.assert_allclose(q_l[1:].max(axis=0), [-0.5, np.pi, 4 + np.pi], atol=0.05)
+
+
+def test_configurations_of_loops_are_those_of_rates_and_as_many_with_axes_in_line() -> None:
+    infinite = np.full(3, np.inf)
+    limits = fjr.JointLimits(np.array([-2.0, -1.0, 4.0]), np.array([-0.5, 2.0, 5.0]), infinite, infinite)
+    arm = Limited(3, limits)
+    q_l = loop_configurations(arm)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(q_l[:512], sample_configurations(arm, 512))  # type: ignore[arg-type]
+    assert np.all((q_l >= limits.lower) & (q_l <= limits.upper))
+    at_zero = q_l[512:] == [-0.5, 0.0, 4.0]
+    assert len(np.unique(at_zero, axis=0)) == 8
+    np.testing.assert_allclose(at_zero.mean(axis=0), 0.5, atol=0.1)
+
+
+def test_configurations_without_limits_are_the_halton_sequence_and_nested() -> None:
+    robot = Limited(7, None)
+    many = sample_configurations(robot, 100)  # type: ignore[arg-type]
+    halton = qmc.Halton(7, scramble=False).random(100)[1:]
+    np.testing.assert_allclose(many[1:], np.pi * (2 * halton - 1), atol=1e-12)
+    np.testing.assert_array_equal(sample_configurations(robot, 10), many[:10])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"sample_period": 0.0}, ("sample_period", "0.0 s", "positive")),
+        ({"sample_period": float("nan")}, ("sample_period", "nan", "positive")),
+        ({"delay": -1e-3}, ("delay", "-0.001 s", "0 or more")),
+        ({"configurations": [[0.0, 1.0]]}, ("configurations", "(1, 2)", "(k, 1)")),
+        ({"configurations": []}, ("configurations", "(0,)", "(k, 1)")),
+        ({"plant": fjr.Plant(fjr.planar_two_link())}, ("plant and law", "2 and 1", "equal")),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_impossible_requests(arguments: dict[str, object], words: tuple[str, ...]) -> None:
+    law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
+    for call in (check, spectral_radius):
+        with pytest.raises(fjr.StateError) as caught:
+            call(law, **{"sample_period": 1e-3, **arguments})  # type: ignore[operator]
+        assert all(word in str(caught.value) for word in words)
+        assert "\n" not in str(caught.value)

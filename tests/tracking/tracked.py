@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tracker in closed loop with a simulated plant, sample by sample, without ROS."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+import fjr_core as fjr
+from fjr_controller.tracking.tracker import Command, Tracker
+from fjr_core.config.safety import Settings
+
+PERIOD = 1_000_000  # ns
+TWO_LINK_GAINS = fjr.Gains(
+    Lambda_l=16.0,
+    Pi_l=np.array([[32.22, 4.272], [4.272, 4.229]]),
+    K_ld=np.array([[1.697, 0.225], [0.225, 0.2227]]),
+    Lambda_m=16.0,
+    Pi_m=np.array([40.0, 25.0]),
+    K_md=np.array([0.32, 0.16]),
+)
+
+
+def paper_law(stiffness: float = 31.0) -> fjr.TrackingLaw:
+    return fjr.TrackingLaw(fjr.single_link(stiffness=stiffness), fjr.PAPER_GAINS)
+
+
+def two_link_law() -> fjr.TrackingLaw:
+    return fjr.TrackingLaw(fjr.planar_two_link(), TWO_LINK_GAINS)
+
+
+def sample(stamp: int, q_l: Any, q_m: Any, dq_l: Any = 0.0, dq_m: Any = 0.0) -> Any:
+    vectors = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (q_l, q_m, dq_l, dq_m)))
+    return SimpleNamespace(stamp=stamp, q_l=vectors[0], q_m=vectors[1], dq_l=vectors[2], dq_m=vectors[3])
+
+
+def settings(n: int = 1, **given: Any) -> Settings:
+    return replace(Settings(tuple(f"joint{i + 1}" for i in range(n))), **given)
+
+
+class Loop:
+    """Plant and tracker, both of the law's robot; keeps what was sent. The arrival clock is that of the stamps."""
+
+    def __init__(self, law: fjr.TrackingLaw, reference: fjr.Reference, given: Settings, x0: Any, **more: Any) -> None:
+        self.tracker = Tracker(law, reference, given, **more)
+        self.tracker.warm_up()
+        self.robot, self.plant = law.robot, fjr.Plant(law.robot)
+        self.x = np.asarray(x0, dtype=float)
+        self.now = 10**9
+        self.u = np.zeros(law.robot.n)
+        self.commands: list[Command] = []
+        self.efforts: list[Any] = []
+        self.states: list[Any] = []
+
+    def sample(self) -> Any:
+        n = self.robot.n
+        return sample(self.now, self.x[:n], self.x[n : 2 * n], *self.robot.velocities(self.x))
+
+    def step(self, answered: bool = True) -> Command | None:
+        command = None
+        if answered:
+            command = self.tracker.answer(self.sample(), self.now)
+            assert command is not None
+            self.u = command.u.copy()
+            self.commands.append(command)
+        self.efforts.append(self.u)
+        self.states.append(self.x)
+        for _ in range(4):
+            self.x = self.plant.step(self.x, self.u, PERIOD * 1e-9 / 4)
+        self.now += PERIOD
+        return command
+
+    def run(self, seconds: float, answered: bool = True) -> None:
+        for _ in range(round(seconds * 1e9 / PERIOD)):
+            self.step(answered)
+
+    @property
+    def error(self) -> float:
+        """The largest |q_tilde_l| at the last sample."""
+        return float(np.max(np.abs(self.states[-1][: self.robot.n] - self.commands[-1].jets[0])))
+
+
+def largest_step(efforts: Any) -> float:
+    """The largest change of an effort between two samples [N m]."""
+    return float(np.max(np.abs(np.diff(np.asarray(efforts), axis=0))))

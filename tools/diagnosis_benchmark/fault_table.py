@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulate every labelled fault and regenerate the confusion table of docs/fault_isolation.md between its markers.
+
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.fault_table        # about 10 min for a seed
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from fjr_core.config.diagnosis import axes
+from fjr_core.monitoring.diagnosis import judge
+
+from .fault_runs import FAULTS, HEALTHY, TRIED_ON, WIRING, FaultCase, cases
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "fault_isolation.md"
+BEGIN = "<!-- confusion: written by tools/diagnosis_benchmark/fault_table.py -->"
+END = "<!-- end of confusion -->"
+KINDS = (*FAULTS, *WIRING, HEALTHY)
+SHORT = {kind: chr(ord("a") + i) for i, kind in enumerate(KINDS)}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Injected and found kind of fault of a run, and whether the joint is right."""
+
+    kind: str
+    said: str
+    joint: bool
+
+
+def outcome(case: FaultCase) -> Outcome:
+    """Simulate a case and compare the first finding with the label."""
+    scenario, _, found = case.run()
+    joints = axes(scenario.controller_values, scenario.robot)
+    findings = judge(found, scenario.tracking_law, axes=joints).findings
+    if not findings:
+        return Outcome(case.kind, HEALTHY, case.kind == HEALTHY)
+    first = findings[0]
+    return Outcome(case.kind, first.kind, first.joint == case.joints)
+
+
+def table(outcomes: Iterable[Outcome]) -> list[str]:
+    """Return Markdown lines: a row a label, a column a finding, last the count of right joints."""
+    listed = list(outcomes)
+    counts = Counter((each.kind, each.said) for each in listed)
+    others = sorted({each.said for each in listed} - set(KINDS))
+    columns = [*KINDS, *others]
+    head = [*(SHORT.get(kind, kind) for kind in columns), "joint right"]
+    lines = ["| label | " + " | ".join(head) + " |", "| --- " * (len(head) + 1) + "|"]
+    for kind in KINDS:
+        mine = [each for each in listed if each.kind == kind]
+        cells = [str(counts[kind, said] or "") for said in columns]
+        right = f"{sum(each.joint for each in mine)}/{len(mine)}"
+        lines.append(f"| {SHORT[kind]} {kind} | " + " | ".join([*cells, right]) + " |")
+    return lines
+
+
+def shares(outcomes: Iterable[Outcome]) -> tuple[float, float]:
+    """Return the shares of faulty runs with the right kind and with the right joint."""
+    faulty = [each for each in outcomes if each.kind != HEALTHY]
+    kinds, joints = (sum(e.kind == e.said for e in faulty), sum(e.joint for e in faulty))
+    return kinds / len(faulty), joints / len(faulty)
+
+
+def confusion(seed: int) -> list[str]:
+    """Return the table of the set of a seed; print each wrong finding to stderr."""
+    outcomes = []
+    for case in cases(seed):
+        outcomes.append(found := outcome(case))
+        if found.kind != found.said or not found.joint:
+            print(f"seed {seed}: {case.name}: {found}", file=sys.stderr, flush=True)
+    kind, joint = shares(outcomes)
+    faulty = sum(each.kind != HEALTHY for each in outcomes)
+    return [
+        f"{faulty} faulty runs: kind right in {100 * kind:.1f} %, joint in {100 * joint:.1f} %.",
+        "",
+        *table(outcomes),
+    ]
+
+
+def main() -> int:
+    """Rewrite the table on the page."""
+    page = PAGE.read_text(encoding="utf-8")
+    before, rest = page.split(BEGIN)
+    _, after = rest.split(END)
+    lines = ["", f"Validation set (seed {TRIED_ON}):", "", *confusion(TRIED_ON)]
+    PAGE.write_text("\n".join([before + BEGIN, *lines, "", END + after]), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

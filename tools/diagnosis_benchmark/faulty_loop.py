@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The loop in lock-step with a fault of a sensor, an effort or a spring that no parameter of the plant has."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fjr_core.config.scenario import Scenario
+from fjr_core.numerics.checks import Array
+from fjr_plant.state_publisher import Sample
+from fjr_plant.timing.lock_step import START
+
+from .loop import LockStepLoop
+
+Change = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Changes of position and velocity (2n,) as measured and of the effort (n,) as it acts; spring and link torques.
+
+    spring: deflection (n,) -> torque (n,) [N m] on the links beside K zeta, its reaction on the motors. push (n,)
+    [N m]: on the links. delay: samples by which velocities are late.
+    """
+
+    position: Change | None = None
+    velocity: Change | None = None
+    effort: Change | None = None
+    spring: Change | None = None
+    push: Array | None = None
+    delay: int = 0
+    delayed: NDArray[np.bool_] | None = None
+
+
+@dataclass
+class _Line:
+    """Velocities that were measured last."""
+
+    values: deque[Array] = field(default_factory=deque)
+
+    def late(self, velocity: Array, delay: int) -> Array:
+        """Return the velocity of `delay` samples ago, the oldest known at the start."""
+        self.values.append(velocity)
+        while len(self.values) > delay + 1:
+            self.values.popleft()
+        return self.values[0]
+
+
+class FaultyLoop(LockStepLoop):
+    """A scenario in lock-step with a fault; raises ParameterError for values that do not fit."""
+
+    def __init__(self, scenario: Scenario, fault: Fault) -> None:
+        self._fault, self._line = fault, _Line()
+        super().__init__(scenario)
+        self._B_m = scenario.plant.robot.B_m
+        self._command: Array = np.zeros(scenario.robot.n)
+        values = scenario.plant_values
+        self._inner = round(1e9 / float(values["publish_rate"]) / int(values["inner_steps"]))  # type: ignore[arg-type]
+        if fault.push is not None:
+            self._robot.external = fault.push
+
+    @property
+    def state(self) -> str:
+        """Return the state of the tracker: "tracking", "stopped" and so on."""
+        return self._tracker.state.value
+
+    @property
+    def reason(self) -> str:
+        """Return why the tracker is stopped, one sentence."""
+        return self._tracker.reason
+
+    def _sample(self) -> Sample:
+        position, velocity, effort = self._robot.measure()
+        if self._fault.position is not None:
+            position = self._fault.position(position)
+        if self._fault.velocity is not None:
+            velocity = self._fault.velocity(velocity)
+        if self._fault.delayed is not None:
+            velocity = np.where(self._fault.delayed, self._line.late(velocity, self._fault.delay), velocity)
+        return START + self._robot.time, position, velocity, effort
+
+    def _answer(self, sample: Sample) -> None:
+        super()._answer(sample)
+        if self._fault.effort is not None:
+            self._robot.u = self._fault.effort(self.log.answers[-1][1])
+        self._command = self._robot.u
+
+    def _integrate(self, time: int) -> None:
+        if self._fault.spring is None:
+            super()._integrate(time)
+            return
+        while self._robot.time < time:
+            q_l, q_m = np.split(self._robot.x[: 2 * self._n], 2)
+            torque = self._fault.spring(q_m - q_l)
+            self._robot.external = torque
+            self._robot.u = self._command - np.linalg.solve(self._B_m, torque)
+            self._robot.advance_to(self._robot.time + self._inner)
+        self._robot.u = self._command

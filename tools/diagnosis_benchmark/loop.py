@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The two nodes in lock-step without ROS: simulated robot, its imperfect messages and the tracker, in one process.
+
+What runs is what the nodes run (fjr_plant.timing.lock_step, fjr_controller.ros.command_loop), a hundred times faster,
+and it repeats to the bit.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fjr_controller.tracking.tracker import Tracker
+from fjr_core import StateError
+from fjr_core.config import nonidealities as words
+from fjr_core.config.safety import safety
+from fjr_core.config.scenario import Scenario
+from fjr_core.monitoring.innovations import Record
+from fjr_core.numerics.checks import Array
+from fjr_msgs_py.messages.joint_states import JointSample
+from fjr_plant.simulated_robot import SimulatedRobot
+from fjr_plant.state_publisher import Sample
+from fjr_plant.timing.lock_step import START
+from fjr_plant.transport import Transport
+
+LARGEST = 1e6  # rad; a robot that went there has diverged
+
+
+@dataclass
+class Log:
+    """What went over the topics: states as (time they were sent [ns], sample), answers as (stamp, u, jets)."""
+
+    states: list[tuple[int, Sample]] = field(default_factory=list)
+    answers: list[tuple[int, Array, Array]] = field(default_factory=list)
+
+
+class LockStepLoop:
+    """A scenario in lock-step. Raises ParameterError for values that do not fit."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        values, robot = scenario.plant_values, scenario.plant.robot
+        inner = round(1e9 / float(values["publish_rate"]) / int(values["inner_steps"]))  # type: ignore[arg-type]
+        motion, sensors = words.imperfections(values, robot), words.sensor_errors(values, robot.n)
+        seed, self._n = words.seed(values), robot.n
+        self._robot = SimulatedRobot(scenario.plant, scenario.x0, inner, motion, sensors, seed)
+        self._transport = Transport(inner * int(values["inner_steps"]), inner, seed)  # type: ignore[arg-type]
+        self._transport.change(*words.channel_errors(values), words.period_jitter(values))
+        settings = safety(scenario.controller_values, scenario.robot)
+        self._tracker = Tracker(scenario.law, scenario.reference, settings, simulated_time=True)
+        self._arrived: deque[Sample] = deque()
+        self._newest = 0
+        self.log = Log()
+
+    def run(self, duration: float) -> Log:
+        """The log of so many seconds, or of less where the robot diverges."""
+        end = round(duration * 1e9)
+        self._arrived.append(self._sample())
+        try:
+            while self._robot.time < end and np.abs(self._robot.x).max() < LARGEST:
+                self._answer_arrived()
+                self._integrate(self._transport.times.next())
+                self._measure()
+        except StateError:
+            pass  # it diverged: the log ends here
+        return self.log
+
+    def _sample(self) -> Sample:
+        return START + self._robot.time, *self._robot.measure()
+
+    def _measure(self) -> None:
+        channel = self._transport.states
+        if channel is None:
+            self._arrived.append(self._sample())
+        else:
+            channel.push(self._robot.time, self._sample())
+            self._arrived.extend(channel.due(self._robot.time))
+
+    def _answer_arrived(self) -> None:
+        while self._arrived:
+            sample = self._arrived.popleft()
+            self.log.states.append((START + self._robot.time, sample))
+            if sample[0] >= self._newest:
+                self._newest = sample[0]
+                self._answer(sample)
+
+    def _answer(self, sample: Sample) -> None:
+        stamp, position, velocity, _ = sample
+        sides = position[: self._n], position[self._n :], velocity[: self._n], velocity[self._n :]
+        command = self._tracker.answer(JointSample(stamp, *sides), stamp)
+        if command is None:
+            return
+        self.log.answers.append((stamp, command.u.copy(), command.jets.copy()))
+        if self._transport.commands is None:
+            self._robot.u = command.u.copy()
+        else:
+            self._transport.commands.push(self._robot.time, command.u.copy())
+
+    def _integrate(self, time: int) -> None:
+        commands = self._transport.commands
+        while commands is not None and (instant := commands.next_due) is not None and instant <= time:
+            self._robot.advance_to(instant)
+            for self._robot.u in commands.due(instant):
+                pass
+        self._robot.advance_to(time)
+
+
+def record(log: Log, scenario: Scenario) -> Record:
+    """The log as the verdict takes it, without the way through a bag."""
+    n, limits = scenario.robot.n, safety(scenario.controller_values, scenario.robot)
+    first = {stamp: (position, velocity, effort) for _, (stamp, position, velocity, effort) in reversed(log.states)}
+    answers = {stamp: (u, jets) for stamp, u, jets in reversed(log.answers)}
+    stamps = sorted(first)
+    t = (np.array(stamps) - stamps[0]) * 1e-9
+    nothing = np.full(n, np.nan)
+    return Record(
+        t=t,
+        position=np.array([first[stamp][0] for stamp in stamps]),
+        velocity=np.array([first[stamp][1] for stamp in stamps]),
+        jets=np.array([scenario.reference.jets(instant) for instant in t]),
+        u=np.array([answers[stamp][0] if stamp in answers else nothing for stamp in stamps]),
+        u_applied=np.array([np.linalg.solve(scenario.robot.B_m, first[stamp][2][n:]) for stamp in stamps]),
+        sent=None,
+        answered=None,
+        sample_period=scenario.sample_period,
+        effort_limit=np.asarray(limits.effort),
+    )

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnose every labelled run from its bag and regenerate the confusion table of docs/diagnosis.md between its markers.
+
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.table
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+from fjr_core.monitoring.diagnosis import Verdict, judge
+
+from .bags import read_record, write_bag
+from .runs import DEGRADED, FOUND_ON, HOLDING, TRIED_ON, UNDECIDED, VIOLATED, Case, Label, cases, label, run
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md"
+BEGIN = "<!-- confusion: written by tools/diagnosis_benchmark/table.py -->"
+END = "<!-- end of confusion -->"
+NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
+OTHER = "several or none"
+
+
+def judged(case: Case, folder: Path) -> tuple[Label, Verdict]:
+    """Write the bag of a case into `folder` and return the label and the diagnosis of the bag."""
+    scenario, log = run(case)
+    write_bag(log, scenario, folder)
+    record = read_record(folder, scenario)
+    return label(case, record), judge(record, scenario.tracking_law)
+
+
+def said(verdict: Verdict) -> str:
+    """Return the diagnosis as one word: its only cause, OTHER for several causes or none, else its kind."""
+    if verdict.kind not in (DEGRADED, VIOLATED):
+        return verdict.kind
+    return verdict.causes[0] if len(verdict.causes) == 1 else OTHER
+
+
+def table(pairs: Iterable[tuple[str, str]], rows: tuple[str, ...] = NAMES) -> list[str]:
+    """Return Markdown lines: a row a label, a column a diagnosis."""
+    counts = Counter(pairs)
+    known = [name for name in rows if name != UNDECIDED]
+    columns = (*known, *sorted({verdict for _, verdict in counts} - set(known)))
+    lines = ["| label | " + " | ".join(columns) + " |", "| --- " * (len(columns) + 1) + "|"]
+    for name in rows:
+        cells = (str(counts[name, column] or "") for column in columns)
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def confusion(seed: int) -> list[str]:
+    """Return the tables of causes and of grades of the set of a seed; print each wrong diagnosis to stderr."""
+    causes, grades = [], []
+    with tempfile.TemporaryDirectory(prefix="fjr-verdicts-") as folder:
+        for i, case in enumerate(cases(seed)):
+            wanted, verdict = judged(case, Path(folder, str(i)))
+            causes.append((wanted.cause, said(verdict)))
+            grades.append((wanted.grade, verdict.kind))
+            if not right(wanted, verdict):
+                print(f"seed {seed}: {case.name}: {wanted}, not {verdict.sentence}", file=sys.stderr)
+    return [*table(causes), "", *table(grades, (HOLDING, DEGRADED, UNDECIDED, VIOLATED))]
+
+
+def right(wanted: Label, verdict: Verdict) -> bool:
+    """Return whether the diagnosis agrees with the label."""
+    graded = verdict.kind == wanted.grade or (wanted.grade == UNDECIDED and verdict.kind in (DEGRADED, VIOLATED))
+    return graded and said(verdict) == wanted.cause
+
+
+def main() -> int:
+    """Rewrite the tables on the page."""
+    headings = {TRIED_ON: "Validation set", FOUND_ON: "Set on which the thresholds were tuned"}
+    parts = [["", f"{heading} (seed {seed}):", "", *confusion(seed)] for seed, heading in headings.items()]
+    lines = [line for part in parts for line in part]
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    after = rest.split(END)[1]
+    PAGE.write_text("\n".join([before + BEGIN, *lines, "", END + after]), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

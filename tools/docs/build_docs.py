@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build the pages and the API reference with Sphinx; a warning is an error. The workspace has to be sourced.
+
+. ros2_ws/install/setup.sh && .venv/bin/python tools/docs/build_docs.py [FOLDER]
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+import re
+import shutil
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from sphinx.cmd.build import main as sphinx
+
+ROOT = Path(__file__).resolve().parents[2]
+LINKED = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs", "examples", "ros2_ws", "bench", "tests", "tools")
+"""What the pages are and what they link to, at the same places beside each other."""
+PACKAGES = ("fjr_core", "fjr_msgs_py", "fjr_plant", "fjr_controller")
+CONTENTS = """fjr
+===
+
+.. toctree::
+   :maxdepth: 1
+
+   {pages}
+
+.. toctree::
+   :caption: API
+   :maxdepth: 1
+
+   {packages}
+"""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the sources of the API reference beside links to the pages, and build; Sphinx's exit code."""
+    folder = Path(arguments[0]).resolve() if arguments else ROOT / "build" / "docs"
+    source = folder / "source"
+    lay_out(source)
+    options = ["-W", "--keep-going", "-q", "-c", str(ROOT / "docs"), "-d", str(folder / "cache")]
+    code = sphinx([*options, str(source), str(folder / "html")])
+    if code == 0:
+        print(f"open {folder / 'html' / 'index.html'}")
+    return code
+
+
+def lay_out(source: Path) -> None:
+    """The folder that Sphinx reads."""
+    shutil.rmtree(source, ignore_errors=True)
+    (source / "api").mkdir(parents=True)
+    for name in LINKED:
+        (source / name).symlink_to(ROOT / name)
+    for package in PACKAGES:
+        for name, text in api_pages(package):
+            (source / "api" / f"{name}.rst").write_text(text, encoding="utf-8")
+    pages = "\n   ".join(["README", "docs/README", *pages_in_order()])
+    packages = "\n   ".join(f"api/{package}" for package in PACKAGES)
+    (source / "index.rst").write_text(CONTENTS.format(pages=pages, packages=packages), encoding="utf-8")
+
+
+def pages_in_order() -> list[str]:
+    """The other pages as docs/README.md lists them."""
+    targets = re.findall(r"\]\(([^)]+)\.md\)", (ROOT / "docs" / "README.md").read_text(encoding="utf-8"))
+    names = (os.path.normpath(f"docs/{target}") for target in targets)
+    return [name for name in dict.fromkeys(names) if name != "README"]
+
+
+def api_pages(package: str) -> Iterator[tuple[str, str]]:
+    """Name and text of a page for a package, with its public names, and of one for each of its modules."""
+    modules = sorted(module_names(package))
+    lines = heading(package)
+    public = list(public_names(package))
+    if public:
+        lines += ["Public names:", "", ".. autosummary::", "", *(f"   {name}" for name in public), ""]
+    lines += [f".. automodule:: {package}", "   :no-members:", ""]
+    lines += [".. toctree::", "   :maxdepth: 1", "", *(f"   {module}" for module in modules)]
+    yield package, "\n".join(lines) + "\n"
+    for module in modules:
+        yield module, "\n".join([*heading(module), f".. automodule:: {module}"]) + "\n"
+
+
+def heading(name: str) -> list[str]:
+    """A title."""
+    title = name.replace("_", r"\_")
+    return [title, "=" * len(title), ""]
+
+
+def module_names(package: str) -> Iterator[str]:
+    """All modules of a package that hold something."""
+    path = importlib.import_module(package).__path__
+    for found in pkgutil.walk_packages(path, f"{package}."):
+        if not found.ispkg:
+            yield found.name
+
+
+def public_names(package: str) -> Iterator[str]:
+    """Where each name in the package's `__all__` is defined."""
+    module = importlib.import_module(package)
+    for name in getattr(module, "__all__", ()):
+        home = getattr(getattr(module, name), "__module__", None)
+        yield f"{home if home and home.startswith(package) else package}.{name}"
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sampled closed loop of a scenario with imperfect sensors and, where asked for, the velocity observer; no ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fjr_core import Plant
+from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_core.estimation.velocity_observer import VelocityObserver
+from fjr_core.numerics.checks import Array
+from fjr_core.robot.robot import Robot
+
+SCENARIOS = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
+START = 1_000_000_000  # ns; stamp of the first sample
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What is read of q_l and q_m: encoders on both sides, or a torque sensor in place of the motor's.
+
+    bits: of the encoders per turn of their shaft, 0: exact. gear_ratio: turns of the motor's shaft for one of q_m.
+    torque_range [N m]: of the torque sensors, 0: there are none; torque_bits over +-range, white noise of
+    torque_noise times the range (standard deviation), seeded.
+    """
+
+    bits: int = 0
+    gear_ratio: float = 1.0
+    torque_range: float = 0.0
+    torque_bits: int = 16
+    torque_noise: float = 5e-4
+
+    def read(self, robot: Robot, q_l: Array, q_m: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """(q_l, q_m) as the controller gets them [rad]."""
+        encoder = 2 * np.pi / 2**self.bits if self.bits else 0.0
+        link = _rounded(q_l, encoder)
+        if not self.torque_range:
+            return link, _rounded(q_m * self.gear_ratio, encoder) / self.gear_ratio
+        noise = self.torque_noise * self.torque_range * rng.standard_normal(robot.n)
+        torque = _rounded(robot.K @ (q_m - q_l) + noise, 2 * self.torque_range / 2**self.torque_bits)
+        return link, link + np.linalg.solve(robot.K, torque)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run at k samples: t (k,) [s], q_tilde_l (k, n) [rad], u (k, n) [N m], error of the velocities (k, 2n)."""
+
+    t: Array
+    q_tilde_l: Array
+    u: Array
+    velocity_error: Array
+
+    def rms(self, start: float) -> float:
+        """Root mean square of q_tilde_l from `start` [s] on, of the worst joint [rad]."""
+        return float(np.sqrt(np.mean(self.q_tilde_l[self.t >= start] ** 2, axis=0)).max())
+
+    def largest(self, start: float) -> float:
+        """Largest |q_tilde_l| from `start` [s] on, of any joint [rad]."""
+        return float(np.abs(self.q_tilde_l[self.t >= start]).max())
+
+    def ripple(self, start: float) -> float:
+        """Root mean square of the change of u from sample to sample from `start` [s] on, of the worst joint [N m]."""
+        return float(np.sqrt(np.mean(np.diff(self.u[self.t >= start], axis=0) ** 2, axis=0)).max())
+
+
+def scenario(name: str) -> Scenario:
+    """A shipped scenario."""
+    return load_scenario(SCENARIOS / f"{name}.yaml")
+
+
+def run(
+    scenario: Scenario,
+    sensors: Sensors,
+    bandwidth: float | None,
+    smoothed: bool = True,
+    duration: float = 5.0,
+    plant: Plant | None = None,
+) -> Run:
+    """Measure, observe, answer, hold, step; bandwidth [rad/s] None: velocities are measured exactly.
+
+    smoothed: the law gets the observer's positions, else those that were read. plant: another than the scenario's.
+    """
+    robot, plant, n = scenario.robot, plant or scenario.plant, scenario.robot.n
+    period = round(scenario.sample_period * 1e9)
+    steps = int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
+    observer = VelocityObserver(robot, bandwidth, compile=True) if bandwidth else None
+    rng, x = np.random.default_rng(0), scenario.x0
+    u: Array = np.zeros(n)
+    t = np.asarray(scenario.sample_period * np.arange(int(duration / scenario.sample_period + 1e-9) + 1), dtype=float)
+    jets = scenario.reference.jets(t)
+    error, efforts, wrong = np.empty((len(t), n)), np.empty((len(t), n)), np.zeros((len(t), 2 * n))
+    for k in range(len(t)):
+        position: Array = np.concatenate(sensors.read(plant.robot, x[:n], x[n : 2 * n], rng))
+        true = np.concatenate(plant.robot.velocities(x))
+        velocity: Array = true
+        if observer:
+            observer.update(START + k * period, position[:n], position[n:], u)
+            velocity = observer.state[2 * n :]
+            position = observer.state[: 2 * n] if smoothed else position
+        error[k], wrong[k] = x[:n] - jets[k, 0], velocity - true
+        u = efforts[k] = scenario.law.measured_command(position, velocity, jets[k])[0]
+        for _ in range(steps):
+            x = plant.step(x, u, period * 1e-9 / steps)
+    return Run(t, error, efforts, wrong)
+
+
+def _rounded(values: Array, step: float) -> Array:
+    return np.round(values / step) * step if step else values

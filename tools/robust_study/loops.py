@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots that are not what their law believes in, and sampled loops of laws with robust action on them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+import fjr_core as fjr
+from fjr_core.control.robust import Robust, sampled_law
+from fjr_core.control.sampled_law import SampledLaw
+from fjr_core.numerics.checks import Array
+
+PERIOD = 1e-3  # s
+
+
+def pushed(robot: fjr.Robot, torque: Any) -> fjr.Robot:
+    """The robot with a constant torque (n,) [N m] on its links: P_l - torque' q_l."""
+    links, q = robot.links, ca.SX.sym("q", robot.n)
+    d = ca.DM(np.broadcast_to(np.asarray(torque, dtype=float), robot.n))
+    P_l = ca.Function("P_l", [q], [links.P_l(q) - ca.dot(d, q)])
+    grad_P_l = ca.Function("grad_P_l", [q], [links.grad_P_l(q) - d])
+    return replace(robot, links=replace(links, P_l=P_l, grad_P_l=grad_P_l))
+
+
+def heavier(robot: fjr.Robot, factor: float, gravity: float = 1.0) -> fjr.Robot:
+    """The robot with its link inertia times a factor, its weight times another."""
+    links, n = robot.links, robot.n
+    q, v, w = (ca.SX.sym(name, n) for name in ("q", "v", "w"))
+    return replace(
+        robot,
+        links=replace(
+            links,
+            M_l=ca.Function("M_l", [q], [factor * links.M_l(q)]),
+            C=ca.Function("C", [q, v, w], [factor * links.C(q, v, w)]),
+            grad_T=ca.Function("grad_T", [q, v], [factor * links.grad_T(q, v)]),
+            P_l=ca.Function("P_l", [q], [gravity * links.P_l(q)]),
+            grad_P_l=ca.Function("grad_P_l", [q], [gravity * links.grad_P_l(q)]),
+            M_l_vertices=None,
+        ),
+    )
+
+
+def errors(
+    law: fjr.TrackingLaw,
+    robust: Robust | None,
+    reference: fjr.Reference,
+    robot: fjr.Robot,
+    seconds: float,
+    delay: float = 0.0,
+    position: Any = None,
+) -> Array:
+    """q_l - q_ld (k, n) [rad] in a loop of 1 kHz from rest on the reference, or at a position; 4 steps a sample."""
+    n, jets = robot.n, reference.jets(0.0)
+    q_l = jets[0] if position is None else np.broadcast_to(np.asarray(position, dtype=float), n)
+    dq_l = jets[1] if position is None else np.zeros(n)
+    x0 = robot.state(q_l, q_l + np.linalg.solve(robot.K, robot.grad_P_l(q_l)), dq_l, dq_l)
+    run = fjr.simulate(fjr.Plant(robot), sampled_law(law, robust), reference, x0, seconds, PERIOD, delay=delay)
+    return np.asarray(run.x[:, :n] - run.jets[:, 0])
+
+
+def rms(e: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(e**2)))
+
+
+def radius(law: SampledLaw, robot: fjr.Robot, q_ld: Array, seconds: float) -> tuple[float, float]:
+    """The sampled loop that holds q_ld (n,): the largest |q_l - q_ld| [rad] where it comes to rest after `seconds`,
+    and the spectral radius of the one-sample map of robot and memory there.
+    """
+    n, plant = robot.n, fjr.Plant(robot)
+    x, memory, sent = ca.MX.sym("x", 4 * n), ca.MX.sym("memory", len(law.memory)), ca.MX.sym("sent", n)
+    velocity = ca.vertcat(robot.links.M_l(x[:n]), ca.DM(robot.M_m))  # solved below: momenta are the state
+    dq_l, dq_m = ca.solve(velocity[:n, :], x[2 * n : 3 * n]), ca.solve(velocity[n:, :], x[3 * n :])
+    jets = np.vstack([q_ld, np.zeros((4, n))])
+    u, _, after = law.step_function(x[: 2 * n], ca.vertcat(dq_l, dq_m), jets.T, law.gain_values, memory, sent, PERIOD)
+    moved = x
+    for _ in range(4):
+        moved = plant.step_function(moved, u, PERIOD / 4)
+    z = ca.vertcat(x, memory, sent)
+    step = ca.Function("step", [z], [ca.vertcat(moved, after, u)])
+    x0 = robot.state(q_ld, q_ld + np.linalg.solve(robot.K, robot.grad_P_l(q_ld)), np.zeros(n), np.zeros(n))
+    at = ca.vertcat(x0, law.memory, np.zeros(n))
+    at = step.mapaccum(round(seconds / PERIOD))(at)[:, -1]
+    slope = ca.Function("slope", [z], [ca.jacobian(step(z), z)])(at).full()
+    error = float(np.max(np.abs(at.full().ravel()[:n] - q_ld)))
+    return error, float(np.max(np.abs(np.linalg.eigvals(slope))))
