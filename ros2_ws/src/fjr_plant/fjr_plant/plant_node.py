@@ -12,7 +12,7 @@ from std_srvs.srv import SetBool, Trigger
 from fjr_core import FjrError, Plant
 from fjr_core.config import builders
 from fjr_core.config import nonidealities as words
-from fjr_core.robot.urdf_export import description, robot_name
+from fjr_core.config.description import description, robot_name
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.descriptions import publish_description
 from fjr_msgs_py.messages.joint_states import EffortReader, MessageError

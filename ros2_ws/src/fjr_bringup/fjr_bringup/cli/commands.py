@@ -28,8 +28,8 @@ from fjr_bringup.runner.run import Plan, RunError, discover_quickly, run
 from fjr_bringup.scenarios import library
 from fjr_bringup.studies.comparison import command as comparison_command
 from fjr_bringup.studies.contraction import run as contraction_study
+from fjr_core.config.description import description
 from fjr_core.errors import CompareError, FjrError, ParameterError
-from fjr_core.robot.urdf_export import description
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")
 

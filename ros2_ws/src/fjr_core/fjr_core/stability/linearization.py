@@ -14,11 +14,12 @@ from ..control.sampled_law import MeasuredLaw, SampledLaw, Static
 from ..control.static_law import StaticLaw
 from ..control.vdpbc.gains import CheckedGains
 from ..control.vdpbc.law import TrackingLaw
+from ..control.vdpbc.linearized import error_matrices, feedback, metric_roots
 from ..errors import StateError
 from ..numerics.checks import Array
 from ..numerics.symbolic import directional
 from ..robot.configuration_sampling import checked_configurations
-from ..robot.equilibrium import Indices, RestPoints, error_matrices, feedback, metric_roots, plant_matrices, rest_points
+from ..robot.equilibrium import Indices, RestPoints, plant_matrices, rest_points
 from ..robot.port_hamiltonian import Plant
 from ..trajectories.reference import JETS
 from .linear_controller import At, Controller, Sensing, controller, plant_in_velocities, static

@@ -10,12 +10,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.lie_derivative import REFERENCE_DERIVATIVES
 from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array
 from .bounds import ROWS, Extremes
 
+REFERENCE_DERIVATIVES = 4  # q_ld .. d4q_ld: the law has relative degree four
 JETS = REFERENCE_DERIVATIVES + 1
 _SIDES = np.array([0, 1, 0, 1, 0])  # sine or cosine in each of the five
 

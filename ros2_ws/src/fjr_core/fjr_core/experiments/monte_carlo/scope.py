@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from ...codegen.exported_loop import left_out
-from ...config.scenario import Scenario
+from ...config.scenario import Scenario, left_out
 from ...errors import ParameterError
 
 INTEGRATOR = "rk4"
