@@ -20,8 +20,7 @@ from fjr_bringup.studies.comparison import job as comparison_job
 from fjr_bringup.studies.comparison import markdown as comparison_markdown
 from fjr_bringup.studies.comparison import pool as comparison_pool
 from fjr_bringup.studies.comparison import suite
-from fjr_bringup.studies.comparison.results import extent
-from fjr_bringup.studies.comparison.rows import Row, Value, rows
+from fjr_bringup.studies.comparison.results import Row, Value, extent, rows
 from fjr_core.control.registry import LAWS, V_DPBC
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.numerics import jit_cache

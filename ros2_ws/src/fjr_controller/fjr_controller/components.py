@@ -15,8 +15,8 @@ from fjr_core.config.control_law import control_law, robust_action
 from fjr_core.config.description import robot_name
 from fjr_core.config.diagnosis import axes
 from fjr_core.config.measurement import measurement, observer
-from fjr_core.config.motion import motion_limits
 from fjr_core.config.parameter import named
+from fjr_core.config.reference import motion_limits
 from fjr_core.config.safety import safety
 from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.motion_limits import check_motion
