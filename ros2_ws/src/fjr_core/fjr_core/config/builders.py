@@ -16,16 +16,14 @@ from ..numerics.checks import Array
 from ..numerics.integrators import INTEGRATORS
 from ..robot.robot import Robot
 from .diagnosis import verdict_parameters
-from .law import law_parameters
+from .law import law_parameters, robust, robust_parameters
 from .measurement import measurement_parameters
-from .motion import motion_parameters
 from .nonidealities import imperfection_parameters
 from .parameter import Parameter, Values, matrix, named, vector
 from .plant_timing import plant_timing_parameters
 from .process import process_parameters
-from .reference import reference, reference_parameters
+from .reference import motion_parameters, reference, reference_parameters
 from .robot import joints_of, robot, robot_parameters
-from .robust import robust, robust_parameters
 from .safety import safety_parameters
 
 __all__ = [

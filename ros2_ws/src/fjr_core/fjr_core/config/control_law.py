@@ -15,7 +15,7 @@ from ..control.vdpbc.law import TrackingLaw
 from ..errors import GainsError, ParameterError
 from ..robot.robot import Robot
 from ..stability.integral_bound import refuse_fast_integral
-from ..stability.law_slope import rest_position
+from ..stability.linearization import rest_position
 from ..tuning.bandwidth import Yardstick
 from ..tuning.equal_bandwidth import Tuning, tune
 from . import builders

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import TrajectoryError
 from ..numerics import checks
-from ..numerics.checks import Array
-from ..numerics.reference_checks import freeze
+from ..numerics.checks import Array, freeze
 from .bounds import Extremes
 from .minimum_jerk import least_jerk, without_overshoot
 from .piecewise_polynomial import Pieces
