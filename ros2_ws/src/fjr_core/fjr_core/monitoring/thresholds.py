@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Thresholds of the diagnosis, offline and live; chosen on other seeds than those of the labelled set (diagnosis.md)."""
+"""Thresholds of the diagnosis, offline and live; chosen on other seeds than the labelled set (docs/diagnosis.md)."""
 
 BLOCK = 20
 """Intervals that are judged together: noise averages out, a mismatch does not."""
