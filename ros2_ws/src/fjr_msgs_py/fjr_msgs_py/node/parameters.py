@@ -69,7 +69,7 @@ class CheckedParameters(Node):
     """The command line of the process, where it was given to rclpy.init."""
 
     def __init__(self, name: str, own: builders.OwnParameters, **node_kwargs: Any) -> None:
-        """own: config.plant_parameters or config.controller_parameters; node_kwargs: as rclpy's Node."""
+        """own: plant_parameters or controller_parameters of fjr_core.config; node_kwargs: as rclpy's Node."""
         try:
             super().__init__(
                 name,
