@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters that choose the controller's law."""
+"""Parameters that choose the controller's law and its robust action, and the robust action of their values."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The built-in references in words: the parameters reference.*, and the reference that their values describe."""
+"""Parameters of the built-in references and of motions that are asked for, and what their values describe."""
 
 from __future__ import annotations
 
