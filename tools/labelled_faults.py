@@ -21,7 +21,7 @@ from fjr_core.scenario import Scenario
 from labelled_set import JOINTS, Case, _start
 from lock_step_loop import record
 
-FOUND_ON, TRIED_ON = (11, 12), 13
+FOUND_ON, TRIED_ON = (11, 12, 13), 14
 DURATION, STARTING = 3.0, 0.3  # s
 ROBOTS = ("paper_k31", "two_link", "arm7")
 HEALTHY = "healthy"
