@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the verdict compares with, offline and live; found on other seeds than the labelled set's (docs/diagnosis.md)."""
+"""Thresholds of the diagnosis, offline and online; tuned on other seeds than the labelled set (docs/diagnosis.md)."""
 
 BLOCK = 20
 """Intervals that are judged together: noise averages out, a mismatch does not."""
