@@ -15,7 +15,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_bringup.cli.exit_codes import Exit
-from nodes.harness import Peer, Ros, stamped
+from fjr_msgs_py.names import LATEST
+from nodes.harness import Listener, Peer, Ros, stamped
 from nodes.test_controller_node import paper_effort
 from system.executables import NODES, Executable, scenario, wait_for
 
@@ -154,14 +155,17 @@ def test_a_plant_that_diverges_ends_with_one_sentence(ros: Ros, start) -> None:
 
 
 def test_a_rival_that_is_met_with_the_first_state_ends_the_controller_with_one_sentence(ros: Ros, start) -> None:
-    peer = Peer(ros)
+    peer = Listener(ros)
     controller = start("controller")
-    for publisher in (peer.state_publisher, peer.command_publisher):
-        ros.until(lambda publisher=publisher: publisher.get_subscription_count() >= 2, "the controller")
     ros.until(lambda: peer.diagnostics, "its first report: it has looked for others at its start and is active")
+    rival = peer.create_publisher(JointState, "joint_commands", LATEST)
+    robot = peer.create_publisher(
+        JointState, "joint_states", LATEST
+    )  # announced later: with a state, the rival is known
+    ros.until(lambda: robot.get_subscription_count() >= 2 and rival.get_subscription_count() >= 2, "the controller")
     while controller.process.poll() is None:
-        peer.command_publisher.publish(JointState(name=["joint1"], effort=[1.0]))
-        peer.state_publisher.publish(stamped(0.0))
+        rival.publish(JointState(name=["joint1"], effort=[1.0]))
+        robot.publish(stamped(0.0))
         ros.settle(1)
     code, said = controller.end()
     assert code == 1

@@ -138,6 +138,7 @@ def test_a_folder_that_is_not_private_gives_nothing(
     planted(library, marker)
     library.with_name(f"{library.name}.sha256").write_bytes(code_cache._digest(library.read_bytes()))
     spoil(cache)
+    caplog.clear()
     with caplog.at_level(logging.WARNING, "fjr_core.numerics.jit"):
         for _ in range(2):
             assert_compiled()

@@ -26,9 +26,10 @@ class ClockError(FjrError):
 class ClockOwner:
     """Publishes the time, unless another process does.
 
-    The topic is looked at when the node starts, before the first answer counts, and twice a second. A newcomer
-    (younger than SETTLING, or not answered yet) that hears another time ends with ClockError; an established owner
-    goes on and reports the other one.
+    The topic is checked when the node starts, before the first answer counts, and twice a second. A newcomer
+    (younger than SETTLING, or not answered yet) that hears another time ends with ClockError; while another publisher
+    is there it listens at every check, because a busy one may be late. An established owner continues and reports the
+    other one.
     """
 
     def __init__(self, node: Node, health: Health) -> None:
@@ -53,17 +54,15 @@ class ClockOwner:
             raise ClockError(self._sentence("publishes"))
 
     def look(self, established: bool) -> None:
-        """Meet publishers that have appeared since the last look; raises ClockError for a newcomer of a node."""
+        """Check twice a second for other publishers; raises ClockError where this node is the newcomer."""
         now = time.monotonic()
         if now < self._next_look:
             return
         self._next_look = now + LOOK_PERIOD
-        if not self._rivals.appeared():
-            return
-        if established and now > self._settled:
-            self._health.error(OTHERS, self._sentence("has begun to publish"))
-        else:
+        if not established or now <= self._settled:
             self.refuse_others()
+        elif self._rivals.appeared():
+            self._health.error(OTHERS, self._sentence("has begun to publish"))
 
     def _sentence(self, acts: str) -> str:
         own = f"{self._space or '/NAMESPACE'}/clock"
