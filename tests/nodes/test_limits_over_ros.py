@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracking.tracker import OBSERVED
+from fjr_controller.tracking.measured_state import OBSERVED
 from nodes.harness import Peer, Ros, stamped
 from nodes.managed import Manager
 

@@ -30,8 +30,8 @@ def tracker(robust: Robust = ROBUST, **given: Any) -> Tracker:
 
 def memory(of: Tracker) -> np.ndarray:
     """What the law is asked with."""
-    assert of._memory is not None
-    return of._memory._step.memory
+    assert of._law._law_state is not None
+    return of._law._law_state._step.memory
 
 
 def answers(of: Tracker, stamps: Any, **more: Any) -> list[float]:
@@ -39,7 +39,7 @@ def answers(of: Tracker, stamps: Any, **more: Any) -> list[float]:
     efforts = []
     for stamp in stamps:
         t = stamp * 1e-9
-        command = of.answer(sample(stamp, 0.5 + 0.1 * np.sin(9 * t), 0.5 + 0.1 * np.sin(9 * t + 0.1), **more), stamp)
+        command = of.command(sample(stamp, 0.5 + 0.1 * np.sin(9 * t), 0.5 + 0.1 * np.sin(9 * t + 0.1), **more), stamp)
         assert command is not None
         efforts.append(float(command.u[0]))
     return efforts
@@ -64,7 +64,7 @@ def test_a_repeated_or_an_older_sample_moves_nothing() -> None:
     found = answers(other, range(0, 20 * MS, MS))
     again = answers(other, [19 * MS, 19 * MS])
     assert again == [found[-1]] * 2
-    assert other.answer(sample(5 * MS, 0.1, 0.1), 19 * MS) is None
+    assert other.command(sample(5 * MS, 0.1, 0.1), 19 * MS) is None
     assert found + answers(other, range(20 * MS, 40 * MS, MS)) == wanted
 
 
@@ -74,16 +74,16 @@ def test_after_a_break_nothing_is_remembered(stamp: int) -> None:
     answers(of, range(1000 * MS, 1040 * MS, MS))
     assert memory(of).any()
     for arrival in (3_000 * MS, 3_001 * MS):
-        assert of.answer(sample(stamp + arrival - 3_000 * MS, 0.5, 0.5), arrival) is not None
+        assert of.command(sample(stamp + arrival - 3_000 * MS, 0.5, 0.5), arrival) is not None
         assert not memory(of).any() or arrival > 3_000 * MS
-        assert of._memory._step.dt[0] == (0.0 if arrival == 3_000 * MS else 1e-3)  # type: ignore[union-attr]
+        assert of._law._law_state._step.dt[0] == (0.0 if arrival == 3_000 * MS else 1e-3)  # type: ignore[union-attr]
 
 
 def test_with_other_gains_the_memory_goes_on() -> None:
     """A load that was learnt stays so: no step of the effort, and the law's own is not the one that knew nothing."""
     of, gains = tracker(), replace(fjr.PAPER_GAINS, Pi_l=20.001)
     efforts = answers(of, range(0, 400 * MS, MS))
-    learnt = of._memory._step.next.copy()  # type: ignore[union-attr]
+    learnt = of._law._law_state._step.next.copy()  # type: ignore[union-attr]
     of.use(LAW.with_gains(gains))
     efforts += answers(of, [400 * MS])
     np.testing.assert_array_equal(memory(of), learnt)
@@ -108,16 +108,16 @@ def test_a_lower_limit_does_not_change_what_acted() -> None:
     of = tracker()
     u = answers(of, range(0, 10 * MS, MS))[-1]
     assert abs(u) > 0.01
-    of.settings(settings(effort=(0.01,)))
+    of.apply(settings(effort=(0.01,)))
     answers(of, [10 * MS])
-    assert of._memory._step.sent[0] == u  # type: ignore[union-attr]
+    assert of._law._law_state._step.sent[0] == u  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
 def test_what_is_not_finite_never_leaves_and_is_forgotten(bad: float) -> None:
     of = tracker()
     answers(of, range(0, 40 * MS, MS))
-    command = of.answer(sample(40 * MS, bad, 0.5), 40 * MS)
+    command = of.command(sample(40 * MS, bad, 0.5), 40 * MS)
     assert command is not None
     assert np.isfinite(command.u).all()
     efforts = answers(of, range(41 * MS, 60 * MS, MS))
@@ -131,18 +131,18 @@ def test_the_memory_moves_on_by_the_effort_that_left() -> None:
     for stamp in range(10 * MS, 15 * MS, MS):
         before = of._efforts.sent.copy()
         answers(of, [stamp])
-        np.testing.assert_array_equal(of._memory._step.sent, before)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(of._law._law_state._step.sent, before)  # type: ignore[union-attr]
         assert abs(before[0]) <= 0.5
 
 
 def test_while_stopped_nothing_is_remembered() -> None:
     of = tracker(tracking_error=(0.4,))
     answers(of, range(0, 40 * MS, MS))
-    of.answer(sample(40 * MS, -1.0, -1.0), 40 * MS)
+    of.command(sample(40 * MS, -1.0, -1.0), 40 * MS)
     assert of.reason
     of.resume()
-    of.answer(sample(41 * MS, 0.5, 0.5), 41 * MS)
-    assert of._memory._step.dt[0] == 0  # type: ignore[union-attr]
+    of.command(sample(41 * MS, 0.5, 0.5), 41 * MS)
+    assert of._law._law_state._step.dt[0] == 0  # type: ignore[union-attr]
 
 
 # --- over ROS

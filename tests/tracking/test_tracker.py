@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 import fjr_core as fjr
 from fjr_controller.tracking.bumpless_transfer import smoothstep
 from fjr_controller.tracking.events import State
-from fjr_controller.tracking.tracker import OBSERVED, Tracker
+from fjr_controller.tracking.measured_state import OBSERVED
+from fjr_controller.tracking.tracker import Tracker
 from fjr_core.trajectories.point_to_point import Hold, standing
 from fjr_core.trajectories.spline import Spline
 from tracking.tracked import PERIOD, TWO_LINK_GAINS, Loop, largest_step, paper_law, sample, settings, two_link_law
@@ -87,15 +88,15 @@ def test_limits_that_are_not_reached_change_nothing() -> None:
 def tracker_at(*stamps: int, reference: fjr.Reference = SINE, **given: Any) -> Tracker:
     tracker = Tracker(LAW, reference, settings(**given))
     for stamp in stamps:
-        assert tracker.answer(sample(stamp, 0.5, 0.5), stamp) is not None
+        assert tracker.command(sample(stamp, 0.5, 0.5), stamp) is not None
     return tracker
 
 
 def test_an_older_sample_is_not_answered_and_a_repeated_one_alike() -> None:
     tracker = tracker_at(0, 300 * MS)
-    newest = tracker.answer(sample(300 * MS, 0.4, 0.5), 300 * MS)
-    assert tracker.answer(sample(200 * MS, 0.4, 0.5), 301 * MS) is None
-    again = tracker.answer(sample(300 * MS, 0.4, 0.5), 302 * MS)
+    newest = tracker.command(sample(300 * MS, 0.4, 0.5), 300 * MS)
+    assert tracker.command(sample(200 * MS, 0.4, 0.5), 301 * MS) is None
+    again = tracker.command(sample(300 * MS, 0.4, 0.5), 302 * MS)
     assert newest is not None
     assert again is not None
     assert newest.u == again.u
@@ -110,13 +111,13 @@ def test_an_older_sample_is_not_answered_and_a_repeated_one_alike() -> None:
 def test_another_time_line_is_another_beginning(before: int | None, stamp: int, arrival: int) -> None:
     tracker = tracker_at(0, 400 * MS, 900 * MS)
     if before is not None:
-        assert tracker.answer(sample(before, 0.5, 0.5), arrival - MS) is None
+        assert tracker.command(sample(before, 0.5, 0.5), arrival - MS) is None
         assert tracker.counters.pop("jumps doubted") == 1
-    again = tracker.answer(sample(stamp, 0.5, 0.5), arrival)
+    again = tracker.command(sample(stamp, 0.5, 0.5), arrival)
     assert again is not None
     assert again.restarted
     np.testing.assert_array_equal(again.jets, SINE.jets(0.0))
-    np.testing.assert_array_equal(again.u, tracker_at(0).answer(sample(0, 0.5, 0.5), 0).u)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(again.u, tracker_at(0).command(sample(0, 0.5, 0.5), 0).u)  # type: ignore[union-attr]
     assert tracker.counters == {"reference restarts": 1}
 
 
@@ -126,9 +127,9 @@ def test_one_state_with_a_wrong_stamp_changes_nothing(jump: int) -> None:
     for k in range(1, 5):
         stamp = 20 * SECOND + k * MS
         if k % 2:
-            assert tracker.answer(sample(stamp + jump, 0.4, 0.5), stamp) is None
+            assert tracker.command(sample(stamp + jump, 0.4, 0.5), stamp) is None
             continue
-        commands = [t.answer(sample(stamp, 0.5, 0.5), stamp) for t in (tracker, twin)]
+        commands = [t.command(sample(stamp, 0.5, 0.5), stamp) for t in (tracker, twin)]
         np.testing.assert_array_equal(commands[0].u, commands[1].u)  # type: ignore[union-attr]
         np.testing.assert_array_equal(commands[0].jets, commands[1].jets)  # type: ignore[union-attr]
     assert tracker.counters == {"jumps doubted": 2}
@@ -137,27 +138,27 @@ def test_one_state_with_a_wrong_stamp_changes_nothing(jump: int) -> None:
 def test_jumps_that_do_not_confirm_each_other_are_doubted_until_a_silence() -> None:
     tracker = tracker_at(SECOND)
     for k, stamp in enumerate((9 * SECOND, 3 * SECOND, 12 * SECOND)):
-        assert tracker.answer(sample(stamp, 0.5, 0.5), SECOND + k * MS) is None
+        assert tracker.command(sample(stamp, 0.5, 0.5), SECOND + k * MS) is None
     assert tracker.silence(2 * SECOND) is not None
-    assert tracker.answer(sample(30 * SECOND, 0.5, 0.5), 2 * SECOND) is not None
+    assert tracker.command(sample(30 * SECOND, 0.5, 0.5), 2 * SECOND) is not None
     assert tracker.counters == {"jumps doubted": 3, "silences": 1, "recoveries": 1}
 
 
 def test_in_simulated_time_a_jump_counts_at_once() -> None:
     tracker = Tracker(LAW, SINE, settings(), simulated_time=True)
-    tracker.answer(sample(20 * SECOND, 0.5, 0.5), 0)
-    assert tracker.answer(sample(30 * SECOND, 0.5, 0.5), MS) is not None
-    assert tracker.answer(sample(0, 0.5, 0.5), 2 * MS).restarted  # type: ignore[union-attr]
+    tracker.command(sample(20 * SECOND, 0.5, 0.5), 0)
+    assert tracker.command(sample(30 * SECOND, 0.5, 0.5), MS) is not None
+    assert tracker.command(sample(0, 0.5, 0.5), 2 * MS).restarted  # type: ignore[union-attr]
     assert tracker.counters == {"forward jumps": 1, "recoveries": 1, "reference restarts": 1}
 
 
 def test_start_begins_afresh() -> None:
     tracker = tracker_at(0, MS, link_velocity=1.0)
-    tracker.answer(sample(2 * MS, 0.5, 0.5, 2.0), 2 * MS)
+    tracker.command(sample(2 * MS, 0.5, 0.5, 2.0), 2 * MS)
     assert tracker.state is State.STOPPED
     tracker.start()
     assert tracker.state is State.WAITING
-    command = tracker.answer(sample(SECOND, 0.5, 0.5), SECOND)
+    command = tracker.command(sample(SECOND, 0.5, 0.5), SECOND)
     assert command is not None
     np.testing.assert_array_equal(command.jets, SINE.jets(0.0))
     assert command.state is State.TRACKING
@@ -171,13 +172,13 @@ def test_a_start_leaves_nothing_of_what_was_asked_for(asked: str) -> None:
     elif asked != "nothing":
         start = 2 * SECOND if asked == "a later one" else 100 * MS
         tracker.follow(Spline([0.5], [[0.84]], start=SINE.jets(start * 1e-9)), start)
-        tracker.answer(sample(101 * MS, 0.5, 0.5), 101 * MS)
+        tracker.command(sample(101 * MS, 0.5, 0.5), 101 * MS)
     tracker.stop_effort()
     tracker.start()
     birth = tracker_at()
     for k in range(5):
         stamp = SECOND + 400 * k * MS
-        commands = [t.answer(sample(stamp, 2.0, 2.0), stamp) for t in (tracker, birth)]
+        commands = [t.command(sample(stamp, 2.0, 2.0), stamp) for t in (tracker, birth)]
         np.testing.assert_array_equal(commands[0].jets, commands[1].jets)  # type: ignore[union-attr]
         np.testing.assert_array_equal(commands[0].u, commands[1].u)  # type: ignore[union-attr]
 
@@ -185,10 +186,10 @@ def test_a_start_leaves_nothing_of_what_was_asked_for(asked: str) -> None:
 def test_a_start_may_bring_another_reference_and_checks_it() -> None:
     tracker = tracker_at(0, link_velocity=1.0, start_error=0.4)
     tracker.start(Hold([0.3]))
-    command = tracker.answer(sample(SECOND, 0.5, 0.5), SECOND)
+    command = tracker.command(sample(SECOND, 0.5, 0.5), SECOND)
     np.testing.assert_array_equal(command.jets, standing([0.3]))  # type: ignore[union-attr]
     tracker.start()
-    command = tracker.answer(sample(2 * SECOND, 0.8, 0.8), SECOND)
+    command = tracker.command(sample(2 * SECOND, 0.8, 0.8), SECOND)
     np.testing.assert_array_equal(command.jets, standing([0.3]))  # type: ignore[union-attr]
     assert "start refused" in tracker.reason
 
@@ -229,7 +230,7 @@ def test_after_a_silence_tracking_comes_back_without_a_step(arm: str, policy: st
 def test_a_silence_is_seen_again_after_states_were_back() -> None:
     tracker = tracker_at(0)
     assert tracker.silence(600 * MS) is not None
-    tracker.answer(sample(700 * MS, 0.5, 0.5), 700 * MS)
+    tracker.command(sample(700 * MS, 0.5, 0.5), 700 * MS)
     assert tracker.silence(1100 * MS) is None
     assert tracker.silence(1300 * MS) is not None
     assert tracker_at().silence(10 * SECOND) is None
@@ -237,9 +238,9 @@ def test_a_silence_is_seen_again_after_states_were_back() -> None:
 
 def test_stamps_that_jump_forward_are_a_recovery_too() -> None:
     tracker = tracker_at(0, MS)
-    last = tracker.answer(sample(2 * MS, 0.5, 0.5), 2 * MS)
-    assert tracker.answer(sample(5 * SECOND - MS, 0.4, 0.5), 3 * MS) is None
-    command = tracker.answer(sample(5 * SECOND, 0.4, 0.5), 4 * MS)
+    last = tracker.command(sample(2 * MS, 0.5, 0.5), 2 * MS)
+    assert tracker.command(sample(5 * SECOND - MS, 0.4, 0.5), 3 * MS) is None
+    command = tracker.command(sample(5 * SECOND, 0.4, 0.5), 4 * MS)
     assert last is not None
     assert command is not None
     assert command.state is State.JOINING
@@ -251,10 +252,10 @@ def test_stamps_that_jump_forward_are_a_recovery_too() -> None:
 @pytest.mark.parametrize("ahead", [0, MS])
 def test_in_simulated_time_a_silence_that_was_met_ends_with_a_recovery(ahead: int) -> None:
     tracker = Tracker(LAW, SINE, settings(), simulated_time=True)
-    tracker.answer(sample(SECOND, 0.5, 0.5), 0)
+    tracker.command(sample(SECOND, 0.5, 0.5), 0)
     stop = tracker.silence(2 * SECOND)
     assert stop is not None
-    command = tracker.answer(sample(SECOND + ahead, 0.5, 0.5), MS)
+    command = tracker.command(sample(SECOND + ahead, 0.5, 0.5), MS)
     assert command is not None
     np.testing.assert_allclose(command.u, stop, atol=1e-12)
     assert command.state is State.JOINING
@@ -263,7 +264,7 @@ def test_in_simulated_time_a_silence_that_was_met_ends_with_a_recovery(ahead: in
 
 def test_a_recovery_does_not_begin_outside_the_limits() -> None:
     tracker = tracker_at(0, link_position_upper=1.0)
-    command = tracker.answer(sample(SECOND, 1.1, 1.1), SECOND)
+    command = tracker.command(sample(SECOND, 1.1, 1.1), SECOND)
     assert "stopped: link position of joint1" in tracker.reason
     np.testing.assert_allclose(command.jets, SINE.jets(1.0), rtol=1e-12)  # type: ignore[union-attr]
     assert "recoveries" not in tracker.counters
@@ -271,7 +272,7 @@ def test_a_recovery_does_not_begin_outside_the_limits() -> None:
 
 def test_without_a_joining_time_tracking_goes_on_at_once() -> None:
     tracker = tracker_at(0, recovery_join_time=0.0)
-    command = tracker.answer(sample(SECOND, 0.4, 0.5), SECOND)
+    command = tracker.command(sample(SECOND, 0.4, 0.5), SECOND)
     assert command is not None
     np.testing.assert_array_equal(command.jets, SINE.jets(1.0))
     assert command.state is State.TRACKING
@@ -285,7 +286,7 @@ def test_the_ramp_starts_at_nothing_and_never_falls() -> None:
     shares = []
     for k in range(150):
         s = sample(k * MS, 0.5, 0.5)
-        command = tracker.answer(s, k * MS)
+        command = tracker.command(s, k * MS)
         assert command is not None
         u, _ = LAW.measured_command(np.full(2, 0.5), np.zeros(2), command.jets)
         shares.append(float(command.u[0] / u[0]))
@@ -300,7 +301,7 @@ def test_the_ramp_starts_with_the_effort_of_a_stop() -> None:
     tracker = Tracker(LAW, SINE, settings(ramp_time=0.1, on_stop="gravity_hold"))
     weight = LAW.robot.grad_P_l([0.5])
     for k in range(100):
-        command = tracker.answer(sample(k * MS, 0.5, 0.5), k * MS)
+        command = tracker.command(sample(k * MS, 0.5, 0.5), k * MS)
         assert command is not None
         u, _ = LAW.measured_command(np.full(2, 0.5), np.zeros(2), command.jets)
         s = smoothstep(k / 100)
@@ -310,10 +311,10 @@ def test_the_ramp_starts_with_the_effort_of_a_stop() -> None:
 def test_simulated_time_knows_no_pause_but_a_reset_by_less_than_the_timeout() -> None:
     tracker = Tracker(LAW, SINE, settings(), simulated_time=True)
     for k in range(3):
-        assert tracker.answer(sample(k * MS, 0.5, 0.5), 10 * k * SECOND) is not None
+        assert tracker.command(sample(k * MS, 0.5, 0.5), 10 * k * SECOND) is not None
     assert not tracker.counters["recoveries"]
-    assert tracker.answer(sample(0, 0.5, 0.5), 20 * SECOND) is None
-    assert tracker.answer(sample(0, 0.5, 0.5), 21 * SECOND).restarted  # type: ignore[union-attr]
+    assert tracker.command(sample(0, 0.5, 0.5), 20 * SECOND) is None
+    assert tracker.command(sample(0, 0.5, 0.5), 21 * SECOND).restarted  # type: ignore[union-attr]
     assert tracker.silence(400 * MS) is None
     assert tracker.silence(501 * MS) is not None
 
@@ -329,7 +330,7 @@ def test_smoothstep_is_monotone_and_flat_at_both_ends() -> None:
 def test_a_start_too_far_from_the_reference_is_refused() -> None:
     for far, q in ((False, 0.5), (True, float(np.nextafter(0.5, 1)))):
         tracker = Tracker(LAW, SINE, settings(start_error=0.5, on_stop="gravity_hold"))
-        command = tracker.answer(sample(0, q, 0.5), 0)
+        command = tracker.command(sample(0, q, 0.5), 0)
         assert command is not None
         assert (tracker.state is State.STOPPED) == far
         if far:
@@ -352,12 +353,12 @@ def test_a_refused_start_goes_on_by_a_joining_motion_when_resumed() -> None:
 
 def test_a_refused_start_without_a_joining_time_is_checked_again() -> None:
     tracker = Tracker(LAW, SINE, settings(start_error=0.1, recovery_join_time=0.0))
-    tracker.answer(sample(0, 0.5, 0.5), 0)
+    tracker.command(sample(0, 0.5, 0.5), 0)
     tracker.resume()
-    tracker.answer(sample(MS, 0.4, 0.4), MS)
+    tracker.command(sample(MS, 0.4, 0.4), MS)
     assert tracker.state is State.STOPPED
     tracker.resume()
-    command = tracker.answer(sample(2 * MS, 0.05, 0.05), 2 * MS)
+    command = tracker.command(sample(2 * MS, 0.05, 0.05), 2 * MS)
     assert command is not None
     assert command.state is State.TRACKING
     np.testing.assert_array_equal(command.jets, SINE.jets(0.0))
@@ -396,21 +397,21 @@ def test_each_limit_alone_stops_just_beyond_its_value_and_stays(name: str, polic
     kind, state = STATES[name]
     limit = -0.3 if name.endswith("lower") else 0.3
     tracker = Tracker(LAW, Hold([0.0]), settings(**{name: limit}, on_stop=policy))
-    tracker.answer(sample(0, 0.0, 0.0), 0)
-    tracker.answer(sample(MS, *state(0.3)), MS)
+    tracker.command(sample(0, 0.0, 0.0), 0)
+    tracker.command(sample(MS, *state(0.3)), MS)
     assert tracker.state is State.TRACKING
     beyond = state(float(np.nextafter(0.3, 1)))
-    tracker.answer(sample(2 * MS, *beyond), 2 * MS)
+    tracker.command(sample(2 * MS, *beyond), 2 * MS)
     assert tracker.state is State.STOPPED
     assert f"{kind} of joint1" in tracker.reason
-    tracker.answer(sample(2 * MS, *beyond), 2 * MS)
+    tracker.command(sample(2 * MS, *beyond), 2 * MS)
     assert tracker.counters.pop("states repeated") == 1
     assert tracker.counters == {"stops": 1, f"stops: {kind}": 1}
     event = tracker.events.pop()
     assert (event.level, event.values["joint"]) == ("error", "joint1")
     assert abs(float(event.values["limit"])) == 0.3
     for k in range(3, 6):
-        command = tracker.answer(sample(k * MS, 0.2, 0.2, 0.1, 0.1), k * MS)
+        command = tracker.command(sample(k * MS, 0.2, 0.2, 0.1, 0.1), k * MS)
         assert command is not None
         expected = 0.8 * np.sin(0.2) - 0.3 * 0.1 if policy == "gravity_hold" else 0.0
         np.testing.assert_allclose(command.u, expected, rtol=1e-12)
@@ -418,7 +419,7 @@ def test_each_limit_alone_stops_just_beyond_its_value_and_stays(name: str, polic
     assert tracker.certificate is None
     assert tracker.seconds["stopped"] == pytest.approx(4e-3, rel=1e-9)
     tracker.resume()
-    resumed = tracker.answer(sample(6 * MS, 0.2, 0.2, 0.1, 0.1), 6 * MS)
+    resumed = tracker.command(sample(6 * MS, 0.2, 0.2, 0.1, 0.1), 6 * MS)
     assert resumed is not None
     assert resumed.state is State.JOINING
     np.testing.assert_allclose(resumed.u, command.u, atol=1e-12)
@@ -431,10 +432,10 @@ def test_a_stopped_arm_resumes_without_a_step(arm: str, policy: str) -> None:
     n = law.robot.n
     loop = Loop(law, reference, settings(n, on_stop=policy), x0)
     loop.run(1.0)
-    loop.tracker.settings(settings(n, on_stop=policy, link_velocity=1e-3))
+    loop.tracker.apply(settings(n, on_stop=policy, link_velocity=1e-3))
     loop.run(0.3)
     assert loop.tracker.state is State.STOPPED
-    loop.tracker.settings(settings(n, on_stop=policy))
+    loop.tracker.apply(settings(n, on_stop=policy))
     loop.run(0.1)
     assert loop.tracker.state is State.STOPPED
     loop.tracker.resume()
@@ -453,32 +454,32 @@ def test_what_is_asked_for_waits_for_a_state_that_is_answered(asked: str, bad: f
     tracker, twin = trackers
     for t in trackers:
         if asked == "resume":
-            t.settings(settings(link_velocity=0.1))
-            t.answer(sample(101 * MS, 0.5, 0.5, 0.2), 101 * MS)
-            t.settings(settings())
+            t.apply(settings(link_velocity=0.1))
+            t.command(sample(101 * MS, 0.5, 0.5, 0.2), 101 * MS)
+            t.apply(settings())
         if asked == "follow":
             t.follow(Hold([0.2]))
         else:
             getattr(t, asked)()
         t.events.clear()
     before, counters = (tracker.state, tracker.reason), dict(tracker.counters)
-    wild = tracker.answer(sample(102 * MS, bad, 0.5), 102 * MS)
+    wild = tracker.command(sample(102 * MS, bad, 0.5), 102 * MS)
     assert wild is not None
     assert not wild.u.any()
     assert (tracker.state, tracker.reason) == before
     assert tracker.counters == {**counters, "efforts not finite": 1}
     assert kinds(tracker) == ["efforts not finite"]
     for k in (103, 300):
-        commands = [t.answer(sample(k * MS, 0.5, 0.5), k * MS) for t in trackers]
+        commands = [t.command(sample(k * MS, 0.5, 0.5), k * MS) for t in trackers]
         np.testing.assert_array_equal(commands[0].jets, commands[1].jets)  # type: ignore[union-attr]
         assert not tracker.reason
 
 
 def test_a_recovery_waits_for_a_state_that_is_answered() -> None:
     tracker = tracker_at(0)
-    tracker.answer(sample(SECOND, 1e153, 0.5), SECOND)
+    tracker.command(sample(SECOND, 1e153, 0.5), SECOND)
     assert tracker.state is State.TRACKING
-    command = tracker.answer(sample(SECOND + MS, 0.5, 0.5), SECOND + MS)
+    command = tracker.command(sample(SECOND + MS, 0.5, 0.5), SECOND + MS)
     assert command is not None
     np.testing.assert_allclose(command.jets, standing([0.5]), atol=1e-12)
     assert tracker.counters == {"efforts not finite": 1, "recoveries": 1}
@@ -490,24 +491,24 @@ def test_a_stop_is_not_resumed_outside_the_limits(name: str) -> None:
     limit = -0.3 if name.endswith("lower") else 0.3
     tracker = Tracker(LAW, Hold([0.0]), settings(**{name: limit}))
     for k in range(2):
-        tracker.answer(sample(k * MS, *state(0.4)), k * MS)
+        tracker.command(sample(k * MS, *state(0.4)), k * MS)
         tracker.resume()
-    command = tracker.answer(sample(2 * MS, *state(0.5)), 2 * MS)
+    command = tracker.command(sample(2 * MS, *state(0.5)), 2 * MS)
     assert f"{kind} of joint1" in tracker.reason
     assert "0.5" in tracker.reason
     np.testing.assert_array_equal(command.jets, standing([0.0]))  # type: ignore[union-attr]
     assert tracker.counters == {"stops": 3, f"stops: {kind}": 3}
-    tracker.answer(sample(3 * MS, *state(0.2)), 3 * MS)
+    tracker.command(sample(3 * MS, *state(0.2)), 3 * MS)
     assert tracker.state is State.STOPPED
     tracker.resume()
-    tracker.answer(sample(4 * MS, *state(0.2)), 4 * MS)
+    tracker.command(sample(4 * MS, *state(0.2)), 4 * MS)
     assert tracker.state is State.JOINING
 
 
 def test_resume_does_nothing_where_nothing_is_stopped() -> None:
     tracker = tracker_at(0)
     tracker.resume()
-    command = tracker.answer(sample(MS, 0.5, 0.5), MS)
+    command = tracker.command(sample(MS, 0.5, 0.5), MS)
     assert command is not None
     assert command.state is State.TRACKING
     assert not tracker.counters
@@ -532,7 +533,7 @@ def test_gravity_hold_brings_a_moving_arm_to_rest(arm: str) -> None:
     n = law.robot.n
     loop = Loop(law, reference, settings(n, on_stop="gravity_hold"), x0)
     loop.run(1.0)
-    loop.tracker.settings(settings(n, on_stop="gravity_hold", link_velocity=0.0))
+    loop.tracker.apply(settings(n, on_stop="gravity_hold", link_velocity=0.0))
     loop.run(4.0)
     near = np.max(np.abs(loop.x[:n] - loop.states[1000][:n]))
     assert near < 1.0
@@ -545,7 +546,7 @@ def test_gravity_hold_brings_a_moving_arm_to_rest(arm: str) -> None:
 def test_the_last_effort_is_within_the_limits() -> None:
     tracker = Tracker(LAW, SINE, settings(effort=0.1, on_stop="gravity_hold"))
     assert not tracker.stop_effort().any()
-    tracker.answer(sample(0, 0.5, 0.5), 0)
+    tracker.command(sample(0, 0.5, 0.5), 0)
     np.testing.assert_array_equal(tracker.stop_effort(), [0.1])
 
 
@@ -570,12 +571,12 @@ def test_an_effort_that_is_not_finite_is_replaced_and_leaves_no_trace(bad: float
     tracker = Tracker(LAW, SINE, settings(on_stop="gravity_hold"))
     twin = Tracker(LAW, SINE, settings(on_stop="gravity_hold"))
     for t in (tracker, twin):
-        t.answer(sample(SECOND, 0.5, 0.5), SECOND)
+        t.command(sample(SECOND, 0.5, 0.5), SECOND)
     for k in (1, 2):
-        command = tracker.answer(sample(SECOND + k * MS, bad, 0.5, bad), SECOND + k * MS)
+        command = tracker.command(sample(SECOND + k * MS, bad, 0.5, bad), SECOND + k * MS)
         assert command is not None
         np.testing.assert_allclose(command.u, 0.8 * np.sin(0.5), rtol=1e-12)
-    good = [t.answer(sample(SECOND + 3 * MS, 0.5, 0.5), SECOND + 3 * MS) for t in (tracker, twin)]
+    good = [t.command(sample(SECOND + 3 * MS, 0.5, 0.5), SECOND + 3 * MS) for t in (tracker, twin)]
     np.testing.assert_array_equal(good[0].u, good[1].u)  # type: ignore[union-attr]
     assert tracker.counters == {"efforts not finite": 2}
     assert kinds(tracker) == ["efforts not finite"]
@@ -583,11 +584,11 @@ def test_an_effort_that_is_not_finite_is_replaced_and_leaves_no_trace(bad: float
 
 def test_a_bad_first_sample_does_not_start_the_reference() -> None:
     tracker = Tracker(LAW, SINE, settings())
-    command = tracker.answer(sample(0, float("nan"), 0.5), 0)
+    command = tracker.command(sample(0, float("nan"), 0.5), 0)
     assert command is not None
     assert not command.u.any()
     assert tracker.state is State.WAITING
-    first = tracker.answer(sample(100 * MS, 0.5, 0.5), 100 * MS)
+    first = tracker.command(sample(100 * MS, 0.5, 0.5), 100 * MS)
     np.testing.assert_array_equal(first.jets, SINE.jets(0.0))  # type: ignore[union-attr]
 
 
@@ -647,7 +648,7 @@ def test_whatever_comes_efforts_are_finite_and_within_limit_and_rate(
                 last = alone.copy()
             continue
         stamp, arrival = stamp + happening[0], arrival + max(happening[1], 0)
-        command = tracker.answer(sample(stamp, *(np.array(v) for v in happening[2:])), arrival)
+        command = tracker.command(sample(stamp, *(np.array(v) for v in happening[2:])), arrival)
         if command is None:
             continue
         assert np.isfinite(command.u).all()
@@ -688,7 +689,7 @@ def test_gains_without_a_finite_effort_are_refused_and_the_old_law_stays(name: s
     law = LAW.with_gains(replace(fjr.PAPER_GAINS, **{name: value}))
     with pytest.raises(fjr.GainsError, match="an effort that is not finite; expected smaller gains"):
         tracker.use(law)
-    commands = [t.answer(sample(MS, 0.5, 0.5), MS) for t in (tracker, twin)]
+    commands = [t.command(sample(MS, 0.5, 0.5), MS) for t in (tracker, twin)]
     np.testing.assert_array_equal(commands[0].u, commands[1].u)  # type: ignore[union-attr]
     assert not tracker.counters
     with pytest.raises(fjr.GainsError, match="not finite"):
@@ -697,7 +698,7 @@ def test_gains_without_a_finite_effort_are_refused_and_the_old_law_stays(name: s
 
 def test_gains_may_change_after_a_state_that_is_not_finite() -> None:
     tracker = tracker_at(0)
-    tracker.answer(sample(MS, float("nan"), 0.5), MS)
+    tracker.command(sample(MS, float("nan"), 0.5), MS)
     tracker.use(LAW.with_gains(replace(fjr.PAPER_GAINS, Lambda_l=5.0)))
     assert "gains changed" in kinds(tracker)
 
@@ -784,7 +785,7 @@ def test_hold_comes_to_rest_without_a_step_and_stands(arm: str) -> None:
 def test_hold_before_the_first_sample_stands_where_the_links_are() -> None:
     tracker = Tracker(LAW, SINE, settings(start_error=0.1))
     tracker.hold()
-    command = tracker.answer(sample(0, 0.7, 0.7), 0)
+    command = tracker.command(sample(0, 0.7, 0.7), 0)
     assert command is not None
     np.testing.assert_array_equal(command.jets, standing([0.7]))
     assert command.state is State.TRACKING
@@ -792,12 +793,12 @@ def test_hold_before_the_first_sample_stands_where_the_links_are() -> None:
 
 def test_hold_while_stopped_keeps_the_arm_where_it_is_when_resumed() -> None:
     tracker = tracker_at(0, link_velocity=1.0)
-    tracker.answer(sample(MS, 0.5, 0.5, 2.0), MS)
+    tracker.command(sample(MS, 0.5, 0.5, 2.0), MS)
     tracker.hold()
-    tracker.answer(sample(2 * MS, 0.6, 0.6), 2 * MS)
+    tracker.command(sample(2 * MS, 0.6, 0.6), 2 * MS)
     tracker.resume()
     for k in (3, 400, 800, 1200, 1500):
-        command = tracker.answer(sample(k * MS, 0.6, 0.6), k * MS)
+        command = tracker.command(sample(k * MS, 0.6, 0.6), k * MS)
         np.testing.assert_allclose(command.jets, standing([0.6]), atol=1e-12)  # type: ignore[union-attr]
 
 
@@ -805,7 +806,7 @@ def test_a_reference_given_before_the_first_sample_begins_there() -> None:
     tracker = Tracker(LAW, SINE, settings())
     assert tracker.jets_at(0) is None
     tracker.follow(Hold([0.3]))
-    command = tracker.answer(sample(SECOND, 0.5, 0.5), 0)
+    command = tracker.command(sample(SECOND, 0.5, 0.5), 0)
     np.testing.assert_array_equal(command.jets, standing([0.3]))  # type: ignore[union-attr]
 
 
@@ -840,16 +841,16 @@ def test_an_observer_is_fed_with_the_effort_that_was_sent() -> None:
     tracker = Tracker(LAW, SINE, settings(effort=1.0), recorder)
     sent = [0.0]
     for k in range(OBSERVED + 3):
-        command = tracker.answer(bare_sample(k * MS), k * MS)
+        command = tracker.command(bare_sample(k * MS), k * MS)
         assert command is not None
         np.testing.assert_array_equal(command.velocity, [0.1, 0.2])
         sent.append(float(command.u[0]))
     assert recorder.updates == [(k * MS, sent[k]) for k in range(OBSERVED + 3)]
     assert sent[-1]
-    tracker.answer(bare_sample((OBSERVED + 2) * MS), OBSERVED * MS)
+    tracker.command(bare_sample((OBSERVED + 2) * MS), OBSERVED * MS)
     assert len(recorder.updates) == OBSERVED + 3
-    tracker.settings(settings(effort=0.01))
-    tracker.answer(bare_sample((OBSERVED + 3) * MS), (OBSERVED + 3) * MS)
+    tracker.apply(settings(effort=0.01))
+    tracker.command(bare_sample((OBSERVED + 3) * MS), (OBSERVED + 3) * MS)
     assert recorder.updates[-1][1] == sent[-1], "it acted, whatever the limit is since then"
 
 
@@ -857,19 +858,19 @@ def test_an_observer_begins_anew_after_a_break_and_gets_time_before_its_velociti
     recorder = Recorder()
     tracker = Tracker(LAW, SINE, settings(), recorder)
     for k in range(OBSERVED + 2):
-        tracker.answer(sample(k * MS, 0.5, 0.5), k * MS)
+        tracker.command(sample(k * MS, 0.5, 0.5), k * MS)
     resets = recorder.resets
     stop = tracker.silence(SECOND)
     assert stop is not None
     for k in range(OBSERVED):
         stamp = 2 * SECOND + k * MS
-        command = tracker.answer(sample(stamp, 0.5, 0.5), stamp)
+        command = tracker.command(sample(stamp, 0.5, 0.5), stamp)
         assert command is not None
         np.testing.assert_array_equal(command.u, stop)
         assert np.isnan(command.V)
     assert recorder.resets == resets + 1
     stamp = 2 * SECOND + OBSERVED * MS
-    command = tracker.answer(sample(stamp, 0.5, 0.5), stamp)
+    command = tracker.command(sample(stamp, 0.5, 0.5), stamp)
     assert command is not None
     assert np.isfinite(command.V)
     np.testing.assert_allclose(command.jets[:2], [[0.5], [0.1]], rtol=1e-9)
@@ -879,16 +880,16 @@ def test_an_observer_begins_anew_after_a_break_and_gets_time_before_its_velociti
 def test_with_an_observer_a_start_waits_for_the_velocities_with_the_effort_of_a_stop(policy: str) -> None:
     tracker = Tracker(LAW, SINE, settings(on_stop=policy, start_join_time=0.5), Recorder())
     for beginning in (SECOND, 0):  # the second is a jump back
-        tracker.answer(bare_sample(beginning), 2 * SECOND)  # doubted where it is a jump
+        tracker.command(bare_sample(beginning), 2 * SECOND)  # doubted where it is a jump
         for k in range(1, OBSERVED + 1):
-            command = tracker.answer(bare_sample(beginning + k * MS), 2 * SECOND)
+            command = tracker.command(bare_sample(beginning + k * MS), 2 * SECOND)
             assert command is not None
             if k < OBSERVED:
                 np.testing.assert_allclose(command.u, LAW.robot.grad_P_l([0.5]) if policy != "zero" else 0.0)
                 assert command.state is State.JOINING
                 assert np.isnan(command.V)
         if beginning == 0:
-            command = tracker.answer(bare_sample((OBSERVED + 1) * MS), 2 * SECOND)
+            command = tracker.command(bare_sample((OBSERVED + 1) * MS), 2 * SECOND)
         assert np.isfinite(command.V)  # type: ignore[union-attr]
         np.testing.assert_allclose(command.jets[:2], [[0.5], [0.1]], rtol=1e-9)  # type: ignore[union-attr]
 
@@ -897,18 +898,18 @@ def test_repeated_states_are_no_samples_of_the_observer() -> None:
     tracker = Tracker(LAW, Hold([0.0]), settings(), Recorder())
     for k in range(OBSERVED):
         for _ in range(3):
-            command = tracker.answer(bare_sample(k * MS), k * MS)
+            command = tracker.command(bare_sample(k * MS), k * MS)
             assert not command.u.any()  # type: ignore[union-attr]
-    assert tracker.answer(bare_sample(OBSERVED * MS), OBSERVED * MS).u.any()  # type: ignore[union-attr]
+    assert tracker.command(bare_sample(OBSERVED * MS), OBSERVED * MS).u.any()  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("name", ["link_position_upper", "motor_position_upper"])
 def test_limits_of_positions_hold_while_the_velocities_are_not_known(name: str) -> None:
     tracker = Tracker(LAW, SINE, settings(**{name: 0.6}), Recorder())
     for k in range(OBSERVED + 1):
-        tracker.answer(bare_sample(k * MS), k * MS)
+        tracker.command(bare_sample(k * MS), k * MS)
     for k, q in enumerate((0.5, 0.7)):  # after a silence
-        tracker.answer(bare_sample(SECOND + k * MS, q), SECOND + k * MS)
+        tracker.command(bare_sample(SECOND + k * MS, q), SECOND + k * MS)
     assert STATES[name][0] in tracker.reason
 
 
@@ -917,22 +918,22 @@ def test_limits_of_velocities_wait_for_the_observer_and_that_of_the_error_for_th
     recorder = Recorder()
     tracker = Tracker(LAW, Hold([0.5]), settings(link_velocity=1.0, tracking_error=0.1), recorder)
     for k in range(OBSERVED + 1):
-        tracker.answer(bare_sample(k * MS), k * MS)
+        tracker.command(bare_sample(k * MS), k * MS)
     recorder.state[2] = 2.0  # what a difference of encoder steps may be
     for k in range(OBSERVED + 1):
         recorder.state[2] *= k < OBSERVED - 1
-        tracker.answer(bare_sample(SECOND + k * MS, 0.9), SECOND + k * MS)
+        tracker.command(bare_sample(SECOND + k * MS, 0.9), SECOND + k * MS)
         assert not tracker.reason
     assert tracker.counters["recoveries"] == 1
     recorder.state[2] = 2.0
     stamp = SECOND + (OBSERVED + 1) * MS
-    tracker.answer(bare_sample(stamp, 0.9), stamp)
+    tracker.command(bare_sample(stamp, 0.9), stamp)
     assert "link velocity" in tracker.reason
 
 
 BREAKS = {
     "a gap": lambda loop: loop.run(0.2, answered=False),
-    "a state that is not finite": lambda loop: loop.tracker.answer(bare_sample(loop.now - MS // 2, np.nan), loop.now),
+    "a state that is not finite": lambda loop: loop.tracker.command(bare_sample(loop.now - MS // 2, np.nan), loop.now),
     "a silence": lambda loop: loop.run(0.6, answered=False),
 }
 
@@ -960,7 +961,7 @@ def test_the_law_sees_no_velocities_of_an_observer_that_are_not_known() -> None:
     for beginning in (20 * SECOND, SECOND):
         loop.x, loop.now = x0, beginning
         if beginning == SECOND:  # a jump back, whose first sample is doubted
-            assert loop.tracker.answer(loop.sample(), loop.now) is None
+            assert loop.tracker.command(loop.sample(), loop.now) is None
             loop.now += MS
         for k in range(30):
             velocity = np.concatenate(LAW.robot.velocities(loop.x))
@@ -975,4 +976,4 @@ def test_no_velocities_and_no_observer_is_said() -> None:
     bare = sample(0, 0.5, 0.5)
     bare.dq_l = None
     with pytest.raises(fjr.StateError, match="no velocities; expected them, or an observer"):
-        tracker_at().answer(bare, 0)
+        tracker_at().command(bare, 0)

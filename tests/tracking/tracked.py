@@ -62,7 +62,7 @@ class Loop:
     def step(self, answered: bool = True) -> Command | None:
         command = None
         if answered:
-            command = self.tracker.answer(self.sample(), self.now)
+            command = self.tracker.command(self.sample(), self.now)
             assert command is not None
             self.u = command.u.copy()
             self.commands.append(command)

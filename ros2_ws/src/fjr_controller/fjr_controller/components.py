@@ -103,7 +103,7 @@ class Control:
             self._law = law
         self._values = values
         if groups - {"gains", "reference"}:
-            self.tracker.settings(settings)
+            self.tracker.apply(settings)
             self._limit_motion()
         if self._witness is not None and isinstance(self._law, TrackingLaw):
             self._witness.use(self._law, np.asarray(settings.effort))

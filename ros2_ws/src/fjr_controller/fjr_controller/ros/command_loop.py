@@ -132,7 +132,7 @@ class Answering:
             return
         if self._by_stamps:  # the same answer whether the clock shows a silence before or after the state ends it
             self._watch_silence(sample.stamp)
-        command = self._tracker.answer(sample, arrival)
+        command = self._tracker.command(sample, arrival)
         if command is not None:
             self._answer(sample, command, arrival)
         if self._tracker.events:
