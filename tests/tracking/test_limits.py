@@ -16,7 +16,8 @@ from fjr_controller.tracking.state_limits import StateLimits
 from fjr_controller.tracking.stop_policy import StopPolicy
 from fjr_core.config import builders
 from fjr_core.config import parameter as parameters
-from fjr_core.config.safety import Settings, safety, safety_parameters
+from fjr_core.config.safety import safety, safety_parameters
+from fjr_core.control.safety_settings import Settings
 from tracking.tracked import paper_law, settings, two_link_law
 
 INF = float("inf")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fjr_core.config.safety import Settings
+from fjr_core.control.safety_settings import Settings
 from fjr_core.numerics.checks import Array
 
 from .events import WARN, Journal

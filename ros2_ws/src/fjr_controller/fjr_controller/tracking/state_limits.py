@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fjr_core.config.safety import Settings
+from fjr_core.control.safety_settings import Settings
 from fjr_core.numerics.checks import Array
 
 from .measured_state import MeasuredState

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fjr_core import Reference, TrajectoryError
-from fjr_core.config.safety import Settings
 from fjr_core.control.robust import Robust
+from fjr_core.control.safety_settings import Settings
 from fjr_core.control.static_law import StaticLaw
 from fjr_core.numerics.checks import Array
 
