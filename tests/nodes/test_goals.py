@@ -27,7 +27,7 @@ VALUES = {
 def judged(t: float, q: tuple[float, float], dq: tuple[float, float] = (0.0, 0.0), **other: object) -> Code | None:
     """The code for errors t [s] after the beginning of a goal of 1 s."""
     goal = Goal(JOINTS, SECOND, tolerances({**VALUES, **other}, UNITS))
-    outcome = goal.judge(round(t * SECOND), np.array(q), np.array(dq))
+    outcome = goal.check(round(t * SECOND), np.array(q), np.array(dq))
     return None if outcome is None else outcome.code
 
 
@@ -53,9 +53,9 @@ def test_without_a_goal_time_the_goal_is_waited_for() -> None:
 
 
 def test_the_sentence_names_joint_error_and_tolerance() -> None:
-    outcome = Goal(JOINTS, SECOND, tolerances(VALUES, UNITS)).judge(0, np.array([0.25, 0.0]), np.zeros(2))
+    outcome = Goal(JOINTS, SECOND, tolerances(VALUES, UNITS)).check(0, np.array([0.25, 0.0]), np.zeros(2))
     assert outcome is not None
-    assert outcome.sentence == "on the way, a is off by 0.25 rad; expected at most 0.1"
+    assert outcome.sentence == "on the path, a is off by 0.25 rad; expected at most 0.1"
 
 
 def test_a_goal_may_ask_for_other_tolerances_zero_keeps_and_negative_lifts_them() -> None:

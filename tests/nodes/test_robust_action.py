@@ -217,7 +217,7 @@ def test_the_certificate_says_that_it_is_not_judged(ros: Ros) -> None:
     ros.until(lambda: len(hearer.verdicts()) > 1, "a verdict")
     assert {verdict for verdict, _ in hearer.verdicts()} == {"unknown"}
     statuses = [s for message in hearer.diagnostics for s in message.status if s.name.endswith(": certificate")]
-    assert "counts on torques beside its model (robust.*)" in statuses[-1].message
+    assert "V does not include the disturbance estimate (robust.* is enabled)" in statuses[-1].message
     _, values = read_certificate(hearer.certificates[-1])
     assert np.isfinite(values).all()
     assert values.bound == -1

@@ -13,7 +13,7 @@ import pytest
 from trajectory_msgs.msg import JointTrajectory
 
 import fjr_core as fjr
-from fjr_controller.trajectory.planner import Question
+from fjr_controller.trajectory.planner import PlanningProblem
 from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from nodes.harness import Ros, stamped
@@ -285,15 +285,15 @@ class Gate:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.waiting, self.threads = 0, set()
-        self._open, self._answer = threading.Event(), Question.answer
-        monkeypatch.setattr(Question, "answer", lambda question: self._pass(question))
+        self._open, self._solve = threading.Event(), PlanningProblem.solve
+        monkeypatch.setattr(PlanningProblem, "solve", lambda problem: self._pass(problem))
         self.open = self._open.set
 
-    def _pass(self, question: Question) -> Any:
+    def _pass(self, problem: PlanningProblem) -> Any:
         self.threads.add(threading.current_thread())
         self.waiting += 1
         assert self._open.wait(30.0)
-        return self._answer(question)
+        return self._solve(problem)
 
 
 @pytest.fixture
@@ -395,13 +395,13 @@ def test_a_controller_that_was_deactivated_meanwhile_follows_nothing(ros: Ros, m
 def test_a_planning_that_fails_unforeseen_is_refused_and_logged(
     ros: Ros, manager: Manager, simulated: bool, monkeypatch: pytest.MonkeyPatch, capfd
 ) -> None:
-    def failing(question: Question) -> None:
+    def failing(problem: PlanningProblem) -> None:
         raise ZeroDivisionError("a fault of ours")
 
     ros.controller(use_sim_time=simulated)
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
-    monkeypatch.setattr(Question, "answer", failing)
+    monkeypatch.setattr(PlanningProblem, "solve", failing)
     event = manager.send(move())
     assert event.name == "trajectory refused: failed"
     assert "a fault of ours" in event.message
@@ -419,8 +419,8 @@ def test_who_waits_for_a_plan_and_fails_ends_nothing(ros: Ros, manager: Manager,
     def failing(reason: str) -> None:
         raise ZeroDivisionError("a fault of ours")
 
-    motion = node._control._motion
-    monkeypatch.setattr(motion, "replaced", failing)
+    interface = node._control._interface
+    monkeypatch.setattr(interface, "on_replaced", failing)
     ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
     manager.trajectories.publish(move())
     ros.until(lambda: "a fault of ours" in capfd.readouterr().err, "the log")
@@ -488,7 +488,7 @@ def test_resume_ends_a_stop(ros: Ros, manager: Manager) -> None:
     ros.controller(limits__tracking_error=[0.1])
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
-    assert manager.trigger("resume") == (False, "nothing is stopped; expected a controller that a limit has stopped")
+    assert manager.trigger("resume") == (False, "the controller is not stopped; expected a stopped one")
     assert list(manager.ask(stamped(0.001, 0.5)).effort) == [0.0]
     assert list(manager.ask(stamped(0.002, 0.0)).effort) == [0.0]
     assert manager.trigger("resume")[0]
