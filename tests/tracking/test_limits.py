@@ -59,7 +59,7 @@ def effort_limits(n: int = 1, **given: object) -> EffortLimits:
 @pytest.mark.parametrize("joint", [0, 1])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("name", [*SIGNED, *SIZES])
-def test_a_limit_is_broken_just_beyond_its_value_and_names_the_joint(name: str, sign: float, joint: int) -> None:
+def test_a_limit_is_violated_just_beyond_its_value_and_names_the_joint(name: str, sign: float, joint: int) -> None:
     bound = [5.0, 5.0]
     bound[joint] = 0.7
     side = ("_upper" if sign > 0 else "_lower") if name in SIGNED else ""
@@ -77,12 +77,12 @@ def test_a_limit_is_broken_just_beyond_its_value_and_names_the_joint(name: str, 
 
 
 @pytest.mark.parametrize("name", [*SIGNED, *SIZES])
-def test_nothing_is_broken_without_limits(name: str) -> None:
+def test_nothing_is_violated_without_limits(name: str) -> None:
     state, limits = state_limits()
     assert limits.violation(put(state, name, 0, 1e9)) is None
 
 
-def test_efforts_within_the_limits_leave_as_they_are() -> None:
+def test_efforts_within_the_limits_are_not_changed() -> None:
     efforts = effort_limits(2, effort=[1.0, 2.0], effort_rate=[1e3, INF])
     efforts.send(np.array([0.0, 0.0]), 0)
     u = np.array([1.0, -2.0])
@@ -107,7 +107,7 @@ def test_the_effort_rises_from_zero_at_its_rate_and_a_repeated_stamp_changes_not
     np.testing.assert_allclose(sent, [[u, 10.0] for u in (0.0, 1.0, 1.0, 3.0, 3.0, 4.0, 10.0)], rtol=1e-12)
 
 
-def test_a_jump_of_the_stamps_is_no_leave_for_more_than_the_timeout() -> None:
+def test_after_a_jump_of_the_stamps_the_rate_counts_for_the_timeout_at_most() -> None:
     efforts = effort_limits(effort_rate=10.0, state_timeout=0.1)
     efforts.send(np.zeros(1), 0)
     np.testing.assert_allclose(efforts.send(np.array([1e3]), 10**18), 1.0)
@@ -121,7 +121,7 @@ def test_tighter_effort_limits_hold_at_once() -> None:
 
 
 @pytest.mark.parametrize("law", [paper_law(), two_link_law()], ids=["single", "two"])
-def test_gravity_hold_is_the_weight_and_damps_the_motors(law: fjr.TrackingLaw) -> None:
+def test_gravity_hold_compensates_gravity_and_damps_the_motors(law: fjr.TrackingLaw) -> None:
     n = law.robot.n
     policy = StopPolicy(law, settings(n, on_stop="gravity_hold"))
     q, dq = np.linspace(0.4, 0.9, n), np.linspace(0.3, -0.5, n)
@@ -133,7 +133,7 @@ def test_gravity_hold_is_the_weight_and_damps_the_motors(law: fjr.TrackingLaw) -
     assert dq @ damping > 0
 
 
-def test_gravity_hold_is_finite_whatever_the_motors_do() -> None:
+def test_gravity_hold_is_finite_for_any_motor_velocity() -> None:
     policy = StopPolicy(paper_law(), settings(on_stop="gravity_hold"))
     policy.remember(np.array([0.5]))
     np.testing.assert_array_equal(policy.moving(np.array([0.5]), np.array([1e300])), policy.standing())
@@ -190,7 +190,7 @@ def limited_robot() -> fjr.Robot:
     return replace(fjr.single_link(), limits=limits)
 
 
-def test_the_tighter_of_own_and_the_robots_limits_holds() -> None:
+def test_the_tighter_of_own_and_robot_limits_applies() -> None:
     own = {"limits.effort": (30.0,), "limits.link_velocity": (2.0,), "limits.link_position_lower": (-2.0,)}
     made = built(robot=limited_robot(), **own, **{"limits.from_robot": True})
     assert (made.effort, made.link_velocity) == (20.0, 2.0)
@@ -199,7 +199,7 @@ def test_the_tighter_of_own_and_the_robots_limits_holds() -> None:
     assert built(robot=limited_robot(), **own).effort == 30.0
 
 
-def test_limits_of_a_robot_that_has_none_are_refused() -> None:
+def test_limits_from_a_robot_without_limits_are_refused() -> None:
     with pytest.raises(fjr.ParameterError, match=r"limits.from_robot' is true; expected false"):
         built(**{"limits.from_robot": True})
 
@@ -216,7 +216,7 @@ def test_limits_of_a_robot_that_has_none_are_refused() -> None:
         ({"recovery.join_time": 1e-5}, "expected 0 for none, or at least 0.001 s"),
     ],
 )
-def test_nonsense_is_refused_in_a_sentence(given: dict[str, object], sentence: str) -> None:
+def test_invalid_values_are_refused_with_a_sentence(given: dict[str, object], sentence: str) -> None:
     with pytest.raises(fjr.ParameterError, match=sentence):
         built(**given)
 
