@@ -23,8 +23,8 @@ def tracker(robust: Robust = ROBUST, **given: Any) -> Tracker:
 
 def controller_state(of: Tracker) -> np.ndarray:
     """Return the controller state that the law is evaluated with."""
-    assert of._law._law_state is not None
-    return of._law._law_state._step.memory
+    assert of._output.law._law_state is not None
+    return of._output.law._law_state._step.memory
 
 
 def efforts_at(of: Tracker, stamps: Any, **more: Any) -> list[float]:
@@ -69,14 +69,14 @@ def test_a_gap_resets_the_controller_state(stamp: int) -> None:
     for arrival in (3_000 * MS, 3_001 * MS):
         assert of.command(sample(stamp + arrival - 3_000 * MS, 0.5, 0.5), arrival) is not None
         assert not controller_state(of).any() or arrival > 3_000 * MS
-        assert of._law._law_state._step.dt[0] == (0.0 if arrival == 3_000 * MS else 1e-3)  # type: ignore[union-attr]
+        assert of._output.law._law_state._step.dt[0] == (0.0 if arrival == 3_000 * MS else 1e-3)  # type: ignore[union-attr]
 
 
 def test_other_gains_keep_the_controller_state() -> None:
     """The estimate of a load is kept, so that the effort has no step."""
     of, gains = tracker(), replace(fjr.PAPER_GAINS, Pi_l=20.001)
     efforts = efforts_at(of, range(0, 400 * MS, MS))
-    learnt = of._law._law_state._step.next.copy()  # type: ignore[union-attr]
+    learnt = of._output.law._law_state._step.next.copy()  # type: ignore[union-attr]
     of.use(LAW.with_gains(gains))
     efforts += efforts_at(of, [400 * MS])
     np.testing.assert_array_equal(controller_state(of), learnt)
@@ -103,7 +103,7 @@ def test_a_lower_limit_does_not_change_the_effort_that_was_sent() -> None:
     assert abs(u) > 0.01
     of.apply(settings(effort=(0.01,)))
     efforts_at(of, [10 * MS])
-    assert of._law._law_state._step.sent[0] == u  # type: ignore[union-attr]
+    assert of._output.law._law_state._step.sent[0] == u  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
@@ -122,9 +122,9 @@ def test_the_controller_state_advances_by_the_effort_that_was_sent() -> None:
     of = tracker(effort=(0.5,), effort_rate=(100.0,))
     efforts_at(of, range(0, 10 * MS, MS))
     for stamp in range(10 * MS, 15 * MS, MS):
-        before = of._efforts.sent.copy()
+        before = of._output.limits.sent.copy()
         efforts_at(of, [stamp])
-        np.testing.assert_array_equal(of._law._law_state._step.sent, before)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(of._output.law._law_state._step.sent, before)  # type: ignore[union-attr]
         assert abs(before[0]) <= 0.5
 
 
@@ -135,4 +135,4 @@ def test_a_stop_resets_the_controller_state() -> None:
     assert of.reason
     of.resume()
     of.command(sample(41 * MS, 0.5, 0.5), 41 * MS)
-    assert of._law._law_state._step.dt[0] == 0  # type: ignore[union-attr]
+    assert of._output.law._law_state._step.dt[0] == 0  # type: ignore[union-attr]

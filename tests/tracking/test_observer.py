@@ -154,7 +154,7 @@ def test_with_an_observer_the_effort_has_no_step_after_a_reset(stop: str) -> Non
     )
     loop.run(1.0)
     BREAKS[stop](loop)
-    loop.u = loop.tracker._efforts.sent.copy()
+    loop.u = loop.tracker._output.limits.sent.copy()
     before = len(loop.efforts)
     loop.run(2.0)
     assert largest_step(loop.efforts[before:]) < 0.2

@@ -74,7 +74,10 @@ class EffortLimits:
             u = self._limit_rate(self._saturate_joints(u))
         self._stamp = stamp
         self._keep(u)
-        self._report()
+        if not self.clipped:
+            self._journal.episodes.discard(SATURATED)
+        if self.clipped or self.slowed:
+            self._report()
         return u
 
     def replace(self, u: Array) -> None:
@@ -122,7 +125,5 @@ class EffortLimits:
                 self._journal.count(f"{SATURATED}: {joint}")
             sentence = f"the effort of {', '.join(joints)} is at its limit"
             self._journal.report_episode(WARN, SATURATED, sentence, joint=joints[0])
-        else:
-            self._journal.end_episode(SATURATED)
         if self.slowed:
             self._journal.count(RATE_LIMITED)

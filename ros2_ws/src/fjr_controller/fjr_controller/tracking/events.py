@@ -32,12 +32,15 @@ class Event:
 
 
 class Journal:
-    """Counters, and the newest hundred events that have not been taken out."""
+    """Counters, and the newest hundred events that have not been taken out.
+
+    episodes: kinds whose episode has been reported and has not ended; remove one to end its episode.
+    """
 
     def __init__(self) -> None:
         self.events: deque[Event] = deque(maxlen=100)
         self.counters: Counter[str] = Counter()
-        self._episodes: set[str] = set()
+        self.episodes: set[str] = set()
 
     def report(self, level: str, kind: str, sentence: str, **values: float | str) -> None:
         """Count `kind` and add an event."""
@@ -49,16 +52,12 @@ class Journal:
         self.counters[kind] += 1
 
     def report_episode(self, level: str, kind: str, sentence: str, **values: float | str) -> None:
-        """Count `kind`; add an event only for the first call of an episode, which end_episode ends."""
-        if kind in self._episodes:
+        """Count `kind`; add an event only for the first call of an episode."""
+        if kind in self.episodes:
             self.count(kind)
         else:
-            self._episodes.add(kind)
+            self.episodes.add(kind)
             self.report(level, kind, sentence, **values)
-
-    def end_episode(self, kind: str) -> None:
-        """End the episode of this kind, if there is one."""
-        self._episodes.discard(kind)
 
     def merge(self, other: Journal) -> None:
         """Add the events and counters of another journal."""

@@ -20,12 +20,10 @@ from fjr_core.control.static_law import StaticLaw
 from fjr_core.numerics.checks import Array
 
 from .bound_start import Certificate
-from .effort_limits import EffortLimits
+from .effort_output import EffortOutput
 from .events import ERROR, INFO, WARN, Journal, State
-from .law_evaluation import LawEvaluation
 from .measured_state import MeasuredState, Observer, StateMeasurement
 from .stamp_order import Order, Stamps
-from .stop_policy import StopPolicy
 from .supervisor import Course
 from .wiring_monitor import WiringMonitor
 
@@ -98,10 +96,10 @@ class Tracker:
         self._state = MeasuredState(law.robot.n)
         self._stamps = Stamps(settings.state_timeout, simulated_time)
         self._measurement = StateMeasurement(self._state, observer)
-        self._wiring = WiringMonitor(law.robot, self._state, enabled=settings.wiring_check and observer is None)
+        checks = settings.wiring_check and observer is None
+        self._wiring = WiringMonitor(law.robot, settings.joints, self._state, enabled=checks)
         self._reference, self._course = reference, Course(reference, settings, self._state, journal)
-        self._law, self._policy = LawEvaluation(law, robust, self._state), StopPolicy(law, settings)
-        self._efforts = EffortLimits(settings, journal)
+        self._output = EffortOutput(law, robust, settings, self._state, journal)
         self._stopped = 0  # ns
 
     @property
@@ -136,13 +134,13 @@ class Tracker:
     @property
     def seconds(self) -> dict[str, float]:
         """Times by the stamps [s]: "in saturation", "in saturation: <joint>", "stopped"."""
-        return {**self._efforts.seconds, "stopped": self._stopped * 1e-9}
+        return {**self._output.limits.seconds, "stopped": self._stopped * 1e-9}
 
     def warm_up(self) -> None:
         """Evaluate everything once, so that the first sample takes no longer than any other."""
         n = len(self._state.q_l)
         self._course.reference.jets(0)
-        self._policy.moving(np.zeros(n), np.zeros(n))
+        self._output.policy.moving(np.zeros(n), np.zeros(n))
         self._measurement.warm_up()
 
     def start(self, reference: Reference | None = None) -> None:
@@ -166,7 +164,7 @@ class Tracker:
         if order is Order.OLDER or order is Order.DOUBTED:
             self._journal.count("states older than the last" if order is Order.OLDER else "jumps doubted")
             return None
-        if not self._measurement.update(sample, order, self._efforts.left):
+        if not self._measurement.update(sample, order, self._output.limits.left):
             return self._without_effort(stamp)
         self._check_wiring(order, stamp)
         course, settling = self._course, self._measurement.settling(order)
@@ -175,15 +173,15 @@ class Tracker:
                 course = course.advanced(order, stamp, settling)
             except TrajectoryError:  # no motion leads back from a state that far out
                 return self._without_effort(stamp)
-        jets = course.jets(stamp)
-        u, V = self._unlimited(course, jets, order, stamp)
+        jets, last = course.jets(stamp), self._stamps.last
+        u, V = self._output.select(course, jets, order, stamp, 0 if last is None else stamp - last)
         if not u.dot(u) < np.inf:
             return self._without_effort(stamp)
         if course is not self._course:
             self._course = course.committed(self._journal)
-        self._policy.remember(self._state.q_l)
-        u = self._send(u, V, stamp)
-        self._law.accept()
+        self._output.policy.remember(self._state.q_l)
+        u = self._output.send(self._course, u, V, stamp)
+        self._output.law.accept()
         self._wiring.sent(u, order)
         self._accept(stamp, arrival)
         return self._command(u, jets, V, order is Order.BACK)
@@ -204,18 +202,13 @@ class Tracker:
 
         zero: zeros. gravity_hold: B_m^-1 grad P_l(q_l) at the last valid sample, zeros before the first.
         """
-        u = self._efforts.saturate(self._policy.standing())
-        self._efforts.replace(u)
-        self._law.reset()
-        self._course.bound.reset()
-        return u
+        return self._output.send_without_sample(self._course)
 
     def apply(self, settings: Settings) -> None:
         """Replace the settings from the next sample on; a stop and what is under way remain."""
         self._stamps.set_timeout(settings.state_timeout)
         self._course.apply(settings)
-        self._efforts.apply(settings)
-        self._policy.apply(self._law.law, settings)
+        self._output.apply(settings)
         self._journal.report(INFO, "settings changed", "limits and stop policy changed")
 
     def use(self, law: StaticLaw) -> None:
@@ -223,8 +216,7 @@ class Tracker:
 
         Raise GainsError if its effort is not finite; then the law remains.
         """
-        self._law.use(law)
-        self._policy.apply(law, self._course.settings)
+        self._output.use(law)
         self._course.bound.reset()
         self._journal.report(INFO, "gains changed", "gains changed: the certificate starts again")
 
@@ -265,52 +257,28 @@ class Tracker:
 
     def _recheck_wiring(self) -> None:
         """Check the wiring from the next sample on, and enable the stop policy again."""
-        self._policy.released = False
+        self._output.policy.released = False
         self._wiring.restart()
 
     def _check_wiring(self, order: Order, stamp: int) -> None:
         """Stop without any effort if the samples up to this one show a wiring fault."""
         fault = self._wiring.check(order, stamp)
-        if fault is not None and not self._policy.released:
-            self._policy.released = True
-            joints = self._course.settings.joints
-            self._course.refuse_wiring(fault.sentence(joints), joints[fault.joints[0]])
-
-    def _unlimited(self, course: Course, jets: Array, order: Order, stamp: int) -> tuple[Array, float]:
-        """Return the effort (n,) before transfer and limits, with V; while stopped or settling it is not the law's."""
-        state, last = self._state, self._stamps.last
-        if not (course.reason or course.settling):
-            lead, dt = self._law.lead, 0 if last is None else stamp - last
-            ahead = course.reference.jets(stamp + lead) if lead else jets
-            return self._law.evaluate(ahead, order, dt, self._efforts.left)
-        self._law.reset()
-        if course.reason:
-            return self._policy.moving(state.q_l, state.dq_m), math.nan
-        return self._policy.at(state.q_l) if course.starting else self._efforts.sent.copy(), math.nan
-
-    def _send(self, unlimited: Array, V: float, stamp: int) -> Array:
-        """Return the effort (n,) that is sent; the bound on V continues only if it is the law's own."""
-        efforts, course = self._efforts, self._course
-        u = efforts.send(course.fade.apply(unlimited, efforts.sent, self._policy.standing, stamp), stamp)
-        if u is unlimited and math.isfinite(V):
-            course.bound.update(stamp, V)
-        else:
-            course.bound.reset()
-        return u
+        if fault is not None:
+            self._output.policy.released = True
+            self._course.refuse_wiring(*fault)
 
     def _accept(self, stamp: int, arrival: int) -> None:
         elapsed = self._stamps.accept(stamp, arrival)
         if self._course.reason:
             self._stopped += elapsed
-        self._journal.end_episode(NOT_FINITE)
+        self._journal.episodes.discard(NOT_FINITE)
 
     def _without_effort(self, stamp: int) -> Command:
         """Return the stop policy's effort for a sample that has no finite effort."""
         sentence = "the effort is not finite for a state: the stop effort is sent instead"
         self._journal.report_episode(ERROR, NOT_FINITE, sentence)
         self._measurement.reset()
-        self._law.reset()
-        u = self._send(self._policy.standing(), math.nan, stamp)
+        u = self._output.send_without_law(self._course, stamp)
         return self._command(u, self._course.reference.jets(stamp), math.nan, False)
 
     def _command(self, u: Array, jets: Array, V: float, restarted: bool) -> Command:

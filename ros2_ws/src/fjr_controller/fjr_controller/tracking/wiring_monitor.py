@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from fjr_core.monitoring.wiring.check import WiringCheck
-from fjr_core.monitoring.wiring.hypotheses import WiringFault
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.robot import Robot
 
@@ -19,24 +20,29 @@ class WiringMonitor:
     efforts. It needs measured velocities, so it is disabled with an observer.
     """
 
-    def __init__(self, robot: Robot, state: MeasuredState, enabled: bool) -> None:
-        self._state, self._check = state, WiringCheck(robot) if enabled else None
-        self._first_stamp = 0
+    def __init__(self, robot: Robot, joints: Sequence[str], state: MeasuredState, enabled: bool) -> None:
+        self._joints, self._state, self._check = joints, state, WiringCheck(robot) if enabled else None
+        self._first_stamp, self._found = 0, False
 
     def restart(self) -> None:
         """Check all joints again from the next sample on."""
+        self._found = False
         if self._check is not None:
             self._check.start()
 
-    def check(self, order: Order, stamp: int) -> WiringFault | None:
-        """Return the wiring fault that the samples up to this stamp [ns] show, or None."""
+    def check(self, order: Order, stamp: int) -> tuple[str, str] | None:
+        """Return the wiring fault that the samples up to this stamp [ns] show, once: a sentence and the first joint."""
         check = self._check
         if check is None or check.done or order is Order.REPEATED:
             return None
         if order is not Order.NEXT:
             check.skip()
             self._first_stamp = stamp
-        return check.see((stamp - self._first_stamp) * 1e-9, self._state.position, self._state.velocity)
+        fault = check.see((stamp - self._first_stamp) * 1e-9, self._state.position, self._state.velocity)
+        if fault is None or self._found:
+            return None
+        self._found = True
+        return fault.sentence(self._joints), self._joints[fault.joints[0]]
 
     def sent(self, u: Array, order: Order) -> None:
         """Keep the effort u (n,) [N m] that was sent for the last sample."""
