@@ -52,7 +52,7 @@ class ControllerNode(ManagedParameterNode):
 
     @property
     def state(self) -> str:
-        """Label of the lifecycle state."""
+        """Return the label of the lifecycle state."""
         return str(self._state_machine.current_state[1])
 
     def build(self) -> None:

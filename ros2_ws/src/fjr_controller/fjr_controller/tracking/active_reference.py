@@ -14,21 +14,21 @@ SHORTEST, LONGEST = 0.2, 2.0  # s; duration of braking
 MATCHED = 1e-6  # difference of two jets, relative to 1 + the largest entry of the same derivative
 
 
-class RunningReference:
+class ActiveReference:
     """A reference with its clock: jets (5, n) at stamps [ns]; its own time is in seconds since its zero.
 
-    joined_at: stamp [ns] from which on the transition has ended and the jets are those of the requested reference.
+    transition_end: stamp [ns] from which on the jets are those of the requested reference.
     """
 
     def __init__(self, reference: Reference) -> None:
         self._target = self._reference = reference
         self._zero: int | None = None
         self._next: tuple[Reference, int | None] | None = None
-        self.joined_at = 0
+        self.transition_end = 0
 
     @property
     def begun(self) -> bool:
-        """True if its clock runs."""
+        """Return True if its clock runs."""
         return self._zero is not None
 
     @property
@@ -45,7 +45,7 @@ class RunningReference:
         if self._next is not None and (self._zero is None or self._next[1] is None):
             self._target = self._next[0]
         self._next = None
-        self._reference, self._zero, self.joined_at = self._target, stamp, stamp
+        self._reference, self._zero, self.transition_end = self._target, stamp, stamp
 
     def jets(self, stamp: int) -> Array:
         """Return q_ld .. d4q_ld (5, n) at the stamp [ns]; at time 0 before the reference begins."""
@@ -53,11 +53,11 @@ class RunningReference:
             return self._reference.jets(0.0)
         return self._reference.jets((stamp - self._zero) * 1e-9)
 
-    def join(self, jets0: Array, stamp: int, duration: float) -> None:
+    def begin_transition(self, jets0: Array, stamp: int, duration: float) -> None:
         """Begin a transition of duration > 0 [s] from jets0 (5, n) at the stamp [ns] into the requested reference."""
         assert self._zero is not None
         self._reference = join(jets0, (stamp - self._zero) * 1e-9, self._target, duration)
-        self.joined_at = stamp + round(duration * 1e9)
+        self.transition_end = stamp + round(duration * 1e9)
 
     def drop(self) -> None:
         """Discard a requested reference that has not begun."""
@@ -79,7 +79,7 @@ class RunningReference:
         jets0 = self.jets(stamp)
         self._take(reference, start)
         if not matches:
-            self.join(jets0, stamp, join_time)
+            self.begin_transition(jets0, stamp, join_time)
 
     def brake(self, stamp: int, deceleration: float) -> None:
         """Bring each joint to standstill over dq T / 2, T = max |dq| / deceleration within SHORTEST to LONGEST [s]."""
@@ -87,7 +87,7 @@ class RunningReference:
         speed = float(np.max(np.abs(jets0[1])))
         duration = min(max(speed / deceleration, SHORTEST), LONGEST)
         self.stand(jets0[0] + jets0[1] * (duration / 2), stamp)
-        self.join(jets0, stamp, duration)
+        self.begin_transition(jets0, stamp, duration)
 
     def stand(self, q: Array, stamp: int) -> None:
         """Hold the constant position q (n,) [rad] from the stamp [ns] on."""
@@ -95,7 +95,7 @@ class RunningReference:
 
     def _take(self, reference: Reference, start: int) -> None:
         self._target = self._reference = reference
-        self._zero, self._next, self.joined_at = start, None, start
+        self._zero, self._next, self.transition_end = start, None, start
 
 
 def _match(jets: Array, others: Array) -> bool:

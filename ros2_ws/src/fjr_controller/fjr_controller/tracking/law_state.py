@@ -44,7 +44,7 @@ class Recollection:
 
     @property
     def finite(self) -> bool:
-        """True if the state after the sample is finite."""
+        """Return True if the state after the sample is finite."""
         return bool(self._step.next.dot(self._step.next) < np.inf)
 
     def accept(self) -> None:

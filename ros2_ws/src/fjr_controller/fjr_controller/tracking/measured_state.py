@@ -34,7 +34,7 @@ class MeasuredState:
 
     @property
     def finite(self) -> bool:
-        """True if every value is finite and its square does not overflow."""
+        """Return True if every value is finite and its square does not overflow."""
         return bool(self.values.dot(self.values) < np.inf)
 
     def write(self, sample: JointSample) -> None:

@@ -13,7 +13,7 @@ from fjr_core.control.safety_settings import Settings
 from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.point_to_point import standing
 
-from .active_reference import RunningReference
+from .active_reference import ActiveReference
 from .bound_start import BoundStart
 from .bumpless_transfer import Fade
 from .events import ERROR, INFO, STARTS_REFUSED, STOPS, WARN, Journal
@@ -21,7 +21,7 @@ from .measured_state import MeasuredState
 from .stamp_order import Order
 from .state_limits import StateLimits
 
-BLEND = 0.05  # of the joining time: a longer blend has a larger error, and no smaller step of u
+BLEND = 0.05  # of the transition time: a longer blend has a larger error, and no smaller step of u
 
 
 class Course:
@@ -39,7 +39,7 @@ class Course:
     """
 
     def __init__(self, reference: Reference, settings: Settings, state: MeasuredState, journal: Journal) -> None:
-        self.settings, self.reference = settings, RunningReference(reference)
+        self.settings, self.reference = settings, ActiveReference(reference)
         self.fade, self.bound = Fade(), BoundStart()
         self.reason, self.settling, self.starting = "", 0, True
         self._state, self._limits, self._journal = state, StateLimits(settings, state), journal
@@ -103,7 +103,7 @@ class Course:
 
     def jets(self, stamp: int) -> Array:
         """Return the reference jets (5, n) at the stamp [ns]; stop if the state violates a limit."""
-        jets, self._joining = self.reference.jets(stamp), stamp < self.reference.joined_at
+        jets, self._joining = self.reference.jets(stamp), stamp < self.reference.transition_end
         if not self.reason:
             self._check_limits(None if self.settling else jets[0])
         return jets
@@ -182,7 +182,7 @@ class Course:
         self.fade.ramp(stamp, self.settings.ramp_time)
         if self.settings.start_join_time > 0:
             jets0 = standing(self._state.q_l, self._state.dq_l)
-            self.reference.join(jets0, stamp, self.settings.start_join_time)
+            self.reference.begin_transition(jets0, stamp, self.settings.start_join_time)
         else:
             self._check_start(self.reference.jets(stamp)[0])
         self.starting = bool(self.reason)
@@ -206,7 +206,7 @@ class Course:
         seconds = self.settings.recovery_join_time
         sentence = "recovery: tracking continues at once"
         if seconds > 0:
-            self.reference.join(standing(self._state.q_l, self._state.dq_l), stamp, seconds)
+            self.reference.begin_transition(standing(self._state.q_l, self._state.dq_l), stamp, seconds)
             self.fade.blend(stamp, BLEND * seconds)
             sentence = f"recovery: transition to the reference within {seconds:g} s"
         self._journal.report(INFO, "recoveries", sentence)

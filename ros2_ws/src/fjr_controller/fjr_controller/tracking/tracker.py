@@ -61,7 +61,7 @@ class Tracker:
 
     Samples. One that is older than the last, or an unconfirmed jump, gets no command (None); one with a repeated stamp
     is evaluated again. A jump back starts the reference again, as start() does, but a stop stays latched. After a
-    jump forward or a silence of state_timeout tracking recovers without a step of u (see Stamps and Course).
+    jump forward or a silence of state_timeout tracking recovers without a step of u (see Stamps and Supervisor).
     After an observer reset, velocity estimates are used only from the sample OBSERVED on; until then the last effort is
     held, or at a start the stop policy's effort is sent.
 
@@ -104,7 +104,7 @@ class Tracker:
 
     @property
     def state(self) -> State:
-        """State of the tracker."""
+        """Return the state of the tracker."""
         if self._course.reason:
             return State.STOPPED
         if self._stamps.last is None:
@@ -113,27 +113,27 @@ class Tracker:
 
     @property
     def reason(self) -> str:
-        """Reason of the stop, one sentence; empty if not stopped."""
+        """Return the reason of the stop, one sentence; empty if not stopped."""
         return self._course.reason
 
     @property
     def last_stamp(self) -> int | None:
-        """Stamp [ns] of the last sample for which the law or a stop gave the effort; None before the first."""
+        """Return the stamp [ns] of the last sample with an effort of law or stop; None before the first."""
         return self._stamps.last
 
     @property
     def end(self) -> float:
-        """Stamp [ns] from which on the active reference is constant; inf for never, or before the first sample."""
+        """Return the stamp [ns] from which on the reference is constant; inf for never, or before the first sample."""
         return self._course.reference.end
 
     @property
     def certificate(self) -> Certificate | None:
-        """Start of the bound on V and present V; None unless the effort sent is the law's own."""
+        """Return the start of the bound on V and the present V; None unless the effort sent is the law's own."""
         return self._course.bound.certificate
 
     @property
     def seconds(self) -> dict[str, float]:
-        """Times by the stamps [s]: "in saturation", "in saturation: <joint>", "stopped"."""
+        """Return times by the stamps [s]: "in saturation", "in saturation: <joint>", "stopped"."""
         return {**self._output.limits.seconds, "stopped": self._stopped * 1e-9}
 
     def warm_up(self) -> None:

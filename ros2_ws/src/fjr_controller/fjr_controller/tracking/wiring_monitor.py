@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from fjr_core.monitoring.wiring.check import WiringCheck
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.robot import Robot
@@ -20,7 +18,7 @@ class WiringMonitor:
     efforts. It needs measured velocities, so it is disabled with an observer.
     """
 
-    def __init__(self, robot: Robot, joints: Sequence[str], state: MeasuredState, enabled: bool) -> None:
+    def __init__(self, robot: Robot, joints: tuple[str, ...], state: MeasuredState, enabled: bool) -> None:
         self._joints, self._state, self._check = joints, state, WiringCheck(robot) if enabled else None
         self._first_stamp, self._found = 0, False
 
