@@ -46,11 +46,11 @@ class Client:
 
     def send(self, order: int) -> Any:
         """Return the handle of the goal."""
-        told = self._client.send_goal_async(
+        accepted = self._client.send_goal_async(
             Fibonacci.Goal(order=order), lambda message: self.feedback.append(message.feedback.sequence[0])
         )
-        self._ros.until(told.done, "the goal's answer")
-        return told.result()
+        self._ros.until(accepted.done, "the goal's answer")
+        return accepted.result()
 
     def result(self, handle: Any) -> tuple[int, int]:
         """Return status and code."""

@@ -56,32 +56,32 @@ def test_the_lifecycle_is_that_of_a_managed_node(ros: Ros, manager: Manager) -> 
 
 
 def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager, monkeypatch) -> None:
-    asked: list[float] = []
+    evaluations: list[float] = []
     bound = fjr.TrackingLaw.bound
 
     def counted(self, *args):
         command = bound(self, *args)
-        return replace(command, evaluate=lambda: (asked.append(0.0), command.evaluate()))
+        return replace(command, evaluate=lambda: (evaluations.append(0.0), command.evaluate()))
 
     monkeypatch.setattr(fjr.TrackingLaw, "bound", counted)
     ros.controller(autostart=False)
     manager.ask(stamped(0.0), answered=False)
     assert manager.change("configure")
-    asked.clear()
+    evaluations.clear()
     ros.until(lambda: manager.state_publisher.get_subscription_count() == 2, "the controller")
     for _ in range(3):
         manager.ask(stamped(0.0), answered=False)
-    assert not asked
+    assert not evaluations
     assert not manager.efforts
     assert manager.change("activate")
     manager.meet_controller()
     manager.ask(stamped(0.1))
-    assert len(asked) == 1
+    assert len(evaluations) == 1
     assert manager.change("deactivate")
     ros.until(lambda: len(manager.commands) == 2, "the last command")
-    asked.clear()
+    evaluations.clear()
     manager.ask(stamped(0.2), answered=False)
-    assert not asked
+    assert not evaluations
     assert len(manager.efforts) == 2
 
 

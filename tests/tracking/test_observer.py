@@ -60,7 +60,7 @@ def test_an_observer_gets_the_effort_that_was_sent() -> None:
     assert len(recorder.updates) == OBSERVED + 3
     tracker.apply(settings(effort=0.01))
     tracker.command(bare_sample((OBSERVED + 3) * MS), (OBSERVED + 3) * MS)
-    assert recorder.updates[-1][1] == sent[-1], "it acted, whatever the limit is since then"
+    assert recorder.updates[-1][1] == sent[-1], "the effort that acted, not its value within the new limit"
 
 
 def test_an_observer_is_reset_after_a_gap_and_settles_before_its_velocities_are_used() -> None:
