@@ -37,13 +37,13 @@ def test_start_discards_a_stop_and_starts_the_reference_again() -> None:
     assert command.state is State.TRACKING
 
 
-@pytest.mark.parametrize("request", ["nothing", "a trajectory", "a later one", "to hold"])
-def test_a_start_discards_pending_requests(request: str) -> None:
+@pytest.mark.parametrize("requested", ["nothing", "a trajectory", "a later one", "to hold"])
+def test_a_start_discards_pending_requests(requested: str) -> None:
     tracker = tracker_at(0, 100 * MS)
-    if request == "to hold":
+    if requested == "to hold":
         tracker.hold()
-    elif request != "nothing":
-        start = 2 * SECOND if request == "a later one" else 100 * MS
+    elif requested != "nothing":
+        start = 2 * SECOND if requested == "a later one" else 100 * MS
         tracker.follow(Spline([0.5], [[0.84]], start=SINE.jets(start * 1e-9)), start)
         tracker.command(sample(101 * MS, 0.5, 0.5), 101 * MS)
     tracker.stop_effort()

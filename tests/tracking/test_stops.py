@@ -82,19 +82,19 @@ def test_a_stopped_arm_resumes_without_a_step(arm: str, policy: str) -> None:
 
 
 @pytest.mark.parametrize("bad", [float("nan"), 1e153])
-@pytest.mark.parametrize("request", ["resume", "hold", "follow"])
-def test_a_request_waits_for_a_state_with_a_finite_effort(request: str, bad: float) -> None:
+@pytest.mark.parametrize("requested", ["resume", "hold", "follow"])
+def test_a_request_waits_for_a_state_with_a_finite_effort(requested: str, bad: float) -> None:
     trackers = [tracker_at(0, 100 * MS) for _ in range(2)]
     tracker, twin = trackers
     for t in trackers:
-        if request == "resume":
+        if requested == "resume":
             t.apply(settings(link_velocity=0.1))
             t.command(sample(101 * MS, 0.5, 0.5, 0.2), 101 * MS)
             t.apply(settings())
-        if request == "follow":
+        if requested == "follow":
             t.follow(Hold([0.2]))
         else:
-            getattr(t, request)()
+            getattr(t, requested)()
         t.events.clear()
     before, counters = (tracker.state, tracker.reason), dict(tracker.counters)
     wild = tracker.command(sample(102 * MS, bad, 0.5), 102 * MS)
