@@ -36,10 +36,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..numerics.casadi_function import bind, dense_function
+from ..numerics.casadi_function import bind
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
 from ..robot.configuration_sampling import checked_configurations
+from ..robot.coordinates import Coordinates
 from ..robot.equilibrium import plant_matrices, rest_points
 from ..robot.port_hamiltonian import Plant
 from ..robot.robot import Robot
@@ -166,26 +167,14 @@ def _observer_function(robot: Robot, steps: int) -> ca.Function:
     n = robot.n
     sizes = {"x_hat": 4 * n, "y": 2 * n, "u": n, "dt": 1, "gain": 2}
     x_hat, y, u, dt, gain = (ca.MX.sym(name, size) for name, size in sizes.items())
-    to_momenta, to_velocities = _coordinates(robot)
-    x, step = to_momenta(x_hat), Plant(robot).step_function
+    coordinates, step = Coordinates(robot), Plant(robot).step_function
+    x = coordinates.to_momenta(x_hat[: 2 * n], x_hat[2 * n :])
     for _ in range(steps):
         x = step(x, u, dt / steps)
-    q, dq = ca.vertsplit(to_velocities(x), 2 * n)
+    q, dq = x[: 2 * n], coordinates.to_velocities(x)
     e = y - q
     x_next = ca.vertcat(q + gain[0] * e, dq + gain[1] * e)
     return ca.Function("observer", [x_hat, y, u, dt, gain], [x_next], list(sizes), ["x_next"])
-
-
-def _coordinates(robot: Robot) -> tuple[ca.Function, ca.Function]:
-    """(q_l, q_m, dq_l, dq_m) -> x of eq. (36), and back."""
-    x = ca.SX.sym("x", 4 * robot.n)
-    q_l, q_m, dq_l, dq_m = ca.vertsplit(x, robot.n)
-    momenta = ca.vertcat(q_l, q_m, robot.links.M_l(q_l) @ dq_l, robot.M_m @ dq_m)
-    velocities = ca.vertcat(q_l, q_m, *robot.velocity_expressions(x))
-    return (
-        dense_function("momenta", {"x": x}, {"p": momenta}, cse=True),
-        dense_function("velocities", {"x": x}, {"dq": velocities}, cse=True),
-    )
 
 
 def steps_of(robot: Robot) -> int:

@@ -120,6 +120,12 @@ class Robot:
         M_l = (links or self.links).M_l(q_l)
         return symbolic.solve(M_l, p_l), ca.DM(np.linalg.inv(self.M_m)) @ p_m
 
+    def momentum_expressions(
+        self, q_l: ca.SX, dq_l: ca.SX, dq_m: ca.SX, links: RigidArm | None = None
+    ) -> tuple[ca.SX, ca.SX]:
+        """Return (p_l, p_m) = (M_l dq_l, M_m dq_m) as expressions; links as above."""
+        return (links or self.links).M_l(q_l) @ dq_l, self.M_m @ dq_m
+
     def _vector(self, name: str, value: ArrayLike) -> Array:
         return checks.vector(name, value, self.n, StateError)
 
@@ -137,4 +143,4 @@ class Robot:
     def _state(self) -> NumericFunction:
         inputs = {name: ca.SX.sym(name, self.n) for name in ("q_l", "q_m", "dq_l", "dq_m")}
         q_l, q_m, dq_l, dq_m = inputs.values()
-        return numeric("state", inputs, {"x": ca.vertcat(q_l, q_m, self.links.M_l(q_l) @ dq_l, self.M_m @ dq_m)})
+        return numeric("state", inputs, {"x": ca.vertcat(q_l, q_m, *self.momentum_expressions(q_l, dq_l, dq_m))})

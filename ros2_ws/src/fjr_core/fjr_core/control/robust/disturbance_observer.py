@@ -20,6 +20,7 @@ from functools import cached_property
 import casadi as ca
 
 from ...numerics.casadi_function import dense_function
+from ...robot.coordinates import Coordinates
 from ...robot.port_hamiltonian import derivative_expression
 from ...robot.robot import Robot
 
@@ -56,10 +57,10 @@ class MomentumResidual:
     @cached_property
     def momenta(self) -> ca.Function:
         """(position, velocity) -> momenta (2n,) and their rates (2n,) by eq. (36) without an effort."""
-        r, n = self.robot, self.robot.n
+        n = self.robot.n
         position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
-        p = ca.vertcat(r.links.M_l(position[:n]) @ velocity[:n], r.M_m @ velocity[n:])
-        f = derivative_expression(r, ca.vertcat(position, p), ca.SX.zeros(n))[2 * n :]
+        x = Coordinates(self.robot).to_momenta(position, velocity)
+        p, f = x[2 * n :], derivative_expression(self.robot, x, ca.SX.zeros(n))[2 * n :]
         return dense_function("momenta", {"position": position, "velocity": velocity}, {"p": p, "f": f}, cse=True)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...numerics.casadi_function import dense_function
 from ...numerics.integrators import rk4_expression
-from ...robot.coordinates import velocity_function
+from ...robot.coordinates import Coordinates
 from ...robot.port_hamiltonian import derivative_expression
 from ...robot.robot import Robot
 
@@ -66,6 +66,7 @@ class Model:
 
     def __init__(self, robot: Robot, hold: float, longest: float = 0.0) -> None:
         self.robot, self._steps = robot, max(1, int(np.ceil(hold / LONGEST_STEP - 1e-9)))
+        self._coordinates = Coordinates(robot)
         self._hold, self._holds = hold, max(1, int(np.ceil(longest / hold - LATE)))
 
     def after(
@@ -73,10 +74,10 @@ class Model:
     ) -> tuple[ca.MX, ca.MX]:
         """Position and velocity (2n,) after efforts (n,) for times [s], one after another; torque (2n,): beside."""
         n = self.robot.n
-        x = self._to_state(position, velocity)
+        x = self._coordinates.to_momenta(position, velocity)
         for u, length in parts:
             x = self._held(x, ca.vertcat(u, torque), length)
-        return x[: 2 * n], self._to_velocity(x)
+        return x[: 2 * n], self._coordinates.to_velocities(x)
 
     @cached_property
     def _held(self) -> ca.Function:
@@ -114,17 +115,6 @@ class Model:
         x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", 3 * n)
         dx = derivative_expression(self.robot, x, inputs[:n]) + ca.vertcat(ca.SX.zeros(2 * n), inputs[n:])
         return dense_function("dynamics_beside", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
-
-    @cached_property
-    def _to_state(self) -> ca.Function:
-        r, n = self.robot, self.robot.n
-        position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
-        x = ca.vertcat(position, r.links.M_l(position[:n]) @ velocity[:n], r.M_m @ velocity[n:])
-        return dense_function("to_state", {"position": position, "velocity": velocity}, {"x": x})
-
-    @cached_property
-    def _to_velocity(self) -> ca.Function:
-        return velocity_function(self.robot)
 
 
 def _within(t: ca.MX | float, start: ca.MX | float, end: ca.MX | float) -> ca.MX:
