@@ -171,7 +171,7 @@ def _observer_function(robot: Robot, steps: int) -> ca.Function:
     x = coordinates.to_momenta(x_hat[: 2 * n], x_hat[2 * n :])
     for _ in range(steps):
         x = step(x, u, dt / steps)
-    q, dq = x[: 2 * n], coordinates.to_velocities(x)
+    q, dq = coordinates.to_measured(x)
     e = y - q
     x_next = ca.vertcat(q + gain[0] * e, dq + gain[1] * e)
     return ca.Function("observer", [x_hat, y, u, dt, gain], [x_next], list(sizes), ["x_next"])

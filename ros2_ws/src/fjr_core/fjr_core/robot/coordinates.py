@@ -39,6 +39,13 @@ class Coordinates:
         velocity = ca.vertcat(*self.robot.velocity_expressions(x))
         return dense_function("to_velocities", {"x": x}, {"velocity": velocity}, cse=True)
 
+    @cached_property
+    def to_measured(self) -> ca.Function:
+        """Map the state x to (position, velocity)."""
+        x = ca.SX.sym("x", 4 * self.robot.n)
+        outputs = {"position": x[: 2 * self.robot.n], "velocity": self.to_velocities(x)}
+        return dense_function("to_measured", {"x": x}, outputs, cse=True)
+
 
 def velocity_function(robot: Robot) -> ca.Function:
     """Return the CasADi function x (4n,) -> velocity (dq_l, dq_m) (2n,) [rad/s] of a robot."""
