@@ -158,12 +158,12 @@ def test_the_apparent_inertia_is_as_small_as_sampling_allows(sample_period: floa
         D = 3.0 * arm.links.M(np.zeros(arm.n))
         M_theta = torque_feedback.shaped_inertia(arm.robot, D, sample_period)
         parts = relative_eigenvalues(M_theta, arm.M_m)
-        assert parts.min() >= torque_feedback.LIGHTEST - 1e-9
+        assert parts.min() >= torque_feedback.SMALLEST_INERTIA - 1e-9
         assert parts.max() <= 1 + 1e-9
         if parts.max() < 1 - 1e-9:
             turn = np.sqrt(relative_eigenvalues(arm.K, M_theta)) * sample_period
-            assert turn.max() <= torque_feedback.QUICKEST + 1e-9
-            assert relative_eigenvalues(D, M_theta).max() * sample_period <= torque_feedback.MOST_DAMPED + 1e-9
+            assert turn.max() <= torque_feedback.FASTEST_RESONANCE + 1e-9
+            assert relative_eigenvalues(D, M_theta).max() * sample_period <= torque_feedback.FASTEST_DAMPING + 1e-9
 
 
 # feedback linearisation
@@ -200,7 +200,7 @@ def test_feedback_linearisation_has_two_time_scales(make) -> None:
         arrays = gains.arrays(arm.robot)
         poles = np.linalg.eigvals(feedback_linearisation.companion(*(arrays[f"A_{k}"] for k in range(4))))
         size = np.sort(np.abs(poles))
-        fastest = feedback_linearisation.QUICKEST / sample_period
+        fastest = feedback_linearisation.FASTEST_POLE / sample_period
         wanted = np.clip(np.repeat(modes / 2, 2), omega, fastest)
         np.testing.assert_allclose(size, np.sort(np.r_[np.full(2 * n, omega), wanted]), rtol=1e-4)
         assert poles.real.max() < -0.69 * omega

@@ -132,7 +132,7 @@ BAD_GAINS = [
     (PdGains(K_p=0.1, K_d=1.0), "outweigh gravity"),
     (PdGains(K_p=np.nan, K_d=1.0), "finite"),
     (PdGains(K_p=20.0, K_d=-1.0), "K_d with the robot's own damping"),
-    (CompositeGains(K_p=-1.0, K_v=1.0, K_f=1.0), "slow flow that grows"),
+    (CompositeGains(K_p=-1.0, K_v=1.0, K_f=1.0), "slow mode that grows"),
     (CompositeGains(K_p=1.0, K_v=1.0, K_f=[1.0, 2.0, 3.0]), "shape"),
     (LinearErrorGains(1.0, 1.0, 1.0, 1.0), "error that grows"),
     (BacksteppingGains(Lambda=0.0, K_1=1.0, c_1=1.0, c_2=1.0), "positive number"),

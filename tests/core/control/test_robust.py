@@ -14,9 +14,9 @@ from scipy import signal
 import fjr_core as fjr
 from fjr_core.config.scenario import load_scenario
 from fjr_core.control.robust import Robust, RobustLaw, sampled_law
-from fjr_core.control.robust.integral_action import Integral, gain_values
+from fjr_core.control.robust.integral_action import IntegralAction, gain_values
 from fjr_core.control.robust.options import LONGEST_DELAY
-from fjr_core.control.robust.smith_predictor import Waiting
+from fjr_core.control.robust.smith_predictor import EffortBuffer
 from fjr_core.control.sampled_law import Static, bound_step
 from fjr_core.errors import GainsError, StateError
 from fjr_core.stability.sampled_loop import spectral_radius
@@ -133,7 +133,7 @@ def residual_run(law: fjr.TrackingLaw, gain: float, period: float, seconds: floa
             x[: 2 * n], velocity, jets.T, step.gain_values, memory, sent, period if k else 0.0
         )
         sent = u.full().ravel()
-        kept = ca.Function("kept", [s := ca.MX.sym("s", parts.size)], [parts.split(s)[name] for name in ("r", "w")])
+        kept = ca.Function("kept", [s := ca.MX.sym("s", parts.size)], [parts.unpack(s)[name] for name in ("r", "w")])
         now = kept(memory)
         r.append(now[0].full().ravel())
         w.append(now[1].full().ravel())
@@ -170,7 +170,7 @@ def test_at_rest_the_residual_is_the_torque() -> None:
 def test_what_acts_when_is_what_was_sent() -> None:
     """Efforts of irregular samples: each acts from its stamp + delay to the next one's, and none is lost."""
     rng, delay, hold = np.random.default_rng(4), 2.3e-3, 1e-3
-    waiting, kept = Waiting(1, delay, hold), {"efforts": ca.DM.zeros(4), "ages": ca.DM.zeros(4)}
+    waiting, kept = EffortBuffer(1, delay, hold), {"efforts": ca.DM.zeros(4), "ages": ca.DM.zeros(4)}
     stamps = np.cumsum(rng.uniform(0.8e-3, 1.2e-3, 12))
     efforts = np.concatenate([[0.0], rng.uniform(-1, 1, 11)])  # before the first sample nothing was sent
     for k, dt in enumerate(np.diff(stamps, prepend=stamps[0])):
@@ -259,8 +259,8 @@ def test_the_integral_does_not_wind_up() -> None:
 
 @pytest.mark.parametrize(("dt", "counts"), [(PERIOD, PERIOD), (2 * PERIOD, 2 * PERIOD), (0.1, 2 * PERIOD)])
 def test_over_a_gap_a_rate_is_integrated_for_two_holds(dt: float, counts: float) -> None:
-    integral = Integral(JOINT.robot, PERIOD)
-    kept = {"integral": ca.DM([1.0, 2.0]), "rate": ca.DM([30.0, -40.0]), "wanted": ca.DM(0.5)}
+    integral = IntegralAction(JOINT.robot, PERIOD)
+    kept = {"integral": ca.DM([1.0, 2.0]), "rate": ca.DM([30.0, -40.0]), "requested": ca.DM(0.5)}
     after = integral.step(kept, ca.DM(0.5), ca.DM(dt)).full().ravel()
     np.testing.assert_allclose(after, [1.0 + 30.0 * counts, 2.0 - 40.0 * counts], rtol=1e-12)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws by name: v-dPBC, and those that it is compared with (docs/baselines.md)."""
+"""Control laws by name: v-dPBC and the baselines it is compared with (docs/baselines.md)."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ V_DPBC = "v_dpbc"
 
 @dataclass(frozen=True)
 class LawKind:
-    """A law by its name. make: (robot, gains, compile=False) -> law. measures: what of a joint it needs.
+    """A control law by name.
 
-    standard: (robot, configuration (n,), natural frequency [rad/s], damping ratio, sample period [s]) -> gains, the
-    usual choice. usual: the usual damping ratio; damping: its range.
-    storage: what its V is, in words; "" where it has none and V is nan. adds: what users add that the paper lacks.
+    make: (robot, gains, compile=False) -> law. measures: the joint signals the law needs.
+    standard: tuning rule (robot, configuration (n,), natural frequency [rad/s], damping ratio, sample period [s])
+    -> gains. usual: default damping ratio; damping: its range.
+    storage: description of V, "" if the law has no storage (V is nan). adds: extension that the paper does not have.
     """
 
     name: str
@@ -135,7 +136,7 @@ LAWS: dict[str, LawKind] = {kind.name: kind for kind in _KINDS}
 
 
 def law_kind(name: str) -> LawKind:
-    """The kind called so; raises ParameterError."""
+    """Return the law of this name; raise ParameterError if unknown."""
     if name not in LAWS:
         raise ParameterError(f"law is {name!r}; expected one of {', '.join(LAWS)}")
     return LAWS[name]
