@@ -3,7 +3,7 @@
 
 from sphinx.application import Sphinx
 
-from docs.docstring_text import as_rst
+from docstring_text import as_rst
 
 project = "fjr"
 author = copyright = "The fjr authors"

@@ -6,11 +6,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.control_law import tuning
-from fjr_core.config.safety import Settings, safety
+from fjr_core.config.builders import tuning
+from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.registry import law_kind
 from fjr_core.control.robust import Robust
+from fjr_core.control.safety_settings import Settings
 from fjr_core.control.vdpbc.convergence_rate import Rate
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import FjrError

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import shutil
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -18,7 +19,6 @@ from fjr_bringup.cli import gains as gains_command
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.export import export_to
 from fjr_bringup.cli.report import ReportError, report_bags, tell
-from fjr_bringup.cli.ros2cli import refuse_where_better
 from fjr_bringup.interrupt import Interrupted, stoppable
 from fjr_bringup.monitor import app as monitor_app
 from fjr_bringup.recording.echo import echo
@@ -28,8 +28,8 @@ from fjr_bringup.runner.run import Plan, RunError, discover_quickly, run
 from fjr_bringup.scenarios import library
 from fjr_bringup.studies.comparison import command as comparison_command
 from fjr_bringup.studies.contraction import run as contraction_study
+from fjr_core.config.description import description
 from fjr_core.errors import CompareError, FjrError, ParameterError
-from fjr_core.robot.urdf_export import description
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")
 
@@ -225,3 +225,13 @@ def _tell(summaries: list[RunSummary]) -> None:
     print(table(summaries))
     print(where_to_look(summaries))
     print(how_to_play(Path(summaries[0].report.bag)))
+
+
+class BetterToolError(FjrError):
+    """ROS 2's own tool is installed."""
+
+
+def refuse_where_better(command: str, what: str, force: bool) -> None:
+    """Raise BetterToolError, naming the `command` of ros2 to use, where ros2 is on the PATH, unless forced."""
+    if not force and (found := shutil.which("ros2")):
+        raise BetterToolError(f"{found} is there and does this better: use `{command}` ({what}), or add --force")

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fjr_core.codegen import export, left_out, loop_of, prefix_of, write
-from fjr_core.config.scenario import Scenario
+from fjr_core.codegen import export, loop_of, prefix_of, write
+from fjr_core.config.scenario import Scenario, left_out
 
 
 def export_to(scenario: Scenario, folder: Path, prefix: str | None, force: bool) -> str:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -125,6 +126,14 @@ class Robot:
     ) -> tuple[ca.SX, ca.SX]:
         """Return (p_l, p_m) = (M_l dq_l, M_m dq_m) as expressions; links as above."""
         return (links or self.links).M_l(q_l) @ dq_l, self.M_m @ dq_m
+
+    def fingerprint(self) -> bytes:
+        """Digest of all that its equations of motion consist of: equal for robots with the same equations."""
+        parts = [getattr(self.links, name).serialize() for name in ("M_l", "P_l", "grad_P_l", "C", "grad_T")]
+        digest = hashlib.sha256("\n".join(parts).encode())
+        for name in ("M_m", "K", "D_l", "D_m", "B_m"):
+            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        return digest.digest()
 
     def _vector(self, name: str, value: ArrayLike) -> Array:
         return checks.vector(name, value, self.n, StateError)

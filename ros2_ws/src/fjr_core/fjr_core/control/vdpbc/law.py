@@ -14,7 +14,8 @@ from ...numerics.casadi_function import NumericFunction, dense_function
 from ...numerics.checks import Array
 from ...numerics.jit_cache import recalled
 from ...robot.robot import Robot
-from ..lie_derivative import REFERENCE_DERIVATIVES, Flow, flow
+from ...trajectories.reference import REFERENCE_DERIVATIVES
+from ..lie_derivative import Flow, flow
 from ..static_law import StaticLaw
 from .convergence_rate import Rate, rate
 from .gains import Gains
@@ -116,7 +117,7 @@ class TrackingLaw(StaticLaw):
 
     def derived(self, name: str, build: Callable[[], ca.Function]) -> ca.Function:
         """Return build(), a function of the robot and the gain pattern; if the law is compiled, from the code cache."""
-        return recalled(name, self.robot, self._symbols.pattern, build) if self.compiles else build()
+        return recalled(name, self.robot.fingerprint(), self._symbols.pattern, build) if self.compiles else build()
 
     @property
     def gain_values(self) -> Array:
