@@ -31,7 +31,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An empty cache, and no temporary one yet."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("CC", raising=False)
-    compiling._say_once.cache_clear()
+    compiling._warn_once.cache_clear()
     code_cache._temporary_base.cache_clear()
     yield tmp_path / "cache" / "fjr"
     code_cache._temporary_base.cache_clear()

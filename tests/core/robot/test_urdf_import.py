@@ -259,7 +259,7 @@ REFUSED: dict[str, tuple[str, str]] = {
     ),
     "loop": (
         robot(BASE, link("upper"), link("lower"), joint("shoulder", "lower", "upper"), ELBOW),
-        "carries itself .a closed chain.; expected a tree",
+        "is its own ancestor .a closed chain.; expected a tree",
     ),
     "two roots": (TWO.replace("</robot>", link("loose") + "</robot>"), "links base, loose have no parent joint"),
     "floating base": (

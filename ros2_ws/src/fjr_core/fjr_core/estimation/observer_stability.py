@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast the velocity observer's error decays: the sampled error dynamics linearised at rest."""
+"""How fast the velocity observer's error decays: the sampled error dynamics linearised at equilibria."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .velocity_observer import CONFIGURATIONS, LONGEST_CALL, LONGEST_GAP, Veloci
 
 
 def error_radii(robot: Robot, bandwidth: float, sample_period: float, configurations: ArrayLike | None = None) -> Array:
-    """Spectral radii (k,) of the sampled error dynamics about rest at configurations (k, n) [rad].
+    """Spectral radii (k,) of the sampled error dynamics about equilibria at configurations (k, n) [rad].
 
     Below 1 an estimate near the state converges to it, by that factor a sample; exact for what runs, its integrator
     included. configurations: 64 sampled ones when none are given. sample_period [s]: at most LONGEST_GAP.
@@ -26,13 +26,13 @@ def error_radii(robot: Robot, bandwidth: float, sample_period: float, configurat
     """
     if not 0 < sample_period <= LONGEST_GAP:
         raise StateError(f"sample_period is {sample_period} s; expected more than 0 and at most {LONGEST_GAP}")
-    rest = rest_points(robot, checked_configurations(robot, configurations, CONFIGURATIONS))
+    points = rest_points(robot, checked_configurations(robot, configurations, CONFIGURATIONS))
     slope = _error_slope(VelocityObserver(robot, bandwidth).function)
     g, h = corrections(bandwidth, sample_period)
     calls = math.ceil(sample_period / LONGEST_CALL)
     dt, gain = sample_period / calls, [g, h / sample_period]
     radii = []
-    for x, u in zip(rest.x, rest.u, strict=True):
+    for x, u in zip(points.x, points.u, strict=True):
         predicted, corrected = (slope(x, x[: 2 * robot.n], u, dt, by).full() for by in ([0.0, 0.0], gain))
         error = corrected @ np.linalg.matrix_power(predicted, calls - 1)
         radii.append(np.abs(np.linalg.eigvals(error)).max())

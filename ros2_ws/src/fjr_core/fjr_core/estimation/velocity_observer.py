@@ -13,8 +13,9 @@ dq = const both poles of the error are at z. One bandwidth for all links and mot
 What is guaranteed, for the exact model and effort and exact positions:
 - an exact estimate stays exact, up to the integrator;
 - near it the error decays exponentially wherever the spectral radius of its linearisation is below 1
-  (observer_error.error_radii: at rest, at sampled configurations); nothing global is claimed;
-- without damping that linearisation splits into the 2n modes of the robot at rest. A mode omega, theta = omega dt, has
+  (observer_error.error_radii: at equilibria, at sampled configurations); nothing global is claimed;
+- without damping that linearisation splits into the 2n modes of the robot at equilibria. A mode omega, theta = omega
+dt, has
   the poles of lambda^2 - ((1 + z^2) cos(theta) - (1 - z)^2 sin(theta) / theta) lambda + z^2: of modulus z wherever they
   are complex, and below 1 for every bandwidth up to theta = 2.33 (371 Hz at 1 kHz), for small ones almost up to pi.
   Where gravity topples (omega = i nu) it takes a bandwidth above about nu;
@@ -178,7 +179,7 @@ def _observer_function(robot: Robot, steps: int) -> ca.Function:
 
 
 def steps_of(robot: Robot) -> int:
-    """Return the number of Runge-Kutta steps in one call, enough for the robot's fastest mode at rest."""
-    rest = rest_points(robot, checked_configurations(robot, None, CONFIGURATIONS))
-    fastest = float(np.abs(np.linalg.eigvals(plant_matrices(rest)[0])).max())
+    """Return the number of Runge-Kutta steps in one call, enough for the robot's fastest mode at equilibria."""
+    points = rest_points(robot, checked_configurations(robot, None, CONFIGURATIONS))
+    fastest = float(np.abs(np.linalg.eigvals(plant_matrices(points)[0])).max())
     return min(max(math.ceil(LONGEST_CALL * fastest / FINE), FEWEST_STEPS), MOST_STEPS)

@@ -30,10 +30,9 @@ from .baseline import Baseline, damping, effort, rate
 
 @dataclass(frozen=True)
 class LinkStage:
-    """e = q - q_d, de, s = de + Lambda e, and the wanted spring torque tau_d; expressions (n,).
+    """Link errors e = q - q_d, de, s = de + Lambda e, and the desired joint torque tau_d; expressions (n,).
 
-    With theta_d so that the springs give tau_d at the error zero of the motors, M_l ds + (C_l + D_l + K_1) s = what
-    the springs give beyond tau_d.
+    The link error obeys M_l ds + (C_l + D_l + K_1) s = tau - tau_d, tau the joint torque.
     """
 
     e: ca.SX
@@ -43,7 +42,10 @@ class LinkStage:
 
 
 def link_stage(f: Flow, g: SimpleNamespace) -> LinkStage:
-    """tau_d = M_l ddq_r + C_l dq_r + D_l dq_r + grad P_l - K_1 s,  dq_r = dq_d - Lambda e; Lambda (1,), K_1 (n, n)."""
+    """Return the link stage (Slotine and Li) for gains Lambda (1,) [1/s] and K_1 (n, n) [N m s/rad].
+
+    tau_d = M_l ddq_r + C_l dq_r + D_l dq_r + grad P_l - K_1 s, dq_r = dq_d - Lambda e.
+    """
     links, m = f.robot.links, f.measured
     e, de = m.q_l - f.jets[:, 0], m.dq_l - f.jets[:, 1]
     dq_r = f.jets[:, 1] - g.Lambda * e

@@ -71,17 +71,17 @@ class Lqr(Baseline):
 
 def velocity_matrices(robot: Robot, q_0: Array) -> tuple[Array, Array]:
     """Return A (4n, 4n), B (4n, n) about the equilibrium at q_0 (n,) [rad], in coordinates (q, theta, dq, dtheta)."""
-    rest = rest_points(robot, q_0[None])
-    A, B = plant_matrices(rest)
-    T = velocity_transformation(rest)
+    points = rest_points(robot, q_0[None])
+    A, B = plant_matrices(points)
+    T = velocity_transformation(points)
     return (T @ A @ np.linalg.inv(T))[0], (T @ B)[0]
 
 
-def velocity_transformation(rest: RestPoints) -> Array:
+def velocity_transformation(points: RestPoints) -> Array:
     """Return T (k, 4n, 4n) with (q, theta, dq, dtheta) = T x, linearised at the equilibria."""
-    one = np.eye(rest.robot.n)
-    inverses = np.linalg.inv(rest.M_l), np.linalg.inv(rest.robot.M_m)
-    return rest.blocks([one, 0, 0, 0], [0, one, 0, 0], [0, 0, inverses[0], 0], [0, 0, 0, inverses[1]])
+    one = np.eye(points.robot.n)
+    inverses = np.linalg.inv(points.M_l), np.linalg.inv(points.robot.M_m)
+    return points.blocks([one, 0, 0, 0], [0, one, 0, 0], [0, 0, inverses[0], 0], [0, 0, 0, inverses[1]])
 
 
 def standard(robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan) -> LqrGains:

@@ -76,14 +76,14 @@ def gain_values(robot: Robot, gains: CheckedGains, rates: tuple[Array, Array]) -
     return np.concatenate([K.ravel() for K in parts])
 
 
-def steady_state_ports(rest: RestPoints, gains: CheckedGains) -> Array:
+def steady_state_ports(points: RestPoints, gains: CheckedGains) -> Array:
     """Return the gains (k, 2n, 2n) [rad/s per N m] from constant torques on links and motors to steady port outputs.
 
     Torques d enter the errors as de = A e + E d, E = de/d(p_l, p_m), so e = -A^-1 E d in steady state. The port output
     is E' P e with the metric P.
     """
-    E, S = error_matrices(rest, gains)[:, :, 2 * rest.robot.n :], metric_roots(rest, gains)
-    steady = np.linalg.solve(error_dynamics(rest, gains), -E)
+    E, S = error_matrices(points, gains)[:, :, 2 * points.robot.n :], metric_roots(points, gains)
+    steady = np.linalg.solve(error_dynamics(points, gains), -E)
     return np.asarray(np.swapaxes(S @ E, 1, 2) @ (S @ steady))
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...numerics.casadi_function import NumericFunction, dense_function
 from ...numerics.checks import Array
-from ...numerics.jit_cache import recalled
+from ...numerics.jit_cache import compiled_from_inputs
 from ...robot.robot import Robot
 from ...trajectories.reference import REFERENCE_DERIVATIVES
 from ..lie_derivative import Flow, flow
@@ -117,7 +117,9 @@ class TrackingLaw(StaticLaw):
 
     def derived(self, name: str, build: Callable[[], ca.Function]) -> ca.Function:
         """Return build(), a function of the robot and the gain pattern; if the law is compiled, from the code cache."""
-        return recalled(name, self.robot.fingerprint(), self._symbols.pattern, build) if self.compiles else build()
+        if not self.compiles:
+            return build()
+        return compiled_from_inputs(name, self.robot.fingerprint(), self._symbols.pattern, build)
 
     @property
     def gain_values(self) -> Array:
