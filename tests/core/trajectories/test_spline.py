@@ -151,7 +151,7 @@ def test_positions_alone_give_the_quintic_spline_inside() -> None:
     jets, free = np.zeros((61, 5, 1)), np.zeros((61, 5), dtype=bool)
     jets[:, 0, 0], free[1:-1, 1:] = q, True
     quintic = make_interp_spline(times, q, 5, bc_type=([(1, 0.0), (2, 0.0)],) * 2)
-    chosen = minimum_jerk.least_jerk(times, jets, free)[28:33, :, 0]
+    chosen = minimum_jerk.minimum_jerk(times, jets, free)[28:33, :, 0]
     np.testing.assert_allclose(chosen, np.array([quintic(times, order) for order in range(5)]).T[28:33], atol=1e-8)
 
 
@@ -171,7 +171,7 @@ def test_no_other_choice_of_the_free_derivatives_has_less_jerk(known: int, ratio
     jets, free = np.zeros((6, 5, 2)), np.zeros((6, 5), dtype=bool)
     jets[:, :known] = RNG.normal(size=(6, known, 2))
     free[1:-1, known:] = True
-    chosen = minimum_jerk.least_jerk(times, jets, free)
+    chosen = minimum_jerk.minimum_jerk(times, jets, free)
     np.testing.assert_array_equal(chosen[~free], jets[~free])
     least = squared_jerk(times, chosen)
     for knot, order in np.argwhere(free):
@@ -227,7 +227,7 @@ def test_smooth_data_are_not_touched_by_the_care_for_overshoot() -> None:
     times = np.linspace(0.0, 2.0, 41)
     jets, free = np.zeros((41, 5, 1)), np.zeros((41, 5), dtype=bool)
     jets[:, 0, 0], free[1:-1, 1:] = bump(times), True
-    chosen = minimum_jerk.least_jerk(times, jets, free)
+    chosen = minimum_jerk.minimum_jerk(times, jets, free)
     inside = slice(3, -3)  # beside the ends, where the bump is flat to rounding, it may
     np.testing.assert_array_equal(minimum_jerk.without_overshoot(times, chosen, free)[inside], chosen[inside])
 

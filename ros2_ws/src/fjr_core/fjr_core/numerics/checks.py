@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check values at the boundary: they become finite arrays of the expected shape, or raise one clear sentence."""
+"""Validate input: return finite arrays of the expected shape, or raise the given error."""
 
 from __future__ import annotations
 
