@@ -29,35 +29,35 @@ class Joined:
         return self.target.n
 
     @property
-    def joined(self) -> float:
+    def transition_end(self) -> float:
         """Time [s] from which on the reference equals the target."""
         return float(self.segment.times[-1])
 
     @property
     def end(self) -> float:
         """End [s] of the target, at least the end of the transition."""
-        return max(self.joined, self.target.end)
+        return max(self.transition_end, self.target.end)
 
     def jets(self, t: ArrayLike) -> Array:
         """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
         if not np.ndim(t):
-            return (self.segment if t < self.joined else self.target).jets(t)  # type: ignore[operator]
+            return (self.segment if t < self.transition_end else self.target).jets(t)  # type: ignore[operator]
         t = np.asarray(t, dtype=float)
-        jets, before = self.target.jets(t), t < self.joined
+        jets, before = self.target.jets(t), t < self.transition_end
         jets[before] = self.segment.jets(t[before])
         return jets
 
     def configurations(self, k: int) -> Array:
         """Return k configurations (k, n) [rad]: a quarter of them in the transition, the others of the target."""
-        times = np.linspace(self.segment.times[0], self.joined, k // 4)
+        times = np.linspace(self.segment.times[0], self.transition_end, k // 4)
         return np.vstack([self.segment.jets(times)[:, 0], self.target.configurations(k - k // 4)])
 
     def extremes(self, t0: float, t1: float) -> Extremes:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
-        if t0 >= self.joined:
+        if t0 >= self.transition_end:
             return self.target.extremes(t0, t1)
-        bounds = self.segment.extremes(t0, min(t1, self.joined))
-        return bounds if t1 <= self.joined else bounds.union(self.target.extremes(self.joined, t1))
+        bounds = self.segment.extremes(t0, min(t1, self.transition_end))
+        return bounds if t1 <= self.transition_end else bounds.union(self.target.extremes(self.transition_end, t1))
 
 
 def join(jets0: ArrayLike, t0: float, target: Reference, duration: float) -> Joined:
@@ -72,7 +72,7 @@ def join(jets0: ArrayLike, t0: float, target: Reference, duration: float) -> Joi
     positive("duration", duration)
     t0 = number("t0", t0)
     t1 = t0 + duration
-    while isinstance(target, Joined) and target.joined <= t1:
+    while isinstance(target, Joined) and target.transition_end <= t1:
         target = target.target
     segment = Pieces(np.array([t0, t1]), np.stack([jets0, target.jets(t1)]))
     if not segment.finite:
