@@ -59,7 +59,7 @@ def on_motors(loop: PlainLoop, gain: str) -> Array:
 @pytest.mark.parametrize("name", ON_MOTORS)
 @arms
 @seeds
-def test_the_storage_of_a_standing_reference_falls_by_the_damping_alone(name: str, make, seed: int) -> None:
+def test_the_storage_of_a_constant_reference_decays_by_the_damping_only(name: str, make, seed: int) -> None:
     """dV/dt = -dq' D_l dq - dtheta' (D_m + D) dtheta, whatever the state."""
     arm = make()
     loop, p = loop_of(name, arm), place(arm, seed)
@@ -72,7 +72,7 @@ def test_the_storage_of_a_standing_reference_falls_by_the_damping_alone(name: st
 
 @pytest.mark.parametrize("name", ON_MOTORS)
 @pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
-def test_the_standing_reference_is_the_only_rest_and_is_reached(name: str, arm: Arm) -> None:
+def test_the_constant_reference_is_the_only_equilibrium_and_is_reached(name: str, arm: Arm) -> None:
     """Where K_p outweighs gravity: V has one stationary point, and the arm comes to it from far off."""
     loop = loop_of(name, arm)
     gain = on_motors(loop, "K")
