@@ -18,7 +18,7 @@ from ..robot import virtual_system
 from ..robot.robot import Robot
 from ..trajectories.reference import REFERENCE_DERIVATIVES
 
-LOAD_RATES = 2  # of a load torque on the links, which enters two derivatives later than q_ld
+LOAD_RATES = 2  # derivatives of a load torque on the links; it enters the law two derivatives later than q_ld
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Load:
 
     known (n, 3): known torque and its first two derivatives; column k is the k-th derivative.
     integral (n,) [N m]: state of the integral action; its rate is `gain` (n, n) [N m/rad] times the port output
-    (docs/robust.md). Both are empty without integral action.
+    (docs/robust.md). integral and gain are empty without integral action.
     """
 
     known: ca.SX

@@ -30,7 +30,7 @@ class MeasuredLaw(Protocol):
 
     @property
     def measured_expression(self) -> ca.Function:
-        """(position (2n,), velocity (2n,), jets (n, 5), gains (g,)) -> u (n,), V; never machine code."""
+        """(position (2n,), velocity (2n,), jets (n, 5), gains (g,)) -> u (n,), V; not compiled."""
 
 
 class SampledLaw(Protocol):

@@ -47,7 +47,8 @@ class LqrGains:
             P = solve_continuous_are(A, B, Q, R)
         except (np.linalg.LinAlgError, ValueError):
             raise GainsError(
-                "Q and R give a Riccati equation without a solution; expected Q to weight every mode, both alike"
+                "Q and R give a Riccati equation without a solution; expected Q to weight every mode, "
+                "and Q and R of similar magnitude"
             ) from None
         return {"F": np.linalg.solve(R, B.T @ P), "P": (P + P.T) / 2}
 
