@@ -18,7 +18,7 @@ from .reference import JETS, Reference
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """A polynomial of degree 9, `segment`, followed by `target`; created by join."""
+    """A polynomial of degree 9, `segment`, followed by `target`; created by transition."""
 
     segment: Pieces
     target: Reference
