@@ -50,7 +50,7 @@ class Circle:
 
     @property
     def end(self) -> float:
-        """Infinite."""
+        """Infinite: the reference does not end."""
         return np.inf
 
     @cached_property

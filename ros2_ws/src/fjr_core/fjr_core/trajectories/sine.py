@@ -45,7 +45,7 @@ class Sine:
 
     @property
     def end(self) -> float:
-        """Infinite."""
+        """Infinite: the reference does not end."""
         return np.inf
 
     def jets(self, t: ArrayLike) -> Array:
@@ -116,7 +116,7 @@ class MultiSine:
 
     @property
     def end(self) -> float:
-        """Infinite."""
+        """Infinite: the reference does not end."""
         return np.inf
 
     @cached_property
