@@ -59,7 +59,7 @@ def on_motors(loop: PlainLoop, gain: str) -> Array:
 @pytest.mark.parametrize("name", ON_MOTORS)
 @arms
 @seeds
-def test_the_storage_of_a_standing_reference_falls_by_the_damping_alone(name: str, make, seed: int) -> None:
+def test_the_storage_of_a_constant_reference_decays_by_the_damping_only(name: str, make, seed: int) -> None:
     """dV/dt = -dq' D_l dq - dtheta' (D_m + D) dtheta, whatever the state."""
     arm = make()
     loop, p = loop_of(name, arm), place(arm, seed)
@@ -72,7 +72,7 @@ def test_the_storage_of_a_standing_reference_falls_by_the_damping_alone(name: st
 
 @pytest.mark.parametrize("name", ON_MOTORS)
 @pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
-def test_the_standing_reference_is_the_only_rest_and_is_reached(name: str, arm: Arm) -> None:
+def test_the_constant_reference_is_the_only_equilibrium_and_is_reached(name: str, arm: Arm) -> None:
     """Where K_p outweighs gravity: V has one stationary point, and the arm comes to it from far off."""
     loop = loop_of(name, arm)
     gain = on_motors(loop, "K")
@@ -158,12 +158,12 @@ def test_the_apparent_inertia_is_as_small_as_sampling_allows(sample_period: floa
         D = 3.0 * arm.links.M(np.zeros(arm.n))
         M_theta = torque_feedback.shaped_inertia(arm.robot, D, sample_period)
         parts = relative_eigenvalues(M_theta, arm.M_m)
-        assert parts.min() >= torque_feedback.LIGHTEST - 1e-9
+        assert parts.min() >= torque_feedback.SMALLEST_INERTIA - 1e-9
         assert parts.max() <= 1 + 1e-9
         if parts.max() < 1 - 1e-9:
             turn = np.sqrt(relative_eigenvalues(arm.K, M_theta)) * sample_period
-            assert turn.max() <= torque_feedback.QUICKEST + 1e-9
-            assert relative_eigenvalues(D, M_theta).max() * sample_period <= torque_feedback.MOST_DAMPED + 1e-9
+            assert turn.max() <= torque_feedback.FASTEST_RESONANCE + 1e-9
+            assert relative_eigenvalues(D, M_theta).max() * sample_period <= torque_feedback.FASTEST_DAMPING + 1e-9
 
 
 # feedback linearisation
@@ -200,7 +200,7 @@ def test_feedback_linearisation_has_two_time_scales(make) -> None:
         arrays = gains.arrays(arm.robot)
         poles = np.linalg.eigvals(feedback_linearisation.companion(*(arrays[f"A_{k}"] for k in range(4))))
         size = np.sort(np.abs(poles))
-        fastest = feedback_linearisation.QUICKEST / sample_period
+        fastest = feedback_linearisation.FASTEST_POLE / sample_period
         wanted = np.clip(np.repeat(modes / 2, 2), omega, fastest)
         np.testing.assert_allclose(size, np.sort(np.r_[np.full(2 * n, omega), wanted]), rtol=1e-4)
         assert poles.real.max() < -0.69 * omega

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all laws that v-dPBC is compared with have in common: rest, the reference's own motion, gains, machine code."""
+"""Common properties of the baseline laws: equilibrium, motion along the reference, gains, machine code."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ arms = pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
 
 @every_law
 @arms
-def test_at_rest_on_a_standing_reference_the_effort_is_the_weight(name: str, arm: Arm) -> None:
+def test_at_the_equilibrium_of_a_constant_reference_the_effort_is_the_weight(name: str, arm: Arm) -> None:
     loop = PlainLoop(arm, standard_law(name, arm))
     q = np.random.default_rng(1).uniform(-1, 1, arm.n)
     x, jets = loop.rest(q), standing(q)
@@ -89,7 +89,7 @@ def test_other_gains_give_the_law_that_is_built_with_them(name: str) -> None:
 
 
 @names
-def test_all_ways_to_ask_agree(name: str) -> None:
+def test_all_evaluation_functions_agree(name: str) -> None:
     """measured_command, bound arrays, command of a state, and the SampledLaw of the same."""
     arm = ARMS[2]
     law, loop = standard_law(name, arm), PlainLoop(arm, standard_law(name, arm))
@@ -132,7 +132,7 @@ BAD_GAINS = [
     (PdGains(K_p=0.1, K_d=1.0), "outweigh gravity"),
     (PdGains(K_p=np.nan, K_d=1.0), "finite"),
     (PdGains(K_p=20.0, K_d=-1.0), "K_d with the robot's own damping"),
-    (CompositeGains(K_p=-1.0, K_v=1.0, K_f=1.0), "slow flow that grows"),
+    (CompositeGains(K_p=-1.0, K_v=1.0, K_f=1.0), "slow mode that grows"),
     (CompositeGains(K_p=1.0, K_v=1.0, K_f=[1.0, 2.0, 3.0]), "shape"),
     (LinearErrorGains(1.0, 1.0, 1.0, 1.0), "error that grows"),
     (BacksteppingGains(Lambda=0.0, K_1=1.0, c_1=1.0, c_2=1.0), "positive number"),
@@ -148,12 +148,12 @@ BAD_GAINS = [
 @pytest.mark.parametrize(
     ("gains", "words"), BAD_GAINS, ids=lambda value: getattr(value, "__class__", type(value)).__name__
 )
-def test_gains_that_void_the_papers_condition_are_refused(gains: object, words: str) -> None:
+def test_gains_that_violate_the_papers_condition_are_refused(gains: object, words: str) -> None:
     with pytest.raises(fjr.GainsError, match=words):
         gains.arrays(ARMS[0].robot)  # type: ignore[attr-defined]
 
 
-def test_weights_that_scipy_refuses_are_refused_as_gains() -> None:
+def test_weights_without_a_riccati_solution_are_refused() -> None:
     weights = LqrGains(Q=1e200 * np.eye(4), R=1.0, configuration=0.0)
     with pytest.raises(fjr.GainsError, match="Q and R give a Riccati equation without a solution"):
         weights.arrays(ARMS[0].robot)
@@ -166,12 +166,12 @@ def test_a_full_matrix_is_refused_where_the_law_was_built_for_diagonal_ones() ->
         law.with_gains(PdGains(K_p=[[60.0, 5.0], [5.0, 60.0]], K_d=1.0))
 
 
-def test_an_unknown_law_is_told_with_the_known_ones() -> None:
+def test_an_unknown_law_is_refused_with_the_known_names() -> None:
     with pytest.raises(fjr.ParameterError, match="'pid'; expected one of v_dpbc, pd_gravity"):
         law_kind("pid")
 
 
-def test_wrong_shapes_are_told() -> None:
+def test_wrong_shapes_are_refused() -> None:
     law = standard_law("lqr", ARMS[0])
     with pytest.raises(fjr.StateError, match="position has shape"):
         law.measured_command(np.zeros(3), np.zeros(2), np.zeros((5, 1)))

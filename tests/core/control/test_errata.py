@@ -56,7 +56,7 @@ def test_exact_rate_of_the_storage_tells_the_printed_coupling(
 
 
 @cases
-def test_only_the_motor_equation_tells_the_printed_coupling(arm: Arm, gains: GainSet, coupling: str) -> None:
+def test_only_the_motor_equation_reveals_the_printed_coupling(arm: Arm, gains: GainSet, coupling: str) -> None:
     residuals = error_dynamics(fresh_loop(arm, gains), random_point(arm, 1))
     q_tilde_m = residuals.pop("q_tilde_m")
     assert max(residuals.values()) <= TOLERANCE

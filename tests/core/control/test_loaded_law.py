@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law that counts on torques beside its model: against 80 digits, and the exact rate of its storage."""
+"""The law with load torques: against 80 digits, and the exact rate of its storage."""
 
 from __future__ import annotations
 
@@ -60,15 +60,15 @@ def test_effort_storage_and_port_are_those_of_the_equations(i: int) -> None:
 
 @pytest.mark.parametrize("i", range(len(LOOPS)), ids=LOOP_NAMES)
 @pytest.mark.parametrize("integrating", [True, False])
-def test_the_rate_of_the_storage_is_exact_whatever_acts(i: int, integrating: bool) -> None:
+def test_the_rate_of_the_storage_is_exact_under_any_torques(i: int, integrating: bool) -> None:
     """dV/dt = -dissipation + port_l' (d_l - w - integral) + s_m' (d_m - matched + B_m (u - u_law))."""
     case, n = Case(i, 1, integrating), LOOPS[i][0].n
     u = case.found["u"] + case.excess
     real = case.oracle.dV(case.x, case.jets, case.integral, u, case.torque)
-    beside_l = case.torque[:n] - case.known[0] - case.integral
-    beside_m = case.torque[n:] - case.matched + case.arm.B_m @ case.excess
+    unknown_l = case.torque[:n] - case.known[0] - case.integral
+    unknown_m = case.torque[n:] - case.matched + case.arm.B_m @ case.excess
     terms = np.concatenate(
-        [-case.found["dissipation"], case.found["port_l"] * beside_l, case.found["port_m"] * beside_m]
+        [-case.found["dissipation"], case.found["port_l"] * unknown_l, case.found["port_m"] * unknown_m]
     )
     assert abs(real - terms.sum()) <= CLOSE * np.abs(terms).sum()
 
@@ -85,7 +85,7 @@ def test_with_the_integrals_energy_no_constant_torque_counts(i: int) -> None:
 
 
 @pytest.mark.parametrize("i", range(len(LOOPS)), ids=LOOP_NAMES)
-def test_without_torques_it_is_the_law(i: int) -> None:
+def test_without_load_torques_it_is_the_law(i: int) -> None:
     law, function = loaded(i)
     case, n = Case(i, 3), LOOPS[i][0].n
     velocity = np.concatenate(case.arm.robot.velocities(case.x))
@@ -97,7 +97,7 @@ def test_without_torques_it_is_the_law(i: int) -> None:
 
 
 @pytest.mark.parametrize("i", range(len(LOOPS)), ids=LOOP_NAMES)
-def test_left_out_is_an_integral_of_nothing(i: int) -> None:
+def test_omitting_the_integral_equals_a_zero_integral(i: int) -> None:
     law, function = loaded(i)
     case, n = Case(i, 4), LOOPS[i][0].n
     velocity = np.concatenate(case.arm.robot.velocities(case.x))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust action sample by sample: the residual, the integral, the prediction, and what they do to errors."""
+"""Robust action: disturbance observer, integral action, Smith predictor, and their effect on the errors."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from scipy import signal
 import fjr_core as fjr
 from fjr_core.config.scenario import load_scenario
 from fjr_core.control.robust import Robust, RobustLaw, sampled_law
-from fjr_core.control.robust.integral_action import Integral, gain_values
+from fjr_core.control.robust.integral_action import IntegralAction, gain_values
 from fjr_core.control.robust.options import LONGEST_DELAY
-from fjr_core.control.robust.smith_predictor import Waiting
+from fjr_core.control.robust.smith_predictor import EffortBuffer
 from fjr_core.control.sampled_law import Static, bound_step
 from fjr_core.errors import GainsError, StateError
 from fjr_core.stability.sampled_loop import spectral_radius
@@ -57,14 +57,14 @@ def test_an_inertia_error_costs_an_arm_three_times_less(gravity: float, rate: fl
 
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("samples", [0.5, 1.0, 2.0])
-def test_prediction_makes_up_for_the_delay(name: str, samples: float) -> None:
+def test_prediction_compensates_the_delay(name: str, samples: float) -> None:
     law, delay = LAWS[name], samples * PERIOD
     reference = SINE if name == "joint" else TWO_LINK.reference
     plain, better = (rms(errors(law, r, reference, law.robot, 3.0, delay)[1000:]) for r in (None, Robust(delay=delay)))
     assert plain > 10 * better
 
 
-def test_half_of_the_hold_counts() -> None:
+def test_the_prediction_includes_half_of_the_hold() -> None:
     """Without it a third of what a sample of delay costs would be left."""
     best, without = (
         rms(errors(JOINT, Robust(delay=PERIOD, hold=hold), SINE, JOINT.robot, 3.0, PERIOD)[1000:])
@@ -133,7 +133,7 @@ def residual_run(law: fjr.TrackingLaw, gain: float, period: float, seconds: floa
             x[: 2 * n], velocity, jets.T, step.gain_values, memory, sent, period if k else 0.0
         )
         sent = u.full().ravel()
-        kept = ca.Function("kept", [s := ca.MX.sym("s", parts.size)], [parts.split(s)[name] for name in ("r", "w")])
+        kept = ca.Function("kept", [s := ca.MX.sym("s", parts.size)], [parts.unpack(s)[name] for name in ("r", "w")])
         now = kept(memory)
         r.append(now[0].full().ravel())
         w.append(now[1].full().ravel())
@@ -158,7 +158,7 @@ def test_the_residual_follows_a_torque_as_its_filter_says(name: str) -> None:
     assert off[0] > 3 * off[1], "of second order in the period"
 
 
-def test_at_rest_the_residual_is_the_torque() -> None:
+def test_at_equilibrium_the_residual_is_the_torque() -> None:
     r, w = residual_run(JOINT, 40.0, 1e-3, 1.5)
     np.testing.assert_allclose(r[-1], [0.3, 0.2], atol=1e-9)
     np.testing.assert_allclose(w[-1], 0.3, atol=1e-9)
@@ -167,10 +167,10 @@ def test_at_rest_the_residual_is_the_torque() -> None:
 # --- the prediction
 
 
-def test_what_acts_when_is_what_was_sent() -> None:
+def test_the_effort_buffer_returns_the_efforts_that_act() -> None:
     """Efforts of irregular samples: each acts from its stamp + delay to the next one's, and none is lost."""
     rng, delay, hold = np.random.default_rng(4), 2.3e-3, 1e-3
-    waiting, kept = Waiting(1, delay, hold), {"efforts": ca.DM.zeros(4), "ages": ca.DM.zeros(4)}
+    waiting, kept = EffortBuffer(1, delay, hold), {"efforts": ca.DM.zeros(4), "ages": ca.DM.zeros(4)}
     stamps = np.cumsum(rng.uniform(0.8e-3, 1.2e-3, 12))
     efforts = np.concatenate([[0.0], rng.uniform(-1, 1, 11)])  # before the first sample nothing was sent
     for k, dt in enumerate(np.diff(stamps, prepend=stamps[0])):
@@ -259,8 +259,8 @@ def test_the_integral_does_not_wind_up() -> None:
 
 @pytest.mark.parametrize(("dt", "counts"), [(PERIOD, PERIOD), (2 * PERIOD, 2 * PERIOD), (0.1, 2 * PERIOD)])
 def test_over_a_gap_a_rate_is_integrated_for_two_holds(dt: float, counts: float) -> None:
-    integral = Integral(JOINT.robot, PERIOD)
-    kept = {"integral": ca.DM([1.0, 2.0]), "rate": ca.DM([30.0, -40.0]), "wanted": ca.DM(0.5)}
+    integral = IntegralAction(JOINT.robot, PERIOD)
+    kept = {"integral": ca.DM([1.0, 2.0]), "rate": ca.DM([30.0, -40.0]), "requested": ca.DM(0.5)}
     after = integral.step(kept, ca.DM(0.5), ca.DM(dt)).full().ravel()
     np.testing.assert_allclose(after, [1.0 + 30.0 * counts, 2.0 - 40.0 * counts], rtol=1e-12)
 
@@ -268,7 +268,7 @@ def test_over_a_gap_a_rate_is_integrated_for_two_holds(dt: float, counts: float)
 # --- options, wiring, malformed input
 
 
-def test_nothing_on_is_the_law_itself() -> None:
+def test_without_options_it_is_the_law_itself() -> None:
     assert isinstance(sampled_law(JOINT), Static)
     assert isinstance(sampled_law(JOINT, Robust(hold=0.002)), Static)
     x0 = JOINT.robot.state(0.5, 0.5, 0.0, 0.0)
@@ -301,7 +301,7 @@ def test_each_option_changes_the_effort_and_machine_code_nothing(values: dict[st
     np.testing.assert_allclose(run.u, slow.u, rtol=1e-7, atol=1e-9)
 
 
-def test_other_gains_of_a_law_need_nothing_built() -> None:
+def test_other_gains_of_a_law_need_no_new_function() -> None:
     step = RobustLaw(JOINT, BOTH)
     gains = replace(fjr.PAPER_GAINS, Pi_l=25.0)
     other = step.with_law(JOINT.with_gains(gains))
@@ -324,7 +324,7 @@ def test_other_gains_of_a_law_need_nothing_built() -> None:
         ({"delay": 1e-3, "hold": np.inf}, "hold is inf s; expected a finite number of 0 or more"),
     ],
 )
-def test_options_that_do_not_fit_are_refused(values: dict[str, Any], sentence: str) -> None:
+def test_inconsistent_options_are_refused(values: dict[str, Any], sentence: str) -> None:
     with pytest.raises(GainsError) as error:
         RobustLaw(JOINT, Robust(**values))
     assert str(error.value) == sentence
@@ -338,14 +338,14 @@ class Other:
     measured_expression = JOINT.measured_expression
 
 
-def test_any_measured_law_may_be_predicted_but_only_this_one_counts_on_torques() -> None:
+def test_every_law_may_be_predicted_but_only_v_dpbc_compensates_torques() -> None:
     one, other = (RobustLaw(law, Robust(delay=1e-3)).step_function for law in (Other(), JOINT))  # type: ignore[arg-type]
     values = [np.full(2, 0.1), np.full(2, 0.1), np.ones((1, 5)), JOINT.gain_values, np.full(4, 0.1), 0.2, 1e-3]
     np.testing.assert_array_equal(one(*values)[0].full(), other(*values)[0].full())
-    with pytest.raises(GainsError, match="for the law v_dpbc; expected none of it for a Other"):
+    with pytest.raises(GainsError, match="enabled for a Other; expected it for the law v_dpbc only"):
         RobustLaw(Other(), Robust(residual_gain=1.0))  # type: ignore[arg-type]
 
 
-def test_a_law_with_a_memory_needs_samples() -> None:
+def test_a_law_with_a_controller_state_needs_samples() -> None:
     with pytest.raises(StateError, match="law is a RobustLaw without a sample_period"):
         fjr.simulate(fjr.Plant(JOINT.robot), RobustLaw(JOINT, BOTH), SINE, np.zeros(4), 1.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the states hold: the parameters measurement.*, and which combinations are refused."""
+"""Measurement model: the parameters measurement.*, and the combinations that are refused."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_by_default_everything_is_measured() -> None:
     assert observer(values(), ROBOT) is None
 
 
-def test_the_words_reach_measurement_and_observer() -> None:
+def test_options_reach_measurement_and_observer() -> None:
     given = values(velocity="observer", observer_bandwidth=80.0, motor="torque")
     found = measurement(given, ROBOT)
     assert found.observed
@@ -59,7 +59,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_does_not_go_together_is_refused_in_one_sentence(case: str) -> None:
+def test_inconsistent_measurement_options_are_refused_in_one_sentence(case: str) -> None:
     given, words = REFUSED[case]
     with pytest.raises(fjr.ParameterError, match=words) as caught:
         measurement(values(**given), ROBOT)
@@ -67,7 +67,7 @@ def test_what_does_not_go_together_is_refused_in_one_sentence(case: str) -> None
 
 
 @pytest.mark.parametrize("given", [{"velocity": "some"}, {"motor": "some"}])
-def test_unknown_words_are_refused_at_birth_too(given: dict[str, str]) -> None:
+def test_unknown_options_are_refused_on_construction(given: dict[str, str]) -> None:
     with pytest.raises(fjr.ParameterError, match="expected one of"):
         fjr.Measurement(1, **given)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The velocity observer: exact on the exact model, as fast as its bandwidth, good enough for the loop, cheap."""
+"""Velocity observer: exact for the exact model, convergence at its bandwidth, tracking in the loop."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_the_rate_of_the_decay_is_the_bandwidth(bandwidth: float) -> None:
 
 
 @arms
-def test_met_in_motion_the_velocity_is_known_long_before_one_over_the_bandwidth(arm: Arm) -> None:
+def test_for_a_moving_robot_the_velocity_converges_long_before_one_over_the_bandwidth(arm: Arm) -> None:
     moving = Moving(arm, bandwidth=20.0).begun(exact=False)
     assert moving.error == np.abs(moving.dq).max()
     moving.run(1)
@@ -156,7 +156,7 @@ BEGINNINGS = {
 
 
 @pytest.mark.parametrize("beginning", BEGINNINGS)
-def test_begins_anew_from_the_positions_alone(beginning: str) -> None:
+def test_a_restart_uses_positions_only(beginning: str) -> None:
     moving = Moving(ARMS[2]).begun()
     moving.run(5)
     BEGINNINGS[beginning](moving)
@@ -169,7 +169,7 @@ def test_begins_anew_from_the_positions_alone(beginning: str) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_no_effort_and_no_position_spoils_it_for_good() -> None:
+def test_non_finite_input_does_not_persist() -> None:
     moving = Moving(ARMS[2]).begun()
     for q, u in ((1e308, 0.0), (0.0, 1e308)):
         moving.stamp += MS
@@ -209,7 +209,7 @@ def test_machine_code_gives_the_same_numbers() -> None:
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, -1.0, math.inf, math.nan])
-def test_a_bandwidth_that_is_none_is_refused(bandwidth: float) -> None:
+def test_invalid_bandwidths_are_refused(bandwidth: float) -> None:
     with pytest.raises(fjr.ParameterError, match="expected a positive finite number"):
         fjr.VelocityObserver(ARMS[0].robot, bandwidth)
 
@@ -239,7 +239,7 @@ def test_the_radius_of_an_undamped_joint_is_that_of_its_modes(bandwidth: float, 
     assert expected < 1
 
 
-def test_where_gravity_topples_the_bandwidth_must_be_above_its_rate() -> None:
+def test_an_unstable_equilibrium_requires_a_bandwidth_above_its_rate() -> None:
     """Upside down the paper's joint falls at about sqrt(m g l / M) = 5 rad/s; its spring and damping slow that."""
     robot = fjr.single_link(stiffness=31.0, link_damping=0.0, motor_damping=0.0)
     slow, fast = (error_radii(robot, bandwidth, 1e-3, [[np.pi]])[0] for bandwidth in (1.0, 50.0))
@@ -247,7 +247,7 @@ def test_where_gravity_topples_the_bandwidth_must_be_above_its_rate() -> None:
 
 
 @pytest.mark.parametrize("period", [0.0, -1e-3, 0.2, math.nan])
-def test_a_sample_period_that_is_none_is_refused(period: float) -> None:
+def test_invalid_sample_periods_are_refused(period: float) -> None:
     with pytest.raises(fjr.StateError, match="sample_period"):
         error_radii(ARMS[0].robot, BANDWIDTH, period)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled code is loaded only from a folder that this user alone can write, and only as it was kept."""
+"""Compiled code is loaded only from a folder that only this user can write, and only if it is intact."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An empty cache, and no temporary one yet."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("CC", raising=False)
-    compiling._say_once.cache_clear()
+    compiling._warn_once.cache_clear()
     code_cache._temporary_base.cache_clear()
     yield tmp_path / "cache" / "fjr"
     code_cache._temporary_base.cache_clear()
@@ -94,7 +94,7 @@ def test_a_planted_library_of_the_same_name_and_size_is_not_run(cache: Path, tmp
     assert not (tmp_path / "marker").exists()
 
 
-def test_a_planted_library_is_not_recalled(cache: Path, tmp_path: Path) -> None:
+def test_a_planted_library_is_not_loaded_from_the_cache(cache: Path, tmp_path: Path) -> None:
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
     wanted = Balance(law).at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V
     assert wanted > 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Machine code: the same numbers as CasADi's virtual machine, cached by content, safe for processes side by side."""
+"""Machine code: the same numbers as CasADi's virtual machine, cached by content, safe for concurrent processes."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ with_a_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C co
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty cache for every test, and nothing said yet."""
+    """An empty cache for every test, and no warning logged yet."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
-    compiling._say_once.cache_clear()
+    compiling._warn_once.cache_clear()
     return tmp_path / "fjr"
 
 
@@ -73,7 +73,7 @@ def test_law_and_plant_are_the_same_numbers_as_machine_code(arm: Arm, gains: Gai
 
 
 @with_a_compiler
-def test_what_is_compiled_comes_from_the_cache_folder(cache: Path) -> None:
+def test_compiled_code_is_loaded_from_the_cache_folder(cache: Path) -> None:
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
     assert not cache.exists()  # nothing is compiled before it is used
     assert law.command_function.class_name() == "External"
@@ -81,7 +81,7 @@ def test_what_is_compiled_comes_from_the_cache_folder(cache: Path) -> None:
 
 
 @with_a_compiler
-def test_a_function_is_built_once_and_another_one_anew(
+def test_each_function_is_built_once(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, function: ca.Function
 ) -> None:
     monkeypatch.setenv("CC", str(logging_compiler(tmp_path)))
@@ -107,7 +107,7 @@ print(f([1, 2, 3]).full().ravel().tolist())
 
 
 @with_a_compiler
-def test_processes_that_build_at_once_build_once(tmp_path: Path) -> None:
+def test_concurrent_processes_build_once(tmp_path: Path) -> None:
     environment = {**os.environ, "CC": str(logging_compiler(tmp_path)), "PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, "-c", BUILD]
     processes = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(4)]
@@ -125,7 +125,7 @@ def said_once(caplog: pytest.LogCaptureFixture, function: ca.Function) -> str:
     return caplog.messages[0]
 
 
-def test_without_a_compiler_the_virtual_machine_runs_and_it_is_said_once(
+def test_without_a_compiler_the_virtual_machine_runs_with_one_warning(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, function: ca.Function
 ) -> None:
     monkeypatch.setenv("PATH", "")
@@ -145,7 +145,7 @@ def test_without_a_compiler_the_virtual_machine_runs_and_it_is_said_once(
         ('gcc "', "No closing"),
     ],
 )
-def test_a_compiler_that_does_not_work_is_said_once(
+def test_a_failing_compiler_is_logged_once(
     compiler: str, words: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, function: ca.Function
 ) -> None:
     monkeypatch.setenv("CC", compiler)
@@ -153,7 +153,7 @@ def test_a_compiler_that_does_not_work_is_said_once(
 
 
 @with_a_compiler
-def test_what_casadi_cannot_write_as_c_runs_in_the_virtual_machine(caplog: pytest.LogCaptureFixture) -> None:
+def test_functions_without_c_code_run_in_the_virtual_machine(caplog: pytest.LogCaptureFixture) -> None:
     plant = fjr.Plant(fjr.single_link(), "implicit_midpoint", compile=True)
     assert np.isfinite(plant.step(np.zeros(4), [1.0], 1e-3)).all()
     assert "implicit_midpoint" in caplog.text
@@ -161,7 +161,7 @@ def test_what_casadi_cannot_write_as_c_runs_in_the_virtual_machine(caplog: pytes
 
 @with_a_compiler
 @pytest.mark.parametrize("left", [0, 100, 4096, 9000])
-def test_a_library_that_lost_its_end_is_built_again(left: int, cache: Path, function: ca.Function) -> None:
+def test_a_truncated_library_is_rebuilt(left: int, cache: Path, function: ca.Function) -> None:
     compiling.compiled(function)
     (library,) = libraries(cache)
     library.write_bytes(library.read_bytes()[:left])
@@ -169,7 +169,7 @@ def test_a_library_that_lost_its_end_is_built_again(left: int, cache: Path, func
 
 
 @with_a_compiler
-def test_a_library_that_is_none_is_built_again(cache: Path, function: ca.Function) -> None:
+def test_an_invalid_library_is_rebuilt(cache: Path, function: ca.Function) -> None:
     compiling.compiled(function)
     (library,) = libraries(cache)
     library.write_bytes(b"x" * library.stat().st_size)

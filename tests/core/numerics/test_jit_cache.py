@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Machine code is found again for the same robot and gains' shape, and for no other."""
+"""Machine code is found in the cache for the same robot and gain pattern, and for no other."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def balance(gains: fjr.Gains = fjr.PAPER_GAINS, **robot: float) -> Balance:
     return Balance(fjr.TrackingLaw(fjr.planar_two_link(**robot), gains, compile=True))
 
 
-def test_the_second_time_nothing_is_derived(derivations: list[str]) -> None:
+def test_a_cached_function_is_not_derived_again(derivations: list[str]) -> None:
     first = balance().at(*POINT)
     second = balance().at(*POINT)
     assert len(derivations) == 1
     assert (first.V, first.dV, first.H) == (second.V, second.dV, second.H)
 
 
-def test_gains_are_numbers_but_their_shape_is_not(derivations: list[str]) -> None:
+def test_gain_values_are_arguments_and_their_pattern_is_fixed(derivations: list[str]) -> None:
     balance().at(*POINT)
     balance(fjr.Gains(11.0, 21.0, 0.7, 16.0, 61.0, 0.4)).at(*POINT)
     assert len(derivations) == 1
@@ -59,7 +59,7 @@ def test_another_robot_is_derived(derivations: list[str], change: dict) -> None:
     assert one.u_law.tolist() != other.u_law.tolist() or one.supplied != other.supplied
 
 
-def test_machine_code_that_is_not_whole_is_made_anew(derivations: list[str]) -> None:
+def test_truncated_machine_code_is_recompiled(derivations: list[str]) -> None:
     wanted = balance().at(*POINT).V
     for library in cache_folder().glob("certificate-*.so"):
         library.write_bytes(library.read_bytes()[:100])

@@ -163,7 +163,7 @@ GOOD: dict[str, Any] = {
         ("inertia", [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]], "inertia is not symmetric"),
     ],
 )
-def test_a_body_that_cannot_be_is_refused(name: str, wrong: Any, sentence: str) -> None:
+def test_impossible_bodies_are_refused(name: str, wrong: Any, sentence: str) -> None:
     with pytest.raises(fjr.RobotError, match=sentence):
         fjr.Body(**{**GOOD, name: wrong})
 

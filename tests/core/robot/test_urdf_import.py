@@ -203,7 +203,7 @@ def test_limits_are_in_the_named_order() -> None:
         ({"upper": "high"}, "upper limit is 'high'; expected numbers"),
     ],
 )
-def test_limits_that_cannot_be_are_refused(change: dict[str, Any], sentence: str) -> None:
+def test_impossible_limits_are_refused(change: dict[str, Any], sentence: str) -> None:
     good = {"lower": [-1.0, -1.0], "upper": [0.5, 0.5], "velocity": [1.0, 1.0], "effort": [1.0, 1.0]}
     with pytest.raises(fjr.RobotError, match=sentence):
         fjr.JointLimits(**{**good, **change})  # type: ignore[arg-type]
@@ -227,7 +227,7 @@ FINGERS = (
 HAND = TWO.replace("</robot>", "".join(FINGERS) + "</robot>")
 
 
-def test_a_mimicking_joint_is_locked_where_its_leader_puts_it() -> None:
+def test_a_mimicking_joint_is_locked_at_the_position_of_its_leader() -> None:
     positions = {"left_finger": 0.3, "right_finger": -0.5}
     oracle = PinocchioLinks(pin.buildModelFromXML(with_limits(HAND)), ["shoulder", "elbow"], positions)
     assert agreement(read(HAND, locked={"left_finger": 0.3}), oracle, seed=0) < 1e-10
@@ -259,7 +259,7 @@ REFUSED: dict[str, tuple[str, str]] = {
     ),
     "loop": (
         robot(BASE, link("upper"), link("lower"), joint("shoulder", "lower", "upper"), ELBOW),
-        "carries itself .a closed chain.; expected a tree",
+        "is its own ancestor .a closed chain.; expected a tree",
     ),
     "two roots": (TWO.replace("</robot>", link("loose") + "</robot>"), "links base, loose have no parent joint"),
     "floating base": (
@@ -310,7 +310,7 @@ REFUSED: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_a_urdf_that_is_no_arm_is_refused_in_one_sentence(what: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_invalid_urdf_is_refused_in_one_sentence(what: str, capfd: pytest.CaptureFixture[str]) -> None:
     xml, sentence = REFUSED[what]
     with pytest.raises(fjr.RobotError, match=sentence) as refused:
         read(xml)
@@ -344,7 +344,7 @@ ASKED: dict[str, tuple[str, dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("what", ASKED)
-def test_a_request_that_does_not_fit_is_refused_in_one_sentence(what: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_inconsistent_requests_are_refused_in_one_sentence(what: str, capfd: pytest.CaptureFixture[str]) -> None:
     xml, values, sentence = ASKED[what]
     with pytest.raises(fjr.RobotError, match=sentence) as refused:
         read(xml, **values)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Extremes of references are exact, and limits are checked over all of a motion, naming joint, point or time."""
+"""Motion bounds are exact; limits are checked over the whole motion, and errors name joint, point or time."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ WIDE = fjr.MotionLimits((-10.0, -10.0), (10.0, 10.0))
 
 @references
 @pytest.mark.parametrize(("t0", "t1"), [(0.0, 10.0), (0.3, 1.1), (1.7, 1.9)])
-def test_extremes_are_those_of_dense_samples(reference: Reference, t0: float, t1: float) -> None:
+def test_motion_bounds_are_those_of_dense_samples(reference: Reference, t0: float, t1: float) -> None:
     samples = reference.jets(np.linspace(t0, t1, 20001))[:, :3]
     e = reference.extremes(t0, t1)
     below, above = samples.min(axis=0) - e.lower, e.upper - samples.max(axis=0)
@@ -44,7 +44,7 @@ def test_extremes_are_those_of_dense_samples(reference: Reference, t0: float, t1
 
 
 @references
-def test_extremes_are_taken_when_they_are_said_to_be(reference: Reference) -> None:
+def test_motion_bounds_are_attained_at_their_times(reference: Reference) -> None:
     e = reference.extremes(0.0, np.inf)
     for values, at in ((e.lower, e.lower_at), (e.upper, e.upper_at)):
         for row, joint in np.ndindex(values.shape):
@@ -53,7 +53,7 @@ def test_extremes_are_taken_when_they_are_said_to_be(reference: Reference) -> No
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_extremes_of_wild_trajectories_are_not_missed(seed: int) -> None:
+def test_motion_bounds_of_random_trajectories_are_not_missed(seed: int) -> None:
     rng = np.random.default_rng(seed)
     times = np.cumsum(10.0 ** rng.uniform(-1.5, 0.7, 8))
     reference = fjr.Spline(times, rng.normal(size=(8, 2)), start=rng.normal(size=(5, 2)) * 10.0 ** rng.integers(0, 3))
@@ -65,7 +65,7 @@ def test_extremes_of_wild_trajectories_are_not_missed(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize(("t0", "t1"), [(0.0, np.inf), (0.7, 1.3)])
-def test_hulls_hold_the_extremes_and_those_of_even_points_are_near(seed: int, t0: float, t1: float) -> None:
+def test_convex_hulls_contain_the_motion_bounds_closely_for_even_points(seed: int, t0: float, t1: float) -> None:
     rng = np.random.default_rng(seed)
     times = np.cumsum(10.0 ** rng.uniform(-1.5, 0.7, 8))
     wild = fjr.Spline(times, rng.normal(size=(8, 2)), start=rng.normal(size=(5, 2)))
@@ -80,7 +80,7 @@ def test_hulls_hold_the_extremes_and_those_of_even_points_are_near(seed: int, t0
             assert np.all(upper - lower < np.array([[1.1], [1.1], [2.0]]) * (e.upper - e.lower))
 
 
-def test_sums_of_sines_stay_within_their_bounds_and_come_near() -> None:
+def test_bounds_of_sums_of_sines_are_tight() -> None:
     reference = fjr.MultiSine([[0.5], [0.3]], [[1.0], [np.sqrt(7)]], 0.2, (0.1,))
     samples = reference.jets(np.linspace(0.0, 600.0, 100001))[:, :3]
     e = reference.extremes(0.0, np.inf)
@@ -90,7 +90,7 @@ def test_sums_of_sines_stay_within_their_bounds_and_come_near() -> None:
 
 
 @references
-def test_what_is_within_the_limits_passes(reference: Reference) -> None:
+def test_references_within_the_limits_pass(reference: Reference) -> None:
     e = reference.extremes(0.0, np.inf)
     speed, acceleration = (np.maximum(e.upper[row], -e.lower[row]) for row in (1, 2))
     fjr.check_motion(reference, fjr.MotionLimits(e.lower[0], e.upper[0], speed, acceleration))
@@ -100,7 +100,7 @@ def test_what_is_within_the_limits_passes(reference: Reference) -> None:
 @references
 @pytest.mark.parametrize("joint", [0, 1])
 @pytest.mark.parametrize("what", ["lower", "upper", "velocity", "acceleration"])
-def test_a_limit_that_is_a_little_too_tight_is_seen(reference: Reference, joint: int, what: str) -> None:
+def test_a_slightly_exceeded_limit_is_detected(reference: Reference, joint: int, what: str) -> None:
     e = reference.extremes(0.0, np.inf)
     limits = {"lower": e.lower[0], "upper": e.upper[0]}
     limits |= {name: np.maximum(e.upper[row], -e.lower[row]) for row, name in ((1, "velocity"), (2, "acceleration"))}
@@ -124,7 +124,7 @@ def sentence(reference: Reference, limits: fjr.MotionLimits, *arguments: Any) ->
     return str(caught.value)
 
 
-def test_the_sentence_names_point_joint_value_and_limit() -> None:
+def test_the_message_names_point_joint_value_and_limit() -> None:
     q = [[0.0, 0.0], [0.5, 0.1], [0.3, 3.2]]
     reference = fjr.Spline([1.0, 2.0, 3.0], q, [[0, 0], [-4, 0], [0, 0]], [[0, 0], [0, 9], [0, 0]])
     joints = ("shoulder", "elbow")
@@ -138,7 +138,7 @@ def test_the_sentence_names_point_joint_value_and_limit() -> None:
         assert sentence(reference, limits, 0.0, np.inf, joints) == expected
 
 
-def test_between_the_points_the_sentence_names_the_time() -> None:
+def test_between_points_the_message_names_the_time() -> None:
     reference = fjr.PointToPoint((0.0, 0.0), (0.1, 1.0), 2.0)
     limits = fjr.MotionLimits((-1.0, -1.0), 2.0, 1.0)
     expected = "joint 'elbow' would reach 1.23047 rad/s at 1 s; its limit is 1 rad/s"
@@ -146,7 +146,7 @@ def test_between_the_points_the_sentence_names_the_time() -> None:
     assert sentence(reference, limits).startswith("joint 1 would reach")
 
 
-def test_a_spline_is_checked_between_its_points_too() -> None:
+def test_a_spline_is_checked_between_its_points() -> None:
     reference = fjr.Spline([1.0, 2.0, 3.0], [[0.0], [1.0], [0.0]], [[0.0], [2.0], [0.0]])
     reached = reference.jets(np.linspace(2.0, 3.0, 1001))[:, 0].max()
     assert reached > 1.1
@@ -155,19 +155,19 @@ def test_a_spline_is_checked_between_its_points_too() -> None:
     )
 
 
-def test_sums_of_sines_have_no_time_to_name() -> None:
+def test_bounds_of_sums_of_sines_have_no_time() -> None:
     reference = fjr.MultiSine([[0.5], [0.3]], [[1.0], [2.0]])
     expected = "joint 0 would reach 0.8 rad; its limit is 0.7 rad"
     assert sentence(reference, fjr.MotionLimits((-1.0,), 0.7)) == expected
 
 
-def test_a_limit_that_is_just_passed_is_told_from_the_value() -> None:
+def test_a_barely_exceeded_limit_is_printed_with_enough_digits() -> None:
     words = sentence(fjr.Hold((1.0 + 1e-8,)), fjr.MotionLimits((-1.0,), 1.0))
     assert words == "joint 0 would reach 1.00000001 rad at 0 s; its limit is 1 rad"
     fjr.check_motion(fjr.Hold((1.0 + 1e-12,)), fjr.MotionLimits((-1.0,), 1.0))
 
 
-def test_only_the_asked_time_is_checked() -> None:
+def test_only_the_requested_interval_is_checked() -> None:
     reference = fjr.Spline([1.0, 2.0, 4.0], [[5.0], [0.0], [0.5]])
     limits = fjr.MotionLimits((-1.0,), 1.0)
     assert "point 0" in sentence(reference, limits)
@@ -175,7 +175,7 @@ def test_only_the_asked_time_is_checked() -> None:
     assert "would reach" in sentence(reference, limits, 1.5)
 
 
-def test_points_keep_their_numbers_when_the_first_ones_are_over() -> None:
+def test_points_keep_their_numbers_after_the_first_ones_have_passed() -> None:
     limits = fjr.MotionLimits((-1.0,), 1.0)
     with pytest.raises(fjr.TrajectoryError, match="point 4 of joint 'a' asks for 2 rad"):
         check_points(limits, [[0.0], [2.0]], joints=("a",), first=3)
@@ -200,7 +200,7 @@ BAD: dict[str, tuple[tuple[Any, ...], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize(("arguments", "words"), BAD.values(), ids=BAD)
-def test_limits_that_cannot_be_are_refused(arguments: tuple[Any, ...], words: tuple[str, ...]) -> None:
+def test_impossible_limits_are_refused(arguments: tuple[Any, ...], words: tuple[str, ...]) -> None:
     with pytest.raises(fjr.TrajectoryError) as caught:
         fjr.MotionLimits(*arguments)
     assert all(word in str(caught.value) for word in words), caught.value

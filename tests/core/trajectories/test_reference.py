@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Built-in references: four exact derivatives of class C^4, shapes, what they do, where they go."""
+"""Built-in references: class C^4 with four exact derivatives, shapes, motion and configurations."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_each_row_is_the_derivative_of_the_one_above(reference: Reference, t: fl
 
 @references
 @pytest.mark.parametrize("t", [0.0, 1.6, 1.7, 1.9, 2.2, 3.4, 4.1, 4.4, 8.8])
-def test_no_derivative_jumps_where_a_part_ends(reference: Reference, t: float) -> None:
+def test_derivatives_are_continuous_at_the_ends_of_a_transition(reference: Reference, t: float) -> None:
     if t == 0.0 and isinstance(reference, (fjr.Sine, fjr.MultiSine)):
         return  # they have always been moving
     before, after = reference.jets(np.nextafter(t, -np.inf)), reference.jets(np.nextafter(t, np.inf))
@@ -64,7 +64,7 @@ def test_shapes(reference: Reference) -> None:
 
 
 @references
-def test_what_is_returned_can_be_changed_without_harm(reference: Reference) -> None:
+def test_returned_arrays_are_copies(reference: Reference) -> None:
     for t in (0.5, np.array([0.5, 0.7])):
         first = reference.jets(t)
         kept = first.copy()
@@ -73,7 +73,7 @@ def test_what_is_returned_can_be_changed_without_harm(reference: Reference) -> N
 
 
 @references
-def test_after_its_end_it_stands(reference: Reference) -> None:
+def test_after_its_end_a_reference_is_constant(reference: Reference) -> None:
     if np.isfinite(reference.end):
         last = reference.jets(reference.end)
         np.testing.assert_array_equal(last[1:], 0.0)
@@ -81,7 +81,7 @@ def test_after_its_end_it_stands(reference: Reference) -> None:
 
 
 @references
-def test_configurations_are_where_it_comes(reference: Reference) -> None:
+def test_configurations_lie_on_the_reference(reference: Reference) -> None:
     e = reference.extremes(0.0, np.inf)
     q = reference.configurations(200)
     assert np.all((q >= e.lower[0] - 1e-12) & (q <= e.upper[0] + 1e-12))
@@ -89,7 +89,7 @@ def test_configurations_are_where_it_comes(reference: Reference) -> None:
     assert np.all(reach >= 0.9 * (e.upper[0] - e.lower[0]))
 
 
-def test_scalars_stand_for_every_joint() -> None:
+def test_scalars_apply_to_every_joint() -> None:
     assert fjr.Sine(1.0, 1.0).n == 1
     mixed, spelled = (
         fjr.Sine((1.0, 0.5), 2.0, offset=0.1),
@@ -103,7 +103,7 @@ def test_paper_reference_starts_at_zero_with_unit_velocity() -> None:
     assert fjr.Sine(1.0, 1.0).jets(0.0)[:, 0] == pytest.approx([0, 1, 0, -1, 0], abs=1e-15)
 
 
-def test_several_sines_are_their_sum() -> None:
+def test_a_multi_sine_is_the_sum_of_its_sines() -> None:
     a, w, p = np.random.default_rng(1).normal(size=(3, 4, 2))
     whole = fjr.MultiSine(a, w, p, (0.5, -0.5))
     each = [fjr.Sine(*rows) for rows in zip(a, w, (0.0,) * 4, p, strict=True)]
@@ -117,7 +117,7 @@ def test_one_row_of_sines_is_the_sine() -> None:
     np.testing.assert_array_equal(one.configurations(20), same.configurations(20))
 
 
-def test_the_way_to_a_point_is_the_smoothstep_of_degree_nine() -> None:
+def test_point_to_point_is_the_smoothstep_of_degree_nine() -> None:
     """The regularised incomplete beta function I_s(5, 5) is the one such polynomial."""
     t = np.linspace(0.0, 1.9, 40)
     share = (OTHERS["one way"].jets(t)[:, 0] - (0.1, -0.5)) / (0.9, 1.0)
@@ -125,7 +125,7 @@ def test_the_way_to_a_point_is_the_smoothstep_of_degree_nine() -> None:
     assert OTHERS["one way"].jets(0.95)[1, 1] == pytest.approx(2.4609375 / 1.9)
 
 
-def test_to_and_fro_rests_and_comes_back() -> None:
+def test_a_returning_motion_dwells_and_returns() -> None:
     way = OTHERS["to and fro"]
     for t, q in ((0.0, (0.1, -0.5)), (1.9, (1.0, 0.5)), (2.2, (1.0, 0.5)), (4.1, (0.1, -0.5)), (4.39, (0.1, -0.5))):
         np.testing.assert_allclose(way.jets(t), fjr.standing(q), atol=1e-11)
@@ -166,7 +166,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("make", "words"), BAD.values(), ids=BAD)
-def test_what_cannot_be_followed_is_refused_in_one_sentence(make: object, words: tuple[str, ...]) -> None:
+def test_invalid_references_are_refused_in_one_sentence(make: object, words: tuple[str, ...]) -> None:
     with pytest.raises(fjr.TrajectoryError) as caught:
         make()  # type: ignore[operator]
     assert all(word in str(caught.value) for word in words), caught.value

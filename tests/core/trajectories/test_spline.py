@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Splines: C^4 whatever is given, everything given is met, high order where data are smooth, no wild overshoot."""
+"""Splines: class C^4, interpolation of all given values, order of convergence for smooth data, bounded overshoot."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ begin = pytest.mark.parametrize("start", BEGIN.values(), ids=BEGIN)
 
 @given
 @begin
-def test_all_that_is_given_is_met(derivatives: dict[str, Any], start: dict[str, Any]) -> None:
+def test_given_values_are_interpolated(derivatives: dict[str, Any], start: dict[str, Any]) -> None:
     jets = fjr.Spline(TIMES, POSITIONS, **derivatives, **start).jets(TIMES)
     np.testing.assert_allclose(jets[:, 0], POSITIONS, atol=1e-15)
     for row, name in ((1, "velocities"), (2, "accelerations")):
@@ -65,7 +65,7 @@ def test_each_row_is_the_derivative_of_the_one_above(derivatives: dict[str, Any]
 
 
 @given
-def test_it_begins_with_the_running_jets_and_ends_at_rest(derivatives: dict[str, Any]) -> None:
+def test_a_spline_starts_with_the_active_jets_and_ends_with_zero_velocity(derivatives: dict[str, Any]) -> None:
     reference = fjr.Spline(TIMES, POSITIONS, **derivatives, start=START)
     np.testing.assert_allclose(reference.jets(0.0), START, rtol=1e-15)
     assert reference.end == 5.0
@@ -73,20 +73,20 @@ def test_it_begins_with_the_running_jets_and_ends_at_rest(derivatives: dict[str,
         np.testing.assert_array_equal(reference.jets(t), fjr.standing(POSITIONS[-1]))
 
 
-def test_alone_it_begins_from_rest_and_stands_before() -> None:
+def test_without_start_a_spline_starts_with_zero_velocity() -> None:
     reference = fjr.Spline(TIMES, POSITIONS)
     for t in (-1.0, 0.0, 0.3):
         np.testing.assert_array_equal(reference.jets(t), fjr.standing(POSITIONS[0]))
 
 
-def test_a_moving_end_is_met_where_it_is_asked_for_and_stands_after() -> None:
+def test_a_moving_end_is_interpolated_and_constant_after() -> None:
     velocities = VELOCITIES + 0.5
     reference = fjr.Spline(TIMES, POSITIONS, velocities, ACCELERATIONS, moving_end=True)
     np.testing.assert_allclose(reference.jets(5.0)[:3], [POSITIONS[-1], velocities[-1], ACCELERATIONS[-1]])
     np.testing.assert_array_equal(reference.jets(5.1), fjr.standing(POSITIONS[-1]))
 
 
-def test_one_point_is_enough_to_go_there_from_a_running_reference() -> None:
+def test_one_point_is_enough_with_an_active_reference() -> None:
     reference = fjr.Spline([2.0], [[1.0, 2.0]], start=fjr.standing((0.0, 0.0), (0.3, -0.3)))
     oracle = BPoly.from_derivatives([0.0, 2.0], [[0, 0.3, 0, 0, 0], [1, 0, 0, 0, 0]])
     for order in range(5):
@@ -95,7 +95,7 @@ def test_one_point_is_enough_to_go_there_from_a_running_reference() -> None:
         )
 
 
-def test_pieces_are_the_hermite_polynomials_of_degree_nine() -> None:
+def test_segments_are_hermite_polynomials_of_degree_nine() -> None:
     knots = RNG.normal(size=(K, 5, 2))
     pieces, t = Pieces(TIMES, knots), np.linspace(0.3, 5.0, 300)
     for joint in range(2):
@@ -107,7 +107,7 @@ def test_pieces_are_the_hermite_polynomials_of_degree_nine() -> None:
             )
 
 
-def test_fourth_derivatives_keep_their_digits_in_short_pieces_far_from_zero() -> None:
+def test_fourth_derivatives_are_accurate_in_short_segments_far_from_zero() -> None:
     """At times and positions of a thousand, and 10 ms between points."""
     t0, f = 1000.0, (np.sin, np.cos, lambda t: -np.sin(t), lambda t: -np.cos(t), np.sin)
     times = t0 + 0.01 * np.arange(4)
@@ -130,7 +130,7 @@ def bump_rates(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("rates", [0, 1, 2])
 @pytest.mark.parametrize("uneven", [0.0, 0.15])
-def test_smooth_data_are_met_to_at_least_the_fifth_order(rates: int, uneven: float) -> None:
+def test_smooth_data_are_interpolated_with_order_five(rates: int, uneven: float) -> None:
     t, errors = np.linspace(0.0, 2.0, 2001), []
     for k in (12, 24, 48):
         share = np.linspace(0.0, 1.0, k + 1)
@@ -151,7 +151,7 @@ def test_positions_alone_give_the_quintic_spline_inside() -> None:
     jets, free = np.zeros((61, 5, 1)), np.zeros((61, 5), dtype=bool)
     jets[:, 0, 0], free[1:-1, 1:] = q, True
     quintic = make_interp_spline(times, q, 5, bc_type=([(1, 0.0), (2, 0.0)],) * 2)
-    chosen = minimum_jerk.least_jerk(times, jets, free)[28:33, :, 0]
+    chosen = minimum_jerk.minimum_jerk(times, jets, free)[28:33, :, 0]
     np.testing.assert_allclose(chosen, np.array([quintic(times, order) for order in range(5)]).T[28:33], atol=1e-8)
 
 
@@ -171,7 +171,7 @@ def test_no_other_choice_of_the_free_derivatives_has_less_jerk(known: int, ratio
     jets, free = np.zeros((6, 5, 2)), np.zeros((6, 5), dtype=bool)
     jets[:, :known] = RNG.normal(size=(6, known, 2))
     free[1:-1, known:] = True
-    chosen = minimum_jerk.least_jerk(times, jets, free)
+    chosen = minimum_jerk.minimum_jerk(times, jets, free)
     np.testing.assert_array_equal(chosen[~free], jets[~free])
     least = squared_jerk(times, chosen)
     for knot, order in np.argwhere(free):
@@ -204,7 +204,7 @@ def test_monotone_positions_are_hardly_overshot(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_any_positions_are_overshot_by_no_more_than_a_quarter_of_what_is_near(seed: int) -> None:
+def test_overshoot_is_at_most_a_quarter_of_the_local_range(seed: int) -> None:
     rng = np.random.default_rng(seed)
     times = np.cumsum(10.0 ** rng.uniform(-2, 1, 9))
     past, around = beyond(times, rng.normal(size=9))
@@ -218,17 +218,17 @@ def test_a_step_in_sparse_positions_is_flat_before_and_after() -> None:
     assert past.max() <= MONOTONE
 
 
-def test_stops_at_all_points_do_not_overshoot_uneven_times() -> None:
+def test_zero_velocities_at_all_points_do_not_overshoot() -> None:
     past, around = beyond(np.array([0.0, 0.5, 3.0, 3.2]), np.arange(4.0), velocities=np.zeros((4, 1)))
     assert np.all(past <= MONOTONE * around + 1e-12)
 
 
-def test_smooth_data_are_not_touched_by_the_care_for_overshoot() -> None:
+def test_smooth_data_are_unchanged_by_the_overshoot_limit() -> None:
     times = np.linspace(0.0, 2.0, 41)
     jets, free = np.zeros((41, 5, 1)), np.zeros((41, 5), dtype=bool)
     jets[:, 0, 0], free[1:-1, 1:] = bump(times), True
-    chosen = minimum_jerk.least_jerk(times, jets, free)
-    inside = slice(3, -3)  # beside the ends, where the bump is flat to rounding, it may
+    chosen = minimum_jerk.minimum_jerk(times, jets, free)
+    inside = slice(3, -3)  # next to the ends, where the bump is flat to rounding, it may
     np.testing.assert_array_equal(minimum_jerk.without_overshoot(times, chosen, free)[inside], chosen[inside])
 
 
@@ -239,7 +239,7 @@ def test_joints_do_not_see_each_other() -> None:
         np.testing.assert_allclose(whole.jets(2.2)[:, [joint]], alone.jets(2.2), rtol=1e-9)
 
 
-def test_moments_and_hours_are_the_same_in_other_units_of_time() -> None:
+def test_splines_are_invariant_to_the_unit_of_time() -> None:
     slow, quick = fjr.Spline(3600 * TIMES, POSITIONS), fjr.Spline(TIMES / 1e3, POSITIONS)
     t = np.linspace(0.3, 5.0, 50)
     np.testing.assert_allclose(slow.jets(3600 * t)[:, 0], quick.jets(t / 1e3)[:, 0], atol=1e-9)
@@ -280,7 +280,7 @@ BAD: dict[str, tuple[tuple[Any, ...], dict[str, Any], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize(("arguments", "options", "words"), BAD.values(), ids=BAD)
-def test_what_cannot_be_followed_is_refused_in_one_sentence(
+def test_invalid_references_are_refused_in_one_sentence(
     arguments: tuple[Any, ...], options: dict[str, Any], words: tuple[str, ...]
 ) -> None:
     with pytest.raises(fjr.TrajectoryError) as caught:

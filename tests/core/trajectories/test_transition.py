@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joining: from any jets into any reference, C^4 at both ends, and the law's effort has no step."""
+"""Transitions: from any jets to any reference, class C^4 at both ends, continuous effort of the law."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def nearly(t: float) -> float:
 
 
 @targets
-def test_joins_are_exact_at_both_ends(target: Reference) -> None:
+def test_transitions_are_exact_at_both_ends(target: Reference) -> None:
     joined = fjr.join(RUNNING.jets(T0), T0, target, DURATION)
     np.testing.assert_allclose(joined.jets(T0), RUNNING.jets(T0), rtol=1e-14, atol=1e-15)
     np.testing.assert_allclose(joined.jets(nearly(T1)), target.jets(T1), rtol=1e-12, atol=1e-10)
@@ -43,7 +43,7 @@ def test_joins_are_exact_at_both_ends(target: Reference) -> None:
 
 
 @targets
-def test_on_the_way_each_row_is_the_derivative_of_the_one_above(target: Reference) -> None:
+def test_in_a_transition_each_row_is_the_derivative_of_the_one_above(target: Reference) -> None:
     joined = fjr.join(RUNNING.jets(T0), T0, target, DURATION)
     for t in (1.4, 1.6, 1.7, 2.0):
         rates = stencil(lambda s, t=t: joined.jets(t + s), 0.01)
@@ -52,28 +52,28 @@ def test_on_the_way_each_row_is_the_derivative_of_the_one_above(target: Referenc
 
 
 @targets
-def test_arrays_of_times_are_answered_as_scalars(target: Reference) -> None:
+def test_arrays_of_times_give_the_values_of_scalars(target: Reference) -> None:
     joined = fjr.join(RUNNING.jets(T0), T0, target, DURATION)
     t = np.array([0.0, T0, 1.5, nearly(T1), T1, 3.0])
     np.testing.assert_allclose(joined.jets(t), [joined.jets(s) for s in t], rtol=1e-12, atol=1e-12)
 
 
 @targets
-def test_the_effort_has_no_step_when_the_reference_is_replaced(target: Reference) -> None:
+def test_the_effort_is_continuous_when_the_reference_is_replaced(target: Reference) -> None:
     joined = fjr.join(RUNNING.jets(T0), T0, target, DURATION)
     for old, new, t in ((RUNNING, joined, T0), (joined, target, T1)):
         before = LAW.command(X, old.jets(nearly(t)))
         np.testing.assert_allclose(LAW.command(X, new.jets(t)), before, rtol=1e-9, atol=1e-9)
 
 
-def test_without_joining_the_effort_steps() -> None:
+def test_without_a_transition_the_effort_jumps() -> None:
     """What the tests above would see."""
     u = [LAW.command(X, reference.jets(T0)) for reference in (RUNNING, TARGETS["circle"])]
     assert np.abs(u[0] - u[1]).max() > 1.0
 
 
 @pytest.mark.parametrize("velocities", [None, np.zeros((4, 2))], ids=["positions", "velocities"])
-def test_the_effort_has_no_step_when_a_trajectory_replaces_a_moving_reference(velocities: np.ndarray | None) -> None:
+def test_the_effort_is_continuous_when_a_trajectory_replaces_a_moving_reference(velocities: np.ndarray | None) -> None:
     points = [[0.1, 0.2], [0.3, -0.1], [0.5, 0.4], [0.0, 0.0]]
     trajectory = fjr.shifted(fjr.Spline(TIMES, points, velocities, start=RUNNING.jets(T0)), T0)
     before = LAW.command(X, RUNNING.jets(nearly(T0)))
@@ -83,7 +83,7 @@ def test_the_effort_has_no_step_when_a_trajectory_replaces_a_moving_reference(ve
         np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-9)
 
 
-def test_joining_again_and_again_keeps_one_target() -> None:
+def test_repeated_transitions_keep_one_target() -> None:
     joined: Reference = TARGETS["sine"]
     for k in range(5):
         joined = fjr.join(joined.jets(float(k)), float(k), joined, 1.5)
@@ -91,21 +91,21 @@ def test_joining_again_and_again_keeps_one_target() -> None:
     assert joined.target is TARGETS["sine"]
 
 
-def test_a_join_that_ends_within_another_follows_the_other() -> None:
+def test_a_transition_that_ends_within_another_follows_the_other() -> None:
     first = fjr.join(RUNNING.jets(0.0), 0.0, TARGETS["hold"], 3.0)
     second = fjr.join(RUNNING.jets(0.5), 0.5, first, 1.0)
     np.testing.assert_array_equal(second.jets(2.0), first.jets(2.0))
     np.testing.assert_array_equal(second.jets(3.5), TARGETS["hold"].jets(3.5))
 
 
-def test_a_join_ends_when_it_is_joined_and_its_target_stands() -> None:
+def test_a_transition_ends_with_its_target() -> None:
     jets = RUNNING.jets(1.0)
     assert fjr.join(jets, 1.0, fjr.Hold((0.0, 0.0)), 0.5).end == 1.5
     assert fjr.join(jets, 1.0, TARGETS["spline"], 0.5).end == 4.5
     assert fjr.join(jets, 1.0, RUNNING, 0.5).end == np.inf
 
 
-def test_a_shifted_reference_is_the_same_later() -> None:
+def test_a_time_shifted_reference_is_the_reference_at_shifted_times() -> None:
     later = fjr.shifted(fjr.shifted(TARGETS["spline"], 2.0), -0.5)
     np.testing.assert_array_equal(later.jets(3.7), TARGETS["spline"].jets(2.2))
     t = np.array([3.7, 4.0])
@@ -116,7 +116,7 @@ def test_a_shifted_reference_is_the_same_later() -> None:
 
 
 @targets
-def test_configurations_are_those_of_the_way_and_of_the_target(target: Reference) -> None:
+def test_configurations_are_those_of_the_transition_and_of_the_target(target: Reference) -> None:
     joined = fjr.join(RUNNING.jets(T0), T0, target, DURATION)
     q = joined.configurations(64)
     assert q.shape == (64, 2)
@@ -124,7 +124,7 @@ def test_configurations_are_those_of_the_way_and_of_the_target(target: Reference
     np.testing.assert_array_equal(q[16:], target.configurations(48))
 
 
-def test_standing_jets_have_no_higher_derivatives() -> None:
+def test_constant_jets_have_zero_higher_derivatives() -> None:
     np.testing.assert_array_equal(fjr.standing((1.0, 2.0), (3.0, 4.0)), [[1, 2], [3, 4], [0, 0], [0, 0], [0, 0]])
     np.testing.assert_array_equal(fjr.standing((1.0, 2.0))[1:], np.zeros((4, 2)))
 
@@ -141,13 +141,13 @@ BAD = {
 
 
 @pytest.mark.parametrize(("arguments", "words"), BAD.values(), ids=BAD)
-def test_what_cannot_be_joined_is_refused_in_one_sentence(arguments: tuple, words: tuple[str, ...]) -> None:
+def test_invalid_transitions_are_refused_in_one_sentence(arguments: tuple, words: tuple[str, ...]) -> None:
     with pytest.raises(fjr.TrajectoryError) as caught:
         fjr.join(*arguments)
     assert all(word in str(caught.value) for word in words), caught.value
     assert "\n" not in str(caught.value)
 
 
-def test_a_shift_by_no_number_is_refused() -> None:
+def test_a_shift_that_is_not_finite_is_refused() -> None:
     with pytest.raises(fjr.TrajectoryError, match=r"t0 is nan; expected finite"):
         fjr.shifted(RUNNING, np.nan)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong, under one root: every message says what was seen and what was expected."""
+"""Exceptions of the project; every message states what is wrong and what was expected."""
 
-LONGEST = 2000  # characters of a message: it may quote a value of any size
+LONGEST = 2000  # characters; messages may quote values of any size
 
 
 class FjrError(Exception):
-    """Root of all errors that this project raises on purpose."""
+    """Base class of all errors that this project raises on purpose."""
 
     def __str__(self) -> str:
         text = super().__str__()
@@ -13,24 +13,24 @@ class FjrError(Exception):
 
 
 class RobotError(FjrError):
-    """A robot that cannot exist: wrong shape, not finite, not positive definite."""
+    """Invalid robot parameters: wrong shape, not finite, not positive definite."""
 
 
 class GainsError(FjrError):
-    """Gains that void the proof: wrong shape, not positive definite, condition (32) or (41) broken."""
+    """Gains outside the stability proof: wrong shape, not positive definite, or condition (32) or (41) violated."""
 
 
 class TrajectoryError(FjrError):
-    """A reference that is not C^4, not finite or of the wrong shape."""
+    """Invalid reference: not of class C^4, not finite or of the wrong shape."""
 
 
 class StateError(FjrError):
-    """A state, input or simulation request of the wrong shape or not finite."""
+    """Invalid state, input or simulation request: wrong shape or not finite."""
 
 
 class ParameterError(FjrError):
-    """A named parameter of a scenario that is missing, unknown, of the wrong type or out of range."""
+    """Invalid scenario parameter: missing, unknown, of the wrong type or out of range."""
 
 
 class CompareError(FjrError):
-    """A comparison that cannot be made: an unknown law or imperfection, a suite that does not fit."""
+    """Invalid comparison: unknown law or disturbance, or inconsistent specification."""

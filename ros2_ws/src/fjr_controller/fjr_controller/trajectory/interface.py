@@ -147,7 +147,7 @@ class TrajectoryInterface:
         jets = self._tracker.jets_at(start)
         assert jets is not None
         joined = join(jets, 0.0, reference, self._join_time)
-        check_motion(joined.way, self._limits, 0.0, self._join_time, self._joints)
+        check_motion(joined.segment, self._limits, 0.0, self._join_time, self._joints)
         return joined, start
 
     def _resume(self) -> str:

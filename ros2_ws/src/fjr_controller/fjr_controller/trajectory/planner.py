@@ -105,7 +105,7 @@ class PlanningProblem:
         late = stamp - plan.start
         seconds = (JOIN_TIME + JOIN_FACTOR * late) / SECOND
         reference = join(jets, 0.0, shifted(plan.reference, -late / SECOND), seconds)
-        check_motion(reference.way, self.rules.limits, 0.0, seconds, self.rules.joints)
+        check_motion(reference.segment, self.rules.limits, 0.0, seconds, self.rules.joints)
         return Plan(reference, stamp)
 
 

@@ -90,8 +90,8 @@ def _(reference: Spline, t: ca.MX) -> ca.MX:
 
 @jets_expression.register
 def _(reference: Joined, t: ca.MX) -> ca.MX:
-    sides = (jets_expression(side, t) for side in (reference.way, reference.target))
-    return ca.if_else(t < reference.joined, *sides)
+    sides = (jets_expression(side, t) for side in (reference.segment, reference.target))
+    return ca.if_else(t < reference.transition_end, *sides)
 
 
 @jets_expression.register

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Control laws: v-dPBC, its robust additions, the laws it is compared with, and how each is called."""
+"""Control laws: v-dPBC, its robust extensions, the baseline laws, and the interfaces through which they are called."""

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inverse dynamics of a flexible-joint robot: what its motors must do for a given motion of its links.
+"""Compute the inverse dynamics of a flexible-joint robot: motor motion and torque for a given link motion.
 
 The link positions are a flat output (De Luca, 2000, "Feedforward/feedback laws for the control of flexible robots",
-ICRA; Spong 1987): from q .. d4q follow, without integration,
+ICRA; Spong 1987). The motor motion follows from q .. d4q without integration:
 
-    tau   = M_l ddq + C_l dq + D_l dq + grad P_l         torque of the springs
-    theta = q + K^-1 tau                                 positions of the motors
+    tau   = M_l ddq + C_l dq + D_l dq + grad P_l         joint (spring) torque
+    theta = q + K^-1 tau                                 motor positions
     u     = B_m^-1 (M_m ddtheta + D_m dtheta + tau)
 """
 
@@ -23,7 +23,7 @@ from ..robot.robot import Robot
 
 @dataclass(frozen=True)
 class MotorMotion:
-    """tau (n,) [N m] of the springs, theta, dtheta, ddtheta (n,) of the motors, torque (n,) [N m] = B_m u."""
+    """Joint torque tau (n,) [N m], motor motion theta, dtheta, ddtheta (n,), and motor torque B_m u (n,) [N m]."""
 
     tau: ca.SX
     theta: ca.SX
@@ -33,19 +33,19 @@ class MotorMotion:
 
 
 def spring_torque(robot: Robot, q: ca.SX, dq: ca.SX, ddq: ca.SX) -> ca.SX:
-    """tau (n,) [N m] that moves the links so: inverse dynamics of the rigid arm."""
+    """Return the joint torque tau (n,) [N m] for a link motion: inverse dynamics of the rigid arm."""
     links = robot.links
     return links.M_l(q) @ ddq + links.C(q, dq, dq) + robot.D_l @ dq + links.grad_P_l(q)
 
 
 def motor_motion(robot: Robot, *motion: ca.SX) -> MotorMotion:
-    """The motors' motion for q, dq, ddq, d3q, d4q (n,) of the links."""
+    """Return the motor motion for the link motion q, dq, ddq, d3q, d4q, each (n,)."""
     return MotorMotion(*inverse_dynamics(robot)(*motion))
 
 
 @lru_cache(maxsize=8)
 def inverse_dynamics(robot: Robot) -> ca.Function:
-    """The CasADi function (q, dq, ddq, d3q, d4q) -> what MotorMotion names."""
+    """Return the CasADi function (q, dq, ddq, d3q, d4q) -> the fields of MotorMotion."""
     names = ("q", "dq", "ddq", "d3q", "d4q")
     q, dq, ddq, d3q, d4q = motion = [ca.SX.sym(name, robot.n) for name in names]
     tau = spring_torque(robot, q, dq, ddq)

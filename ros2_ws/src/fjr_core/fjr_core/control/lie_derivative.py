@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The total time derivative along the flow of (x, x_v, t): every dot of the paper, without an accelerometer.
+"""Compute total time derivatives along the closed-loop vector field of (x, x_v, t): every dot of the paper.
 
-Written with velocities: dq_lv = M_l(q_l)^-1 p_lv, dq_mv = M_m^-1 p_mv (method: momenta stay at the boundary).
+Link accelerations come from the model, so no accelerometer is needed. The symbols are velocities, not momenta:
+dq_lv = M_l(q_l)^-1 p_lv, dq_mv = M_m^-1 p_mv.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from ..robot import virtual_system
 from ..robot.robot import Robot
 from ..trajectories.reference import REFERENCE_DERIVATIVES
 
-LOAD_RATES = 2  # of a torque on the links: it acts two integrations later than q_ld
+LOAD_RATES = 2  # derivatives of a load torque on the links; it enters the law two derivatives later than q_ld
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Symbols of a state in velocities: positions, velocities and, of the links, accelerations; each (n,)."""
+    """Symbols (n,) of a state in velocity coordinates: positions, velocities and link accelerations."""
 
     q_l: ca.SX
     q_m: ca.SX
@@ -32,22 +33,22 @@ class Motion:
 
     @classmethod
     def named(cls, suffix: str, n: int) -> Motion:
-        """Fresh symbols."""
+        """Create the symbols."""
         return cls(*(ca.SX.sym(name + suffix, n) for name in ("q_l", "q_m", "dq_l", "dq_m", "ddq_l")))
 
     @property
     def inputs(self) -> ca.SX:
-        """What must be given (4n,): positions and velocities."""
+        """Independent variables (4n,): positions and velocities."""
         return ca.vertcat(self.q_l, self.q_m, self.dq_l, self.dq_m)
 
 
 @dataclass(frozen=True)
 class Load:
-    """Symbols of the torque on the links that the law believes in beside the model: known + integral.
+    """Symbols of the load torque on the links that the law compensates: known + integral.
 
-    known (n, 3): the first part with its two rates, column k is the k-th derivative. integral (n,) [N m]: the second
-    part, a state of the law, whose rate is `gain` (n, n) [N m/rad] times what the stages find (docs/robust.md); (0,)
-    both: there is none.
+    known (n, 3): known torque and its first two derivatives; column k is the k-th derivative.
+    integral (n,) [N m]: state of the integral action; its rate is `gain` (n, n) [N m/rad] times the port output
+    (docs/robust.md). integral and gain are empty without integral action.
     """
 
     known: ca.SX
@@ -56,32 +57,31 @@ class Load:
 
     @classmethod
     def named(cls, n: int, integrates: bool = True) -> Load:
-        """Fresh symbols."""
+        """Create the symbols."""
         m = n if integrates else 0
         return cls(ca.SX.sym("known", n, LOAD_RATES + 1), ca.SX.sym("integral", m), ca.SX.sym("integral_gain", m, m))
 
     @property
     def integrates(self) -> bool:
-        """Whether there is the second part."""
+        """True with integral action."""
         return self.integral.numel() > 0
 
     @property
     def torque(self) -> ca.SX:
-        """The whole of it (n,) [N m]."""
+        """Total load torque (n,) [N m]."""
         return self.known[:, 0] + self.integral if self.integrates else self.known[:, 0]
 
 
 @dataclass(frozen=True)
 class Flow:
-    """The law's symbols and their rates; `virtual` is `measured` itself where x_v = x.
+    """Symbols of the law and their time derivatives; `virtual` is `measured` where x_v = x.
 
-    jets (n, 5): q_ld .. d4q_ld, column k is the k-th derivative. The accelerations of the links are symbols
-    whose values `at` puts in; so nothing is ever derived through M_l^-1.
+    jets (n, 5): q_ld .. d4q_ld; column k is the k-th derivative. Link accelerations are symbols that `at` replaces
+    by their values, so that no expression is differentiated through M_l^-1.
 
-    The rates hold the acceleration of the motors, which depends on the input, and the fifth derivative of the
-    reference as free symbols: an expression that needed one of them could not become a function. None does,
-    because the velocities of the motors never enter what is differentiated (relative degree four).
-    load: a torque on the links that acts too, as far as the law knows; None: none.
+    The motor acceleration, which depends on the input, and the fifth derivative of the reference are free symbols.
+    No derivative of the law contains them, because motor velocities do not enter the differentiated expressions
+    (relative degree four). load: load torque on the links that the law compensates, or None.
     """
 
     robot: Robot
@@ -92,41 +92,41 @@ class Flow:
 
     @cached_property
     def M_l(self) -> ca.SX:
-        """M_l at the measured q_l."""
+        """Link inertia M_l (n, n) at the measured q_l."""
         return self.robot.links.M_l(self.measured.q_l)
 
     @property
     def integrated(self) -> Load | None:
-        """The load, if it has an integral."""
+        """The load if it has integral action, else None."""
         return self.load if self.load is not None and self.load.integrates else None
 
     @property
     def external(self) -> ca.SX:
-        """The torque (n,) [N m] of the load on the links."""
+        """Load torque (n,) [N m] on the links, zero without a load."""
         return ca.SX(self.robot.n, 1) if self.load is None else self.load.torque
 
     def d(self, *expressions: ca.SX, integral: ca.SX | None = None) -> list[ca.SX]:
-        """Total time derivatives d/dt of column vectors, in one sweep over them all; integral (n,): rate of load's."""
+        """Return total time derivatives d/dt of column vectors; integral (n,) [N m/s]: rate of the load's integral."""
         return self._along(self._rates if integral is None else self._rates_with(integral), *expressions)
 
-    def pushed(self, e: ca.SX, dp_l: ca.SX) -> ca.SX:
-        """(de/dp_l) dp_l of a column vector e at x_v = x, where dp_l (n,) [N m s] is a change of the links' momenta."""
+    def momentum_jvp(self, e: ca.SX, dp_l: ca.SX) -> ca.SX:
+        """Return (de/dp_l) dp_l for a column vector e at x_v = x; dp_l (n,) [N m s]: variation of the link momenta."""
         motion, ddq_l = self.measured, self._force(self.measured)
         dv = symbolic.solve(self.M_l, dp_l)
         da = symbolic.solve(self.M_l, ca.jtimes(ddq_l, motion.dq_l, dv))
         return ca.jtimes(e, ca.vertcat(motion.dq_l, motion.ddq_l), ca.vertcat(dv, da))
 
-    def slope(self, e: ca.SX, y: ca.SX) -> ca.SX:
-        """(de/dp_l)' y (n,) of a column vector e at x_v = x, y held."""
+    def momentum_vjp(self, e: ca.SX, y: ca.SX) -> ca.SX:
+        """Return (de/dp_l)' y (n,) for a column vector e at x_v = x, with y constant."""
         motion, force = self.measured, self._force(self.measured)
         by_v, by_a = ca.vertsplit(ca.jtimes(e, ca.vertcat(motion.dq_l, motion.ddq_l), y, True), self.robot.n)
         through = ca.jtimes(force, motion.dq_l, symbolic.solve(self.M_l, by_a), True)
         return symbolic.solve(self.M_l, by_v + through)
 
     def at(self, x_v: ca.SX, x: ca.SX, *expressions: ca.SX) -> list[ca.SX]:
-        """The expressions as functions of the states x_v and x (4n,), with momenta (and of jets).
+        """Return the expressions as functions of the states x_v and x (4n,), with momenta, and of the jets.
 
-        First ddq_l = M_l^-1 (K zeta - C dq_l - D_l dq_l - grad P_l), eqs. (36) and (38), then the velocities.
+        Substitute ddq_l = M_l^-1 (K zeta - C dq_l - D_l dq_l - grad P_l), eqs. (36) and (38), then the velocities.
         """
         robot, positions = self.robot, 2 * self.robot.n
         states = [ca.vertcat(x[:positions], *robot.velocity_expressions(x))]
@@ -135,7 +135,7 @@ class Flow:
         return self._evaluated(expressions, states)
 
     def at_velocities(self, measured: ca.SX, *expressions: ca.SX) -> list[ca.SX]:
-        """The expressions at x_v = x as functions of what is measured (4n,): positions and velocities (and of jets)."""
+        """Return the expressions at x_v = x as functions of positions and velocities (4n,) and of the jets."""
         return self._evaluated(expressions, [measured])
 
     def _evaluated(self, expressions: Sequence[ca.SX], inputs: list[ca.SX]) -> list[ca.SX]:
@@ -149,7 +149,7 @@ class Flow:
         return [self.measured] if self.virtual is self.measured else [self.virtual, self.measured]
 
     def _force(self, motion: Motion) -> ca.SX:
-        """M_l ddq_l of a motion: C_l and M_l at the measured state, P_l and the spring at its own, eq. (38)."""
+        """M_l ddq_l (n,) of a motion, eq. (38): C_l and M_l at the measured state, P_l and the spring at its own."""
         q_l, dq_l, links = self.measured.q_l, self.measured.dq_l, self.robot.links
         spring = self.robot.K @ (motion.q_m - motion.q_l)
         C_l = links.C(q_l, dq_l, motion.dq_l)
@@ -157,11 +157,11 @@ class Flow:
 
     @cached_property
     def _rates(self) -> tuple[ca.SX, ca.SX]:
-        """All symbols z and their rates dz, the load's integral held."""
+        """All symbols z and their rates dz, with the load's integral constant."""
         return self._rates_with(ca.SX.zeros(self.robot.n))
 
     def _rates_with(self, integral: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """The same with the rate (n,) of the load's integral."""
+        """All symbols z and their rates dz; integral (n,) [N m/s]: rate of the load's integral."""
         first = self._rates_up_to_accelerations(integral)
         jerks = [self._jerk(motion, first) for motion in self._motions]
         z, dz = first
@@ -178,10 +178,10 @@ class Flow:
         return (ca.vertcat(z, self.load.integral), ca.vertcat(dz, integral)) if self.load.integrates else (z, dz)
 
     def _jerk(self, motion: Motion, rates: tuple[ca.SX, ca.SX]) -> ca.SX:
-        """d3q_l = M_l^-1 d/dt(force - M_l ddq_l), ddq_l held."""
+        """d3q_l = M_l^-1 d/dt(force - M_l ddq_l), with ddq_l constant."""
         q_l = self.measured.q_l
-        (left,) = self._along(rates, self._force(motion) - self.robot.links.M_l(q_l) @ motion.ddq_l)
-        return symbolic.solve(self.M_l, left)
+        (residual,) = self._along(rates, self._force(motion) - self.robot.links.M_l(q_l) @ motion.ddq_l)
+        return symbolic.solve(self.M_l, residual)
 
     def _along(self, rates: tuple[ca.SX, ca.SX], *expressions: ca.SX) -> list[ca.SX]:
         stacked = symbolic.directional(ca.vertcat(*expressions), *rates)
@@ -192,7 +192,7 @@ class Flow:
 
 
 def flow(robot: Robot, diagonal: bool = False, load: Load | None = None) -> Flow:
-    """Symbols of a robot's law and their rates; diagonal: at x_v = x, where everything is said once."""
+    """Create the symbols of a robot's law and their rates; diagonal: x_v = x, with one set of symbols."""
     measured = Motion.named("", robot.n)
     virtual = measured if diagonal else Motion.named("v", robot.n)
     return Flow(robot, virtual, measured, ca.SX.sym("jets", robot.n, REFERENCE_DERIVATIVES + 1), load)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws by name: v-dPBC, and those that it is compared with (docs/baselines.md)."""
+"""Control laws by name: v-dPBC and the baselines it is compared with (docs/baselines.md)."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ V_DPBC = "v_dpbc"
 
 @dataclass(frozen=True)
 class LawKind:
-    """A law by its name. make: (robot, gains, compile=False) -> law. measures: what of a joint it needs.
+    """A control law by name.
 
-    standard: (robot, configuration (n,), natural frequency [rad/s], damping ratio, sample period [s]) -> gains, the
-    usual choice. usual: the usual damping ratio; damping: its range.
-    storage: what its V is, in words; "" where it has none and V is nan. adds: what users add that the paper lacks.
+    make: (robot, gains, compile=False) -> law. measures: the joint signals the law needs.
+    standard: tuning rule (robot, configuration (n,), natural frequency [rad/s], damping ratio, sample period [s])
+    -> gains. usual: default damping ratio; damping: its range.
+    storage: description of V, "" if the law has no storage (V is nan). adds: extension that the paper does not have.
     """
 
     name: str
@@ -57,7 +58,7 @@ _KINDS = (
         "Tomei 1991",
         pd_gravity.PdGravity,
         "motor side",
-        "decays where the reference stands",
+        "decays for a constant reference",
         pd_gravity.standard,
     ),
     LawKind(
@@ -66,7 +67,7 @@ _KINDS = (
         "De Luca 2000",
         pd_gravity.PdFeedforward,
         "motor side",
-        "decays where the reference stands",
+        "decays for a constant reference",
         pd_gravity.standard,
         adds="inverse dynamics of the reference",
     ),
@@ -106,7 +107,7 @@ _KINDS = (
         "Albu-Schaeffer, Ott, Hirzinger 2007",
         torque_feedback.TorqueFeedback,
         "motor side, spring torque",
-        "decays where the reference stands",
+        "decays for a constant reference",
         torque_feedback.standard,
     ),
     LawKind(
@@ -115,7 +116,7 @@ _KINDS = (
         "Albu-Schaeffer, Ott, Hirzinger 2007",
         torque_feedback.TorqueFeedbackFeedforward,
         "motor side, spring torque",
-        "decays where the reference stands",
+        "decays for a constant reference",
         torque_feedback.standard,
         adds="inverse dynamics of the reference",
     ),
@@ -125,7 +126,7 @@ _KINDS = (
         "scipy.linalg.solve_continuous_are",
         lqr.Lqr,
         _ALL,
-        "decays for small errors about one configuration",
+        "decays for small errors about one equilibrium",
         lqr.standard,
         1.0,
         (0.5**0.5, 2.0),
@@ -135,7 +136,7 @@ LAWS: dict[str, LawKind] = {kind.name: kind for kind in _KINDS}
 
 
 def law_kind(name: str) -> LawKind:
-    """The kind called so; raises ParameterError."""
+    """Return the law of this name; raise ParameterError if unknown."""
     if name not in LAWS:
         raise ParameterError(f"law is {name!r}; expected one of {', '.join(LAWS)}")
     return LAWS[name]

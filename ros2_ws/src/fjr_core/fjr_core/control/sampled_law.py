@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a control law is once it runs: a pure function of a sample, the gains, a memory and the effort sent before."""
+"""Define sampled-data laws: pure functions of the sample, the gains, the controller state and the last effort."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ..trajectories.reference import JETS
 
 
 class MeasuredLaw(Protocol):
-    """A static law u(x, x, t) of what is measured, with a storage V, nan where it has none."""
+    """A static law u(x, x, t) of measured signals, with a storage V (nan if it has none)."""
 
     @property
     def robot(self) -> Robot:
-        """The robot that the law believes in."""
+        """The robot model of the law."""
 
     @property
     def gain_values(self) -> Array:
@@ -30,19 +30,19 @@ class MeasuredLaw(Protocol):
 
     @property
     def measured_expression(self) -> ca.Function:
-        """(position (2n,), velocity (2n,), jets (n, 5), gains (g,)) -> u (n,), V; never machine code."""
+        """(position (2n,), velocity (2n,), jets (n, 5), gains (g,)) -> u (n,), V; not compiled."""
 
 
 class SampledLaw(Protocol):
-    """A law evaluated once a sample, its effort held; `lead` [s] after the stamp is the reference taken."""
+    """A law evaluated once per sample with its effort held; the reference is evaluated `lead` [s] after the stamp."""
 
     @property
     def robot(self) -> Robot:
-        """The robot that the law believes in."""
+        """The robot model of the law."""
 
     @property
     def lead(self) -> float:
-        """How long after the sample's stamp the reference is taken [s], 0 or more."""
+        """Time [s] from the sample's stamp to the evaluation of the reference, 0 or more."""
 
     @property
     def gain_values(self) -> Array:
@@ -50,44 +50,44 @@ class SampledLaw(Protocol):
 
     @property
     def memory(self) -> Array:
-        """The argument `memory` (m,) of the first step; (0,) for a law without one."""
+        """Initial controller state (m,), the argument `memory` of the first step; (0,) for a static law."""
 
     @property
     def step_function(self) -> ca.Function:
-        """The CasADi function of one sample; never machine code, so that it may be part of another: see compiled.
+        """The CasADi function of one sample; not compiled, so that it can be part of another function.
 
         (position (2n,), velocity (2n,), jets (n, 5), gains (g,), memory (m,), sent (n,), dt) -> u (n,), V, next (m,).
-        position (q_l, q_m) [rad], velocity (dq_l, dq_m) [rad/s]; sent [N m]: the effort that was sent for the last
-        sample (what its u became under limits), zeros at the first; without a delay it acted since then. dt [s]: time
-        since the last sample, 0 at the first.
+        position (q_l, q_m) [rad], velocity (dq_l, dq_m) [rad/s]. memory, next: controller state before and after.
+        sent [N m]: effort sent at the last sample, after saturation, zero at the first sample. dt [s]: time since
+        the last sample, 0 at the first.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class Static:
-    """A law without memory as a SampledLaw."""
+    """Adapt a static law to the interface SampledLaw."""
 
     law: MeasuredLaw
     lead: float = 0.0
 
     @property
     def robot(self) -> Robot:
-        """The robot that the law believes in."""
+        """The robot model of the law."""
         return self.law.robot
 
     @property
     def gain_values(self) -> Array:
-        """Gains (g,) as step_function takes them."""
+        """The argument `gains` (g,) of step_function."""
         return self.law.gain_values
 
     @property
     def memory(self) -> Array:
-        """Nothing, (0,)."""
+        """Empty controller state (0,)."""
         return np.zeros(0)
 
     @cached_property
     def step_function(self) -> ca.Function:
-        """SampledLaw.step_function, which reads neither memory, nor sent, nor dt."""
+        """SampledLaw.step_function; it does not depend on memory, sent and dt."""
         n, g = self.robot.n, len(self.gain_values)
         sizes = {"position": 2 * n, "velocity": 2 * n, "gains": g, "memory": 0, "sent": n, "dt": 1}
         s = {name: ca.MX.sym(name, rows) for name, rows in sizes.items()}
@@ -99,9 +99,9 @@ class Static:
 
 @dataclass(frozen=True, eq=False)
 class BoundStep:
-    """One sample of a law from and into its own arrays: `evaluate` writes u (n,), V (1,) and next (m,).
+    """One sample of a law, bound to arrays: `evaluate` writes u (n,), V (1,) and next (m,).
 
-    It reads the arrays given, memory (m,), sent (n,) and dt (1,); `keep` makes next the memory.
+    It reads the bound measurement arrays, memory (m,), sent (n,) and dt (1,). `keep` copies next to memory.
     """
 
     evaluate: Callable[[], None]
@@ -114,11 +114,11 @@ class BoundStep:
     next: Array
 
     def keep(self) -> None:
-        """The sample counts: the next one goes on from here."""
+        """Accept the sample: copy the new controller state to memory."""
         np.copyto(self.memory, self.next)
 
     def forget(self) -> None:
-        """The next sample is the first."""
+        """Reset the controller state, so that the next sample is the first."""
         np.copyto(self.memory, self.initial)
         self.dt[0] = 0.0
 
@@ -126,7 +126,7 @@ class BoundStep:
 def bound_step(
     law: SampledLaw, position: Array, velocity: Array, jets: Array, function: ca.Function | None = None
 ) -> BoundStep:
-    """A law bound to contiguous arrays (2n,), (2n,), (5, n); function: its step_function as machine code."""
+    """Bind a law to contiguous arrays (2n,), (2n,), (5, n); function: its compiled step_function."""
     n, initial = law.robot.n, law.memory
     memory, sent, dt, u, V, after = initial.copy(), np.zeros(n), np.zeros(1), np.zeros(n), np.zeros(1), initial.copy()
     arguments = (position, velocity, jets, law.gain_values, memory, sent, dt)
@@ -135,4 +135,4 @@ def bound_step(
 
 
 ARGUMENTS = ("position", "velocity", "jets", "gains", "memory", "sent", "dt")
-"""The arguments of SampledLaw.step_function."""
+"""Arguments of SampledLaw.step_function, in order."""

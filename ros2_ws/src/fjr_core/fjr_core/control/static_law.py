@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all laws u(x, x, t) without a memory have in common: evaluated, bound to arrays, compiled."""
+"""Base class of static laws u(x, x, t): evaluation, binding to arrays and compilation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..trajectories.reference import REFERENCE_DERIVATIVES
 
 @dataclass(frozen=True, eq=False)
 class BoundCommand:
-    """A law's measured command from and into its own arrays: `evaluate` writes u (n,) [N m] and V (1,) [J]."""
+    """A law bound to measurement arrays: `evaluate` writes u (n,) [N m] and V (1,) [J]."""
 
     evaluate: Callable[[], None]
     u: Array
@@ -30,10 +30,10 @@ class BoundCommand:
 
 
 class StaticLaw(ABC):
-    """A law u(x, x, t) of a robot, a pure function bound once; a sampled_law.MeasuredLaw.
+    """A static law u(x, x, t) of a robot as a pure function; implements sampled_law.MeasuredLaw.
 
-    A law says `measured_expressions`, `gain_values` and `hold_damping`; gains are arguments of its function, so
-    that with_gains builds and compiles nothing. Nothing is limited and nothing non-finite is caught here.
+    Subclasses define `measured_expressions`, `gain_values` and `hold_damping`. Gains are arguments of the function,
+    so that with_gains builds and compiles nothing. Efforts are neither saturated nor checked for finite values.
     """
 
     robot: Robot
@@ -41,11 +41,11 @@ class StaticLaw(ABC):
 
     @abstractmethod
     def with_gains(self, gains: Any) -> StaticLaw:
-        """The same law with other gains, whose measured_command is ready at once. Raises GainsError."""
+        """Return the law with other gains; nothing is built or compiled. Raises GainsError."""
 
     @abstractmethod
     def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """The arguments of measured_function, and u (n,), V and what else there is as expressions of them."""
+        """Return the arguments of measured_function, and expressions of u (n,), V and further outputs."""
 
     @property
     @abstractmethod
@@ -55,33 +55,34 @@ class StaticLaw(ABC):
     @property
     @abstractmethod
     def hold_damping(self) -> Array:
-        """Damping (n, n) [N m s/rad] of the motors when the law stops and only the weight is held."""
+        """Motor damping (n, n) [N m s/rad] of the stop policy that holds the weight only."""
 
     def measured_command(self, position: ArrayLike, velocity: ArrayLike, jets: ArrayLike) -> tuple[Array, float]:
-        """u(x, x, t) (n,) [N m] and V for positions (q_l, q_m) [rad] and velocities (dq_l, dq_m) [rad/s], (2n,).
+        """Return u(x, x, t) (n,) [N m] and V [J] for a measured position and velocity.
 
-        jets (5, n): q_ld .. d4q_ld. V [J], nan where the law has none. Raises StateError for wrong shapes.
+        position (q_l, q_m) [rad] and velocity (dq_l, dq_m) [rad/s], (2n,) each; jets (5, n): q_ld .. d4q_ld.
+        V is nan if the law has no storage. Raises StateError for wrong shapes.
         """
         u, V = self._measured_command(position, velocity, jets, self.gain_values)
         return u, float(V[0])
 
     def bound(self, position: Array, velocity: Array, jets: Array) -> BoundCommand:
-        """measured_command of these contiguous arrays, which each evaluation reads; not for two threads at once."""
+        """Bind measured_command to contiguous arrays, which each evaluation reads; not thread-safe."""
         u, V = np.zeros(self.robot.n), np.zeros(1)
         return BoundCommand(bind(self.measured_function, (position, velocity, jets, self.gain_values), (u, V)), u, V)
 
     def command(self, x: ArrayLike, jets: ArrayLike) -> Array:
-        """Effort u(x, x, t) (n,) [N m] at a state x (4n,) with momenta."""
+        """Return the effort u(x, x, t) (n,) [N m] at a state x (4n,) with momenta; jets (5, n)."""
         return self._command(x, jets)[0]
 
     def command_and_storage(self, x: ArrayLike, jets: ArrayLike) -> tuple[Array, float]:
-        """The command with the storage V at x_v = x."""
+        """Return the effort u(x, x, t) (n,) [N m] and the storage V [J] at a state x (4n,); jets (5, n)."""
         u, V = self._command(x, jets)
         return u, float(V[0])
 
     @cached_property
     def command_function(self) -> ca.Function:
-        """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; machine code if that was asked for."""
+        """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; compiled if requested."""
         n = self.robot.n
         x, jets = ca.SX.sym("x", 4 * n), ca.SX.sym("jets", n, REFERENCE_DERIVATIVES + 1)
         velocity = ca.vertcat(*self.robot.velocity_expressions(x))
@@ -90,17 +91,17 @@ class StaticLaw(ABC):
 
     @cached_property
     def measured_function(self) -> ca.Function:
-        """The CasADi function (position (2n,), velocity (2n,), jets (n, 5), gains) -> u, V; of all gains of a shape."""
+        """The CasADi function (position (2n,), velocity (2n,), jets (n, 5), gains) -> u, V; compiled if requested."""
         return self.ready(self.measured_expression)
 
     @cached_property
     def measured_expression(self) -> ca.Function:
-        """measured_function, never machine code: it may be part of another function."""
+        """measured_function, not compiled, so that it can be part of another function."""
         inputs, outputs = self.measured_expressions()
         return dense_function("measured_command", inputs, {key: outputs[key] for key in ("u", "V")}, cse=True)
 
     def ready(self, function: ca.Function) -> ca.Function:
-        """The function as machine code where this law is."""
+        """Return the function, compiled if this law is compiled."""
         return compiled(function) if self.compiles else function
 
     @cached_property

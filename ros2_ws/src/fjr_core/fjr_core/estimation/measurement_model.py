@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the joints' states really hold: measured velocities or none, motor positions behind gears, or joint torques."""
+"""Describe the measured joint signals: velocities or none, motor positions behind gears, or joint torques."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ POSITION, TORQUE = "position", "torque"
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """Where velocities and motor positions of n joints come from.
+    """Sources of velocities and motor positions of n joints.
 
-    velocity: "measured", or by an "observer", and then velocities in the states are not read.
-    motor: "position", or the joint "torque" tau = K zeta of a sensor, from which q_m = q_l + K^-1 tau.
-    gear_ratio (n,): the motors' own angle is gear_ratio times q_m; negative where a gear turns the other way.
-    K (n, n): joint stiffness [N m/rad], None where motor is "position".
+    velocity: "measured", or "observer": estimated, and measured velocities are ignored.
+    motor: "position", or "torque": a sensor measures the joint torque tau = K zeta, and q_m = q_l + K^-1 tau.
+    gear_ratio (n,): motor angle before the gear = gear_ratio q_m; negative if the gear reverses the direction.
+    K (n, n): joint stiffness [N m/rad], None if motor is "position".
 
-    Raises ParameterError for an unknown word, a ratio that is 0 or not finite, torque without a stiffness, and what
-    does not go together: torque with measured velocities (the rate of a torque is not measured) or with a gear ratio.
+    Raises ParameterError for an unknown option, a ratio that is 0 or not finite, or torque without a stiffness, with
+    measured velocities (the torque rate is not measured) or with a gear ratio.
     """
 
     n: int
@@ -40,8 +40,7 @@ class Measurement:
         ratio = checks.vector("measurement.gear_ratio", self.gear_ratio, self.n, ParameterError)
         if not np.all(ratio):
             raise ParameterError(f"measurement.gear_ratio is {ratio.tolist()}; expected no zeros")
-        ratio.setflags(write=False)
-        object.__setattr__(self, "gear_ratio", ratio)
+        checks.freeze(self, "gear_ratio", ratio)
         if self.motor == TORQUE:
             self._check_torque()
 
@@ -49,7 +48,7 @@ class Measurement:
         if not self.observed:
             raise ParameterError(
                 f"measurement.velocity is '{self.velocity}' with measurement.motor 'torque'; expected '{OBSERVER}', "
-                "since a torque sensor does not tell the motor's velocity"
+                "since a torque sensor does not measure the motor velocity"
             )
         if self.geared:
             ratio = np.asarray(self.gear_ratio).tolist()
@@ -62,20 +61,20 @@ class Measurement:
 
     @property
     def observed(self) -> bool:
-        """Whether an observer has to find the velocities."""
+        """True if an observer estimates the velocities."""
         return self.velocity == OBSERVER
 
     @property
     def by_torque(self) -> bool:
-        """Whether motor positions come from joint torques."""
+        """True if motor positions are computed from joint torques."""
         return self.motor == TORQUE
 
     @property
     def geared(self) -> bool:
-        """Whether motor angles have to be divided by a ratio."""
+        """True if motor angles are divided by a gear ratio."""
         return bool(np.any(np.asarray(self.gear_ratio) != 1))
 
 
-def _one_of(name: str, value: str, *words: str) -> None:
-    if value not in words:
-        raise ParameterError(f"{name} is {value!r}; expected one of {', '.join(words)}")
+def _one_of(name: str, value: str, *options: str) -> None:
+    if value not in options:
+        raise ParameterError(f"{name} is {value!r}; expected one of {', '.join(options)}")

@@ -1,28 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Velocities from positions: the robot's own step under the held effort, corrected at every sample.
+"""Estimate velocities from sampled positions: model prediction under the held effort, correction at every sample.
 
     predict   x = step of eq. (36) from (q_hat, dq_hat) over dt, u held          e = (q_l, q_m) measured - predicted
     correct   q_hat = q + g e,   dq_hat = dq + h e / dt,   g = 1 - z^2, h = (1 - z)^2, z = exp(-bandwidth dt)
 
-A Luenberger observer with high gain, as S. Nicosia, A. Tornambe, "High-gain observers in the state and parameter
-estimation of robots having elastic joints", Systems & Control Letters 13 (1989) 331-337, use it in continuous time,
-in the form for sampled positions: the model between the samples, a correction at each. (g, h) are those of the
-critically damped g-h filter (E. Brookner, "Tracking and Kalman Filtering Made Easy", Wiley 1998): for
-dq = const both poles of the error are at z. One bandwidth for all links and motors.
+This is the sampled-data form of the high-gain Luenberger observer of S. Nicosia, A. Tornambe, "High-gain observers in
+the state and parameter estimation of robots having elastic joints", Systems & Control Letters 13 (1989) 331-337.
+(g, h) are the gains of the critically damped g-h filter (E. Brookner, "Tracking and Kalman Filtering Made Easy",
+Wiley 1998): for constant dq both poles of the error are at z. All links and motors have the same bandwidth.
 
-What is guaranteed, for the exact model and effort and exact positions:
-- an exact estimate stays exact, up to the integrator;
-- near it the error decays exponentially wherever the spectral radius of its linearisation is below 1
-  (observer_error.error_radii: at rest, at sampled configurations); nothing global is claimed;
-- without damping that linearisation splits into the 2n modes of the robot at rest. A mode omega, theta = omega dt, has
-  the poles of lambda^2 - ((1 + z^2) cos(theta) - (1 - z)^2 sin(theta) / theta) lambda + z^2: of modulus z wherever they
-  are complex, and below 1 for every bandwidth up to theta = 2.33 (371 Hz at 1 kHz), for small ones almost up to pi.
-  Where gravity topples (omega = i nu) it takes a bandwidth above about nu;
-- in motion Coriolis terms come on top: the bandwidth is to be large beside the velocities [rad/s]. For Lipschitz
-  systems and short sample periods observers of this kind are proven to converge exponentially (T. N. Dinh,
-  V. Andrieu, M. Nadri, U. Serres, "Continuous-discrete time observer design for Lipschitz systems with sampled
-  measurements", IEEE Transactions on Automatic Control 60 (2015) 787-792); no constants are computed here.
-An acceleration a [rad/s^2] that the model does not know makes dq_hat wrong by about 2 a / bandwidth.
+Guarantees for an exact model, exact effort and exact positions:
+- An exact estimate stays exact, up to the integrator error.
+- A small error decays exponentially if the spectral radius of the linearised error dynamics is below 1
+  (observer_stability.error_radii: about equilibria, at sampled configurations). No global result is claimed.
+- Without damping the linearised error dynamics split into the 2n modes of the robot. A mode omega, theta = omega dt,
+  has the poles of lambda^2 - ((1 + z^2) cos(theta) - (1 - z)^2 sin(theta) / theta) lambda + z^2. Complex poles have
+  modulus z. The modulus is below 1 for every bandwidth up to theta = 2.33 (371 Hz at 1 kHz), and for a small bandwidth
+  almost up to pi. An unstable equilibrium (omega = i nu) requires a bandwidth above about nu.
+- In motion, Coriolis terms are added; the bandwidth should be large compared with the velocities [rad/s]. Observers of
+  this kind converge exponentially for Lipschitz systems and short sample periods (T. N. Dinh, V. Andrieu, M. Nadri,
+  U. Serres, "Continuous-discrete time observer design for Lipschitz systems with sampled measurements", IEEE
+  Transactions on Automatic Control 60 (2015) 787-792); no constants are computed here.
+An unmodelled acceleration a [rad/s^2] causes an error of dq_hat of about 2 a / bandwidth.
 """
 
 from __future__ import annotations
@@ -36,40 +35,41 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..numerics.casadi_function import bind, dense_function
+from ..numerics.casadi_function import bind
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
 from ..robot.configuration_sampling import checked_configurations
+from ..robot.coordinates import Coordinates
 from ..robot.equilibrium import plant_matrices, rest_points
 from ..robot.port_hamiltonian import Plant
 from ..robot.robot import Robot
 
-LONGEST_CALL = 1.5e-3  # s; more is predicted in several calls
-LONGEST_GAP = 0.1  # s; after a longer one the observer begins anew
-CONFIGURATIONS = 64  # sampled: for the fastest mode and where the error's radius is looked at
-FINE = 0.6  # the fastest mode's rate [1/s] times a Runge-Kutta step [s] is at most this
-FEWEST_STEPS, MOST_STEPS = 4, 64  # Runge-Kutta steps in a call; 4 are as many as the simulated plant takes
+LONGEST_CALL = 1.5e-3  # s; longer intervals are predicted in several calls
+LONGEST_GAP = 0.1  # s; after a longer gap the observer restarts
+CONFIGURATIONS = 64  # sampled, for the fastest mode and the spectral radii
+LARGEST_STEP = 0.6  # largest Runge-Kutta step [s] times the rate of the fastest mode [1/s]
+FEWEST_STEPS, MOST_STEPS = 4, 64  # Runge-Kutta steps per call; the simulated plant takes 4
 
 
 def corrections(bandwidth: float, dt: float) -> tuple[float, float]:
-    """(g, h) with both poles at z = exp(-bandwidth dt); bandwidth [rad/s], dt [s]."""
+    """Return (g, h) with both poles at z = exp(-bandwidth dt); bandwidth [rad/s], dt [s]."""
     z = math.exp(-bandwidth * dt)
     return 1 - z * z, (1 - z) ** 2
 
 
 def first_corrections(k: int) -> tuple[float, float]:
-    """(g, h) of the k-th sample after the first: a straight line through all so far, by least squares (Brookner)."""
+    """Return (g, h) of the k-th sample after the first: least-squares line through all samples so far (Brookner)."""
     return 2 * (2 * k + 1) / ((k + 1) * (k + 2)), 6 / ((k + 1) * (k + 2))
 
 
 class VelocityObserver:
-    """Velocities (and smoothed positions) of a robot, sample by sample; see this module for what it guarantees.
+    """Recursive estimate of velocities and smoothed positions; the module docstring lists the guarantees.
 
-    robot: the model. bandwidth [rad/s]: of the error's double pole, ParameterError unless positive and finite.
-    compile: as machine code where the machine has a C compiler (numerics.jit). Not for two threads at once.
+    robot: model. bandwidth [rad/s]: of the double pole of the error; ParameterError unless positive and finite.
+    compile: compile to machine code if a C compiler is available (numerics.jit). Not thread-safe.
 
-    The first sample gives velocity 0, the second the difference, and the gains of first_corrections shrink from there
-    to those of the bandwidth: a robot met in motion is known after some samples, not after some 1 / bandwidth.
+    The first sample gives zero velocity, the second the difference quotient. The gains then decrease from
+    first_corrections to those of the bandwidth, so that the estimate of a moving robot settles within a few samples.
     """
 
     def __init__(self, robot: Robot, bandwidth: float, compile: bool = False) -> None:
@@ -87,38 +87,38 @@ class VelocityObserver:
 
     @property
     def state(self) -> Array:
-        """The estimate (4n,): q_l, q_m [rad] smoothed, dq_l, dq_m [rad/s]; good until the next update."""
+        """Estimate (4n,): smoothed q_l, q_m [rad] and dq_l, dq_m [rad/s]; valid until the next update."""
         return self._x_hat
 
     @property
     def fresh(self) -> bool:
-        """Whether the last update began anew: the velocities are 0 because nothing is known of them."""
+        """True if the last update restarted the observer; the velocities are 0 because they are unknown."""
         return self._k == 0
 
     @cached_property
     def function(self) -> ca.Function:
-        """The CasADi function (x_hat, y, u, dt, gain) -> x_hat at the next sample; machine code if asked for.
+        """The CasADi function (x_hat, y, u, dt, gain) -> x_hat at the next sample; compiled if requested.
 
-        x_hat (4n,) as `state`, y (2n,) the positions [rad] measured after dt [s], u (n,) [N m] held meanwhile,
-        gain (2,): g and h / dt; zeros only predict.
+        x_hat (4n,) as `state`; y (2n,) [rad]: positions measured after dt [s]; u (n,) [N m]: held effort;
+        gain (2,): g and h / dt, zero for prediction only.
         """
         function = _observer_function(self.robot, steps_of(self.robot))
         return compiled(function) if self._compile else function
 
     def reset(self) -> None:
-        """Forget everything: the next sample is the first."""
+        """Reset the observer; the next sample is the first."""
         self._stamp = None
 
     def warm_up(self) -> None:
-        """Build what is built once, so that the first update is as fast as any other."""
+        """Build and bind the function, so that the first update is as fast as any other."""
         _ = self._advance
 
     def update(self, stamp: int, q_l: ArrayLike, q_m: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
-        """Velocities (dq_l, dq_m), each (n,) [rad/s], at `stamp` [ns]; they are good until the next update.
+        """Return the velocities (dq_l, dq_m), each (n,) [rad/s], at `stamp` [ns]; they are valid until the next update.
 
-        q_l, q_m (n,) [rad]: finite positions at that time; u (n,) [N m]: the effort applied since the last update.
-        A repeated stamp changes nothing. A stamp that went back or jumped by more than LONGEST_GAP begins anew, and
-        so does an estimate that is not finite.
+        q_l, q_m (n,) [rad]: finite positions at that time. u (n,) [N m]: effort applied since the last update.
+        A repeated stamp changes nothing. A stamp that decreases or jumps by more than LONGEST_GAP, or a non-finite
+        estimate, restarts the observer.
         """
         if stamp == self._stamp:
             return self._dq_l, self._dq_m
@@ -129,10 +129,10 @@ class VelocityObserver:
             self._u[:] = u
             self._continue(dt)
         else:
-            self._begin()
+            self._restart()
         return self._dq_l, self._dq_m
 
-    def _begin(self) -> None:
+    def _restart(self) -> None:
         n = self._n
         self._x_hat[: 2 * n], self._x_hat[2 * n :] = self._y, 0.0
         self._k = 0
@@ -150,7 +150,7 @@ class VelocityObserver:
         self._advance()
         self._x_hat[:] = self._x_next
         if not self._x_hat.dot(self._x_hat) < math.inf:
-            self._begin()
+            self._restart()
 
     def _corrections(self, dt: float) -> tuple[float, float]:
         self._k += 1
@@ -166,30 +166,18 @@ def _observer_function(robot: Robot, steps: int) -> ca.Function:
     n = robot.n
     sizes = {"x_hat": 4 * n, "y": 2 * n, "u": n, "dt": 1, "gain": 2}
     x_hat, y, u, dt, gain = (ca.MX.sym(name, size) for name, size in sizes.items())
-    to_momenta, to_velocities = _coordinates(robot)
-    x, step = to_momenta(x_hat), Plant(robot).step_function
+    coordinates, step = Coordinates(robot), Plant(robot).step_function
+    x = coordinates.to_momenta(x_hat[: 2 * n], x_hat[2 * n :])
     for _ in range(steps):
         x = step(x, u, dt / steps)
-    q, dq = ca.vertsplit(to_velocities(x), 2 * n)
+    q, dq = coordinates.to_measured(x)
     e = y - q
     x_next = ca.vertcat(q + gain[0] * e, dq + gain[1] * e)
     return ca.Function("observer", [x_hat, y, u, dt, gain], [x_next], list(sizes), ["x_next"])
 
 
-def _coordinates(robot: Robot) -> tuple[ca.Function, ca.Function]:
-    """(q_l, q_m, dq_l, dq_m) -> x of eq. (36), and back."""
-    x = ca.SX.sym("x", 4 * robot.n)
-    q_l, q_m, dq_l, dq_m = ca.vertsplit(x, robot.n)
-    momenta = ca.vertcat(q_l, q_m, robot.links.M_l(q_l) @ dq_l, robot.M_m @ dq_m)
-    velocities = ca.vertcat(q_l, q_m, *robot.velocity_expressions(x))
-    return (
-        dense_function("momenta", {"x": x}, {"p": momenta}, cse=True),
-        dense_function("velocities", {"x": x}, {"dq": velocities}, cse=True),
-    )
-
-
 def steps_of(robot: Robot) -> int:
-    """Return the number of Runge-Kutta steps in one call, enough for the robot's fastest mode at rest."""
-    rest = rest_points(robot, checked_configurations(robot, None, CONFIGURATIONS))
-    fastest = float(np.abs(np.linalg.eigvals(plant_matrices(rest)[0])).max())
-    return min(max(math.ceil(LONGEST_CALL * fastest / FINE), FEWEST_STEPS), MOST_STEPS)
+    """Return the number of Runge-Kutta steps in one call, sufficient for the fastest mode of the robot."""
+    points = rest_points(robot, checked_configurations(robot, None, CONFIGURATIONS))
+    fastest = float(np.abs(np.linalg.eigvals(plant_matrices(points)[0])).max())
+    return min(max(math.ceil(LONGEST_CALL * fastest / LARGEST_STEP), FEWEST_STEPS), MOST_STEPS)

@@ -12,6 +12,7 @@ from ..control.vdpbc.law import TrackingLaw
 from ..numerics.casadi_function import dense_function
 from ..numerics.checks import Array
 from ..numerics.integrators import rk4_expression
+from ..robot.coordinates import Coordinates
 from ..robot.port_hamiltonian import Plant
 
 STEPS = 4  # of the integrator in a call
@@ -45,20 +46,9 @@ class Prediction:
         symbols = {name: ca.MX.sym(name, size) for name, size in (("position", 2 * n), ("velocity", 2 * n), ("u", n))}
         position, velocity, u = symbols.values()
         dt, dynamics = ca.MX.sym("dt"), Plant(robot).dynamics
-        to_state, to_velocity = self._momenta()
-        x = to_state(position, velocity)
+        coordinates = Coordinates(robot)
+        x = coordinates.to_momenta(position, velocity)
         for _ in range(STEPS):
             x = rk4_expression(dynamics, x, (u, u, u), dt / STEPS)
-        outputs = {"next_position": x[: 2 * n], "next_velocity": to_velocity(x)}
+        outputs = {"next_position": x[: 2 * n], "next_velocity": coordinates.to_velocities(x)}
         return dense_function("prediction", {**symbols, "dt": dt}, outputs)
-
-    def _momenta(self) -> tuple[ca.Function, ca.Function]:
-        """(position, velocity) -> x, and x -> velocity."""
-        robot = self._law.robot
-        n = robot.n
-        position, velocity, x = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n), ca.SX.sym("x", 4 * n)
-        state = ca.vertcat(position, robot.links.M_l(position[:n]) @ velocity[:n], robot.M_m @ velocity[n:])
-        return (
-            dense_function("to_state", {"position": position, "velocity": velocity}, {"x": state}),
-            dense_function("to_velocity", {"x": x}, {"velocity": ca.vertcat(*robot.velocity_expressions(x))}),
-        )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CasADi functions called with NumPy arrays at the cost of the arithmetic, not of the conversion."""
+"""Call CasADi functions with NumPy arrays without conversion overhead."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike
 from ..errors import StateError
 from .checks import Array
 
-SPREAD = ("u", "delta_u", "omega")  # efforts: a scalar stands for n equal entries
+BROADCAST = ("u", "delta_u", "omega")  # efforts: a scalar stands for n equal entries
 
 
 class NumericFunction(threading.local):
-    """A CasADi function on float arrays; buffers are bound once per thread, results are fresh copies.
+    """A CasADi function of float arrays; buffers are bound once per thread, results are copies.
 
-    `shapes` gives the NumPy shape of every argument. CasADi stores columns first, so an argument of
-    shape (5, n) here is the symbol of shape (n, 5) there.
+    shapes: NumPy shape of every argument. CasADi is column-major, so that an argument of shape (5, n) is a symbol of
+    shape (n, 5).
     """
 
     def __init__(self, function: ca.Function, shapes: tuple[tuple[int, ...], ...]) -> None:
@@ -31,7 +31,7 @@ class NumericFunction(threading.local):
         self._trigger = bind(function, self._arguments, self._results)
 
     def __call__(self, *arguments: ArrayLike) -> tuple[Array, ...]:
-        """Evaluate; raises StateError when an argument does not fit (a scalar may stand for those in SPREAD)."""
+        """Evaluate the function; arguments in BROADCAST may be scalars. Raises StateError for a wrong shape."""
         for name, own, given in zip(self._names, self._arguments, arguments, strict=True):
             if type(given) is np.ndarray and given.shape == own.shape and given.dtype == own.dtype:
                 own[...] = given
@@ -47,7 +47,7 @@ class NumericFunction(threading.local):
 def _assign(name: str, own: Array, given: ArrayLike) -> None:
     try:
         shape = np.shape(given)
-        if shape == own.shape or (shape == () and name in SPREAD):
+        if shape == own.shape or (shape == () and name in BROADCAST):
             own[...] = given
             return
     except (TypeError, ValueError):
@@ -56,21 +56,22 @@ def _assign(name: str, own: Array, given: ArrayLike) -> None:
 
 
 def not_converged(function: ca.Function) -> StateError:
-    """What a function that solves for its result means when it fails."""
+    """Return the error of a function whose root finder failed."""
     return StateError(f"{function.name()} did not converge; expected a shorter step")
 
 
 def bind(function: ca.Function, arguments: Sequence[Array], results: Sequence[Array]) -> Callable[[], None]:
-    """A callable that evaluates the function from and into these arrays, which it keeps; no argument may be a result.
+    """Return a callable that evaluates the function on these argument and result arrays.
 
-    All are contiguous float arrays of the sizes that the function has. Not for two threads at once.
+    All are distinct contiguous float arrays of the sizes of the function; the callable holds references. Not
+    thread-safe.
     """
     buffer, trigger = function.buffer()
     for i, array in enumerate(arguments):
         buffer.set_arg(i, array.data)
     for i, array in enumerate(results):
         buffer.set_res(i, array.data)
-    trigger.held = (buffer, *arguments, *results)  # as long as it lives, so do they
+    trigger.held = (buffer, *arguments, *results)  # keep the buffers alive as long as the callable
     return trigger
 
 
@@ -82,7 +83,7 @@ def _numpy_shape(function: ca.Function, i: int) -> tuple[int, ...]:
 def dense_function(
     name: str, inputs: dict[str, ca.SX | ca.MX], outputs: dict[str, ca.SX | ca.MX], cse: bool = False
 ) -> ca.Function:
-    """A CasADi function of named symbols and expressions with dense outputs; cse: say repeated terms once."""
+    """Return a CasADi function of named symbols with dense outputs; cse: eliminate common subexpressions."""
     dense = [ca.densify(e) for e in outputs.values()]
     return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs), {"cse": cse})
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check values at the boundary: they become finite arrays of the expected shape, or raise one clear sentence."""
+"""Validate input: return finite arrays of the expected shape, or raise the given error."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def finite(name: str, value: ArrayLike, error: type[FjrError]) -> Array:
-    """Return `value` as a float array, or raise `error` when it holds anything else than finite numbers."""
+    """Return `value` as a float array; raise `error` unless all entries are finite numbers."""
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
@@ -23,7 +23,7 @@ def finite(name: str, value: ArrayLike, error: type[FjrError]) -> Array:
 
 
 def vector(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
-    """Return `value` as (n,); a scalar stands for n equal entries."""
+    """Return `value` as (n,); a scalar stands for n equal entries. Raises `error`."""
     array = finite(name, value, error)
     if array.ndim == 0:
         return np.full(n, float(array))
@@ -33,7 +33,7 @@ def vector(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
 
 
 def matrix(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
-    """Return `value` as (n, n); a scalar or a vector stands for a diagonal matrix."""
+    """Return `value` as (n, n); a scalar or a vector stands for a diagonal matrix. Raises `error`."""
     array = finite(name, value, error)
     if array.shape in ((), (n,)):
         return np.diag(vector(name, array, n, error))
@@ -43,7 +43,7 @@ def matrix(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
 
 
 def symmetric(name: str, array: Array, error: type[FjrError]) -> Array:
-    """Return the square matrix `array`, or raise when it is not symmetric to rounding."""
+    """Return the symmetric part of `array`; raise `error` unless it is symmetric to rounding."""
     asymmetry = float(np.max(np.abs(array - array.T)))
     if asymmetry > 1e-12 * float(np.max(np.abs(array))):
         raise error(f"{name} is not symmetric (largest difference {asymmetry:.3g}); expected a symmetric matrix")
@@ -51,7 +51,7 @@ def symmetric(name: str, array: Array, error: type[FjrError]) -> Array:
 
 
 def positive_definite(name: str, array: Array, error: type[FjrError]) -> Array:
-    """Return the symmetric positive definite matrix `array`, or raise."""
+    """Return the symmetric part of `array`; raise `error` unless it is symmetric positive definite."""
     array = symmetric(name, array, error)
     smallest, largest = np.linalg.eigvalsh(array)[[0, -1]]
     if not smallest > 1e-14 * largest:
@@ -60,7 +60,7 @@ def positive_definite(name: str, array: Array, error: type[FjrError]) -> Array:
 
 
 def positive_semidefinite(name: str, array: Array, error: type[FjrError]) -> Array:
-    """Return the symmetric positive semidefinite matrix `array`, or raise."""
+    """Return the symmetric part of `array`; raise `error` unless it is symmetric positive semidefinite."""
     array = symmetric(name, array, error)
     smallest = float(np.linalg.eigvalsh(array)[0])
     if smallest < -1e-14 * float(np.max(np.abs(array))):
@@ -69,7 +69,7 @@ def positive_semidefinite(name: str, array: Array, error: type[FjrError]) -> Arr
 
 
 def joint_vector(name: str, value: ArrayLike) -> Array:
-    """Return `value` as (n,), n at least 1."""
+    """Return `value` as (n,), n at least 1; raise TrajectoryError."""
     array = finite(name, value, TrajectoryError)
     if array.ndim != 1 or not array.size:
         raise TrajectoryError(f"{name} has shape {array.shape}; expected (n,), one number per joint")
@@ -77,17 +77,17 @@ def joint_vector(name: str, value: ArrayLike) -> Array:
 
 
 def number(name: str, value: ArrayLike) -> float:
-    """Return `value` as one finite number."""
+    """Return `value` as one finite number; raise TrajectoryError."""
     return float(vector(name, value, 1, TrajectoryError)[0])
 
 
 def positive(name: str, value: float) -> None:
-    """Raise unless `value` [s] is positive and finite."""
+    """Raise TrajectoryError unless `value` [s] is positive and finite."""
     if not (np.isfinite(value) and value > 0):
         raise TrajectoryError(f"{name} is {value} s; expected a positive finite number")
 
 
 def freeze(owner: object, name: str, array: Array) -> None:
-    """Make `array`, which nobody may change, a field of the frozen `owner`."""
+    """Set a field of the frozen dataclass `owner` to `array` and make the array read-only."""
     array.setflags(write=False)
     object.__setattr__(owner, name, array)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled code between processes: in a folder that only this user can write, each file verified before it is loaded.
+"""Cache compiled code on disk in a folder that only this user can write; verify each file before it is loaded.
 
-Whoever writes a shared object that this process loads runs code as this user. So code is taken only from a
-PrivateFolder, and only where the SHA-256 digest that was noted when it was compiled is the digest of the content. The
-folder being private, nothing can change between that check and the loading.
+A shared object runs with the rights of the user who loads it. Code is therefore loaded only from a PrivateFolder, and
+only if its SHA-256 digest equals the digest stored at compilation. No other user can change a file between this check
+and the loading.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _log = logging.getLogger("fjr_core.numerics.jit")
 
 
 def cache_folder() -> Path:
-    """Return $XDG_CACHE_HOME/fjr, or ~/.cache/fjr; raises OSError where neither is known."""
+    """Return $XDG_CACHE_HOME/fjr, or ~/.cache/fjr; raise OSError if neither is defined."""
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:
@@ -32,7 +32,7 @@ def cache_folder() -> Path:
 
 
 def code_folder() -> PrivateFolder:
-    """Open the cache folder; a temporary one, said once, where that is not private. Raises OSError."""
+    """Open the cache folder, or a temporary folder if it is not private. Raises OSError."""
     try:
         return open_private(cache_folder())
     except (NotPrivateError, OSError) as error:
@@ -40,9 +40,9 @@ def code_folder() -> PrivateFolder:
 
 
 def temporary_folder(reason: str) -> PrivateFolder:
-    """Open a private folder that is removed when this process ends, and say why once. Raises OSError.
+    """Open a private folder that is removed when this process ends; log the reason once. Raises OSError.
 
-    It becomes XDG_CACHE_HOME of this process and of those that it starts, so that they share it.
+    The folder becomes XDG_CACHE_HOME of this process and its child processes, so that they share it.
     """
     base = _temporary_base()
     if os.environ.get("XDG_CACHE_HOME") != base:
@@ -51,14 +51,14 @@ def temporary_folder(reason: str) -> PrivateFolder:
     return open_private(Path(base) / "fjr")
 
 
-def is_whole(folder: PrivateFolder, name: str) -> bool:
-    """Whether a shared object is there with the content that it was kept with."""
+def is_intact(folder: PrivateFolder, name: str) -> bool:
+    """True if the shared object exists with the content that was stored."""
     content, digest = folder.read(name), folder.read(f"{name}.sha256")
     return content is not None and digest == _digest(content)
 
 
 def keep(folder: PrivateFolder, name: str, content: bytes) -> None:
-    """Keep a shared object and its digest. Raises OSError."""
+    """Store a shared object and its digest. Raises OSError."""
     folder.write(name, content)
     folder.write(f"{name}.sha256", _digest(content))
 
@@ -74,6 +74,6 @@ def _temporary_base() -> str:
     return base
 
 
-def _remove(base: str, maker: int) -> None:
-    if os.getpid() == maker:  # not a fork of it
+def _remove(base: str, creator: int) -> None:
+    if os.getpid() == creator:  # not in a forked process
         shutil.rmtree(base, ignore_errors=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps x -> x(t + dt) of dx/dt = f(x, u) with u held: explicit, and structure-preserving."""
+"""Integrator steps x -> x(t + dt) of dx/dt = f(x, u) with u held: Runge-Kutta 4 and implicit midpoint."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ..errors import ParameterError
 INNER_STEP = 2.5e-4  # s; integrator step under a hold
 
 Field = Callable[[ca.SX, ca.SX], ca.SX]
-"""dx/dt = f(x, u) on expressions; a CasADi function is one."""
+"""Vector field dx/dt = f(x, u) on expressions, for example a CasADi function."""
 
 
 def rk4(f: ca.Function) -> ca.Function:
-    """The classical Runge-Kutta step of order 4 as a CasADi function (x, u, dt) -> x_next."""
+    """Return the classical Runge-Kutta step of order 4 as a CasADi function (x, u, dt) -> x_next."""
     x, u, dt = _symbols(f, ca.SX)
     return _step("rk4", x, u, dt, rk4_expression(f, x, (u, u, u), dt))
 
 
 def rk4_expression(f: Field, x: ca.SX, inputs: tuple[ca.SX, ca.SX, ca.SX], dt: ca.SX) -> ca.SX:
-    """The same step as an expression, with the inputs of f at the start, the middle and the end of the step."""
+    """Return the Runge-Kutta step as an expression; inputs: u at the start, the middle and the end of the step."""
     start, middle, end = inputs
     k1 = f(x, start)
     k2 = f(x + dt / 2 * k1, middle)
@@ -32,12 +32,11 @@ def rk4_expression(f: Field, x: ca.SX, inputs: tuple[ca.SX, ca.SX, ca.SX], dt: c
 
 
 def implicit_midpoint(f: ca.Function, solver: str = "newton") -> ca.Function:
-    """The implicit midpoint rule (order 2, symplectic) as a CasADi function (x, u, dt) -> x_next.
+    """Return the implicit midpoint step (order 2, symplectic) as a CasADi function (x, u, dt) -> x_next.
 
-    Solves dx = dt f(x + dx/2, u) for the increment dx by Newton's method, so that the tolerance is that of
-    an increment, however far x is from the origin. Called with numbers, a step that does not converge
-    raises StateError. solver: CasADi's "newton", or "fast_newton", which can be written as C but searches no shorter
-    way where a full step of Newton's method leads off.
+    Solves dx = dt f(x + dx/2, u) for the increment dx by Newton's method; the tolerance applies to the increment and
+    does not depend on the size of x. A numerical evaluation that does not converge raises StateError.
+    solver: CasADi's "newton", or "fast_newton", which supports C code generation but has no line search.
     """
     x, u, dt = _symbols(f, ca.SX)
     dx = ca.SX.sym("dx", x.numel())
@@ -51,19 +50,19 @@ INTEGRATORS: dict[str, Callable[[ca.Function], ca.Function]] = {"rk4": rk4, "imp
 
 
 def step(name: str, f: ca.Function) -> ca.Function:
-    """The step of the integrator called `name` for dx/dt = f(x, u); raises ParameterError when unknown."""
+    """Return the step of the integrator `name` for dx/dt = f(x, u); raise ParameterError if unknown."""
     if name not in INTEGRATORS:
         raise ParameterError(f"integrator is {name!r}; expected one of {', '.join(INTEGRATORS)}")
     return INTEGRATORS[name](f)
 
 
 def step_as_c(name: str, f: ca.Function) -> ca.Function:
-    """The same step, of which CasADi can write C."""
+    """Return the step of the integrator `name` in a form that supports C code generation."""
     return implicit_midpoint(f, "fast_newton") if name == "implicit_midpoint" else step(name, f)
 
 
 def step_expression(name: str, f: ca.Function, x: ca.MX, inputs: tuple[ca.MX, ca.MX, ca.MX], dt: ca.MX) -> ca.MX:
-    """The same with the inputs of f at the start, the middle and the end of the step, as an expression."""
+    """Return the step of the integrator `name` as an expression; inputs as in rk4_expression."""
     return rk4_expression(f, x, inputs, dt) if name == "rk4" else step(name, f)(x, inputs[1], dt)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CasADi functions as machine code: C from CasADi, a shared object from the machine's compiler, cached by content."""
+"""Compile CasADi functions just in time: generate C, build a shared object, cache it by content."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pathlib import Path
 import casadi as ca
 
 from ..files.private_folder import PrivateFolder
-from .code_cache import code_folder, is_whole, keep, temporary_folder
+from .code_cache import code_folder, is_intact, keep, temporary_folder
 
 OPTIONS = ("-O3", "-march=native", "-fPIC", "-shared")
 COMPILERS = ("cc", "gcc", "clang")
@@ -29,52 +29,52 @@ _log = logging.getLogger("fjr_core.numerics.jit")
 
 
 class CompileError(Exception):
-    """Why a function cannot be compiled here; never leaves this module."""
+    """Reason why a function cannot be compiled; handled inside numerics."""
 
 
 def compiled(function: ca.Function) -> ca.Function:
-    """The same function as machine code; `function` itself, run by CasADi's virtual machine, where that cannot be.
+    """Return the function compiled to machine code, or `function` itself if compilation is not possible.
 
-    The C code, the compiler with its options and the processor decide the name of the shared object in
-    code_folder(); one that is there as it was kept is only loaded. Two processes may build at once: one builds, the
-    other waits. Derivatives of the result are not available. Says once, as a warning of the logger
-    "fjr_core.numerics.jit", why nothing is compiled.
+    The name of the shared object in code_folder() is a hash of the C code, the compiler with its options and the
+    processor; an intact file is only loaded. If two processes request the same code, one builds and the other waits.
+    The result is not differentiable. The logger "fjr_core.numerics.jit" warns once if nothing is compiled; the function
+    then runs in CasADi's virtual machine.
     """
-    return made(function)[0]
+    return compile_named(function)[0]
 
 
-def made(function: ca.Function) -> tuple[ca.Function, str | None]:
-    """Compile a function; return it with the name of its file in code_folder(), None where nothing was compiled."""
+def compile_named(function: ca.Function) -> tuple[ca.Function, str | None]:
+    """Compile a function; return it with the name of its file in code_folder(), or None if it was not compiled."""
     try:
         name = function.name()
         folder, library = _library(name, _c_code(name, [function]))
         return ca.external(name, folder.within(library)), library
     except (CompileError, OSError, RuntimeError, ValueError) as error:
-        _say_once(str(error))
+        _warn_once(str(error))
         return function, None
 
 
 def loaded(name: str, functions: Sequence[ca.Function], around: Callable[[str], str]) -> ctypes.CDLL | None:
-    """A program of C round the C code of CasADi functions, as a loaded library; None, said once, where it cannot be.
+    """Return a library built from CasADi functions and additional C code, or None (with a warning) if not possible.
 
-    around: from CasADi's code to the whole source. Cached as machine code of a function is.
+    around: maps the generated C code to the complete source. Libraries are cached as compiled functions are.
     """
     try:
         folder, library = _library(name, around(_c_code(name, functions)))
         return ctypes.CDLL(folder.within(library))
     except (CompileError, OSError, RuntimeError, ValueError) as error:
-        _say_once(str(error))
+        _warn_once(str(error))
         return None
 
 
 def machine() -> list[str]:
-    """What decides, beside the C code, what machine code is made: compiler, options, processor; CompileError."""
+    """Return what the machine code depends on besides the C code: compiler, options, processor. Raises CompileError."""
     compiler = _compiler()
     return [*compiler, _version(compiler), *OPTIONS, _processor()]
 
 
 def can_compile() -> bool:
-    """Whether a C compiler is here."""
+    """True if a C compiler is available."""
     try:
         return bool(_compiler())
     except CompileError:
@@ -82,40 +82,42 @@ def can_compile() -> bool:
 
 
 def _library(name: str, source: str) -> tuple[PrivateFolder, str]:
-    """The shared object of a C source, found or built: its folder and its name there."""
+    """Find or build the shared object of a C source; return its folder and its name."""
     compiler = _compiler()
     key = hashlib.sha256("\n".join([source, *machine()]).encode())
     stem = f"{name}-{key.hexdigest()[:32]}"
     folder = code_folder()
     try:
         return folder, _ensured(folder, stem, source, compiler)
-    except OSError as error:  # it cannot be written
+    except OSError as error:  # the folder is not writable
         folder = temporary_folder(f"cannot write to {folder.path} ({error.strerror or error})")
         return folder, _ensured(folder, stem, source, compiler)
 
 
 def _ensured(folder: PrivateFolder, stem: str, source: str, compiler: tuple[str, ...]) -> str:
-    """Build the library unless it is there whole, or while this waits another process does; its name."""
+    """Build the library unless it is intact or another process builds it meanwhile; return its name."""
     library = f"{stem}.so"
-    if is_whole(folder, library):
+    if is_intact(folder, library):
         return library
     with folder.locked(f"{stem}.lock"):
-        if not is_whole(folder, library):
+        if not is_intact(folder, library):
             lines, what = source.count("\n"), stem.rpartition("-")[0]
-            _log.info("making machine code of %s (%d lines of C) in %s: once, some seconds", what, lines, folder.path)
+            _log.info(
+                "compiling %s (%d lines of C) in %s; this happens once and takes some seconds", what, lines, folder.path
+            )
             keep(folder, library, _built(source, compiler))
     return library
 
 
 def _built(source: str, compiler: tuple[str, ...]) -> bytes:
-    """The content of the shared object, compiled in a temporary folder of this user's."""
+    """Compile in a temporary folder; return the content of the shared object."""
     with tempfile.TemporaryDirectory() as folder:
-        code, made = Path(folder, "code.c"), Path(folder, "code.so")
+        code, built = Path(folder, "code.c"), Path(folder, "code.so")
         code.write_text(source, encoding="utf-8")
-        _run([*compiler, *OPTIONS, "-o", str(made), str(code), "-lm"])
-        if not made.exists():
+        _run([*compiler, *OPTIONS, "-o", str(built), str(code), "-lm"])
+        if not built.exists():
             raise CompileError(f"{compiler[0]} wrote no shared object")
-        return made.read_bytes()
+        return built.read_bytes()
 
 
 def _run(command: list[str]) -> None:
@@ -141,7 +143,7 @@ def _c_code(name: str, functions: Sequence[ca.Function]) -> str:
 
 
 def _compiler() -> tuple[str, ...]:
-    """$CC, or the first compiler on the path; raises CompileError when there is none."""
+    """Return $CC, or the first compiler on the path; raise CompileError if there is none."""
     wanted = shlex.split(os.environ.get("CC", ""))
     for command in [wanted] if wanted else [[name] for name in COMPILERS]:
         found = shutil.which(command[0])
@@ -159,15 +161,15 @@ def _version(compiler: tuple[str, ...]) -> str:
 
 @cache
 def _processor() -> str:
-    """What -march=native depends on: a cache may be shared by machines."""
+    """Return the processor properties that -march=native depends on; machines may share a cache."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         lines = []
-    told = {line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))}
-    return "\n".join([platform.machine(), *sorted(told)])
+    properties = {line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))}
+    return "\n".join([platform.machine(), *sorted(properties)])
 
 
 @cache
-def _say_once(reason: str) -> None:
+def _warn_once(reason: str) -> None:
     _log.warning("%s; running in CasADi's virtual machine, with the same numbers, some 20 times slower", reason)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find compiled code again without deriving anything: by what a function is made of, not by what it is.
+"""Look up compiled functions by their inputs (robot, gain pattern), so that nothing has to be derived again.
 
-jit.compiled needs the function to find its machine code, and a seven-joint arm's certificate takes a third of a
-second to derive and write as C. What it is derived from, robot and gains, is read in milliseconds.
+jit.compiled needs the function itself to find its machine code. Deriving the certificate of a seven-joint arm and
+generating its C code takes a third of a second; hashing its inputs takes milliseconds.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from pathlib import Path
 
 import casadi as ca
 
-from .code_cache import code_folder, is_whole
-from .jit import CompileError, compiled, machine, made
+from .code_cache import code_folder, is_intact
+from .jit import CompileError, compile_named, compiled, machine
 
 SOURCES = ("*.py", "*.c")
 PACKAGE = Path(__file__).parents[1]
 
 
-def recalled(name: str, model: bytes, pattern: str, build: Callable[[], ca.Function]) -> ca.Function:
-    """Return compiled(build()); where that was done before for such a model and pattern, its machine code at once.
+def compiled_from_inputs(name: str, model: bytes, pattern: str, build: Callable[[], ca.Function]) -> ca.Function:
+    """Return compiled(build()), or its cached machine code for the same model and pattern.
 
-    model: fingerprint of what the function is derived from (Robot.fingerprint). pattern: all else that it depends on.
-    This package's own source belongs to what is compared.
+    model: fingerprint of the robot (Robot.fingerprint). pattern: all other inputs of the function. The key also
+    contains the source of this package.
     """
     try:
         note, folder = _note(name, model, pattern), code_folder()
         found = (folder.read(note) or b"").decode("ascii", "replace")
-        if found.startswith(f"{name}-") and "/" not in found and is_whole(folder, found):
+        if found.startswith(f"{name}-") and "/" not in found and is_intact(folder, found):
             return ca.external(name, folder.within(found))
     except (CompileError, OSError, RuntimeError):
         return compiled(build())
-    function, library = made(build())
+    function, library = compile_named(build())
     if library is not None:
         with suppress(OSError):
             code_folder().write(note, library.encode())
@@ -43,16 +43,16 @@ def recalled(name: str, model: bytes, pattern: str, build: Callable[[], ca.Funct
 
 
 def program_digest(compiled: bool) -> str:
-    """Digest of all but their input that kept results depend on: this package's source, CasADi, a compiler.
+    """Return a cache key for results: hash of the package source, the CasADi version and `compiled`.
 
-    compiled: whether the loop is machine code.
+    compiled: True if the simulation loop is machine code.
     """
     return hashlib.sha256(f"{source_digest()} {ca.__version__} {compiled}".encode()).hexdigest()
 
 
 @cache
 def source_digest(folder: Path = PACKAGE) -> str:
-    """Digest of all Python and C in a folder, by default this package's, with the names of the files."""
+    """Return a hash of all Python and C files in a folder with their names; by default this package."""
     digest = hashlib.sha256()
     for path in sorted(path for pattern in SOURCES for path in folder.rglob(pattern)):
         digest.update(f"{path.relative_to(folder)} {path.stat().st_size}\n".encode())
@@ -61,6 +61,6 @@ def source_digest(folder: Path = PACKAGE) -> str:
 
 
 def _note(name: str, model: bytes, pattern: str) -> str:
-    """Return the name of the file that holds the name of the machine code."""
+    """Return the name of the file that stores the name of the shared object."""
     parts = [name, pattern, ca.__version__, source_digest(), *machine(), model.hex()]
     return f"{name}-{hashlib.sha256(chr(10).join(parts).encode()).hexdigest()[:32]}.note"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The few symbolic operations that the equations are written with (CasADi SX)."""
+"""Symbolic operations on CasADi SX expressions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def solve(A: ca.SX | ca.DM, b: ca.SX) -> ca.SX:
 
 
 def sparse(matrix: ca.SX | ArrayLike) -> ca.SX:
-    """A matrix of numbers or of expressions without what is 0 in it."""
+    """Return a numeric or symbolic matrix with structural zeros removed."""
     return ca.sparsify(matrix if isinstance(matrix, ca.SX) else ca.SX(ca.DM(matrix)))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots in closed form: the paper's joint and a planar two-link arm."""
+"""Build robots with closed-form dynamics: the joint of the paper and a planar two-link arm."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..numerics import checks
 from .rigid_arm import Hand, Links, closed_form
 from .robot import Robot
 
-STANDARD_GRAVITY = 9.81  # m/s^2; of a payload where the model has no gravity of its own
+STANDARD_GRAVITY = 9.81  # m/s^2, acts on the payload of a model without gravity parameter
 
 
 def single_link(
@@ -24,16 +24,16 @@ def single_link(
     motor_damping: ArrayLike = 0.007,
     input_gain: ArrayLike = 1.0,
 ) -> Robot:
-    """The paper's joint, Table 1: one link, hanging straight down at q_l = 0.
+    """Return the single-link robot of the paper, Table 1; the link hangs straight down at q_l = 0.
 
-    M_l = link_inertia [kg m^2] about the joint, P_l = gravity_torque (1 - cos q_l) [N m]; the rest as in
-    Robot. The table's figure 2 has stiffness = 3.1 N m/rad. Raises RobotError.
-    A payload hangs in gravity of 9.81 m/s^2, in a vertical plane; the link's x axis points along it.
+    M_l = link_inertia [kg m^2] about the joint, P_l = gravity_torque (1 - cos q_l) [N m]; the other
+    parameters as in Robot. Figure 2 of the paper uses stiffness = 3.1 N m/rad. A payload is subject to gravity of
+    9.81 m/s^2 in a vertical plane; the x axis of the link frame points along the link. Raises RobotError.
     """
     (inertia,) = _positive("link_inertia", link_inertia, 1)
     (load,) = checks.vector("gravity_torque", gravity_torque, 1, RobotError)
     M_l = np.array([[inertia]])
-    hand = _planar_hand((), STANDARD_GRAVITY)
+    hand = _planar_end_effector((), STANDARD_GRAVITY)
     links = closed_form(1, lambda q_l: ca.SX(M_l), lambda q_l: load * (1 - ca.cos(q_l)), vertices=(M_l,), hand=hand)
     return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
@@ -50,11 +50,11 @@ def planar_two_link(
     motor_damping: ArrayLike = (0.02, 0.01),
     input_gain: ArrayLike = 1.0,
 ) -> Robot:
-    """A two-link arm in a vertical plane, hanging straight down at q_l = 0; relative joint angles.
+    """Return a two-link arm in a vertical plane with relative joint angles; it hangs straight down at q_l = 0.
 
     link_mass [kg], link_length and link_com (joint to centre of mass) [m], link_inertia about the centre
-    of mass [kg m^2], each (2,); gravity [m/s^2]; the rest as in Robot. Raises RobotError.
-    The second link's x axis points along it.
+    of mass [kg m^2], each (2,); gravity [m/s^2]; the other parameters as in Robot. The x axis of the
+    second link's frame points along the link. Raises RobotError.
     Equations: M. W. Spong, S. Hutchinson, M. Vidyasagar, Robot Modeling and Control, sec. 7.4.
     """
     m1, m2 = _positive("link_mass", link_mass, 2)
@@ -75,15 +75,15 @@ def planar_two_link(
         lambda q_l: constant + coupling * ca.cos(q_l[1]),
         potential,
         vertices=(constant + coupling, constant - coupling),
-        hand=_planar_hand((l1,), g),
+        hand=_planar_end_effector((l1,), g),
     )
     return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
 
-def _planar_hand(lengths: tuple[float, ...], gravity: float) -> Hand:
-    """The last link of an arm in a vertical plane: x along it, y the way that it swings where it hangs, z normal.
+def _planar_end_effector(lengths: tuple[float, ...], gravity: float) -> Hand:
+    """Return the end-effector frame of an arm in a vertical plane: x along the last link, z normal to the plane.
 
-    lengths [m]: of the links before it.
+    lengths [m]: of the links before the last one.
     """
     q_l, r = ca.SX.sym("q_l", len(lengths) + 1), ca.SX.sym("r", 3)
     angles = ca.cumsum(q_l)
@@ -96,7 +96,7 @@ def _planar_hand(lengths: tuple[float, ...], gravity: float) -> Hand:
 
 
 def _along(angle: ca.SX) -> ca.SX:
-    """The direction of a link that is turned by this angle from straight down, in x forward, z up."""
+    """Return the direction of a link at an angle [rad] from straight down; x forward, z up."""
     return ca.vertcat(ca.sin(angle), 0, -ca.cos(angle))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sampled configurations: where rates, gains and sampled loops are looked at when none are given."""
+"""Sample configurations for the evaluation of rates, gains and sampled loops."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ..numerics import checks
 from ..numerics.checks import Array
 from .robot import Robot
 
-RATE_CONFIGURATIONS = 512  # for rates, which cost little
-ALIGNED_CONFIGURATIONS = 512  # as many again for sampled loops, with axes in line
+RATE_CONFIGURATIONS = 512  # for convergence rates
+ALIGNED_CONFIGURATIONS = 512  # additional ones for sampled loops, with aligned axes
 
 
 def sample_configurations(robot: Robot, k: int) -> Array:
-    """k configurations (k, n) [rad] within the robot's limits (where none are given, within +-pi).
+    """Return k configurations (k, n) [rad] within the joint limits, or within +-pi without limits.
 
-    The first is zero (or what the limits leave nearest to it), the others are the Halton sequence, so that a
-    larger set contains every smaller one.
+    The first is zero, clipped to the limits. The others are a Halton sequence, so that a larger set contains every
+    smaller one.
     """
     lower, upper = _bounds(robot)
     halton = np.column_stack([_van_der_corput(k - 1, base) for base in _primes(robot.n)])
@@ -27,19 +27,22 @@ def sample_configurations(robot: Robot, k: int) -> Array:
 
 
 def loop_configurations(robot: Robot) -> Array:
-    """Where a sampled loop is looked at (1024, n) [rad]: the sampled set of rates, and as many with axes in line.
+    """Return the configurations (1024, n) [rad] for sampled loops: the set for rates, and as many with aligned axes.
 
-    Axes come into line where joints are at zero, and there links are lightest: in the second half each point of the
-    sequence has a random half of its joints put to zero (or what the limits leave nearest to it).
+    Axes align where joints are at zero, and the link inertia is smallest there. In the second half each point of the
+    sequence has a random half of its joints at zero, clipped to the limits.
     """
-    spread = sample_configurations(robot, RATE_CONFIGURATIONS + ALIGNED_CONFIGURATIONS)
-    in_line = np.random.default_rng(0).random((ALIGNED_CONFIGURATIONS, robot.n)) < 0.5
-    aligned = np.where(in_line, spread[0], spread[RATE_CONFIGURATIONS:])
-    return np.vstack([spread[:RATE_CONFIGURATIONS], aligned])
+    sampled = sample_configurations(robot, RATE_CONFIGURATIONS + ALIGNED_CONFIGURATIONS)
+    aligns = np.random.default_rng(0).random((ALIGNED_CONFIGURATIONS, robot.n)) < 0.5
+    aligned = np.where(aligns, sampled[0], sampled[RATE_CONFIGURATIONS:])
+    return np.vstack([sampled[:RATE_CONFIGURATIONS], aligned])
 
 
 def checked_configurations(robot: Robot, configurations: ArrayLike | None, k: int | None = None) -> Array:
-    """The given configurations as (k, n), or the sampled set of size k (None: of loops); StateError: wrong shape."""
+    """Return the given configurations as (k, n), or a sampled set of size k (None: the set for loops).
+
+    Raises StateError for a wrong shape.
+    """
     if configurations is None:
         return sample_configurations(robot, k) if k else loop_configurations(robot)
     samples = checks.finite("configurations", configurations, StateError)
@@ -58,12 +61,12 @@ def _bounds(robot: Robot) -> tuple[Array, Array]:
 
 
 def _van_der_corput(k: int, base: int) -> Array:
-    """The integers 1 .. k with their digits mirrored at the point: k numbers within (0, 1)."""
-    rest, weight, values = np.arange(1, k + 1), 1.0, np.zeros(k)
-    while rest.any():
+    """Return the first k numbers of the van der Corput sequence in (0, 1)."""
+    remainder, weight, values = np.arange(1, k + 1), 1.0, np.zeros(k)
+    while remainder.any():
         weight /= base
-        values += weight * (rest % base)
-        rest = rest // base
+        values += weight * (remainder % base)
+        remainder = remainder // base
     return values
 
 

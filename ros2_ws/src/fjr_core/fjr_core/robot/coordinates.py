@@ -1,35 +1,71 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the law sees of a plant that is another robot: velocities are measured, momenta are made of them."""
+"""The change of coordinates between measured velocities and the momenta of eq. (36)."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
-from ..numerics import symbolic
 from ..numerics.casadi_function import dense_function
 from .robot import Robot
 
 
-def law_view(plant: Robot, law: Robot) -> ca.Function | None:
-    """x of the plant -> x of the law: the same velocities, momenta by the law's inertia; None: it is the same x."""
-    if _same_inertia(plant, law):
-        return None
-    x = ca.SX.sym("x", 4 * plant.n)
-    q_l, q_m, _, _ = symbolic.blocks(x, plant.n)
-    dq_l, dq_m = plant.velocity_expressions(x)
-    seen = ca.vertcat(q_l, q_m, law.links.M_l(q_l) @ dq_l, law.M_m @ dq_m)
-    return dense_function("law_view", {"x": x}, {"seen": seen}, cse=True)
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """CasADi functions between (position, velocity), (2n,) each, and the state x (4n,) with momenta.
+
+    position (q_l, q_m) [rad], velocity (dq_l, dq_m) [rad/s], x = (q_l, q_m, p_l, p_m).
+    Equations: p_l = M_l(q_l) dq_l, p_m = M_m dq_m.
+    """
+
+    robot: Robot
+
+    @cached_property
+    def to_momenta(self) -> ca.Function:
+        """Map (position, velocity) to the state x."""
+        n = self.robot.n
+        position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
+        momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:])
+        x = ca.vertcat(position, *momenta)
+        return dense_function("to_momenta", {"position": position, "velocity": velocity}, {"x": x}, cse=True)
+
+    @cached_property
+    def to_velocities(self) -> ca.Function:
+        """Map the state x to the velocity."""
+        x = ca.SX.sym("x", 4 * self.robot.n)
+        velocity = ca.vertcat(*self.robot.velocity_expressions(x))
+        return dense_function("to_velocities", {"x": x}, {"velocity": velocity}, cse=True)
+
+    @cached_property
+    def to_measured(self) -> ca.Function:
+        """Map the state x to (position, velocity)."""
+        x = ca.SX.sym("x", 4 * self.robot.n)
+        outputs = {"position": x[: 2 * self.robot.n], "velocity": self.to_velocities(x)}
+        return dense_function("to_measured", {"x": x}, outputs, cse=True)
 
 
 def velocity_function(robot: Robot) -> ca.Function:
-    """x (4n,) of a robot -> its velocities (dq_l, dq_m) (2n,)."""
-    x = ca.SX.sym("x", 4 * robot.n)
-    return dense_function("velocities", {"x": x}, {"velocity": ca.vertcat(*robot.velocity_expressions(x))}, cse=True)
+    """Return the CasADi function x (4n,) -> velocity (dq_l, dq_m) (2n,) [rad/s] of a robot."""
+    return Coordinates(robot).to_velocities
+
+
+def law_view(plant: Robot, law: Robot) -> ca.Function | None:
+    """Return the CasADi function from the plant's x to the law's x with equal velocities.
+
+    Momenta are computed with the inertia of the law's robot. Return None if both robots have the same inertia.
+    """
+    if _same_inertia(plant, law):
+        return None
+    x, positions = ca.SX.sym("x", 4 * plant.n), 2 * plant.n
+    seen = Coordinates(law).to_momenta(x[:positions], Coordinates(plant).to_velocities(x))
+    return dense_function("law_view", {"x": x}, {"seen": seen}, cse=True)
 
 
 def _same_inertia(one: Robot, other: Robot) -> bool:
-    """Whether M_m and the expression of M_l are the same; equal functions written otherwise do not count."""
+    """Compare M_m and the expression of M_l; equal functions that are written differently count as different."""
     if one is other:
         return True
     M_l = [robot.links.M_l for robot in (one, other)]

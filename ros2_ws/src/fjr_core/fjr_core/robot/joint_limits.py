@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the joints of a robot can do: range, speed and effort."""
+"""Joint limits of a robot: position, velocity and effort."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ..errors import RobotError
-from ..numerics.checks import Array
+from ..numerics.checks import Array, freeze
 
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
     """Limits of n joints, each (n,): positions lower, upper [rad], velocity [rad/s] and effort [N m], both > 0.
 
-    Sliding joints have metres and newtons. Infinite means that no limit is given. Raises RobotError.
+    Prismatic joints use m and N. An infinite value means no limit. Raises RobotError.
     """
 
     lower: Array
@@ -28,8 +28,7 @@ class JointLimits:
             array = _numbers(field.name, getattr(self, field.name))
             if array.shape != np.shape(self.lower):
                 raise RobotError(f"{field.name} has shape {array.shape}; expected that of lower, {self.lower.shape}")
-            array.setflags(write=False)
-            object.__setattr__(self, field.name, array)
+            freeze(self, field.name, array)
         if not np.all(self.lower <= self.upper):
             raise RobotError(f"lower is {self.lower.tolist()}, upper {self.upper.tolist()}; expected lower <= upper")
         for name in ("velocity", "effort"):

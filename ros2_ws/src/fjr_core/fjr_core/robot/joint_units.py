@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units by joint: a revolute joint turns by rad with N m, a prismatic one slides by m with N."""
+"""Units of joint quantities: rad and N m for a revolute joint, m and N for a prismatic joint."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class Units(NamedTuple):
-    """Units of one joint's quantities."""
+    """Units of the quantities of one joint."""
 
     position: str
     velocity: str
@@ -21,5 +21,5 @@ PRISMATIC = Units("m", "m/s", "m/s^2", "N")
 
 
 def joined(units: Iterable[str]) -> str:
-    """The unit of several joints' values; all that occur where they differ, as in "rad, m"."""
+    """Return the distinct units of several joints, separated by commas, as in "rad, m"."""
     return ", ".join(dict.fromkeys(units))

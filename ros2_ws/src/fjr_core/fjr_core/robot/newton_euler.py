@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one symbolic recursion for serial chains: inertia, Coriolis product, gravity and energies of the links.
+"""Symbolic Newton-Euler recursion for serial chains: inertia, Coriolis product, gravity and energies of the links.
 
-Body i turns about, or slides along, the z axis of its own frame; vectors of body i are in that frame. Outwards go
-velocities and accelerations, inwards forces (Luh, Walker, Paul 1980) and composite bodies (Walker, Orin 1982).
+Body i rotates about, or slides along, the z axis of its own frame; its vectors are expressed in this frame. Velocities
+and accelerations propagate outwards, forces (Luh, Walker, Paul 1980) and composite bodies (Walker, Orin 1982) inwards.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ from .rigid_body import Body, rotation_to, z_aligned
 
 
 def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81)) -> Links:
-    """Links of a serial chain from its base; gravity (3,) [m/s^2] in the base's frame. Raises RobotError."""
+    """Return the links of a serial chain from base to tip; raise RobotError.
+
+    gravity (3,) [m/s^2] in the base frame.
+    """
     g = ca.DM(checks.vector("gravity", gravity, 3, RobotError))
     chain = z_aligned(bodies)
     if not chain:
@@ -43,31 +46,36 @@ def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81))
 
 
 def _point(q: ca.SX, frames: list[_Frame], turn: Array) -> ca.Function:
-    """(q_l, r) -> where in the base's frame the point r of the last body is; turn: from its own frame to frames[-1]."""
+    """Return (q_l, r) -> position (3,) [m] in the base frame of the point r of the last body.
+
+    turn (3, 3): rotation from the frame of the last body to frames[-1].
+    """
     r = ca.SX.sym("r", 3)
-    here = _sparse(turn.T) @ r
+    point = _sparse(turn.T) @ r
     for frame in reversed(frames):
-        here = frame.r + frame.inwards(here)
-    return ca.Function("position", [q, r], [here])
+        point = frame.r + frame.inwards(point)
+    return ca.Function("position", [q, r], [point])
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """Where a body's frame is in its parent's: rotation R and origin r."""
+    """Pose of a body frame in its parent frame: rotation R and origin r."""
 
     R: ca.SX
     r: ca.SX
 
     def inwards(self, vector: ca.SX) -> ca.SX:
+        """Rotate a vector into the parent frame."""
         return self.R @ vector
 
     def outwards(self, vector: ca.SX) -> ca.SX:
+        """Rotate a vector from the parent frame into this frame."""
         return self.R.T @ vector
 
 
 @dataclass(frozen=True)
 class _Mass:
-    """Mass m, first moment h = sum m r and second moment J = sum m r r' (pseudo-inertia) about the frame's origin."""
+    """Mass m, first moment h = sum m r and second moment J = sum m r r' (pseudo-inertia) about the frame origin."""
 
     m: float
     h: ca.SX
@@ -77,8 +85,8 @@ class _Mass:
     def I(self) -> ca.SX:  # noqa: E743 - the inertia about the origin
         return ca.trace(self.J) * ca.SX.eye(3) - self.J
 
-    def seen_from(self, frame: _Frame) -> _Mass:
-        """The same about the parent's origin, in the parent's frame."""
+    def in_parent(self, frame: _Frame) -> _Mass:
+        """Return the moments about the parent origin, in the parent frame."""
         h, r = frame.inwards(self.h), frame.r
         J = frame.R @ self.J @ frame.R.T + r @ h.T + h @ r.T + self.m * r @ r.T
         return _Mass(self.m, h + self.m * r, J)
@@ -107,15 +115,15 @@ def _mass(body: Body) -> _Mass:
 
 
 def _composites(chain: list[Body], frames: list[_Frame]) -> list[_Mass]:
-    """Body i with all that it carries, in its own frame."""
+    """Return the composite bodies: body i with all outer bodies, in the frame of body i."""
     composites = [_mass(body) for body in chain]
     for i in reversed(range(1, len(chain))):
-        composites[i - 1] += composites[i].seen_from(frames[i])
+        composites[i - 1] += composites[i].in_parent(frames[i])
     return composites
 
 
 def _inertia(chain: list[Body], frames: list[_Frame], composites: list[_Mass]) -> ca.SX:
-    """M_l column by column: the wrench that accelerates composite i by 1 along its joint, felt at each joint."""
+    """Return M_l by columns: the wrench for unit acceleration of composite i, projected onto each joint."""
     M = ca.SX.zeros(len(chain), len(chain))
     for i, (body, composite) in enumerate(zip(chain, composites, strict=True)):
         h, J = composite.h, composite.J
@@ -131,24 +139,24 @@ def _inertia(chain: list[Body], frames: list[_Frame], composites: list[_Mass]) -
 
 
 def _gravity(chain: list[Body], frames: list[_Frame], composites: list[_Mass], g: ca.DM) -> ca.SX:
-    """grad P_l: the moment of the composite's weight about joint i, or the weight along it, negative."""
-    torques, here = [], ca.SX(g)
+    """Return grad P_l: minus the moment of the composite weight about joint i, or minus the weight along it."""
+    torques, gravity = [], ca.SX(g)
     for body, frame, composite in zip(chain, frames, composites, strict=True):
-        here = frame.outwards(here)
-        pull = composite.m * here if body.prismatic else ca.cross(composite.h, here)
+        gravity = frame.outwards(gravity)
+        pull = composite.m * gravity if body.prismatic else ca.cross(composite.h, gravity)
         torques.append(-pull[2])
     return ca.vertcat(*torques)
 
 
 def _potential(frames: list[_Frame], composites: list[_Mass], g: ca.DM) -> ca.SX:
-    """P_l = -g' h of the whole arm, zero at the base's origin."""
-    return -ca.dot(g, composites[0].seen_from(frames[0]).h)
+    """Return P_l = -g' h of the whole arm, zero at the base origin."""
+    return -ca.dot(g, composites[0].in_parent(frames[0]).h)
 
 
 def _coriolis(chain: list[Body], frames: list[_Frame], v: ca.SX, w: ca.SX) -> ca.SX:
-    """C(q, v) w with the Christoffel symbols: the polar form of c(q, v) = C(q, v) v, in one recursion.
+    """Return C(q, v) w with the Christoffel symbols: the polar form of c(q, v) = C(q, v) v, in one recursion.
 
-    The accelerations of a body's points r are a + U r; every product of two velocities is the mean of both orders.
+    A point r of a body has the acceleration a + U r. Every product of two velocities is the mean of both orders.
     """
     omega_v = omega_w = a = alpha = ca.SX.zeros(3)
     U = ca.SX.zeros(3, 3)
@@ -165,11 +173,11 @@ def _coriolis(chain: list[Body], frames: list[_Frame], v: ca.SX, w: ca.SX) -> ca
         U = ca.skew(alpha) + _centripetal(omega_v, omega_w)
         mass = _mass(body)
         wrenches.append((mass.m * a + U @ mass.h, _moment(U @ mass.J) + ca.cross(mass.h, a)))
-    return _felt(chain, frames, wrenches)
+    return _joint_torques(chain, frames, wrenches)
 
 
-def _felt(chain: list[Body], frames: list[_Frame], wrenches: list[tuple[ca.SX, ca.SX]]) -> ca.SX:
-    """What each joint feels of the wrenches (force, moment) on the bodies that it carries."""
+def _joint_torques(chain: list[Body], frames: list[_Frame], wrenches: list[tuple[ca.SX, ca.SX]]) -> ca.SX:
+    """Project the wrenches (force, moment) on the bodies onto the joints that carry them."""
     torques = []
     force = moment = ca.SX.zeros(3)
     for body, frame, (own_force, own_moment) in zip(reversed(chain), reversed(frames), reversed(wrenches), strict=True):
@@ -181,7 +189,7 @@ def _felt(chain: list[Body], frames: list[_Frame], wrenches: list[tuple[ca.SX, c
 
 
 def _kinetic_gradient(chain: list[Body], frames: list[_Frame], v: ca.SX) -> ca.SX:
-    """d/dq (v' M_l v / 2), v held: momenta of the composites times the change of their velocities with q_i."""
+    """Return d/dq (v' M_l v / 2), v constant: composite momenta times the derivative of their velocities by q_i."""
     omega = velocity = ca.SX.zeros(3)
     motions, momenta = [], []
     for i, (body, frame) in enumerate(zip(chain, frames, strict=True)):
@@ -213,16 +221,16 @@ def _along_z(value: ca.SX) -> ca.SX:
 
 
 def _cross_z(vector: ca.SX) -> ca.SX:
-    """vector x z."""
+    """Return vector x z."""
     return ca.vertcat(vector[1], -vector[0], 0)
 
 
 def _centripetal(omega_v: ca.SX, omega_w: ca.SX) -> ca.SX:
-    """(skew(omega_v) skew(omega_w) + skew(omega_w) skew(omega_v)) / 2."""
+    """Return (skew(omega_v) skew(omega_w) + skew(omega_w) skew(omega_v)) / 2."""
     product = (omega_v @ omega_w.T + omega_w @ omega_v.T) / 2
     return product - ca.trace(product) * ca.SX.eye(3)
 
 
 def _moment(UJ: ca.SX) -> ca.SX:
-    """Sum of m r x U r, from U J with J = sum m r r'."""
+    """Return sum m r x U r from U J with J = sum m r r'."""
     return ca.vertcat(UJ[2, 1] - UJ[1, 2], UJ[0, 2] - UJ[2, 0], UJ[1, 0] - UJ[0, 1])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A point mass on the last link: every term of the rigid arm is affine in the mass."""
+"""Add a point mass to the last link; every term of the rigid arm is affine in this mass."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .rigid_arm import Carrier, Hand
 
 @dataclass(frozen=True)
 class Loaded:
-    """The arm with a point of `mass` [kg] at `position` (3,) [m] in its last link's frame, both expressions.
+    """A rigid arm with a point mass [kg] at `position` (3,) [m] in the end-effector frame, both expressions.
 
-    With the point at p(q_l) and J = dp/dq_l a mass adds m J'J to M_l and -m g'p to P_l.
-    Raises RobotError for links without a hand.
+    With the point at p(q_l) and J = dp/dq_l, the mass m adds m J'J to M_l and -m g'p to P_l.
+    Raises RobotError for an arm without an end-effector frame.
     """
 
     links: Carrier
@@ -26,23 +26,23 @@ class Loaded:
 
     def __post_init__(self) -> None:
         if self.links.hand is None:
-            raise RobotError("these links do not say where their last one is; expected links with a hand")
+            raise RobotError("the rigid arm has no end-effector frame; expected one to carry a payload")
 
     def M_l(self, q_l: ca.SX) -> ca.SX:
-        """Inertia (n, n) with the payload."""
+        """Inertia M_l (n, n) [kg m^2] with the payload."""
         J = self._jacobian(q_l, self.position)
         return self.links.M_l(q_l) + self.mass * (J.T @ J)
 
     def P_l(self, q_l: ca.SX) -> ca.SX:
-        """Potential energy with the payload."""
+        """Potential energy P_l [J] with the payload."""
         return self.links.P_l(q_l) - self.mass * ca.dot(self._hand.gravity, self._hand.position(q_l, self.position))
 
     def grad_P_l(self, q_l: ca.SX) -> ca.SX:
-        """Its gradient (n,)."""
+        """Gravity torque grad P_l (n,) [N m] with the payload."""
         return self.links.grad_P_l(q_l) - self.mass * (self._jacobian(q_l, self.position).T @ self._hand.gravity)
 
     def grad_T(self, q_l: ca.SX, v: ca.SX) -> ca.SX:
-        """d/dq_l (v' M_l v / 2) (n,) with the payload, v held."""
+        """d/dq_l (v' M_l v / 2) (n,) [N m] with the payload, v constant."""
         return self.links.grad_T(q_l, v) + self.mass * self._point_grad_T(q_l, v, self.position)
 
     @property

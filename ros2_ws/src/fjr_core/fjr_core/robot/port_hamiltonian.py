@@ -18,7 +18,7 @@ from .robot import Robot
 
 
 class Elastic(Protocol):
-    """What eq. (36) needs of a robot, whose matrices may be expressions: Robot, or campaign.uncertain's."""
+    """Robot parameters of eq. (36), numeric (Robot) or symbolic (simulation.batch.uncertain_robot)."""
 
     @property
     def n(self) -> int:
@@ -26,26 +26,26 @@ class Elastic(Protocol):
 
     @property
     def links(self) -> RigidArm:
-        """The rigid arm on the link side."""
+        """Rigid arm on the link side."""
 
     @property
     def K(self) -> ca.SX:
-        """Stiffness (n, n)."""
+        """Joint stiffness (n, n) [N m/rad]."""
 
     @property
     def D_l(self) -> ca.SX:
-        """Damping of the links (n, n)."""
+        """Link damping (n, n) [N m s/rad]."""
 
     @property
     def D_m(self) -> ca.SX:
-        """Damping of the motors (n, n)."""
+        """Motor damping (n, n) [N m s/rad]."""
 
     @property
     def B_m(self) -> ca.SX:
         """Input matrix (n, n)."""
 
     def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
-        """(dq_l, dq_m) at x (4n,)."""
+        """Return the velocities (dq_l, dq_m), (n,) each, at x (4n,)."""
 
 
 def structure(robot: Robot) -> tuple[Array, Array, Array]:
@@ -55,7 +55,7 @@ def structure(robot: Robot) -> tuple[Array, Array, Array]:
 
 
 def structure_expressions(robot: Elastic) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """The same as expressions, of a robot whose matrices may be expressions too."""
+    """Return J, R and G of eq. (36) as expressions, for numeric or symbolic robot parameters."""
     n = robot.n
     zero, one = ca.SX(2 * n, 2 * n), ca.SX.eye(2 * n)
     J = ca.blockcat([[zero, one], [-one, zero]])
@@ -65,9 +65,9 @@ def structure_expressions(robot: Elastic) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 def gradient_expression(robot: Elastic, x: ca.SX, links: RigidArm | None = None, cubic: ca.SX | None = None) -> ca.SX:
-    """dH/dx (4n,) as an expression; d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l = -d/dq_l (dq_l' M_l dq_l / 2), (22).
+    """Return dH/dx (4n,); d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l = -d/dq_l (dq_l' M_l dq_l / 2), eq. (22).
 
-    links: in place of the robot's, e.g. with a payload. cubic (n,) [N m/rad^3]: springs K zeta + cubic zeta^3.
+    links: replaces the robot's rigid arm, e.g. with a payload. cubic (n,) [N m/rad^3]: springs K zeta + cubic zeta^3.
     """
     links = links or robot.links
     q_l, q_m, _, _ = symbolic.blocks(x, robot.n)
@@ -78,23 +78,23 @@ def gradient_expression(robot: Elastic, x: ca.SX, links: RigidArm | None = None,
 
 
 def spring_expression(robot: Elastic, zeta: ca.SX, cubic: ca.SX | None = None) -> ca.SX:
-    """Torque (n,) of the springs: K zeta, or K zeta + cubic zeta^3."""
+    """Return the joint torque (n,) [N m]: K zeta, or K zeta + cubic zeta^3."""
     linear = robot.K @ zeta
     return linear if cubic is None else linear + cubic * zeta**3
 
 
 def derivative_expression(robot: Elastic, x: ca.SX, u: ca.SX, dH: ca.SX | None = None) -> ca.SX:
-    """dx/dt (4n,) of eq. (36) as an expression; dH (4n,): another gradient than the robot's."""
+    """Return dx/dt (4n,) of eq. (36) as an expression; dH (4n,): replaces the gradient of the robot."""
     J, R, G = structure_expressions(robot)
     dH = gradient_expression(robot, x) if dH is None else dH
     return (J - R) @ dH + G @ u
 
 
 class Plant:
-    """The robot as a system to integrate; pure functions of (x, u), bound once.
+    """The plant dx/dt = f(x, u), eq. (36), with its integrator, as pure functions of (x, u).
 
-    integrator: "rk4" (explicit, order 4) or "implicit_midpoint" (order 2, no drift of the energy).
-    compile: the step as machine code where the machine has a C compiler (numerics.jit).
+    integrator: "rk4" (explicit, order 4) or "implicit_midpoint" (order 2, no energy drift).
+    compile: compile the step to machine code if a C compiler is available (numerics.jit).
     Units: positions rad, momenta N m s, effort u N m. Raises StateError for wrong shapes and
     ParameterError for an unknown integrator.
     """
@@ -107,29 +107,29 @@ class Plant:
 
     @cached_property
     def dynamics(self) -> ca.Function:
-        """The CasADi function (x, u) -> dx, with derivatives."""
+        """The CasADi function (x, u) -> dx; differentiable."""
         x, u = ca.SX.sym("x", 4 * self.robot.n), ca.SX.sym("u", self.robot.n)
         return dense_function("dynamics", {"x": x, "u": u}, {"dx": derivative_expression(self.robot, x, u)}, cse=True)
 
     @cached_property
     def step_function(self) -> ca.Function:
-        """The CasADi function (x, u, dt) -> x_next; machine code if that was asked for."""
+        """The CasADi function (x, u, dt) -> x_next; compiled if requested."""
         return compiled(self._vm_step) if self.compiles else self._vm_step
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """dx/dt (4n,) at state x (4n,) under effort u (n,), eq. (36)."""
+        """Return dx/dt (4n,) at state x (4n,) and effort u (n,) [N m], eq. (36)."""
         return self._derivative(x, u)[0]
 
     def step(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
-        """State after dt seconds in one step of the integrator, u held."""
+        """Return the state (4n,) after one integrator step of dt [s] with u held."""
         return self._step(x, u, dt)[0]
 
     def gradient(self, x: ArrayLike) -> Array:
-        """dH/dx (4n,): (force of the links, of the motors, dq_l, dq_m)."""
+        """Return dH/dx (4n,): (dH/dq_l, dH/dq_m, dq_l, dq_m)."""
         return self._gradient(x)[0]
 
     def structure(self, x: ArrayLike | None = None) -> tuple[Array, Array, Array]:
-        """J, R and G of eq. (36); constant here, so x is not needed."""
+        """Return J, R and G of eq. (36); they are constant and do not depend on x."""
         return structure(self.robot)
 
     @cached_property

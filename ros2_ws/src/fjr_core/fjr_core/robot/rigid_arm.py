@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rigid arm on the link side, symbolically: inertia, potential, and what follows from the two."""
+"""Symbolic model of the rigid arm on the link side: inertia, potential, Coriolis terms."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from ..numerics.symbolic import directional
 
 
 class RigidArm(Protocol):
-    """What eq. (36) needs of the link side, on expressions: Links, or Links with a payload (payload.Loaded)."""
+    """Terms of the link side in eq. (36) as expressions: Links, or Links with a payload (robot.payload)."""
 
     def M_l(self, q_l: ca.SX) -> ca.SX:
-        """Inertia (n, n) [kg m^2]."""
+        """Inertia M_l (n, n) [kg m^2]."""
 
     def P_l(self, q_l: ca.SX) -> ca.SX:
-        """Potential energy [J]."""
+        """Potential energy P_l [J]."""
 
     def grad_P_l(self, q_l: ca.SX) -> ca.SX:
-        """Its gradient (n,) [N m]."""
+        """Gravity torque grad P_l (n,) [N m]."""
 
     def grad_T(self, q_l: ca.SX, v: ca.SX) -> ca.SX:
-        """d/dq_l (v' M_l v / 2) (n,), v held."""
+        """Kinetic-energy gradient d/dq_l (v' M_l v / 2) (n,) [N m], v constant."""
 
 
 class Carrier(RigidArm, Protocol):
-    """A rigid arm that may have a hand, which a payload can be put in."""
+    """A rigid arm that may have an end-effector frame, to which a payload can be attached."""
 
     @property
     def n(self) -> int:
@@ -39,15 +39,15 @@ class Carrier(RigidArm, Protocol):
 
     @property
     def hand(self) -> Hand | None:
-        """Where a payload can be; None: nowhere."""
+        """End-effector frame, or None."""
 
 
 @dataclass(frozen=True)
 class Hand:
-    """Where a point of the last link is.
+    """Forward kinematics of the end-effector frame, which is fixed to the last link.
 
-    position: (q_l, r) -> (3,) [m] in the base's frame of the point at r (3,) in the last link's frame.
-    gravity (3,) [m/s^2]: in the base's frame.
+    position: (q_l, r) -> position (3,) [m] in the base frame of the point r (3,) [m] in the end-effector frame.
+    gravity (3,) [m/s^2]: in the base frame.
     """
 
     position: ca.Function
@@ -56,14 +56,14 @@ class Hand:
 
 @dataclass(frozen=True)
 class Links:
-    """A rigid arm of n joints; the fields are CasADi functions that take symbols or numbers.
+    """Rigid-arm model of n joints; the fields are CasADi functions of symbols or numbers.
 
     M_l: q_l -> inertia (n, n) [kg m^2];  P_l: q_l -> potential energy [J];  grad_P_l: q_l -> (n,) [N m].
-    C: (q_l, v, w) -> C(q_l, v) w (n,), with the Christoffel symbols, so that dM_l - 2 C is skew.
-    grad_T: (q_l, v) -> d/dq_l (v' M_l v / 2) (n,), v held.
-    M_l_vertices: matrices whose convex hull holds M_l(q_l) for every q_l, where they are known: what
-    is proven at the vertices is proven everywhere (rates are convex in M_l). None: not known.
-    hand: where a payload can be; None: an arm that cannot carry one.
+    C: (q_l, v, w) -> C(q_l, v) w (n,), with the Christoffel symbols, so that dM_l - 2 C is skew-symmetric.
+    grad_T: (q_l, v) -> d/dq_l (v' M_l v / 2) (n,), v constant.
+    M_l_vertices: matrices whose convex hull contains M_l(q_l) for every q_l, or None if unknown. A rate that holds at
+    the vertices holds everywhere, because rates are convex in M_l.
+    hand: end-effector frame for a payload, or None.
     """
 
     n: int
@@ -77,12 +77,12 @@ class Links:
 
     @cached_property
     def dM(self) -> ca.Function:
-        """(q_l, dq_l, w) -> (d/dt M_l) w (n,) along dq_l, w held."""
+        """(q_l, dq_l, w) -> (d/dt M_l) w (n,) along dq_l, w constant."""
         q_l, dq_l, w = (ca.SX.sym(name, self.n) for name in ("q_l", "dq_l", "w"))
         return ca.Function("dM", [q_l, dq_l, w], [directional(self.M_l(q_l) @ w, q_l, dq_l)])
 
     def E(self, q_l: ca.SX, dq_l: ca.SX, w: ca.SX) -> ca.SX:
-        """Workless forces E_l w (n,), eq. (24): E_l = S_H - dM_l/2 = -C' = C - dM_l."""
+        """Return the workless forces E_l w (n,), eq. (24): E_l = S_H - dM_l/2 = -C' = C - dM_l."""
         return self.C(q_l, dq_l, w) - self.dM(q_l, dq_l, w)
 
 
@@ -93,7 +93,7 @@ def closed_form(
     vertices: tuple[Array, ...] | None = None,
     hand: Hand | None = None,
 ) -> Links:
-    """Links of n joints from M_l(q_l) and P_l(q_l) as expressions; the rest by differentiation.
+    """Return the links of n joints from expressions of M_l(q_l) and P_l(q_l); the other terms by differentiation.
 
     C_ij = sum_k (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) v_k / 2  (Christoffel symbols of the first kind).
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rigid bodies of a serial chain as plain numbers."""
+"""Rigid bodies of a serial chain."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from ..errors import RobotError
 from ..numerics import checks
 from ..numerics.checks import Array
 
-EXACT = 1e-12  # entries of rotations closer than this to 0, 1 or -1 are meant to be that
+EXACT = 1e-12  # tolerance: entries of rotations this close to 0, 1 or -1 are rounded
 
 
 @dataclass(frozen=True)
 class Body:
     """A joint and the rigid body it moves; lengths [m], masses [kg], inertias [kg m^2].
 
-    rotation (3, 3), translation (3,): the joint's frame in the parent body's frame at q = 0. axis (3,): of the
-    joint, in the joint's frame. prismatic: slides along the axis instead of turning about it. mass, com (3,)
-    and inertia (3, 3) about the centre of mass: of the body, in the joint's frame.
-    Raises RobotError for numbers that no rigid body has.
+    rotation (3, 3), translation (3,): pose of the joint frame in the parent body frame at q = 0. axis (3,): joint axis
+    in the joint frame. prismatic: the joint slides along the axis. mass, com (3,) and inertia (3, 3) about the centre
+    of mass: of the body, in the joint frame.
+    Raises RobotError for physically impossible numbers.
     """
 
     rotation: ArrayLike
@@ -50,7 +50,7 @@ class Body:
 
 
 def z_aligned(bodies: Sequence[Body]) -> list[Body]:
-    """The same chain with every body's frame turned so that the joint's axis is z; nearly exact rotations exact."""
+    """Return the chain with body frames rotated so that every joint axis is z; round nearly exact rotations."""
     aligned, previous = [], np.eye(3)
     for body in bodies:
         turn = rotation_to(np.asarray(body.axis))
@@ -70,7 +70,7 @@ def z_aligned(bodies: Sequence[Body]) -> list[Body]:
 
 
 def rotation_to(axis: Array) -> Array:
-    """A rotation whose third column is the axis; a permutation of coordinates where the axis is one of them."""
+    """Return a rotation whose third column is the axis; a permutation matrix for a coordinate axis."""
     z = axis / np.linalg.norm(axis)
     x = np.roll(np.eye(3)[np.argmax(np.abs(z))], 1)
     x = x - (x @ z) * z

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a flexible-joint robot is: a rigid arm, motors, and springs between them; checked at birth, frozen."""
+"""A flexible-joint robot: rigid arm, motors, and springs between them; checked on construction, immutable."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from .rigid_arm import Links, RigidArm
 class Robot:
     """A flexible-joint robot of n joints, eq. (36).
 
-    links: the rigid arm on the link side. M_m: motor inertia reflected to the link side [kg m^2].
+    links: rigid arm on the link side. M_m: motor inertia reflected to the link side [kg m^2].
     K: joint stiffness [N m/rad]. D_l, D_m: link and motor damping [N m s/rad]. B_m: input matrix.
-    All five are constant matrices (n, n). limits: of the joints, or None; nothing here enforces them.
-    prismatic: which joints slide (n,), none by default; theirs are m and N in place of rad and N m.
+    All five are constant matrices (n, n). limits: joint limits or None; they are not enforced here.
+    prismatic: True for each prismatic joint (n,), none by default; its units are m and N.
 
     The state is x = (q_l, q_m, p_l, p_m), four blocks of n, with p_l = M_l(q_l) dq_l, p_m = M_m dq_m.
 
@@ -51,8 +51,7 @@ class Robot:
                 array = checks.positive_definite(name, array, RobotError)
             if name in ("D_l", "D_m"):
                 array = checks.positive_semidefinite(name, array, RobotError)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            checks.freeze(self, name, array)
         if not np.linalg.cond(self.B_m) < 1e12:
             raise RobotError(f"B_m is {self.B_m.tolist()}; expected an invertible matrix")
         if self.limits is not None and self.limits.n != self.n:
@@ -73,41 +72,41 @@ class Robot:
         return tuple(PRISMATIC if slides else REVOLUTE for slides in self.prismatic or (False,) * self.n)
 
     def M_l(self, q_l: ArrayLike) -> Array:
-        """Link inertia M_l(q_l) (n, n) [kg m^2] at q_l (n,) [rad]."""
+        """Return the link inertia M_l(q_l) (n, n) [kg m^2] at q_l (n,) [rad]."""
         return self.links.M_l(self._vector("q_l", q_l)).full()
 
     def P_l(self, q_l: ArrayLike) -> float:
-        """Potential energy of the links [J] at q_l (n,) [rad]."""
+        """Return the potential energy of the links [J] at q_l (n,) [rad]."""
         return float(self.links.P_l(self._vector("q_l", q_l)))
 
     def grad_P_l(self, q_l: ArrayLike) -> Array:
-        """Gravity torque dP_l/dq_l (n,) [N m] at q_l (n,) [rad]."""
+        """Return the gravity torque dP_l/dq_l (n,) [N m] at q_l (n,) [rad]."""
         return self.links.grad_P_l(self._vector("q_l", q_l)).full().ravel()
 
     def coriolis(self, q_l: ArrayLike, dq_l: ArrayLike, w: ArrayLike) -> Array:
-        """Coriolis product C(q_l, dq_l) w (n,) [N m], with the Christoffel symbols of M_l."""
+        """Return the Coriolis product C(q_l, dq_l) w (n,) [N m], with the Christoffel symbols of M_l."""
         vectors = (self._vector(name, v) for name, v in (("q_l", q_l), ("dq_l", dq_l), ("w", w)))
         return self.links.C(*vectors).full().ravel()
 
     def hamiltonian(self, x: ArrayLike) -> float:
-        """Total energy H(x) [J], eq. (36)."""
+        """Return the total energy H(x) [J], eq. (36), at x (4n,)."""
         return float(self._hamiltonian(checks.vector("x", x, 4 * self.n, StateError))[0][0])
 
     def state(self, q_l: ArrayLike, q_m: ArrayLike, dq_l: ArrayLike, dq_m: ArrayLike) -> Array:
-        """State x (4n,) from positions [rad] and velocities [rad/s] (n,) of links and motors."""
+        """Return the state x (4n,) for positions [rad] and velocities [rad/s] (n,) of links and motors."""
         q_l, q_m = self._vector("q_l", q_l), self._vector("q_m", q_m)
         dq_l, dq_m = self._vector("dq_l", dq_l), self._vector("dq_m", dq_m)
         return self._state(q_l, q_m, dq_l, dq_m)[0]
 
     def velocities(self, x: ArrayLike) -> tuple[Array, Array]:
-        """Velocities (dq_l, dq_m), each (n,) [rad/s], of the state x (4n,)."""
+        """Return the velocities (dq_l, dq_m), each (n,) [rad/s], at the state x (4n,)."""
         dq_l, dq_m = self._velocities(checks.vector("x", x, 4 * self.n, StateError))
         return dq_l, dq_m
 
     def hamiltonian_expression(self, x: ca.SX, links: RigidArm | None = None) -> ca.SX:
-        """H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eqs. (35), (36).
+        """Return H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eqs. (35), (36).
 
-        links: in place of its own, e.g. with a payload; also below.
+        links: replaces the rigid arm of the robot, e.g. with a payload.
         """
         q_l, q_m, p_l, p_m = symbolic.blocks(x, self.n)
         dq_l, dq_m = self.velocity_expressions(x, links)
@@ -116,13 +115,19 @@ class Robot:
         return kinetic + (links or self.links).P_l(q_l) + ca.dot(zeta, self.K @ zeta) / 2
 
     def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
-        """(dq_l, dq_m) = (M_l^-1 p_l, M_m^-1 p_m) as expressions."""
+        """Return (dq_l, dq_m) = (M_l^-1 p_l, M_m^-1 p_m) as expressions; links as in hamiltonian_expression."""
         q_l, _, p_l, p_m = symbolic.blocks(x, self.n)
         M_l = (links or self.links).M_l(q_l)
         return symbolic.solve(M_l, p_l), ca.DM(np.linalg.inv(self.M_m)) @ p_m
 
+    def momentum_expressions(
+        self, q_l: ca.SX, dq_l: ca.SX, dq_m: ca.SX, links: RigidArm | None = None
+    ) -> tuple[ca.SX, ca.SX]:
+        """Return (p_l, p_m) = (M_l dq_l, M_m dq_m) as expressions; links as in hamiltonian_expression."""
+        return (links or self.links).M_l(q_l) @ dq_l, self.M_m @ dq_m
+
     def fingerprint(self) -> bytes:
-        """Digest of all that its equations of motion consist of: equal for robots with the same equations."""
+        """Return a digest of the equations of motion; equal for robots with the same equations."""
         parts = [getattr(self.links, name).serialize() for name in ("M_l", "P_l", "grad_P_l", "C", "grad_T")]
         digest = hashlib.sha256("\n".join(parts).encode())
         for name in ("M_m", "K", "D_l", "D_m", "B_m"):
@@ -146,4 +151,4 @@ class Robot:
     def _state(self) -> NumericFunction:
         inputs = {name: ca.SX.sym(name, self.n) for name in ("q_l", "q_m", "dq_l", "dq_m")}
         q_l, q_m, dq_l, dq_m = inputs.values()
-        return numeric("state", inputs, {"x": ca.vertcat(q_l, q_m, self.links.M_l(q_l) @ dq_l, self.M_m @ dq_m)})
+        return numeric("state", inputs, {"x": ca.vertcat(q_l, q_m, *self.momentum_expressions(q_l, dq_l, dq_m))})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot in closed form as a URDF, a chain of rods with the same inertia and gravity."""
+"""Export a closed-form robot as a URDF: a chain of rods with the same inertia and gravity torque."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from xml.etree import ElementTree
 
 from .closed_form_arms import STANDARD_GRAVITY
 
-SMALLEST_LOAD = 1e-9  # N m; below it a single link hangs in no gravity
+SMALLEST_LOAD = 1e-9  # N m, smallest gravity torque that is modelled
 WEIGHTLESS_LENGTH = 0.3  # m, of a single link without gravity
 LIGHT, DARK = "0.85 0.85 0.88 1", "0.30 0.33 0.38 1"
 
 
 @dataclass(frozen=True)
 class Rod:
-    """A link of an arm in a vertical plane: mass [kg], length and place of its centre [m] along -z from its joint.
+    """A link of an arm in a vertical plane: mass [kg], length and centre of mass [m] along -z from its joint.
 
-    inertia [kg m^2] about the centre, in the plane; a negative length points up.
+    inertia [kg m^2] about the centre of mass, in the plane. A negative length points up.
     """
 
     mass: float
@@ -31,7 +31,7 @@ class Rod:
 def hanging_rod(inertia: float, load: float) -> Rod:
     """Return a uniform rod with inertia [kg m^2] about its joint and m g com = load [N m]: inertia = 4/3 m com^2.
 
-    Without gravity it is balanced at its joint.
+    For a zero load the centre of mass is at the joint.
     """
     if abs(load) < SMALLEST_LOAD:
         return Rod(12 * inertia / WEIGHTLESS_LENGTH**2, WEIGHTLESS_LENGTH, 0.0, inertia)
@@ -42,7 +42,7 @@ def hanging_rod(inertia: float, load: float) -> Rod:
 def urdf_of_rods(name: str, joints: Sequence[str], rods: Sequence[Rod]) -> str:
     """Return the URDF text of a chain of rods in a vertical plane, one for each joint.
 
-    Each joint turns about -y, so that a hanging link swings towards x where its angle grows.
+    Each joint axis is -y, so that a hanging link moves towards x for an increasing joint angle.
     """
     robot = ElementTree.Element("robot", name=name)
     for colour, rgba in (("light", LIGHT), ("dark", DARK)):

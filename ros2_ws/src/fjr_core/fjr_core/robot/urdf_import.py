@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flexible-joint robot from a URDF and the elastic data of its joints; Pinocchio merges what does not move."""
+"""Build a flexible-joint robot from a URDF and joint elasticity data; Pinocchio merges fixed and locked bodies."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .robot import Robot
 from .urdf_parser import MOVING, UrdfJoint, UrdfTree, read_urdf
 
 MOST_CONTROLLED = 64
-"""Joints of a robot; the law's expressions grow with their square."""
+"""Largest number of joints; the size of the law's expressions grows with its square."""
 
 
 def robot_from_urdf(
@@ -39,15 +39,15 @@ def robot_from_urdf(
     locked: Mapping[str, float] | None = None,
     input_gain: ArrayLike = 1.0,
 ) -> Robot:
-    """The robot whose n joints are the named ones, in the named order; every other joint of the URDF is locked.
+    """Return the robot of the n named joints, in this order; every other joint of the URDF is locked.
 
-    path_or_xml: a file, or XML text that starts with '<'. joints: names of revolute, continuous or prismatic
-    joints that form one serial chain, in any order. gravity (3,) [m/s^2] in the root link's frame.
+    path_or_xml: file, or XML text that starts with '<'. joints: names of revolute, continuous or prismatic joints
+    that form one serial chain, in any order. gravity (3,) [m/s^2] in the frame of the root link.
     stiffness K [N m/rad], motor_inertia M_m [kg m^2], link_damping D_l, motor_damping D_m [N m s/rad] and
     input_gain B_m: scalar, (n,) or (n, n), in the named order and on the link side of the gear. With
-    gear_ratio r, scalar or (n,), motor_inertia J is the rotor's own and M_m = r J r.
-    locked: positions [rad, m] of joints that are not named, 0 where it says nothing; mimicking joints follow.
-    The limits of the URDF become robot.limits. Raises RobotError; needs Pinocchio.
+    gear_ratio r, scalar or (n,), motor_inertia J is that of the rotor and M_m = r J r.
+    locked: positions [rad, m] of joints that are not named, 0 by default; mimicking joints follow their leader.
+    The limits of the URDF become robot.limits. Requires Pinocchio. Raises RobotError.
     """
     tree = read_urdf(path_or_xml)
     named = _named(tree, joints)
@@ -55,14 +55,10 @@ def robot_from_urdf(
     chain = _chain(model, joints)
     links = serial_chain([_body(model, i, tree.joints[name]) for i, name in enumerate(chain, 1)], gravity)
     _check_inertia(links, chain)
-    values = {
-        "stiffness": stiffness,
-        "motor_inertia": motor_inertia,
-        "link_damping": link_damping,
-        "motor_damping": motor_damping,
-        "input_gain": input_gain,
-    }
-    K, M_m, D_l, D_m, B_m = (checks.matrix(name, value, len(chain), RobotError) for name, value in values.items())
+    names = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
+    values = (stiffness, motor_inertia, link_damping, motor_damping, input_gain)
+    matrices = zip(names, values, strict=True)
+    K, M_m, D_l, D_m, B_m = (checks.matrix(name, value, len(chain), RobotError) for name, value in matrices)
     if gear_ratio is not None:
         M_m = _reflected(M_m, gear_ratio)
     limits = JointLimits(*np.array([joint.limits for joint in named]).T)
@@ -96,7 +92,7 @@ def _joint(tree: UrdfTree, name: str) -> UrdfJoint:
 
 
 def _locked_positions(tree: UrdfTree, joints: Sequence[str], locked: dict[str, float]) -> dict[str, float]:
-    """Positions of all moving joints that are not named."""
+    """Return the positions of all moving joints that are not named."""
     for name, position in locked.items():
         joint = _joint(tree, name)
         if name in joints:
@@ -110,7 +106,7 @@ def _locked_positions(tree: UrdfTree, joints: Sequence[str], locked: dict[str, f
 
 
 def _position(tree: UrdfTree, joint: UrdfJoint, joints: Sequence[str], locked: dict[str, float]) -> float:
-    """Where a joint is locked: as said, as the joint that it mimics, or at 0."""
+    """Return the locked position of a joint: the given one, that of the mimicked joint, or 0."""
     scale, offset = 1.0, 0.0
     for _ in tree.joints:
         if joint.mimics is None:
@@ -124,7 +120,7 @@ def _position(tree: UrdfTree, joint: UrdfJoint, joints: Sequence[str], locked: d
 
 
 def _reduced_model(tree: UrdfTree, joints: Sequence[str], positions: dict[str, float]) -> Any:
-    """Pinocchio's model with the joints at `positions` locked."""
+    """Return the Pinocchio model with the joints at `positions` locked."""
     try:
         pin = importlib.import_module("pinocchio")
     except ImportError as error:
@@ -132,7 +128,7 @@ def _reduced_model(tree: UrdfTree, joints: Sequence[str], positions: dict[str, f
         raise RobotError(f"Pinocchio cannot be imported ({error}); {wanted}") from None
     try:
         model = pin.buildModelFromXML(tree.skeleton)
-    except Exception as error:  # whatever its parser stumbles over
+    except Exception as error:  # its parser raises many types
         raise RobotError(f"Pinocchio cannot read the URDF ({error}); expected a valid one") from None
     q = pin.neutral(model)
     for name, position in positions.items():
@@ -141,7 +137,7 @@ def _reduced_model(tree: UrdfTree, joints: Sequence[str], positions: dict[str, f
 
 
 def _chain(model: Any, joints: Sequence[str]) -> list[str]:
-    """The named joints from the base outwards."""
+    """Return the named joints in order from base to tip."""
     names, parents = list(model.names)[1:], list(model.parents)[1:]
     for i, parent in enumerate(parents):
         if parent != i:
@@ -166,7 +162,7 @@ def _body(model: Any, i: int, joint: UrdfJoint) -> Body:
 
 
 def _check_inertia(links: Links, chain: list[str]) -> None:
-    """Name the outermost joint that can move without moving any mass, in a few configurations."""
+    """Raise RobotError if the inertia is singular in one of a few configurations, naming the outermost such joint."""
     for q_l in (np.zeros(links.n), np.linspace(0.3, 1.4, links.n), np.linspace(-1.2, 0.7, links.n)):
         M_l = links.M_l(q_l).full()
         for i in reversed(range(links.n)):
@@ -178,7 +174,7 @@ def _check_inertia(links: Links, chain: list[str]) -> None:
 
 
 def _reflected(J: checks.Array, gear_ratio: ArrayLike) -> checks.Array:
-    """Inertia r J r on the link side of gears of ratio r."""
+    """Return the inertia r J r on the link side of gears with ratio r."""
     ratio = checks.vector("gear_ratio", gear_ratio, len(J), RobotError)
     if not np.all(ratio != 0):
         raise RobotError(f"gear_ratio is {ratio.tolist()}; expected numbers other than 0")
@@ -186,7 +182,7 @@ def _reflected(J: checks.Array, gear_ratio: ArrayLike) -> checks.Array:
 
 
 def _in_order(links: Links, order: list[int]) -> Links:
-    """The same links, joint k being the chain's joint order[k]."""
+    """Return the links with joint k equal to joint order[k] of the chain."""
     if order == list(range(links.n)):
         return links
     named = [ca.SX.sym(name, links.n) for name in ("q_l", "v", "w")]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A URDF as a tree of checked joints and links, before any number of it is used.
+"""Parse a URDF into a checked tree of joints and links.
 
-Only kinematics and inertia are looked at: visuals, collision shapes and extensions are left aside.
+Only kinematics and inertia are read; visuals, collision shapes and extensions are ignored.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ KINDS = (*MOVING, "fixed", "floating", "planar")
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 NO_LIMIT = (-np.inf, np.inf, np.inf, np.inf)
 DEEPEST, MOST_JOINTS = 100, 500
-LARGEST_NUMBER = 1e30  # beyond it sums and squares are no longer finite
+LARGEST_NUMBER = 1e30  # sums and squares of larger numbers may overflow
 
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint as the URDF has it: axis in its own frame, limits (lower, upper, velocity, effort), infinite if none.
+    """A URDF joint: axis in the joint frame, limits (lower, upper, velocity, effort), infinite without a limit.
 
     mimics: (joint, multiplier, offset) of <mimic>, or None.
     """
@@ -44,14 +44,14 @@ class UrdfJoint:
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """All joints by name, and the URDF reduced to what moves: `skeleton`, every joint fixed, revolute or prismatic."""
+    """All joints by name, and `skeleton`, the URDF reduced to kinematics and inertia."""
 
     joints: dict[str, UrdfJoint]
     skeleton: str
 
 
 def read_urdf(path_or_xml: str | os.PathLike[str]) -> UrdfTree:
-    """Read a file, or XML text (which starts with '<'). Raises RobotError with one sentence for whatever is wrong."""
+    """Read a URDF file, or XML text that starts with '<'. Raises RobotError."""
     root = _root(path_or_xml)
     links = _by_name(root, "link")
     joints = {name: _joint(name, element) for name, element in _by_name(root, "joint").items()}
@@ -75,12 +75,12 @@ def _root(path_or_xml: str | os.PathLike[str]) -> ET.Element:
     if root.tag != "robot":
         raise RobotError(f"{source} has the root element <{root.tag}>; expected the <robot> of a URDF")
     if any("/xacro}" in str(element.tag) for element in root.iter()):
-        raise RobotError(f"{source} holds xacro commands; expected a plain URDF, as the program xacro writes it")
+        raise RobotError(f"{source} contains xacro commands; expected a plain URDF, the output of the program xacro")
     return root
 
 
 def _check_size(content: bytes | str) -> None:
-    """Raise ValueError for XML that would cost much more than its size to build: entities, deep nesting."""
+    """Raise ValueError for XML that is too large, too deeply nested or declares a document type (entities)."""
     if len(content) > LARGEST:
         raise ValueError(f"larger than {LARGEST // 2**20} MiB")
     parser, depth = expat.ParserCreate(), 0
@@ -127,7 +127,7 @@ def _joint(name: str, element: ET.Element) -> UrdfJoint:
 
 
 def _limits(where: str, kind: str, element: ET.Element) -> tuple[float, ...]:
-    """(lower, upper, velocity, effort): zeros and what is absent mean that no limit is given."""
+    """Return (lower, upper, velocity, effort); zero or missing values mean no limit."""
     names = ("lower", "upper", "velocity", "effort")
     lower, upper, velocity, effort = (_number(where, element, "limit", name, "0") for name in names)
     if velocity < 0 or effort < 0 or lower > upper:
@@ -146,7 +146,7 @@ def _mimics(where: str, element: ET.Element) -> tuple[str, float, float] | None:
 
 
 def _check_tree(links: list[str], joints: dict[str, UrdfJoint]) -> None:
-    """One root, every other link the child of one joint, no loop."""
+    """Raise RobotError unless the links form a tree: one root, every other link the child of one joint, no loop."""
     if len(joints) > MOST_JOINTS:
         raise RobotError(f"the URDF has {len(joints)} joints; expected at most {MOST_JOINTS}")
     carriers: dict[str, str] = {}
@@ -163,7 +163,7 @@ def _check_tree(links: list[str], joints: dict[str, UrdfJoint]) -> None:
         raise RobotError(f"links {', '.join(roots)} have no parent joint; expected a single root")
     for link in links:
         if any(above == link for above in _ancestors(link, carriers, joints)):
-            raise RobotError(f"link '{link}' carries itself (a closed chain); expected a tree")
+            raise RobotError(f"link '{link}' is its own ancestor (a closed chain); expected a tree")
     for joint in joints.values():
         if joint.kind in ("floating", "planar"):
             raise RobotError(f"joint '{joint.name}' is {joint.kind}; expected an arm with a fixed base")
@@ -203,7 +203,7 @@ def _number(where: str, element: ET.Element, tag: str, name: str, default: str) 
 
 
 def _numbers(where: str, element: ET.Element, tag: str, name: str, default: str, count: int) -> tuple[float, ...]:
-    """The numbers of <tag name="..."> inside the element; infinite only in <limit>, never nan."""
+    """Return the numbers of <tag name="..."> in the element; they may be infinite in <limit> only, and never nan."""
     found = element.find(tag)
     text = default if found is None else found.get(name, default)
     try:
@@ -218,7 +218,7 @@ def _numbers(where: str, element: ET.Element, tag: str, name: str, default: str,
 
 
 def _float(word: str) -> float:
-    """Read a number as the C locale does: Python also takes 1_000 and the digits of other scripts."""
+    """Read a number in the C locale; Python also accepts 1_000 and digits of other scripts."""
     if not word.isascii() or "_" in word:
         raise ValueError(word)
     return float(word)
@@ -233,9 +233,9 @@ def _attribute(where: str, element: ET.Element, tag: str, name: str) -> str:
 
 
 def _skeleton(root: ET.Element, joints: dict[str, UrdfJoint]) -> str:
-    """The URDF with inertias and placements only; continuous joints count as revolute, limits are left open.
+    """Return the URDF with inertias and placements only; continuous joints become revolute, without limits.
 
-    Links get names of their own: Pinocchio keeps links and joints in one list of frames.
+    Links are renamed, because Pinocchio keeps links and joints in one list of frames.
     """
     robot = ET.Element("robot", name=root.get("name", "robot"))
     for link in root.findall("link"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual system of the robot, eqs. (25)-(28) and (38): linear structure at x, energy at x_v."""
+"""Virtual control system of the robot, eqs. (25)-(28) and (38), and its variational system."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .robot import Robot
 
 
 def derivative_expression(robot: Robot, x_v: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX:
-    """dx_v/dt (4n,) of eq. (38) as an expression; M_l, E_l and D at the measured x, P_l and spring at x_v."""
+    """Return dx_v/dt (4n,) of eq. (38) as an expression; M_l, E_l and D at the measured x, P_l and spring at x_v."""
     links, K = robot.links, robot.K
     q_l = symbolic.blocks(x, robot.n)[0]
     q_lv, q_mv, _, _ = symbolic.blocks(x_v, robot.n)
@@ -28,7 +28,7 @@ def derivative_expression(robot: Robot, x_v: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX
 
 
 def velocities(robot: Robot, x_v: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """(dq_lv, dq_mv) = (M_l(q_l)^-1 p_lv, M_m^-1 p_mv): the inertia at the measured q_l, eq. (27)."""
+    """Return (dq_lv, dq_mv) = (M_l(q_l)^-1 p_lv, M_m^-1 p_mv), eq. (27), with the inertia at the measured q_l."""
     q_l, n = symbolic.blocks(x, robot.n)[0], robot.n
     return robot.velocity_expressions(ca.vertcat(q_l, x_v[n:]))
 
@@ -36,18 +36,18 @@ def velocities(robot: Robot, x_v: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX]:
 class VirtualSystem:
     """The virtual control system Gamma(x_v, x, u) of a robot and its variational system.
 
-    Gamma(x, x, u) is the plant's derivative. Raises StateError for wrong shapes.
+    Gamma(x, x, u) is the time derivative of the plant state. Raises StateError for wrong shapes.
     """
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
 
     def derivative(self, x_v: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
-        """dx_v/dt (4n,) at the virtual state x_v and the measured state x (4n,) under effort u (n,), eq. (38)."""
+        """Return dx_v/dt (4n,), eq. (38), at the virtual state x_v, the measured state x (4n,) and effort u (n,)."""
         return self._derivative(x_v, x, u)[0]
 
     def variational(self, x_v: ArrayLike, x: ArrayLike, delta_x_v: ArrayLike, delta_u: ArrayLike) -> Array:
-        """d(delta x_v)/dt (4n,) for variations delta_x_v (4n,) and delta_u (n,), eq. (28)."""
+        """Return d(delta x_v)/dt (4n,), eq. (28), for variations delta_x_v (4n,) and delta_u (n,)."""
         return self._variational(x_v, x, delta_x_v, delta_u)[0]
 
     def _symbols(self) -> dict[str, ca.SX]:

@@ -166,9 +166,9 @@ class ImperfectPlant:
         n = self.robot.n
         rows = {"position": 2 * n, "velocity": 2 * n, "parameters": size(n)}
         position, velocity, parameters = symbols = [ca.SX.sym(name, k) for name, k in rows.items()]
-        p_l = self._links(named(parameters, n)).M_l(position[:n]) @ velocity[:n]
-        x = ca.vertcat(position, p_l, self.robot.M_m @ velocity[n:])
-        return numeric("imperfect_state", dict(zip(rows, symbols, strict=True)), {"x": x})
+        links = self._links(named(parameters, n))
+        momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:], links)
+        return numeric("imperfect_state", dict(zip(rows, symbols, strict=True)), {"x": ca.vertcat(position, *momenta)})
 
 
 def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing: ca.SX) -> ca.SX:

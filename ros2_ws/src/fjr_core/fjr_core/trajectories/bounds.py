@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a motion reaches: the least and the greatest position, velocity and acceleration of each joint."""
+"""Bounds of a motion: minimum and maximum of position, velocity and acceleration of each joint."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..numerics.checks import Array
 Indices = NDArray[np.intp]
 
 ROWS = 3  # position, velocity, acceleration
-_FINER, _NEWTON_STEPS = 2, 8
+_REFINEMENTS, _NEWTON_STEPS = 2, 8
 
 
 @dataclass(frozen=True, eq=False)
 class Extremes:
-    """lower, upper (3, n): the bounds of q_ld [rad], dq_ld [rad/s] and ddq_ld [rad/s^2] over a span of time.
+    """Bounds lower, upper (3, n) of q_ld [rad], dq_ld [rad/s] and ddq_ld [rad/s^2] over a time interval.
 
-    lower_at, upper_at (3, n) [s]: when; nan where the bound is one that the motion need not quite reach.
+    lower_at, upper_at (3, n) [s]: times of the extrema; nan if the bound is conservative.
     """
 
     lower: Array
@@ -29,8 +29,8 @@ class Extremes:
     lower_at: Array
     upper_at: Array
 
-    def with_other(self, other: Extremes) -> Extremes:
-        """The extremes of both motions together."""
+    def union(self, other: Extremes) -> Extremes:
+        """Return the bounds of both motions together."""
         less, more = other.lower < self.lower, other.upper > self.upper
         return Extremes(
             np.where(less, other.lower, self.lower),
@@ -39,40 +39,40 @@ class Extremes:
             np.where(more, other.upper_at, self.upper_at),
         )
 
-    def later(self, t0: float) -> Extremes:
-        """The same, t0 [s] later."""
+    def delayed(self, t0: float) -> Extremes:
+        """Return the bounds with all times shifted by t0 [s]."""
         return Extremes(self.lower, self.upper, self.lower_at + t0, self.upper_at + t0)
 
 
 def extremes_on(jets: Callable[[Array], Array], grid: Array) -> Extremes:
-    """The extremes of jets(t) on an increasing grid (k,) [s] and wherever a derivative is zero between its points.
+    """Return the bounds of jets(t) on an increasing grid (k,) [s] and at the zeros of derivatives between its points.
 
-    The grid is made finer where derivatives turn, so that one which is zero twice between its points is found too.
+    The grid is refined at the zeros of higher derivatives, so that double zeros between grid points are found.
     """
-    for _ in range(_FINER):
-        grid = _finer(grid, jets(grid))
+    for _ in range(_REFINEMENTS):
+        grid = _refined(grid, jets(grid))
     samples = jets(grid)
     bounds = [_row(jets, grid, samples, row) for row in range(ROWS)]
     return Extremes(*(np.array(values) for values in zip(*bounds, strict=True)))
 
 
-def _finer(grid: Array, samples: Array) -> Array:
-    """The grid (k,) with the times between at which the derivatives 2 .. 4 pass zero, nearly."""
+def _refined(grid: Array, samples: Array) -> Array:
+    """Return the grid (k,) with the approximate zeros of the derivatives 2 .. 4 added."""
     rows = samples[:, 2:]
     interval, row, joint = np.nonzero(rows[:-1] * rows[1:] < 0)
     return np.union1d(grid, _secant(grid, interval, rows[interval, row, joint], rows[interval + 1, row, joint]))
 
 
 def _secant(grid: Array, interval: Indices, first: Array, last: Array) -> Array:
-    """Where the straight lines from first to last, of other signs, are zero in the intervals of the grid."""
+    """Return the zeros of straight lines from first to last (opposite signs) in the intervals of the grid."""
     left, right = grid[interval], grid[interval + 1]
     return left + (right - left) * (first / (first - last))
 
 
 def _row(jets: Callable[[Array], Array], grid: Array, samples: Array, row: int) -> tuple[Array, Array, Array, Array]:
-    """lower, upper, lower_at, upper_at (n,) of one row."""
+    """Return lower, upper, lower_at, upper_at (n,) of one row."""
     value, slope = samples[:, row], samples[:, row + 1]
-    interval, joint = np.nonzero((slope[:-1] * slope[1:] < 0) & _may_pass(grid, value, slope))
+    interval, joint = np.nonzero((slope[:-1] * slope[1:] < 0) & _may_exceed(grid, value, slope))
     n = samples.shape[2]
     t, values = np.tile(grid[:, None], (2, n)), np.vstack([value, value])
     if len(interval):
@@ -83,8 +83,11 @@ def _row(jets: Callable[[Array], Array], grid: Array, samples: Array, row: int) 
     return values[low, each], values[high, each], t[low, each], t[high, each]
 
 
-def _may_pass(grid: Array, value: Array, slope: Array) -> NDArray[np.bool_]:
-    """In which intervals (k - 1, n) a value may pass the extremes at the points, its slope being largest there."""
+def _may_exceed(grid: Array, value: Array, slope: Array) -> NDArray[np.bool_]:
+    """Return the intervals (k - 1, n) in which a value may exceed the extrema at the grid points.
+
+    The slope is at most that at the ends of the interval.
+    """
     reach = np.maximum(np.abs(slope[:-1]), np.abs(slope[1:])) * np.diff(grid)[:, None]
     high, low = np.maximum(value[:-1], value[1:]) + reach, np.minimum(value[:-1], value[1:]) - reach
     return np.asarray((high > value.max(axis=0)) | (low < value.min(axis=0)))
@@ -93,7 +96,7 @@ def _may_pass(grid: Array, value: Array, slope: Array) -> NDArray[np.bool_]:
 def _roots(
     jets: Callable[[Array], Array], grid: Array, slope: Array, row: int, interval: Indices, joint: Indices
 ) -> Array:
-    """Where row + 1 is zero within the intervals: by Newton's method, by halves where that leaves them."""
+    """Return the zeros of row + 1 in the intervals by Newton's method, safeguarded by bisection."""
     left, right = grid[interval], grid[interval + 1]
     first = slope[interval, joint]
     t = _secant(grid, interval, first, slope[interval + 1, joint])

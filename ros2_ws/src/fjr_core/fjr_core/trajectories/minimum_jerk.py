@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The derivatives at the points of a trajectory that nobody gave: of least jerk, and without overshoot."""
+"""Choose the free derivatives at the knots of a trajectory: minimum jerk, and without overshoot."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .reference import JETS
 
 JERK = 3
 NEWTON_STEPS = 2
-"""The second one mends what rounding has left of the first: the matrix has a condition of at most 1e8 for pieces that
+"""The second step corrects rounding errors of the first: the condition number is at most 1e8 for segment lengths that
 differ by a factor of a million."""
 TURNING, MONOTONE = 1 / 4, 1 / 100
-"""How far a curve may leave the range of the two points beside it, in parts of the range of the nearest four: where
-the points turn, and where they rise or fall throughout."""
+"""Admissible overshoot beyond the range of the two adjacent points, relative to the range of the nearest four points:
+at a turning point, and for monotone points."""
 
 
 def _jerk_root() -> Array:
-    """W (7, 10) with |W (near, far)|^2 the integral of the squared third derivative over s in (0, 1)."""
+    """Return W (7, 10) with |W (near, far)|^2 the integral of the squared third derivative over s in (0, 1)."""
     nodes, weights = np.polynomial.legendre.leggauss(DEGREE - JERK + 1)
     powers = np.arange(JERK, DEGREE + 1)
     slopes = factorial(powers) / factorial(powers - JERK) * ((nodes[:, None] + 1) / 2) ** (powers - JERK)
@@ -35,26 +35,27 @@ _ORDERS = np.arange(JETS)
 _ROWS, _COLUMNS = np.tril_indices(2 * JETS, m=JETS)
 
 
-def least_jerk(times: Array, jets: Array, free: NDArray[np.bool_]) -> Array:
-    """The jets (k, 5, n) with those marked free (k, 5) chosen so that the integral of the squared jerk is least.
+def minimum_jerk(times: Array, jets: Array, free: NDArray[np.bool_]) -> Array:
+    """Return the jets (k, 5, n) with the free entries (k, 5) chosen to minimise the integral of the squared jerk.
 
-    This is over all piecewise polynomials of degree 9 and class C^4 with knots at times (k,) [s] that have the
-    other jets; where positions alone are given it is the quintic spline but for its first and last piece.
+    The minimum is taken over all piecewise polynomials of degree 9 and class C^4 with knots at times (k,) [s] and the
+    given jets. For given positions only, it is the quintic spline except in the first and last segment.
     """
     h = np.diff(times)
-    units = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))  # of time at each knot, for equal scales
+    units = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))  # time unit at each knot, for scaling
     roots, chosen = _roots_of_jerk(h, units), free[:, :, None]
     factor = cholesky_banded(_normal_band(roots, free), lower=True, check_finite=False)
     y = np.where(chosen, 0.0, taylor(jets, units))
     for _ in range(NEWTON_STEPS):
-        slope = np.where(chosen, _slope(roots, y), 0.0).reshape(-1, y.shape[2])
-        y -= cho_solve_banded((factor, True), slope, check_finite=False).reshape(y.shape)
+        gradient = np.where(chosen, _half_gradient(roots, y), 0.0).reshape(-1, y.shape[2])
+        y -= cho_solve_banded((factor, True), gradient, check_finite=False).reshape(y.shape)
     return np.where(chosen, y / taylor(np.ones_like(jets), units), jets)
 
 
 def _roots_of_jerk(h: Array, units: Array) -> Array:
-    """Matrices W (k - 1, 7, 10): |W y|^2, y the Taylor coefficients (10, n) of a piece's two knots in `units`, is the
-    integral of its squared jerk, but for a factor that all pieces have in common.
+    """Return W (k - 1, 7, 10): |W y|^2 is the integral of the squared jerk of a segment, up to a common factor.
+
+    y (10, n): Taylor coefficients of the two knots of the segment in `units`.
     """
     knots = np.arange(len(h))[:, None] + [0, 1]
     scales = (h[:, None, None] / units[knots][:, :, None]) ** np.arange(JETS)
@@ -62,21 +63,21 @@ def _roots_of_jerk(h: Array, units: Array) -> Array:
     return np.asarray(weights * _JERK_ROOT * scales.reshape(len(h), 1, -1))
 
 
-def _slope(roots: Array, y: Array) -> Array:
-    """Half the gradient (k, 5, n) of the jerk's square norm at the Taylor coefficients y (k, 5, n)."""
-    pieces = roots.transpose(0, 2, 1) @ (roots @ np.concatenate([y[:-1], y[1:]], axis=1))
-    slope = np.zeros_like(y)
-    slope[:-1] += pieces[:, :JETS]
-    slope[1:] += pieces[:, JETS:]
-    return slope
+def _half_gradient(roots: Array, y: Array) -> Array:
+    """Return half the gradient (k, 5, n) of the squared jerk norm at the Taylor coefficients y (k, 5, n)."""
+    segments = roots.transpose(0, 2, 1) @ (roots @ np.concatenate([y[:-1], y[1:]], axis=1))
+    gradient = np.zeros_like(y)
+    gradient[:-1] += segments[:, :JETS]
+    gradient[1:] += segments[:, JETS:]
+    return gradient
 
 
 def _normal_band(roots: Array, free: NDArray[np.bool_]) -> Array:
-    """The matrix of _slope (10, 5 k), lower band by diagonals, with ones for what is not free."""
-    pieces = roots.transpose(0, 2, 1) @ roots
-    columns = np.zeros((len(free), 2 * JETS, JETS))  # of each knot: its own rows, then those of the next one
-    columns[:-1] += pieces[:, :, :JETS]
-    columns[1:, :JETS] += pieces[:, JETS:, JETS:]
+    """Return the Hessian (10, 5 k) as lower band by diagonals, with ones for fixed entries."""
+    segments = roots.transpose(0, 2, 1) @ roots
+    columns = np.zeros((len(free), 2 * JETS, JETS))  # per knot: its own rows, then those of the next knot
+    columns[:-1] += segments[:, :, :JETS]
+    columns[1:, :JETS] += segments[:, JETS:, JETS:]
     rows_free = np.concatenate([free, np.append(free[1:], free[:1] & False, axis=0)], axis=1)
     columns *= rows_free[:, :, None] & free[:, None, :]
     columns[:, _ORDERS, _ORDERS] += ~free
@@ -86,11 +87,11 @@ def _normal_band(roots: Array, free: NDArray[np.bool_]) -> Array:
 
 
 def without_overshoot(times: Array, jets: Array, free: NDArray[np.bool_]) -> Array:
-    """The jets (k, 5, n) with those marked free (k, 5) made smaller, knot by knot, until no piece overshoots.
+    """Return the jets (k, 5, n) with the free entries (k, 5) reduced, knot by knot, until no segment overshoots.
 
-    A piece lies in the hull of its ten Bezier points; the five next to a knot depend on that knot alone and are kept
-    within the range of the piece's two points, widened as TURNING and MONOTONE say. Where given derivatives
-    leave it, those points are not looked at.
+    A segment lies in the convex hull of its ten Bezier points. The five next to a knot depend on this knot only and are
+    kept within the range of the two end points, widened by TURNING or MONOTONE. Bezier points that leave the range
+    because of given derivatives are ignored.
     """
     lower, upper = _ranges(jets[:, 0])
     h = np.diff(times)
@@ -105,7 +106,7 @@ def without_overshoot(times: Array, jets: Array, free: NDArray[np.bool_]) -> Arr
 
 
 def _ranges(q: Array) -> tuple[Array, Array]:
-    """lower, upper (k - 1, n): where the pieces between the points q (k, n) may go."""
+    """Return lower, upper (k - 1, n) [rad]: admissible ranges of the segments between the points q (k, n)."""
     padded = np.concatenate([q[:1], q, q[-1:]])
     four = np.stack([padded[:-3], padded[1:-2], padded[2:-1], padded[3:]])
     steps = np.diff(four, axis=0)

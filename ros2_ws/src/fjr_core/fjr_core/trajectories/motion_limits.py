@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of a motion, and the sentence that says where a reference would break them."""
+"""Motion limits, and checks of references and points against them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .piecewise_polynomial import Pieces
 from .reference import Reference
 from .spline import Spline
 
-ROUNDING = 1e-9  # by which a limit may be passed, relative to it
+ROUNDING = 1e-9  # relative tolerance of a limit
 _NUMBERS = ("lower", "upper", "velocity", "acceleration")
 
 
@@ -25,8 +25,8 @@ _NUMBERS = ("lower", "upper", "velocity", "acceleration")
 class MotionLimits:
     """Limits of n joints: positions lower, upper [rad], |velocity| [rad/s] and |acceleration| [rad/s^2], each (n,).
 
-    Scalars stand for every joint; infinite means that no limit is given. Raises TrajectoryError for other
-    lengths, nan, a negative velocity or acceleration and lower > upper. units: of each joint, revolute by default.
+    Scalars apply to every joint; infinite means no limit. units: units of each joint, revolute by default.
+    Raises TrajectoryError for a wrong length, nan, a negative velocity or acceleration, or lower > upper.
     """
 
     lower: ArrayLike
@@ -50,7 +50,7 @@ class MotionLimits:
 
     @staticmethod
     def of(limits: JointLimits | None, n: int, acceleration: ArrayLike = np.inf) -> MotionLimits:
-        """A robot's own limits (robot.limits; None: no limits of its n joints), with those of acceleration."""
+        """Return the limits of a robot (robot.limits; None: n joints without limits) with acceleration limits."""
         if limits is None:
             return MotionLimits(np.full(n, -np.inf), np.full(n, np.inf), np.inf, acceleration)
         return MotionLimits(limits.lower, limits.upper, limits.velocity, acceleration)
@@ -61,13 +61,13 @@ class MotionLimits:
         return int(np.size(self.lower))
 
     @property
-    def least(self) -> Array:
-        """(3, n): what position, velocity and acceleration must not be below."""
+    def minimum(self) -> Array:
+        """Lower limits (3, n) of position, velocity and acceleration."""
         return np.array([self.lower, -np.asarray(self.velocity), -np.asarray(self.acceleration)])
 
     @property
-    def greatest(self) -> Array:
-        """(3, n): what position, velocity and acceleration must not be above."""
+    def maximum(self) -> Array:
+        """Upper limits (3, n) of position, velocity and acceleration."""
         return np.array([self.upper, self.velocity, self.acceleration])
 
 
@@ -78,19 +78,19 @@ def check_motion(
     t1: float = np.inf,
     joints: Sequence[str] = (),
 ) -> None:
-    """Raise TrajectoryError when the reference leaves the limits between t0 and t1 [s] (may be infinite).
+    """Raise TrajectoryError if the reference exceeds the limits between t0 and t1 [s] (may be infinite).
 
-    The sentence names the joint (by `joints`, else by its number), the point of a Spline or the time, the value
-    and the limit. The given points are looked at first, then all between them, by Reference.extremes; polynomials
-    whose hull is within the limits need no such look.
+    The message names the joint (by `joints`, else by its index), the point of a Spline or the time, the value and the
+    limit. The given points are checked first, then the bounds of the motion. Polynomials whose convex hull is within
+    the limits need no further check.
     """
     if limits.n != reference.n:
         raise TrajectoryError(f"limits are of {limits.n} joints; expected those of the reference, {reference.n}")
     if isinstance(reference, Spline):
-        later = int(np.searchsorted(np.asarray(reference.times), t0))
+        first = int(np.searchsorted(np.asarray(reference.times), t0))
         given = (reference.positions, reference.velocities, reference.accelerations)
-        q, dq, ddq = (None if rows is None else np.asarray(rows)[later:] for rows in given)
-        check_points(limits, np.asarray(q), dq, ddq, joints, later)
+        q, dq, ddq = (None if rows is None else np.asarray(rows)[first:] for rows in given)
+        check_points(limits, np.asarray(q), dq, ddq, joints, first)
     hull = reference.hull(t0, t1) if isinstance(reference, (Spline, Pieces)) else ()
     if hull and not any(_beyond(bounds, limits).any() for bounds in hull):
         return
@@ -101,7 +101,7 @@ def check_motion(
             row, joint = wrong[0]
             when = "" if np.isnan(at[row, joint]) else f" at {at[row, joint]:.4g} s"
             subject = f"joint {_name(joints, joint)} would reach"
-            raise TrajectoryError(f"{subject} {_sentence(values[:, joint], limits, row, joint, when)}")
+            raise TrajectoryError(f"{subject} {_message(values[:, joint], limits, row, joint, when)}")
 
 
 def check_points(
@@ -112,9 +112,9 @@ def check_points(
     joints: Sequence[str] = (),
     first: int = 0,
 ) -> None:
-    """Raise TrajectoryError when a point (k, n) asks for more than the limits allow, naming point and joint.
+    """Raise TrajectoryError if a point (k, n) exceeds the limits; the message names point and joint.
 
-    Points are counted as in the message, from 0; `first` is the number of the first one.
+    Points are numbered from `first`.
     """
     rows = [np.asarray(positions, dtype=float)]
     rows += [np.zeros_like(rows[0]) if given is None else np.asarray(given) for given in (velocities, accelerations)]
@@ -123,28 +123,28 @@ def check_points(
     if len(wrong):
         point, row, joint = wrong[0]
         subject = f"point {point + first} of joint {_name(joints, joint)} asks for"
-        raise TrajectoryError(f"{subject} {_sentence(points[point, :, joint], limits, row, joint)}")
+        raise TrajectoryError(f"{subject} {_message(points[point, :, joint], limits, row, joint)}")
 
 
 def _beyond(values: Array, limits: MotionLimits) -> Array:
-    """Which of the values (.., 3, n) are beyond their limits."""
-    least, greatest = limits.least, limits.greatest
-    low = least - ROUNDING * np.where(np.isfinite(least), np.abs(least), 0.0)
-    high = greatest + ROUNDING * np.where(np.isfinite(greatest), np.abs(greatest), 0.0)
+    """Return which of the values (.., 3, n) exceed their limits."""
+    minimum, maximum = limits.minimum, limits.maximum
+    low = minimum - ROUNDING * np.where(np.isfinite(minimum), np.abs(minimum), 0.0)
+    high = maximum + ROUNDING * np.where(np.isfinite(maximum), np.abs(maximum), 0.0)
     return np.asarray((values < low) | (values > high))
 
 
-def _sentence(values: Array, limits: MotionLimits, row: int, joint: int, when: str = "") -> str:
-    """The value (3,)[row] with its time, and the limit that it breaks."""
+def _message(values: Array, limits: MotionLimits, row: int, joint: int, when: str = "") -> str:
+    """Format the value (3,)[row] with its time and the limit it exceeds."""
     value, unit = values[row], limits.units[joint][row]
-    limit = limits.greatest[row, joint] if value > limits.greatest[row, joint] else limits.least[row, joint]
+    limit = limits.maximum[row, joint] if value > limits.maximum[row, joint] else limits.minimum[row, joint]
     if row:
         value, limit = abs(value), abs(limit)
     return f"{_digits(value, limit)} {unit}{when}; its limit is {limit:.6g} {unit}"
 
 
 def _digits(value: float, limit: float) -> str:
-    """The value, with as many digits as tell it from the limit."""
+    """Format the value with enough digits to distinguish it from the limit."""
     short = f"{value:.6g}"
     return f"{value:.12g}" if short == f"{limit:.6g}" else short
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Polynomials of degree 9 between knots with given jets: of class C^4 by construction."""
+"""Piecewise polynomials of degree 9 with given jets at the knots; of class C^4 by construction."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .bounds import ROWS, Extremes, extremes_on
 from .reference import JETS
 
 DEGREE = 2 * JETS - 1
-SAMPLES = 24  # in a piece, where extremes are looked for
+SAMPLES = 24  # per segment, for the search of extrema
 
 _POWERS = np.arange(DEGREE + 1.0)
 _ORDERS = np.arange(JETS)
@@ -30,24 +30,24 @@ _SLOPES = factorial(_POWERS[:, None]) / factorial(np.maximum(_POWERS[:, None] - 
 
 
 def coefficients(near: Array, far: Array) -> Array:
-    """The polynomial (.., 10, n) in s with Taylor coefficients near (.., 5, n) at s = 0 and far at s = 1."""
-    rest = far - _BINOMIALS[:, :JETS] @ near
-    return np.concatenate([near, _HIGHER @ rest], axis=-2)
+    """Return the polynomial (.., 10, n) in s with Taylor coefficients near (.., 5, n) at s = 0 and far at s = 1."""
+    remainder = far - _BINOMIALS[:, :JETS] @ near
+    return np.concatenate([near, _HIGHER @ remainder], axis=-2)
 
 
 def taylor(jets: Array, h: Array) -> Array:
-    """Jets (.., 5, n) as Taylor coefficients in s = t / h, h (..)."""
+    """Convert jets (.., 5, n) to Taylor coefficients in s = t / h, h (..) [s]."""
     return jets * (np.asarray(h)[..., None] ** _ORDERS / _FACTORIALS)[..., None]
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """The piecewise polynomial of degree 9 with jets knots (k, 5, n) at times (k,) [s], k >= 2, times increasing.
+    """Piecewise polynomial of degree 9 with jets knots (k, 5, n) at increasing times (k,) [s], k >= 2.
 
-    It has the knots' very jets there. Before the first time it stands at the first position; after the last one
-    it stands at the last position, or, where it `continues`, follows the Taylor polynomial of the last knot.
-    Nothing is checked here. Each half of a piece is a polynomial about its own knot, which is what keeps the
-    digits of the fourth derivative.
+    It interpolates the jets of the knots exactly. Before the first time it is constant at the first position. After the
+    last time it is constant at the last position, or follows the Taylor polynomial of the last knot if `continues`.
+    Arguments are not checked. Each half of a segment is a polynomial about its own knot, which preserves the accuracy
+    of the fourth derivative.
     """
 
     times: Array
@@ -59,11 +59,11 @@ class Pieces:
     _tables: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        with np.errstate(all="ignore"):  # `finite` tells
+        with np.errstate(all="ignore"):  # checked by `finite`
             self._make(np.diff(self.times))
 
     def _make(self, h: Array) -> None:
-        halves = np.stack([h, -h], axis=1).ravel()  # from each knot to the right, then from the next to the left
+        halves = np.stack([h, -h], axis=1).ravel()  # from each knot forwards, then from the next knot backwards
         near = self.knots.repeat(2, axis=0)[1:-1]
         far = near.reshape(-1, 2, *near.shape[1:])[:, ::-1].reshape(near.shape)
         outer = [0.0, halves[-1] if self.continues else 0.0]
@@ -85,20 +85,20 @@ class Pieces:
 
     @property
     def table(self) -> tuple[Array, Array, Array, Array]:
-        """Edges (m,), origins, rates (m + 1,), coefficients (m + 1, 10, 5, n) of the jets in s = (t - origin) rate.
+        """Edges (m,), origins, rates (m + 1,) and coefficients (m + 1, 10, 5, n) of the jets in s = (t - origin) rate.
 
-        The i-th of them, i = 0 .. m, hold from edge i - 1 on and before edge i.
+        Entry i = 0 .. m applies from edge i - 1 up to, but not including, edge i.
         """
         shape = (-1, DEGREE + 1, JETS, self.n)
         return np.array(self._edges), self._origins, self._rates, self._tables.reshape(shape)
 
     @property
     def finite(self) -> bool:
-        """Whether all its numbers are finite; pieces that are too short are not."""
+        """True if all coefficients are finite; too short segments overflow."""
         return bool(np.isfinite(self._tables).all() and np.isfinite(self._rates).all())
 
     def jets(self, t: ArrayLike) -> Array:
-        """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
         if not isinstance(t, float) and np.ndim(t):
             return self._many(np.asarray(t, dtype=float))
         now: float = t  # type: ignore[assignment]
@@ -115,7 +115,7 @@ class Pieces:
         return value.reshape(len(t), JETS, self.n)
 
     def extremes(self, t0: float, t1: float) -> Extremes:
-        """Bounds of position, velocity and acceleration from t0 to t1 [s], t1 may be infinite."""
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s], t1 may be infinite."""
         t1 = min(t1, max(t0, self.times[-1]))
         coarse = np.concatenate([[t0, t1], self._cut(slice(None), 2, t0, t1)])
         seen = self.jets(coarse)[:, :ROWS]
@@ -127,25 +127,25 @@ class Pieces:
         )
 
     def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
-        """lower, upper (3, n) that position, velocity and acceleration do not leave between t0 and t1 [s].
+        """Return conservative bounds lower, upper (3, n) of position, velocity and acceleration from t0 to t1 [s].
 
-        Those of the Bezier points of all half pieces of the pieces that are met: wide of these pieces' extremes by at
-        most 10/9 of the largest second difference of such points (Nairn, Peters and Lutterkort, 1999), and cheap.
+        The bounds are those of the Bezier points of all half segments involved. They exceed the extrema by at most 10/9
+        of the largest second difference of these points (Nairn, Peters and Lutterkort, 1999).
         """
         last = len(self.times) - 2
         first, end = np.clip(np.searchsorted(self.times, [t0, t1], side="right") - 1, 0, last)
         lower, upper = (bounds[first : end + 1] for bounds in self._hulls)
         return lower.min(axis=0), upper.max(axis=0)
 
-    def _cut(self, pieces: NDArray[np.bool_] | slice, parts: int, t0: float, t1: float) -> Array:
-        """Times within t0 and t1 [s] that cut the given pieces into parts, with their ends."""
-        start, length = self.times[:-1][pieces, None], np.diff(self.times)[pieces, None]
+    def _cut(self, segments: NDArray[np.bool_] | slice, parts: int, t0: float, t1: float) -> Array:
+        """Return the times between t0 and t1 [s] that divide the given segments into parts, with their ends."""
+        start, length = self.times[:-1][segments, None], np.diff(self.times)[segments, None]
         times = (start + length * np.arange(parts + 1) / parts).ravel()
         return times[(times > t0) & (times < t1)]
 
     @cached_property
     def _hulls(self) -> tuple[Array, Array]:
-        """Bounds (k - 1, 3, n) of the pieces' positions, velocities and accelerations: their halves' Bezier points."""
+        """Bounds (k - 1, 3, n) of position, velocity and acceleration per segment, from its Bezier points."""
         halves = self._tables[1:-1].reshape(-1, DEGREE + 1, JETS, self.n)[:, :, 0]
         rates = self._rates[1:-1, None]
         points = (_HALVED @ halves.swapaxes(0, 1).reshape(DEGREE + 1, -1)).reshape(-1, *halves[:, 0].shape)
@@ -158,7 +158,7 @@ class Pieces:
 
 
 def _tables(c: Array, rates: Array) -> Array:
-    """The coefficients (k, 10, 5 n) of all five rows from those of the first, c (k, 10, n) in s = rate t."""
+    """Return the coefficients (k, 10, 5 n) of all five jets from those of the position, c (k, 10, n) in s = rate t."""
     tables = np.zeros((len(c), DEGREE + 1, JETS, c.shape[2]))
     for order in range(JETS):
         slopes = _SLOPES[order:, order, None] * c[:, order:]

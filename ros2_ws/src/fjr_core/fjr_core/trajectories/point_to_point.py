@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""References that rest: standing still, and from point to point."""
+"""References with stationary ends: hold, and point to point."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .reference import JETS
 
 
 def standing(q: ArrayLike, dq: ArrayLike = 0.0) -> Array:
-    """Jets (5, n) at q (n,) [rad] with velocity dq [rad/s] and no higher derivatives."""
+    """Return jets (5, n) at q (n,) [rad] with velocity dq [rad/s] and zero higher derivatives."""
     q = joint_vector("q", q)
     jets = np.zeros((JETS, len(q)))
     jets[0], jets[1] = q, checks.vector("dq", dq, len(q), TrajectoryError)
@@ -27,7 +27,7 @@ def standing(q: ArrayLike, dq: ArrayLike = 0.0) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """q_ld(t) = q (n,) [rad] for ever. Raises TrajectoryError when q is not a vector of finite numbers."""
+    """Constant reference q_ld(t) = q (n,) [rad]. Raises TrajectoryError unless q is a vector of finite numbers."""
 
     q: ArrayLike
 
@@ -41,7 +41,7 @@ class Hold:
 
     @property
     def end(self) -> float:
-        """It always stands."""
+        """Zero: the reference is constant from the start."""
         return 0.0
 
     @cached_property
@@ -49,26 +49,26 @@ class Hold:
         return standing(self.q)
 
     def jets(self, t: ArrayLike) -> Array:
-        """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
         return np.tile(self._jets, (np.size(t), 1, 1)) if np.ndim(t) else self._jets.copy()
 
     def configurations(self, k: int) -> Array:
-        """q, k times (k, n) [rad]."""
+        """Return q repeated k times, (k, n) [rad]."""
         return np.tile(np.asarray(self.q), (k, 1))
 
     def extremes(self, t0: float, t1: float) -> Extremes:
-        """Position, no velocity, no acceleration."""
+        """Return constant bounds of the position and zero bounds of velocity and acceleration."""
         rows, at = self._jets[:ROWS], np.full((ROWS, self.n), t0)
         return Extremes(rows, rows, at, at)
 
 
 @dataclass(frozen=True, eq=False)
 class PointToPoint:
-    """From q0 to q1 (n,) [rad] within `duration` [s], four derivatives zero at both ends; stands before and after.
+    """Motion from q0 to q1 (n,) [rad] in `duration` [s] with four zero derivatives at both ends; constant outside.
 
-    returns: after a dwell [s] it goes back in the same time, after another dwell forth again, and so on for ever.
-    The speed peaks in the middle, at 2.46 |q1 - q0| / duration.
-    Raises TrajectoryError for other shapes, numbers that are not finite, a duration that is not positive, a dwell < 0.
+    returns: periodic motion forth and back, with a dwell [s] at each end. The peak velocity is
+    2.46 |q1 - q0| / duration at half the duration.
+    Raises TrajectoryError for a wrong shape, non-finite numbers, a duration that is not positive or a dwell < 0.
     """
 
     q0: ArrayLike
@@ -91,32 +91,32 @@ class PointToPoint:
 
     @property
     def end(self) -> float:
-        """The duration; infinite where it returns."""
+        """The duration [s]; infinite if it returns."""
         return np.inf if self.returns else self.duration
 
     @property
     def period(self) -> float:
-        """Of one way forth and back with both dwells [s]; for one that returns."""
+        """Period [s] of the motion forth and back, including both dwells."""
         return 2 * (self.duration + self.dwell)
 
     @cached_property
     def pieces(self) -> Pieces:
-        """The way, or one period of it where it returns."""
-        times, rests = [0.0, self.duration], [standing(self.q0), standing(self.q1)]
+        """The motion as a piecewise polynomial; one period if it returns."""
+        times, knots = [0.0, self.duration], [standing(self.q0), standing(self.q1)]
         if self.returns:
             back = self.period / 2
-            times, rests = [*times, back, back + self.duration], [*rests, rests[1], rests[0]]
+            times, knots = [*times, back, back + self.duration], [*knots, knots[1], knots[0]]
         kept = np.diff(times, prepend=-1.0) > 0
-        return Pieces(np.array(times)[kept], np.array(rests)[kept])
+        return Pieces(np.array(times)[kept], np.array(knots)[kept])
 
     def jets(self, t: ArrayLike) -> Array:
-        """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
         return self.pieces.jets(np.maximum(t, 0.0) % self.period if self.returns else t)
 
     def configurations(self, k: int) -> Array:
-        """k configurations (k, n) [rad], evenly on the way."""
+        """Return k configurations (k, n) [rad], equally spaced between q0 and q1."""
         return np.linspace(np.asarray(self.q0), np.asarray(self.q1), k)
 
     def extremes(self, t0: float, t1: float) -> Extremes:
-        """Bounds of position, velocity and acceleration from t0 to t1 [s]; of all times where it returns."""
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s]; of a period if it returns."""
         return self.pieces.extremes(0.0, self.period) if self.returns else self.pieces.extremes(t0, t1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a reference of class C^4 is (value and four exact derivatives at every time)."""
+"""Interface of reference trajectories of class C^4: value and four exact derivatives at every time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ JETS = REFERENCE_DERIVATIVES + 1
 
 
 class Reference(Protocol):
-    """What the law needs of a reference, and what is asked of it before it is followed."""
+    """A reference trajectory q_ld(t) of class C^4 in n joints."""
 
     @property
     def n(self) -> int:
@@ -23,13 +23,13 @@ class Reference(Protocol):
 
     @property
     def end(self) -> float:
-        """Time [s] from which on it stands still; infinite for an endless one."""
+        """Time [s] after which the reference is constant; may be infinite."""
 
     def jets(self, t: ArrayLike) -> Array:
-        """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
 
     def configurations(self, k: int) -> Array:
-        """k configurations (k, n) [rad], evenly over where the links will be."""
+        """Return k configurations (k, n) [rad], distributed evenly over the reference."""
 
     def extremes(self, t0: float, t1: float) -> Extremes:
-        """Bounds of position, velocity and acceleration from t0 to t1 [s]; t1 may be infinite."""
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s]; t1 may be infinite."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""References made of sines: one per joint, or a sum of them."""
+"""Sinusoidal references: one sine per joint, or a sum of sines."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from ..numerics.checks import Array, freeze
 from .bounds import ROWS, Extremes
 from .reference import JETS
 
-_SIDES = np.array([0, 1, 0, 1, 0])  # sine or cosine in each of the five
+_SIDES = np.array([0, 1, 0, 1, 0])  # sine (0) or cosine (1) in each of the five jets
 
 
 @dataclass(frozen=True, eq=False)
 class Sine:
-    """q_ld(t) = offset + amplitude sin(frequency t + phase), joint by joint.
+    """Sine per joint: q_ld(t) = offset + amplitude sin(frequency t + phase).
 
-    amplitude and offset [rad], frequency (angular) [rad/s], phase [rad]: scalars or vectors (n,); the
-    longest gives n. Raises TrajectoryError when the lengths differ or a value is not finite.
+    amplitude and offset [rad], angular frequency [rad/s], phase [rad]: scalars or vectors (n,); the longest gives n.
+    Raises TrajectoryError for different lengths or a non-finite value.
     """
 
     amplitude: ArrayLike
@@ -36,9 +36,7 @@ class Sine:
         arrays = [checks.finite(name, getattr(self, name), TrajectoryError) for name in names]
         n = max(array.size for array in arrays)
         for name, array in zip(names, arrays, strict=True):
-            array = checks.vector(name, array, n, TrajectoryError)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            freeze(self, name, checks.vector(name, array, n, TrajectoryError))
 
     @property
     def n(self) -> int:
@@ -47,11 +45,11 @@ class Sine:
 
     @property
     def end(self) -> float:
-        """Infinite."""
+        """Infinite: the reference does not end."""
         return np.inf
 
     def jets(self, t: ArrayLike) -> Array:
-        """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
         w, phase, offset = self._line
         angle = w * t if isinstance(t, float) else np.multiply.outer(np.asarray(t, dtype=float), w)
         angle += phase
@@ -70,19 +68,19 @@ class Sine:
 
     @cached_property
     def _factors(self) -> Array:
-        """The powers of the frequency (5, n) that the derivatives have before sine or cosine."""
+        """Factors (5, n) of sine or cosine in the five jets: signed powers of the frequency."""
         w = np.asarray(self.frequency)
         return np.stack([np.ones_like(w), w, -(w**2), -(w**3), w**4])
 
     def configurations(self, k: int) -> Array:
-        """k configurations (k, n) [rad]: joints of one frequency together, others with every phase to each other."""
+        """Return k configurations (k, n) [rad]; joints of different frequencies take all relative phases."""
         angles = phases(k, np.asarray(self.frequency)) + np.asarray(self.phase)
         return np.asarray(self.offset) + np.asarray(self.amplitude) * np.sin(angles)
 
     def extremes(self, t0: float, t1: float) -> Extremes:
-        """Bounds of position, velocity and acceleration from t0 to t1 [s], exactly."""
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s]; they are exact."""
         a, w = np.asarray(self.amplitude), np.asarray(self.frequency)
-        rows = [_swing(a * w**row, w, np.asarray(self.phase) + row * np.pi / 2, t0, t1) for row in range(ROWS)]
+        rows = [_sine_bounds(a * w**row, w, np.asarray(self.phase) + row * np.pi / 2, t0, t1) for row in range(ROWS)]
         lower, upper, lower_at, upper_at = (np.array(values) for values in zip(*rows, strict=True))
         lower[0] += self.offset
         upper[0] += self.offset
@@ -91,10 +89,10 @@ class Sine:
 
 @dataclass(frozen=True, eq=False)
 class MultiSine:
-    """q_ld(t) = offset + sum over m of amplitude sin(frequency t + phase), joint by joint.
+    """Sum of m sines per joint: q_ld(t) = offset + sum_m amplitude sin(frequency t + phase).
 
-    amplitude [rad], frequency (angular) [rad/s], phase [rad]: (m, n), or scalars for all; offset [rad]: scalar or
-    (n,). Raises TrajectoryError when shapes differ or a value is not finite.
+    amplitude [rad], angular frequency [rad/s], phase [rad]: (m, n), or scalars for all; offset [rad]: scalar or (n,).
+    Raises TrajectoryError for different shapes or a non-finite value.
     """
 
     amplitude: ArrayLike
@@ -118,7 +116,7 @@ class MultiSine:
 
     @property
     def end(self) -> float:
-        """Infinite."""
+        """Infinite: the reference does not end."""
         return np.inf
 
     @cached_property
@@ -132,7 +130,7 @@ class MultiSine:
         return np.stack([a * w, -a * w**3])
 
     def jets(self, t: ArrayLike) -> Array:
-        """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
         angle = np.multiply.outer(t, self.frequency) + self.phase
         jets = np.empty((*np.shape(t), JETS, self.n))
         jets[..., 0::2, :] = (self._of_sine * np.sin(angle)[..., None, :, :]).sum(axis=-2)
@@ -141,19 +139,19 @@ class MultiSine:
         return jets
 
     def configurations(self, k: int) -> Array:
-        """k configurations (k, n) [rad]; see Sine.configurations."""
+        """Return k configurations (k, n) [rad]; see Sine.configurations."""
         angles = phases(k, np.asarray(self.frequency)) + np.asarray(self.phase)
         return np.asarray(self.offset) + (np.asarray(self.amplitude) * np.sin(angles)).sum(axis=1)
 
     def extremes(self, t0: float, t1: float) -> Extremes:
-        """Sums of the sines' own bounds from t0 to t1 [s]: those of one sine exactly, those of more at most."""
+        """Return the sums of the bounds of the sines from t0 to t1 [s]; exact for one sine, else conservative."""
         rows = zip(np.asarray(self.amplitude), np.asarray(self.frequency), np.asarray(self.phase), strict=True)
         each = [Sine(a, w, 0.0, p).extremes(t0, t1) for a, w, p in rows]
         lower, upper = (np.sum([getattr(e, side) for e in each], axis=0) for side in ("lower", "upper"))
         shift = np.zeros((ROWS, self.n))
         shift[0] = self.offset
-        never = np.full_like(shift, np.nan)
-        at = (each[0].lower_at, each[0].upper_at) if len(each) == 1 else (never, never)
+        unknown = np.full_like(shift, np.nan)
+        at = (each[0].lower_at, each[0].upper_at) if len(each) == 1 else (unknown, unknown)
         return Extremes(lower + shift, upper + shift, *at)
 
 
@@ -165,9 +163,9 @@ def _table(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def phases(k: int, frequency: Array) -> Array:
-    """k angles (k, *frequency.shape) [rad] that the sines of these frequencies take in the long run.
+    """Return k angles (k, *frequency.shape) [rad] that cover the long-run phases of sines with these frequencies.
 
-    Sines of one frequency move together; those of different ones sooner or later take every phase to each other.
+    Sines of equal frequency share their angle; the angles of different frequencies fill the torus.
     """
     frequencies, place = np.unique(frequency, return_inverse=True)
     turns = _turns(k, len(frequencies)) * (frequencies != 0)
@@ -175,7 +173,7 @@ def phases(k: int, frequency: Array) -> Array:
 
 
 def _turns(k: int, m: int) -> Array:
-    """k points (k, m) of the m-dimensional torus, in turns: evenly along the first, by Roberts' sequence in all."""
+    """Return k points (k, m) on the m-dimensional torus, in turns: equally spaced in the first, Roberts' sequence."""
     ratio = 2.0
     for _ in range(64):
         ratio = (1.0 + ratio) ** (1.0 / m)
@@ -183,8 +181,8 @@ def _turns(k: int, m: int) -> Array:
     return np.asarray(np.outer(np.arange(k), steps) % 1.0)
 
 
-def _swing(a: Array, w: Array, phase: Array, t0: float, t1: float) -> tuple[Array, Array, Array, Array]:
-    """lower, upper, lower_at, upper_at (n,) of a sin(w t + phase) from t0 to t1 [s]."""
+def _sine_bounds(a: Array, w: Array, phase: Array, t0: float, t1: float) -> tuple[Array, Array, Array, Array]:
+    """Return lower, upper, lower_at, upper_at (n,) of a sin(w t + phase) from t0 to t1 [s]."""
     edges = np.array([t0, t1 if np.isfinite(t1) else t0])[:, None] + np.zeros_like(a)
     first = [_first(side * np.sign(a) * np.sign(w), np.abs(w), np.sign(w) * phase, t0) for side in (-1.0, 1.0)]
     values = a * np.sin(w * edges + phase)
@@ -200,6 +198,6 @@ def _swing(a: Array, w: Array, phase: Array, t0: float, t1: float) -> tuple[Arra
 
 
 def _first(side: Array, w: Array, phase: Array, t0: float) -> Array:
-    """The first time from t0 on when sin(w t + phase) is `side` (1 or -1), w > 0; infinite for w = 0."""
+    """Return the first time t >= t0 [s] with sin(w t + phase) = side (1 or -1), w > 0; infinite for w = 0."""
     angle = (side * np.pi / 2 - phase - w * t0) % (2 * np.pi)
     return t0 + np.divide(angle, w, out=np.full_like(w, np.inf), where=w > 0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A reference through points: positions, with or without velocities and accelerations, of class C^4."""
+"""Spline reference of class C^4 through positions, with optional velocities and accelerations."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
 from .bounds import Extremes
-from .minimum_jerk import least_jerk, without_overshoot
+from .minimum_jerk import minimum_jerk, without_overshoot
 from .piecewise_polynomial import Pieces
 from .reference import JETS
 
-SHORTEST = 1e-6  # s, between points
+SHORTEST = 1e-6  # s, smallest interval between points
 
 
 @dataclass(frozen=True, eq=False)
 class Spline:
-    """The reference through positions (k, n) [rad] at times (k,) [s], increasing: polynomials of degree 9, C^4.
+    """Reference through positions (k, n) [rad] at increasing times (k,) [s]: polynomials of degree 9, class C^4.
 
-    velocities [rad/s], accelerations [rad/s^2], both (k, n) or None: met at the points. The derivatives that are
-    not given have least jerk, made smaller where a piece would overshoot (minimum_jerk); they are zero at an end
-    where it starts from rest or comes to rest.
-    start: jets (5, n) of a running reference at t = 0, which it begins with; all times are > 0 then. Without,
-    it begins at the first point, with the velocity and acceleration given there, and stands there before.
-    At the last point it comes to rest and stays: a velocity given there must be zero, an acceleration is not
-    looked at. moving_end: velocity and acceleration of the last point are met; after it, it stands all the same.
-    Raises TrajectoryError for shapes that do not fit, numbers that are not finite, times that do not increase
-    and fewer than two points (one with start).
+    velocities [rad/s], accelerations [rad/s^2]: (k, n) or None, interpolated at the points. Derivatives that are not
+    given minimise the jerk and are reduced where a segment would overshoot (minimum_jerk.py); they are zero at an end
+    with zero velocity.
+    start: jets (5, n) of the active reference at t = 0, from which the spline starts; all times must be > 0. Without
+    start, the spline starts at the first point with the velocity and acceleration given there; before, it is constant.
+    At the last point the spline stops: a velocity given there must be zero, an acceleration is ignored.
+    moving_end: interpolate velocity and acceleration of the last point; after it the reference is constant.
+    Raises TrajectoryError for inconsistent shapes, non-finite numbers, times that do not increase, or fewer than two
+    points (one with start).
     """
 
     times: ArrayLike
@@ -56,7 +56,7 @@ class Spline:
             freeze(self, "start", _start(self.start, positions.shape[1]))
         _check_times(times, self.start is not None)
         self._check_end()
-        object.__setattr__(self, "pieces", self._made())
+        object.__setattr__(self, "pieces", self._interpolated())
 
     @property
     def n(self) -> int:
@@ -65,23 +65,23 @@ class Spline:
 
     @property
     def end(self) -> float:
-        """The last time."""
+        """Last time [s]."""
         return float(self.pieces.times[-1])
 
     def jets(self, t: ArrayLike) -> Array:
-        """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
         return self.pieces.jets(t)
 
     def configurations(self, k: int) -> Array:
-        """k configurations (k, n) [rad], evenly in time from the first point (or start) to the last."""
+        """Return k configurations (k, n) [rad], equally spaced in time from the first point (or start) to the last."""
         return self.jets(np.linspace(self.pieces.times[0], self.end, k))[:, 0]
 
     def extremes(self, t0: float, t1: float) -> Extremes:
-        """Bounds of position, velocity and acceleration from t0 to t1 [s]."""
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
         return self.pieces.extremes(t0, t1)
 
     def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
-        """lower, upper (3, n) that position, velocity and acceleration do not leave from t0 to t1 [s]; may be wide."""
+        """Return conservative bounds lower, upper (3, n) of position, velocity and acceleration from t0 to t1 [s]."""
         return self.pieces.hull(t0, t1)
 
     def _check_end(self) -> None:
@@ -91,8 +91,8 @@ class Spline:
         if np.any(last):
             raise TrajectoryError(f"velocities ends with {last.tolist()}; expected zeros at the last point")
 
-    def _made(self) -> Pieces:
-        """The pieces through the points with all their derivatives chosen."""
+    def _interpolated(self) -> Pieces:
+        """Return the piecewise polynomial through the points with the free derivatives chosen."""
         times, (jets, free) = np.asarray(self.times), self._given()
         if self.start is not None:
             times = np.insert(times, 0, 0.0)
@@ -100,7 +100,7 @@ class Spline:
             free = np.concatenate([np.zeros((1, JETS), dtype=bool), free])
         try:
             with np.errstate(all="ignore"):
-                jets = without_overshoot(times, least_jerk(times, jets, free), free) if free.any() else jets
+                jets = without_overshoot(times, minimum_jerk(times, jets, free), free) if free.any() else jets
                 pieces = Pieces(times, jets)
         except np.linalg.LinAlgError:  # the system is not positive definite to rounding
             pieces = None
@@ -109,7 +109,7 @@ class Spline:
         return pieces
 
     def _given(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Jets (k, 5, n) of the points with zeros where none are given, and which of them are free (k, 5)."""
+        """Return the jets (k, 5, n) of the points, zero where not given, and the mask (k, 5) of the free ones."""
         rows = (self.positions, self.velocities, self.accelerations)
         k, n = np.shape(self.positions)
         jets, free = np.zeros((k, JETS, n)), np.ones((k, JETS), dtype=bool)
@@ -125,7 +125,7 @@ class Spline:
 
 
 def _points(name: str, value: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
-    """`value` as (k, n)."""
+    """Return `value` as finite numbers (k, n); raise TrajectoryError."""
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
@@ -154,7 +154,7 @@ def _check_times(times: Array, starts: bool) -> None:
     if len(times) < 2 and not starts:
         raise TrajectoryError("times has 1 point; expected at least 2, or 1 with start")
     if starts and times[0] < SHORTEST:
-        raise TrajectoryError(f"times begins with {times[0]} s; expected more than 0, where start is")
+        raise TrajectoryError(f"times begins with {times[0]} s; expected more than 0, the time of start")
     stalls = np.flatnonzero(np.diff(times) < SHORTEST)
     if len(stalls):
         i = int(stalls[0])

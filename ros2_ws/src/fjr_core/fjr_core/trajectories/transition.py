@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From one reference into another without a step in any of the four derivatives."""
+"""Transition between references that is continuous in the first four derivatives, and time shift."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from .reference import JETS, Reference
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """One polynomial of degree 9 in `way`, from its first time to its last, then `target`; made by join."""
+    """A polynomial of degree 9, `segment`, followed by `target`; created by transition."""
 
-    way: Pieces
+    segment: Pieces
     target: Reference
 
     @property
@@ -29,42 +29,42 @@ class Joined:
         return self.target.n
 
     @property
-    def joined(self) -> float:
-        """Time [s] from which on it is the target."""
-        return float(self.way.times[-1])
+    def transition_end(self) -> float:
+        """Time [s] from which on the reference equals the target."""
+        return float(self.segment.times[-1])
 
     @property
     def end(self) -> float:
-        """The target's end, but not before it is joined."""
-        return max(self.joined, self.target.end)
+        """End [s] of the target, at least the end of the transition."""
+        return max(self.transition_end, self.target.end)
 
     def jets(self, t: ArrayLike) -> Array:
-        """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
         if not np.ndim(t):
-            return (self.way if t < self.joined else self.target).jets(t)  # type: ignore[operator]
+            return (self.segment if t < self.transition_end else self.target).jets(t)  # type: ignore[operator]
         t = np.asarray(t, dtype=float)
-        jets, before = self.target.jets(t), t < self.joined
-        jets[before] = self.way.jets(t[before])
+        jets, before = self.target.jets(t), t < self.transition_end
+        jets[before] = self.segment.jets(t[before])
         return jets
 
     def configurations(self, k: int) -> Array:
-        """k configurations (k, n) [rad]: a quarter of them on the way, the others the target's."""
-        times = np.linspace(self.way.times[0], self.joined, k // 4)
-        return np.vstack([self.way.jets(times)[:, 0], self.target.configurations(k - k // 4)])
+        """Return k configurations (k, n) [rad]: a quarter of them in the transition, the others of the target."""
+        times = np.linspace(self.segment.times[0], self.transition_end, k // 4)
+        return np.vstack([self.segment.jets(times)[:, 0], self.target.configurations(k - k // 4)])
 
     def extremes(self, t0: float, t1: float) -> Extremes:
-        """Bounds of position, velocity and acceleration from t0 to t1 [s]."""
-        if t0 >= self.joined:
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
+        if t0 >= self.transition_end:
             return self.target.extremes(t0, t1)
-        way = self.way.extremes(t0, min(t1, self.joined))
-        return way if t1 <= self.joined else way.with_other(self.target.extremes(self.joined, t1))
+        bounds = self.segment.extremes(t0, min(t1, self.transition_end))
+        return bounds if t1 <= self.transition_end else bounds.union(self.target.extremes(self.transition_end, t1))
 
 
 def join(jets0: ArrayLike, t0: float, target: Reference, duration: float) -> Joined:
-    """The reference with jets0 (5, n) at t0 [s] that is `target` from t0 + duration on, of class C^4 between.
+    """Return the reference with jets0 (5, n) at t0 [s] that equals `target` from t0 + duration [s] on.
 
-    Between, it is one polynomial of degree 9; before t0 it stands at its first position. Raises TrajectoryError
-    when jets0 has another shape or is not finite, or the duration is not positive.
+    The transition is one polynomial of degree 9, so the reference is of class C^4; before t0 it is constant. Raises
+    TrajectoryError if jets0 has a wrong shape or is not finite, or the duration is not positive.
     """
     jets0 = checks.finite("jets0", jets0, TrajectoryError)
     if jets0.shape != (JETS, target.n):
@@ -72,17 +72,17 @@ def join(jets0: ArrayLike, t0: float, target: Reference, duration: float) -> Joi
     positive("duration", duration)
     t0 = number("t0", t0)
     t1 = t0 + duration
-    while isinstance(target, Joined) and target.joined <= t1:
+    while isinstance(target, Joined) and target.transition_end <= t1:
         target = target.target
-    way = Pieces(np.array([t0, t1]), np.stack([jets0, target.jets(t1)]))
-    if not way.finite:
+    segment = Pieces(np.array([t0, t1]), np.stack([jets0, target.jets(t1)]))
+    if not segment.finite:
         raise TrajectoryError(f"duration is {duration} s at {t0} s; expected a longer one")
-    return Joined(way, target)
+    return Joined(segment, target)
 
 
 @dataclass(frozen=True, eq=False)
 class Shifted:
-    """`reference` with its time 0 at t0 [s]; made by shifted."""
+    """`reference` with its time 0 at t0 [s]; created by time_shifted."""
 
     reference: Reference
     t0: float
@@ -94,24 +94,24 @@ class Shifted:
 
     @property
     def end(self) -> float:
-        """The reference's end on the new time line."""
+        """End [s] of the reference in the shifted time."""
         return self.reference.end + self.t0
 
     def jets(self, t: ArrayLike) -> Array:
-        """q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
         return self.reference.jets(np.subtract(t, self.t0) if np.ndim(t) else t - self.t0)  # type: ignore[operator]
 
     def configurations(self, k: int) -> Array:
-        """k configurations (k, n) [rad], the reference's."""
+        """Return k configurations (k, n) [rad] of the reference."""
         return self.reference.configurations(k)
 
     def extremes(self, t0: float, t1: float) -> Extremes:
-        """Bounds of position, velocity and acceleration from t0 to t1 [s]."""
-        return self.reference.extremes(t0 - self.t0, t1 - self.t0).later(self.t0)
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
+        return self.reference.extremes(t0 - self.t0, t1 - self.t0).delayed(self.t0)
 
 
 def shifted(reference: Reference, t0: float) -> Reference:
-    """`reference` with its time 0 at t0 [s]. Raises TrajectoryError when t0 is not finite."""
+    """Return `reference` with its time 0 at t0 [s]. Raises TrajectoryError if t0 is not finite."""
     t0 = number("t0", t0)
     while isinstance(reference, Shifted):
         t0 += reference.t0

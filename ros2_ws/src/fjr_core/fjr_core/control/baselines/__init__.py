@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws that v-dPBC is compared with (docs/baselines.md): each as its paper has it, some with what users add too."""
+"""Baseline laws that v-dPBC is compared with (docs/baselines.md), as published; some also with common extensions."""

@@ -5,9 +5,9 @@ manipulators: a comparative study", Automatica 31(7), 1995.
     theta_d = q + K^-1 tau_d                   e_m = theta - theta_d      s_m = de_m + c_1 e_m + s
     B_m u   = M_m (ddtheta_d - c_1 de_m - ds - c_2 s_m) - K e_m + D_m dtheta + K (theta - q)
 
-The link stage is the law of Slotine and Li. The paper's unit weights of e_m and s_m are K and M_m here, which gives
-every term its unit. With c_1 = Lambda and c_2 M_m = K_2 + D_m this is the passivity-based law of the same paper; for
-other c_1, c_2 it is not. With
+The link stage is the law of Slotine and Li. The unit weights of e_m and s_m in the paper are replaced by K and M_m, so
+that all terms have consistent units. With c_1 = Lambda and c_2 M_m = K_2 + D_m this is the passivity-based law of the
+same paper; for other c_1, c_2 it is not. With
 V = (s' M_l s + e_m' K e_m + s_m' M_m s_m) / 2 + Lambda e' (K_1 + D_l) e
 
     dV/dt = -de' (K_1 + D_l) de - Lambda^2 e' (K_1 + D_l) e - c_1 e_m' K e_m - c_2 s_m' M_m s_m.
@@ -30,10 +30,9 @@ from .baseline import Baseline, damping, effort, rate
 
 @dataclass(frozen=True)
 class LinkStage:
-    """e = q - q_d, de, s = de + Lambda e, and the wanted spring torque tau_d; expressions (n,).
+    """Link errors e = q - q_d, de, s = de + Lambda e, and the desired joint torque tau_d; expressions (n,).
 
-    With theta_d so that the springs give tau_d at the error zero of the motors, M_l ds + (C_l + D_l + K_1) s = what
-    the springs give beyond tau_d.
+    The link error obeys M_l ds + (C_l + D_l + K_1) s = tau - tau_d, tau the joint torque.
     """
 
     e: ca.SX
@@ -43,7 +42,10 @@ class LinkStage:
 
 
 def link_stage(f: Flow, g: SimpleNamespace) -> LinkStage:
-    """tau_d = M_l ddq_r + C_l dq_r + D_l dq_r + grad P_l - K_1 s,  dq_r = dq_d - Lambda e; Lambda (1,), K_1 (n, n)."""
+    """Return the link stage (Slotine and Li) for gains Lambda (1,) [1/s] and K_1 (n, n) [N m s/rad].
+
+    tau_d = M_l ddq_r + C_l dq_r + D_l dq_r + grad P_l - K_1 s, dq_r = dq_d - Lambda e.
+    """
     links, m = f.robot.links, f.measured
     e, de = m.q_l - f.jets[:, 0], m.dq_l - f.jets[:, 1]
     dq_r = f.jets[:, 1] - g.Lambda * e
@@ -55,7 +57,7 @@ def link_stage(f: Flow, g: SimpleNamespace) -> LinkStage:
 
 @dataclass(frozen=True, eq=False)
 class BacksteppingGains:
-    """Lambda, c_1, c_2 [1/s]: numbers; K_1 [N m s/rad]: a scalar, (n,) or (n, n)."""
+    """Gains Lambda, c_1, c_2 [1/s], scalars, and K_1 [N m s/rad], a scalar, (n,) or (n, n)."""
 
     Lambda: float
     K_1: ArrayLike
@@ -63,16 +65,16 @@ class BacksteppingGains:
     c_2: float
 
     def arrays(self, robot: Robot) -> dict[str, Array]:
-        """Lambda, c_1, c_2 (1,), K_1 (n, n); raises GainsError."""
+        """Return Lambda, c_1, c_2 (1,) and K_1 (n, n); raise GainsError."""
         rates = {name: rate(name, getattr(self, name)) for name in ("Lambda", "c_1", "c_2")}
         return {**rates, "K_1": damping("K_1", self.K_1, robot.n, robot.D_l)}
 
 
 class Backstepping(Baseline):
-    """The law of this module."""
+    """Integrator backstepping (Brogliato, Ortega, Lozano 1995)."""
 
     def expressions(self, f: Flow, g: SimpleNamespace) -> tuple[ca.SX, ca.SX]:
-        """u and V."""
+        """Return u (n,) [N m] and V [J]."""
         robot, m, link = f.robot, f.measured, link_stage(f, g)
         theta_d = m.q_l + np.linalg.inv(robot.K) @ link.tau_d
         dtheta_d, ds = f.d(theta_d, link.s)
@@ -86,11 +88,11 @@ class Backstepping(Baseline):
 
     @property
     def hold_damping(self) -> Array:
-        """The motors' inertia times c_1 + c_2."""
+        """M_m (c_1 + c_2) (n, n) [N m s/rad]."""
         return np.asarray(self.robot.M_m * (self.arrays["c_1"] + self.arrays["c_2"]))
 
 
 def standard(robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan) -> BacksteppingGains:
-    """Links with two poles at -omega [rad/s], of the inertia at q_0; motors with the rates zeta omega."""
+    """Return gains with two link poles at -omega [rad/s] for the inertia at q_0, and motor rates zeta omega."""
     K_1 = omega * robot.M_l(q_0) - robot.D_l
     return BacksteppingGains(Lambda=omega, K_1=K_1, c_1=zeta * omega, c_2=zeta * omega)

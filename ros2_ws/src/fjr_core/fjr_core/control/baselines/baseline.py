@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the baseline laws share: gains as symbols, one expression of u and V along the flow of (x, t)."""
+"""Base class of the baseline laws: symbolic gains and expressions of u and V."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from ..vdpbc.symbolic_gains import ArraySymbols
 
 
 class BaselineGains(Protocol):
-    """Gains of a baseline as its paper has them."""
+    """Gains of a baseline, named as in its paper."""
 
     def arrays(self, robot: Robot) -> dict[str, Array]:
-        """All numbers that the law's equations take, by name; raises GainsError where the paper's condition fails."""
+        """Return the arrays of the law's equations by name; raise GainsError if the paper's conditions are violated."""
 
 
 class Baseline(StaticLaw):
-    """A law of a robot with given gains: u and V of what is measured, and of q_ld .. d4q_ld.
+    """A baseline law of a robot: u and V as functions of the measured motion and of q_ld .. d4q_ld.
 
-    compile: as machine code where the machine has a C compiler (numerics.jit); the same numbers to rounding.
-    Raises GainsError (see the gains) at birth, StateError for wrong shapes.
+    compile: compile to machine code if a C compiler is available (numerics.jit); results agree to rounding.
+    Raises GainsError (see the gains) on construction and StateError for wrong shapes.
     """
 
     def __init__(self, robot: Robot, gains: Any, compile: bool = False) -> None:
@@ -42,12 +42,12 @@ class Baseline(StaticLaw):
 
     @abstractmethod
     def expressions(self, f: Flow, g: SimpleNamespace) -> tuple[ca.SX, ca.SX]:
-        """u (n,) [N m] and V, nan where the law has none, of the flow's symbols at x_v = x and the gains g by name."""
+        """Return u (n,) [N m] and V [J] (nan without a storage) in the symbols of the flow f at x_v = x and gains g."""
 
     def with_gains(self, gains: Any) -> Baseline:
-        """The same law with other gains, whose measured_command is ready at once: nothing is built or compiled.
+        """Return the law with other gains; nothing is built or compiled.
 
-        Raises GainsError as at birth, and for a matrix with entries off the diagonal where this law's is diagonal.
+        Raises GainsError as the constructor does, and for a full matrix where the gain of this law is diagonal.
         """
         other = type(self)(self.robot, gains, self.compiles)
         other._symbols = self._symbols
@@ -57,11 +57,11 @@ class Baseline(StaticLaw):
 
     @property
     def gain_values(self) -> Array:
-        """The argument `gains` of measured_function."""
+        """The argument `gains` (g,) of measured_function."""
         return self._gain_values
 
     def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """The arguments of measured_function, and u and V as expressions of them."""
+        """Return the arguments of measured_function, and expressions of u and V."""
         n = self.robot.n
         f, symbols = flow(self.robot, diagonal=True), self._symbols
         u, V = self.expressions(f, SimpleNamespace(**symbols.symbols))
@@ -80,24 +80,27 @@ class Baseline(StaticLaw):
 
 
 def effort(robot: Robot, torque: ca.SX) -> ca.SX:
-    """u (n,) whose torque on the motors is B_m u."""
+    """Return the effort u (n,) [N m] for a motor torque B_m u (n,) [N m]."""
     return ca.DM(np.linalg.inv(robot.B_m)) @ torque
 
 
 def metric(name: str, value: Any, n: int) -> Array:
-    """A gain that must be a symmetric positive definite matrix (n, n)."""
+    """Return the gain as a matrix (n, n); raise GainsError unless it is symmetric positive definite."""
     return checks.positive_definite(name, checks.matrix(name, value, n, GainsError), GainsError)
 
 
 def damping(name: str, value: Any, n: int, own: Array) -> Array:
-    """A gain (n, n) that must be symmetric and, with the robot's own damping, positive definite."""
+    """Return the gain as a symmetric matrix (n, n).
+
+    Raises GainsError unless gain + own is positive definite; own (n, n): damping of the robot.
+    """
     array = checks.symmetric(name, checks.matrix(name, value, n, GainsError), GainsError)
     checks.positive_definite(f"{name} with the robot's own damping", array + own, GainsError)
     return array
 
 
 def rate(name: str, value: Any) -> Array:
-    """A gain that must be a positive number, as (1,)."""
+    """Return the gain as (1,); raise GainsError unless it is a positive number."""
     array = checks.finite(name, value, GainsError)
     if array.shape != () or not array > 0:
         raise GainsError(f"{name} is {array.tolist()}; expected a positive number")

@@ -5,9 +5,9 @@ Measurement and Control 109(4), 1987; A. De Luca, "Feedforward/feedback laws for
 
     d4q = d4q_d - A_3 (d3q - d3q_d) - A_2 (ddq - ddq_d) - A_1 (dq - dq_d) - A_0 (q - q_d)
 
-and u by the inverse dynamics of that motion, with ddq and d3q of the links from the model. So the link
-error obeys this linear equation exactly, and with z = (e, de, dde, d3e) and A' P + P A = -Q of its companion matrix A,
-V = z' P z / 2 has dV/dt = -z' Q z / 2. Q = diag(1, w^-2, w^-4, w^-6), w^4n = det A_0.
+and u follows from the inverse dynamics (inverse_dynamics.py) of this motion, with ddq and d3q of the links from the
+model. The link error obeys this linear equation exactly. With z = (e, de, dde, d3e) and A' P + P A = -Q for its
+companion matrix A, V = z' P z / 2 has dV/dt = -z' Q z / 2. Q = diag(1, w^-2, w^-4, w^-6), w^4n = det A_0.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from ..inverse_dynamics import motor_motion
 from ..lie_derivative import Flow
 from .baseline import Baseline, effort
 
-FAST_DAMPING = 0.7  # of the fast pair of poles
-QUICKEST = 0.4  # rad a sample: the fastest pole
+FAST_DAMPING = 0.7  # damping ratio of the fast pole pair
+FASTEST_POLE = 0.4  # rad per sample
 
 
 @dataclass(frozen=True, eq=False)
 class LinearErrorGains:
-    """A_0 [1/s^4] .. A_3 [1/s] of the error's equation: scalars, (n,) or (n, n)."""
+    """Coefficients A_0 [1/s^4] .. A_3 [1/s] of the error equation: scalars, (n,) or (n, n)."""
 
     A_0: ArrayLike
     A_1: ArrayLike
@@ -42,7 +42,7 @@ class LinearErrorGains:
     A_3: ArrayLike
 
     def arrays(self, robot: Robot) -> dict[str, Array]:
-        """A_0 .. A_3 (n, n) and P (4n, 4n); raises GainsError where the error would not decay."""
+        """Return A_0 .. A_3 (n, n) and P (4n, 4n); raise GainsError if the error equation is unstable."""
         arrays = {k: checks.matrix(k, getattr(self, k), robot.n, GainsError) for k in ("A_0", "A_1", "A_2", "A_3")}
         A = companion(*arrays.values())
         slowest = float(np.linalg.eigvals(A).real.max())
@@ -53,10 +53,10 @@ class LinearErrorGains:
 
 
 class FeedbackLinearisation(Baseline):
-    """The law of this module."""
+    """Full feedback linearisation (Spong 1987, De Luca 2000)."""
 
     def expressions(self, f: Flow, g: SimpleNamespace) -> tuple[ca.SX, ca.SX]:
-        """u and V."""
+        """Return u (n,) [N m] and V."""
         m = f.measured
         (d3q,) = f.d(m.ddq_l)
         motion = [m.q_l, m.dq_l, m.ddq_l, d3q]
@@ -67,27 +67,28 @@ class FeedbackLinearisation(Baseline):
 
     @property
     def hold_damping(self) -> Array:
-        """The motors' inertia times the mean of A_3."""
+        """M_m trace(A_3) / n (n, n) [N m s/rad]."""
         return np.asarray(self.robot.M_m * np.trace(self.arrays["A_3"]) / self.robot.n)
 
 
 def companion(A_0: Array, A_1: Array, A_2: Array, A_3: Array) -> Array:
-    """A (4n, 4n) with dz = A z."""
+    """Return the companion matrix A (4n, 4n), dz = A z."""
     n = len(A_0)
     return np.vstack([np.eye(4 * n)[n:], -np.hstack([A_0, A_1, A_2, A_3])])
 
 
 def weight(A_0: Array) -> Array:
-    """Q (4n, 4n)."""
+    """Return the weight Q (4n, 4n) of the Lyapunov equation."""
     w = abs(np.linalg.det(A_0)) ** (1 / (4 * len(A_0)))
     return np.kron(np.diag(w ** -np.array([0.0, 2.0, 4.0, 6.0])), np.eye(len(A_0)))
 
 
 def standard(robot: Robot, q_0: Array, omega: float, zeta: float, sample_period: float = 1e-3) -> LinearErrorGains:
-    """Two time scales: (s^2 + 2 zeta omega s + omega^2) (s^2 + 2 zeta_f F s + F^2), F = fast_rates, zeta_f = 0.7.
+    """Return gains with two time scales: (s^2 + 2 zeta omega s + omega^2) (s^2 + 2 zeta_f F s + F^2), zeta_f = 0.7.
 
-    omega [rad/s] and zeta give the bandwidth. Four poles at omega would have to slow the springs down: the effort for
-    that is M_m K^-1 M_l times the difference of two large numbers, and the hold alone leaves a large error.
+    omega [rad/s] and zeta set the bandwidth; F = fast_rates. Four poles at omega would slow the springs down: the
+    effort would be M_m K^-1 M_l times the difference of two large numbers, and the zero-order hold would leave a large
+    error.
     """
     one = np.eye(robot.n)
     F = fast_rates(robot, q_0, omega, sample_period)
@@ -101,11 +102,11 @@ def standard(robot: Robot, q_0: Array, omega: float, zeta: float, sample_period:
 
 
 def fast_rates(robot: Robot, q_0: Array, omega: float, sample_period: float) -> Array:
-    """F (n, n) [rad/s]: half the elastic modes of the links at q_0, within omega and QUICKEST a sample.
+    """Return F (n, n) [rad/s]: half the elastic frequencies at q_0, between omega and FASTEST_POLE / sample_period.
 
-    The modes are the roots of the eigenvalues of M_l^-1 K (M_m^-1 M_l + 1).
+    The squared frequencies are the eigenvalues of M_l^-1 K (M_m^-1 M_l + 1).
     """
     M_l = robot.M_l(q_0)
     squares, V = np.linalg.eig(np.linalg.solve(M_l, robot.K @ (np.linalg.solve(robot.M_m, M_l) + np.eye(robot.n))))
-    rates = np.maximum(np.minimum(np.sqrt(squares.real) / 2, QUICKEST / sample_period), omega)
+    rates = np.maximum(np.minimum(np.sqrt(squares.real) / 2, FASTEST_POLE / sample_period), omega)
     return np.asarray((V * rates @ np.linalg.inv(V)).real)

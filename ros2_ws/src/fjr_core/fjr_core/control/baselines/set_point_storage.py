@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Regulators on the motor side: their standing reference, the storage about it, and when that is positive."""
+"""Set point, storage function and positivity condition of the motor-side regulators."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from ...robot.equilibrium import rest_points
 from ...robot.robot import Robot
 from ..lie_derivative import Flow
 
-SAMPLED = 256  # configurations at which gravity is compared with the springs
+SAMPLED = 256  # configurations at which gravity is compared with the joint stiffness
 
 
-def standing_reference(f: Flow) -> tuple[ca.SX, ca.SX]:
-    """theta_d = q_d + K^-1 grad P_l(q_d) (n,) [rad] and its rate [rad/s]: rest of the motors, links at q_d."""
+def motor_set_point(f: Flow) -> tuple[ca.SX, ca.SX]:
+    """Return theta_d = q_d + K^-1 grad P_l(q_d) (n,) [rad], the motor equilibrium for q_d, and its rate [rad/s]."""
     q_d = f.jets[:, 0]
     theta_d = q_d + np.linalg.inv(f.robot.K) @ f.robot.links.grad_P_l(q_d)
     return theta_d, *f.d(theta_d)
 
 
 def storage(f: Flow, theta_d: ca.SX, dtheta_d: ca.SX, M_theta: ca.SX, K_theta: ca.SX) -> ca.SX:
-    """V [J]: energy of the errors with motors of inertia M_theta held by springs K_theta; Tomei 1991, eq. (10) there.
+    """Return V [J]: error energy with motor inertia M_theta and motor stiffness K_theta (Tomei 1991, eq. (10)).
 
     V = (de' M_l de + de_m' M_theta de_m + (e_m - e)' K (e_m - e) + e_m' K_theta e_m) / 2
         + P_l(q) - P_l(q_d) - e' grad P_l(q_d),   e = q - q_d, e_m = theta - theta_d, K (theta_d - q_d) = grad P_l(q_d).
@@ -40,21 +40,21 @@ def storage(f: Flow, theta_d: ca.SX, dtheta_d: ca.SX, M_theta: ca.SX, K_theta: c
 
 
 def check_position_gain(name: str, K_p: Array, robot: Robot) -> None:
-    """Raise GainsError unless the springs K and K_p outweigh gravity: then q_d is the only rest, and V has its minimum.
+    """Raise GainsError unless K and K_p outweigh gravity, so that q_d is the only equilibrium and the minimum of V.
 
-    The Hessian of V, [[K + N, -K], [-K, K + K_p]] with N that of P_l, is positive definite at all sampled
-    configurations. Tomei 1991 asks for more: the smallest eigenvalue without N above the largest |N|.
+    Condition: the Hessian of V, [[K + N, -K], [-K, K + K_p]] with N the Hessian of P_l, is positive definite at all
+    sampled configurations. Tomei 1991 requires more: its smallest eigenvalue for N = 0 exceeds the largest |N|.
     """
     smallest = float(np.linalg.eigvalsh(storage_hessians(robot, K_p))[:, 0].min())
     if not smallest > 0:
         raise GainsError(
             f"{name} and the joints' stiffness do not outweigh gravity: the Hessian of the storage has an eigenvalue "
-            f"of {smallest:.4g} N m/rad; expected positive ones, else a standing reference is no minimum (Tomei 1991)"
+            f"of {smallest:.4g} N m/rad; expected positive ones, else a constant reference is no minimum (Tomei 1991)"
         )
 
 
 def storage_hessians(robot: Robot, K_p: Array) -> Array:
-    """Hessians (k, 2n, 2n) [N m/rad] of V in (q, theta) over sampled configurations."""
+    """Return the Hessians (k, 2n, 2n) [N m/rad] of V in (q, theta) at sampled configurations."""
     K, N = robot.K, gravity_hessians(robot)
     blocks = np.block([[K, -K], [-K, K + K_p]])
     hessians = np.repeat(blocks[None], len(N), axis=0)
@@ -64,6 +64,6 @@ def storage_hessians(robot: Robot, K_p: Array) -> Array:
 
 @lru_cache(maxsize=8)
 def gravity_hessians(robot: Robot) -> Array:
-    """Hessians N (k, n, n) [N m/rad] of P_l over sampled configurations."""
+    """Return the Hessians N (k, n, n) [N m/rad] of P_l at sampled configurations."""
     N = rest_points(robot, checked_configurations(robot, None, SAMPLED)).N_l
     return np.asarray((N + N.transpose(0, 2, 1)) / 2)

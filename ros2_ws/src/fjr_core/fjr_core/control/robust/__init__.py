@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust action that the paper lacks: residual feed-forward, integral action, prediction over the loop delay."""
+"""Robust extensions of the paper: disturbance feedforward, integral action, Smith predictor for the loop delay."""
 
 from .law import RobustLaw, sampled_law
 from .options import Robust

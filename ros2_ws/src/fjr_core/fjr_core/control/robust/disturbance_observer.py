@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Torques that act beside the model, from the residual of the momenta.
+"""Estimate disturbance torques from the momentum residual.
 
 A. De Luca, R. Mattone, "Sensorless robot collision detection and hybrid force/motion control", ICRA 2005;
-A. De Luca, A. Albu-Schaeffer, S. Haddadin, G. Hirzinger, IROS 2006. With f the rates of the momenta that the model
-knows, dp = f + d, the residual obeys dr = L (d - r) exactly, whatever the robot does:
+A. De Luca, A. Albu-Schaeffer, S. Haddadin, G. Hirzinger, IROS 2006. With f the momentum rates of the model and d
+the disturbance, dp = f + d, the residual r obeys dr = L (d - r) exactly for every motion:
 
     r = L (p - p(0) - integral of (f + r) dt)
 
-Here over a sample period dt: d = (p - p_before) / dt - (f + f_before) / 2 is the mean of the torque (to dt^2), and
-r moves to it as for a constant one. What is fed forward to the links needs two rates, which r does not have without
-a measurement of d: w follows r by w'' = L^2 (r - w) - 2 L w', so that w, dw and d2w are known exactly, and
-w = (L / (s + L))^3 d altogether.
+In discrete time with sample period dt, d = (p - p_before) / dt - (f + f_before) / 2 is the mean disturbance to order
+dt^2, and r is updated with d held. The feedforward to the links needs two derivatives, which r does not provide without
+a measurement of d. w filters r by w'' = L^2 (r - w) - 2 L w', so that w, dw and d2w are known exactly:
+w = (L / (s + L))^3 d.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ from functools import cached_property
 import casadi as ca
 
 from ...numerics.casadi_function import dense_function
+from ...robot.coordinates import Coordinates
 from ...robot.port_hamiltonian import derivative_expression
 from ...robot.robot import Robot
 
 Terms = dict[str, ca.MX]
 
 
-class MomentumResidual:
-    """The estimates' part of a sample: from measured motion and the effort that acted to torques (n,) [N m]."""
+class DisturbanceObserver:
+    """Momentum-based disturbance observer: estimates torques (n,) [N m] from measured motion and the applied effort."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -35,35 +36,36 @@ class MomentumResidual:
         self.sizes = {"p": 2 * n, "f": 2 * n, "r": 2 * n, "w": n, "dw": n}
 
     def step(self, kept: Terms, position: ca.MX, velocity: ca.MX, acted: ca.MX, gains: ca.MX, dt: ca.MX) -> Terms:
-        """The parts anew. acted (n,): mean effort since the last sample; gains (2n,) [1/s]: of links, then motors.
+        """Return the updated state.
 
-        dt 0: a first sample, or one again.
+        acted (n,) [N m]: mean effort since the last sample. gains (2n,) [1/s]: links, then motors. dt [s]: time since
+        the last sample, 0 for the first sample or a repeated one.
         """
         n = self.robot.n
         p, f = self.momenta(position, velocity)
-        worked = ca.vertcat(ca.MX.zeros(n), ca.mtimes(ca.DM(self.robot.B_m), acted))
-        d = (p - kept["p"]) / ca.if_else(dt > 0, dt, 1) - (f + kept["f"]) / 2 - worked
+        applied = ca.vertcat(ca.MX.zeros(n), ca.mtimes(ca.DM(self.robot.B_m), acted))
+        d = (p - kept["p"]) / ca.if_else(dt > 0, dt, 1) - (f + kept["f"]) / 2 - applied
         r = kept["r"] + (1 - ca.exp(-gains * dt)) * (d - kept["r"])
-        w, dw = _followed(kept["w"], kept["dw"], (kept["r"][:n] + r[:n]) / 2, gains[:n], dt)
+        w, dw = _filtered(kept["w"], kept["dw"], (kept["r"][:n] + r[:n]) / 2, gains[:n], dt)
         return {"p": p, "f": f, "r": r, "w": w, "dw": dw}
 
     def fed_forward(self, parts: Terms, gains: ca.MX) -> ca.MX:
-        """The torque on the links with two rates (n, 3)."""
+        """Return the estimated link torque and its first two derivatives (n, 3)."""
         n = self.robot.n
         L, w, dw = gains[:n], parts["w"], parts["dw"]
         return ca.horzcat(w, dw, L**2 * (parts["r"][:n] - w) - 2 * L * dw)
 
     @cached_property
     def momenta(self) -> ca.Function:
-        """(position, velocity) -> momenta (2n,) and their rates (2n,) by eq. (36) without an effort."""
-        r, n = self.robot, self.robot.n
+        """(position, velocity) -> momenta (2n,) and their rates (2n,) by eq. (36) with u = 0."""
+        n = self.robot.n
         position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
-        p = ca.vertcat(r.links.M_l(position[:n]) @ velocity[:n], r.M_m @ velocity[n:])
-        f = derivative_expression(r, ca.vertcat(position, p), ca.SX.zeros(n))[2 * n :]
+        x = Coordinates(self.robot).to_momenta(position, velocity)
+        p, f = x[2 * n :], derivative_expression(self.robot, x, ca.SX.zeros(n))[2 * n :]
         return dense_function("momenta", {"position": position, "velocity": velocity}, {"p": p, "f": f}, cse=True)
 
 
-def _followed(w: ca.MX, dw: ca.MX, r: ca.MX, L: ca.MX, dt: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """w and dw after dt of w'' = L^2 (r - w) - 2 L w' with r held, exactly."""
+def _filtered(w: ca.MX, dw: ca.MX, r: ca.MX, L: ca.MX, dt: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """Return the exact solution w, dw after dt of w'' = L^2 (r - w) - 2 L w' with r constant."""
     e, c, decay = w - r, dw + L * (w - r), ca.exp(-L * dt)
     return r + (e + c * dt) * decay, (dw - L * c * dt) * decay

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A law with robust action, sample by sample: estimate the torques beside the model, predict, integrate, command."""
+"""Combine a law with robust action: estimate disturbances, predict the state, integrate, compute the effort."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from ...trajectories.reference import JETS
 from ..sampled_law import ARGUMENTS, BoundStep, MeasuredLaw, SampledLaw, Static, bound_step
 from ..static_law import StaticLaw
 from ..vdpbc.law import TrackingLaw
-from .disturbance_observer import MomentumResidual
-from .integral_action import Integral, gain_values
+from .disturbance_observer import DisturbanceObserver
+from .integral_action import IntegralAction, gain_values
 from .loaded_law import loaded_expression
 from .options import Robust
-from .packed_state import Parts
-from .smith_predictor import Model, Waiting
+from .packed_state import PackedVector
+from .smith_predictor import EffortBuffer, Predictor
 
 Terms = dict[str, ca.MX]
 
 
 def sampled_law(law: MeasuredLaw, robust: Robust | None = None) -> SampledLaw:
-    """The law as it is run: with robust action, Static where there is none. Raises GainsError."""
+    """Return the sampled law with the robust action requested, if any. Raises GainsError."""
     robust = (robust or Robust()).checked(law.robot.n)
     return Static(law) if robust.off else RobustLaw(law, robust)
 
 
 @dataclass(frozen=True, eq=False)
 class RobustLaw:
-    """A law with robust action, as a SampledLaw.
+    """A law with robust action, as a SampledLaw (docs/robust.md).
 
-    The torques that act beside the model are estimated at the sample; with them the state is predicted to when the
-    effort acts; there the law, which counts on the estimates and the integral, is evaluated. V is its storage there,
-    with the energy of the integral: docs/robust.md. Estimates and integral: for a TrackingLaw only.
-    Raises GainsError for options that do not fit.
+    Each sample estimates the disturbance torques, predicts the state at the time the effort acts, and evaluates there
+    the law that compensates the estimates and the integral. V is the storage at this state plus the energy of the
+    integral. Estimates and integral action require a TrackingLaw.
+    Raises GainsError for inconsistent options.
     """
 
     law: MeasuredLaw
@@ -50,23 +50,23 @@ class RobustLaw:
         object.__setattr__(self, "robust", self.robust.checked(self.robot.n))
         if (self.robust.estimates or self.robust.integrates) and not isinstance(self.law, TrackingLaw):
             raise GainsError(
-                f"robust action by estimates or an integral is for the law v_dpbc; expected none of it for a "
-                f"{type(self.law).__name__}"
+                f"robust action by estimates or an integral is enabled for a {type(self.law).__name__}; "
+                "expected it for the law v_dpbc only"
             )
 
     @property
     def robot(self) -> Robot:
-        """The robot that the law believes in."""
+        """The robot model of the law."""
         return self.law.robot
 
     @property
     def lead(self) -> float:
-        """How long after the sample the reference is taken [s]: where the state is predicted to."""
+        """Time [s] from the sample to the evaluation of the reference: the prediction horizon."""
         return self.robust.lead
 
     @property
     def gain_values(self) -> Array:
-        """The law's gains, then residual gains (2n,) and the integral's (gain_values), where they are used."""
+        """Gains of the law, then residual gains (2n,) and integral gains (integral_action.gain_values) if enabled."""
         r, values = self.robust, [self.law.gain_values]
         if r.estimates:
             values += [np.asarray(r.residual_gain), np.asarray(r.motor_residual_gain)]
@@ -77,7 +77,7 @@ class RobustLaw:
 
     @property
     def memory(self) -> Array:
-        """Zeros: nothing was seen."""
+        """Initial controller state: zeros."""
         return np.zeros(self._memory.size)
 
     @cached_property
@@ -86,13 +86,13 @@ class RobustLaw:
         n, g = self.robot.n, len(self.gain_values)
         sizes = {"position": 2 * n, "velocity": 2 * n, "gains": g, "memory": self._memory.size, "sent": n, "dt": 1}
         s = {name: ca.MX.sym(name, rows) for name, rows in sizes.items()} | {"jets": ca.MX.sym("jets", n, JETS)}
-        u, V, parts = self._sample(s, self._gains.split(s["gains"]), self._memory.split(s["memory"]))
+        u, V, parts = self._sample(s, self._gains.unpack(s["gains"]), self._memory.unpack(s["memory"]))
         inputs = {name: s[name] for name in ARGUMENTS}
-        return dense_function("robust_law", inputs, {"u": u, "V": V, "next": self._memory.join(parts)})
+        return dense_function("robust_law", inputs, {"u": u, "V": V, "next": self._memory.pack(parts)})
 
     @cached_property
     def ready_step(self) -> ca.Function:
-        """step_function as machine code where the law is."""
+        """step_function, compiled if the law is compiled."""
         law, r = self.law, self.robust
         if not isinstance(law, TrackingLaw):
             return law.ready(self.step_function) if isinstance(law, StaticLaw) else self.step_function
@@ -100,51 +100,57 @@ class RobustLaw:
         return law.derived(f"robust_law_{which}", lambda: self.step_function)
 
     def with_law(self, law: MeasuredLaw) -> RobustLaw:
-        """The same of a law made by `self.law.with_gains`: nothing is built again."""
+        """Return this robust law for a law made by `self.law.with_gains`; nothing is built again."""
         other = RobustLaw(law, self.robust)
         other.__dict__.update(step_function=self.step_function, ready_step=self.ready_step)
         return other
 
     def bound(self, position: Array, velocity: Array, jets: Array) -> BoundStep:
-        """A sample from these contiguous arrays (2n,), (2n,), (5, n), which each evaluation reads."""
+        """Bind a sample to contiguous arrays (2n,), (2n,), (5, n), which each evaluation reads."""
         return bound_step(self, position, velocity, jets, self.ready_step)
 
     def _sample(self, s: Terms, gains: Terms, kept: Terms) -> tuple[ca.MX, ca.MX, Terms]:
-        """u, V and the memory anew."""
-        parts = self._waiting.step(kept, s["sent"], s["dt"]) if self._waits else {}
-        known, beside = self._estimated(s, gains, kept, parts)
+        """Return u, V and the parts of the new controller state."""
+        parts = self._buffer.step(kept, s["sent"], s["dt"]) if self._buffers else {}
+        known, disturbance = self._estimated(s, gains, kept, parts)
         integral = ca.MX.zeros(2 * self.robot.n)
         if self.robust.integrates:
             integral = self._integral.step(kept, s["sent"], s["dt"])
-        position, velocity = self._predicted(s, beside if self.robust.estimates else integral, parts)
+        position, velocity = self._predicted(s, disturbance if self.robust.estimates else integral, parts)
         if not (self.robust.estimates or self.robust.integrates):
             return *self.law.measured_expression(position, velocity, s["jets"], gains["law"]), parts
-        return self._commanded((position, velocity, s["jets"]), gains, known, beside, integral, parts)
+        return self._commanded((position, velocity, s["jets"]), gains, known, disturbance, integral, parts)
 
     def _estimated(self, s: Terms, gains: Terms, kept: Terms, parts: Terms) -> tuple[ca.MX, ca.MX]:
-        """Torque fed forward to the links with two rates (n, 3), and the estimates (2n,); fills `parts`."""
+        """Return the feedforward link torque with two derivatives (n, 3) and the estimates (2n,); update `parts`."""
         n = self.robot.n
         if not self.robust.estimates:
             return ca.MX.zeros(n, 3), ca.MX.zeros(2 * n)
-        acted, L = self._waiting.mean(parts, s["dt"]), gains["residual"]
-        parts |= self._residual.step(kept, s["position"], s["velocity"], acted, L, s["dt"])
-        return self._residual.fed_forward(parts, L), parts["r"]
+        acted, L = self._buffer.mean(parts, s["dt"]), gains["residual"]
+        parts |= self._observer.step(kept, s["position"], s["velocity"], acted, L, s["dt"])
+        return self._observer.fed_forward(parts, L), parts["r"]
 
-    def _predicted(self, s: Terms, beside: ca.MX, parts: Terms) -> tuple[ca.MX, ca.MX]:
-        """Position and velocity (2n,) when the effort acts, under torques beside the model (2n,)."""
+    def _predicted(self, s: Terms, disturbance: ca.MX, parts: Terms) -> tuple[ca.MX, ca.MX]:
+        """Return position and velocity (2n,) at the time the effort acts, under disturbance torques (2n,)."""
         r, position, velocity = self.robust, s["position"], s["velocity"]
         if not r.predicts:
             return position, velocity
-        acting = self._waiting.acting(parts, 0.0, r.delay)
+        acting = self._buffer.acting(parts, 0.0, r.delay)
         newest = ca.vertsplit(parts["efforts"], self.robot.n)[0]
-        return self._model.after(position, velocity, beside, [*acting, (newest, r.hold / 2)])
+        return self._predictor.predict(position, velocity, disturbance, [*acting, (newest, r.hold / 2)])
 
     def _commanded(
-        self, at: tuple[ca.MX, ca.MX, ca.MX], gains: Terms, known: ca.MX, beside: ca.MX, integral: ca.MX, parts: Terms
+        self,
+        at: tuple[ca.MX, ca.MX, ca.MX],
+        gains: Terms,
+        known: ca.MX,
+        disturbance: ca.MX,
+        integral: ca.MX,
+        parts: Terms,
     ) -> tuple[ca.MX, ca.MX, Terms]:
-        """u, V and the memory of the law that counts on these torques."""
+        """Return u, V and the new controller state of the law that compensates these torques."""
         n = self.robot.n
-        arguments = (*at, gains["law"], known, beside[n:] + integral[n:])
+        arguments = (*at, gains["law"], known, disturbance[n:] + integral[n:])
         if not self.robust.integrates:
             u, V, *_ = self._loaded(*arguments)
             return u, V, parts
@@ -153,38 +159,38 @@ class RobustLaw:
         return u, V + self._integral.energy(integral, gains), parts
 
     @property
-    def _waits(self) -> bool:
+    def _buffers(self) -> bool:
         return self.robust.estimates or self.robust.predicts
 
     @cached_property
-    def _gains(self) -> Parts:
+    def _gains(self) -> PackedVector:
         n, r = self.robot.n, self.robust
         residual = {"residual": 2 * n} if r.estimates else {}
         integral = self._integral.gain_sizes if r.integrates else {}
-        return Parts({"law": len(self.law.gain_values), **residual, **integral})
+        return PackedVector({"law": len(self.law.gain_values), **residual, **integral})
 
     @cached_property
-    def _memory(self) -> Parts:
+    def _memory(self) -> PackedVector:
         r = self.robust
-        sizes = self._waiting.sizes if self._waits else {}
-        sizes = sizes | (self._residual.sizes if r.estimates else {})
-        return Parts(sizes | (self._integral.sizes if r.integrates else {}))
+        sizes = self._buffer.sizes if self._buffers else {}
+        sizes = sizes | (self._observer.sizes if r.estimates else {})
+        return PackedVector(sizes | (self._integral.sizes if r.integrates else {}))
 
     @cached_property
-    def _waiting(self) -> Waiting:
-        return Waiting(self.robot.n, self.robust.delay, self.robust.hold)
+    def _buffer(self) -> EffortBuffer:
+        return EffortBuffer(self.robot.n, self.robust.delay, self.robust.hold)
 
     @cached_property
-    def _residual(self) -> MomentumResidual:
-        return MomentumResidual(self.robot)
+    def _observer(self) -> DisturbanceObserver:
+        return DisturbanceObserver(self.robot)
 
     @cached_property
-    def _integral(self) -> Integral:
-        return Integral(self.robot, self.robust.hold)
+    def _integral(self) -> IntegralAction:
+        return IntegralAction(self.robot, self.robust.hold)
 
     @cached_property
-    def _model(self) -> Model:
-        return Model(self.robot, self.robust.hold, self.robust.delay)
+    def _predictor(self) -> Predictor:
+        return Predictor(self.robot, self.robust.hold, self.robust.delay)
 
     @cached_property
     def _loaded(self) -> ca.Function:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law with torques that it knows of beside its model, and integral action against those that it does not."""
+"""Extend the law by compensation of known load torques and by integral action against unknown ones."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ OUTPUTS = ("u", "V", "dissipation", "port_m", "port_l")
 
 
 def loaded_expression(law: TrackingLaw, integrates: bool = True) -> ca.Function:
-    """The CasADi function of the law u(x, x, t) with a load, never machine code.
+    """Return the CasADi function of the law u(x, x, t) with a load, not compiled.
 
     (position (2n,), velocity (2n,), jets (n, 5), gains (g,), known (n, 3), matched (n,), integral (n,),
-    integral_gain (n, n)) -> OUTPUTS. known: torque on the links with two rates; matched (n,) [N m]: torque on the
-    motors; both are what the law counts on. integral (n,) [N m]: the state of the integral action, with
-    integral_gain [N m/rad], symmetric (flow.Load). V [J] without the energy of the integral. dissipation [W]: see
-    vdpbc.integral. port_m = s_m = dV/dp_m, port_l = dV/dp_l (n,) [rad/s]. integrates: False leaves out the last two
-    arguments and port_l, which cost as much as the law.
+    integral_gain (n, n)) -> OUTPUTS. known: link torque with two derivatives. matched (n,) [N m]: motor torque. The law
+    compensates both. integral (n,) [N m]: state of the integral action with the symmetric gain integral_gain
+    [N m/rad] (lie_derivative.Load). V [J] without the energy of the integral. dissipation [W]: see
+    vdpbc.integral_action. port_m = s_m = dV/dp_m, port_l = dV/dp_l (n,) [rad/s]. integrates = False omits the last
+    two arguments and port_l, which cost as much as the law.
     """
     n = law.robot.n
     load, matched = Load.named(n, integrates), ca.SX.sym("matched", n)

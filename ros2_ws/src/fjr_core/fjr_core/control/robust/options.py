@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which robust action a law takes, as checked numbers; everything is off by default."""
+"""Options of the robust action of a law; everything is off by default."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from ...numerics.checks import Array
 GAINS = ("residual_gain", "motor_residual_gain", "integral_gain", "motor_integral_gain")
 HOLD = 1e-3  # s
 LONGEST_DELAY = 32  # samples of hold
-FASTEST = 1e4  # 1/s: no loop takes more
+FASTEST = 1e4  # 1/s, largest gain
 
 
 @dataclass(frozen=True, eq=False)
 class Robust:
-    """Robust action (docs/robust.md); each gain a scalar or (n,), 0 to FASTEST, 0 for none.
+    """Options of the robust action (docs/robust.md); each gain is a scalar or (n,), 0 (off) to FASTEST.
 
-    residual_gain [1/s]: rate L of the estimate of a torque on the links, fed forward. motor_residual_gain [1/s]: of
-    a torque on the motors. integral_gain [1/s]: rate at which the integral on the links takes up a torque there.
-    motor_integral_gain [1/s]: the same on the motors. delay [s]: of the loop, over which the state is predicted; 0:
-    no prediction. hold [s]: how long an effort is held, half of which counts too, and for two of
-    which at most a rate is integrated; the period of the states.
+    residual_gain [1/s]: bandwidth L of the estimate of the link disturbance, which is fed forward.
+    motor_residual_gain [1/s]: bandwidth of the estimate of the motor disturbance. integral_gain [1/s]: rate at which
+    the integral compensates a link torque. motor_integral_gain [1/s]: rate for a motor torque.
+    delay [s]: loop delay over which the state is predicted; 0 disables the prediction. hold [s]: hold period of the
+    effort, equal to the sample period; half of it is added to the prediction.
     """
 
     residual_gain: ArrayLike = 0.0
@@ -37,7 +37,7 @@ class Robust:
     hold: float = HOLD
 
     def checked(self, n: int) -> Robust:
-        """The same with gains (n,). Raises GainsError for what is out of range, not finite or of another shape."""
+        """Return the options with gains (n,). Raises GainsError for a wrong range or shape, or a non-finite value."""
         gains = {name: _gain(name, getattr(self, name), n) for name in GAINS}
         for name, value in (("delay", self.delay), ("hold", self.hold)):
             if not (np.isfinite(value) and value >= 0):
@@ -53,27 +53,27 @@ class Robust:
 
     @property
     def estimates(self) -> bool:
-        """Whether torques are estimated from momenta."""
+        """True if disturbance torques are estimated."""
         return bool(np.any(self.residual_gain) or np.any(self.motor_residual_gain))
 
     @property
     def integrates(self) -> bool:
-        """Whether there is integral action."""
+        """True with integral action."""
         return bool(np.any(self.integral_gain) or np.any(self.motor_integral_gain))
 
     @property
     def predicts(self) -> bool:
-        """Whether the state is predicted."""
+        """True if the state is predicted."""
         return self.delay > 0
 
     @property
     def off(self) -> bool:
-        """Whether there is none of all this."""
+        """True without any robust action."""
         return not (self.estimates or self.integrates or self.predicts)
 
     @property
     def lead(self) -> float:
-        """How far the state is predicted [s]: the delay and half of the hold."""
+        """Prediction horizon [s]: the delay plus half of the hold period."""
         return self.delay + self.hold / 2 if self.predicts else 0.0
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state when an effort will act: predicted by the model under the efforts that were sent and still act.
+"""Smith predictor: predict the state at the time an effort acts, under the efforts already sent.
 
-An effort sent for the sample at t acts from t + delay until the next one does. So between a sample and `delay` later
-the efforts that act are known, and the model predicts the state there; the new effort is then held, and stands for
-its mean: half of the hold is predicted over too, under the newest of the efforts sent.
+An effort sent for the sample at t acts from t + delay until the next one does. The efforts that act between a sample
+and `delay` later are therefore known, and the model predicts the state at that time. The new effort is then held; to
+account for the mean delay of the hold, the prediction extends over half of the hold period under the newest effort.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import numpy as np
 
 from ...numerics.casadi_function import dense_function
 from ...numerics.integrators import rk4_expression
-from ...robot.coordinates import velocity_function
+from ...robot.coordinates import Coordinates
 from ...robot.port_hamiltonian import derivative_expression
 from ...robot.robot import Robot
 
-LONGEST_STEP = 2.5e-4  # s of the integrator in a regular hold
-LATE = 0.1  # of a hold: what an effort may act longer than one before it is split
+LONGEST_STEP = 2.5e-4  # s, integrator step within one hold period
+HOLD_TOLERANCE = 0.1  # of a hold period: an effort that acts longer than 1 + this is integrated in several parts
 Terms = dict[str, ca.MX]
 
 
-class Waiting:
-    """The efforts sent of the last samples, with their ages; the last `count` are kept, enough for the delay [s]."""
+class EffortBuffer:
+    """The last `count` efforts sent with their ages [s], enough to cover the delay [s]."""
 
     def __init__(self, n: int, delay: float, hold: float) -> None:
         self.delay = delay
@@ -34,16 +34,16 @@ class Waiting:
         self.sizes = {"efforts": n * self.count, "ages": self.count}
 
     def step(self, kept: Terms, sent: ca.MX, dt: ca.MX) -> Terms:
-        """The parts anew: `sent` answered the sample dt [s] before this one; dt 0: it acted before the first one."""
+        """Return the updated buffer. sent (n,) [N m]: effort of the sample dt [s] ago; dt = 0 at the first sample."""
         before = ca.if_else(dt > 0, kept["efforts"], ca.repmat(sent, self.count, 1))
         efforts = [sent, *ca.vertsplit(before, self._n)]
         ages = [dt, *(age + dt for age in ca.vertsplit(kept["ages"]))]
         return {"efforts": ca.vertcat(*efforts[:-1]), "ages": ca.vertcat(*ages[:-1])}
 
     def acting(self, parts: Terms, start: ca.MX | float, end: ca.MX | float) -> list[tuple[ca.MX, ca.MX]]:
-        """Efforts (n,) and for how long [s] each acts between start and end (from now), the oldest first.
+        """Return the efforts (n,) that act between start and end [s] from now and their durations [s], oldest first.
 
-        Before the oldest, it.
+        The oldest effort also acts at all earlier times.
         """
         efforts, ages = ca.vertsplit(parts["efforts"], self._n), ca.vertsplit(parts["ages"])
         begins = [self.delay - age for age in ages]
@@ -53,78 +53,69 @@ class Waiting:
         return list(zip(efforts, lengths, strict=True))[::-1]
 
     def mean(self, parts: Terms, dt: ca.MX) -> ca.MX:
-        """The mean effort (n,) that acted in the dt [s] before this sample."""
+        """Return the mean effort (n,) over the dt [s] before this sample."""
         pairs = self.acting(parts, -dt, 0.0)
         return sum(length * u for u, length in pairs) / ca.if_else(dt > 0, dt, 1)
 
 
-class Model:
-    """The robot's motion under efforts and torques, each held for at most max(hold, longest) [s], in what is measured.
+class Predictor:
+    """Predict the measured motion of the robot under piecewise constant efforts and torques.
 
-    An effort that acts longer than a hold (at the first sample, after a gap) is one that acts several times.
+    Each piece lasts at most max(hold, longest) [s]. A piece longer than a hold period (first sample, gap) is integrated
+    in several parts.
     """
 
     def __init__(self, robot: Robot, hold: float, longest: float = 0.0) -> None:
         self.robot, self._steps = robot, max(1, int(np.ceil(hold / LONGEST_STEP - 1e-9)))
-        self._hold, self._holds = hold, max(1, int(np.ceil(longest / hold - LATE)))
+        self._coordinates = Coordinates(robot)
+        self._hold, self._holds = hold, max(1, int(np.ceil(longest / hold - HOLD_TOLERANCE)))
 
-    def after(
+    def predict(
         self, position: ca.MX, velocity: ca.MX, torque: ca.MX, parts: list[tuple[ca.MX, ca.MX]]
     ) -> tuple[ca.MX, ca.MX]:
-        """Position and velocity (2n,) after efforts (n,) for times [s], one after another; torque (2n,): beside."""
+        """Return position and velocity (2n,) after parts (effort (n,), duration [s]); torque (2n,): disturbance."""
         n = self.robot.n
-        x = self._to_state(position, velocity)
+        x = self._coordinates.to_momenta(position, velocity)
         for u, length in parts:
-            x = self._held(x, ca.vertcat(u, torque), length)
-        return x[: 2 * n], self._to_velocity(x)
+            x = self._held_step(x, ca.vertcat(u, torque), length)
+        return x[: 2 * n], self._coordinates.to_velocities(x)
 
     @cached_property
-    def _held(self) -> ca.Function:
-        """_moved in as many equal parts as there are holds in dt; the others are not run."""
+    def _held_step(self) -> ca.Function:
+        """Apply _step in as many equal parts as dt has hold periods."""
         if self._holds == 1:
-            return self._moved
+            return self._step
         n = self.robot.n
         x, inputs, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("inputs", 3 * n), ca.MX.sym("dt")
-        count = ca.fmin(ca.fmax(ca.ceil(dt / self._hold - LATE), 1), self._holds)
-        part = ca.Function.if_else("part", self._moved, self._rests)
-        after = self._moved(x, inputs, dt / count)
+        count = ca.fmin(ca.fmax(ca.ceil(dt / self._hold - HOLD_TOLERANCE), 1), self._holds)
+        part = ca.Function.if_else("part", self._step, self._identity)
+        after = self._step(x, inputs, dt / count)
         for k in range(1, self._holds):
             after = part(k < count, after, inputs, dt / count)
         return dense_function("held", {"x": x, "inputs": inputs, "dt": dt}, {"after": after})
 
     @cached_property
-    def _rests(self) -> ca.Function:
+    def _identity(self) -> ca.Function:
         n = self.robot.n
         x, inputs, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("inputs", 3 * n), ca.MX.sym("dt")
-        return dense_function("rests", {"x": x, "inputs": inputs, "dt": dt}, {"after": x})
+        return dense_function("identity", {"x": x, "inputs": inputs, "dt": dt}, {"after": x})
 
     @cached_property
-    def _moved(self) -> ca.Function:
+    def _step(self) -> ca.Function:
         n = self.robot.n
         x, inputs, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("inputs", 3 * n), ca.MX.sym("dt")
         after = x
         for _ in range(self._steps):
             after = rk4_expression(self._dynamics, after, (inputs, inputs, inputs), dt / self._steps)
-        return dense_function("moved", {"x": x, "inputs": inputs, "dt": dt}, {"after": after})
+        return dense_function("step", {"x": x, "inputs": inputs, "dt": dt}, {"after": after})
 
     @cached_property
     def _dynamics(self) -> ca.Function:
-        """(x, (u, torque on links, torque on motors)) -> dx."""
+        """(x, (u, link torque, motor torque)) -> dx."""
         n = self.robot.n
         x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", 3 * n)
         dx = derivative_expression(self.robot, x, inputs[:n]) + ca.vertcat(ca.SX.zeros(2 * n), inputs[n:])
-        return dense_function("dynamics_beside", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
-
-    @cached_property
-    def _to_state(self) -> ca.Function:
-        r, n = self.robot, self.robot.n
-        position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
-        x = ca.vertcat(position, r.links.M_l(position[:n]) @ velocity[:n], r.M_m @ velocity[n:])
-        return dense_function("to_state", {"position": position, "velocity": velocity}, {"x": x})
-
-    @cached_property
-    def _to_velocity(self) -> ca.Function:
-        return velocity_function(self.robot)
+        return dense_function("disturbed_dynamics", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
 
 
 def _within(t: ca.MX | float, start: ca.MX | float, end: ca.MX | float) -> ca.MX:

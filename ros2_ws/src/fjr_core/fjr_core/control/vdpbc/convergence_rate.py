@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rate beta at which V decays: block by block, and as eq. (50) has it."""
+"""Compute the convergence rate beta of V: per error block, and by eq. (50)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .gains import CheckedGains, relative_eigenvalues
 class Rate:
     """Rates [1/s]: V(t) <= V(0) exp(-2 beta t) in continuous time with omega = 0.
 
-    beta = min(beta_l, beta_m, beta_sigma_l, beta_sigma_m); beta_paper is eq. (50), never larger.
-    proven: M_l was covered for every q_l. Otherwise beta and beta_paper are the minimum over the
-    sampled configurations, an upper estimate of the true ones.
+    beta = min(beta_l, beta_m, beta_sigma_l, beta_sigma_m). beta_paper is eq. (50); it never exceeds beta.
+    proven: the rates hold for every q_l. Otherwise beta and beta_paper are minima over the sampled configurations,
+    and the true rates may be smaller.
     """
 
     beta: float
@@ -32,11 +32,11 @@ class Rate:
 
 
 NO_RATE = Rate(*(float("nan"),) * 6, proven=False)
-"""Of a law without one."""
+"""Rate of a law without a proven or sampled rate."""
 
 
 def rate(robot: Robot, gains: CheckedGains, configurations: ArrayLike | None = None) -> Rate:
-    """Rates of the law, from the vertices of M_l where they are known, else from configurations (k, n) [rad]."""
+    """Return the rates of the law from the vertices of M_l if known, else from configurations (k, n) [rad]."""
     proven = configurations is None and robot.links.M_l_vertices is not None
     samples = () if proven else checked_configurations(robot, configurations, RATE_CONFIGURATIONS)
     inertias = [robot.M_l(q_l) for q_l in samples] or list(robot.links.M_l_vertices or ())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gains of the law, and the conditions (32) and (41) under which its proof holds."""
+"""Define the gains of v-dPBC and check conditions (32) and (41) of its stability proof."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from ...numerics.checks import Array
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """phi = Lambda qt + Gamma qt^3 (componentwise cube), metrics Pi and injected damping K_d, for _l and _m.
+    """Gains of v-dPBC for links (_l) and motors (_m): phi = Lambda qt + Gamma qt^3 (componentwise), Pi and K_d.
 
-    Lambda [1/s], Pi [N m/rad], K_ld and K_md [N m s/rad], Gamma [1/(s rad^2)]; each a scalar, a vector
-    (n,) (diagonal) or a matrix (n, n).
+    Lambda [1/s], metric Pi [N m/rad], injected damping K_ld and K_md [N m s/rad], Gamma [1/(s rad^2)]; each a
+    scalar, a vector (n,) (diagonal) or a matrix (n, n).
     """
 
     Lambda_l: ArrayLike
@@ -32,10 +32,10 @@ class Gains:
     Gamma_m: ArrayLike = 0.0
 
     def checked(self, n: int) -> CheckedGains:
-        """The gains as matrices for n joints.
+        """Return the gains as matrices (n, n) for n joints.
 
-        Raises GainsError for a wrong shape or a non-finite entry, Pi or K_d not symmetric positive
-        definite, or condition (32) or (41) broken.
+        Raises GainsError for a wrong shape, a non-finite entry, Pi or K_d that is not symmetric positive definite,
+        or a violation of condition (32) or (41).
         """
         arrays = {f.name: checks.matrix(f.name, getattr(self, f.name), n, GainsError) for f in fields(self)}
         for name in ("Pi_l", "K_ld", "Pi_m", "K_md"):
@@ -51,7 +51,7 @@ class Gains:
 
 @dataclass(frozen=True, eq=False)
 class CheckedGains:
-    """Gains as (n, n) matrices that satisfy (32) and (41), with the rates beta_l and beta_m [1/s] they give."""
+    """Gains as (n, n) matrices that satisfy (32) and (41), with the resulting rates beta_l and beta_m [1/s]."""
 
     Lambda_l: Array
     Pi_l: Array
@@ -66,14 +66,14 @@ class CheckedGains:
 
 
 PAPER_GAINS = Gains(Lambda_l=10.0, Pi_l=20.0, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=0.3)
-"""Table 1 (Pi_l = 2 Lambda_l, Pi_m = 4 Lambda_m)."""
+"""Gains of Table 1 (Pi_l = 2 Lambda_l, Pi_m = 4 Lambda_m)."""
 
 
 def _position_rate(side: str, Lambda: Array, Gamma: Array, Pi: Array) -> float:
-    """The largest beta with Pi dphi + dphi' Pi >= 2 beta Pi for every error: condition (32), (41).
+    """Return the largest beta with Pi dphi + dphi' Pi >= 2 beta Pi for every error: condition (32), (41).
 
-    dphi = Lambda + 3 Gamma diag(qt^2). The cubic part must not subtract for any qt: sym(Pi Gamma e_i e_i')
-    >= 0 for every i holds just when Pi Gamma is diagonal and nonnegative; it vanishes at qt = 0.
+    dphi = Lambda + 3 Gamma diag(qt^2). The cubic part must be nonnegative for every qt: sym(Pi Gamma e_i e_i') >= 0
+    for every i holds if and only if Pi Gamma is diagonal and nonnegative. It vanishes at qt = 0.
     """
     equation = {"l": "(32)", "m": "(41)"}[side]
     product = Pi @ Gamma
@@ -93,7 +93,7 @@ def _position_rate(side: str, Lambda: Array, Gamma: Array, Pi: Array) -> float:
 
 
 def critical_damping(M: Array, K: Array) -> Array:
-    """Damping D (n, n) [N m s/rad] with which M ddq + D dq + K q = 0 is critically damped in every mode.
+    """Return the damping D (n, n) [N m s/rad] that makes every mode of M ddq + D dq + K q = 0 critically damped.
 
     D = 2 M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2 for symmetric positive definite M [kg m^2] and K [N m/rad].
     """
@@ -104,6 +104,6 @@ def critical_damping(M: Array, K: Array) -> Array:
 
 
 def relative_eigenvalues(A: Array, B: Array) -> Array:
-    """Eigenvalues (n,), ascending, of symmetric A relative to symmetric positive definite B: A v = lambda B v."""
+    """Return the eigenvalues (n,) of A v = lambda B v in ascending order; A symmetric, B positive definite."""
     L_inverse = np.linalg.inv(np.linalg.cholesky(B))
     return np.asarray(np.linalg.eigvalsh(L_inverse @ A @ L_inverse.T), dtype=float)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law u(x_v, x, t) with its storage V and exact dissipation, as functions of numbers."""
+"""Evaluate the v-dPBC law u(x_v, x, t) with its storage V and exact dissipation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...numerics.casadi_function import NumericFunction, dense_function
 from ...numerics.checks import Array
-from ...numerics.jit_cache import recalled
+from ...numerics.jit_cache import compiled_from_inputs
 from ...robot.robot import Robot
 from ...trajectories.reference import REFERENCE_DERIVATIVES
 from ..lie_derivative import Flow, flow
@@ -26,7 +26,7 @@ from .symbolic_gains import GainSymbols, GainTerms, terms
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The law and its certificate at one instant; dV = -dissipation + s_m' omega, exactly.
+    """The law and its certificate at one instant; dV = -dissipation + s_m' omega holds exactly.
 
     u, u_l (n,) [N m], q_md, q_tilde_l, q_tilde_m (n,) [rad], sigma_l, sigma_m (n,) [N m s],
     V [J], dissipation and dV [W].
@@ -45,13 +45,13 @@ class Evaluation:
 
 
 class TrackingLaw(StaticLaw):
-    """The tracking law of a robot with given gains; pure functions of (x_v, x, jets, omega), bound once.
+    """The v-dPBC tracking law of a robot, eqs. (30)-(33) and (39)-(42), as pure functions of (x_v, x, jets, omega).
 
     The controller applies u(x, x, t); analysis uses x_v != x. x_v and x are states (4n,) with momenta,
     jets (5, n) holds q_ld .. d4q_ld, omega (n,) [N m] is the external input of eq. (42).
-    compile: as machine code where the machine has a C compiler (numerics.jit); the same numbers to rounding.
-    Raises GainsError (see Gains.checked) at birth, StateError for wrong shapes. Nothing is limited and
-    nothing non-finite is caught here: that is the caller's.
+    compile: compile to machine code if a C compiler is available (numerics.jit); results agree to rounding.
+    Raises GainsError (see Gains.checked) on construction and StateError for wrong shapes. Efforts are neither
+    saturated nor checked for finite values; that is the caller's duty.
     """
 
     def __init__(self, robot: Robot, gains: Gains, compile: bool = False) -> None:
@@ -60,9 +60,9 @@ class TrackingLaw(StaticLaw):
         self.compiles = compile
 
     def with_gains(self, gains: Gains) -> TrackingLaw:
-        """The same law with other gains, whose measured_command is ready at once: nothing is built or compiled.
+        """Return the law with other gains; nothing is built or compiled.
 
-        Raises GainsError as at birth, and for a matrix with entries off the diagonal where this law's is diagonal.
+        Raises GainsError as the constructor does, and for a full matrix where the gain of this law is diagonal.
         """
         other = TrackingLaw(self.robot, gains, self.compiles)
         other._symbols, other.measured_function = self._symbols, self.measured_function
@@ -70,42 +70,42 @@ class TrackingLaw(StaticLaw):
         return other
 
     def effort(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Array:
-        """Effort u (n,) [N m], eq. (42)."""
+        """Return the effort u (n,) [N m], eq. (42)."""
         return self._effort(x_v, x, jets, omega)[0]
 
     def evaluate(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Evaluation:
-        """The effort with all errors, the storage V of eq. (43) (undifferentiated) and its exact rate."""
+        """Return the effort, all errors, the storage V of eq. (43) (undifferentiated) and its exact rate."""
         results = self._evaluate(x_v, x, jets, omega)
         u, u_l, q_md, q_tilde_l, sigma_l, q_tilde_m, sigma_m = results[:7]
         V, dissipation, dV = (float(result[0]) for result in results[7:])
         return Evaluation(u, u_l, q_md, q_tilde_l, sigma_l, q_tilde_m, sigma_m, V, dissipation, dV)
 
     def rate(self, configurations: ArrayLike | None = None) -> Rate:
-        """Rates beta and eq. (50) [1/s], proven where M_l is covered, else sampled at configurations (k, n)."""
+        """Return the convergence rates [1/s], proven if the vertices of M_l are known, else sampled (k, n)."""
         return rate(self.robot, self.gains, configurations)
 
     @cached_property
     def function(self) -> ca.Function:
-        """The CasADi function (x_v, x, jets (n, 5), omega) -> u, with derivatives."""
+        """The CasADi function (x_v, x, jets (n, 5), omega) -> u; differentiable."""
         return self._function("effort", {"u"})
 
     @cached_property
     def errors_function(self) -> ca.Function:
-        """The CasADi function (x_v, x, jets (n, 5), omega) -> q_tilde_l, sigma_l, q_tilde_m, sigma_m; derivable."""
+        """The CasADi function (x_v, x, jets (n, 5), omega) -> q_tilde_l, sigma_l, q_tilde_m, sigma_m."""
         return self._function("errors", {"q_tilde_l", "sigma_l", "q_tilde_m", "sigma_m"})
 
     @cached_property
     def command_function(self) -> ca.Function:
-        """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; machine code if that was asked for."""
+        """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; compiled if requested."""
         return self.ready(self._function("command", {"u", "V"}, diagonal=True))
 
     def measured_expressions(
         self, f: Flow | None = None, omega: ca.SX | None = None
     ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """The arguments of measured_function, and all that Evaluation names, with s_m, as expressions of them.
+        """Return the arguments of measured_function, and expressions of the fields of Evaluation, s_m and port_l.
 
-        f: a flow at x_v = x, e.g. with a load; omega (n,) [N m]: of eq. (42), zero if not given. port_l: dV/dp_l (n,)
-        [rad/s], where the flow has a load with an integral.
+        f: flow at x_v = x, e.g. with a load. omega (n,) [N m]: input of eq. (42), zero by default.
+        port_l = dV/dp_l (n,) [rad/s], defined if the flow has a load with integral action.
         """
         n, symbols = self.robot.n, self._symbols
         f = flow(self.robot, diagonal=True) if f is None else f
@@ -116,17 +116,19 @@ class TrackingLaw(StaticLaw):
         return inputs, dict(zip(outputs, values, strict=True))
 
     def derived(self, name: str, build: Callable[[], ca.Function]) -> ca.Function:
-        """What `build` derives from robot and shape of the gains; as machine code, which is found again, where so."""
-        return recalled(name, self.robot.fingerprint(), self._symbols.pattern, build) if self.compiles else build()
+        """Return build(), a function of the robot and the gain pattern; if the law is compiled, from the code cache."""
+        if not self.compiles:
+            return build()
+        return compiled_from_inputs(name, self.robot.fingerprint(), self._symbols.pattern, build)
 
     @property
     def gain_values(self) -> Array:
-        """The argument `gains` of measured_function."""
+        """The argument `gains` (g,) of measured_function."""
         return self._gain_values
 
     @property
     def hold_damping(self) -> Array:
-        """K_md."""
+        """Injected motor damping K_md (n, n) [N m s/rad]."""
         return self.gains.K_md
 
     @cached_property
@@ -149,12 +151,12 @@ class TrackingLaw(StaticLaw):
         n = self.robot.n
         return NumericFunction(self.ready(function), ((4 * n,), (4 * n,), (REFERENCE_DERIVATIVES + 1, n), (n,)))
 
-    def _function(self, name: str, wanted: Set[str], diagonal: bool = False) -> ca.Function:
-        """(x_v, x, jets, omega) -> the wanted values in Evaluation's order; (x, jets) -> at x_v = x, omega = 0."""
+    def _function(self, name: str, names: Set[str], diagonal: bool = False) -> ca.Function:
+        """Build (x_v, x, jets, omega) -> the outputs named; diagonal: (x, jets) -> outputs at x_v = x, omega = 0."""
         n = self.robot.n
         f, omega = flow(self.robot, diagonal), ca.SX.zeros(n) if diagonal else ca.SX.sym("omega", n)
         x_v, x = ca.SX.sym("x_v", 4 * n), ca.SX.sym("x", 4 * n)
-        outputs = {key: value for key, value in self._expressions(f, terms(self.gains), omega).items() if key in wanted}
+        outputs = {key: value for key, value in self._expressions(f, terms(self.gains), omega).items() if key in names}
         values = f.at(x_v, x, *outputs.values())
         inputs = {"x": x, "jets": f.jets} if diagonal else {"x_v": x_v, "x": x, "jets": f.jets, "omega": omega}
         return dense_function(name, inputs, dict(zip(outputs, values, strict=True)), cse=True)
@@ -179,7 +181,7 @@ class TrackingLaw(StaticLaw):
         }
 
     def _dissipation(self, g: GainTerms, link: LinkStage, motor: MotorStage) -> ca.SX:
-        """-dV/dt for omega = 0: qt_l' Pi_l phi_l + s_l' (D_l + K_ld) s_l + the same of the motors."""
+        """-dV/dt [W]: qt_l' Pi_l phi_l + s_l' (D_l + K_ld) s_l + qt_m' Pi_m phi_m + s_m' (D_m + K_md) s_m."""
         r = self.robot
         d_l = ca.dot(link.q_tilde_l, g.Pi_l @ g.phi_l(link.q_tilde_l)) + ca.dot(link.s_l, (r.D_l + g.K_ld) @ link.s_l)
         d_m = ca.dot(motor.q_tilde_m, g.Pi_m @ g.phi_m(motor.q_tilde_m))
@@ -187,7 +189,7 @@ class TrackingLaw(StaticLaw):
 
 
 def _storage(g: GainTerms, link: LinkStage, motor: MotorStage) -> ca.SX:
-    """V = (qt_l' Pi_l qt_l + s_l' sigma_l + qt_m' Pi_m qt_m + s_m' sigma_m) / 2, eq. (43) integrated."""
+    """V [J] = (qt_l' Pi_l qt_l + s_l' sigma_l + qt_m' Pi_m qt_m + s_m' sigma_m) / 2, eq. (43) integrated."""
     V_l = ca.dot(link.q_tilde_l, g.Pi_l @ link.q_tilde_l) + ca.dot(link.s_l, link.sigma_l)
     V_m = ca.dot(motor.q_tilde_m, g.Pi_m @ motor.q_tilde_m) + ca.dot(motor.s_m, motor.sigma_m)
     return (V_l + V_m) / 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The link stage, eqs. (30)-(33): the torque u_l that the springs would have to give."""
+"""Link stage, eqs. (30)-(33): the desired joint torque u_l."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .symbolic_gains import GainTerms
 
 @dataclass(frozen=True)
 class LinkStage:
-    """Errors of the links and the wanted spring torque, as expressions (n,)."""
+    """Link errors and the desired joint torque u_l, as expressions (n,)."""
 
     q_tilde_l: ca.SX
     s_l: ca.SX
@@ -22,11 +22,11 @@ class LinkStage:
 
 
 def link_stage(flow: Flow, gains: GainTerms) -> LinkStage:
-    """The link stage of the law; M_l, C_l, D_l at the measured state, P_l at the virtual q_lv.
+    """Return the link stage; M_l, C_l and D_l at the measured state, P_l at the virtual q_lv.
 
-    With v_lr = M_l^-1 p_lr, the rate and the workless force of eq. (33) are
+    With v_lr = M_l^-1 p_lr, the first two terms of eq. (33) are
     dp_lr + E_l v_lr = M_l dv_lr + (dM_l + E_l) v_lr = M_l dv_lr + C_l v_lr.
-    A torque on the links that is known (Flow.load) is taken off.
+    The load torque (Flow.load) is subtracted.
     """
     links, D_l = flow.robot.links, flow.robot.D_l
     q_l, dq_l = flow.measured.q_l, flow.measured.dq_l

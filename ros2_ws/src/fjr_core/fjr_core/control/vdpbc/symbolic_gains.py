@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gains as the law's equations take them: as numbers, or as symbols that get their numbers later."""
+"""Represent the gains in the equations of a law, as constants or as symbols with values passed at evaluation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .gains import CheckedGains
 
 @dataclass(frozen=True, eq=False)
 class GainTerms:
-    """Matrices (n, n) of the law, CasADi numbers or symbols; names as in Gains."""
+    """Gain matrices (n, n), CasADi constants or symbols; names as in Gains."""
 
     Lambda_l: ca.SX
     Pi_l: ca.SX
@@ -38,14 +38,14 @@ class GainTerms:
 
 
 def terms(gains: CheckedGains) -> GainTerms:
-    """The gains as numbers."""
+    """Return the gains as constants."""
     return GainTerms(**{f.name: ca.sparsify(ca.DM(_term(gains, f.name))) for f in fields(GainTerms)})
 
 
 class ArraySymbols:
-    """Symbols in the place of named arrays of numbers, so that one function serves all arrays of a shape.
+    """Symbols for named arrays, so that one function serves all values with this sparsity pattern.
 
-    A square matrix that is diagonal here stays diagonal, and whatever was zero there but on the diagonal stays zero.
+    A square matrix that is diagonal on construction must stay diagonal.
     """
 
     def __init__(self, arrays: Mapping[str, Array]) -> None:
@@ -55,11 +55,11 @@ class ArraySymbols:
 
     @property
     def pattern(self) -> str:
-        """Which arrays are diagonal."""
+        """Description of which arrays are diagonal."""
         return str({name: shape.is_diag() for name, shape in self._shapes.items()})
 
     def values(self, arrays: Mapping[str, Array]) -> Array:
-        """The numbers of the symbols in `vector`; raises GainsError for arrays of another shape."""
+        """Return the values of the symbols in `vector`; raise GainsError for another sparsity pattern."""
         parts: list[float] = []
         for name, shape in self._shapes.items():
             if shape.is_square() and shape.is_diag() and _off_diagonal(arrays[name]).any():
@@ -72,7 +72,7 @@ class ArraySymbols:
 
 
 class GainSymbols:
-    """Symbols in the place of gains, so that one function serves all gains of a shape: see ArraySymbols."""
+    """Symbols for the gains of v-dPBC; see ArraySymbols."""
 
     def __init__(self, gains: CheckedGains) -> None:
         self._arrays = ArraySymbols(_arrays(gains))
@@ -80,11 +80,11 @@ class GainSymbols:
 
     @property
     def pattern(self) -> str:
-        """Which gains are diagonal."""
+        """Description of which gains are diagonal."""
         return self._arrays.pattern
 
     def values(self, gains: CheckedGains) -> Array:
-        """The numbers of the symbols in `vector`; raises GainsError for gains of another shape."""
+        """Return the values of the symbols in `vector`; raise GainsError for another sparsity pattern."""
         return self._arrays.values(_arrays(gains))
 
 
