@@ -36,10 +36,10 @@ MODELS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Example:
+    gain: Any = parameter_field(MISSING, "Gain", "1/s", name="own_name", shape=MATRIX)
     computed: int = 3
     rate: float = parameter_field(2.0, "Rate", "Hz", minimum=1.0)
     limit: Any = parameter_field(np.inf, "Limit", "N m", name="limits.", infinite=True, shape=VECTOR)
-    gain: Any = parameter_field(MISSING, "Gain", "1/s", name="own_name", shape=MATRIX)
     sines: Any = parameter_field(1.0, "Sines", shape=ROWS)
     place: Any = parameter_field(0.0, "Place", "m", shape=POINT)
 
@@ -51,9 +51,9 @@ def test_fields_declare_names_units_and_defaults() -> None:
     found = declared(Example, "group.", DEFAULTS)
     names = {field: parameter.name for field, parameter in found.items()}
     assert names == {
+        "gain": "group.own_name",
         "rate": "group.rate",
         "limit": "group.limits.limit",
-        "gain": "group.own_name",
         "sines": "group.sines",
         "place": "group.place",
     }

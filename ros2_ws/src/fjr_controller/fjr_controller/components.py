@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from fjr_core import ParameterError, Reference, TrackingLaw
 from fjr_core.config import builders
-from fjr_core.config.control_law import control_law, robust_action
+from fjr_core.config.builders import control_law, robust_action
 from fjr_core.config.description import robot_name
 from fjr_core.config.diagnosis import axes
 from fjr_core.config.measurement import measurement, observer

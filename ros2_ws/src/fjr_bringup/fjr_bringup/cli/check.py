@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.control_law import tuning
+from fjr_core.config.builders import tuning
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.registry import law_kind

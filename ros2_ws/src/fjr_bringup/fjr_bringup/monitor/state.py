@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `fjr watch` has heard: numbers in, a View out; no ROS, no clock of its own."""
+"""What `fjr watch` has heard, and the View that is made of it: no ROS, no clock of its own."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a run, drawn from what its bag holds."""
+"""The picture of a run and its panels, drawn from what its bag holds."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page that shows several runs side by side: comparison.html."""
+"""The page that shows several runs side by side, with its plots: comparison.html."""
 
 from __future__ import annotations
 

@@ -1,14 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of both nodes, and the builders of the objects that their values describe."""
+"""Build the objects that the parameters of both nodes describe: control law, robust action, tuning.
+
+The other builders are in the modules of their parameters and are imported here.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
+from typing import Any
 
-from .controller import controller_parameters, gain_values, gains
+import numpy as np
+
+from ..control.registry import V_DPBC, law_kind
+from ..control.robust import Robust, sampled_law
+from ..control.static_law import StaticLaw
+from ..control.vdpbc.law import TrackingLaw
+from ..errors import GainsError, ParameterError
+from ..robot.robot import Robot
+from ..stability.integral_bound import refuse_fast_integral
+from ..stability.linearization import rest_position
+from ..tuning.bandwidth import Yardstick
+from ..tuning.equal_bandwidth import Tuning, tune
+from . import law
+from .controller import controller_parameters
+from .gains import gain_values, gains
 from .law import robust
-from .parameter import Parameter
+from .parameter import Parameter, Value, Values, number, vector
 from .plant import initial_state, plant_parameters
 from .reference import reference
 from .robot import joints_of, robot, robot_parameters
@@ -41,3 +59,68 @@ def names_of_others(own: OwnParameters) -> frozenset[str]:
     """Return the names that only parameters of other nodes have: a parameter file of all nodes may hold them."""
     others = {parameter.name for node in (plant_parameters, controller_parameters) for parameter in node(1)}
     return frozenset(others - {parameter.name for parameter in own(1)})
+
+
+def control_law(values: Values, robot: Robot) -> StaticLaw:
+    """Return the control law of the values; raises ParameterError."""
+    kind, compile = law_kind(str(values[law.TYPE.name])), bool(values["compile"])
+    if kind.name == V_DPBC:
+        return TrackingLaw(robot, gains(values, robot.n), compile=compile)
+    try:
+        return kind.make(robot, _baseline_gains(values, robot), compile)
+    except GainsError as error:
+        raise ParameterError(f"parameter '{law.TYPE.name}' is {kind.name!r}: {error}") from None
+
+
+def robust_action(values: Values, static_law: StaticLaw) -> Robust:
+    """Return the robust action of the values for their law.
+
+    Raises ParameterError, also if the law supports none or the integral action is too fast for robust.hold.
+    """
+    action = robust(values, static_law.robot.n)
+    try:
+        sampled_law(static_law, action)
+        refuse_fast_integral(static_law, action)
+    except GainsError as error:
+        raise ParameterError(
+            f"parameters 'robust.*' with '{law.TYPE.name}' {values[law.TYPE.name]!r}: {error}"
+        ) from None
+    return action
+
+
+def tuning(values: Values) -> Tuning:
+    """Return the law of the values tuned to equal bandwidth, and the result of tuning.
+
+    Raises ParameterError or GainsError.
+    """
+    relevant = ("robot.", "gains.", "reference.", law.TYPE.name, law.INITIAL_ERROR.name, law.SAMPLE_RATE.name, "joints")
+    return _tuned(tuple(sorted((name, value) for name, value in values.items() if name.startswith(relevant))))
+
+
+@lru_cache(maxsize=8)
+def _tuned(items: tuple[tuple[str, Value], ...]) -> Tuning:
+    values = dict(items)
+    return tune(str(values[law.TYPE.name]), yardstick(values, robot(values)))
+
+
+def yardstick(values: Values, robot: Robot) -> Yardstick:
+    """Return the tuning target: v-dPBC with gains.* along the reference, starting at rest with law.start_error."""
+    motion = reference(values, robot.n)
+    error = np.tile(vector(values, law.INITIAL_ERROR.name, robot.n), 2)
+    position = rest_position(robot, np.asarray(motion.jets(0.0))[0]) + error
+    start = position, np.zeros(2 * robot.n)
+    return Yardstick(robot, motion, gains(values, robot.n), start, _sample_period(values))
+
+
+def _baseline_gains(values: Values, robot: Robot) -> Any:
+    """Return the gains of a baseline: tuned, or of law.natural_frequency and law.damping_ratio."""
+    if values[law.TUNED.name]:
+        return tuning(values).law.gains  # type: ignore[attr-defined]
+    kind = law_kind(str(values[law.TYPE.name]))
+    q_0 = np.asarray(reference(values, robot.n).jets(0.0))[0]
+    frequency, damping = number(values, law.NATURAL_FREQUENCY.name), number(values, law.DAMPING_RATIO.name)
+    return kind.standard(robot, q_0, frequency, damping, _sample_period(values))
+
+
+def _sample_period(values: Values) -> float:
+    return 1.0 / number(values, law.SAMPLE_RATE.name)

@@ -28,7 +28,7 @@ from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
 from ..trajectories.reference import Reference
 from . import builders, parameter, robot_file, ros_yaml
-from .control_law import control_law, robust_action
+from .builders import control_law, robust_action
 from .measurement import measurement_parameters
 from .nonidealities import channel_errors, imperfection_parameters
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks at the boundary: values become finite float arrays of the expected shape, or one clear sentence."""
+"""Check values at the boundary: they become finite arrays of the expected shape, or raise one clear sentence."""
 
 from __future__ import annotations
 

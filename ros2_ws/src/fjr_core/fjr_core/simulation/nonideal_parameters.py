@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a simulated robot departs from eq. (36): the numbers, checked, all off by default, and what they are off from.
 
-The equations are in imperfect_plant.
+The equations are in nonideal_plant.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class Imperfections:
 
     @property
     def vector(self) -> Array:
-        """All numbers in the order of NAMES, as imperfect_plant takes them."""
+        """All numbers in the order of NAMES, as nonideal_plant takes them."""
         return np.concatenate([getattr(self, name) for name in NAMES])
 
     def _checked(self, name: str) -> Array:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plant and law linearised about rest, and what becomes of them under a hold and a delay; exact for small errors."""
+"""Plant and law linearised at rest, the law also by its Jacobian, and both under a hold and a delay.
+
+Exact for small errors.
+"""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ COLOURED = {"lost": "maybe", "unstable": "no"}
 
 
 def write_page(path: Path, document: dict[str, Any]) -> None:
-    """Write the page of a comparison (compare_document)."""
+    """Write the page of a comparison (results.document)."""
     found = rows(document)
     body = [*_head(document)]
     for i, robot in enumerate(document["robots"]):

@@ -107,7 +107,7 @@ def _cost(value: Value, less: bool) -> float:
 
 
 def rows(document: dict[str, Any]) -> list[Row]:
-    """All rows of a comparison (compare_document), robot by robot: margins, errors, what else of the nominal plant."""
+    """All rows of a comparison (results.document), robot by robot: margins, errors, what else of the nominal plant."""
     found: list[Row] = []
     for robot in document["robots"]:
         laws = [document["results"][robot][law["label"]] for law in document["laws"]]

@@ -2,7 +2,7 @@
 """Integrator backstepping: B. Brogliato, R. Ortega, R. Lozano, "Global tracking controllers for flexible-joint
 manipulators: a comparative study", Automatica 31(7), 1995.
 
-    theta_d = q + K^-1 tau_d (cascade.py)      e_m = theta - theta_d      s_m = de_m + c_1 e_m + s
+    theta_d = q + K^-1 tau_d                   e_m = theta - theta_d      s_m = de_m + c_1 e_m + s
     B_m u   = M_m (ddtheta_d - c_1 de_m - ds - c_2 s_m) - K e_m + D_m dtheta + K (theta - q)
 
 The link stage is the law of Slotine and Li. The paper's unit weights of e_m and s_m are K and M_m here, which gives

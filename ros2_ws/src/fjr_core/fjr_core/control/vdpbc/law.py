@@ -49,7 +49,7 @@ class TrackingLaw(StaticLaw):
 
     The controller applies u(x, x, t); analysis uses x_v != x. x_v and x are states (4n,) with momenta,
     jets (5, n) holds q_ld .. d4q_ld, omega (n,) [N m] is the external input of eq. (42).
-    compile: as machine code where the machine has a C compiler (compile.compiled); the same numbers to rounding.
+    compile: as machine code where the machine has a C compiler (numerics.jit); the same numbers to rounding.
     Raises GainsError (see Gains.checked) at birth, StateError for wrong shapes. Nothing is limited and
     nothing non-finite is caught here: that is the caller's.
     """

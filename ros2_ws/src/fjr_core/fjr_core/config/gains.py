@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters gains.*: the gains of v-dPBC, and the parameter values that give them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..control.vdpbc.gains import PAPER_GAINS, Gains
+from .parameter import Parameter, Values, declared, named, read, table
+
+_DECLARED = declared(Gains, "gains.", PAPER_GAINS)
+
+
+def gain_parameters(n: int) -> list[Parameter]:
+    """Return the parameters for n joints."""
+    return table(_DECLARED, n)
+
+
+def gains(values: Values, n: int) -> Gains:
+    """Return the gains of the values for n joints; raises ParameterError where (32) or (41) is broken."""
+    found = Gains(**read(_DECLARED, values, n))
+    named(lambda symbol: f"gains.{symbol}" if symbol in _DECLARED else "gains", lambda: found.checked(n))
+    return found
+
+
+def gain_values(gains: Gains, n: int) -> dict[str, list[float]]:
+    """Return the parameters that give these gains: n entries where diagonal, else n*n by rows; zeros left out."""
+    checked, values = gains.checked(n), {}
+    for field, parameter in _DECLARED.items():
+        array = getattr(checked, field)
+        diagonal = np.array_equal(array, np.diag(np.diag(array)))
+        if np.any(array):
+            values[parameter.name] = [float(v) for v in (np.diag(array) if diagonal else array.ravel())]
+    return values
