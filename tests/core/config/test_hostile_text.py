@@ -93,7 +93,7 @@ def test_yaml_that_costs_or_means_nothing(text: str, words: str) -> None:
 
 
 def test_too_many_values_are_refused_before_they_are_built(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ros_yaml, "MOST_NODES", 100)
+    monkeypatch.setattr(ros_yaml, "MAX_NODES", 100)
     assert "more than 100 values" in answer(lambda: ros_yaml.parse("[" + "1, " * 200 + "]"))
 
 

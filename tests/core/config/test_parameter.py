@@ -58,9 +58,9 @@ def test_fields_declare_names_units_and_defaults() -> None:
         "place": "group.place",
     }
     assert [parameter.default for parameter in table(found, 2)] == [
+        (4.0,) * 2,
         2.0,
         (np.inf,) * 2,
-        (4.0,) * 2,
         (1.0,) * 2,
         (0.0,) * 3,
     ]

@@ -39,6 +39,7 @@ __all__ = [
     "matrix",
     "named",
     "names",
+    "number",
     "parameter_field",
     "read",
     "table",
