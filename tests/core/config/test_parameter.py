@@ -79,7 +79,7 @@ def test_values_are_read_in_their_shapes() -> None:
 
 
 @pytest.mark.parametrize("name", ["limits.limit", "own_name", "sines", "place"])
-def test_a_wrong_length_is_refused_by_name(name: str) -> None:
+def test_a_wrong_length_is_rejected_by_name(name: str) -> None:
     declarations = declared(Example, "", DEFAULTS)
     values = complete(table(declarations, 2), {name: [1.0] * 5})
     with pytest.raises(fjr.ParameterError, match=f"'{name}' has 5 entries"):
