@@ -106,7 +106,7 @@ def blocks(document: Path) -> list[str]:
     return [part.partition("```")[0] for part in document.read_text(encoding="utf-8").split("```yaml\n")[1:]]
 
 
-def test_the_files_of_your_robot_md_are_valid(tmp_path: Path) -> None:
+def test_the_files_of_your_robot_md_fit(tmp_path: Path) -> None:
     robot, mine, gains, limits = blocks(BRINGUP.parents[2] / "docs" / "your_robot.md")
     (tmp_path / "my_arm.yaml").write_text(robot)
     scenario, key = yaml.safe_load(mine), "ros__parameters"
