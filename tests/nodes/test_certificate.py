@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live certificate: plant and controller in lock-step, each cause put in, the verdict read on /diagnostics."""
+"""The online certificate: plant and controller in lock-step, each cause injected, the diagnosis on /diagnostics."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
 
 
 class Hearer(Listener):
-    """Hears the diagnostics alone, or everything and the certificates."""
+    """A listener to the diagnostics, or to all topics and the certificates."""
 
     def __init__(self, ros: Ros, certificates: bool = False) -> None:
         super().__init__(ros, only=None if certificates else ("diagnostics",))
@@ -30,17 +30,17 @@ class Hearer(Listener):
             self.create_subscription(Float64MultiArray, "fjr_controller/certificate", self.certificates.append, 1000)
 
     def verdicts(self) -> list[tuple[str, str]]:
-        """(verdict, causes) of each report with one."""
+        """Return (kind, causes) of each diagnosis."""
         found = [status for message in self.diagnostics for status in message.status if status.name == STATUS]
         values = [{value.key: value.value for value in status.values} for status in found]
         return [(value["verdict"], value["causes"]) for value in values]
 
     def verdict_messages(self) -> list[str]:
-        """Message of each report with a verdict."""
+        """Return the sentence of each diagnosis."""
         return [status.message for found in self.diagnostics for status in found.status if status.name == STATUS]
 
     def levels(self) -> dict[str, bytes]:
-        """Level of the last report by verdict."""
+        """Return the level of the last diagnosis of each kind."""
         found = [status for message in self.diagnostics for status in message.status if status.name == STATUS]
         return {status.values[0].value: status.level for status in found}
 
@@ -48,7 +48,7 @@ class Hearer(Listener):
 def running(
     ros: Ros, seconds: int, plant: dict[str, Any], controller: dict[str, Any], certificates: bool = False
 ) -> Hearer:
-    """The paper's joint in lock-step until that many verdicts have come."""
+    """Run the paper's joint in lock-step until that many diagnoses were published."""
     hearer = Hearer(ros, certificates)
     ros.controller(use_sim_time=True, compile=True, **controller)
     ros.plant(lockstep=True, compile=True, initial_link_position=[0.5], initial_motor_position=[0.5], **plant)
@@ -109,13 +109,13 @@ def test_a_cause_is_graded_on_the_diagnostics(ros: Ros, grade: str, cause: str, 
     assert message.startswith("Degraded: ") == (grade == "degraded")
 
 
-def test_saturation_is_told_while_it_lasts(ros: Ros) -> None:
+def test_saturation_is_diagnosed_while_it_lasts(ros: Ros) -> None:
     hearer = running(ros, 2, {}, {"limits__effort": [0.7]})
     assert ("violated", "saturation") in hearer.verdicts()
 
 
-def test_a_sample_period_that_is_too_long_is_told(ros: Ros) -> None:
-    """At 65 Hz an error grows by an eighth in a sample; it begins with none."""
+def test_a_sample_period_that_is_too_long_is_diagnosed(ros: Ros) -> None:
+    """At 65 Hz an error grows by an eighth per sample; the initial error is zero."""
     hearer = Hearer(ros)
     ros.controller(use_sim_time=True, compile=True)
     moving = {"initial_link_velocity": [1.0], "initial_motor_velocity": [1.0]}
@@ -123,7 +123,7 @@ def test_a_sample_period_that_is_too_long_is_told(ros: Ros) -> None:
     ros.until(lambda: ("violated", "sampling") in hearer.verdicts(), "the verdict")
 
 
-def test_it_may_be_left_out(ros: Ros) -> None:
+def test_the_certificate_can_be_disabled(ros: Ros) -> None:
     hearer = Hearer(ros, certificates=True)
     ros.controller(use_sim_time=True, certificate=False)
     ros.plant(lockstep=True)
@@ -132,7 +132,7 @@ def test_it_may_be_left_out(ros: Ros) -> None:
     assert not hearer.verdicts()
 
 
-def test_a_certificate_is_read_as_it_was_written() -> None:
+def test_a_certificate_message_round_trips() -> None:
     from rclpy.serialization import deserialize_message
 
     values = CertificateValues(*np.linspace(0.1, 0.7, 7))

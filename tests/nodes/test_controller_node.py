@@ -21,7 +21,7 @@ def paper_effort(t: float, q_l: float, q_m: float, dq_l: float = 0.0, dq_m: floa
     return fjr.TrackingLaw(robot, fjr.PAPER_GAINS).effort(x, x, fjr.Sine(1.0, 1.0).jets(t))
 
 
-def test_answers_every_state_with_the_law_on_both_topics(ros: Ros, peer: Peer) -> None:
+def test_publishes_the_effort_of_the_law_for_every_state_on_both_topics(ros: Ros, peer: Peer) -> None:
     ros.controller()
     peer.meet_controller()
     for k in range(20):
@@ -85,7 +85,7 @@ BAD_STATES = {
 
 
 @pytest.mark.parametrize("case", BAD_STATES)
-def test_refuses_a_malformed_state_says_so_once_and_goes_on(ros: Ros, peer: Peer, case: str, capfd) -> None:
+def test_refuses_a_malformed_state_logs_it_once_and_continues(ros: Ros, peer: Peer, case: str, capfd) -> None:
     message, kind = BAD_STATES[case]
     node = ros.controller()
     peer.meet_controller()
@@ -110,7 +110,7 @@ def test_wrong_lengths_of_the_fields_are_refused(ros: Ros, peer: Peer) -> None:
     peer.ask(message, answered=False)
 
 
-def test_drops_an_older_state_and_answers_a_repeated_one(ros: Ros, peer: Peer) -> None:
+def test_ignores_an_older_state_and_repeats_the_command_of_a_repeated_one(ros: Ros, peer: Peer) -> None:
     node = ros.controller()
     peer.meet_controller()
     peer.ask(stamped(0.0))
@@ -149,7 +149,7 @@ def test_only_older_states_for_longer_than_state_timeout_restart_the_reference(r
     assert list(again.effort) == list(first.effort)
 
 
-def test_an_effort_that_is_not_finite_never_leaves(ros: Ros, peer: Peer) -> None:
+def test_a_non_finite_effort_is_never_sent(ros: Ros, peer: Peer) -> None:
     node = ros.controller()
     peer.meet_controller()
     peer.ask(stamped(0.0))
@@ -179,7 +179,7 @@ def test_namespace_and_remap(ros: Ros) -> None:
     np.testing.assert_allclose(peer.ask(stamped(0.0)).effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
 
 
-def test_the_clock_that_it_follows_changes_only_while_it_is_unconfigured(ros: Ros) -> None:
+def test_use_sim_time_changes_only_while_unconfigured(ros: Ros) -> None:
     manager = Manager(ros)
     ros.controller(autostart=False, state_timeout=0.5)
     assert manager.set(use_sim_time=True) == (True, "")
@@ -197,7 +197,7 @@ def test_the_clock_that_it_follows_changes_only_while_it_is_unconfigured(ros: Ro
 
 
 class Host:
-    """The process of a node, as the node sees it."""
+    """The process of a node, through the interface that the node uses."""
 
     def __init__(self) -> None:
         self.cared_for: list[dict] = []
@@ -209,7 +209,7 @@ class Host:
         raise AssertionError(error)
 
 
-def test_the_process_cares_for_what_configure_builds(ros: Ros) -> None:
+def test_the_process_prepares_what_configure_builds(ros: Ros) -> None:
     manager = Manager(ros)
     node = ros.controller(autostart=False, cpu_affinity="both")
     node.host = Host()
@@ -222,7 +222,7 @@ def test_the_process_cares_for_what_configure_builds(ros: Ros) -> None:
 
 
 def answers_across_a_silence(clock_first: bool) -> list[float]:
-    """The efforts after the first one, with the clock that shows the silence before or after the state that ends it."""
+    """Return the efforts after the first, with the clock before or after the state that ends the silence."""
     ros = Ros()
     try:
         manager = Manager(ros)
@@ -245,7 +245,7 @@ def answers_across_a_silence(clock_first: bool) -> list[float]:
         ros.close()
 
 
-def test_in_simulated_time_the_answer_after_a_silence_does_not_depend_on_the_clock() -> None:
+def test_in_simulated_time_the_command_after_a_silence_does_not_depend_on_the_clock() -> None:
     efforts = answers_across_a_silence(clock_first=True)
     assert len(efforts) == 5
     assert efforts[:2] == [0.0, 0.0], "the stop effort of the silence, and on from there"

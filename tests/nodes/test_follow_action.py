@@ -22,7 +22,7 @@ GOAL = 0.3  # rad
 
 
 class StandIn(FollowMessages):
-    """A goal's order is the time [ms] in which GOAL is to be reached; results and feedback are numbers."""
+    """The order of a goal is the time [ms] to reach GOAL; results and feedback are numbers."""
 
     def trajectory(self, request: Any) -> JointTrajectory:
         return trajectory((request.order * 1e-3, GOAL))
@@ -45,15 +45,15 @@ class Client:
         self.feedback: list[int] = []
 
     def send(self, order: int) -> Any:
-        """The goal's handle."""
-        told = self._client.send_goal_async(
+        """Return the handle of the goal."""
+        accepted = self._client.send_goal_async(
             Fibonacci.Goal(order=order), lambda message: self.feedback.append(message.feedback.sequence[0])
         )
-        self._ros.until(told.done, "the goal's answer")
-        return told.result()
+        self._ros.until(accepted.done, "the goal's answer")
+        return accepted.result()
 
     def result(self, handle: Any) -> tuple[int, int]:
-        """Status and code."""
+        """Return status and code."""
         future = handle.get_result_async()
         self._ros.until(future.done, "the result")
         return future.result().status, future.result().result.sequence[0]
@@ -72,7 +72,7 @@ def started(ros: Ros, manager: Manager, **parameters: Any) -> Client:
     return Client(ros, manager)
 
 
-def test_a_goal_is_followed_and_reached(ros: Ros, manager: Manager) -> None:
+def test_a_goal_is_tracked_and_reached(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager, constraints__goal=[1e-3])
     handle = client.send(1000)
     assert handle.accepted
@@ -84,7 +84,7 @@ def test_a_goal_is_followed_and_reached(ros: Ros, manager: Manager) -> None:
     assert client.feedback[-1] == round(1e6 * GOAL)
 
 
-def test_a_goal_that_cannot_be_followed_is_rejected(ros: Ros, manager: Manager) -> None:
+def test_a_goal_that_cannot_be_tracked_is_rejected(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager)
     assert not client.send(0).accepted
     assert manager.change("deactivate")
@@ -107,7 +107,7 @@ def test_a_goal_that_is_not_reached_in_time_is_aborted(ros: Ros, manager: Manage
     assert client.result(handle) == (GoalStatus.STATUS_ABORTED, Code.GOAL_TOLERANCE_VIOLATED)
 
 
-def test_a_cancelled_goal_comes_to_rest(ros: Ros, manager: Manager) -> None:
+def test_a_cancelled_goal_comes_to_a_standstill(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager)
     handle = client.send(1000)
     manager.ask(stamped(0.1, 0.0))
@@ -143,7 +143,7 @@ def test_a_stop_ends_a_goal(ros: Ros, manager: Manager) -> None:
     assert client.result(handle) == (GoalStatus.STATUS_ABORTED, Code.PATH_TOLERANCE_VIOLATED)
 
 
-def test_after_a_stop_the_trajectory_of_an_aborted_goal_does_not_go_on(ros: Ros, manager: Manager) -> None:
+def test_after_a_stop_the_trajectory_of_an_aborted_goal_does_not_continue(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager, limits__tracking_error=[0.5], recovery__join_time=0.1)
     handle = client.send(1000)
     manager.ask(stamped(0.1, 0.6))
@@ -155,7 +155,7 @@ def test_after_a_stop_the_trajectory_of_an_aborted_goal_does_not_go_on(ros: Ros,
     np.testing.assert_allclose(manager.references[-1].position, [0.7], atol=1e-9)
 
 
-def test_the_action_goes_and_comes_with_the_configuration(ros: Ros, manager: Manager) -> None:
+def test_the_action_server_exists_only_while_configured(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager)
     assert manager.change("deactivate")
     assert manager.change("cleanup")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller as a managed node: its states, and what each of them does and does not do."""
+"""The lifecycle of the controller node."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def manager(ros: Ros) -> Manager:
 
 
 def effort(t: float, gains: fjr.Gains = fjr.PAPER_GAINS) -> float:
-    """The law's effort t [s] after the first state, resting at 0.5 rad."""
+    """Return the law's effort t [s] after the first state, at standstill at 0.5 rad."""
     robot = fjr.single_link()
     x = robot.state(0.5, 0.5, 0.0, 0.0)
     return float(fjr.TrackingLaw(robot, gains).effort(x, x, fjr.Sine(1.0, 1.0).jets(t))[0])
 
 
-def test_by_default_the_node_is_active_from_birth(ros: Ros, manager: Manager) -> None:
+def test_by_default_the_node_starts_active(ros: Ros, manager: Manager) -> None:
     ros.controller()
     assert manager.state() == "active"
     manager.meet_controller()
@@ -56,32 +56,32 @@ def test_the_lifecycle_is_that_of_a_managed_node(ros: Ros, manager: Manager) -> 
 
 
 def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager, monkeypatch) -> None:
-    asked: list[float] = []
+    evaluations: list[float] = []
     bound = fjr.TrackingLaw.bound
 
     def counted(self, *args):
         command = bound(self, *args)
-        return replace(command, evaluate=lambda: (asked.append(0.0), command.evaluate()))
+        return replace(command, evaluate=lambda: (evaluations.append(0.0), command.evaluate()))
 
     monkeypatch.setattr(fjr.TrackingLaw, "bound", counted)
     ros.controller(autostart=False)
     manager.ask(stamped(0.0), answered=False)
     assert manager.change("configure")
-    asked.clear()
+    evaluations.clear()
     ros.until(lambda: manager.state_publisher.get_subscription_count() == 2, "the controller")
     for _ in range(3):
         manager.ask(stamped(0.0), answered=False)
-    assert not asked
+    assert not evaluations
     assert not manager.efforts
     assert manager.change("activate")
     manager.meet_controller()
     manager.ask(stamped(0.1))
-    assert len(asked) == 1
+    assert len(evaluations) == 1
     assert manager.change("deactivate")
     ros.until(lambda: len(manager.commands) == 2, "the last command")
-    asked.clear()
+    evaluations.clear()
     manager.ask(stamped(0.2), answered=False)
-    assert not asked
+    assert not evaluations
     assert len(manager.efforts) == 2
 
 
@@ -102,7 +102,7 @@ def test_the_last_command_is_that_of_on_stop(ros: Ros, manager: Manager, transit
     assert len(manager.efforts) == 2
 
 
-def test_without_an_answered_state_there_is_no_last_command(ros: Ros, manager: Manager) -> None:
+def test_without_a_command_before_there_is_no_last_command(ros: Ros, manager: Manager) -> None:
     node = ros.controller()
     manager.meet_controller()
     node.stop()
@@ -110,7 +110,7 @@ def test_without_an_answered_state_there_is_no_last_command(ros: Ros, manager: M
     assert not manager.efforts
 
 
-def test_activated_again_the_reference_begins_again(ros: Ros, manager: Manager) -> None:
+def test_activation_restarts_the_reference(ros: Ros, manager: Manager) -> None:
     ros.controller()
     manager.meet_controller()
     first = manager.ask(stamped(0.0))
@@ -124,7 +124,7 @@ def test_activated_again_the_reference_begins_again(ros: Ros, manager: Manager) 
     assert list(manager.commands[-1].effort) == list(first.effort)
 
 
-def test_activated_again_nothing_is_left_of_what_was_asked_for(ros: Ros, manager: Manager) -> None:
+def test_activation_discards_pending_requests(ros: Ros, manager: Manager) -> None:
     ros.controller(limits__tracking_error=[0.6], limits__start_error=[0.6])
     manager.meet_controller()
     first = manager.ask(stamped(0.0))
@@ -140,7 +140,7 @@ def test_activated_again_nothing_is_left_of_what_was_asked_for(ros: Ros, manager
     ros.until(lambda: "starts refused" in manager.kinds(), "the refusal")
 
 
-def test_a_reference_that_is_set_while_inactive_is_followed_when_active(ros: Ros, manager: Manager) -> None:
+def test_a_reference_set_while_inactive_is_tracked_when_active(ros: Ros, manager: Manager) -> None:
     ros.controller(limits__link_velocity=[2.0])
     manager.meet_controller()
     manager.ask(stamped(0.0))
@@ -157,7 +157,7 @@ def test_a_reference_that_is_set_while_inactive_is_followed_when_active(ros: Ros
 
 
 def activated_again(manager: Manager, t: float, q: float = 0.5) -> JointState:
-    """The first answer, to a state at t [s], after the controller was deactivated and activated."""
+    """Deactivate and activate the controller; return the command for a state at t [s]."""
     if manager.state() == "active":
         assert manager.change("deactivate")
         assert manager.change("activate")
@@ -165,7 +165,7 @@ def activated_again(manager: Manager, t: float, q: float = 0.5) -> JointState:
     return manager.answer(stamped(t, q))
 
 
-def test_a_reference_that_leaves_its_limits_is_refused_by_configure(ros: Ros) -> None:
+def test_configure_refuses_a_reference_that_violates_its_limits(ros: Ros) -> None:
     with pytest.raises(fjr.ParameterError, match=r"'reference\.\*': joint 'joint1' would reach 1 rad/s.* limit is 0.5"):
         ros.controller(limits__link_velocity=[0.5])
 
@@ -192,7 +192,7 @@ def test_a_refused_configure_leaves_nothing_on_the_node(ros: Ros, manager: Manag
     assert manager.change("configure")
 
 
-def test_bad_parameters_are_mended_while_unconfigured(ros: Ros, manager: Manager, capfd) -> None:
+def test_invalid_parameters_can_be_corrected_while_unconfigured(ros: Ros, manager: Manager, capfd) -> None:
     node = ros.controller(autostart=False, gains__Pi_l=[-20.0], robot__joint_stiffness=[3.1])
     assert not manager.change("configure")
     assert manager.state() == "unconfigured"
@@ -206,7 +206,7 @@ def test_bad_parameters_are_mended_while_unconfigured(ros: Ros, manager: Manager
     np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0)], rtol=1e-9)
 
 
-def test_parameters_of_a_wrong_type_are_mended_while_unconfigured(ros: Ros, manager: Manager) -> None:
+def test_parameters_of_a_wrong_type_can_be_corrected_while_unconfigured(ros: Ros, manager: Manager) -> None:
     ros.controller(autostart=False, gains__K_ld="much")
     assert not manager.change("configure")
     assert manager.set(gains__K_ld=[0.6])[0]
@@ -240,7 +240,7 @@ def test_gains_change_between_two_states(ros: Ros, manager: Manager) -> None:
     assert event.hardware_id == ""
 
 
-def test_gains_that_are_nonsense_change_nothing(ros: Ros, manager: Manager) -> None:
+def test_invalid_gains_change_nothing(ros: Ros, manager: Manager) -> None:
     node = ros.controller()
     manager.meet_controller()
     manager.ask(stamped(0.0))
@@ -275,7 +275,7 @@ def test_limits_change_between_two_states(ros: Ros, manager: Manager) -> None:
     np.testing.assert_allclose(manager.ask(stamped(0.002)).effort, [effort(0.002)], rtol=1e-9)
 
 
-def test_gains_changed_while_inactive_hold_when_active(ros: Ros, manager: Manager) -> None:
+def test_gains_changed_while_inactive_act_when_active(ros: Ros, manager: Manager) -> None:
     ros.controller()
     assert manager.change("deactivate")
     assert manager.set(gains__K_ld=[0.9])[0]
@@ -285,7 +285,7 @@ def test_gains_changed_while_inactive_hold_when_active(ros: Ros, manager: Manage
     np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0, other)], rtol=1e-9)
 
 
-def test_silence_is_met_by_the_stop_effort_once(ros: Ros, manager: Manager) -> None:
+def test_a_silence_sends_the_stop_effort_once(ros: Ros, manager: Manager) -> None:
     ros.controller(state_timeout=0.05, on_stop="gravity_hold")
     manager.meet_controller()
     manager.ask(stamped(0.0))
@@ -295,7 +295,7 @@ def test_silence_is_met_by_the_stop_effort_once(ros: Ros, manager: Manager) -> N
     np.testing.assert_allclose(manager.efforts[-1].data, [GRAVITY], atol=1e-12)
 
 
-def test_with_simulated_time_silence_is_judged_by_it(ros: Ros, manager: Manager) -> None:
+def test_with_simulated_time_a_silence_is_measured_by_it(ros: Ros, manager: Manager) -> None:
     ros.controller(state_timeout=0.5, use_sim_time=True)
     clock = manager.create_publisher(Clock, "/clock", 1)
     manager.meet_controller()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each parameter of safety and measurement, given to the node, changes what the node does."""
+"""Each parameter of safety and measurement has its effect in the node."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracking.tracker import OBSERVED
+from fjr_controller.tracking.measured_state import OBSERVED
 from nodes.harness import Peer, Ros, stamped
 from nodes.managed import Manager
 
@@ -32,14 +32,14 @@ def at(t: float = 0.0) -> Any:
 
 
 def effort(ros: Ros, peer: Peer, **parameters: Any) -> float:
-    """The first effort of a controller with these parameters."""
+    """Return the first effort of a controller with these parameters."""
     ros.controller(**parameters)
     peer.meet_controller()
     return float(peer.ask(at()).effort[0])
 
 
 def check_observed(peer: Peer, state: Any) -> None:
-    """The states that the observer needs have no effort; then it is the law's, with the observer's velocities."""
+    """Check that the effort is zero while the observer settles, then the law's with the observer's velocities."""
     law, observer = fjr.TrackingLaw(ROBOT, fjr.PAPER_GAINS), fjr.VelocityObserver(ROBOT, 150.0)
     for k in range(OBSERVED + 1):
         observer.update(k * 1_000_000, [0.5], [0.52], [0.0])
@@ -51,9 +51,7 @@ def check_observed(peer: Peer, state: Any) -> None:
 
 
 @pytest.mark.parametrize(("name", "broken", "kept", "kind"), STOPS, ids=[stop[0] for stop in STOPS])
-def test_a_limit_of_the_state_stops_when_it_is_broken(
-    ros: Ros, name: str, broken: float, kept: float, kind: str
-) -> None:
+def test_a_violated_limit_of_the_state_stops(ros: Ros, name: str, broken: float, kept: float, kind: str) -> None:
     manager = Manager(ros)
     ros.controller(on_stop="gravity_hold")
     manager.meet_controller()
@@ -71,7 +69,7 @@ def test_a_limit_of_the_state_stops_when_it_is_broken(
     assert float(manager.ask(at(0.05)).effort[0]) != 0.0
 
 
-def test_the_effort_is_cut_at_its_limit(ros: Ros, peer: Peer) -> None:
+def test_the_effort_saturates_at_its_limit(ros: Ros, peer: Peer) -> None:
     assert effort(ros, peer, limits__effort=[1.5]) == pytest.approx(-1.5)
 
 
@@ -85,17 +83,17 @@ def test_a_start_too_far_away_is_refused(ros: Ros, peer: Peer) -> None:
     assert effort(ros, peer, limits__start_error=[0.4]) == 0.0
 
 
-def test_a_robot_without_limits_has_none_to_give(ros: Ros) -> None:
+def test_limits_from_a_robot_without_limits_are_refused(ros: Ros) -> None:
     with pytest.raises(fjr.ParameterError, match="from_robot' is true; expected false for a robot without limits"):
         ros.controller(limits__from_robot=True)
 
 
-def test_the_effort_is_ramped_from_a_stops_effort(ros: Ros, peer: Peer) -> None:
+def test_the_effort_is_ramped_from_the_stop_effort(ros: Ros, peer: Peer) -> None:
     assert effort(ros, peer, start__ramp_time=0.1) == 0.0
     assert float(peer.ask(at(0.05)).effort[0]) != 0.0
 
 
-def test_the_reference_is_joined_from_the_measured_state(ros: Ros, peer: Peer) -> None:
+def test_a_start_begins_with_a_transition_from_the_measured_state(ros: Ros, peer: Peer) -> None:
     effort(ros, peer, start__join_time=0.5)
     first, wanted = peer.references[-1], fjr.Sine(1.0, 1.0)
     assert (first.position[0], first.velocity[0]) == (0.5, 0.3)
@@ -104,7 +102,7 @@ def test_the_reference_is_joined_from_the_measured_state(ros: Ros, peer: Peer) -
 
 
 @pytest.mark.parametrize("join_time", [0.0, 1.0])
-def test_a_recovery_joins_the_reference_within_its_time(ros: Ros, peer: Peer, join_time: float) -> None:
+def test_a_recovery_reaches_the_reference_within_its_time(ros: Ros, peer: Peer, join_time: float) -> None:
     effort(ros, peer, recovery__join_time=join_time, state_timeout=0.2, use_sim_time=True)  # a jump counts at once
     peer.answer(at(1.0))
     wanted = fjr.Sine(1.0, 1.0).jets(1.0)[0, 0]
@@ -114,7 +112,7 @@ def test_a_recovery_joins_the_reference_within_its_time(ros: Ros, peer: Peer, jo
 
 
 @pytest.mark.parametrize(("deceleration", "seconds"), [(2.0, 0.5), (0.5, 2.0)])
-def test_a_hold_brakes_as_it_is_told(ros: Ros, deceleration: float, seconds: float) -> None:
+def test_a_hold_brakes_with_the_deceleration_of_the_parameter(ros: Ros, deceleration: float, seconds: float) -> None:
     manager = Manager(ros)
     ros.controller(hold__deceleration=deceleration)
     manager.meet_controller()
@@ -127,7 +125,7 @@ def test_a_hold_brakes_as_it_is_told(ros: Ros, deceleration: float, seconds: flo
     assert velocities[1:] == pytest.approx([0.0, 0.0], abs=1e-12)
 
 
-def test_positions_alone_are_answered_with_an_observer(ros: Ros, peer: Peer) -> None:
+def test_positions_alone_suffice_with_an_observer(ros: Ros, peer: Peer) -> None:
     ros.controller(measurement__velocity="observer")
     peer.meet_controller()
     bare = at()
@@ -142,7 +140,7 @@ def test_motor_turns_are_divided_by_the_gear_ratio(ros: Ros, peer: Peer) -> None
     assert plain == pytest.approx(float(law.command(x, fjr.Sine(1.0, 1.0).jets(0.0))[0]))
 
 
-def test_a_torque_sensor_takes_the_place_of_the_motor_side(ros: Ros, peer: Peer) -> None:
+def test_a_torque_sensor_replaces_the_motor_encoder(ros: Ros, peer: Peer) -> None:
     ros.controller(measurement__motor="torque", measurement__velocity="observer")
     peer.meet_controller()
     state = stamped(0.0, 0.5, names=["joint1"])
@@ -150,7 +148,7 @@ def test_a_torque_sensor_takes_the_place_of_the_motor_side(ros: Ros, peer: Peer)
     check_observed(peer, state)
 
 
-def test_the_observers_bandwidth_reaches_it(ros: Ros) -> None:
+def test_the_bandwidth_of_the_observer_is_the_parameter(ros: Ros) -> None:
     seen = []
     for bandwidth in (50.0, 300.0):
         peer = Peer(ros)

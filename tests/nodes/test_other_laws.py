@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller node with each law: what it sends is the law's own, and what belongs to v-dPBC alone is off."""
+"""The controller node with each law: the effort is the law's own, and features of v-dPBC alone are off."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ every_law = pytest.mark.parametrize("name", OTHERS)
 
 
 @every_law
-def test_answers_with_the_law_that_the_parameters_name(ros: Ros, peer: Peer, name: str) -> None:
+def test_publishes_the_effort_of_the_selected_law(ros: Ros, peer: Peer, name: str) -> None:
     node = ros.controller(law__type=name, law__start_error=[0.5])
     law = control_law(node.values, fjr.single_link())
     peer.meet_controller()
@@ -32,7 +32,7 @@ def test_answers_with_the_law_that_the_parameters_name(ros: Ros, peer: Peer, nam
 
 @every_law
 def test_tracks_on_two_nodes_in_lock_step(ros: Ros, name: str) -> None:
-    """Plant and controller in one process, 700 samples: finite efforts, the error falls, no certificate is told."""
+    """Run 700 samples: efforts are finite, the error decreases, no certificate is published."""
     heard: list[Float64MultiArray] = []
     listener = Listener(ros)
     listener.create_subscription(
@@ -49,8 +49,8 @@ def test_tracks_on_two_nodes_in_lock_step(ros: Ros, name: str) -> None:
     assert not heard
 
 
-def test_a_state_without_a_finite_effort_is_answered_by_the_stop(ros: Ros, peer: Peer) -> None:
-    """A storage that is nan for want of one is no reason to stop; an effort that is not finite is."""
+def test_a_state_without_a_finite_effort_gets_the_stop_effort(ros: Ros, peer: Peer) -> None:
+    """A law without a storage (nan) does not stop; a non-finite effort does."""
     ros.controller(law__type="singular_perturbation")
     peer.meet_controller()
     assert peer.ask(stamped(0.0)).effort[0] != 0.0
@@ -74,7 +74,7 @@ def test_the_law_cannot_change_while_the_node_runs(ros: Ros) -> None:
     assert "'law.type' can be set only while the node is unconfigured" in result.reason
 
 
-def test_the_two_numbers_reach_the_law(ros: Ros, peer: Peer) -> None:
+def test_natural_frequency_and_damping_ratio_are_those_of_the_parameters(ros: Ros, peer: Peer) -> None:
     ros.controller(
         law__type="feedback_linearisation", law__tuned=False, law__natural_frequency=30.0, law__damping_ratio=1.0
     )
@@ -104,6 +104,6 @@ def test_gravity_hold_damps_the_motors_by_the_laws_own_damping(ros: Ros, peer: P
         ({"law__type": "pd_gravity", "law__tuned": False, "law__natural_frequency": 0.1}, "law.type"),
     ],
 )
-def test_a_law_that_cannot_be_is_told_at_birth(ros: Ros, parameters: dict, words: str) -> None:
+def test_an_invalid_law_is_refused_by_the_constructor(ros: Ros, parameters: dict, words: str) -> None:
     with pytest.raises(fjr.ParameterError, match=words):
         ros.controller(**parameters)

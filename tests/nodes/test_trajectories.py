@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""JointTrajectories as joint_trajectory_controller takes them, and the services that move, hold and go on."""
+"""JointTrajectory messages by the rules of joint_trajectory_controller, and the services hold, play and resume."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from trajectory_msgs.msg import JointTrajectory
 
 import fjr_core as fjr
-from fjr_controller.trajectory.planner import Question
+from fjr_controller.trajectory.planner import PlanningProblem
 from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from nodes.harness import Ros, stamped
@@ -32,7 +32,7 @@ def manager(ros: Ros) -> Manager:
 
 
 def reference_at(manager: Manager, t: float) -> tuple[np.ndarray, np.ndarray]:
-    """Reference's position and velocity for a state at t [s]."""
+    """Return position and velocity of the reference for a state at t [s]."""
     manager.ask(stamped(t, 0.0))
     return np.array(manager.references[-1].position), np.array(manager.references[-1].velocity)
 
@@ -84,7 +84,7 @@ BAD: dict[str, tuple[JointTrajectory, str, str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_cannot_be_asked_for_is_refused_in_one_sentence(case: str) -> None:
+def test_an_invalid_message_is_refused_in_one_sentence(case: str) -> None:
     message, kind, sentence = BAD[case]
     with pytest.raises(MessageError, match=sentence) as caught:
         TrajectoryReader(("joint1",)).read(message)
@@ -151,7 +151,7 @@ def test_a_replacement_makes_no_step_of_u(ros: Ros, manager: Manager) -> None:
     assert steps[k - 1] <= 2 * max(steps[k - 2], steps[k])
 
 
-def test_a_replacement_while_moving_begins_with_the_running_jets(ros: Ros, manager: Manager) -> None:
+def test_a_replacement_while_moving_begins_with_the_jets_of_the_active_reference(ros: Ros, manager: Manager) -> None:
     node = ros.controller()
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
@@ -165,7 +165,7 @@ def test_a_replacement_while_moving_begins_with_the_running_jets(ros: Ros, manag
     np.testing.assert_allclose(reference_at(manager, 1.3)[0], [0.7], atol=1e-9)
 
 
-def test_a_start_to_come_is_waited_for(ros: Ros, manager: Manager) -> None:
+def test_a_trajectory_waits_for_its_start(ros: Ros, manager: Manager) -> None:
     ros.controller()
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
@@ -175,7 +175,7 @@ def test_a_start_to_come_is_waited_for(ros: Ros, manager: Manager) -> None:
     np.testing.assert_allclose(reference_at(manager, 1.0)[0], [0.1], atol=1e-9)
 
 
-def test_a_start_in_the_past_is_joined_in_and_what_is_over_is_refused(ros: Ros, manager: Manager) -> None:
+def test_a_start_in_the_past_is_joined_and_a_past_trajectory_is_refused(ros: Ros, manager: Manager) -> None:
     ros.controller()
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
@@ -230,7 +230,7 @@ def test_limits_are_checked_and_named(ros: Ros, manager: Manager, limits: dict[s
     assert re.search(sentence, event.message), event.message
 
 
-def test_the_robots_own_limits_hold_for_trajectories(ros: Ros, manager: Manager) -> None:
+def test_the_limits_of_the_robot_apply_to_trajectories(ros: Ros, manager: Manager) -> None:
     from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
     robot = {"robot__model": "urdf", "robot__urdf": two_link_urdf(), "robot__joint_stiffness": STIFFNESS}
@@ -281,19 +281,19 @@ def test_before_a_state_while_inactive_and_while_stopped_trajectories_are_refuse
 
 
 class Gate:
-    """Plans are made only while it is open."""
+    """A gate that planning waits for until it is opened."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.waiting, self.threads = 0, set()
-        self._open, self._answer = threading.Event(), Question.answer
-        monkeypatch.setattr(Question, "answer", lambda question: self._pass(question))
+        self._open, self._solve = threading.Event(), PlanningProblem.solve
+        monkeypatch.setattr(PlanningProblem, "solve", lambda problem: self._pass(problem))
         self.open = self._open.set
 
-    def _pass(self, question: Question) -> Any:
+    def _pass(self, problem: PlanningProblem) -> Any:
         self.threads.add(threading.current_thread())
         self.waiting += 1
         assert self._open.wait(30.0)
-        return self._answer(question)
+        return self._solve(problem)
 
 
 @pytest.fixture
@@ -304,7 +304,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
 
 
 def planned(ros: Ros, manager: Manager, gate: Gate, *messages: JointTrajectory, **parameters: Any) -> Any:
-    """A controller that has answered a state and plans the first message at a closed gate."""
+    """Return a controller with a first command, whose planning of the first message waits at the gate."""
     node = ros.controller(**parameters)
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
@@ -315,7 +315,7 @@ def planned(ros: Ros, manager: Manager, gate: Gate, *messages: JointTrajectory, 
     return node
 
 
-def test_states_are_answered_while_a_trajectory_is_planned(ros: Ros, manager: Manager, gate: Gate) -> None:
+def test_commands_are_sent_while_a_trajectory_is_planned(ros: Ros, manager: Manager, gate: Gate) -> None:
     planned(ros, manager, gate, move())
     for i in range(1, 21):  # by the reference that is running
         t = STEP * i
@@ -344,7 +344,7 @@ def test_a_plan_that_comes_late_makes_no_step_of_u(ros: Ros, manager: Manager, g
 
 
 @pytest.mark.parametrize("service", ["hold", "play"])
-def test_what_is_asked_for_during_the_planning_wins(ros: Ros, manager: Manager, gate: Gate, service: str) -> None:
+def test_a_request_during_planning_wins(ros: Ros, manager: Manager, gate: Gate, service: str) -> None:
     planned(ros, manager, gate, move())
     assert manager.trigger(service)[0]
     ros.until(lambda: "trajectories given up" in manager.kinds(), "the event")
@@ -358,7 +358,7 @@ def test_what_is_asked_for_during_the_planning_wins(ros: Ros, manager: Manager, 
         np.testing.assert_allclose([q, dq], [[np.sin(3.0)], [np.cos(3.0)]], atol=1e-9)
 
 
-def test_of_two_trajectories_in_a_row_the_later_one_is_followed(ros: Ros, manager: Manager, gate: Gate) -> None:
+def test_of_two_trajectories_in_a_row_the_later_one_is_tracked(ros: Ros, manager: Manager, gate: Gate) -> None:
     planned(ros, manager, gate, move())
     manager.trajectories.publish(trajectory((1.0, 0.7)))
     ros.until(lambda: "trajectories given up" in manager.kinds(), "the event")
@@ -369,7 +369,7 @@ def test_of_two_trajectories_in_a_row_the_later_one_is_followed(ros: Ros, manage
     np.testing.assert_allclose(reference_at(manager, 1.5), [[0.7], [0.0]], atol=1e-9)
 
 
-def test_limits_that_change_during_the_planning_count(ros: Ros, manager: Manager, gate: Gate) -> None:
+def test_limits_that_change_during_planning_apply(ros: Ros, manager: Manager, gate: Gate) -> None:
     planned(ros, manager, gate, move(), reference__amplitude=[0.0])
     assert manager.set(limits__link_velocity=[0.5])[0]
     gate.open()
@@ -377,7 +377,7 @@ def test_limits_that_change_during_the_planning_count(ros: Ros, manager: Manager
     assert "references changed" not in manager.kinds()
 
 
-def test_a_controller_that_was_deactivated_meanwhile_follows_nothing(ros: Ros, manager: Manager, gate: Gate) -> None:
+def test_a_deactivated_controller_discards_what_is_being_planned(ros: Ros, manager: Manager, gate: Gate) -> None:
     planned(ros, manager, gate, move())
     assert manager.change("deactivate")
     ros.until(lambda: "trajectories given up" in manager.kinds(), "the event")
@@ -392,16 +392,16 @@ def test_a_controller_that_was_deactivated_meanwhile_follows_nothing(ros: Ros, m
 
 
 @pytest.mark.parametrize("simulated", [False, True], ids=["real time", "simulated time"])
-def test_a_planning_that_fails_unforeseen_is_refused_and_logged(
+def test_an_unexpected_error_of_planning_is_refused_and_logged(
     ros: Ros, manager: Manager, simulated: bool, monkeypatch: pytest.MonkeyPatch, capfd
 ) -> None:
-    def failing(question: Question) -> None:
+    def failing(problem: PlanningProblem) -> None:
         raise ZeroDivisionError("a fault of ours")
 
     ros.controller(use_sim_time=simulated)
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
-    monkeypatch.setattr(Question, "answer", failing)
+    monkeypatch.setattr(PlanningProblem, "solve", failing)
     event = manager.send(move())
     assert event.name == "trajectory refused: failed"
     assert "a fault of ours" in event.message
@@ -411,7 +411,9 @@ def test_a_planning_that_fails_unforeseen_is_refused_and_logged(
     assert manager.send(move()).name == "references changed"
 
 
-def test_who_waits_for_a_plan_and_fails_ends_nothing(ros: Ros, manager: Manager, monkeypatch, capfd) -> None:
+def test_an_unexpected_error_of_a_callback_does_not_end_the_node(
+    ros: Ros, manager: Manager, monkeypatch, capfd
+) -> None:
     node = ros.controller()
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
@@ -419,8 +421,8 @@ def test_who_waits_for_a_plan_and_fails_ends_nothing(ros: Ros, manager: Manager,
     def failing(reason: str) -> None:
         raise ZeroDivisionError("a fault of ours")
 
-    motion = node._control._motion
-    monkeypatch.setattr(motion, "replaced", failing)
+    interface = node._control._interface
+    monkeypatch.setattr(interface, "on_replaced", failing)
     ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
     manager.trajectories.publish(move())
     ros.until(lambda: "a fault of ours" in capfd.readouterr().err, "the log")
@@ -439,7 +441,7 @@ def test_in_simulated_time_a_trajectory_is_planned_at_once(ros: Ros, manager: Ma
 # Services.
 
 
-def test_hold_comes_to_rest_and_play_goes_on(ros: Ros, manager: Manager) -> None:
+def test_hold_comes_to_a_standstill_and_play_continues(ros: Ros, manager: Manager) -> None:
     ros.controller()
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
@@ -457,7 +459,7 @@ def test_hold_comes_to_rest_and_play_goes_on(ros: Ros, manager: Manager) -> None
         np.testing.assert_allclose(dq, [0.8 * np.cos(2.0 * (t - start))], atol=1e-9)
 
 
-def test_play_refuses_what_leaves_the_limits(ros: Ros, manager: Manager) -> None:
+def test_play_refuses_a_reference_that_violates_the_limits(ros: Ros, manager: Manager) -> None:
     ros.controller(limits__link_velocity=[0.5], reference__amplitude=[0.1])
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
@@ -467,7 +469,7 @@ def test_play_refuses_what_leaves_the_limits(ros: Ros, manager: Manager) -> None
     assert "joint1" in sentence
 
 
-def test_play_refuses_a_way_into_the_reference_that_leaves_the_limits(ros: Ros, manager: Manager) -> None:
+def test_play_refuses_a_transition_that_violates_the_limits(ros: Ros, manager: Manager) -> None:
     ros.controller(reference__amplitude=[0.1], limits__link_velocity=[1.0], recovery__join_time=0.5)
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
@@ -488,7 +490,7 @@ def test_resume_ends_a_stop(ros: Ros, manager: Manager) -> None:
     ros.controller(limits__tracking_error=[0.1])
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
-    assert manager.trigger("resume") == (False, "nothing is stopped; expected a controller that a limit has stopped")
+    assert manager.trigger("resume") == (False, "the controller is not stopped; expected a stopped one")
     assert list(manager.ask(stamped(0.001, 0.5)).effort) == [0.0]
     assert list(manager.ask(stamped(0.002, 0.0)).effort) == [0.0]
     assert manager.trigger("resume")[0]

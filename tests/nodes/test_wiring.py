@@ -288,12 +288,12 @@ WIRED_BY_GROUP = (
     "reference.",  # tests/core/config/test_reference.py, test_lifecycle
     "imperfections.",  # test_plant_imperfections, test_simulated_robot
     "measurement.",  # tests/core/estimation/test_measurement_model.py, test_limits_over_ros
-    "limits.",  # test_safety, test_tracker, test_limits_over_ros
+    "limits.",  # tests/tracking, test_limits_over_ros
     "on_stop",
     "start.",
     "recovery.",
     "hold.",
-    "constraints.",  # test_goals
+    "constraints.",  # test_goal_tolerances
     "allow_partial_joints",  # test_trajectories
     "law.",  # test_other_laws, tests/core/tuning/test_equal_bandwidth.py
     "robust.",  # test_robust_action

@@ -14,7 +14,8 @@ from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.monitor.state import Watched
 from fjr_bringup.monitor.terminal import text
 from fjr_bringup.report.write import summarise
-from fjr_controller.tracking.limits import StateLimits
+from fjr_controller.tracking.measured_state import MeasuredState
+from fjr_controller.tracking.state_limits import StateLimits
 from fjr_core.config.reference import motion_limits
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario, load_scenario
@@ -98,13 +99,14 @@ def test_the_robot_knows_its_units(arm: Scenario) -> None:
 
 def test_limits_of_a_prismatic_joint_are_said_in_metres(arm: Scenario) -> None:
     values = {**arm.controller_values, "limits.link_position_upper": [0.04, 0.1], "limits.link_velocity": [1.0, 1.0]}
-    state = StateLimits(safety(values, arm.robot))
+    state = MeasuredState(arm.robot.n)
+    limits = StateLimits(safety(values, arm.robot), state)
     state.q_l[:] = 0.05, 0.2
-    violation = state.violation(None)
+    violation = limits.violation(None)
     assert violation is not None
     assert violation.sentence == "link position of lift: q_l = 0.05 m; expected at most 0.04 m"
     state.q_l[:], state.dq_l[:] = 0.0, (2.0, 0.0)
-    violation = state.violation(None)
+    violation = limits.violation(None)
     assert violation is not None
     assert "dq_l = 2 m/s; expected at most 1 m/s" in violation.sentence
     beneath = {"limits.link_position_lower": [-1.0, -1.0], "limits.link_position_upper": [-2.0, 0.0]}

@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracking.limits import EffortLimits, StateLimits, StopPolicy
+from fjr_controller.tracking.effort_limits import EffortLimits
+from fjr_controller.tracking.events import Journal
+from fjr_controller.tracking.measured_state import MeasuredState
+from fjr_controller.tracking.state_limits import StateLimits
+from fjr_controller.tracking.stop_policy import StopPolicy
 from fjr_core.config import builders
 from fjr_core.config import parameter as parameters
 from fjr_core.config.safety import safety, safety_parameters
@@ -28,34 +32,43 @@ SIZES = {
 }
 
 
-def row(limits: StateLimits, name: str, joint: int, value: float) -> np.ndarray:
-    """Put the robot of two joints at rest at zero but for one quantity; the reference that goes with it."""
-    limits.state[:] = 0.0
+def put(state: MeasuredState, name: str, joint: int, value: float) -> np.ndarray:
+    """Set a robot of two joints to zero but for one quantity; return the desired link positions that go with it."""
+    state.values[:] = 0.0
     q_ld = np.zeros(2)
     if name in SIGNED:
-        limits.q_l[joint] = limits.q_m[joint] = q_ld[joint] = value
+        state.q_l[joint] = state.q_m[joint] = q_ld[joint] = value
     elif name == "deflection":
-        limits.q_m[joint] = value
+        state.q_m[joint] = value
     elif name == "tracking_error":
         q_ld[joint] = -value
     else:
-        getattr(limits, {"link_velocity": "dq_l", "motor_velocity": "dq_m"}[name])[joint] = value
+        getattr(state, {"link_velocity": "dq_l", "motor_velocity": "dq_m"}[name])[joint] = value
     return q_ld
+
+
+def state_limits(**given: object) -> tuple[MeasuredState, StateLimits]:
+    state = MeasuredState(2)
+    return state, StateLimits(settings(2, **given), state)
+
+
+def effort_limits(n: int = 1, **given: object) -> EffortLimits:
+    return EffortLimits(settings(n, **given), Journal())
 
 
 @pytest.mark.parametrize("joint", [0, 1])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("name", [*SIGNED, *SIZES])
-def test_a_limit_is_broken_just_beyond_its_value_and_names_the_joint(name: str, sign: float, joint: int) -> None:
+def test_a_limit_is_violated_just_beyond_its_value_and_names_the_joint(name: str, sign: float, joint: int) -> None:
     bound = [5.0, 5.0]
     bound[joint] = 0.7
     side = ("_upper" if sign > 0 else "_lower") if name in SIGNED else ""
     given = [sign * b for b in bound] if side else bound
-    limits = StateLimits(settings(2, **{name + side: given}))
-    assert limits.violation(row(limits, name, joint, sign * 0.7)) is None
-    assert limits.violation(row(limits, name, joint, -sign * 0.69)) is None
+    state, limits = state_limits(**{name + side: given})
+    assert limits.violation(put(state, name, joint, sign * 0.7)) is None
+    assert limits.violation(put(state, name, joint, -sign * 0.69)) is None
     value = float(np.nextafter(sign * 0.7, sign * INF))
-    broken = limits.violation(row(limits, name, joint, value))
+    broken = limits.violation(put(state, name, joint, value))
     assert broken is not None
     assert (broken.kind, broken.joint) == ({**SIGNED, **SIZES}[name], f"joint{joint + 1}")
     assert (broken.value, broken.limit) == (value, sign * 0.7)
@@ -64,13 +77,13 @@ def test_a_limit_is_broken_just_beyond_its_value_and_names_the_joint(name: str, 
 
 
 @pytest.mark.parametrize("name", [*SIGNED, *SIZES])
-def test_nothing_is_broken_without_limits(name: str) -> None:
-    limits = StateLimits(settings(2))
-    assert limits.violation(row(limits, name, 0, 1e9)) is None
+def test_nothing_is_violated_without_limits(name: str) -> None:
+    state, limits = state_limits()
+    assert limits.violation(put(state, name, 0, 1e9)) is None
 
 
-def test_efforts_within_the_limits_leave_as_they_are() -> None:
-    efforts = EffortLimits(settings(2, effort=[1.0, 2.0], effort_rate=[1e3, INF]))
+def test_efforts_within_the_limits_are_not_changed() -> None:
+    efforts = effort_limits(2, effort=[1.0, 2.0], effort_rate=[1e3, INF])
     efforts.send(np.array([0.0, 0.0]), 0)
     u = np.array([1.0, -2.0])
     assert efforts.send(u, MS) is u
@@ -79,36 +92,36 @@ def test_efforts_within_the_limits_leave_as_they_are() -> None:
 
 
 def test_the_time_in_saturation_is_that_between_the_stamps_joint_by_joint() -> None:
-    efforts = EffortLimits(settings(2, effort=[1.0, 2.0]))
+    efforts = effort_limits(2, effort=[1.0, 2.0])
     for k, u in enumerate([[3.0, 0.0], [-3.0, 5.0], [0.0, -5.0], [0.0, 0.0], [0.0, 0.0]]):
         sent = efforts.send(np.array(u), k * MS)
         np.testing.assert_array_equal(sent, np.clip(u, [-1, -2], [1, 2]))
         assert efforts.clipped == (k < 3)
-    np.testing.assert_allclose(efforts.seconds, [2e-3, 2e-3], rtol=1e-12)
-    assert efforts.seconds_any == pytest.approx(3e-3, rel=1e-12)
+    expected = {"in saturation": 3e-3, "in saturation: joint1": 2e-3, "in saturation: joint2": 2e-3}
+    assert efforts.seconds == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_effort_rises_from_zero_at_its_rate_and_a_repeated_stamp_changes_nothing() -> None:
-    efforts = EffortLimits(settings(2, effort_rate=[1000.0, INF]))
+    efforts = effort_limits(2, effort_rate=[1000.0, INF])
     sent = [efforts.send(np.array([10.0, 10.0]), stamp * MS).copy() for stamp in (0, 1, 1, 3, 2, 3, 30)]
     np.testing.assert_allclose(sent, [[u, 10.0] for u in (0.0, 1.0, 1.0, 3.0, 3.0, 4.0, 10.0)], rtol=1e-12)
 
 
-def test_a_jump_of_the_stamps_is_no_leave_for_more_than_the_timeout() -> None:
-    efforts = EffortLimits(settings(effort_rate=10.0, state_timeout=0.1))
+def test_after_a_jump_of_the_stamps_the_rate_counts_for_the_timeout_at_most() -> None:
+    efforts = effort_limits(effort_rate=10.0, state_timeout=0.1)
     efforts.send(np.zeros(1), 0)
     np.testing.assert_allclose(efforts.send(np.array([1e3]), 10**18), 1.0)
 
 
 def test_tighter_effort_limits_hold_at_once() -> None:
-    efforts = EffortLimits(settings(effort_rate=1.0))
+    efforts = effort_limits(effort_rate=1.0)
     efforts.replace(np.array([5.0]))
-    efforts.limit(settings(effort=2.0, effort_rate=1.0))
+    efforts.apply(settings(effort=2.0, effort_rate=1.0))
     assert efforts.send(np.array([5.0]), MS) <= 2.0
 
 
 @pytest.mark.parametrize("law", [paper_law(), two_link_law()], ids=["single", "two"])
-def test_gravity_hold_is_the_weight_and_damps_the_motors(law: fjr.TrackingLaw) -> None:
+def test_gravity_hold_compensates_gravity_and_damps_the_motors(law: fjr.TrackingLaw) -> None:
     n = law.robot.n
     policy = StopPolicy(law, settings(n, on_stop="gravity_hold"))
     q, dq = np.linspace(0.4, 0.9, n), np.linspace(0.3, -0.5, n)
@@ -120,7 +133,7 @@ def test_gravity_hold_is_the_weight_and_damps_the_motors(law: fjr.TrackingLaw) -
     assert dq @ damping > 0
 
 
-def test_gravity_hold_is_finite_whatever_the_motors_do() -> None:
+def test_gravity_hold_is_finite_for_any_motor_velocity() -> None:
     policy = StopPolicy(paper_law(), settings(on_stop="gravity_hold"))
     policy.remember(np.array([0.5]))
     np.testing.assert_array_equal(policy.moving(np.array([0.5]), np.array([1e300])), policy.standing())
@@ -177,7 +190,7 @@ def limited_robot() -> fjr.Robot:
     return replace(fjr.single_link(), limits=limits)
 
 
-def test_the_tighter_of_own_and_the_robots_limits_holds() -> None:
+def test_the_tighter_of_own_and_robot_limits_applies() -> None:
     own = {"limits.effort": (30.0,), "limits.link_velocity": (2.0,), "limits.link_position_lower": (-2.0,)}
     made = built(robot=limited_robot(), **own, **{"limits.from_robot": True})
     assert (made.effort, made.link_velocity) == (20.0, 2.0)
@@ -186,7 +199,7 @@ def test_the_tighter_of_own_and_the_robots_limits_holds() -> None:
     assert built(robot=limited_robot(), **own).effort == 30.0
 
 
-def test_limits_of_a_robot_that_has_none_are_refused() -> None:
+def test_limits_from_a_robot_without_limits_are_refused() -> None:
     with pytest.raises(fjr.ParameterError, match=r"limits.from_robot' is true; expected false"):
         built(**{"limits.from_robot": True})
 
@@ -203,7 +216,7 @@ def test_limits_of_a_robot_that_has_none_are_refused() -> None:
         ({"recovery.join_time": 1e-5}, "expected 0 for none, or at least 0.001 s"),
     ],
 )
-def test_nonsense_is_refused_in_a_sentence(given: dict[str, object], sentence: str) -> None:
+def test_invalid_values_are_refused_with_a_sentence(given: dict[str, object], sentence: str) -> None:
     with pytest.raises(fjr.ParameterError, match=sentence):
         built(**given)
 

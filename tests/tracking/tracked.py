@@ -42,7 +42,7 @@ def settings(n: int = 1, **given: Any) -> Settings:
 
 
 class Loop:
-    """Plant and tracker, both of the law's robot; keeps what was sent. The arrival clock is that of the stamps."""
+    """A plant and a tracker of the same robot, with a record of both; the arrival clock is that of the stamps."""
 
     def __init__(self, law: fjr.TrackingLaw, reference: fjr.Reference, given: Settings, x0: Any, **more: Any) -> None:
         self.tracker = Tracker(law, reference, given, **more)
@@ -62,7 +62,7 @@ class Loop:
     def step(self, answered: bool = True) -> Command | None:
         command = None
         if answered:
-            command = self.tracker.answer(self.sample(), self.now)
+            command = self.tracker.command(self.sample(), self.now)
             assert command is not None
             self.u = command.u.copy()
             self.commands.append(command)
@@ -79,10 +79,53 @@ class Loop:
 
     @property
     def error(self) -> float:
-        """The largest |q_tilde_l| at the last sample."""
+        """Return the largest |q_tilde_l| at the last sample."""
         return float(np.max(np.abs(self.states[-1][: self.robot.n] - self.commands[-1].jets[0])))
 
 
 def largest_step(efforts: Any) -> float:
-    """The largest change of an effort between two samples [N m]."""
+    """Return the largest change of an effort between two samples [N m]."""
     return float(np.max(np.abs(np.diff(np.asarray(efforts), axis=0))))
+
+
+MS = 1_000_000
+SECOND = 1_000_000_000
+SINE = fjr.Sine(1.0, 1.0)
+TWO_SINES = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
+
+LAW, SOFT, TWO = paper_law(), paper_law(3.1), two_link_law()
+ARMS = {
+    "paper": (LAW, SINE, LAW.robot.state(0.0, 0.0, 1.0, 1.0), 0.2),
+    "soft": (SOFT, SINE, SOFT.robot.state(0.0, 0.0, 1.0, 1.0), 0.6),
+    "two": (TWO, TWO_SINES, TWO.robot.state(0.0, 0.0, 0.0, 0.0), 0.3),
+}
+"""Law, reference, initial state, and the largest step [N m] that a recovery may make."""
+
+LIMITED = {
+    "link_position_upper": ("link position", lambda v: (v, 0.0, 0.0, 0.0)),
+    "link_position_lower": ("link position", lambda v: (-v, 0.0, 0.0, 0.0)),
+    "motor_position_upper": ("motor position", lambda v: (0.0, v, 0.0, 0.0)),
+    "motor_position_lower": ("motor position", lambda v: (0.0, -v, 0.0, 0.0)),
+    "link_velocity": ("link velocity", lambda v: (0.0, 0.0, -v, 0.0)),
+    "motor_velocity": ("motor velocity", lambda v: (0.0, 0.0, 0.0, v)),
+    "deflection": ("deflection", lambda v: (0.0, -v, 0.0, 0.0)),
+    "tracking_error": ("tracking error", lambda v: (v, 0.0, 0.0, 0.0)),
+}
+"""By limit: the kind of its violation, and a state (q_l, q_m, dq_l, dq_m) in which the quantity is v."""
+
+
+def kinds(tracker: Tracker) -> list[str]:
+    return [event.kind for event in tracker.events]
+
+
+def tracker_at(*stamps: int, reference: fjr.Reference = SINE, **given: Any) -> Tracker:
+    tracker = Tracker(LAW, reference, settings(**given))
+    for stamp in stamps:
+        assert tracker.command(sample(stamp, 0.5, 0.5), stamp) is not None
+    return tracker
+
+
+def bare_sample(stamp: int, q: float = 0.5) -> Any:
+    bare = sample(stamp, q, q)
+    bare.dq_l = bare.dq_m = None
+    return bare

@@ -88,7 +88,7 @@ class LockStepLoop:
     def _answer(self, sample: Sample) -> None:
         stamp, position, velocity, _ = sample
         sides = position[: self._n], position[self._n :], velocity[: self._n], velocity[self._n :]
-        command = self._tracker.answer(JointSample(stamp, *sides), stamp)
+        command = self._tracker.command(JointSample(stamp, *sides), stamp)
         if command is None:
             return
         self.log.answers.append((stamp, command.u.copy(), command.jets.copy()))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller that a node's parameters describe: law, tracker and all that speaks ROS around them."""
+"""Assemble the controller from the parameters of its node: law, tracker, topics, services and action."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from .ros.diagnostics import Reports
 from .tracking.tracker import Tracker
 from .trajectory.follow_joint_trajectory import FollowAction
 from .trajectory.goal_tolerances import Tolerances, tolerances
-from .trajectory.interface import Motion
+from .trajectory.interface import TrajectoryInterface
 
 
 class Control:
-    """Built from the checked values of a node's parameters; computes and sends nothing before `start`.
+    """The controller for the checked values of a node's parameters; it computes and sends nothing before `start`.
 
-    Raises FjrError for values that do not go together. `refused` is called when another process turns out to
-    command the robot, before anything was sent.
+    Raises FjrError for values that contradict each other. `on_conflict` is called if another process turns out to
+    command the robot before the first command was sent.
     """
 
     def __init__(
-        self, node: Node, values: dict[str, Any], events: EventWriter, refused: Callable[[RivalError], None]
+        self, node: Node, values: dict[str, Any], events: EventWriter, on_conflict: Callable[[RivalError], None]
     ) -> None:
         self._values, joints = values, values["joints"]
         self._robot = robot = builders.robot(values)
@@ -52,45 +52,45 @@ class Control:
         robust = robust_action(values, self._law)
         self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated, robust)
         self.tracker.warm_up()
-        # Nothing above is made on the node, nothing below is refused.
+        # Above nothing is created on the node; below nothing raises.
         self.reports = Reports(node, self.tracker, events, robot_name(values))
-        self._answering = Answering(node, joints, self.tracker, reader, self.reports, refused)
-        self._motion = Motion(node, joints, self.tracker, self.reports, self._is_active, self._built_in)
-        self._limit_motion()
-        self._action = self._offered(node, allowed)
-        self._witness = self._heard(node, np.asarray(settings.effort))
+        self._answering = Answering(node, joints, self.tracker, reader, self.reports, on_conflict)
+        self._interface = TrajectoryInterface(node, joints, self.tracker, self.reports, self._is_active, self._built_in)
+        self._apply_motion_limits()
+        self._action = self._create_action(node, allowed)
+        self._witness = self._create_certificate_publisher(node, np.asarray(settings.effort))
 
     def start(self) -> None:
-        """Answer from the next state on, as at birth, with the reference that the parameters describe.
+        """Start tracking at the next state, with the reference that the parameters describe.
 
-        Raises ParameterError where that leaves its limits, RivalError where another process commands the robot.
+        Raise ParameterError if the reference violates its limits, RivalError if another process commands the robot.
         """
         self.tracker.start(self._built_in())
         self._answering.start(self._values["state_timeout"])
 
     def stop(self) -> None:
-        """Send the last command, where one is due, and the counters; answer no more."""
-        self._motion.drop()
-        self._motion.replaced("the controller was deactivated")
+        """Send the stop effort if a command was sent before, publish the counters, and end the command loop."""
+        self._interface.drop()
+        self._interface.on_replaced("the controller was deactivated")
         self._answering.stop()
         self.reports.publish()
 
     def close(self) -> None:
-        """Stop, and give everything back."""
+        """Stop, and destroy everything that was created on the node."""
         self.stop()
         self.withdraw()
-        for part in (self._motion, self._answering, self.reports, self._witness):
+        for part in (self._interface, self._answering, self.reports, self._witness):
             if part is not None:
                 part.close()
 
     def withdraw(self) -> None:
-        """Offer the action no more."""
+        """Destroy the action server."""
         if self._action is not None:
             self._action.close()
             self._action = None
 
     def change(self, values: dict[str, Any], changed: set[str]) -> None:
-        """Take over gains, limits and the built-in reference, from the next state on; all or, by FjrError, none."""
+        """Apply gains, limits and the built-in reference from the next state on; on a FjrError change nothing."""
         robot, groups = self._robot, {name.split(".", 1)[0] for name in changed}
         settings = safety(values, robot)
         motion_limits(values, robot)
@@ -103,47 +103,47 @@ class Control:
             self._law = law
         self._values = values
         if groups - {"gains", "reference"}:
-            self.tracker.settings(settings)
-            self._limit_motion()
+            self.tracker.apply(settings)
+            self._apply_motion_limits()
         if self._witness is not None and isinstance(self._law, TrackingLaw):
             self._witness.use(self._law, np.asarray(settings.effort))
-        self.reports.empty()
+        self.reports.publish_events()
 
     def _is_active(self) -> bool:
         return self._answering.active
 
     def _built_in(self) -> Reference:
-        """The reference that the parameters describe; raises ParameterError where it leaves its limits."""
+        """Return the reference that the parameters describe. Raise ParameterError if it violates its limits."""
         reference = builders.reference(self._values, self._robot.n)
         limits = motion_limits(self._values, self._robot)
         named(lambda _: "reference.*", lambda: check_motion(reference, limits, joints=self._values["joints"]))
         return reference
 
-    def _limit_motion(self) -> None:
+    def _apply_motion_limits(self) -> None:
         values = self._values
         limits = motion_limits(values, self._robot)
-        self._motion.limit(limits, values["recovery.join_time"], values["allow_partial_joints"])
+        self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
-    def _heard(self, node: Node, limit: Array) -> Witness | None:
-        """The witness of all answers, where one is wanted and the law has a certificate."""
+    def _create_certificate_publisher(self, node: Node, limit: Array) -> Witness | None:
+        """Return the certificate publisher, if it is enabled and the law has a certificate."""
         if not self._values["certificate"]:
             return None
         if not isinstance(self._law, TrackingLaw):
             node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
             return None
         robust = builders.robust(self._values, self._robot.n)
-        judged = axes(self._values, self._robot)
-        witness = Witness(node, self._law, self.tracker, limit, robust, judged)
-        self._answering.tell(witness.see)
+        joint_axes = axes(self._values, self._robot)
+        witness = Witness(node, self._law, self.tracker, limit, robust, joint_axes)
+        self._answering.add_listener(witness.on_command)
         self.reports.besides(witness.status)
         return witness
 
-    def _offered(self, node: Node, allowed: Tolerances) -> FollowAction | None:
-        """The action, where its messages are installed."""
+    def _create_action(self, node: Node, allowed: Tolerances) -> FollowAction | None:
+        """Return the action server, or None if its messages are not installed."""
         joints = self._values["joints"]
         messages = follow_messages(joints)
         if messages is None:
             return None
-        action = FollowAction(node, joints, self._motion, allowed, messages)
-        self._answering.tell(action.watch)
+        action = FollowAction(node, joints, self._interface, allowed, messages)
+        self._answering.add_listener(action.on_command)
         return action

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The v-dPBC tracking controller as a managed ROS 2 node: one effort command u(x, x, t) for every JointState."""
+"""The v-dPBC tracking controller as a managed ROS 2 node: one effort u(x, x, t) for every JointState."""
 
 from __future__ import annotations
 
@@ -26,81 +26,80 @@ SUCCESS, FAILURE, ERROR = (getattr(TransitionCallbackReturn, name) for name in (
 
 
 class ControllerNode(ManagedParameterNode):
-    """Answers /joint_states with /effort_controller/commands and, stamped and named, /joint_commands.
+    """Publish efforts on /effort_controller/commands and, with stamp and names, on /joint_commands.
 
-    unconfigured: all parameters may change. inactive: the law is built; nothing is computed or sent. active: every
-    state is answered, trajectories and services are taken, gains and limits may change between two states. Whatever
-    ends that sends a last command by `on_stop`. With `autostart` it is active from birth, or raises what is wrong.
+    unconfigured: all parameters may change. inactive: the law is built; nothing is computed or sent. active: there is
+    one command per state, trajectories and services are accepted, gains and limits may change between two states. At
+    the end of the active state the stop effort (`on_stop`) is sent. With `autostart` the constructor configures and
+    activates the node, and raises an error of either.
     """
 
     trouble: Exception | None = None
-    """Why the last transition failed."""
+    """Error of the last transition, None if it succeeded."""
 
     def __init__(self, **node_kwargs: Any) -> None:
         self._control: Control | None = None
-        self._at_birth = False  # the parameters have just been read, and what is wrong is raised instead of logged
+        self._starting = False  # in the constructor: errors are raised instead of logged
         super().__init__(names.CONTROLLER, builders.controller_parameters, **node_kwargs)
 
     def may_wait(self) -> bool:
-        """Parameters that do not fit may be mended, unless the node is to start at once."""
+        """Return True if invalid parameters may be corrected while the node runs: without autostart."""
         return self.given("autostart", True) is False
 
     def is_open(self) -> bool:
-        """Whether every parameter may change."""
+        """Return True if every parameter may change."""
         return self.state == "unconfigured"
 
     @property
     def state(self) -> str:
-        """Label of the lifecycle's state."""
+        """Return the label of the lifecycle state."""
         return str(self._state_machine.current_state[1])
 
     def build(self) -> None:
-        """With autostart: configure and activate, or raise why that is not possible."""
+        """Configure and activate with autostart; raise the error of a transition that fails."""
         self._events = EventWriter(self)
         if self.fault is not None:
             self.values = {parameter.name: parameter.default for parameter in process_parameters()}
-            self.get_logger().error(f"waits for better parameters: {self.fault}")
+            self.get_logger().error(f"waiting for valid parameters: {self.fault}")
         elif self.values["autostart"]:
-            self._at_birth = True
+            self._starting = True
             for trigger in (self.trigger_configure, self.trigger_activate):
                 if trigger() != SUCCESS and self.trouble is not None:
                     raise self.trouble
-            self._at_birth = False
+            self._starting = False
 
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
-        """Take over gains, limits and the built-in reference together, or raise FjrError."""
+        """Apply gains, limits and the built-in reference together; on a FjrError change nothing."""
         if self._control is not None:
             self._control.change(values, names)
 
     def end(self, error: FjrError) -> None:
-        """Be inactive, with the last command out, and do nothing more."""
+        """Deactivate, which sends the stop effort, and end the node."""
         if self.state == "active":
             self.trigger_deactivate()
         super().end(error)
 
     def stop(self) -> None:
-        """Shut down: the last command, and the counters."""
+        """Shut down: send the stop effort and the counters."""
         if self.state in ("unconfigured", "inactive", "active"):
             self.trigger_shutdown()
 
     def destroy_node(self) -> None:
-        """As of rclpy's Node, which knows nothing of actions."""
+        """Destroy the action server first, which rclpy's Node does not."""
         if self._control is not None:
             self._control.withdraw()
         super().destroy_node()
-
-    # Transitions.
 
     def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
         """Check all parameters and build the law."""
         return self._attempt("configured", self._configure)
 
     def on_activate(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Answer from the next state on."""
+        """Start tracking at the next state."""
         return self._attempt("activated", self._activate)
 
     def on_deactivate(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Send the last command."""
+        """Send the stop effort."""
         return self._attempt("deactivated", self._deactivate)
 
     def on_cleanup(self, _: LifecycleState) -> TransitionCallbackReturn:
@@ -108,17 +107,17 @@ class ControllerNode(ManagedParameterNode):
         return self._attempt("cleaned up", self._clean_up)
 
     def on_shutdown(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Send the last command and the counters."""
+        """Send the stop effort and the counters."""
         return self._attempt("shut down", self._deactivate)
 
     def on_error(self, _: LifecycleState) -> TransitionCallbackReturn:
-        """Send the last command where one is due, destroy what was configured, and be unconfigured."""
+        """Send the stop effort if a command was sent before, destroy what was configured, and become unconfigured."""
         return self._attempt("cleaned up after an error", self._clean_up)
 
     def _attempt(self, done: str, act: Callable[[], str]) -> TransitionCallbackReturn:
-        """Make a transition that returns what holds now, for the log and ~/events.
+        """Run `act` as a transition; log its sentence and publish it on ~/events.
 
-        Return SUCCESS; FAILURE with one sentence; ERROR with a traceback for an error that nobody foresaw.
+        Return FAILURE for an FjrError, with its sentence in the log, and ERROR for any other, with a traceback.
         """
         self.trouble = None
         try:
@@ -126,7 +125,7 @@ class ControllerNode(ManagedParameterNode):
         except FjrError as error:
             self.trouble = error
             self._events.publish("error", "transition failed", str(error))
-            if not self._at_birth:
+            if not self._starting:
                 self.get_logger().error(str(error))
             return FAILURE
         except Exception as error:
@@ -139,7 +138,7 @@ class ControllerNode(ManagedParameterNode):
         return SUCCESS
 
     def _configure(self) -> str:
-        if not self._at_birth:
+        if not self._starting:
             self.recheck()
         process_care(self.values)
         self._control = Control(self, self.values, self._events, self._on_rival)
@@ -163,7 +162,7 @@ class ControllerNode(ManagedParameterNode):
         return "all parameters may change"
 
     def _on_rival(self, error: RivalError) -> None:
-        """Another process commands the robot, as it turned out before the first answer: be inactive, or end."""
+        """Deactivate because another process commands the robot; end the node with autostart."""
         assert self._control is not None
         self._control.reports.event(Event("error", RIVALS, str(error)))
         self.trigger_deactivate()

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sees every answered state after its effort left: the certificate on ~/certificate, the verdict on /diagnostics."""
+"""Publish the certificate of every sample on ~/certificate and the diagnosis of the last second on /diagnostics."""
 
 from __future__ import annotations
 
 import math
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray
 
@@ -20,38 +20,33 @@ from fjr_core.monitoring.thresholds import LONGEST_GAP
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.certificate import CertificateValues, CertificateWriter
+from fjr_msgs_py.messages.diagnosis import diagnosis_status
 from fjr_msgs_py.messages.joint_states import JointSample
 
 from ..tracking.tracker import Command, Tracker
 
-LEVELS = {
-    "holding": DiagnosticStatus.OK,
-    "degraded": DiagnosticStatus.WARN,
-    "violated": DiagnosticStatus.ERROR,
-    "unknown": DiagnosticStatus.OK,
-}
-BESIDE = "the law counts on torques beside its model (robust.*), of which the V here knows nothing"
-AHEAD = "the effort is the law's for a predicted state (robust.delay)"
+ESTIMATES = "V does not include the disturbance estimate (robust.* is enabled)"
+PREDICTS = "the effort is the law's for a predicted state (robust.delay)"
 NO_BOUND = -1.0  # J; a storage is never negative
-LONGEST = LONGEST_GAP * 1e-2  # s between two states, above which they have nothing to do with each other
+LONGEST = LONGEST_GAP * 1e-2  # s; two samples further apart are not compared
 
 
 class Witness:
-    """A listener of Answering: publishes a certificate for each state, and keeps what the verdict is drawn from.
+    """A listener of the command loop that certifies each sample after its command was sent.
 
-    A state without a predecessor has no rate and no certificate; nor has one whose numbers are not finite.
-    With robust action there is no verdict and no bound: V and its rates are those of the law without it.
+    A sample without a predecessor, or with values that are not finite, has no certificate. With robust action there is
+    neither diagnosis nor bound, because V and its rates are those of the law without it.
     """
 
     def __init__(
         self, node: Node, law: TrackingLaw, tracker: Tracker, limit: Array, robust: Robust, axes: Axes
     ) -> None:
-        """limit (n,) [N m]: of the efforts. axes: of the joints, as a verdict names and grades them."""
-        self._unjudged = BESIDE if robust.estimates or robust.integrates else AHEAD if robust.predicts else ""
+        """Create the publisher; limit (n,) [N m]: of the efforts; axes: names and grades of the joints."""
+        self._no_diagnosis = ESTIMATES if robust.estimates or robust.integrates else PREDICTS if robust.predicts else ""
         self._node, self._law, self._tracker = node, law, tracker
         self._forecast, self._latency = Forecast(law), Latency()
         self._simulated = bool(node.get_parameter("use_sim_time").value)
-        self._running = RunningVerdict(law, limit, self._forecast, axes)
+        self._online_diagnosis = RunningVerdict(law, limit, self._forecast, axes)
         self._writer = CertificateWriter()
         self._publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.LATEST)
         self._name = f"{names.full_name(node)}: certificate"
@@ -59,15 +54,18 @@ class Witness:
         self._beta = self._rate()
 
     def use(self, law: TrackingLaw, limit: Array) -> None:
-        """Another law, made by `with_gains`, or other limits."""
+        """Replace the law by one made by `with_gains`, and the effort limits (n,) [N m]; the bound starts again."""
         if law is not self._law:
             self._law = law
             self._forecast.use(law)
-        self._running.use(law, limit)
+        self._online_diagnosis.use(law, limit)
         self._start, self._beta = -1, self._rate()
 
-    def see(self, sample: JointSample, command: Command, arrival: int, sent: int) -> None:
-        """A state and its answer, when it arrived and was sent [ns]; where time is simulated that says nothing."""
+    def on_command(self, sample: JointSample, command: Command, arrival: int, sent: int) -> None:
+        """Publish the certificate of a sample that arrived, and whose command was sent, at these times [ns].
+
+        With simulated time arrival and sent are not used.
+        """
         dt = (sample.stamp - self._stamp) * 1e-9
         if command.restarted or not 0 < dt < LONGEST:
             self._forecast.skip()
@@ -81,32 +79,25 @@ class Witness:
         values = self._values((self._forecast.V - before) / dt if dt else 0.0, dt)
         if self._forecast.count == count:
             return
-        if not self._unjudged:
-            self._running.look(self._beta)
+        if not self._no_diagnosis:
+            self._online_diagnosis.look(self._beta)
         if all(map(math.isfinite, values)):
             self._publisher.publish(self._writer.fill(sample.stamp, values))
 
     def status(self) -> DiagnosticStatus:
-        """The verdict on the last second."""
-        verdict: Verdict = unknown(self._unjudged) if self._unjudged else self._running.verdict()
+        """Return the diagnosis of the last second."""
+        diagnosis: Verdict = unknown(self._no_diagnosis) if self._no_diagnosis else self._online_diagnosis.verdict()
         if self._law.robot.links.M_l_vertices is None:
             self._beta = self._rate()
-        said = {"verdict": verdict.kind, "causes": ", ".join(verdict.causes)}
-        figures = {name: f"{value:.6g}" for name, value in verdict.figures.items() if math.isfinite(value)}
-        return DiagnosticStatus(
-            level=LEVELS[verdict.kind],
-            name=self._name,
-            message=f"Degraded: {verdict.sentence}" if verdict.kind == "degraded" else verdict.sentence,
-            values=[KeyValue(key=key, value=value) for key, value in (said | figures).items()],
-        )
+        return diagnosis_status(self._name, diagnosis.kind, diagnosis.causes, diagnosis.sentence, diagnosis.figures)
 
     def close(self) -> None:
-        """Publish no more."""
+        """Destroy the publisher."""
         self._node.destroy_publisher(self._publisher)
 
     def _values(self, rate: float, dt: float) -> CertificateValues:
         f, certificate = self._forecast, self._tracker.certificate
-        if certificate is None or self._unjudged:
+        if certificate is None or self._no_diagnosis:
             self._start, self._bound = -1, NO_BOUND
         elif certificate.start != self._start:
             self._start, self._bound = certificate.start, f.V
@@ -115,7 +106,7 @@ class Witness:
         return CertificateValues(f.V, f.dV, rate, self._bound, f.H, f.supplied, f.dissipated)
 
     def _rate(self) -> float:
-        """beta [1/s]: proven where it can be, else that of the present configuration."""
+        """Return beta [1/s]: proven if the inertia is known in closed form, else at the present configuration."""
         law = self._law
-        known = law.robot.links.M_l_vertices is not None
-        return law.rate(None if known else self._forecast.position[None, : law.robot.n]).beta
+        proven = law.robot.links.M_l_vertices is not None
+        return law.rate(None if proven else self._forecast.position[None, : law.robot.n]).beta

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The way from a JointState to an effort, while the controller is active."""
+"""The command loop of an active controller: a JointState in, an effort out."""
 
 from __future__ import annotations
 
@@ -27,22 +27,21 @@ TOPICS = {names.EFFORT_COMMANDS: Float64MultiArray, names.JOINT_COMMANDS: JointS
 RIVALS = "other controllers"
 ALONE = "expected nobody else to command the robot"
 LOOK_PERIOD = 0.5  # s
-SILENCE_CHECKS = 10  # in each state_timeout
-
+SILENCE_CHECKS = 10  # per state_timeout
 
 Listener = Callable[[JointSample, Command, int, int], None]
-"""Takes a sample, its command, and when the one arrived and the other was sent [ns, steady clock]."""
+"""Callback with a sample, its command, and the times of arrival and of sending [ns, steady clock]."""
 
 
 class RivalError(FjrError):
-    """Somebody else commands the robot."""
+    """Another process publishes on a command topic."""
 
 
 class Answering:
-    """Answers states on both command topics from `start` to `stop`; otherwise it computes and sends nothing.
+    """Publish a command on both command topics for each state from `start` to `stop`; otherwise nothing.
 
-    Other processes on either topic are looked for at the start, at the first state and twice a second. One that
-    sends before the first answer is met by `refused`; one that comes later is reported.
+    Conflicting publishers on either topic are looked for at the start, at the first state and every LOOK_PERIOD. If one
+    publishes before the first command, `on_conflict` is called; one that appears later is reported.
     """
 
     def __init__(
@@ -52,13 +51,14 @@ class Answering:
         tracker: Tracker,
         reader: StateReader,
         reports: Reports,
-        refused: Callable[[RivalError], None],
+        on_conflict: Callable[[RivalError], None],
     ) -> None:
+        """Subscribe to the states; create the publishers of reference and tracking error."""
         self._node, self._tracker, self._reports = node, tracker, reports
         self._reader = SerialisedStates(reader)
-        self._refused = refused
+        self._on_conflict = on_conflict
         self._n = len(joints)
-        self._by_stamps = bool(node.get_parameter("use_sim_time").value)
+        self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._effort, self._command = EffortWriter(joints), JointStateWriter(joints)
         self._reference, self._error = JointStateWriter(joints), JointStateWriter(joints)
         self._references = node.create_publisher(JointState, names.REFERENCE, names.LATEST)
@@ -67,12 +67,12 @@ class Answering:
         self._listeners: list[Listener] = []
         self.active = False
 
-    def tell(self, listener: Listener) -> None:
-        """Call `listener` with each sample and its command, after they were sent."""
+    def add_listener(self, listener: Listener) -> None:
+        """Call `listener` for each sample, after its command was sent."""
         self._listeners.append(listener)
 
     def start(self, state_timeout: float) -> None:
-        """Answer from the next state on; raises RivalError where another process commands the robot."""
+        """Publish commands from the next state on. Raise RivalError if another process publishes on a command topic."""
         self._rivals = Rivals(self._node, TOPICS, names.LATEST)
         try:
             self._refuse_rivals()
@@ -81,7 +81,7 @@ class Answering:
             raise
         self._efforts, self._commands = self._rivals.publishers
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        own_time = self._node.get_clock() if self._by_stamps else steady
+        own_time = self._node.get_clock() if self._simulated else steady
         period = state_timeout / SILENCE_CHECKS
         self._timers = [
             self._node.create_timer(period, self._on_silence, clock=own_time),
@@ -93,7 +93,7 @@ class Answering:
         self.active = True
 
     def stop(self) -> None:
-        """Send a last command, if any was sent, and answer no more."""
+        """Publish the stop effort if a command was sent before, and end the command loop."""
         if not self.active:
             return
         self.active = False
@@ -101,12 +101,12 @@ class Answering:
             self._node.destroy_timer(timer)
         if self._last_stamp is not None:
             self._send(self._last_stamp, self._tracker.stop_effort())
-        self._reports.empty()
+        self._reports.publish_events()
         process.flush(self._efforts, self._commands)
         self._rivals.close()
 
     def close(self) -> None:
-        """Give back everything."""
+        """Destroy all subscriptions and publishers."""
         self.stop()
         self._node.destroy_subscription(self._states)
         for publisher in (self._references, self._errors):
@@ -116,12 +116,12 @@ class Answering:
         if not self.active:
             return
         try:
-            self._take(message, time.monotonic_ns())
+            self._process(message, time.monotonic_ns())
         except Exception:
-            self.stop()  # whatever it was: the robot is not left with the last effort
+            self.stop()  # after any error: the robot must not keep the last effort
             raise
 
-    def _take(self, message: bytes, arrival: int) -> None:
+    def _process(self, message: bytes, arrival: int) -> None:
         self._reports.count[RECEIVED] += 1
         try:
             sample = self._reader.read(message)
@@ -130,16 +130,16 @@ class Answering:
             return
         if not (self._alone or self._is_alone()):
             return
-        if self._by_stamps:  # the same answer whether the clock shows a silence before or after the state ends it
-            self._watch_silence(sample.stamp)
-        command = self._tracker.answer(sample, arrival)
+        if self._simulated:  # the command must not depend on which comes first, the clock or the state
+            self._check_silence(sample.stamp)
+        command = self._tracker.command(sample, arrival)
         if command is not None:
-            self._answer(sample, command, arrival)
+            self._publish(sample, command, arrival)
         if self._tracker.events:
-            self._reports.empty()
+            self._reports.publish_events()
         self._reports.at(sample.stamp)
 
-    def _answer(self, sample: JointSample, command: Command, arrival: int) -> None:
+    def _publish(self, sample: JointSample, command: Command, arrival: int) -> None:
         self._send(sample.stamp, command.u)
         sent = time.monotonic_ns()
         self._last_stamp = sample.stamp
@@ -151,41 +151,41 @@ class Answering:
         if command.state is not self._state:
             self._state = command.state
             if command.state is State.TRACKING:
-                self._reports.reached("tracking", "tracking: the effort is the law's own")
+                self._reports.announce("tracking", "tracking: the effort is the law's own")
         for listener in self._listeners:
             listener(sample, command, arrival, sent)
 
     def _send(self, stamp: int, u: Array) -> None:
-        if self._by_stamps:  # lock-step waits for this one
+        if self._simulated:  # lock-step waits for this message
             self._commands.publish(self._command.fill(stamp, effort=u))
         self._efforts.publish(self._effort.fill(u))
-        if not self._by_stamps:
+        if not self._simulated:
             self._commands.publish(self._command.fill(stamp, effort=u))
 
     def _on_silence(self) -> None:
-        now = self._node.get_clock().now().nanoseconds if self._by_stamps else time.monotonic_ns()
-        self._watch_silence(now)
-        self._reports.empty()
+        now = self._node.get_clock().now().nanoseconds if self._simulated else time.monotonic_ns()
+        self._check_silence(now)
+        self._reports.publish_events()
 
-    def _watch_silence(self, now: int) -> None:
-        """Send the stop effort once in a silence; now [ns]: of the stamps where time is simulated, else steady."""
+    def _check_silence(self, now: int) -> None:
+        """Send the stop effort once per silence; now [ns]: of the stamps with simulated time, else steady."""
         u = self._tracker.silence(now)
         if u is not None and self._last_stamp is not None:
             self._send(self._last_stamp, u)
 
     def _is_alone(self) -> bool:
-        """Look for rivals before the first answer; false where that took so long that the state is old."""
+        """Look for conflicting publishers before the first command; False if the state is old after that."""
         self._alone = True
         try:
             listened = self._refuse_rivals()
         except RivalError as error:
-            self._refused(error)
+            self._on_conflict(error)
             return False
         self._rivals.trust()
         return not listened
 
     def _refuse_rivals(self) -> bool:
-        """Whether others were listened to and silent (a killed node is not forgotten at once); else RivalError."""
+        """Return True if other publishers exist but are silent (a killed node). Raise RivalError if one publishes."""
         appeared = self._rivals.appeared()
         topic = self._rivals.heard() if appeared else ""
         if topic:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the controller tells of itself: counters on /diagnostics, events on ~/events, each kind once in the log."""
+"""Report counters on /diagnostics and events on ~/events; log each kind of event once."""
 
 from __future__ import annotations
 
@@ -31,16 +31,14 @@ EXPECTED = (
 
 
 class Reports(Health):
-    """The counters of the node and of its tracker together, and the events of both."""
+    """Counters and events of the node together with those of its tracker."""
 
     def __init__(self, node: Node, tracker: Tracker, events: EventWriter, robot: str) -> None:
-        """robot: its name, for the diagnostics."""
+        """Create the publisher; robot: name in the hardware_id of the diagnostics."""
         super().__init__(node, (RECEIVED, ANSWERED), robot)
         self._tracker, self._events = tracker, events
         self._expected |= set(EXPECTED)
-        inspect.getframeinfo(
-            sys._getframe()
-        )  # what makes a first line in the log cost 25 ms is done before states come
+        inspect.getframeinfo(sys._getframe())  # the first line of the log costs 25 ms: pay it before samples arrive
 
     def event(self, event: Event) -> None:
         """Publish an event, and count and log it by its level and kind."""
@@ -54,19 +52,19 @@ class Reports(Health):
             self.warn(event.kind, event.sentence)
         self._events.publish(event.level, event.kind, event.sentence, event.values)
 
-    def reached(self, kind: str, sentence: str) -> None:
-        """Publish that something has begun, and log it the first time."""
+    def announce(self, kind: str, sentence: str) -> None:
+        """Publish an event that is not counted, and log it the first time."""
         if self.is_new(kind):
             self._node.get_logger().info(sentence)
         self._events.publish("info", kind, sentence)
 
-    def empty(self) -> None:
-        """Publish what has happened in the tracker since the last call."""
+    def publish_events(self) -> None:
+        """Publish the events of the tracker since the last call."""
         while self._tracker.events:
             self.event(self._tracker.events.popleft())
 
     def publish(self) -> None:
-        """Publish the counters; a kind that the tracker counts, too, has the tracker's number."""
+        """Publish the counters; the tracker's number is used for a kind that both count."""
         for kind, number in self._tracker.counters.items():
             self.count[kind] = max(number, self.count[kind])
         for name, seconds in self._tracker.seconds.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From when on the law's bound on the storage counts."""
+"""The initial value of the bound V(t) <= V(0) exp(-2 beta t), which is reset whenever the law alone does not act."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Certificate:
-    """V(t) <= V0 exp(-2 beta (t - start)) [J] counts from `start` [ns of the stamps]; V belongs to the stamp `now`."""
+    """V(t) <= V0 exp(-2 beta (t - start)) [J] from the stamp `start` [ns] on; V [J] is the value at the stamp `now`."""
 
     start: int
     V0: float
@@ -16,25 +16,25 @@ class Certificate:
     V: float
 
 
-class Watch:
-    """Begins a certificate at the first sample that the law alone answers, and keeps it until void()."""
+class BoundStart:
+    """Start a bound at the first sample for which the law alone acts, and keep it until reset()."""
 
     def __init__(self) -> None:
         self._start: int | None = None
         self._V0 = self._V = 0.0
         self._now = 0
 
-    def see(self, stamp: int, V: float) -> None:
-        """The law's own effort left for this stamp [ns], with storage V [J]."""
+    def update(self, stamp: int, V: float) -> None:
+        """Take the storage V [J] of a sample at `stamp` [ns] whose effort is the law's own."""
         if self._start is None:
             self._start, self._V0 = stamp, V
         self._now, self._V = stamp, V
 
-    def void(self) -> None:
-        """The effort was not the law's, or the law is another one: the bound must begin anew."""
+    def reset(self) -> None:
+        """Discard the bound: the effort was not the law's own, or the law has changed."""
         self._start = None
 
     @property
     def certificate(self) -> Certificate | None:
-        """The certificate, None while there is none."""
+        """Return the certificate, or None if there is no bound."""
         return None if self._start is None else Certificate(self._start, self._V0, self._now, self._V)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tracker has to say: the state it is in, events for the log, counters for the diagnostics."""
+"""What the tracker reports: its state, events for the log, counters for the diagnostics."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class State(str, Enum):
     """What the tracker does with a sample."""
 
     WAITING = "waiting"  # for the first sample
-    JOINING = "joining"  # the effort or the reference is still led from the measured state into the wanted one
+    JOINING = "joining"  # transition from the measured state to the reference, or bumpless transfer of the effort
     TRACKING = "tracking"
-    STOPPED = "stopped"  # every sample is answered by the stop policy until resume()
+    STOPPED = "stopped"  # the stop policy acts until resume()
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened once: level info, warn or error; kind is the name of its counter."""
+    """One event: level info, warn or error; kind is the name of its counter."""
 
     level: str
     kind: str
@@ -32,14 +32,18 @@ class Event:
 
 
 class Journal:
-    """Events (the newest hundred that nobody has taken yet) and counters."""
+    """Counters, and the newest hundred events that have not been taken out.
+
+    episodes: kinds whose episode has been reported and has not ended; remove one to end its episode.
+    """
 
     def __init__(self) -> None:
         self.events: deque[Event] = deque(maxlen=100)
         self.counters: Counter[str] = Counter()
+        self.episodes: set[str] = set()
 
-    def say(self, level: str, kind: str, sentence: str, **values: float | str) -> None:
-        """Count `kind` and leave an event."""
+    def report(self, level: str, kind: str, sentence: str, **values: float | str) -> None:
+        """Count `kind` and add an event."""
         self.counters[kind] += 1
         self.events.append(Event(level, kind, sentence, values))
 
@@ -47,7 +51,15 @@ class Journal:
         """Count `kind`."""
         self.counters[kind] += 1
 
-    def take(self, other: Journal) -> None:
-        """What another journal holds happened, too."""
+    def report_episode(self, level: str, kind: str, sentence: str, **values: float | str) -> None:
+        """Count `kind`; add an event only for the first call of an episode."""
+        if kind in self.episodes:
+            self.count(kind)
+        else:
+            self.episodes.add(kind)
+            self.report(level, kind, sentence, **values)
+
+    def merge(self, other: Journal) -> None:
+        """Add the events and counters of another journal."""
         self.events.extend(other.events)
         self.counters.update(other.counters)

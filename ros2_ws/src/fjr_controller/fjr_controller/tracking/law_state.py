@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When the memory of a law with robust action goes on from sample to sample, and when it begins anew."""
+"""The controller state of a law with robust action, from sample to sample."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from .stamp_order import Order
 
 
 class Recollection:
-    """The memory goes on where a sample follows one that the law answered; it begins anew everywhere else.
+    """Advance the controller state where a sample follows one for which the law acted; reset it everywhere else.
 
-    A repeated sample is asked about once more as it was. What the last sample left counts only after `accept`.
+    A repeated sample is evaluated again with the same state. The state after a sample counts only after `accept`.
     """
 
     def __init__(self, step: BoundStep) -> None:
-        self._step, self._asked, self._goes_on = step, False, False
+        self._step, self._evaluated, self._continues = step, False, False
 
-    def taken_over(self, step: BoundStep) -> Recollection:
-        """The same memory for another step whose memory has the same layout (other gains)."""
+    def moved_to(self, step: BoundStep) -> Recollection:
+        """Return this controller state for another step with a state of the same layout (other gains)."""
         np.copyto(step.memory, self._step.memory)
         np.copyto(step.next, self._step.next)
         np.copyto(step.sent, self._step.sent)
         np.copyto(step.dt, self._step.dt)
-        other = Recollection(step)
-        other._asked, other._goes_on = self._asked, self._goes_on
-        return other
+        moved = Recollection(step)
+        moved._evaluated, moved._continues = self._evaluated, self._continues
+        return moved
 
-    def place(self, order: Order, dt: int, sent: Array) -> None:
-        """The law is asked about a sample, dt [ns] after the last one; sent (n,): the last effort that left."""
-        step, self._asked = self._step, True
-        if order is Order.REPEATED and self._goes_on:
+    def prepare(self, order: Order, dt: int, sent: Array) -> None:
+        """Set the inputs of the step for a sample dt [ns] after the last one; sent (n,) [N m]: last effort sent."""
+        step, self._evaluated = self._step, True
+        if order is Order.REPEATED and self._continues:
             return
-        if order is Order.NEXT and self._goes_on:
+        if order is Order.NEXT and self._continues:
             step.keep()
             step.dt[0] = dt * 1e-9
         else:
@@ -44,13 +44,13 @@ class Recollection:
 
     @property
     def finite(self) -> bool:
-        """Whether what would be remembered is."""
+        """Return True if the state after the sample is finite."""
         return bool(self._step.next.dot(self._step.next) < np.inf)
 
     def accept(self) -> None:
-        """An answer left: the law's, if it was asked."""
-        self._goes_on = self._asked
+        """An effort was sent: the law's, if it was evaluated."""
+        self._continues = self._evaluated
 
-    def forget(self) -> None:
-        """The law does not answer, or its answer does not leave: the next sample is the first."""
-        self._asked = self._goes_on = False
+    def reset(self) -> None:
+        """Start from the initial state at the next sample."""
+        self._evaluated = self._continues = False

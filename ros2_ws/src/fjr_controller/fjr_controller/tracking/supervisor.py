@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When tracking begins, joins, recovers and stops: what is between the measured state and the reference."""
+"""The supervisor: a state machine that starts, recovers, holds and stops tracking."""
 
 from __future__ import annotations
 
@@ -13,152 +13,164 @@ from fjr_core.control.safety_settings import Settings
 from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.point_to_point import standing
 
-from .active_reference import RunningReference
-from .bound_start import Watch
+from .active_reference import ActiveReference
+from .bound_start import BoundStart
 from .bumpless_transfer import Fade
 from .events import ERROR, INFO, STARTS_REFUSED, STOPS, WARN, Journal
-from .limits import StateLimits
+from .measured_state import MeasuredState
 from .stamp_order import Order
+from .state_limits import StateLimits
 
-BLEND = 0.05  # of the joining time: longer makes no smaller step of u, and a larger error
+BLEND = 0.05  # of the transition time: a longer blend has a larger error, and no smaller step of u
 
 
 class Course:
-    """The reference with its clock, the fade of the effort and the stop, moved on sample by sample.
+    """The active reference, the bumpless transfer and the stop, advanced sample by sample.
 
-    reason: why it is stopped, one sentence; empty otherwise. blind: samples left in which the velocities do not
-    count yet. starting: tracking has not begun on this time line. The state is looked up in `limits`, what happens is
-    written into `journal`.
+    Start: ramp from the stop policy's effort over start.ramp_time; transition from the measured state over
+    start.join_time, or without one refuse the start if |q_l - q_ld| exceeds limits.start_error.
+    Recovery (after a gap of the samples, or resume()): transition of the reference from the measured state over
+    recovery.join_time, and blend of the effort over BLEND of that time. The clock of the reference continues.
+    Stop: at a violated limit, latched until resume(). Outside the limits nothing is started or resumed.
+
+    reason: why tracking is stopped, one sentence; empty otherwise. settling: samples left before the velocities of an
+    observer that was reset are used; until then their limits and that of the tracking error are not checked. starting:
+    tracking has not begun on this time line.
     """
 
-    def __init__(self, reference: Reference, settings: Settings, limits: StateLimits, journal: Journal) -> None:
-        self.settings, self.reference = settings, RunningReference(reference)
-        self.fade, self.watch = Fade(), Watch()
-        self.reason, self.blind, self.starting = "", 0, True
-        self._limits, self._journal = limits, journal
+    def __init__(self, reference: Reference, settings: Settings, state: MeasuredState, journal: Journal) -> None:
+        self.settings, self.reference = settings, ActiveReference(reference)
+        self.fade, self.bound = Fade(), BoundStart()
+        self.reason, self.settling, self.starting = "", 0, True
+        self._state, self._limits, self._journal = state, StateLimits(settings, state), journal
         self._resuming = self._holding = self._joining = False
 
     @property
     def joining(self) -> bool:
-        """Whether the effort or the reference is still led into the wanted one."""
-        return self.fade.active or self.blind > 0 or self._joining
+        """True during a transition of the reference, a transfer of the effort, or while velocities settle."""
+        return self.fade.active or self.settling > 0 or self._joining
+
+    def apply(self, settings: Settings) -> None:
+        """Replace the settings; a stop and what is under way remain."""
+        self.settings = settings
+        self._limits.apply(settings)
 
     def follow(self, reference: Reference, start: int | None) -> None:
-        """See Tracker.follow."""
+        """Request a reference; see Tracker.follow."""
         self._holding = False
         self.reference.replace(reference, start)
-        self._journal.say(INFO, "references changed", f"another reference: {type(reference).__name__}")
+        self._journal.report(INFO, "references changed", f"another reference: {type(reference).__name__}")
 
     def hold(self) -> None:
-        """See Tracker.hold."""
+        """Request a standstill; see Tracker.hold."""
         self._holding = True
         self.reference.drop()
-        self._journal.say(INFO, "holds", "hold: the motion comes to rest")
+        self._journal.report(INFO, "holds", "hold: the motion comes to a standstill")
 
     def resume(self) -> None:
-        """See Tracker.resume."""
+        """Request the end of a stop; see Tracker.resume."""
         self._resuming = bool(self.reason)
 
     def refuse_wiring(self, sentence: str, joint: str) -> None:
-        """Stop because efforts or sensors are connected wrongly, with what was found."""
+        """Stop because of a wiring fault, which the sentence describes."""
         self._journal.count("stops: wiring")
         self._stop("stops", f"stopped: {sentence}", joint)
 
-    def is_even(self, order: Order, stamp: int, observed: int) -> bool:
-        """Whether the sample is the occasion for nothing: what is under way goes on."""
-        asked = self._resuming or self._holding or self.reference.is_due(stamp)
-        return order is Order.NEXT and not (observed or self.blind or asked)
+    def continues(self, order: Order, stamp: int, settling: int) -> bool:
+        """Return True if this sample triggers no state transition."""
+        requested = self._resuming or self._holding or self.reference.is_due(stamp)
+        return order is Order.NEXT and not (settling or self.settling or requested)
 
-    def turned(self, order: Order, stamp: int, observed: int) -> Course:
-        """A course after everything that the sample is the occasion for, with a journal of its own; this one stays.
+    def advanced(self, order: Order, stamp: int, settling: int) -> Course:
+        """Return a copy of the supervisor after the transitions triggered by this sample; self is unchanged.
 
-        observed: samples that the velocities need before they count, because their observer has begun anew.
-        Raises TrajectoryError for a state from which no motion leads back.
+        settling: samples that the velocities need before they are used, because their observer was reset.
+        The copy has a journal of its own until `committed`. Raise TrajectoryError if no motion leads back from the
+        measured state.
         """
         course = copy(self)
-        course.reference, course.fade, course.watch = copy(self.reference), copy(self.fade), copy(self.watch)
+        course.reference, course.fade, course.bound = copy(self.reference), copy(self.fade), copy(self.bound)
         course._journal = Journal()
-        course._arrange(order, stamp, observed)
-        course._advance(order, stamp)
+        course._handle_order(order, stamp, settling)
+        course._handle_requests(order, stamp)
         return course
 
-    def taken(self, journal: Journal) -> Course:
-        """This course, which writes into `journal`, also what it has written so far."""
-        journal.take(self._journal)
+    def committed(self, journal: Journal) -> Course:
+        """Return this supervisor with `journal`, to which everything reported so far is added."""
+        journal.merge(self._journal)
         self._journal = journal
         return self
 
     def jets(self, stamp: int) -> Array:
-        """The reference (5, n) for the state, whose limits are checked with it."""
-        jets, self._joining = self.reference.jets(stamp), stamp < self.reference.joined_at
+        """Return the reference jets (5, n) at the stamp [ns]; stop if the state violates a limit."""
+        jets, self._joining = self.reference.jets(stamp), stamp < self.reference.transition_end
         if not self.reason:
-            self._check(None if self.blind else jets[0])
+            self._check_limits(None if self.settling else jets[0])
         return jets
 
-    def _arrange(self, order: Order, stamp: int, observed: int) -> None:
+    def _handle_order(self, order: Order, stamp: int, settling: int) -> None:
         if order is Order.REPEATED:
             self._journal.count("states repeated")
             return
         if order is Order.FIRST:
             self._begin(stamp)
         elif order is Order.BACK:
-            text = "the time of the states jumped back: the reference starts again"
-            self._journal.say(WARN, "reference restarts", text)
+            sentence = "the time of the states jumped back: the reference starts again"
+            self._journal.report(WARN, "reference restarts", sentence)
             self._begin(stamp)
         elif order is Order.FORWARD:
-            self._journal.say(WARN, "forward jumps", "the time of the states jumped forward")
-        elif order is Order.NEXT and observed:
-            text = "the observer of the velocities began anew: a gap, or a state without an effort"
-            self._journal.say(WARN, "observer restarts", text)
-        if order is not Order.NEXT or observed:
+            self._journal.report(WARN, "forward jumps", "the time of the states jumped forward")
+        elif order is Order.NEXT and settling:
+            sentence = "the velocity observer was reset: a gap, or a state without an effort"
+            self._journal.report(WARN, "observer restarts", sentence)
+        if order is not Order.NEXT or settling:
             self.fade.stop()
-            self.blind = 1 + observed
+            self.settling = 1 + settling
 
     def _begin(self, stamp: int) -> None:
-        """The reference's time 0 is here."""
+        """Set the reference's time 0 to this stamp [ns]."""
         if self._holding:
-            self.reference.stand(self._limits.q_l, stamp)
+            self.reference.stand(self._state.q_l, stamp)
             self._holding = False
         self.reference.begin(stamp)
-        self.watch.void()
+        self.bound.reset()
         self.starting = True
 
-    def _advance(self, order: Order, stamp: int) -> None:
-        """What was asked for since the last sample, and a start or a recovery when its time has come."""
+    def _handle_requests(self, order: Order, stamp: int) -> None:
+        """Carry out requests since the last sample; start or recover once the velocities have settled."""
         ready = False
-        if self.blind and order is not Order.REPEATED:
-            self.blind -= 1
-            ready = not self.blind
+        if self.settling and order is not Order.REPEATED:
+            self.settling -= 1
+            ready = not self.settling
         if self._resuming:
             ready = self._resume(stamp)
         if ready and not self.reason:
-            self._lead(stamp)
+            self._start_or_recover(stamp)
         if self._holding:
             self._hold(stamp)
         self.reference.advance(stamp, 0.0 if self.reason else self.settings.recovery_join_time)
 
     def _hold(self, stamp: int) -> None:
         if self.reason:
-            self.reference.stand(self._limits.q_l, stamp)
+            self.reference.stand(self._state.q_l, stamp)
         else:
             self.reference.brake(stamp, self.settings.hold_deceleration)
         self._holding = False
 
     def _resume(self, stamp: int) -> bool:
-        """End the stop, unless the state is outside its limits; whether the reference can be led from it."""
+        """End the stop unless the state violates a limit; return True if tracking can recover at this sample."""
         self.reason, self._resuming = "", False
-        self._check(None)
+        self._check_limits(None)
         if self.reason:
             return False
         self._journal.count("resumes")
         self.starting = self.starting and self.settings.recovery_join_time == 0
         if self.starting:
             self._begin(stamp)
-        return self.blind == 0
+        return self.settling == 0
 
-    def _lead(self, stamp: int) -> None:
-        """Lead reference and effort from the measured state, unless that is outside its limits."""
-        self._check(None)
+    def _start_or_recover(self, stamp: int) -> None:
+        self._check_limits(None)
         if self.reason:
             return
         if self.starting:
@@ -167,16 +179,17 @@ class Course:
             self._recover(stamp)
 
     def _start(self, stamp: int) -> None:
-        m = self._limits
         self.fade.ramp(stamp, self.settings.ramp_time)
         if self.settings.start_join_time > 0:
-            self.reference.join(standing(m.q_l, m.dq_l), stamp, self.settings.start_join_time)
+            jets0 = standing(self._state.q_l, self._state.dq_l)
+            self.reference.begin_transition(jets0, stamp, self.settings.start_join_time)
         else:
             self._check_start(self.reference.jets(stamp)[0])
         self.starting = bool(self.reason)
 
     def _check_start(self, q_ld: Array) -> None:
-        error, limit = np.abs(self._limits.q_l - q_ld), np.asarray(self.settings.start_error)
+        """Refuse the start if |q_l - q_ld| exceeds limits.start_error at a joint."""
+        error, limit = np.abs(self._state.q_l - q_ld), np.asarray(self.settings.start_error)
         far = error > limit
         if not far.any():
             return
@@ -189,18 +202,18 @@ class Course:
         self._stop(STARTS_REFUSED, sentence, joint, float(error[i]), float(limit[i]))
 
     def _recover(self, stamp: int) -> None:
-        """Lead the reference from the measured state, and the effort from the last one sent."""
-        self.watch.void()
+        self.bound.reset()
         seconds = self.settings.recovery_join_time
+        sentence = "recovery: tracking continues at once"
         if seconds > 0:
-            self.reference.join(standing(self._limits.q_l, self._limits.dq_l), stamp, seconds)
+            self.reference.begin_transition(standing(self._state.q_l, self._state.dq_l), stamp, seconds)
             self.fade.blend(stamp, BLEND * seconds)
-        text = f"recovery: the reference is joined within {seconds:g} s" if seconds else "recovery: tracking goes on"
-        self._journal.say(INFO, "recoveries", text)
+            sentence = f"recovery: transition to the reference within {seconds:g} s"
+        self._journal.report(INFO, "recoveries", sentence)
 
-    def _check(self, q_ld: Array | None) -> None:
-        """Stop at a broken limit; of the tracking error where q_ld (n,) is given, of the velocities unless blind."""
-        v = self._limits.violation(q_ld, velocities=not self.blind)
+    def _check_limits(self, q_ld: Array | None) -> None:
+        """Stop at a violated limit; that of the tracking error is checked if q_ld (n,) is given."""
+        v = self._limits.violation(q_ld, velocities=not self.settling)
         if v is not None:
             self._journal.count(f"stops: {v.kind}")
             self._stop(STOPS, f"stopped: {v.sentence}", v.joint, v.value, v.limit)
@@ -208,6 +221,6 @@ class Course:
     def _stop(self, kind: str, sentence: str, joint: str, value: float = math.nan, limit: float = math.nan) -> None:
         self.reason = sentence
         self.fade.stop()
-        self.watch.void()
+        self.bound.reset()
         numbers = {} if math.isnan(value) else {"value": value, "limit": limit}
-        self._journal.say(ERROR, kind, sentence, joint=joint, **numbers)
+        self._journal.report(ERROR, kind, sentence, joint=joint, **numbers)

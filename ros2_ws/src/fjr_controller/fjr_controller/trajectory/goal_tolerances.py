@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a goal of FollowJointTrajectory is reached or missed; without ROS.
+"""Decide when a goal of FollowJointTrajectory is reached or missed, without ROS.
 
-The rules and the words' meaning are those of ros2_control's joint_trajectory_controller.
+The rules and the meaning of the parameters are those of ros2_control's joint_trajectory_controller.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fjr_core.robot.joint_units import Units
 
 
 class Code(IntEnum):
-    """control_msgs/FollowJointTrajectory's result codes."""
+    """Result codes of control_msgs/FollowJointTrajectory."""
 
     SUCCESSFUL = 0
     INVALID_GOAL = -1
@@ -29,14 +29,14 @@ class Code(IntEnum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a goal ended, in a code and a sentence."""
+    """Result of a goal: a code and a sentence."""
 
     code: Code
     sentence: str
 
 
 class JointTolerance(Protocol):
-    """control_msgs/JointTolerance: 0 leaves a tolerance as it is, a negative number lifts it."""
+    """control_msgs/JointTolerance: 0 keeps a tolerance, a negative number removes it."""
 
     name: str
     position: float
@@ -45,9 +45,9 @@ class JointTolerance(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Tolerances:
-    """Largest errors: position [rad] and velocity [rad/s], on the path and at the goal, each (n,); 0 for any.
+    """Largest errors of position [rad] and velocity [rad/s], on the path and at the goal, each (n,); 0: no limit.
 
-    goal_time [s]: how long after the last point the goal may still be reached, 0 for ever. units: of each joint (n,).
+    goal_time [s]: time after the last point within which the goal must be reached; 0: no limit. units: of each joint.
     """
 
     path: Array
@@ -57,26 +57,26 @@ class Tolerances:
     goal_time: float
     units: tuple[Units, ...]
 
-    def asked(
+    def overridden(
         self,
         joints: Sequence[str],
         path: Iterable[JointTolerance],
         goal: Iterable[JointTolerance],
         goal_time: float,
     ) -> Tolerances:
-        """With what a goal asks for; joints that nobody knows are passed over."""
+        """Return these tolerances with those that a goal requests; unknown joints are ignored."""
         new = {name: getattr(self, name).copy() for name in ("path", "path_velocity", "goal", "goal_velocity")}
         for where, entries in (("path", path), ("goal", goal)):
             for entry in entries:
                 if entry.name in joints:
                     j = joints.index(entry.name)
-                    new[where][j] = _asked(entry.position, new[where][j])
-                    new[f"{where}_velocity"][j] = _asked(entry.velocity, new[f"{where}_velocity"][j])
-        return replace(self, **new, goal_time=_asked(goal_time, self.goal_time))
+                    new[where][j] = _override(entry.position, new[where][j])
+                    new[f"{where}_velocity"][j] = _override(entry.velocity, new[f"{where}_velocity"][j])
+        return replace(self, **new, goal_time=_override(goal_time, self.goal_time))
 
 
 def tolerances(values: Mapping[str, Any], units: tuple[Units, ...]) -> Tolerances:
-    """The tolerances that the parameters constraints.* describe for joints with these units (n,)."""
+    """Return the tolerances of the parameters constraints.* for joints with these units (n,)."""
     n = len(units)
     path, goal = (vector(values, f"constraints.{name}", n) for name in ("trajectory", "goal"))
     stopped = np.full(n, values["constraints.stopped_velocity_tolerance"])
@@ -85,35 +85,35 @@ def tolerances(values: Mapping[str, Any], units: tuple[Units, ...]) -> Tolerance
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """A trajectory that is followed until the stamp `end` [ns], within tolerances."""
+    """A trajectory to be tracked until the stamp `end` [ns], within tolerances."""
 
     joints: tuple[str, ...]
     end: float
     tolerances: Tolerances
 
-    def judge(self, stamp: int, q_tilde_l: Array, dq_tilde_l: Array) -> Outcome | None:
-        """The outcome with these errors (n,) [rad], [rad/s] at the stamp [ns]; None while it is open."""
+    def check(self, stamp: int, q_tilde_l: Array, dq_tilde_l: Array) -> Outcome | None:
+        """Return the outcome for errors (n,) [rad], [rad/s] at the stamp [ns]; None while the goal is active."""
         t = self.tolerances
         if stamp < self.end:
-            broken = self._broken("position", q_tilde_l, t.path) or self._broken(
-                "velocity", dq_tilde_l, t.path_velocity
-            )
-            return Outcome(Code.PATH_TOLERANCE_VIOLATED, f"on the way, {broken}") if broken else None
-        broken = self._broken("position", q_tilde_l, t.goal) or self._broken("velocity", dq_tilde_l, t.goal_velocity)
-        if not broken:
+            violation = self._violation(q_tilde_l, dq_tilde_l, t.path, t.path_velocity)
+            return Outcome(Code.PATH_TOLERANCE_VIOLATED, f"on the path, {violation}") if violation else None
+        violation = self._violation(q_tilde_l, dq_tilde_l, t.goal, t.goal_velocity)
+        if not violation:
             return Outcome(Code.SUCCESSFUL, "the goal is reached")
         if t.goal_time and stamp - self.end > t.goal_time * 1e9:
-            return Outcome(Code.GOAL_TOLERANCE_VIOLATED, f"{t.goal_time:g} s after the last point, {broken}")
+            return Outcome(Code.GOAL_TOLERANCE_VIOLATED, f"{t.goal_time:g} s after the last point, {violation}")
         return None
 
-    def _broken(self, what: str, errors: Array, largest: Array) -> str:
-        over = np.flatnonzero((largest > 0) & ~(np.abs(errors) <= largest))
-        if not over.size:
-            return ""
-        j = int(over[0])
-        unit = getattr(self.tolerances.units[j], what)
-        return f"{self.joints[j]} is off by {errors[j]:.3g} {unit}; expected at most {largest[j]:g}"
+    def _violation(self, q_tilde_l: Array, dq_tilde_l: Array, position: Array, velocity: Array) -> str:
+        """Return what violates a tolerance of position, else of velocity (n,); "" if nothing does."""
+        for quantity, errors, largest in (("position", q_tilde_l, position), ("velocity", dq_tilde_l, velocity)):
+            over = np.flatnonzero((largest > 0) & ~(np.abs(errors) <= largest))
+            if over.size:
+                j = int(over[0])
+                unit = getattr(self.tolerances.units[j], quantity)
+                return f"{self.joints[j]} is off by {errors[j]:.3g} {unit}; expected at most {largest[j]:g}"
+        return ""
 
 
-def _asked(value: float, default: float) -> float:
+def _override(value: float, default: float) -> float:
     return default if value == 0 else max(float(value), 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the controller is asked to do: follow a trajectory, hold, play the built-in reference, go on after a stop."""
+"""The motion interface: trajectories on a topic, and the services ~/hold, ~/play and ~/resume."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from ..ros.diagnostics import Reports
 from ..tracking.events import Event, State
 from ..tracking.tracker import Tracker
-from .planner import Outcome, Plan, Planner, Rules
+from .planner import Outcome, Plan, Planner, PlanningRules
 
 REFUSED, GIVEN_UP = "trajectory refused", "trajectories given up"
 
 
-def _nobody(plan: Plan | None) -> None:
-    """Nobody waits for it."""
+def _ignore(plan: Plan | None) -> None:
+    """Do nothing with the plan."""
 
 
-class Motion:
-    """Takes JointTrajectories and the services ~/hold, ~/play and ~/resume while `is_active()`.
+class TrajectoryInterface:
+    """Accept JointTrajectory messages and service calls while `is_active()`.
 
-    `replaced` is called whenever something else is asked for than before, with the reason in words.
+    `on_replaced` is called with the reason whenever another motion replaces the present one.
     """
 
     def __init__(
@@ -43,74 +43,77 @@ class Motion:
         is_active: Callable[[], bool],
         built_in: Callable[[], Reference],
     ) -> None:
-        """built_in: makes the reference that the parameters describe; raises FjrError where it leaves its limits."""
+        """built_in: returns the reference that the parameters describe; raises FjrError if it violates its limits."""
         self._node, self._joints, self._tracker, self._reports = node, joints, tracker, reports
         self._is_active, self._built_in = is_active, built_in
         self._planner = Planner(node, tracker, is_active)
-        self.replaced: Callable[[str], None] = lambda reason: None
+        self.on_replaced: Callable[[str], None] = lambda reason: None
         self._subscription = node.create_subscription(JointTrajectory, names.JOINT_TRAJECTORY, self._on_trajectory, 10)
         self._services = [
-            node.create_service(Trigger, name, self._served(act))
+            node.create_service(Trigger, name, self._service(act))
             for name, act in ((names.HOLD, self._hold), (names.PLAY, self._play), (names.RESUME, self._resume))
         ]
 
-    def limit(self, limits: MotionLimits, join_time: float, allow_partial: bool) -> None:
-        """Check what is asked for from now on by these; join_time [s]: of the built-in reference."""
+    def apply(self, limits: MotionLimits, join_time: float, allow_partial: bool) -> None:
+        """Replace the limits of requested motions; join_time [s]: transition to the built-in reference.
+
+        allow_partial: accept trajectories that do not name every joint.
+        """
         self._limits, self._join_time = limits, join_time
-        self._planner.limit(Rules(self._joints, limits, TrajectoryReader(self._joints, allow_partial)))
+        self._planner.apply(PlanningRules(self._joints, limits, TrajectoryReader(self._joints, allow_partial)))
 
-    def take(self, message: JointTrajectory, reason: str, told: Callable[[Plan | None], None] = _nobody) -> None:
-        """Follow what the message asks for as soon as it is planned, in place of what is followed, for that reason.
+    def follow(self, message: JointTrajectory, reason: str, on_done: Callable[[Plan | None], None] = _ignore) -> None:
+        """Plan the trajectory of the message, then track it in place of the present motion.
 
-        `told` then gets the plan that is followed from then on, or None where the message is refused or given up
-        for a newer one, after that was reported.
+        reason: passed to `on_replaced`. on_done: called with the plan that is tracked from then on, or with None if the
+        message was refused or replaced by a newer one, after that was reported.
         """
 
         def end(outcome: Outcome) -> None:
             if isinstance(outcome, Plan):
                 self._begin(outcome, reason)
             elif outcome is None:
-                self._reports.event(Event("info", GIVEN_UP, "a trajectory is given up before it was planned"))
+                self._reports.event(Event("info", GIVEN_UP, "a trajectory was discarded before it was planned"))
             else:
                 self._refuse(outcome)
-            told(outcome if isinstance(outcome, Plan) else None)
+            on_done(outcome if isinstance(outcome, Plan) else None)
 
-        self._planner.ask(message, end)
+        self._planner.request(message, end)
 
     def hold(self) -> None:
-        """Come to rest and stand, until what is being planned can be followed."""
+        """Come to a standstill; a trajectory that is being planned is tracked when it is ready."""
         self._tracker.hold()
-        self._reports.empty()
+        self._reports.publish_events()
 
     def drop(self) -> None:
-        """Give up what is being planned."""
+        """Discard the trajectory that is being planned."""
         self._planner.drop()
 
     def close(self) -> None:
-        """Take no more."""
+        """Destroy the subscription, the services and the planner."""
         self._planner.close()
         self._node.destroy_subscription(self._subscription)
         for service in self._services:
             self._node.destroy_service(service)
 
     def _begin(self, plan: Plan, reason: str) -> None:
-        self.replaced(reason)
+        self.on_replaced(reason)
         if plan.reference is None:
             self._tracker.hold()
         else:
             self._tracker.follow(plan.reference, plan.start)
         self._reports.count["trajectories accepted"] += 1
-        self._reports.empty()
+        self._reports.publish_events()
 
     def _refuse(self, error: FjrError) -> None:
         kind = error.kind if isinstance(error, MessageError) else "cannot be followed"
         self._reports.event(Event("warn", f"{REFUSED}: {kind}", f"{REFUSED}: {error}"))
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        self.take(message, "another trajectory was taken")
+        self.follow(message, "another trajectory was accepted")
 
-    def _served(self, act: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _service(self, act: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
+        def respond(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
                 if not self._is_active():
                     raise MessageError("inactive", "the controller is inactive; expected an active one")
@@ -118,26 +121,26 @@ class Motion:
                 response.success = True
             except FjrError as error:
                 response.success, response.message = False, str(error)
-            self._reports.empty()
+            self._reports.publish_events()
             return response
 
-        return answer
+        return respond
 
     def _hold(self) -> str:
         self.drop()
-        self.replaced("~/hold was called")
+        self.on_replaced("~/hold was called")
         self._tracker.hold()
-        return "the motion comes to rest"
+        return "the motion comes to a standstill"
 
     def _play(self) -> str:
-        reference, start = self._joined(self._built_in())
+        reference, start = self._with_transition(self._built_in())
         self.drop()
-        self.replaced("~/play was called")
+        self.on_replaced("~/play was called")
         self._tracker.follow(reference, start)
-        return "the built-in reference is joined"
+        return "transition to the built-in reference"
 
-    def _joined(self, reference: Reference) -> tuple[Reference, int | None]:
-        """The reference with a checked way to it from the newest state's jets, and its start; as it is before that."""
+    def _with_transition(self, reference: Reference) -> tuple[Reference, int | None]:
+        """Return the reference with a checked transition from the last jets, and its start; alone before a sample."""
         start = self._tracker.last_stamp
         if start is None or not self._join_time or self._tracker.state is State.STOPPED:
             return reference, None
@@ -149,6 +152,6 @@ class Motion:
 
     def _resume(self) -> str:
         if self._tracker.state is not State.STOPPED:
-            raise MessageError("not stopped", "nothing is stopped; expected a controller that a limit has stopped")
+            raise MessageError("not stopped", "the controller is not stopped; expected a stopped one")
         self._tracker.resume()
-        return "the controller goes on"
+        return "tracking resumes"

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories are planned beside the answering of states, in a thread of their own.
+"""Plan trajectories in a thread of its own, so that commands are never late.
 
-What is asked for is planned from the jets that the running reference has at the stamp where the plan begins. When the
-plan is ready after that stamp, it is joined from the jets of that moment: the two have hardly parted yet, and the
-effort has no step. Where the running reference became another one meanwhile, it is planned once more.
+A trajectory is planned from the jets that the active reference has at the stamp where the plan begins. If the plan is
+ready only after that stamp, it is reached by a short transition from the jets of that moment, without a step of the
+effort. If the active reference has changed meanwhile, the trajectory is planned again.
 """
 
 from __future__ import annotations
@@ -31,30 +31,30 @@ from ..tracking.events import State
 from ..tracking.tracker import Tracker
 
 ATTEMPTS = 5
-JOIN_TIME, JOIN_FACTOR = 20_000_000, 10  # ns, and of the delay: how soon a plan that came late is met
-SWITCH = 1e-4  # s; after which the planning thread lets a waiting answer go first
+JOIN_TIME, JOIN_FACTOR = 20_000_000, 10  # ns, and per ns of delay: duration of the transition to a late plan
+SWITCH = 1e-4  # s; after which the planning thread yields to the command loop
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A checked trajectory whose time 0 is at the stamp `start` [ns]; None is a stop."""
+    """A checked trajectory whose time 0 is at the stamp `start` [ns]; reference None: hold."""
 
     reference: Reference | None
     start: int
 
     @property
     def end(self) -> float:
-        """Stamp [ns] of its last point."""
+        """Return the stamp [ns] of the last point."""
         return self.start if self.reference is None else self.start + self.reference.end * SECOND
 
 
 Outcome = Plan | FjrError | None
-"""A plan that can be followed, the reason why there is none, or None: it was given up meanwhile."""
+"""A plan, the error why there is none, or None if the request was discarded."""
 
 
 @dataclass(frozen=True, eq=False)
-class Rules:
-    """How trajectories are read, and the limits of all motion."""
+class PlanningRules:
+    """Joints, limits of the motion, and the reader of the messages."""
 
     joints: tuple[str, ...]
     limits: MotionLimits
@@ -62,26 +62,26 @@ class Rules:
 
 
 @dataclass(frozen=True, eq=False)
-class Wish:
-    """A message that came at the stamp `now` [ns], and who is to be told what becomes of it."""
+class Request:
+    """A message that arrived at the stamp `now` [ns], and the callback for its outcome."""
 
     message: JointTrajectory
     now: int
-    told: Callable[[Outcome], None]
+    on_done: Callable[[Outcome], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
-    """What is to be planned, from the jets (5, n) that the running reference has at the stamp `begin` [ns]."""
+class PlanningProblem:
+    """A request to be planned from the jets (5, n) of the active reference at the stamp `begin` [ns]."""
 
-    wish: Wish
+    request: Request
     begin: int
     jets: Array
-    rules: Rules
+    rules: PlanningRules
 
-    def answer(self) -> Plan:
-        """The plan; raises FjrError where the message cannot be followed."""
-        waypoints = self.rules.reader.read(self.wish.message).upcoming(self.wish.now).upcoming(self.begin)
+    def solve(self) -> Plan:
+        """Return the plan. Raise FjrError if the trajectory of the message cannot be tracked."""
+        waypoints = self.rules.reader.read(self.request.message).upcoming(self.request.now).upcoming(self.begin)
         waypoints = waypoints.completed(self.jets[0])
         times, start = waypoints.times / SECOND, waypoints.start
         assert start is not None
@@ -90,14 +90,17 @@ class Question:
         return Plan(spline, start)
 
     def outcome(self) -> Plan | Exception:
-        """The plan, or what was raised instead."""
+        """Return the plan, or the exception that was raised."""
         try:
-            return self.answer()
+            return self.solve()
         except Exception as error:
             return error
 
-    def joined(self, plan: Plan, jets: Array, stamp: int) -> Plan:
-        """The plan as it is joined from jets (5, n) at the stamp [ns], after its start; raises TrajectoryError."""
+    def with_transition(self, plan: Plan, jets: Array, stamp: int) -> Plan:
+        """Return the plan with a transition from jets (5, n) at the stamp [ns] after its start.
+
+        Raise TrajectoryError if the transition violates a limit.
+        """
         assert plan.reference is not None
         late = stamp - plan.start
         seconds = (JOIN_TIME + JOIN_FACTOR * late) / SECOND
@@ -107,26 +110,26 @@ class Question:
 
 
 class Planner:
-    """Plans the newest trajectory that was asked for; everything but the planning happens on the caller's thread.
+    """Plan the newest requested trajectory; callbacks are called on the thread that spins the node.
 
-    With use_sim_time it plans at once, from the newest answered state on: stamps wait for the answers there, and a
-    run can be repeated bit by bit.
+    With use_sim_time the trajectory is planned in the caller's thread, from the last sample on, so that runs repeat to
+    the last bit.
     """
 
     def __init__(self, node: Node, tracker: Tracker, is_active: Callable[[], bool]) -> None:
         self._node, self._tracker, self._is_active = node, tracker, is_active
-        by_stamps = bool(node.get_parameter("use_sim_time").value)
-        self._worker = None if by_stamps else ThreadPoolExecutor(1, "fjr_planning")
-        self._wish: Wish | None = None
+        simulated = bool(node.get_parameter("use_sim_time").value)
+        self._worker = None if simulated else ThreadPoolExecutor(1, "fjr_planning")
+        self._request: Request | None = None
 
-    def limit(self, rules: Rules) -> None:
-        """Read and check by these from now on, also what is being planned."""
+    def apply(self, rules: PlanningRules) -> None:
+        """Replace the rules, also for the trajectory that is being planned."""
         self._rules = rules
 
-    def ask(self, message: JointTrajectory, told: Callable[[Outcome], None]) -> None:
-        """Plan, and tell the outcome; what was being planned is given up. A message without points is a stop.
+    def request(self, message: JointTrajectory, on_done: Callable[[Outcome], None]) -> None:
+        """Plan the trajectory in place of the one that is being planned; a message without points means hold.
 
-        `told` is called on the thread on which the node is spun, at once where nothing takes time.
+        `on_done` is called with the outcome, before this returns if nothing has to be planned.
         """
         self.drop()
         try:
@@ -134,26 +137,26 @@ class Planner:
             if not message.points:
                 self._rules.reader.read(message)
         except FjrError as error:
-            told(error)
+            on_done(error)
             return
         if not message.points:
-            told(Plan(None, now))
+            on_done(Plan(None, now))
             return
-        self._wish = Wish(message, now, told)
-        self._attempt(self._wish, now, 1)
+        self._request = Request(message, now, on_done)
+        self._attempt(self._request, now, 1)
 
     def drop(self) -> None:
-        """Give up what is being planned."""
+        """Discard the trajectory that is being planned."""
         self._end(None)
 
     def close(self) -> None:
-        """Give up, and end the thread."""
+        """Discard the trajectory that is being planned, and end the thread."""
         self.drop()
         if self._worker is not None:
             self._worker.shutdown(cancel_futures=True)
 
     def newest(self) -> int:
-        """The newest answered state's stamp [ns]; raises MessageError where nothing can begin there."""
+        """Return the stamp [ns] of the last sample. Raise MessageError if no trajectory can begin there."""
         if not self._is_active():
             raise MessageError("inactive", "the controller is inactive; expected an active one")
         if self._tracker.state is State.STOPPED:
@@ -161,82 +164,83 @@ class Planner:
                 "stopped", f"the controller has stopped ({self._tracker.reason}); expected ~/resume first"
             )
         if self._tracker.last_stamp is None:
-            raise MessageError("no state", "no state has been answered yet; expected one to begin from")
+            raise MessageError("no state", "there was no state yet; expected one to begin from")
         return self._tracker.last_stamp
 
-    def _attempt(self, wish: Wish, newest: int, number: int) -> None:
-        begin = max(nanoseconds(wish.message.header.stamp), newest)
+    def _attempt(self, request: Request, newest: int, number: int) -> None:
+        begin = max(nanoseconds(request.message.header.stamp), newest)
         jets = self._tracker.jets_at(begin)
         assert jets is not None
-        question = Question(wish, begin, jets, self._rules)
+        problem = PlanningProblem(request, begin, jets, self._rules)
         if self._worker is None:
-            self._judge(question, number, question.outcome())
+            self._conclude(problem, number, problem.outcome())
         else:
-            self._worker.submit(self._work, question, number)
+            self._worker.submit(self._work, problem, number)
 
-    def _work(self, question: Question, number: int) -> None:
-        """On the planning thread."""
-        if question.wish is not self._wish:
+    def _work(self, problem: PlanningProblem, number: int) -> None:
+        """Plan on the planning thread."""
+        if problem.request is not self._request:
             return
-        _give_way()
+        _lower_priority()
         before = sys.getswitchinterval()
         sys.setswitchinterval(min(before, SWITCH))
-        outcome = question.outcome()
+        outcome = problem.outcome()
         sys.setswitchinterval(before)
         executor = self._node.executor
-        if executor is not None:  # else nobody waits for it any more
-            executor.create_task(self._judge, question, number, outcome)
+        if executor is not None:  # without an executor no caller waits
+            executor.create_task(self._conclude, problem, number, outcome)
 
-    def _judge(self, question: Question, number: int, outcome: Plan | Exception) -> None:
-        """End the wish, or plan once more; nothing is raised: in a task of the events executor it ends the process."""
-        if question.wish is not self._wish:
+    def _conclude(self, problem: PlanningProblem, number: int, outcome: Plan | Exception) -> None:
+        """End the request, or plan again. Raise nothing: in a task of the events executor that ends the process."""
+        if problem.request is not self._request:
             return
         try:
             newest = self.newest()
-            plan = self._judged(question, outcome, newest)
+            plan = self._checked(problem, outcome, newest)
             if plan is None and number < ATTEMPTS:
-                self._attempt(question.wish, newest, number + 1)
+                self._attempt(problem.request, newest, number + 1)
                 return
-            self._end(plan or MessageError("restless", f"the reference changed {ATTEMPTS} times; expected it to go on"))
+            sentence = f"the active reference changed {ATTEMPTS} times while planning; send it again"
+            self._end(plan or MessageError("restless", sentence))
         except FjrError as error:
             self._end(error)
         except Exception as error:
             self._log(error)
-            self._end(MessageError("failed", f"the planning failed by {error!r}; expected a plan or a reason"))
+            self._end(MessageError("failed", f"planning failed with {error!r}; expected a plan or a reason"))
 
-    def _judged(self, question: Question, outcome: Plan | Exception, newest: int) -> Plan | None:
-        """The plan as it can be followed now; None where it is to be made once more; else what is wrong is raised."""
+    def _checked(self, problem: PlanningProblem, outcome: Plan | Exception, newest: int) -> Plan | None:
+        """Return the plan as it can be tracked now, or None to plan again; raise the error that prevents it."""
         if isinstance(outcome, MessageError) or not isinstance(outcome, (Plan, FjrError)):
             raise outcome
-        if newest < question.wish.now:
-            raise MessageError("restarted", "the time of the states jumped back meanwhile; expected it to go on")
-        jets, now = self._tracker.jets_at(question.begin), self._tracker.jets_at(newest)
+        if newest < problem.request.now:
+            raise MessageError("restarted", "the time of the states jumped back while planning; send it again")
+        jets, now = self._tracker.jets_at(problem.begin), self._tracker.jets_at(newest)
         assert jets is not None
         assert now is not None
-        if question.rules is not self._rules or not np.array_equal(jets, question.jets):
+        if problem.rules is not self._rules or not np.array_equal(jets, problem.jets):
             return None
         if isinstance(outcome, FjrError):
             raise outcome
-        return outcome if newest <= outcome.start else question.joined(outcome, now, newest)
+        return outcome if newest <= outcome.start else problem.with_transition(outcome, now, newest)
 
     def _end(self, outcome: Outcome) -> None:
-        wish, self._wish = self._wish, None
-        if wish is None:
+        request, self._request = self._request, None
+        if request is None:
             return
         try:
-            wish.told(outcome)
-        except Exception as error:  # the wish has ended all the same
+            request.on_done(outcome)
+        except Exception as error:  # the request has ended all the same
             self._log(error)
 
     def _log(self, error: Exception) -> None:
-        """An error that nobody foresaw."""
+        """Log an unexpected error with its traceback."""
         self._node.get_logger().error("".join(traceback.format_exception(error)))
 
 
-def _give_way() -> None:
-    """Schedule this thread below those that answer, where these have real-time priority."""
+def _lower_priority() -> None:
+    """Give this thread a lower priority than the command loop, if that has real-time priority."""
     with suppress(OSError, AttributeError):
-        answering = os.getpid()  # the main thread
-        if os.sched_getscheduler(answering) == os.SCHED_FIFO:
-            priority = os.sched_getparam(answering).sched_priority
+        main_thread = os.getpid()
+        if os.sched_getscheduler(main_thread) == os.SCHED_FIFO:
+            priority = os.sched_getparam(main_thread).sched_priority
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(max(priority - 1, 1)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a goal of FollowJointTrajectory is reached or missed, in plain values and without control_msgs."""
+"""Goals of FollowJointTrajectory that are reached or missed, without control_msgs."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ VALUES = {
 }
 
 
-def judged(t: float, q: tuple[float, float], dq: tuple[float, float] = (0.0, 0.0), **other: object) -> Code | None:
-    """The code for errors t [s] after the beginning of a goal of 1 s."""
+def code_of(t: float, q: tuple[float, float], dq: tuple[float, float] = (0.0, 0.0), **other: object) -> Code | None:
+    """Return the code for errors at t [s] of a goal of 1 s."""
     goal = Goal(JOINTS, SECOND, tolerances({**VALUES, **other}, UNITS))
-    outcome = goal.judge(round(t * SECOND), np.array(q), np.array(dq))
+    outcome = goal.check(round(t * SECOND), np.array(q), np.array(dq))
     return None if outcome is None else outcome.code
 
 
@@ -44,27 +44,27 @@ def judged(t: float, q: tuple[float, float], dq: tuple[float, float] = (0.0, 0.0
         (1.6, (0.0, 0.03), (0.0, 0.0), Code.GOAL_TOLERANCE_VIOLATED),
     ],
 )
-def test_a_goal_is_judged_by_its_tolerances(t, q, dq, code) -> None:
-    assert judged(t, q, dq) == code
+def test_a_goal_ends_by_its_tolerances(t, q, dq, code) -> None:
+    assert code_of(t, q, dq) == code
 
 
-def test_without_a_goal_time_the_goal_is_waited_for() -> None:
-    assert judged(100.0, (0.03, 0.0), **{"constraints.goal_time": 0.0}) is None
+def test_without_a_goal_time_the_goal_stays_active() -> None:
+    assert code_of(100.0, (0.03, 0.0), **{"constraints.goal_time": 0.0}) is None
 
 
 def test_the_sentence_names_joint_error_and_tolerance() -> None:
-    outcome = Goal(JOINTS, SECOND, tolerances(VALUES, UNITS)).judge(0, np.array([0.25, 0.0]), np.zeros(2))
+    outcome = Goal(JOINTS, SECOND, tolerances(VALUES, UNITS)).check(0, np.array([0.25, 0.0]), np.zeros(2))
     assert outcome is not None
-    assert outcome.sentence == "on the way, a is off by 0.25 rad; expected at most 0.1"
+    assert outcome.sentence == "on the path, a is off by 0.25 rad; expected at most 0.1"
 
 
-def test_a_goal_may_ask_for_other_tolerances_zero_keeps_and_negative_lifts_them() -> None:
+def test_a_goal_overrides_tolerances_zero_keeps_and_negative_removes_them() -> None:
     def entry(name: str, position: float, velocity: float) -> SimpleNamespace:
         return SimpleNamespace(name=name, position=position, velocity=velocity)
 
     before = tolerances(VALUES, UNITS)
     path = [entry("b", 0.3, 0.4), entry("nobody", 1.0, 1.0)]
-    after = before.asked(JOINTS, path, [entry("a", 0.0, -1.0)], -1.0)
+    after = before.overridden(JOINTS, path, [entry("a", 0.0, -1.0)], -1.0)
     assert (after.path.tolist(), after.path_velocity.tolist()) == ([0.1, 0.3], [0.0, 0.4])
     assert (after.goal.tolist(), after.goal_velocity.tolist()) == ([0.02, 0.02], [0.0, 0.01])
     assert after.goal_time == 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other processes that command the same robot, on either topic: refused before the first answer, then reported."""
+"""Conflicting publishers on either command topic: refused before the first command, reported later."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ MESSAGES = {
     "/joint_commands": JointState(name=["joint1"], effort=[1.0]),
 }
 EFFORTS = "/effort_controller/commands"
-MANAGER_AND_CONTROLLER = 2  # subscriptions to a topic of commands, before the first answer
+MANAGER_AND_CONTROLLER = 2  # subscriptions to a command topic, before the first command
 
 
-class Rival:
-    """Another process that publishes on one topic, for all that the middleware tells: a context of its own."""
+class OtherController:
+    """A publisher with a context of its own, which the middleware takes for another process."""
 
     def __init__(self, topic: str) -> None:
         self._ros = Ros()
         self._message = MESSAGES[topic]
-        node = self._ros.add(Node("rival", context=self._ros.context))
+        node = self._ros.add(Node("other", context=self._ros.context))
         self._publisher = node.create_publisher(type(self._message), topic, LATEST)
 
     def is_heard_by(self, count: int) -> bool:
-        """Whether so many subscriptions are connected to it."""
+        """Return True if that many subscriptions are connected to it."""
         return int(self._publisher.get_subscription_count()) >= count
 
     @contextmanager
@@ -65,26 +65,26 @@ def manager(ros: Ros) -> Manager:
     return Manager(ros)
 
 
-Appear = Callable[[str], Rival]
+Appear = Callable[[str], OtherController]
 
 
 @pytest.fixture
 def appear(ros: Ros, manager: Manager) -> Iterator[Appear]:
-    """Makes a rival on a topic and waits until it is discovered, with its name."""
+    """Create another controller on a topic and wait until it is discovered with its name."""
     made = []
 
     def there(topic: str) -> int:
-        return sum(info.node_name == "rival" for info in manager.get_publishers_info_by_topic(topic))
+        return sum(info.node_name == "other" for info in manager.get_publishers_info_by_topic(topic))
 
-    def make(topic: str) -> Rival:
+    def make(topic: str) -> OtherController:
         count = there(topic)
-        made.append(Rival(topic))
-        ros.until(lambda: there(topic) == count + 1, "the rival")
+        made.append(OtherController(topic))
+        ros.until(lambda: there(topic) == count + 1, "the other controller")
         return made[-1]
 
     yield make
-    for rival in made:
-        rival.close()
+    for other in made:
+        other.close()
 
 
 topics = pytest.mark.parametrize("topic", MESSAGES)
@@ -92,11 +92,11 @@ topics = pytest.mark.parametrize("topic", MESSAGES)
 
 @topics
 def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
-    rival = appear(topic)
+    other = appear(topic)
     node = ros.controller(autostart=False)
     assert manager.change("configure")
-    with rival.talking():
-        with pytest.raises(RivalError, match=f"node /rival publishes on {topic}; expected nobody else"):
+    with other.talking():
+        with pytest.raises(RivalError, match=f"node /other publishes on {topic}; expected nobody else"):
             ros.controller()
         assert not manager.change("activate")
         assert manager.state() == "inactive"
@@ -105,12 +105,12 @@ def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appe
 
 
 @topics
-def test_one_that_is_found_with_the_first_state_ends_the_node(ros: Ros, manager: Manager, appear, topic: str) -> None:
+def test_a_conflict_found_with_the_first_state_ends_the_node(ros: Ros, manager: Manager, appear, topic: str) -> None:
     node = ros.controller()
     manager.meet_controller()
-    rival = appear(topic)
-    ros.until(lambda: rival.is_heard_by(MANAGER_AND_CONTROLLER), "its connection with the controller")
-    with rival.talking():
+    other = appear(topic)
+    ros.until(lambda: other.is_heard_by(MANAGER_AND_CONTROLLER), "its connection with the controller")
+    with other.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.ended, "the end")
     assert isinstance(node.ended, RivalError)
@@ -121,16 +121,16 @@ def test_one_that_is_found_with_the_first_state_ends_the_node(ros: Ros, manager:
     assert not manager.references, "nothing was sent"
 
 
-def test_one_that_is_found_with_the_first_state_leaves_a_managed_start_inactive(
+def test_a_conflict_found_with_the_first_state_leaves_a_managed_node_inactive(
     ros: Ros, manager: Manager, appear: Appear
 ) -> None:
     node = ros.controller(autostart=False)
     assert manager.change("configure")
     assert manager.change("activate")
     manager.meet_controller()
-    rival = appear(EFFORTS)
-    ros.until(lambda: rival.is_heard_by(MANAGER_AND_CONTROLLER), "its connection with the controller")
-    with rival.talking():
+    other = appear(EFFORTS)
+    ros.until(lambda: other.is_heard_by(MANAGER_AND_CONTROLLER), "its connection with the controller")
+    with other.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.trouble, "the refusal")
     assert manager.state() == "inactive"
@@ -141,7 +141,7 @@ def test_one_that_is_found_with_the_first_state_leaves_a_managed_start_inactive(
 
 
 @topics
-def test_one_that_is_silent_is_borne(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
+def test_a_silent_publisher_is_no_conflict(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
     appear(topic)
     ros.controller()
     manager.meet_controller()
@@ -149,7 +149,7 @@ def test_one_that_is_silent_is_borne(ros: Ros, manager: Manager, appear: Appear,
 
 
 @topics
-def test_one_that_appears_later_is_reported(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
+def test_a_conflict_that_appears_later_is_reported(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
     node = ros.controller()
     manager.meet_controller()
     manager.ask(stamped(0.0))
@@ -163,7 +163,7 @@ def test_one_that_appears_later_is_reported(ros: Ros, manager: Manager, appear: 
     assert status.level == status.ERROR
 
 
-def test_one_in_the_place_of_another_has_appeared(ros: Ros, manager: Manager, appear: Appear) -> None:
+def test_a_publisher_that_replaces_another_has_appeared(ros: Ros, manager: Manager, appear: Appear) -> None:
     rivals = Rivals(manager, TOPICS, LATEST)
     assert rivals.appeared() == []
     one = appear(EFFORTS)
@@ -175,12 +175,12 @@ def test_one_in_the_place_of_another_has_appeared(ros: Ros, manager: Manager, ap
     appear(EFFORTS)
     assert manager.count_publishers(EFFORTS) == count
     assert rivals.appeared() == [EFFORTS]
-    assert rivals.named(EFFORTS) == "node /rival"
+    assert rivals.named(EFFORTS) == "node /other"
     rivals.close()
 
 
 @topics
-def test_one_that_appears_together_with_our_publisher_is_not_taken_for_ours(
+def test_a_publisher_that_appears_together_with_ours_is_not_taken_for_ours(
     ros: Ros, manager: Manager, appear: Appear, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     create, coming = manager.create_publisher, [topic]
@@ -195,4 +195,4 @@ def test_one_that_appears_together_with_our_publisher_is_not_taken_for_ours(
     assert not coming
     assert rivals.appeared() == [topic]
     rivals.close()
-    assert manager.count_publishers(topic) == 2, "the manager's own and the rival's"
+    assert manager.count_publishers(topic) == 2, "the manager's own and the other's"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes say as they start, track and stop: once in the log, and the controller's on ~/events."""
+"""Log lines and events of the nodes as they start, track and stop."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def infos(text: str, node: str) -> list[str]:
     return [line.partition(f"[{node}]: ")[2] for line in text.splitlines() if "[INFO]" in line and f"[{node}]" in line]
 
 
-def test_a_controller_says_each_step_of_its_life(ros: Ros, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_controller_logs_each_transition(ros: Ros, capfd: pytest.CaptureFixture[str]) -> None:
     manager = Manager(ros)
     node = ros.controller(autostart=False)
     ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
@@ -50,7 +50,7 @@ def test_a_transition_that_fails_is_an_event(ros: Ros) -> None:
 
 
 @pytest.mark.parametrize("lockstep", [True, False])
-def test_a_plant_says_what_it_waits_for_and_when_it_moves(ros: Ros, lockstep: bool, capfd) -> None:
+def test_a_plant_logs_what_it_waits_for_and_when_it_moves(ros: Ros, lockstep: bool, capfd) -> None:
     manager = Manager(ros)
     node = ros.plant(lockstep=lockstep)
     ros.controller(use_sim_time=lockstep)

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Select the effort of a sample (law, stop policy or last effort) and pass it through transfer and limits."""
+
+from __future__ import annotations
+
+import math
+
+from fjr_core.control.robust import Robust
+from fjr_core.control.safety_settings import Settings
+from fjr_core.control.static_law import StaticLaw
+from fjr_core.numerics.checks import Array
+
+from .effort_limits import EffortLimits
+from .events import Journal
+from .law_evaluation import LawEvaluation
+from .measured_state import MeasuredState
+from .stamp_order import Order
+from .stop_policy import StopPolicy
+from .supervisor import Course
+
+
+class EffortOutput:
+    """Law, stop policy and effort limits, in the state that the supervisor determines.
+
+    Raises GainsError if the law's effort is not finite.
+    """
+
+    def __init__(
+        self, law: StaticLaw, robust: Robust | None, settings: Settings, state: MeasuredState, journal: Journal
+    ) -> None:
+        self._settings, self._state = settings, state
+        self.law, self.policy = LawEvaluation(law, robust, state), StopPolicy(law, settings)
+        self.limits = EffortLimits(settings, journal)
+
+    def apply(self, settings: Settings) -> None:
+        """Replace the settings of stop policy and limits."""
+        self._settings = settings
+        self.limits.apply(settings)
+        self.policy.apply(self.law.law, settings)
+
+    def use(self, law: StaticLaw) -> None:
+        """Replace the law (other gains). Raise GainsError if its effort is not finite; then the law remains."""
+        self.law.use(law)
+        self.policy.apply(law, self._settings)
+
+    def select(self, course: Course, jets: Array, order: Order, stamp: int, dt: int) -> tuple[Array, float]:
+        """Return the effort (n,) [N m] before transfer and limits, with V [J]: nan unless it is the law's.
+
+        jets (5, n): reference at the stamp [ns], dt [ns] after the last accepted sample. While stopped it is the stop
+        policy's effort; while velocities settle it is the last effort, or at a start the stop policy's.
+        """
+        state = self._state
+        if not (course.reason or course.settling):
+            lead = self.law.lead
+            ahead = course.reference.jets(stamp + lead) if lead else jets
+            return self.law.evaluate(ahead, order, dt, self.limits.left)
+        self.law.reset()
+        if course.reason:
+            return self.policy.moving(state.q_l, state.dq_m), math.nan
+        return self.policy.at(state.q_l) if course.starting else self.limits.sent.copy(), math.nan
+
+    def send(self, course: Course, selected: Array, V: float, stamp: int) -> Array:
+        """Return the effort (n,) [N m] that is sent; the bound on V continues only if it is the law's own."""
+        limits = self.limits
+        u = limits.send(course.fade.apply(selected, limits.sent, self.policy.standing, stamp), stamp)
+        if u is selected and math.isfinite(V):
+            course.bound.update(stamp, V)
+        else:
+            course.bound.reset()
+        return u
+
+    def send_without_law(self, course: Course, stamp: int) -> Array:
+        """Return the stop policy's effort (n,) [N m] for a sample at `stamp` [ns] without a finite effort."""
+        self.law.reset()
+        return self.send(course, self.policy.standing(), math.nan, stamp)
+
+    def send_without_sample(self, course: Course) -> Array:
+        """Return the stop policy's effort (n,) [N m] within the effort limits; the rate limits do not apply."""
+        u = self.limits.saturate(self.policy.standing())
+        self.limits.replace(u)
+        self.law.reset()
+        course.bound.reset()
+        return u

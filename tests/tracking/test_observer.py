@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tracking with a velocity observer: resets, settling, limits meanwhile."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_controller.tracking.events import State
+from fjr_controller.tracking.measured_state import OBSERVED
+from fjr_controller.tracking.tracker import Tracker
+from fjr_core.trajectories.point_to_point import Hold
+from tracking.tracked import (
+    LAW,
+    LIMITED,
+    MS,
+    SECOND,
+    SINE,
+    Loop,
+    bare_sample,
+    largest_step,
+    sample,
+    settings,
+    tracker_at,
+)
+
+
+class Recorder:
+    """An observer with known velocities that records its updates; it is fresh after a reset only."""
+
+    def __init__(self) -> None:
+        self.resets, self.updates = 0, []  # type: ignore[var-annotated]
+        self.state = np.array([0.5, 0.5, 0.1, 0.2])
+        self._begun, self.fresh = False, True
+
+    def reset(self) -> None:
+        self.resets, self._begun = self.resets + 1, False
+
+    def update(self, stamp: int, q_l: Any, q_m: Any, u: Any) -> None:
+        self.updates.append((stamp, float(u[0])))
+        self.state[:2] = float(q_l[0]), float(q_m[0])
+        self.fresh, self._begun = not self._begun, True
+
+
+def test_an_observer_gets_the_effort_that_was_sent() -> None:
+    recorder = Recorder()
+    tracker = Tracker(LAW, SINE, settings(effort=1.0), recorder)
+    sent = [0.0]
+    for k in range(OBSERVED + 3):
+        command = tracker.command(bare_sample(k * MS), k * MS)
+        assert command is not None
+        np.testing.assert_array_equal(command.velocity, [0.1, 0.2])
+        sent.append(float(command.u[0]))
+    assert recorder.updates == [(k * MS, sent[k]) for k in range(OBSERVED + 3)]
+    assert sent[-1]
+    tracker.command(bare_sample((OBSERVED + 2) * MS), OBSERVED * MS)
+    assert len(recorder.updates) == OBSERVED + 3
+    tracker.apply(settings(effort=0.01))
+    tracker.command(bare_sample((OBSERVED + 3) * MS), (OBSERVED + 3) * MS)
+    assert recorder.updates[-1][1] == sent[-1], "the effort that acted, not its value within the new limit"
+
+
+def test_an_observer_is_reset_after_a_gap_and_settles_before_its_velocities_are_used() -> None:
+    recorder = Recorder()
+    tracker = Tracker(LAW, SINE, settings(), recorder)
+    for k in range(OBSERVED + 2):
+        tracker.command(sample(k * MS, 0.5, 0.5), k * MS)
+    resets = recorder.resets
+    stop = tracker.silence(SECOND)
+    assert stop is not None
+    for k in range(OBSERVED):
+        stamp = 2 * SECOND + k * MS
+        command = tracker.command(sample(stamp, 0.5, 0.5), stamp)
+        assert command is not None
+        np.testing.assert_array_equal(command.u, stop)
+        assert np.isnan(command.V)
+    assert recorder.resets == resets + 1
+    stamp = 2 * SECOND + OBSERVED * MS
+    command = tracker.command(sample(stamp, 0.5, 0.5), stamp)
+    assert command is not None
+    assert np.isfinite(command.V)
+    np.testing.assert_allclose(command.jets[:2], [[0.5], [0.1]], rtol=1e-9)
+
+
+@pytest.mark.parametrize("policy", ["zero", "gravity_hold"])
+def test_with_an_observer_a_start_sends_the_stop_effort_until_velocities_settle(policy: str) -> None:
+    tracker = Tracker(LAW, SINE, settings(on_stop=policy, start_join_time=0.5), Recorder())
+    for beginning in (SECOND, 0):  # the second is a jump back
+        tracker.command(bare_sample(beginning), 2 * SECOND)  # doubted where it is a jump
+        for k in range(1, OBSERVED + 1):
+            command = tracker.command(bare_sample(beginning + k * MS), 2 * SECOND)
+            assert command is not None
+            if k < OBSERVED:
+                np.testing.assert_allclose(command.u, LAW.robot.grad_P_l([0.5]) if policy != "zero" else 0.0)
+                assert command.state is State.JOINING
+                assert np.isnan(command.V)
+        if beginning == 0:
+            command = tracker.command(bare_sample((OBSERVED + 1) * MS), 2 * SECOND)
+        assert np.isfinite(command.V)  # type: ignore[union-attr]
+        np.testing.assert_allclose(command.jets[:2], [[0.5], [0.1]], rtol=1e-9)  # type: ignore[union-attr]
+
+
+def test_a_repeated_state_does_not_update_the_observer() -> None:
+    tracker = Tracker(LAW, Hold([0.0]), settings(), Recorder())
+    for k in range(OBSERVED):
+        for _ in range(3):
+            command = tracker.command(bare_sample(k * MS), k * MS)
+            assert not command.u.any()  # type: ignore[union-attr]
+    assert tracker.command(bare_sample(OBSERVED * MS), OBSERVED * MS).u.any()  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("name", ["link_position_upper", "motor_position_upper"])
+def test_limits_of_positions_are_checked_while_velocities_settle(name: str) -> None:
+    tracker = Tracker(LAW, SINE, settings(**{name: 0.6}), Recorder())
+    for k in range(OBSERVED + 1):
+        tracker.command(bare_sample(k * MS), k * MS)
+    for k, q in enumerate((0.5, 0.7)):  # after a silence
+        tracker.command(bare_sample(SECOND + k * MS, q), SECOND + k * MS)
+    assert LIMITED[name][0] in tracker.reason
+
+
+def test_limits_of_velocities_and_tracking_error_are_not_checked_while_velocities_settle() -> None:
+    """After a silence the reference starts where the arm has moved meanwhile."""
+    recorder = Recorder()
+    tracker = Tracker(LAW, Hold([0.5]), settings(link_velocity=1.0, tracking_error=0.1), recorder)
+    for k in range(OBSERVED + 1):
+        tracker.command(bare_sample(k * MS), k * MS)
+    recorder.state[2] = 2.0  # what a difference of encoder steps may be
+    for k in range(OBSERVED + 1):
+        recorder.state[2] *= k < OBSERVED - 1
+        tracker.command(bare_sample(SECOND + k * MS, 0.9), SECOND + k * MS)
+        assert not tracker.reason
+    assert tracker.counters["recoveries"] == 1
+    recorder.state[2] = 2.0
+    stamp = SECOND + (OBSERVED + 1) * MS
+    tracker.command(bare_sample(stamp, 0.9), stamp)
+    assert "link velocity" in tracker.reason
+
+
+BREAKS = {
+    "a gap": lambda loop: loop.run(0.2, answered=False),
+    "a state that is not finite": lambda loop: loop.tracker.command(bare_sample(loop.now - MS // 2, np.nan), loop.now),
+    "a silence": lambda loop: loop.run(0.6, answered=False),
+}
+
+
+@pytest.mark.parametrize("stop", BREAKS)
+def test_with_an_observer_the_effort_has_no_step_after_a_reset(stop: str) -> None:
+    loop = Loop(
+        LAW, SINE, settings(), LAW.robot.state(0.0, 0.0, 1.0, 1.0), observer=fjr.VelocityObserver(LAW.robot, 150.0)
+    )
+    loop.run(1.0)
+    BREAKS[stop](loop)
+    loop.u = loop.tracker._output.limits.sent.copy()
+    before = len(loop.efforts)
+    loop.run(2.0)
+    assert largest_step(loop.efforts[before:]) < 0.2
+    assert loop.tracker.counters["recoveries"] == 1
+    assert loop.tracker.counters["observer restarts"] == (stop != "a silence")
+    assert loop.tracker.state is State.TRACKING
+    assert loop.error < 2e-3
+
+
+def test_the_law_never_uses_velocities_that_have_not_settled() -> None:
+    x0 = LAW.robot.state(0.0, 0.0, 1.0, 1.0)
+    loop = Loop(LAW, SINE, settings(), x0, observer=fjr.VelocityObserver(LAW.robot, 150.0))
+    for beginning in (20 * SECOND, SECOND):
+        loop.x, loop.now = x0, beginning
+        if beginning == SECOND:  # a jump back, whose first sample is doubted
+            assert loop.tracker.command(loop.sample(), loop.now) is None
+            loop.now += MS
+        for k in range(30):
+            velocity = np.concatenate(LAW.robot.velocities(loop.x))
+            command = loop.step()
+            assert command is not None
+            if np.isfinite(command.V):
+                np.testing.assert_allclose(command.velocity, velocity, atol=0.05)
+            assert np.isfinite(command.V) == (k >= OBSERVED)
+
+
+def test_a_sample_without_velocities_needs_an_observer() -> None:
+    bare = sample(0, 0.5, 0.5)
+    bare.dq_l = None
+    with pytest.raises(fjr.StateError, match="no velocities; expected them, or an observer"):
+        tracker_at().command(bare, 0)

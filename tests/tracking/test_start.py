@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The start of tracking: ramp, transition from the first state, refused starts, restarts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fjr_controller.tracking.bumpless_transfer import smoothstep
+from fjr_controller.tracking.events import State
+from fjr_controller.tracking.tracker import Tracker
+from fjr_core.trajectories.point_to_point import Hold, standing
+from fjr_core.trajectories.spline import Spline
+from tracking.tracked import (
+    LAW,
+    MS,
+    SECOND,
+    SINE,
+    Loop,
+    kinds,
+    largest_step,
+    sample,
+    settings,
+    tracker_at,
+)
+
+
+def test_start_discards_a_stop_and_starts_the_reference_again() -> None:
+    tracker = tracker_at(0, MS, link_velocity=1.0)
+    tracker.command(sample(2 * MS, 0.5, 0.5, 2.0), 2 * MS)
+    assert tracker.state is State.STOPPED
+    tracker.start()
+    assert tracker.state is State.WAITING
+    command = tracker.command(sample(SECOND, 0.5, 0.5), SECOND)
+    assert command is not None
+    np.testing.assert_array_equal(command.jets, SINE.jets(0.0))
+    assert command.state is State.TRACKING
+
+
+@pytest.mark.parametrize("requested", ["nothing", "a trajectory", "a later one", "to hold"])
+def test_a_start_discards_pending_requests(requested: str) -> None:
+    tracker = tracker_at(0, 100 * MS)
+    if requested == "to hold":
+        tracker.hold()
+    elif requested != "nothing":
+        start = 2 * SECOND if requested == "a later one" else 100 * MS
+        tracker.follow(Spline([0.5], [[0.84]], start=SINE.jets(start * 1e-9)), start)
+        tracker.command(sample(101 * MS, 0.5, 0.5), 101 * MS)
+    tracker.stop_effort()
+    tracker.start()
+    birth = tracker_at()
+    for k in range(5):
+        stamp = SECOND + 400 * k * MS
+        commands = [t.command(sample(stamp, 2.0, 2.0), stamp) for t in (tracker, birth)]
+        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(commands[0].u, commands[1].u)  # type: ignore[union-attr]
+
+
+def test_a_start_with_another_reference_checks_it() -> None:
+    tracker = tracker_at(0, link_velocity=1.0, start_error=0.4)
+    tracker.start(Hold([0.3]))
+    command = tracker.command(sample(SECOND, 0.5, 0.5), SECOND)
+    np.testing.assert_array_equal(command.jets, standing([0.3]))  # type: ignore[union-attr]
+    tracker.start()
+    command = tracker.command(sample(2 * SECOND, 0.8, 0.8), SECOND)
+    np.testing.assert_array_equal(command.jets, standing([0.3]))  # type: ignore[union-attr]
+    assert "start refused" in tracker.reason
+
+
+def test_the_ramp_starts_at_zero_and_is_monotone() -> None:
+    tracker = Tracker(LAW, SINE, settings(ramp_time=0.1))
+    shares = []
+    for k in range(150):
+        s = sample(k * MS, 0.5, 0.5)
+        command = tracker.command(s, k * MS)
+        assert command is not None
+        u, _ = LAW.measured_command(np.full(2, 0.5), np.zeros(2), command.jets)
+        shares.append(float(command.u[0] / u[0]))
+        assert command.state is (State.JOINING if k < 100 else State.TRACKING)
+    assert shares[0] == 0.0
+    assert (np.diff(shares) >= 0).all()
+    assert np.ptp(shares[100:]) == 0.0
+    assert shares[100] == 1.0
+
+
+def test_the_ramp_starts_with_the_effort_of_a_stop() -> None:
+    tracker = Tracker(LAW, SINE, settings(ramp_time=0.1, on_stop="gravity_hold"))
+    weight = LAW.robot.grad_P_l([0.5])
+    for k in range(100):
+        command = tracker.command(sample(k * MS, 0.5, 0.5), k * MS)
+        assert command is not None
+        u, _ = LAW.measured_command(np.full(2, 0.5), np.zeros(2), command.jets)
+        s = smoothstep(k / 100)
+        np.testing.assert_allclose(command.u, s * u + (1 - s) * weight, rtol=1e-9)
+
+
+def test_smoothstep_is_monotone_and_flat_at_both_ends() -> None:
+    s = [smoothstep(k / 1000) for k in range(-10, 1011)]
+    assert (np.diff(s) >= 0).all()
+    assert (s[0], s[-1]) == (0.0, 1.0)
+    assert smoothstep(1e-6) < 1e-11
+    assert 1 - smoothstep(1 - 1e-6) < 1e-11
+
+
+def test_a_start_too_far_from_the_reference_is_refused() -> None:
+    for far, q in ((False, 0.5), (True, float(np.nextafter(0.5, 1)))):
+        tracker = Tracker(LAW, SINE, settings(start_error=0.5, on_stop="gravity_hold"))
+        command = tracker.command(sample(0, q, 0.5), 0)
+        assert command is not None
+        assert (tracker.state is State.STOPPED) == far
+        if far:
+            np.testing.assert_allclose(command.u, LAW.robot.grad_P_l([q]), rtol=1e-12)
+            assert "joint1 is 0.5 rad; expected at most 0.5 rad" in tracker.reason
+            assert kinds(tracker) == ["starts refused"]
+
+
+def test_a_refused_start_is_resumed_by_a_transition() -> None:
+    loop = Loop(LAW, SINE, settings(start_error=0.1, on_stop="gravity_hold"), LAW.robot.state(0.5, 0.51, 0.0, 0.0))
+    loop.run(0.5)
+    assert loop.tracker.state is State.STOPPED
+    loop.tracker.resume()
+    before = len(loop.efforts)
+    loop.run(2.0)
+    assert loop.tracker.state is State.TRACKING
+    assert loop.error < 1e-3
+    assert largest_step(loop.efforts[before - 1 :]) < 0.2
+
+
+def test_a_refused_start_without_a_joining_time_is_checked_again() -> None:
+    tracker = Tracker(LAW, SINE, settings(start_error=0.1, recovery_join_time=0.0))
+    tracker.command(sample(0, 0.5, 0.5), 0)
+    tracker.resume()
+    tracker.command(sample(MS, 0.4, 0.4), MS)
+    assert tracker.state is State.STOPPED
+    tracker.resume()
+    command = tracker.command(sample(2 * MS, 0.05, 0.05), 2 * MS)
+    assert command is not None
+    assert command.state is State.TRACKING
+    np.testing.assert_array_equal(command.jets, SINE.jets(0.0))
+
+
+def test_a_start_begins_with_a_transition_from_the_first_state() -> None:
+    given = settings(start_error=0.1, start_join_time=0.5, tracking_error=0.1, deflection=0.5)
+    x0 = LAW.robot.state(1.0, 1.0 + 0.8 * np.sin(1.0) / 31, 0.0, 0.0)
+    loop = Loop(LAW, SINE, given, x0)
+    first = loop.step()
+    assert first is not None
+    np.testing.assert_allclose(first.jets, standing([1.0]), atol=1e-9)
+    loop.run(1.0)
+    assert loop.tracker.state is State.TRACKING
+    np.testing.assert_allclose(loop.commands[500].jets, SINE.jets(0.5), rtol=1e-9)
+    assert loop.error < 1e-4
