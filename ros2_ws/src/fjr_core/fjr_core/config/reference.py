@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from ..control.safety_settings import Settings
 from ..errors import ParameterError
 from ..robot.robot import Robot
 from ..trajectories.circle import Circle
@@ -15,7 +16,6 @@ from ..trajectories.point_to_point import Hold, PointToPoint
 from ..trajectories.reference import Reference
 from ..trajectories.sine import MultiSine, Sine
 from .parameter import ROWS, SCALAR, VECTOR, Parameter, Values, read, vector
-from .safety import safety
 
 
 def _own(
@@ -145,9 +145,11 @@ def _check_lengths(sines: Mapping[str, Any]) -> None:
         )
 
 
-def motion_limits(values: Values, robot: Robot) -> MotionLimits:
-    """Return the robot's limits, tightened by limits.*, and limits.acceleration; raises ParameterError."""
-    settings = safety(values, robot)
+def motion_limits(values: Values, settings: Settings, robot: Robot) -> MotionLimits:
+    """Return the limits of trajectories: the tighter of settings and robot, and limits.acceleration.
+
+    Raises ParameterError.
+    """
     held = settings if robot.limits is None else settings.tightened(robot.limits)
     return MotionLimits(
         held.link_position_lower,
