@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..control.vdpbc.gains import PAPER_GAINS, Gains
-from .parameter import Parameter, Values, declared, named, read, table
+from ..numerics.parameter_field import declared
+from .parameter import Parameter, Values, named, read, table
 
 _DECLARED = declared(Gains, "gains.", PAPER_GAINS)
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from ..control.registry import LAWS, V_DPBC
 from ..control.robust.options import Robust
+from ..numerics.parameter_field import declared
 from ..tuning.bandwidth import START_ERROR
-from .parameter import VECTOR, Parameter, Values, declared, named, read, table
+from .parameter import VECTOR, Parameter, Values, named, read, table
 
 TYPE = Parameter("law.type", V_DPBC, "Control law; the gains of v_dpbc are gains.*", choices=tuple(LAWS))
 TUNED = Parameter(

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from ..estimation.measurement_model import OBSERVER, TORQUE, Measurement
 from ..estimation.velocity_observer import VelocityObserver
+from ..numerics.parameter_field import declared
 from ..robot.robot import Robot
-from .parameter import Parameter, Values, declared, number, read, table
+from .parameter import Parameter, Values, number, read, table
 
 BANDWIDTH = 150.0  # rad/s; chosen in docs/measurements.md
 OBSERVER_BANDWIDTH = Parameter(

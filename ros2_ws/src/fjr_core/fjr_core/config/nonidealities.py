@@ -6,9 +6,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ..errors import ParameterError
+from ..numerics.parameter_field import declared
 from ..robot.robot import Robot
 from ..simulation.nonideal_parameters import ChannelErrors, Imperfections, SensorErrors
-from .parameter import Parameter, Values, declared, number, read, table
+from .parameter import Parameter, Values, number, read, table
 
 _GROUP = "imperfections."
 _DYNAMICS = declared(Imperfections, _GROUP)

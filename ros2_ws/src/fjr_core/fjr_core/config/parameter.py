@@ -11,41 +11,7 @@ import numpy as np
 
 from ..errors import FjrError, ParameterError
 from ..numerics.checks import Array
-from ..numerics.parameter_field import (
-    LIST,
-    MATRIX,
-    POINT,
-    ROWS,
-    SCALAR,
-    VECTOR,
-    Parameter,
-    Value,
-    declared,
-    parameter_field,
-)
-
-__all__ = [
-    "LIST",
-    "MATRIX",
-    "POINT",
-    "ROWS",
-    "SCALAR",
-    "VECTOR",
-    "Parameter",
-    "Value",
-    "Values",
-    "complete",
-    "declared",
-    "matrix",
-    "named",
-    "names",
-    "number",
-    "parameter_field",
-    "read",
-    "table",
-    "unknown",
-    "vector",
-]
+from ..numerics.parameter_field import LIST, MATRIX, POINT, ROWS, SCALAR, VECTOR, Parameter, Value
 
 Values = Mapping[str, Value]
 Declarations = Mapping[str, Parameter]

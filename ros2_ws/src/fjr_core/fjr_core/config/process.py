@@ -7,7 +7,8 @@ import re
 from dataclasses import dataclass
 
 from ..errors import ParameterError
-from .parameter import Parameter, Values, declared, parameter_field, read, table
+from ..numerics.parameter_field import declared, parameter_field
+from .parameter import Parameter, Values, read, table
 
 COMPILE = Parameter("compile", True, "Run law and plant as compiled C where a C compiler is found")
 CPU_AFFINITY = Parameter(

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from ..control.safety_settings import Settings
 from ..errors import ParameterError
+from ..numerics.parameter_field import declared
 from ..robot.robot import Robot
-from .parameter import Parameter, Values, declared, names, read, table
+from .parameter import Parameter, Values, names, read, table
 
 FROM_ROBOT = Parameter(
     "limits.from_robot",
