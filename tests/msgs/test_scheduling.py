@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fjr_core import ParameterError
-from fjr_core.config.process import ProcessCare, cores, process_care, process_parameters
+from fjr_core.config.process import ProcessSettings, cores, process_care, process_parameters
 from fjr_msgs_py.node import scheduling
-from fjr_msgs_py.node.scheduling import prioritised, take_care, take_priority
+from fjr_msgs_py.node.scheduling import apply_process_settings, prioritised, take_priority
 from msgs.child import run
 
 NOBODY = 65534
@@ -27,8 +27,8 @@ NOBODY = 65534
 TAKE_CARE = """
 import json, os, resource, sys, threading
 from pathlib import Path
-from fjr_core.config.process import ProcessCare
-from fjr_msgs_py.node.scheduling import take_care
+from fjr_core.config.process import ProcessSettings
+from fjr_msgs_py.node.scheduling import apply_process_settings
 care, user, memlock = json.loads(sys.argv[1])
 thread = threading.Thread(target=threading.Event().wait, daemon=True).start()
 if memlock is not None:
@@ -37,7 +37,7 @@ if user is not None:
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     os.setuid(user)
 care["cores"] = frozenset(care.get("cores", ()))
-refusals = take_care(ProcessCare(**care))
+refusals = apply_process_settings(ProcessSettings(**care))
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
 threads = [int(thread) for thread in os.listdir("/proc/self/task")]
 print(json.dumps({
@@ -76,7 +76,7 @@ root = pytest.mark.skipif(os.name != "posix" or os.getuid() != 0, reason="only r
 def test_zero_leaves_scheduling_and_affinity_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_setscheduler", lambda *_: pytest.fail("asked"))
     monkeypatch.setattr(os, "sched_setaffinity", lambda *_: pytest.fail("asked"))
-    assert take_care(ProcessCare()) == []
+    assert apply_process_settings(ProcessSettings()) == []
 
 
 def test_a_refusal_is_one_sentence_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,7 +186,7 @@ def test_an_invalid_core_list_is_rejected(text: str) -> None:
 
 def test_lock_step_has_no_priority_and_defaults_change_nothing() -> None:
     defaults: dict[str, Any] = {parameter.name: parameter.default for parameter in process_parameters()}
-    assert process_care(defaults) == ProcessCare()
+    assert process_care(defaults) == ProcessSettings()
     assert process_care({**defaults, "realtime_priority": 50}).priority == 50
     assert process_care({**defaults, "realtime_priority": 50, "lockstep": True}).priority == 0
 

@@ -21,7 +21,7 @@ _CORES = re.compile(r"(\d{1,4})(?:-(\d{1,4}))?")
 
 
 @dataclass(frozen=True)
-class ProcessCare:
+class ProcessSettings:
     """Settings of a node's process. cores: those it may use (cpu_affinity); empty for any."""
 
     priority: int = parameter_field(
@@ -40,7 +40,7 @@ class ProcessCare:
     )
 
 
-_DECLARED = declared(ProcessCare)
+_DECLARED = declared(ProcessSettings)
 
 
 def process_parameters() -> list[Parameter]:
@@ -48,7 +48,7 @@ def process_parameters() -> list[Parameter]:
     return [COMPILE, CPU_AFFINITY, *table(_DECLARED, 0)]
 
 
-def process_care(values: Values) -> ProcessCare:
+def process_care(values: Values) -> ProcessSettings:
     """Return the process settings of the values; raises ParameterError.
 
     The priority is 0 in lock-step, which has no deadline.
@@ -56,7 +56,7 @@ def process_care(values: Values) -> ProcessCare:
     settings = read(_DECLARED, values, 0)
     if values.get("lockstep", False):
         settings["priority"] = 0
-    return ProcessCare(**settings, cores=cores(str(values[CPU_AFFINITY.name])))
+    return ProcessSettings(**settings, cores=cores(str(values[CPU_AFFINITY.name])))
 
 
 def cores(text: str) -> frozenset[int]:

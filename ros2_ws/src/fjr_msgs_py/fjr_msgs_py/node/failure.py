@@ -18,7 +18,7 @@ class Host(Protocol):
     def end(self, error: FjrError) -> None:
         """Let the process exit with the message of the error; the node has ended."""
 
-    def take_care(self, values: Mapping[str, Any]) -> None:
+    def apply_process_settings(self, values: Mapping[str, Any]) -> None:
         """Apply the process settings of the values after large objects were built; raises ParameterError."""
 
 
@@ -45,7 +45,7 @@ class EndingNode(Node):
     def built(self) -> None:
         """Report to the process that the objects of the callbacks are built; raises ParameterError."""
         if self.host is not None:
-            self.host.take_care(self.values)
+            self.host.apply_process_settings(self.values)
 
     def create_timer(self, seconds: float, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Create a timer as rclpy's Node does; an FjrError of the callback ends the node."""

@@ -22,7 +22,7 @@ from fjr_core.config.process import process_care
 
 from .log_folder import ensure_log_folder
 from .parameters import CheckedParameters
-from .scheduling import freeze_garbage, take_care
+from .scheduling import apply_process_settings, freeze_garbage
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
@@ -92,13 +92,13 @@ class _Host:
         self._node = node
         self._kind = process_care(node.values).executor
         self._round: Future = Future()
-        self.take_care(node.values)
+        self.apply_process_settings(node.values)
         if isinstance(node, CheckedParameters):
             node.host = self
 
-    def take_care(self, values: Mapping[str, Any]) -> None:
+    def apply_process_settings(self, values: Mapping[str, Any]) -> None:
         """Apply the process settings of the values and freeze the garbage collector; raises ParameterError."""
-        for refusal in take_care(process_care(values)):
+        for refusal in apply_process_settings(process_care(values)):
             self._node.get_logger().warning(refusal)
         freeze_garbage()
 

@@ -14,15 +14,19 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from fjr_core.config.process import ProcessCare
+from fjr_core.config.process import ProcessSettings
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h of Linux
 _CAP_IPC_LOCK = 14  # linux/capability.h
 
 
-def take_care(care: ProcessCare) -> list[str]:
+def apply_process_settings(settings: ProcessSettings) -> list[str]:
     """Apply the settings to this process; return one sentence for each that the system refuses."""
-    refusals = (use_cores(care.cores), lock_memory() if care.lock_memory else "", take_priority(care.priority))
+    refusals = (
+        use_cores(settings.cores),
+        lock_memory() if settings.lock_memory else "",
+        take_priority(settings.priority),
+    )
     return [sentence for sentence in refusals if sentence]
 
 
