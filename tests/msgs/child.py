@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Code that needs a process of its own."""
+"""Run code in a process of its own."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from patience import HANG
 
 
 def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run Python code to its end, alone in its ROS graph; its exit code and what it said."""
+    """Run Python code in an isolated ROS graph; return exit code and output."""
     quiet = {
         **os.environ,
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF",

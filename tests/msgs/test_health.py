@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Counters of a node: what is said of them in the log and on /diagnostics."""
+"""Counters of a node in the log and on /diagnostics."""
 
 from __future__ import annotations
 

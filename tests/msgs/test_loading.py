@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A signal while a node's process still loads ends it as quietly as later."""
+"""A signal during the loading of a node's process ends it without output."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ time.sleep(60)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_loading_ends_the_process_with_0(number: signal.Signals) -> None:
+def test_a_signal_during_loading_exits_with_0(number: signal.Signals) -> None:
     command = [sys.executable, "-c", LOADING]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "loading\n"
         process.send_signal(number)
-        _, said = process.communicate(timeout=HANG)
-    assert (process.returncode, said) == (0, "")
+        _, output = process.communicate(timeout=HANG)
+    assert (process.returncode, output) == (0, "")
 
 
-def test_loading_itself_loads_nothing_that_takes_time() -> None:
+def test_the_loading_module_imports_no_heavy_package() -> None:
     code = "import sys, fjr_msgs_py.node.loading, fjr_plant.executable, fjr_controller.executable; print(*sys.modules)"
     modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not {"rclpy", "numpy", "casadi", "fjr_core"} & set(modules)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""numpy <-> messages: what is written is read back, in any order; what cannot be read is named."""
+"""NumPy <-> messages: written messages are read back in any order; invalid ones are reported."""
 
 from __future__ import annotations
 
@@ -28,9 +28,7 @@ JOINTS = ("shoulder", "elbow", "wrist")
 
 
 @given(stamps, st.lists(finite, min_size=6, max_size=6), st.lists(finite, min_size=6, max_size=6), st.randoms())
-def test_a_state_survives_the_wire_in_any_order(
-    stamp: int, position: list[float], velocity: list[float], random
-) -> None:
+def test_a_state_is_read_back_in_any_order(stamp: int, position: list[float], velocity: list[float], random) -> None:
     order = list(range(6))
     random.shuffle(order)
     names = [state_names(JOINTS)[i] for i in order]
@@ -43,7 +41,7 @@ def test_a_state_survives_the_wire_in_any_order(
 
 
 @given(stamps, st.lists(finite, min_size=3, max_size=3))
-def test_a_command_survives_the_wire_on_both_topics(stamp: int, effort: list[float]) -> None:
+def test_a_command_is_read_back_from_both_topics(stamp: int, effort: list[float]) -> None:
     reader = EffortReader(JOINTS)
     array = deserialize_message(EffortWriter(JOINTS).fill(np.array(effort)), Float64MultiArray)
     assert reader.read_array(array).tolist() == effort
@@ -58,7 +56,7 @@ numbers = st.lists(st.floats(), max_size=4)
 
 
 @given(st.lists(texts, max_size=4), numbers, numbers, st.integers(0, 3))
-def test_any_other_state_is_refused_in_one_sentence_or_read_as_finite(names, position, velocity, stamp) -> None:
+def test_an_arbitrary_state_is_rejected_or_read_as_finite(names, position, velocity, stamp) -> None:
     message = JointState(name=names, position=position, velocity=velocity)
     message.header.stamp.nanosec = stamp
     sample, error = attempt(message)
@@ -77,7 +75,7 @@ def attempt(message: JointState) -> tuple[JointSample | None, MessageError | Non
         return None, error
 
 
-def test_the_remembered_order_follows_the_names() -> None:
+def test_the_cached_order_follows_the_names() -> None:
     reader = StateReader(("elbow",))
     for names, expected in (
         (["elbow", "elbow_motor"], 1.0),
@@ -101,7 +99,7 @@ def test_the_remembered_order_follows_the_names() -> None:
         ),
     ],
 )
-def test_the_sentence_says_what_was_seen_and_expected(message: JointState, kind: str, words: str) -> None:
+def test_the_error_names_the_value_and_the_expectation(message: JointState, kind: str, words: str) -> None:
     with pytest.raises(MessageError, match=words) as caught:
         StateReader(("elbow",)).read(message)
     assert caught.value.kind == kind
@@ -113,7 +111,7 @@ def state_of(names: list[str], stamp: int = 1, **fields: list[float]) -> JointSt
     return message
 
 
-def test_without_velocities_a_state_is_refused_with_a_hint_or_read_for_the_observer() -> None:
+def test_a_state_without_velocities_is_rejected_unless_an_observer_is_used() -> None:
     message = state_of(state_names(JOINTS), position=[float(i) for i in range(6)])
     with pytest.raises(MessageError, match="velocity has 0 entries; expected 6.*measurement.velocity set to observer"):
         StateReader(JOINTS).read(message)
@@ -122,7 +120,7 @@ def test_without_velocities_a_state_is_refused_with_a_hint_or_read_for_the_obser
     assert sample.dq_l is sample.dq_m is None
 
 
-def test_with_an_observer_velocities_are_not_even_looked_at() -> None:
+def test_an_observer_ignores_the_velocities() -> None:
     names, position = ["elbow", "elbow_motor"], [1.0, 2.0]
     reader = StateReader(("elbow",), Measurement(1, "observer"))
     for velocity in ([float("nan")] * 2, [1.0], [1.0] * 5):
@@ -139,7 +137,7 @@ def test_motor_angles_and_velocities_are_divided_by_the_gear_ratio() -> None:
     assert (sample.dq_l.tolist(), sample.dq_m.tolist()) == ([5.0, 6.0], [4.0, -0.6])
 
 
-def test_the_motor_side_comes_from_the_torque_of_the_joint_and_needs_no_name() -> None:
+def test_motor_positions_follow_from_the_joint_torque() -> None:
     K = np.array([[20.0, 4.0], [4.0, 10.0]])
     torque = np.array([3.0, -2.0])
     message = state_of(["b", "other", "a"], position=[2.0, 9.0, 1.0], effort=[torque[1], 9.0, torque[0]])
@@ -163,26 +161,26 @@ TURNED = StateReader(("elbow",), Measurement(1, gear_ratio=1e-3))
         (TURNED, {"position": [1.0, 1.0], "velocity": [0.0, 1e308]}, "not finite"),
     ],
 )
-def test_what_becomes_of_a_torque_or_an_angle_is_finite(reader: StateReader, fields: dict, kind: str) -> None:
+def test_converted_torques_and_angles_must_be_finite(reader: StateReader, fields: dict, kind: str) -> None:
     with pytest.raises(MessageError) as caught:
         reader.read(state_of(["elbow", "elbow_motor"], **fields))
     assert caught.value.kind == kind
     assert "\n" not in str(caught.value)
 
 
-def test_huge_numbers_are_read_as_long_as_they_are_finite() -> None:
+def test_huge_finite_numbers_are_read() -> None:
     message = state_of(["elbow", "elbow_motor"], position=[1e308, -1e308], velocity=[1e308, 1e308])
     assert StateReader(("elbow",)).read(message).q_m == -1e308
 
 
-def test_a_sample_keeps_its_numbers_when_the_next_is_read() -> None:
+def test_a_sample_is_unchanged_by_the_next_read() -> None:
     reader, names = StateReader(("elbow",)), ["elbow", "elbow_motor"]
     first = reader.read(state_of(names, position=[1.0, 1.0], velocity=[1.0, 1.0]))
     reader.read(state_of(names, position=[0.0, 0.0], velocity=[0.0, 0.0]))
     assert (first.q_l, first.q_m, first.dq_l, first.dq_m) == (1, 1, 1, 1)
 
 
-def test_a_writer_leaves_empty_what_is_not_given_and_nothing_of_what_was() -> None:
+def test_a_writer_clears_fields_that_are_not_given() -> None:
     writer = JointStateWriter(JOINTS)
     values = np.arange(3.0)
     sent = writer.fill(2_000_000_003, values, effort=values + 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages as plain values."""
+"""Messages as plain Python values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_fields_keep_their_order_and_arrays_are_lists() -> None:
     assert plain(message)["velocity"] == []
 
 
-def test_nested_messages_and_bytes_become_yaml_and_come_back() -> None:
+def test_nested_messages_and_bytes_survive_yaml() -> None:
     status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="x: y", values=[KeyValue(key="k", value="é\n")])
     label = MultiArrayDimension(label="V", size=1, stride=1)
     array = Float64MultiArray(data=[0.5])

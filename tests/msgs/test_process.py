@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ends a node's process: a sentence or a traceback, and the last words before either; on both executors."""
+"""End of a node's process: last command, then one sentence or a traceback; on both executors."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ executors = pytest.mark.parametrize("executor", ["events", "single"])
 
 @executors
 @pytest.mark.parametrize("where", ["timer", "subscription", "service"])
-def test_an_error_of_ours_ends_the_process_with_one_sentence(executor: str, where: str) -> None:
+def test_an_fjr_error_ends_the_process_with_one_sentence(executor: str, where: str) -> None:
     done = run(FALLING, executor, where)
     assert done.stderr == "ended: it fell\n"
     assert done.stdout == "last words True fell\n", "and no callback after it"
@@ -90,7 +90,7 @@ def test_an_error_of_ours_ends_the_process_with_one_sentence(executor: str, wher
 
 
 @executors
-def test_what_nobody_foresaw_is_a_traceback_after_the_last_words(executor: str) -> None:
+def test_an_unexpected_exception_is_a_traceback_after_the_last_command(executor: str) -> None:
     done = run(FALLING, executor, "surprise")
     assert done.stdout == "last words False tick\n"
     assert done.stderr.rstrip().endswith("RuntimeError: nobody thought of it")
@@ -99,6 +99,6 @@ def test_what_nobody_foresaw_is_a_traceback_after_the_last_words(executor: str) 
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for the cores")
-def test_what_is_built_later_gets_the_same_care() -> None:
+def test_process_settings_are_applied_again_after_a_rebuild() -> None:
     done = run(REBUILT)
     assert (done.returncode, done.stdout, done.stderr) == (1, "True True\n", "ended: enough\n")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node's process asks of the system is really so, read back from the kernel, or is said to be refused."""
+"""Process settings are in effect, as read back from the kernel, or their refusal is reported."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fjr_core import ParameterError
-from fjr_core.config.process import ProcessCare, cores, process_care, process_parameters
+from fjr_core.config.process import ProcessSettings, cores, process_care, process_parameters
 from fjr_msgs_py.node import scheduling
-from fjr_msgs_py.node.scheduling import prioritised, take_care, take_priority
+from fjr_msgs_py.node.scheduling import apply_process_settings, prioritised, take_priority
 from msgs.child import run
 
 NOBODY = 65534
 
-# Takes care with a thread already running; prints what is said and what the kernel says of every thread.
+# Apply the settings while a thread runs; print the refusals and the scheduling of every thread.
 TAKE_CARE = """
 import json, os, resource, sys, threading
 from pathlib import Path
-from fjr_core.config.process import ProcessCare
-from fjr_msgs_py.node.scheduling import take_care
+from fjr_core.config.process import ProcessSettings
+from fjr_msgs_py.node.scheduling import apply_process_settings
 care, user, memlock = json.loads(sys.argv[1])
 thread = threading.Thread(target=threading.Event().wait, daemon=True).start()
 if memlock is not None:
@@ -37,11 +37,11 @@ if user is not None:
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     os.setuid(user)
 care["cores"] = frozenset(care.get("cores", ()))
-said = take_care(ProcessCare(**care))
+refusals = apply_process_settings(ProcessSettings(**care))
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
 threads = [int(thread) for thread in os.listdir("/proc/self/task")]
 print(json.dumps({
-    "said": said,
+    "refusals": refusals,
     "locked": int(status["VmLck"].split()[0]),
     "policies": [[os.sched_getscheduler(t), os.sched_getparam(t).sched_priority] for t in threads],
     "cores": [sorted(os.sched_getaffinity(t)) for t in threads],
@@ -73,13 +73,13 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="reads Linux's /proc"
 root = pytest.mark.skipif(os.name != "posix" or os.getuid() != 0, reason="only root may become somebody else")
 
 
-def test_zero_asks_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_zero_leaves_scheduling_and_affinity_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_setscheduler", lambda *_: pytest.fail("asked"))
     monkeypatch.setattr(os, "sched_setaffinity", lambda *_: pytest.fail("asked"))
-    assert take_care(ProcessCare()) == []
+    assert apply_process_settings(ProcessSettings()) == []
 
 
-def test_a_refusal_is_one_sentence_that_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refusal_is_one_sentence_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
@@ -91,56 +91,56 @@ def test_a_refusal_is_one_sentence_that_says_what_to_do(monkeypatch: pytest.Monk
 
 
 @linux
-def test_priority_holds_for_threads_that_run_already_or_is_said_to_be_refused() -> None:
+def test_priority_applies_to_running_threads_or_its_refusal_is_reported() -> None:
     found = _take_care({"priority": 7})
     granted = [[os.SCHED_FIFO, 7]] * 2
-    assert (found["policies"] == granted) == (found["said"] == [])
+    assert (found["policies"] == granted) == (found["refusals"] == [])
 
 
 @linux
-def test_memory_is_locked_or_said_to_be_refused() -> None:
+def test_memory_is_locked_or_its_refusal_is_reported() -> None:
     found = _take_care({"lock_memory": True})
-    assert (found["locked"] > 1000) == (found["said"] == [])
+    assert (found["locked"] > 1000) == (found["refusals"] == [])
 
 
 @linux
-def test_all_threads_keep_to_the_core() -> None:
+def test_all_threads_stay_on_the_core() -> None:
     core = max(os.sched_getaffinity(0))
     found = _take_care({"cores": [core]})
-    assert found["said"] == []
+    assert found["refusals"] == []
     assert found["cores"] == [[core]] * 2
 
 
 @linux
-def test_a_core_that_is_not_there_is_refused_in_one_sentence() -> None:
+def test_a_missing_core_is_refused_in_one_sentence() -> None:
     allowed = sorted(os.sched_getaffinity(0))
     found = _take_care({"cores": [4000]})
     assert found["cores"] == [allowed] * 2
-    assert len(found["said"]) == 1
-    assert "cpu_affinity '4000' is refused" in found["said"][0]
-    assert "\n" not in found["said"][0]
+    assert len(found["refusals"]) == 1
+    assert "cpu_affinity '4000' is refused" in found["refusals"][0]
+    assert "\n" not in found["refusals"][0]
 
 
 @linux
-def test_cores_that_are_there_only_in_part_are_said() -> None:
+def test_a_partly_missing_set_of_cores_is_reported() -> None:
     core = min(os.sched_getaffinity(0))
     found = _take_care({"cores": [core, 4000]})
     assert found["cores"] == [[core]] * 2
-    assert f"the node may use '{core}'" in found["said"][0]
+    assert f"the node may use '{core}'" in found["refusals"][0]
 
 
 @linux
 @root
-def test_a_user_without_rights_goes_on_with_two_sentences() -> None:
+def test_an_unprivileged_user_gets_two_sentences_and_the_node_runs() -> None:
     found = _take_care({"priority": 50, "lock_memory": True}, user=NOBODY, memlock=4 << 20)
     assert found["locked"] == 0
     assert found["policies"] == [[os.SCHED_OTHER, 0]] * 2
-    memory, priority = found["said"]
+    memory, priority = found["refusals"]
     assert "lock_memory is refused (the memlock limit is 4096 kB)" in memory
     assert "realtime_priority 50 is refused" in priority
 
 
-def test_a_limit_that_the_process_could_outgrow_counts_as_a_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_finite_memory_limit_counts_as_a_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (8 << 30, 8 << 30))
     monkeypatch.setattr(scheduling, "_capable", lambda _: False)
     monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: pytest.fail("asked"))
@@ -148,18 +148,18 @@ def test_a_limit_that_the_process_could_outgrow_counts_as_a_refusal(monkeypatch:
 
 
 @pytest.mark.parametrize("executor", ["events", "single"])
-def test_a_signal_ends_either_executor_with_last_words(executor: str) -> None:
+def test_a_signal_ends_either_executor_after_the_last_command(executor: str) -> None:
     done = run(INTERRUPTED, repr({"executor": executor}))
     assert (done.returncode, done.stdout, done.stderr) == (0, "last words True\n", "")
 
 
-def test_what_is_refused_is_logged_and_the_node_runs() -> None:
+def test_a_refused_setting_is_logged_and_the_node_runs() -> None:
     done = run(INTERRUPTED, repr({"cpu_affinity": "4000"}))
     assert (done.returncode, done.stdout) == (0, "last words True\n")
     assert done.stderr.count("cpu_affinity '4000' is refused") == 1
 
 
-def test_cores_that_are_no_cores_end_the_node_with_one_sentence() -> None:
+def test_an_invalid_core_list_ends_the_node_with_one_sentence() -> None:
     done = run(INTERRUPTED, repr({"cpu_affinity": "both"}))
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("cannot start: parameter 'cpu_affinity' is 'both'; expected core numbers")
@@ -179,14 +179,14 @@ def test_any_list_of_cores_is_read(wanted: frozenset[int]) -> None:
 
 
 @pytest.mark.parametrize("text", ["-1", "all", "1;2", "0x1", "1,,2", "1.0", ",", "99999"])
-def test_what_is_no_list_of_cores_is_refused(text: str) -> None:
+def test_an_invalid_core_list_is_rejected(text: str) -> None:
     with pytest.raises(ParameterError, match="cpu_affinity"):
         cores(text)
 
 
-def test_lock_step_takes_no_priority_and_the_defaults_ask_for_nothing() -> None:
+def test_lock_step_has_no_priority_and_defaults_change_nothing() -> None:
     defaults: dict[str, Any] = {parameter.name: parameter.default for parameter in process_parameters()}
-    assert process_care(defaults) == ProcessCare()
+    assert process_care(defaults) == ProcessSettings()
     assert process_care({**defaults, "realtime_priority": 50}).priority == 50
     assert process_care({**defaults, "realtime_priority": 50, "lockstep": True}).priority == 0
 
@@ -198,8 +198,8 @@ def _take_care(care: dict[str, Any], user: int | None = None, memlock: int | Non
     return found
 
 
-def test_what_a_prioritised_process_starts_has_ordinary_scheduling() -> None:
-    """A child that loads at a real-time priority would keep the running nodes from the processor."""
+def test_children_of_a_prioritised_process_have_ordinary_scheduling() -> None:
+    """A child process at real-time priority would suspend the running nodes."""
     allowed = not take_priority(1)
     with prioritised(10):
         own = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK

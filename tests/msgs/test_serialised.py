@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is read from serialised messages is what rclpy and the readers of messages make of them, bit by bit."""
+"""Readers of serialised messages equal rclpy and the message readers bit by bit."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def stamped(message: JointState, frame: str, sec: int, nanosec: int) -> JointSta
 
 
 def outcome(read, message) -> object:
-    """A sample or an answer as bytes, or the sentence of the refusal."""
+    """Return a sample or a command as bytes, or the message of the rejection."""
     try:
         found = read(message)
     except MessageError as error:
@@ -57,7 +57,7 @@ def outcome(read, message) -> object:
 
 @pytest.mark.parametrize("measurement", MEASUREMENTS)
 @given(st.lists(messages, min_size=1, max_size=6))
-def test_states_are_those_that_rclpy_reads_whatever_came_before(measurement, sent) -> None:
+def test_states_equal_those_of_rclpy_for_any_previous_message(measurement, sent) -> None:
     plain, serialised = StateReader(JOINTS, measurement), SerialisedStates(StateReader(JOINTS, measurement))
     for message in sent:
         data = serialize_message(message)
@@ -66,7 +66,7 @@ def test_states_are_those_that_rclpy_reads_whatever_came_before(measurement, sen
 
 
 @given(st.lists(messages, min_size=1, max_size=6))
-def test_commands_are_those_that_rclpy_reads_whatever_came_before(sent) -> None:
+def test_commands_equal_those_of_rclpy_for_any_previous_message(sent) -> None:
     plain, serialised = EffortReader(NAMES), SerialisedEfforts(EffortReader(NAMES))
     for message in sent:
         data = serialize_message(message)
@@ -92,7 +92,7 @@ def test_a_stream_of_states_is_deserialised_once(sent) -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 3, 4, 11, 40, -1, -9])
-def test_bytes_that_are_no_state_are_refused_in_one_sentence(cut: int) -> None:
+def test_truncated_states_are_rejected_in_one_sentence(cut: int) -> None:
     reader, writer = SerialisedStates(StateReader(JOINTS)), JointStateWriter(NAMES)
     q = np.arange(4.0)
     whole = writer.fill(1, q, q, q).rstrip(b"\0")
@@ -102,8 +102,8 @@ def test_bytes_that_are_no_state_are_refused_in_one_sentence(cut: int) -> None:
 
 
 @given(st.lists(st.text("ab_", min_size=1, max_size=9), min_size=1, max_size=7, unique=True), st.integers(0, 7))
-def test_what_is_written_is_whole_and_no_byte_longer(names: list[str], fields: int) -> None:
-    """rosbags, which reads the bags, is strict: bytes behind the end are an error."""
+def test_a_written_message_has_exactly_its_serialised_size(names: list[str], fields: int) -> None:
+    """rosbags, which reads the bags, rejects trailing bytes."""
     filled = {name: np.arange(float(len(names))) for i, name in enumerate(FIELDS) if fields >> i & 1}
     store = get_typestore(Stores.ROS2_JAZZY)
     state = JointStateWriter(names).fill(3_000_000_004, **filled)
@@ -120,7 +120,7 @@ def test_what_is_written_is_whole_and_no_byte_longer(names: list[str], fields: i
 
 
 def big_endian(stamp: int, numbers: list[float]) -> bytes:
-    """A state of NAMES as a machine of the other byte order writes it."""
+    """Return a state of NAMES serialised in the other byte order."""
     pattern, values = ">4xiII4sI", [*divmod(stamp, 10**9), 1, b"", len(NAMES)]
     for name in NAMES:
         text = name.encode() + b"\0"
@@ -132,14 +132,14 @@ def big_endian(stamp: int, numbers: list[float]) -> bytes:
     return b"\x00\x00" + data[2:]
 
 
-def test_states_of_the_other_byte_order_are_read_right() -> None:
+def test_states_of_the_other_byte_order_are_read() -> None:
     reader = SerialisedStates(StateReader(JOINTS))
     for stamp, value in ((5, 0.0), (6_000_000_007, 1.25), (8, -0.5)):
         sample = reader.read(big_endian(stamp, [value] * 4))
         assert (sample.stamp, *sample.q_l, *sample.dq_m) == (stamp, value, value, value, value)
 
 
-def test_an_effort_keeps_its_numbers_when_the_next_is_read() -> None:
+def test_an_effort_is_unchanged_by_the_next_read() -> None:
     reader, writer = SerialisedEfforts(EffortReader(JOINTS)), JointStateWriter(JOINTS)
     for value in (1.0, 2.0):
         first = reader.read(writer.fill(1, effort=np.full(2, value)))[1]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Torques from outside: by name, any subset of the joints; anything else is refused with a sentence."""
+"""External torques: any subset of the joints by name; invalid messages are rejected."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_what_is_no_torque_is_refused(kind: str) -> None:
+def test_an_invalid_torque_is_rejected(kind: str) -> None:
     names, effort, words = BAD[kind]
     with pytest.raises(MessageError, match=words) as refused:
         TorqueReader(JOINTS).read(JointState(name=names, effort=effort))

@@ -202,7 +202,7 @@ class Host:
     def __init__(self) -> None:
         self.cared_for: list[dict] = []
 
-    def take_care(self, values: dict) -> None:
+    def apply_process_settings(self, values: dict) -> None:
         self.cared_for.append(values)
 
     def end(self, error: Exception) -> None:

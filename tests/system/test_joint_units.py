@@ -113,7 +113,7 @@ def test_limits_of_a_prismatic_joint_are_said_in_metres(arm: Scenario) -> None:
     with pytest.raises(ParameterError, match="of lift is -2 m; expected at least .*, -1 m"):
         safety({**values, **beneath}, arm.robot)
     with pytest.raises(TrajectoryError, match="joint 'lift' would reach 0.5 m at 0 s; its limit is 0.04 m"):
-        check_motion(Hold((0.5, 0.0)), motion_limits(values, arm.robot), joints=arm.joints)
+        check_motion(Hold((0.5, 0.0)), motion_limits(values, safety(values, arm.robot), arm.robot), joints=arm.joints)
 
 
 def test_the_live_view_marks_a_prismatic_joint() -> None:

@@ -16,6 +16,6 @@ setup(
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",
-    description="Shared ROS vocabulary: topics, joint naming, QoS, parameters; numpy to and from messages",
+    description="Shared ROS interface: names, QoS, parameters, messages to and from NumPy",
     license="Apache-2.0",
 )

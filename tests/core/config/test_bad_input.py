@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bad input raises the right FjrError with a message that says what was seen and what was expected."""
+"""Invalid input raises the right FjrError, which names the value and the expectation."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ ROBOTS = [
 
 
 @pytest.mark.parametrize(("factory", "values", "words"), [(f, v, w) for f, v, *w in ROBOTS], ids=labels(ROBOTS))
-def test_impossible_robots(factory: str, values: dict[str, object], words: list[str]) -> None:
+def test_invalid_robots_are_rejected(factory: str, values: dict[str, object], words: list[str]) -> None:
     refused(fjr.RobotError, lambda: getattr(fjr, factory)(**values), *words)
 
 
@@ -89,7 +89,7 @@ GAINS = [
 
 
 @pytest.mark.parametrize(("values", "words"), [(v, w) for v, *w in GAINS], ids=labels(GAINS))
-def test_gains_that_void_the_proof(values: dict[str, object], words: list[str]) -> None:
+def test_gains_outside_the_proof_are_rejected(values: dict[str, object], words: list[str]) -> None:
     refused(fjr.GainsError, lambda: fjr.TrackingLaw(ROBOT, fjr.Gains(**{**PAPER, **values})), *words)
 
 
@@ -108,7 +108,7 @@ def test_monotone_phi_is_not_enough_with_a_full_metric(side: str, equation: str)
 
 
 @pytest.mark.parametrize(("side", "equation"), [("l", "(32)"), ("m", "(41)")])
-def test_cubic_phi_is_refused_with_a_full_metric_unless_their_product_is_diagonal(side: str, equation: str) -> None:
+def test_a_cubic_phi_needs_a_diagonal_product_with_the_metric(side: str, equation: str) -> None:
     """Pi dphi is indefinite for a large error otherwise."""
     full = {**PAPER, f"Pi_{side}": FULL_PI}
     gains = fjr.Gains(**{**full, f"Gamma_{side}": 1.0})
@@ -118,7 +118,7 @@ def test_cubic_phi_is_refused_with_a_full_metric_unless_their_product_is_diagona
 
 
 @pytest.mark.parametrize(("first", "second"), [(3.0, 0.0), (0.0, 5.0), (0.1, 0.7)])
-def test_rounding_of_the_product_is_not_held_against_the_gains(first: float, second: float) -> None:
+def test_rounding_of_the_product_is_tolerated(first: float, second: float) -> None:
     for seed in range(20):
         root = np.random.default_rng(seed).uniform(-1, 1, (2, 2))
         Pi = 20 * (root @ root.T + 0.1 * np.eye(2))
@@ -136,7 +136,7 @@ SINES = [
 
 
 @pytest.mark.parametrize(("values", "words"), [(v, w) for v, *w in SINES], ids=labels(SINES))
-def test_references_that_are_none(values: dict[str, object], words: list[str]) -> None:
+def test_invalid_references_are_rejected(values: dict[str, object], words: list[str]) -> None:
     refused(fjr.TrajectoryError, lambda: fjr.Sine(**values), *words)
 
 
@@ -176,7 +176,7 @@ SHAPES: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_states_inputs_and_jets_of_the_wrong_shape(name: str) -> None:
+def test_states_inputs_and_jets_of_the_wrong_shape_are_rejected(name: str) -> None:
     call, words = SHAPES[name]
     refused(fjr.StateError, call, *words)
 
@@ -216,11 +216,11 @@ SIMULATIONS = [
 
 
 @pytest.mark.parametrize(("values", "words"), [(v, w) for v, *w in SIMULATIONS], ids=labels(SIMULATIONS))
-def test_simulations_that_cannot_be_run(values: dict[str, object], words: list[str]) -> None:
+def test_invalid_simulations_are_rejected(values: dict[str, object], words: list[str]) -> None:
     refused(fjr.StateError, lambda: run(**values), *words)
 
 
-def test_a_loop_that_diverges_says_so_and_when() -> None:
+def test_a_diverging_loop_is_reported_with_its_time() -> None:
     """Gains far too stiff for the sample period."""
     law = fjr.TrackingLaw(ROBOT, fjr.Gains(**{**PAPER, "K_md": 300.0, "Lambda_m": 2000.0}))
     refused(fjr.StateError, lambda: run(law=law, x0=np.full(8, 0.1), duration=1.0), "diverged", "t = ")
@@ -230,7 +230,7 @@ def test_an_unknown_integrator_names_the_known_ones() -> None:
     refused(fjr.ParameterError, lambda: fjr.Plant(ROBOT, "euler"), "euler", "rk4", "implicit_midpoint")
 
 
-def test_an_implicit_step_that_does_not_converge_is_no_foreign_error() -> None:
+def test_an_implicit_step_that_does_not_converge_is_an_fjr_error() -> None:
     """A million turns away rounding alone is larger than the solver's tolerance."""
     plant = fjr.Plant(ROBOT, "implicit_midpoint")
     x = ROBOT.state(*np.full((4, 2), 1e12))

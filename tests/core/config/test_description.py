@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots as URDFs: what is generated has the inertia and the gravity of the closed form."""
+"""Robots as URDFs: a generated URDF has the inertia and gravity of the closed form."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_generated_description_has_the_same_inertia_and_gravity(given: dict[str,
 
 
 @pytest.mark.parametrize("name", ["paper_k31", "two_link", "arm7"])
-def test_every_link_of_a_scenario_can_be_seen_and_every_joint_is_there(name: str) -> None:
+def test_every_link_has_a_visual_and_every_joint_is_present(name: str) -> None:
     scenario = load_scenario(SCENARIOS / f"{name}.yaml")
     robot = ElementTree.fromstring(description(scenario.plant_values))
     assert set(scenario.joints) <= {joint.get("name") for joint in robot.iter("joint")}
@@ -61,6 +61,6 @@ def test_an_arm_keeps_its_own_urdf() -> None:
     assert description(inlined(values)) == description(values)
 
 
-def test_a_file_that_is_gone_is_one_sentence() -> None:
+def test_a_missing_file_is_one_sentence() -> None:
     with pytest.raises(ParameterError, match="cannot read nowhere.urdf"):
         description({"robot.model": "urdf", "robot.urdf": "nowhere.urdf", "joints": ("a",)})

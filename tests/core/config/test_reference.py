@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters reference.*: each type builds its reference, each parameter matters, mistakes are one sentence."""
+"""Parameters reference.*: each type builds its reference, each parameter has an effect, errors are one sentence."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_each_parameter_of_a_type_changes_it(kind: str, given: dict[str, Any], e
         assert name in returns or not np.array_equal(made(type=kind, **left_out | returns).jets(T), whole.jets(T)), name
 
 
-def test_by_default_it_is_the_papers_sine() -> None:
+def test_the_default_is_the_sine_of_the_paper() -> None:
     np.testing.assert_array_equal(made(1).jets(T), fjr.Sine(1.0, 1.0).jets(T))
 
 
@@ -91,7 +91,7 @@ def test_parameters_of_other_types_are_not_used(kind: str, given: dict[str, Any]
     np.testing.assert_array_equal(made(type=kind, **given, **others).jets(T), expected.jets(T))
 
 
-def test_all_may_change_while_the_node_runs_and_say_their_units() -> None:
+def test_all_parameters_are_dynamic_and_have_units() -> None:
     for parameter in reference_parameters(2):
         assert parameter.dynamic
         assert parameter.unit or parameter.name in ("reference.type", "reference.point_to_point.returns")
@@ -112,9 +112,7 @@ BAD: dict[str, tuple[int, dict[str, Any], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize(("n", "given", "words"), BAD.values(), ids=BAD)
-def test_values_that_do_not_fit_are_refused_in_one_sentence(
-    n: int, given: dict[str, Any], words: tuple[str, ...]
-) -> None:
+def test_invalid_values_are_rejected_in_one_sentence(n: int, given: dict[str, Any], words: tuple[str, ...]) -> None:
     with pytest.raises(fjr.ParameterError) as caught:
         made(n, **given)
     assert all(word in str(caught.value) for word in words), caught.value

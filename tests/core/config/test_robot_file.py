@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots as files: where they are found, what wins, and what a file that is none is told."""
+"""Robot files: search path, precedence of values, errors."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ REFERENCES = {
 
 
 @pytest.mark.parametrize("kind", REFERENCES)
-def test_a_robot_file_is_found_and_its_urdf_beside_it(workspace: Path, kind: str) -> None:
+def test_a_robot_file_and_its_relative_urdf_are_found(workspace: Path, kind: str) -> None:
     path = scenario(workspace, f"      file: {REFERENCES[kind].format(share=workspace)}")
     loaded = load_scenario(path)
     assert loaded.joints == tuple(JOINTS)
@@ -74,7 +74,7 @@ def test_a_robot_file_is_found_and_its_urdf_beside_it(workspace: Path, kind: str
     assert_same_robot(loaded.plant.robot, the_arm())
 
 
-def test_what_the_scenario_says_wins_over_the_robot_file(workspace: Path) -> None:
+def test_the_scenario_overrides_the_robot_file(workspace: Path) -> None:
     changes = "/**/fjr_controller:\n  ros__parameters:\n    robot.joint_stiffness: [30.0, 20.0]\n"
     path = scenario(workspace, "      file: robots/two_link.yaml\n      link_damping: [0.5, 0.6]", changes)
     loaded = load_scenario(path)
@@ -84,7 +84,7 @@ def test_what_the_scenario_says_wins_over_the_robot_file(workspace: Path) -> Non
         np.testing.assert_array_equal(np.diag(robot.D_l), [0.5, 0.6])
 
 
-def test_without_a_robot_file_both_nodes_have_the_papers_joint() -> None:
+def test_without_a_robot_file_both_nodes_have_the_joint_of_the_paper() -> None:
     loaded = parse_scenario("nothing", "/**:\n  ros__parameters:\n    joints: [joint1]\n")
     assert_same_robot(loaded.robot, fjr.single_link())
     assert_same_robot(loaded.plant.robot, fjr.single_link())
@@ -121,7 +121,7 @@ BAD_FILES = {
 
 
 @pytest.mark.parametrize("case", BAD_FILES)
-def test_a_robot_file_that_is_none_is_one_sentence_with_the_parameter(workspace: Path, case: str) -> None:
+def test_an_invalid_robot_file_is_one_sentence_with_the_parameter(workspace: Path, case: str) -> None:
     robot, words = BAD_FILES[case]
     head = "/**:\n  ros__parameters:\n"
     (workspace / "robots" / "gains.yaml").write_text(f"{head}    gains:\n      K_ld: [1.0]\n")
@@ -177,9 +177,7 @@ BAD_VALUES = [
 
 
 @pytest.mark.parametrize(("changes", "words"), [(changes, words) for changes, *words in BAD_VALUES])
-def test_a_urdf_robot_that_cannot_be_is_one_sentence_with_the_parameter(
-    changes: dict[str, object], words: list[str]
-) -> None:
+def test_an_invalid_urdf_robot_is_one_sentence_with_the_parameter(changes: dict[str, object], words: list[str]) -> None:
     refuse(lambda: urdf_robot(**changes), *words)
 
 
@@ -194,7 +192,7 @@ def test_motor_inertia_is_reflected_unless_a_gear_ratio_is_given() -> None:
     np.testing.assert_allclose(np.diag(urdf_robot(gear_ratio=[10.0, 5.0]).M_m), [2.0, 0.25])
 
 
-def test_a_locked_joint_stands_where_it_is_told() -> None:
+def test_a_locked_joint_is_at_its_locked_position() -> None:
     bent = urdf_robot(locked_joints=["wrist"], locked_positions=[0.9])
     expected = fjr.robot_from_urdf(two_link_urdf(0.5), JOINTS, STIFFNESS, MOTOR_INERTIA, locked={"wrist": 0.9})
     np.testing.assert_allclose(bent.M_l([0.1, 0.2]), expected.M_l([0.1, 0.2]), rtol=1e-12)
@@ -213,7 +211,7 @@ def test_parameters_of_closed_form_robots_keep_their_defaults(name: str, joints:
     assert_same_robot(builders.robot(parameter.complete(known, given)), getattr(fjr, name)())
 
 
-def test_gains_survive_the_way_through_a_parameter_file() -> None:
+def test_gains_are_read_back_from_a_parameter_file() -> None:
     full = [[2.0, 0.3], [0.3, 1.0]]
     gains = fjr.Gains(Lambda_l=[8.0, 9.0], Pi_l=full, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=full, Gamma_m=1.0)
     written = ros_yaml.tree_of(builders.gain_values(gains, 2))
@@ -225,7 +223,7 @@ def test_gains_survive_the_way_through_a_parameter_file() -> None:
         np.testing.assert_array_equal(getattr(read, name), getattr(gains.checked(2), name))
 
 
-def test_a_package_is_looked_for_in_the_order_of_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_packages_are_searched_in_the_order_of_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for prefix in ("a", "b"):
         (tmp_path / prefix / "share" / "pkg").mkdir(parents=True)
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'none'}:{tmp_path / 'b'}:{tmp_path / 'a'}")

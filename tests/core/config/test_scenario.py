@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robots and scenarios that are shipped, and how scenario files are read."""
+"""Shipped robots and scenarios, and the reading of scenario files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def load(name: str) -> Scenario:
 
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_a_shipped_scenario_fits_and_law_and_plant_have_the_same_robot(name: str) -> None:
+def test_a_shipped_scenario_is_valid_and_both_nodes_have_the_same_robot(name: str) -> None:
     scenario = load(name)
     assert scenario.warnings == ()
     assert scenario.sample_period == 1e-3
@@ -51,7 +51,7 @@ ROBOTS = {
 
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("name", ROBOTS)
-def test_robot_files_say_what_the_closed_forms_default_to(name: str) -> None:
+def test_robot_files_equal_the_defaults_of_the_closed_forms(name: str) -> None:
     robot, expected = load(name).robot, ROBOTS[name]()
     q_l = np.full(robot.n, 0.7)
     for matrix in ("M_m", "K", "D_l", "D_m", "B_m"):
@@ -134,7 +134,7 @@ def test_numbers_are_read_as_ros_reads_them(text: str) -> None:
     assert value == NUMBERS[text]
 
 
-def test_a_number_in_a_scenario_may_be_written_with_an_exponent_alone() -> None:
+def test_a_number_may_have_an_exponent_without_a_point() -> None:
     text = "/**:\n  ros__parameters:\n    robot:\n      link_damping: [1e-1]\n    publish_rate: 5e2\n"
     scenario = parse_scenario("exponent", text)
     assert scenario.robot.D_l.tolist() == [[0.1]]
@@ -145,7 +145,7 @@ def test_an_exponent_in_quotes_stays_text() -> None:
     assert ros_yaml.parse("'1e-1'") == "1e-1"
 
 
-def test_what_is_written_is_read_again() -> None:
+def test_a_written_document_is_read_back() -> None:
     document = {
         "/**": {
             "ros__parameters": {
@@ -162,7 +162,7 @@ def test_what_is_written_is_read_again() -> None:
     assert ros_yaml.parse(text) == document
 
 
-def test_a_section_that_is_there_twice_is_refused() -> None:
+def test_a_duplicate_section_is_rejected() -> None:
     with pytest.raises(fjr.ParameterError, match="'/\\*\\*/fjr_controller' twice"):
         ros_yaml.parse("/**/fjr_controller: {a: 1}\n/**/fjr_controller: {b: 2}\n")
 
@@ -184,7 +184,7 @@ def test_the_plant_is_the_model_unless_one_of_them_is_changed() -> None:
 
 
 @pytest.mark.usefixtures("installed")
-def test_configurations_of_a_reference_reach_all_of_every_joints_swing() -> None:
+def test_configurations_cover_the_range_of_every_joint() -> None:
     """Whatever the frequencies: equal instants of the slowest would see a multiple of it stand still."""
     swing = {"controller__reference__amplitude": (0.5, 3.0), "controller__reference__phase": (0.0, 0.0)}
     for frequency in ((0.125, 4.0), (1.0, 1.0), (4.0, 0.125), (0.0, 2.0)):
@@ -203,7 +203,7 @@ def test_joints_of_one_frequency_keep_their_phases_in_configurations() -> None:
     assert second == pytest.approx(first)
 
 
-def test_plant_and_controller_with_other_joints_are_refused(tmp_path: Path) -> None:
+def test_plant_and_controller_with_different_joints_are_rejected(tmp_path: Path) -> None:
     path = tmp_path / "order.yaml"
     node = "/**/{}:\n  ros__parameters: {{joints: [{}], robot: {{model: planar_two_link}}}}\n"
     path.write_text(node.format("fjr_plant", "a, b") + node.format("fjr_controller", "b, a"))
@@ -211,17 +211,17 @@ def test_plant_and_controller_with_other_joints_are_refused(tmp_path: Path) -> N
         load_scenario(path)
 
 
-def test_an_alias_is_refused_as_ros_refuses_it() -> None:
+def test_an_alias_is_rejected_as_in_ros() -> None:
     with pytest.raises(fjr.ParameterError, match="alias"):
         ros_yaml.parse("a: &x [1.0]\nb: *x\n")
 
 
 @pytest.mark.parametrize("values", [{"a": 1, "a.b": 2}, {"a.b": 2, "a.b.c": 1}])
-def test_a_value_with_values_below_it_is_no_tree(values: dict[str, int]) -> None:
+def test_a_name_that_is_a_prefix_of_another_is_rejected(values: dict[str, int]) -> None:
     with pytest.raises(fjr.ParameterError, match="which has a value"):
         ros_yaml.tree_of(values)
 
 
-def test_no_aliases_are_written() -> None:
+def test_aliases_are_not_written() -> None:
     shared = [1.0, 2.0]
     assert "&" not in ros_yaml.dump({"a": shared, "b": shared})

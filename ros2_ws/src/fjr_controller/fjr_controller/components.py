@@ -45,7 +45,8 @@ class Control:
     ) -> None:
         self._values, joints = values, values["joints"]
         self._robot = robot = builders.robot(values)
-        settings, allowed = safety(values, robot), tolerances(values, robot.units)
+        self._settings = settings = safety(values, robot)
+        allowed = tolerances(values, robot.units)
         reader = StateReader(joints, measurement(values, robot))
         self._law = control_law(values, robot)
         simulated = bool(node.get_parameter("use_sim_time").value)
@@ -93,7 +94,7 @@ class Control:
         """Apply gains, limits and the built-in reference from the next state on; on a FjrError change nothing."""
         robot, groups = self._robot, {name.split(".", 1)[0] for name in changed}
         settings = safety(values, robot)
-        motion_limits(values, robot)
+        motion_limits(values, settings, robot)
         builders.reference(values, robot.n)
         if "gains" in groups:
             if not isinstance(self._law, TrackingLaw):
@@ -101,7 +102,7 @@ class Control:
             law = self._law.with_gains(builders.gains(values, robot.n))
             self.tracker.use(law)
             self._law = law
-        self._values = values
+        self._values, self._settings = values, settings
         if groups - {"gains", "reference"}:
             self.tracker.apply(settings)
             self._apply_motion_limits()
@@ -115,13 +116,13 @@ class Control:
     def _built_in(self) -> Reference:
         """Return the reference that the parameters describe. Raise ParameterError if it violates its limits."""
         reference = builders.reference(self._values, self._robot.n)
-        limits = motion_limits(self._values, self._robot)
+        limits = motion_limits(self._values, self._settings, self._robot)
         named(lambda _: "reference.*", lambda: check_motion(reference, limits, joints=self._values["joints"]))
         return reference
 
     def _apply_motion_limits(self) -> None:
         values = self._values
-        limits = motion_limits(values, self._robot)
+        limits = motion_limits(values, self._settings, self._robot)
         self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
     def _create_certificate_publisher(self, node: Node, limit: Array) -> Witness | None:

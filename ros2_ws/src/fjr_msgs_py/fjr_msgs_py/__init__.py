@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shared ROS vocabulary: names, QoS, parameters; numpy to and from messages. Nodes build no message elsewhere."""
+"""Shared ROS interface of the nodes: names, QoS, messages, parameters and process. Only here are messages built."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names and qualities of service that the nodes share; relative names, so namespaces and remaps work."""
+"""Names and QoS profiles that the nodes share; the names are relative, so that namespaces and remaps work."""
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -13,7 +13,7 @@ JOINT_COMMANDS = "joint_commands"
 REFERENCE = "~/reference"
 TRACKING_ERROR = "~/tracking_error"
 CERTIFICATE = "~/certificate"
-DIAGNOSTICS = "/diagnostics"  # one for all robots, as monitors expect it
+DIAGNOSTICS = "/diagnostics"  # absolute, as diagnostic monitors expect it
 EVENTS = "~/events"
 JOINT_TRAJECTORY = "~/joint_trajectory"
 FOLLOW_JOINT_TRAJECTORY = "~/follow_joint_trajectory"
@@ -34,7 +34,7 @@ LATEST = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
 )
-"""States and commands: only the newest counts, and it arrives."""
+"""States and commands: reliable, only the newest message is kept."""
 
 LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
@@ -42,11 +42,11 @@ LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
 )
-"""What does not change: whoever comes later gets it, too."""
+"""Constant data: late subscribers receive the last message."""
 
 
 def motor_name(joint: str) -> str:
-    """Name of a joint's motor side in a JointState."""
+    """Return the name of a joint's motor side in a JointState."""
     return f"{joint}_motor"
 
 
@@ -56,5 +56,5 @@ def full_name(node: Node) -> str:
 
 
 def state_names(joints: tuple[str, ...]) -> list[str]:
-    """Names of a full JointState: link sides, then motor sides."""
+    """Return the names of a full JointState: link sides, then motor sides."""
     return [*joints, *(motor_name(joint) for joint in joints)]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of both nodes and scenarios: their tables, their files, and what is built from their values."""
+"""Parameters of both nodes: declarations, parameter files, scenarios, and builders of the objects they describe."""

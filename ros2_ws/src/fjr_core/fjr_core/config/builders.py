@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is built from the parameters of both nodes: the controller's law and robust action, and all names.
+"""Build the objects that the parameters of both nodes describe: control law, robust action, tuning.
 
-The tables and what else is built from them are in the modules of this package, by subject; they are here again.
+The other builders are in the modules of their parameters and are imported here.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from ..stability.integral_bound import refuse_fast_integral
 from ..stability.linearization import rest_position
 from ..tuning.bandwidth import Yardstick
 from ..tuning.equal_bandwidth import Tuning, tune
+from . import law
 from .controller import controller_parameters
 from .gains import gain_values, gains
 from .law import robust
-from .parameter import Parameter, Value, Values, vector
+from .parameter import Parameter, Value, Values, number, vector
 from .plant import initial_state, plant_parameters
 from .reference import reference
 from .robot import joints_of, robot, robot_parameters
@@ -49,72 +50,77 @@ OwnParameters = Callable[[int], Sequence[Parameter]]
 
 
 def all_parameters(own: OwnParameters, given: Mapping[str, object]) -> list[Parameter]:
-    """All parameters of a node for the given model and joints: `own` is plant_parameters or controller_parameters."""
+    """Return all parameters of a node for the given model and joints: those of the robot, then its `own`."""
     return [*robot_parameters(given), *own(joints_of(given))]
 
 
 @cache
 def names_of_others(own: OwnParameters) -> frozenset[str]:
-    """Names that parameters of the other nodes have and those of `own` do not: a shared file may hold them."""
+    """Return the names that only parameters of other nodes have: a parameter file of all nodes may hold them."""
     others = {parameter.name for node in (plant_parameters, controller_parameters) for parameter in node(1)}
     return frozenset(others - {parameter.name for parameter in own(1)})
 
 
 def control_law(values: Values, robot: Robot) -> StaticLaw:
-    """The law of the values; raises ParameterError."""
-    kind, compile = law_kind(str(values["law.type"])), bool(values["compile"])
+    """Return the control law of the values; raises ParameterError."""
+    kind, compile = law_kind(str(values[law.TYPE.name])), bool(values["compile"])
     if kind.name == V_DPBC:
         return TrackingLaw(robot, gains(values, robot.n), compile=compile)
     try:
-        return kind.make(robot, _gains(values, robot), compile)
+        return kind.make(robot, _baseline_gains(values, robot), compile)
     except GainsError as error:
-        raise ParameterError(f"parameter 'law.type' is {kind.name!r}: {error}") from None
+        raise ParameterError(f"parameter '{law.TYPE.name}' is {kind.name!r}: {error}") from None
 
 
-def robust_action(values: Values, law: StaticLaw) -> Robust:
-    """Return the robust action of the values, for their law.
+def robust_action(values: Values, static_law: StaticLaw) -> Robust:
+    """Return the robust action of the values for their law.
 
-    Raises ParameterError, also where the law takes none or where integral action is too fast for robust.hold.
+    Raises ParameterError, also if the law supports none or the integral action is too fast for robust.hold.
     """
-    action = robust(values, law.robot.n)
+    action = robust(values, static_law.robot.n)
     try:
-        sampled_law(law, action)
-        refuse_fast_integral(law, action)
+        sampled_law(static_law, action)
+        refuse_fast_integral(static_law, action)
     except GainsError as error:
-        raise ParameterError(f"parameters 'robust.*' with 'law.type' {values['law.type']!r}: {error}") from None
+        raise ParameterError(
+            f"parameters 'robust.*' with '{law.TYPE.name}' {values[law.TYPE.name]!r}: {error}"
+        ) from None
     return action
 
 
-def _gains(values: Values, robot: Robot) -> Any:
-    """Gains of another law than v-dPBC: by the rule, or by the two numbers."""
-    if values["law.tuned"]:
-        return tuning(values).law.gains  # type: ignore[attr-defined]
-    kind = law_kind(str(values["law.type"]))
-    q_0 = np.asarray(reference(values, robot.n).jets(0.0))[0]
-    numbers = (float(values[f"law.{name}"]) for name in ("natural_frequency", "damping_ratio"))  # type: ignore[arg-type]
-    return kind.standard(robot, q_0, *numbers, _sample_period(values))
-
-
 def tuning(values: Values) -> Tuning:
-    """The law of the values as the rule tunes it, with what came of it; raises ParameterError or GainsError."""
-    known = ("robot.", "gains.", "reference.", "law.type", "law.start_error", "law.sample_rate", "joints")
-    return _tuned(tuple(sorted((name, value) for name, value in values.items() if name.startswith(known))))
+    """Return the law of the values tuned to equal bandwidth, and the result of tuning.
+
+    Raises ParameterError or GainsError.
+    """
+    relevant = ("robot.", "gains.", "reference.", law.TYPE.name, law.INITIAL_ERROR.name, law.SAMPLE_RATE.name, "joints")
+    return _tuned(tuple(sorted((name, value) for name, value in values.items() if name.startswith(relevant))))
 
 
 @lru_cache(maxsize=8)
 def _tuned(items: tuple[tuple[str, Value], ...]) -> Tuning:
     values = dict(items)
-    return tune(str(values["law.type"]), yardstick(values, robot(values)))
+    return tune(str(values[law.TYPE.name]), yardstick(values, robot(values)))
 
 
 def yardstick(values: Values, robot: Robot) -> Yardstick:
-    """v-dPBC with the values' gains along their reference, from rest; links and motors are law.start_error off it."""
+    """Return the tuning target: v-dPBC with gains.* along the reference, starting at rest with law.start_error."""
     motion = reference(values, robot.n)
-    error = np.tile(vector(values, "law.start_error", robot.n), 2)
+    error = np.tile(vector(values, law.INITIAL_ERROR.name, robot.n), 2)
     position = rest_position(robot, np.asarray(motion.jets(0.0))[0]) + error
     start = position, np.zeros(2 * robot.n)
     return Yardstick(robot, motion, gains(values, robot.n), start, _sample_period(values))
 
 
+def _baseline_gains(values: Values, robot: Robot) -> Any:
+    """Return the gains of a baseline: tuned, or of law.natural_frequency and law.damping_ratio."""
+    if values[law.TUNED.name]:
+        return tuning(values).law.gains  # type: ignore[attr-defined]
+    kind = law_kind(str(values[law.TYPE.name]))
+    q_0 = np.asarray(reference(values, robot.n).jets(0.0))[0]
+    frequency, damping = number(values, law.NATURAL_FREQUENCY.name), number(values, law.DAMPING_RATIO.name)
+    return kind.standard(robot, q_0, frequency, damping, _sample_period(values))
+
+
 def _sample_period(values: Values) -> float:
-    return 1.0 / float(values["law.sample_rate"])  # type: ignore[arg-type]
+    return 1.0 / number(values, law.SAMPLE_RATE.name)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller node's own parameters."""
+"""Parameters of the controller node."""
 
 from __future__ import annotations
 
-from .diagnosis import verdict_parameters
+from .diagnosis import diagnosis_parameters
 from .gains import gain_parameters
 from .law import law_parameters, robust_parameters
 from .measurement import measurement_parameters
@@ -12,9 +12,11 @@ from .process import process_parameters
 from .reference import motion_parameters, reference_parameters
 from .safety import safety_parameters
 
+AUTOSTART = Parameter("autostart", True, "Configure and activate at the start, without a request")
+
 
 def controller_parameters(n: int) -> list[Parameter]:
-    """The controller node's own parameters for n joints."""
+    """Return the controller node's own parameters for n joints."""
     return [
         *gain_parameters(n),
         *law_parameters(n),
@@ -23,7 +25,7 @@ def controller_parameters(n: int) -> list[Parameter]:
         *measurement_parameters(n),
         *safety_parameters(n),
         *motion_parameters(n),
-        Parameter("autostart", True, "Configure and activate at the start, without waiting to be asked"),
-        *verdict_parameters(n),
+        AUTOSTART,
+        *diagnosis_parameters(n),
         *process_parameters(),
     ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot of a node's parameters as a URDF: an arm's own, or one for a robot in closed form."""
+"""URDF of the robot of a node's parameters: the given file, or a generated one for a closed-form robot."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from .robot import MODEL
 
 
 def description(values: Values) -> str:
-    """URDF text of the robot that the values of robot_parameters describe; raises ParameterError for no file.
+    """Return the URDF text of the robot of the values; raises ParameterError if the URDF cannot be read.
 
-    Robots in closed form hang along -z in the x-z plane; their gravity is the model's, not the reader's.
+    A closed-form robot hangs along -z in the x-z plane; the URDF holds its geometry and inertia, not its gravity.
     """
     if values[MODEL.name] == "urdf":
         return str(robot_file.inlined(values)["robot.urdf"])
@@ -23,7 +23,7 @@ def description(values: Values) -> str:
 
 
 def robot_name(values: Values) -> str:
-    """Return the name that the robot has in its URDF."""
+    """Return the name of the robot in its URDF."""
     return str(ElementTree.fromstring(description(values)).get("name", ""))
 
 

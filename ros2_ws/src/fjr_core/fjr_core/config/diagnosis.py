@@ -1,33 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the certificate and its verdict."""
+"""Parameters of the certificate and its diagnosis."""
 
 from __future__ import annotations
 
 from ..monitoring.grading import Axes
 from ..monitoring.thresholds import TOLERANCE
 from ..robot.robot import Robot
-from .parameter import Parameter, Values, vector
+from .parameter import VECTOR, Parameter, Values, names, vector
 
 CERTIFICATE = Parameter(
-    "certificate", True, "Publish the law's certificate of each state, and judge it on the diagnostics"
+    "certificate", True, "Publish the certificate of the law for each state, and its diagnosis on /diagnostics"
 )
-SMALLEST = 1e-9  # rad, m
+CERTIFICATE_TOLERANCE = Parameter(
+    "certificate_tolerance",
+    TOLERANCE,
+    "Tracking error of each joint up to which a violation counts as 'degraded'",
+    "rad",
+    minimum=1e-9,
+    shape=VECTOR,
+)
 
 
-def verdict_parameters(n: int) -> list[Parameter]:
+def diagnosis_parameters(n: int) -> list[Parameter]:
     """Return the parameters for n joints."""
-    tolerance = Parameter(
-        "certificate_tolerance",
-        (TOLERANCE,) * n,
-        "Tracking error of each joint up to which a verdict is 'degraded', not 'violated'",
-        "rad",
-        minimum=SMALLEST,
-    )
-    return [CERTIFICATE, tolerance]
+    return [CERTIFICATE, CERTIFICATE_TOLERANCE.for_joints(n)]
 
 
 def axes(values: Values, robot: Robot) -> Axes:
-    """Return the joints as a verdict names and grades them; raises ParameterError."""
-    joints = tuple(map(str, values["joints"]))  # type: ignore[arg-type]
+    """Return the joints with the units and tolerances of the diagnosis; raises ParameterError."""
     units = tuple(each.position for each in robot.units)
-    return Axes(joints, units, vector(values, "certificate_tolerance", robot.n))
+    return Axes(names(values, "joints"), units, vector(values, CERTIFICATE_TOLERANCE.name, robot.n))

@@ -1,113 +1,68 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a named parameter is: default, type, unit, range; and the one sentence when a value does not fit."""
+"""Tables of parameters, checked values, and the arrays that builders read from them."""
 
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ..errors import FjrError, ParameterError
 from ..numerics.checks import Array
+from ..numerics.parameter_field import LIST, MATRIX, POINT, ROWS, SCALAR, VECTOR, Parameter, Value
 
-Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 Values = Mapping[str, Value]
+Declarations = Mapping[str, Parameter]
+"""Parameters by the argument that takes their value: of a dataclass by `declared`, or written out for a function."""
 Built = TypeVar("Built")
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """A parameter of a node: `default` has the type that values must have; bounds are inclusive."""
+def table(declarations: Declarations, n: int) -> list[Parameter]:
+    """Return the declared parameters of a robot with n joints."""
+    return [parameter.for_joints(n) for parameter in declarations.values()]
 
-    name: str
-    default: Value
-    description: str
-    unit: str = ""
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    choices: tuple[str, ...] = ()
-    constraint: str = ""
-    """What else must hold, in words; checked where the values meet."""
-    required: bool = False
-    """Whether it must be given; `default` tells the type only."""
-    dynamic: bool = False
-    """Whether it may change while the node runs."""
-    infinite: bool = False
-    """Whether entries may be infinite, which means "no limit given"."""
 
-    def standard(self) -> Value:
-        """The default, or ParameterError where there is none."""
-        if self.required:
-            unit = f" [{self.unit}]" if self.unit else ""
-            raise ParameterError(f"parameter '{self.name}' is not given; expected: {self.description}{unit}")
-        return self.default
+def read(declarations: Declarations, values: Values, n: int) -> dict[str, Any]:
+    """Return the arguments that the values give, by the shape of each parameter; raises ParameterError.
 
-    def check(self, value: object) -> Value:
-        """Return `value` as this parameter's type (sequences as tuples), or raise ParameterError."""
-        if isinstance(self.default, tuple):
-            return self._check_list(value)
-        return self._check_one(value, self.default)
-
-    def _check_list(self, value: object) -> tuple[float, ...] | tuple[str, ...]:
-        assert isinstance(self.default, tuple)
-        kind = _kind(self.default[0])
-        if value is None or isinstance(value, (str, bool, int, float)) or not isinstance(value, Iterable):
-            raise ParameterError(f"parameter '{self.name}' is {value!r}; expected a list, each entry {kind}")
-        entries = tuple(self._check_one(entry, self.default[0]) for entry in value)
-        if not entries:
-            raise ParameterError(f"parameter '{self.name}' is an empty list; expected at least one entry")
-        return entries  # type: ignore[return-value]
-
-    def _check_one(self, value: object, like: object) -> Value:
-        if type(value) is not type(like):
-            hint = f": write {value}.0" if type(value) is int and type(like) is float else ""
-            raise ParameterError(
-                f"parameter '{self.name}' holds {value!r} ({_kind(value)}); expected {_kind(like)}{hint}"
-            )
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
-            self._check_range(value)
-        if self.choices and value not in self.choices:
-            raise ParameterError(f"parameter '{self.name}' is {value!r}; expected one of {', '.join(self.choices)}")
-        return value  # type: ignore[return-value]
-
-    def _check_range(self, value: float) -> None:
-        if not math.isfinite(value) and not (self.infinite and math.isinf(value)):
-            raise ParameterError(f"parameter '{self.name}' holds {value}; expected a finite number")
-        if not self.minimum <= value <= self.maximum:
-            unit = f" {self.unit}" if self.unit else ""
-            raise ParameterError(
-                f"parameter '{self.name}' holds {value}{unit}; expected {_range(self.minimum, self.maximum)}{unit}"
-            )
+    Arrays are (n,) for VECTOR, (n, n) for MATRIX, (m, n) for ROWS and (3,) for POINT.
+    """
+    return {argument: _READERS[each.shape](values, each.name, n) for argument, each in declarations.items()}
 
 
 def complete(parameters: Sequence[Parameter], given: Mapping[str, object]) -> dict[str, Value]:
-    """Checked values of all `parameters`: the given ones, defaults for the rest; raises ParameterError."""
+    """Return checked values of all `parameters`: the given ones, else defaults; raises ParameterError."""
     return {p.name: p.check(given[p.name]) if p.name in given else p.standard() for p in parameters}
 
 
 def unknown(parameters: Sequence[Parameter], given: Iterable[str]) -> list[str]:
-    """One sentence for each given name that no parameter has."""
-    names = [p.name for p in parameters]
+    """Return one sentence for each given name that no parameter has."""
+    known = [p.name for p in parameters]
     sentences = []
-    for name in sorted(set(given) - set(names)):
-        close = difflib.get_close_matches(name, names, n=1)
+    for name in sorted(set(given) - set(known)):
+        close = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean '{close[0]}'?" if close else ""
         sentences.append(f"unknown parameter '{name}' is ignored{hint}")
     return sentences
 
 
 def names(values: Values, name: str) -> tuple[str, ...]:
-    """A parameter that is a list of strings."""
+    """Return a parameter that is a list of strings."""
     value = values[name]
     return tuple(str(entry) for entry in value) if isinstance(value, tuple) else (str(value),)
 
 
+def number(values: Values, name: str) -> float:
+    """Return a parameter that is a number."""
+    value = values[name]
+    assert isinstance(value, (int, float))
+    return float(value)
+
+
 def vector(values: Values, name: str, n: int, each: str = "one per joint") -> Array:
-    """A parameter as (n,); raises ParameterError for another length."""
+    """Return a parameter as (n,); raises ParameterError for another length."""
     array = np.asarray(values[name], dtype=float)
     if array.shape != (n,):
         raise ParameterError(f"parameter '{name}' has {array.size} entries; expected {n}, {each}")
@@ -115,7 +70,7 @@ def vector(values: Values, name: str, n: int, each: str = "one per joint") -> Ar
 
 
 def matrix(values: Values, name: str, n: int) -> Array:
-    """A parameter as (n, n), from n entries of the diagonal or n*n by rows; raises ParameterError otherwise."""
+    """Return a parameter as (n, n), from n diagonal entries or n*n by rows; raises ParameterError otherwise."""
     array = np.asarray(values[name], dtype=float)
     if array.size == n:
         return np.diag(array)
@@ -125,8 +80,16 @@ def matrix(values: Values, name: str, n: int) -> Array:
     return array.reshape(n, n)
 
 
+def rows(values: Values, name: str, n: int) -> Array:
+    """Return a parameter of m*n entries as (m, n); raises ParameterError otherwise."""
+    array = np.asarray(values[name], dtype=float)
+    if array.size % n:
+        raise ParameterError(f"parameter '{name}' has {array.size} entries; expected a multiple of {n}, by rows")
+    return array.reshape(-1, n)
+
+
 def named(name_of: Callable[[str], str], build: Callable[[], Built]) -> Built:
-    """Run `build`; an error that begins with a symbol becomes one about the parameter `name_of(symbol)`."""
+    """Run `build`; turn an error that begins with a symbol into one about the parameter `name_of(symbol)`."""
     try:
         return build()
     except ParameterError:
@@ -136,12 +99,19 @@ def named(name_of: Callable[[str], str], build: Callable[[], Built]) -> Built:
         raise ParameterError(f"parameter '{name_of(symbol)}': {error}") from None
 
 
-def _kind(value: object) -> str:
-    kinds = {bool: "true or false", int: "an integer", float: "a floating-point number", str: "a string"}
-    return kinds.get(type(value), f"a {type(value).__name__}")
+def _as_given(values: Values, name: str, _n: int) -> Value:
+    return values[name]
 
 
-def _range(minimum: float, maximum: float) -> str:
-    if maximum == math.inf:
-        return f"at least {minimum}"
-    return f"at most {maximum}" if minimum == -math.inf else f"{minimum} to {maximum}"
+def _point(values: Values, name: str, _n: int) -> Array:
+    return vector(values, name, 3, "its x, y and z")
+
+
+_READERS: dict[str, Callable[[Values, str, int], Any]] = {
+    SCALAR: _as_given,
+    LIST: _as_given,
+    VECTOR: vector,
+    MATRIX: matrix,
+    ROWS: rows,
+    POINT: _point,
+}

@@ -1,162 +1,160 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the built-in references and of motions that are asked for, and what their values describe."""
+"""Parameters of reference trajectories: reference.*, their limits, and the tolerances of trajectory actions."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
-import numpy as np
-
+from ..control.safety_settings import Settings
 from ..errors import ParameterError
-from ..numerics.checks import Array
 from ..robot.robot import Robot
 from ..trajectories.circle import Circle
 from ..trajectories.motion_limits import MotionLimits
 from ..trajectories.point_to_point import Hold, PointToPoint
 from ..trajectories.reference import Reference
 from ..trajectories.sine import MultiSine, Sine
-from .parameter import Parameter, Values, vector
-from .safety import safety
+from .parameter import ROWS, SCALAR, VECTOR, Parameter, Values, read, vector
+
+
+def _own(
+    name: str,
+    default: float | bool,
+    description: str,
+    unit: str = "",
+    minimum: float = -math.inf,
+    shape: str = SCALAR,
+) -> Parameter:
+    return Parameter(f"reference.{name}", default, description, unit, minimum, dynamic=True, shape=shape)
+
+
+_OFFSET = _own("offset", 0.0, "Offset of the sines, centre of the circle, position of hold", "rad", shape=VECTOR)
+_SINE = {
+    "amplitude": _own("amplitude", 1.0, "Amplitude of the sine", "rad", shape=VECTOR),
+    "frequency": _own("frequency", 1.0, "Angular frequency of the sine", "rad/s", 0.0, VECTOR),
+    "offset": _OFFSET,
+    "phase": _own("phase", 0.0, "Phase of the sine", "rad", shape=VECTOR),
+}
+_MULTI_SINE = {
+    "amplitude": _own("multi_sine.amplitude", 1.0, "Amplitudes of the sines", "rad", shape=ROWS),
+    "frequency": _own("multi_sine.frequency", 1.0, "Angular frequencies of the sines", "rad/s", 0.0, ROWS),
+    "phase": _own("multi_sine.phase", 0.0, "Phases of the sines", "rad", shape=ROWS),
+    "offset": _OFFSET,
+}
+_POINT_TO_POINT = {
+    "q0": _own("point_to_point.start", 0.0, "Start position", "rad", shape=VECTOR),
+    "q1": _own("point_to_point.goal", 1.0, "Goal position", "rad", shape=VECTOR),
+    "duration": _own("point_to_point.duration", 2.0, "Duration of the motion", "s", 1e-3),
+    "dwell": _own("point_to_point.dwell", 0.5, "Dwell time at the goal, and at the start if it returns", "s", 0.0),
+    "returns": _own("point_to_point.returns", True, "true: repeat back and forth; false: move once"),
+}
+_CIRCLE = {
+    "centre": _OFFSET,
+    "radius": _own("circle.radius", 0.5, "Radius of the circle in the plane of the first two joints", "rad", 0.0),
+    "frequency": _own(
+        "circle.frequency", 1.0, "Angular frequency on the circle; negative: opposite direction", "rad/s"
+    ),
+    "phase": _own("circle.phase", 0.0, "Initial angle on the circle", "rad"),
+    "ramp": _own("circle.ramp", 1.0, "Acceleration time from rest to the angular frequency", "s", 1e-3),
+}
+_TYPES: dict[str, tuple[Callable[..., Reference], Mapping[str, Parameter]]] = {
+    "sine": (Sine, _SINE),
+    "multi_sine": (MultiSine, _MULTI_SINE),
+    "point_to_point": (PointToPoint, _POINT_TO_POINT),
+    "circle": (Circle, _CIRCLE),
+    "hold": (Hold, {"q": _OFFSET}),
+}
+_TYPE = Parameter("reference.type", "sine", "Type of the reference trajectory", choices=tuple(_TYPES), dynamic=True)
+
+ACCELERATION_LIMIT = Parameter(
+    "limits.acceleration",
+    math.inf,
+    "Largest |ddq_ld| of a trajectory; a faster trajectory is rejected",
+    "rad/s^2",
+    minimum=0.0,
+    dynamic=True,
+    infinite=True,
+    shape=VECTOR,
+)
+_MOTION = (
+    ACCELERATION_LIMIT,
+    Parameter("allow_partial_joints", False, "Accept a trajectory of some joints; the other joints hold", dynamic=True),
+    Parameter(
+        "constraints.trajectory",
+        0.0,
+        "Path tolerance of an action: largest |q_l - q_ld| before its end; 0: any",
+        "rad",
+        minimum=0.0,
+        shape=VECTOR,
+    ),
+    Parameter(
+        "constraints.goal",
+        0.0,
+        "Goal tolerance of an action: largest |q_l - q_ld| at its end; 0: any",
+        "rad",
+        minimum=0.0,
+        shape=VECTOR,
+    ),
+    Parameter(
+        "constraints.stopped_velocity_tolerance",
+        0.01,
+        "Goal tolerance of an action: largest |dq_l| at its end; 0: any",
+        "rad/s",
+        minimum=0.0,
+    ),
+    Parameter(
+        "constraints.goal_time",
+        0.0,
+        "Time after the end of an action in which the goal must be reached; 0: any",
+        "s",
+        minimum=0.0,
+    ),
+)
 
 
 def reference_parameters(n: int) -> list[Parameter]:
-    """The parameters of the controller's reference for n joints; those of other types than the chosen are not used."""
-    ones, zeros = (1.0,) * n, (0.0,) * n
-    rows = "m*n entries: a row of n for each sine"
-    words: list[tuple[str, float | bool | tuple[float, ...], str, str, float]] = [
-        ("amplitude", ones, "Amplitude of the sine", "rad", -np.inf),
-        ("frequency", ones, "Angular frequency of the sine", "rad/s", 0.0),
-        ("offset", zeros, "Offset of the sines, centre of the circle, place of hold", "rad", -np.inf),
-        ("phase", zeros, "Phase of the sine", "rad", -np.inf),
-        ("multi_sine.amplitude", ones, f"Amplitudes of the sines, {rows}", "rad", -np.inf),
-        ("multi_sine.frequency", ones, f"Angular frequencies of the sines, {rows}", "rad/s", 0.0),
-        ("multi_sine.phase", zeros, f"Phases of the sines, {rows}", "rad", -np.inf),
-        ("point_to_point.start", zeros, "Where it begins", "rad", -np.inf),
-        ("point_to_point.goal", ones, "Where it goes", "rad", -np.inf),
-        ("point_to_point.duration", 2.0, "Time of the way", "s", 1e-3),
-        ("point_to_point.dwell", 0.5, "Rest at the goal, and at the start, where it returns", "s", 0.0),
-        ("point_to_point.returns", True, "To and fro for ever, instead of once", "", -np.inf),
-        ("circle.radius", 0.5, "Radius of the circle that the first two joints sweep", "rad", 0.0),
-        (
-            "circle.frequency",
-            1.0,
-            "Angular frequency on the circle, negative for the other way round",
-            "rad/s",
-            -np.inf,
-        ),
-        ("circle.phase", 0.0, "Where on the circle it begins", "rad", -np.inf),
-        ("circle.ramp", 1.0, "Time in which it comes from rest to its frequency", "s", 1e-3),
-    ]
-    return [
-        Parameter("reference.type", "sine", "Kind of reference", choices=tuple(_BUILD), dynamic=True),
-        *(
-            Parameter(f"reference.{name}", default, text, unit, minimum=minimum, dynamic=True)
-            for name, default, text, unit, minimum in words
-        ),
-    ]
-
-
-def reference(values: Values, n: int) -> Reference:
-    """The reference of the values for n joints; raises ParameterError."""
-    return _BUILD[str(values["reference.type"])](values, n)
-
-
-def _sine(values: Values, n: int) -> Reference:
-    return Sine(*(vector(values, f"reference.{name}", n) for name in ("amplitude", "frequency", "offset", "phase")))
-
-
-def _multi_sine(values: Values, n: int) -> Reference:
-    amplitude, frequency, phase = (
-        _rows(values, f"multi_sine.{name}", n) for name in ("amplitude", "frequency", "phase")
-    )
-    if not len(amplitude) == len(frequency) == len(phase):
-        raise ParameterError(
-            f"parameters 'reference.multi_sine.*' have {amplitude.size}, {frequency.size} and {phase.size} entries "
-            "for amplitude, frequency and phase; expected equally many"
-        )
-    return MultiSine(amplitude, frequency, phase, vector(values, "reference.offset", n))
-
-
-def _point_to_point(values: Values, n: int) -> Reference:
-    start, goal = (vector(values, f"reference.point_to_point.{name}", n) for name in ("start", "goal"))
-    duration, dwell = (_number(values, f"point_to_point.{name}") for name in ("duration", "dwell"))
-    return PointToPoint(start, goal, duration, dwell, bool(values["reference.point_to_point.returns"]))
-
-
-def _circle(values: Values, n: int) -> Reference:
-    if n < 2:
-        raise ParameterError("parameter 'reference.type' is 'circle' for 1 joint; expected 2 joints or more")
-    numbers = (_number(values, f"circle.{name}") for name in ("radius", "frequency", "phase", "ramp"))
-    return Circle(vector(values, "reference.offset", n), *numbers)
-
-
-def _hold(values: Values, n: int) -> Reference:
-    return Hold(vector(values, "reference.offset", n))
-
-
-_BUILD: dict[str, Callable[[Values, int], Reference]] = {
-    "sine": _sine,
-    "multi_sine": _multi_sine,
-    "point_to_point": _point_to_point,
-    "circle": _circle,
-    "hold": _hold,
-}
-
-
-def _number(values: Values, name: str) -> float:
-    return float(values[f"reference.{name}"])  # type: ignore[arg-type]
-
-
-def _rows(values: Values, name: str, n: int) -> Array:
-    """A parameter with m*n entries as (m, n); raises ParameterError."""
-    array = np.asarray(values[f"reference.{name}"], dtype=float)
-    if array.size % n:
-        raise ParameterError(
-            f"parameter 'reference.{name}' has {array.size} entries; expected a multiple of {n}, by rows"
-        )
-    return array.reshape(-1, n)
+    """Return the parameters reference.* for n joints; the parameters of other types are not used."""
+    own = {parameter.name: parameter for _, arguments in _TYPES.values() for parameter in arguments.values()}
+    return [_TYPE, *(parameter.for_joints(n) for parameter in own.values())]
 
 
 def motion_parameters(n: int) -> list[Parameter]:
-    """The parameters for n joints."""
-    none = (0.0,) * n
-    return [
-        Parameter(
-            "limits.acceleration",
-            (math.inf,) * n,
-            "Largest |ddq_ld| of a trajectory; a larger one is refused",
-            "rad/s^2",
-            minimum=0.0,
-            dynamic=True,
-            infinite=True,
-        ),
-        Parameter("allow_partial_joints", False, "A trajectory may leave joints out, which then hold", dynamic=True),
-        Parameter(
-            "constraints.trajectory", none, "Largest |q_l - q_ld| on the way to an action's goal, 0 for any", "rad", 0.0
-        ),
-        Parameter("constraints.goal", none, "Largest |q_l - q_ld| at an action's goal, 0 for any", "rad", 0.0),
-        Parameter(
-            "constraints.stopped_velocity_tolerance",
-            0.01,
-            "Largest |dq_l| at an action's goal, 0 for any",
-            "rad/s",
-            minimum=0.0,
-        ),
-        Parameter(
-            "constraints.goal_time", 0.0, "Time after its end to reach an action's goal, 0 for any", "s", minimum=0.0
-        ),
-    ]
+    """Return the parameters of trajectory limits and action tolerances for n joints."""
+    return [parameter.for_joints(n) for parameter in _MOTION]
 
 
-def motion_limits(values: Values, robot: Robot) -> MotionLimits:
-    """The robot's own limits, tightened by limits.*, with limits.acceleration; raises ParameterError."""
-    settings = safety(values, robot)
+def reference(values: Values, n: int) -> Reference:
+    """Return the reference trajectory of the values for n joints; raises ParameterError."""
+    kind = str(values[_TYPE.name])
+    build, declared = _TYPES[kind]
+    if kind == "circle" and n < 2:
+        raise ParameterError(f"parameter '{_TYPE.name}' is 'circle' for 1 joint; expected 2 joints or more")
+    arguments = read(declared, values, n)
+    if kind == "multi_sine":
+        _check_lengths(arguments)
+    return build(**arguments)
+
+
+def _check_lengths(sines: Mapping[str, Any]) -> None:
+    sizes = [sines[name].size for name in ("amplitude", "frequency", "phase")]
+    if len(set(sizes)) > 1:
+        raise ParameterError(
+            f"parameters 'reference.multi_sine.*' have {sizes[0]}, {sizes[1]} and {sizes[2]} entries "
+            "for amplitude, frequency and phase; expected equally many"
+        )
+
+
+def motion_limits(values: Values, settings: Settings, robot: Robot) -> MotionLimits:
+    """Return the limits of trajectories: the tighter of settings and robot, and limits.acceleration.
+
+    Raises ParameterError.
+    """
     held = settings if robot.limits is None else settings.tightened(robot.limits)
     return MotionLimits(
         held.link_position_lower,
         held.link_position_upper,
         held.link_velocity,
-        vector(values, "limits.acceleration", robot.n),
+        vector(values, ACCELERATION_LIMIT.name, robot.n),
         robot.units,
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots as files: what `robot.file` and `robot.urdf` point to, found and merged without ROS."""
+"""Robot files: resolve and merge the files that `robot.file` and `robot.urdf` name, without ROS."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ _SCHEME = "package://"
 
 
 def merged(given: Mapping[str, object], node: str, folder: Path) -> dict[str, object]:
-    """The values given to a node, over those of the robot file that they name.
+    """Return the values given to a node merged with its robot file; given values override the file.
 
-    Paths of files in the result are absolute: one in `given` is relative to `folder`, one in the robot file
-    to that file. Raises ParameterError for a robot file that cannot be found or holds anything else than
-    joints and robot.*.
+    Paths in the result are absolute. A path in `given` is relative to `folder`, a path in the robot file to that
+    file. Raises ParameterError if the robot file cannot be found or holds anything but joints and robot.*.
     """
     values = absolute(given, folder)
     name = values.get(FILE)
@@ -47,7 +46,7 @@ def _own_values(path: Path, node: str) -> dict[str, object]:
 
 
 def inlined(values: Mapping[str, object]) -> dict[str, object]:
-    """Merged values that need no other file: the URDF's text in place of its path."""
+    """Return merged values that need no other file: the text of the URDF replaces its path."""
     alone = {name: value for name, value in values.items() if name != FILE}
     urdf = alone.get(URDF)
     if isinstance(urdf, str) and not is_xml(urdf):
@@ -59,15 +58,15 @@ def inlined(values: Mapping[str, object]) -> dict[str, object]:
 
 
 def is_xml(urdf: str) -> bool:
-    """Whether the value of robot.urdf is the text itself, not a path."""
+    """Return True if the value of robot.urdf is XML text, not a path."""
     return urdf.lstrip("\ufeff \t\r\n").startswith("<")
 
 
 def resolve(reference: str, folder: Path) -> Path:
-    """The file that ``package://name/path``, an absolute path or one relative to `folder` means.
+    """Return the file of ``package://name/path``, of an absolute path or of a path relative to `folder`.
 
-    Packages are looked for as ROS does, below share in the folders of AMENT_PREFIX_PATH; raises
-    ParameterError when none has it.
+    Packages are searched below share in the folders of AMENT_PREFIX_PATH, as in ROS. Raises ParameterError if
+    none of them has the package.
     """
     if not reference.startswith(_SCHEME):
         return folder.absolute() / reference
@@ -78,12 +77,12 @@ def resolve(reference: str, folder: Path) -> Path:
             return share / path
     raise ParameterError(
         f"'{reference}' names package '{package}', which no folder of AMENT_PREFIX_PATH has; "
-        "expected one that is built and sourced"
+        "expected a package that is built and sourced"
     )
 
 
 def absolute(given: Mapping[str, object], folder: Path) -> dict[str, object]:
-    """The given values with robot.file and robot.urdf as absolute paths; relative ones are relative to `folder`."""
+    """Return the values with robot.file and robot.urdf as absolute paths; relative paths start at `folder`."""
     values = dict(given)
     for name in (FILE, URDF):
         reference = values.get(name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS 2 parameter files without ROS: read as rcl reads them, and written so that rcl reads the same."""
+"""ROS 2 parameter files without ROS: read them as rcl does, write them so that rcl reads the same values."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ import yaml
 from ..errors import ParameterError
 from ..files.text_file import read_text
 
-DEEPEST, MOST_NODES, LONGEST_NUMBER = 50, 100_000, 100
-"""Levels, values and keys of a document, and characters of a number: what is larger is refused before it costs time."""
+MAX_DEPTH, MAX_NODES, MAX_NUMBER_LENGTH = 50, 100_000, 100
+"""Largest depth and number of values and keys of a document, and most characters of a number; more is rejected."""
 _TAG = "tag:yaml.org,2002:"
 _NUMBERS = (f"{_TAG}int", f"{_TAG}float")
-_UNFIT = re.compile("[\0\ud800-\udfff]")  # no path, no C string and no UTF-8 text can hold these
+_INVALID = re.compile("[\0\ud800-\udfff]")  # invalid in paths, C strings and UTF-8 text
 
-# What rcl reads and PyYAML takes for text: 1e-3 and 1.5e3 are numbers, y and n are true and false.
+# Scalars that rcl reads as values and PyYAML as text: 1e-3 and 1.5e3 are numbers, y and n are true and false.
 _FLOAT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
 _BOOL = re.compile(r"[yYnN]$")
 
 
 class _Loader(yaml.SafeLoader):
-    """Read plain words and numbers as rcl does, dates as text; refuse what costs more than bounded time and memory."""
+    """Read plain scalars as rcl does and dates as text; reject documents that exceed the limits of this module."""
 
     bool_values = {**yaml.SafeLoader.bool_values, "y": True, "n": False}
     yaml_implicit_resolvers = {
@@ -39,10 +39,10 @@ class _Loader(yaml.SafeLoader):
         if self.check_event(yaml.AliasEvent):
             raise ParameterError(f"has a YAML alias (*{self.peek_event().anchor}), which ROS 2 does not read")
         self.depth, self.nodes = self.depth + 1, self.nodes + 1
-        if self.depth > DEEPEST:
-            raise ParameterError(f"is nested more than {DEEPEST} levels deep; expected a parameter file")
-        if self.nodes > MOST_NODES:
-            raise ParameterError(f"holds more than {MOST_NODES} values and keys; expected a parameter file")
+        if self.depth > MAX_DEPTH:
+            raise ParameterError(f"is nested more than {MAX_DEPTH} levels deep; expected a parameter file")
+        if self.nodes > MAX_NODES:
+            raise ParameterError(f"holds more than {MAX_NODES} values and keys; expected a parameter file")
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -56,7 +56,7 @@ class _Loader(yaml.SafeLoader):
 
     def construct_object(self, node: Any, deep: bool = False) -> Any:
         if isinstance(node, yaml.ScalarNode):
-            _refuse_unfit(node)
+            _check_scalar(node)
         try:
             return super().construct_object(node, deep)
         except _NO_VALUE:
@@ -69,14 +69,15 @@ class _Loader(yaml.SafeLoader):
 _NO_VALUE = (ValueError, ArithmeticError, LookupError, TypeError, AttributeError)
 
 
-def _refuse_unfit(node: yaml.ScalarNode) -> None:
+def _check_scalar(node: yaml.ScalarNode) -> None:
+    """Raise ParameterError for a number of too many characters and for characters that no text may hold."""
     line = node.start_mark.line + 1
-    if node.tag in _NUMBERS and len(node.value) > LONGEST_NUMBER:
+    if node.tag in _NUMBERS and len(node.value) > MAX_NUMBER_LENGTH:
         seen = f"has a number of {len(node.value)} characters ({_brief(node.value)}) in line {line}"
-        raise ParameterError(f"{seen}; expected at most {LONGEST_NUMBER}")
-    unfit = _UNFIT.search(node.value)
-    if unfit:
-        raise ParameterError(f"has the character U+{ord(unfit[0]):04X} in line {line}; expected text without it")
+        raise ParameterError(f"{seen}; expected at most {MAX_NUMBER_LENGTH}")
+    invalid = _INVALID.search(node.value)
+    if invalid:
+        raise ParameterError(f"has the character U+{ord(invalid[0]):04X} in line {line}; expected text without it")
 
 
 def _brief(text: str) -> str:
@@ -84,7 +85,7 @@ def _brief(text: str) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes lists on one line, long texts as blocks, and no aliases, which rcl refuses."""
+    """Write lists on one line, multi-line texts as blocks, and no aliases, which rcl rejects."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -101,7 +102,7 @@ _Dumper.add_representer(
 
 
 def parse(text: str) -> Any:
-    """The YAML document in `text`; raises ParameterError in one sentence."""
+    """Return the YAML document in `text`; raises ParameterError."""
     try:
         return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
@@ -114,12 +115,12 @@ def _brief_reason(error: yaml.YAMLError) -> str:
 
 
 def dump(document: Any) -> str:
-    """The document as text, keys in their order."""
+    """Return the document as text; keys keep their order."""
     return yaml.dump(document, Dumper=_Dumper, sort_keys=False, width=120, allow_unicode=True)
 
 
 def read(path: Path, what: str) -> Any:
-    """The document in a file; raises ParameterError that calls the file `what`."""
+    """Return the document in a file; raises ParameterError, in which `what` describes the file."""
     try:
         return parse(read_text(path))
     except OSError as error:
@@ -131,16 +132,19 @@ def read(path: Path, what: str) -> Any:
 
 
 SHARED = "/**"
-"""The section for every node, and the only one that `-p name:=value` on a command line reaches."""
+"""The section of all nodes, which is also the section of `-p name:=value` on a command line."""
 
 
 def sections(node: str) -> tuple[str, ...]:
-    """Names of the sections that hold parameters of a node."""
+    """Return the names of the sections that hold parameters of a node."""
     return (SHARED, node, f"/{node}", f"/**/{node}")
 
 
 def values_for(node: str, document: Any) -> dict[str, object]:
-    """The values a parameter file gives to a node, later sections over earlier ones, names joined by dots."""
+    """Return the values that a parameter file gives to a node, with dotted names.
+
+    Later sections override earlier ones. Raises ParameterError for a document that is no parameter file.
+    """
     if not isinstance(document, dict):
         raise ParameterError(f"holds a {type(document).__name__}; expected a ROS 2 parameter file (a mapping)")
     given: dict[str, object] = {}
@@ -164,7 +168,10 @@ def _flat(tree: Mapping[Any, Any], prefix: str = "") -> dict[str, object]:
 
 
 def tree_of(values: Mapping[str, object]) -> dict[str, Any]:
-    """Named values as the tree of mappings that a parameter file holds; raises ParameterError where it is none."""
+    """Return named values as the nested mappings of a parameter file.
+
+    Raises ParameterError if one name is a prefix of another.
+    """
     tree: dict[str, Any] = {}
     for name, value in values.items():
         *parents, leaf = name.split(".")

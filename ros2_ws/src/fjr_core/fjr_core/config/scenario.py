@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scenario: one ROS 2 parameter file for both nodes, read without ROS and made into the closed loop."""
+"""A scenario: the parameters of both nodes in one ROS 2 parameter file, and the closed loop that they describe."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from ..stability.linear_controller import Sensing
 from ..trajectories.reference import Reference
 from . import builders, parameter, robot_file, ros_yaml
 from .builders import control_law, robust_action
-from .measurement import measurement_parameters
+from .measurement import OBSERVER_BANDWIDTH, measurement_parameters
 from .nonidealities import channel_errors, imperfection_parameters
 
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
@@ -48,67 +48,67 @@ class Scenario:
     @property
     def joints(self) -> tuple[str, ...]:
         """Joint names in the order of all lists."""
-        return tuple(str(name) for name in self.controller_values["joints"])  # type: ignore[union-attr]
+        return parameter.names(self.controller_values, "joints")
 
     @property
     def sample_period(self) -> float:
-        """Period of the plant's states [s]."""
-        return 1.0 / float(self.plant_values["publish_rate"])  # type: ignore[arg-type]
+        """Sample period: the time between two states of the plant [s]."""
+        return 1.0 / parameter.number(self.plant_values, "publish_rate")
 
     @property
     def plant_is_the_model(self) -> bool:
-        """Whether the plant is the very robot that the controller believes in: what is proven is proven for that."""
+        """True if plant and controller have the same robot parameters, as the proof assumes."""
         names = {name for name in (*self.plant_values, *self.controller_values) if name.startswith("robot.")}
         return all(self.plant_values.get(name) == self.controller_values.get(name) for name in names - {"robot.file"})
 
     @property
     def loop_delay(self) -> float:
-        """Known delay of the loop [s]: that of the simulated plant's states and commands, without their jitter."""
+        """Constant delay of the loop [s]: the sum of the simulated delays of states and commands, without jitter."""
         return sum(channel.delay for channel in channel_errors(self.plant_values))
 
     @property
     def sensing(self) -> Sensing:
-        """What the controller's law gets of the plant: measurement.*."""
+        """Sensing of the control law: velocity observer and torque sensor, from measurement.*."""
         values = self.controller_values
         observed = values["measurement.velocity"] == OBSERVER
-        bandwidth = float(values["measurement.observer_bandwidth"]) if observed else None  # type: ignore[arg-type]
+        bandwidth = parameter.number(values, OBSERVER_BANDWIDTH.name) if observed else None
         return Sensing(bandwidth, by_torque=values["measurement.motor"] == TORQUE)
 
     @cached_property
     def robot(self) -> Robot:
-        """The robot that the controller believes in."""
+        """The controller's model of the robot."""
         return builders.robot(self.controller_values)
 
     @cached_property
     def gains(self) -> Gains:
-        """The controller's gains."""
+        """The gains of v-dPBC."""
         return builders.gains(self.controller_values, self.robot.n)
 
     @cached_property
     def law(self) -> StaticLaw:
-        """The controller's law."""
+        """The control law."""
         return control_law(self.controller_values, self.robot)
 
     @property
     def tracking_law(self) -> TrackingLaw:
-        """The controller's law where it is v-dPBC; raises ParameterError where it is another one."""
+        """The control law if it is v-dPBC; raises ParameterError for a baseline."""
         if not isinstance(self.law, TrackingLaw):
             raise ParameterError(f"parameter 'law.type' is {self.controller_values['law.type']!r}; expected 'v_dpbc'")
         return self.law
 
     @cached_property
     def sampled_law(self) -> SampledLaw:
-        """The law as the controller runs it, with the robust action that the parameters ask for."""
+        """The control law with the robust action of robust.*, as the controller runs it."""
         return sampled_law(self.law, robust_action(self.controller_values, self.law))
 
     @cached_property
     def reference(self) -> Reference:
-        """The reference trajectory; its time 0 is the first answered state."""
+        """The reference trajectory; time 0 is the stamp of the first state that the controller answers."""
         return builders.reference(self.controller_values, self.robot.n)
 
     @cached_property
     def plant(self) -> Plant:
-        """The simulated robot with its own parameters."""
+        """The simulated robot, from the plant's own parameters."""
         robot, integrator = builders.robot(self.plant_values), str(self.plant_values["integrator"])
         return Plant(robot, integrator, compile=bool(self.plant_values["compile"]))
 
@@ -118,11 +118,11 @@ class Scenario:
         return builders.initial_state(self.plant_values, self.plant.robot)
 
     def configurations(self, k: int = 64) -> Array:
-        """Where the links will be (k + 1, n) [rad]: at the start, and at k points of the reference."""
+        """Return link positions (k + 1, n) [rad]: the initial ones and k of the reference."""
         return np.vstack([self.x0[: self.robot.n], self.reference.configurations(k)])
 
     def warm_up(self) -> None:
-        """Build law and plant step as the nodes will, so that what is compiled is in the cache when they start."""
+        """Build law and plant step as the nodes do, so that their compiled functions are cached when they start."""
         _ = self.law.measured_function
         if isinstance(self.sampled_law, RobustLaw):
             _ = self.sampled_law.ready_step
@@ -131,17 +131,17 @@ class Scenario:
         self.plant.step(self.x0, [0.0] * self.robot.n, self.sample_period)
 
     def simulate(self, duration: float) -> Trajectory:
-        """The sampled closed loop as the two nodes run it in lock-step, without ROS, for `duration` seconds.
+        """Simulate the sampled closed loop of both nodes in lock-step, without ROS, for `duration` [s].
 
-        Of the plant alone: no imperfection (imperfections.*) is simulated, so no delay either.
+        The plant is ideal: imperfections.* are not simulated, so there is no delay either.
         """
-        inner = self.sample_period / int(self.plant_values["inner_steps"])  # type: ignore[arg-type]
+        inner = self.sample_period / int(parameter.number(self.plant_values, "inner_steps"))
         law = self.sampled_law if isinstance(self.sampled_law, RobustLaw) else self.law
         return simulate(self.plant, law, self.reference, self.x0, duration, self.sample_period, inner)
 
 
 def load_scenario(path: str | Path) -> Scenario:
-    """Read a scenario file; raises ParameterError, naming the file, for anything that does not fit."""
+    """Read a scenario file; raises ParameterError, which names the file."""
     path = Path(path)
     document = ros_yaml.read(path, "scenario")
     try:
@@ -151,7 +151,7 @@ def load_scenario(path: str | Path) -> Scenario:
 
 
 def parse_scenario(name: str, text: str) -> Scenario:
-    """The same from a scenario's text; relative paths in it are relative to the current directory."""
+    """Read a scenario from its text; relative paths start at the current directory. Raises ParameterError."""
     return _scenario(name, ros_yaml.parse(text), Path.cwd())
 
 
@@ -162,40 +162,40 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
         given = robot_file.merged(ros_yaml.values_for(node, document), node, folder)
         known = builders.all_parameters(own, given)
         checked[node] = parameter.complete(known, given)
-        own_names = set(given) - _meant_for_others(node, own, document)
+        own_names = set(given) - _for_other_nodes(node, own, document)
         warnings += [f"{node}: {sentence}" for sentence in parameter.unknown(known, own_names)]
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
-    warnings += _about_hold(scenario)
+    warnings += _hold_warnings(scenario)
     scenario = replace(scenario, warnings=tuple(warnings))
     joints = [checked[node]["joints"] for node in OWN_PARAMETERS]
     if joints[0] != joints[1]:
         raise ParameterError(
             f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
         )
-    _ = scenario.sampled_law, scenario.reference, scenario.plant, scenario.x0  # what cannot be built is said here
+    _ = scenario.sampled_law, scenario.reference, scenario.plant, scenario.x0  # raises for what cannot be built
     return scenario
 
 
-def _meant_for_others(node: str, own: builders.OwnParameters, document: Any) -> set[str]:
-    """Names that the document gives to all nodes, of which only others have them."""
+def _for_other_nodes(node: str, own: builders.OwnParameters, document: Any) -> set[str]:
+    """Return the names that the document gives to all nodes and only other nodes have."""
     private = {section: content for section, content in document.items() if section != ros_yaml.SHARED}
     return set(builders.names_of_others(own)) - set(ros_yaml.values_for(node, private))
 
 
-def _about_hold(scenario: Scenario) -> list[str]:
-    """A sentence where the law would predict or integrate over another hold than there will be."""
+def _hold_warnings(scenario: Scenario) -> list[str]:
+    """Return a warning if robust.hold, over which the law predicts or integrates, is not the sample period."""
     values, period = scenario.controller_values, scenario.sample_period
     robust = builders.robust(values, len(scenario.joints))
-    if not (robust.predicts or robust.integrates) or math.isclose(float(values["robust.hold"]), period, rel_tol=1e-6):  # type: ignore[arg-type]
+    if not (robust.predicts or robust.integrates) or math.isclose(robust.hold, period, rel_tol=1e-6):
         return []
     return [f"{CONTROLLER}: parameter 'robust.hold' is {values['robust.hold']} s; the states' period is {period:g} s"]
 
 
 def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:
-    """A parameter file with the values given to each node that needs no robot file and no URDF file.
+    """Return a parameter file of the values given to each node that needs no robot file and no URDF file.
 
-    A value stands in the section /**, which `-p` on a command line reaches, unless the nodes differ in it. Relative
-    paths in `given` are relative to `folder`. Raises ParameterError.
+    Values that the nodes share are in the section /**, which is also the section of `-p` on a command line.
+    Relative paths in `given` start at `folder`. Raises ParameterError.
     """
     whole = {node: robot_file.inlined(robot_file.merged(values, node, folder)) for node, values in given.items()}
     shared: dict[str, object] = {}
@@ -208,7 +208,7 @@ def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> d
 
 
 def _is_common(name: str, value: object, given: Mapping[str, Mapping[str, object]]) -> bool:
-    """Whether every node that has the parameter is given this value."""
+    """Return True if every node that has the parameter is given this value."""
     return all(
         _same(value, values[name]) if name in values else name in builders.names_of_others(OWN_PARAMETERS[node])
         for node, values in given.items()
@@ -216,11 +216,11 @@ def _is_common(name: str, value: object, given: Mapping[str, Mapping[str, object
 
 
 def _same(first: object, second: object) -> bool:
-    return repr(first) == repr(second)  # nan is as nan, 1 is not 1.0
+    return repr(first) == repr(second)  # nan equals nan, 1 differs from 1.0
 
 
 def left_out(scenario: Scenario) -> list[str]:
-    """Names of the parameters by which plant or measurement of the scenario do more than what is exported."""
+    """Return the names of the parameters by which plant or measurement differ from the ideal ones."""
     known = {
         "plant_values": imperfection_parameters(len(scenario.joints)),
         "controller_values": measurement_parameters(len(scenario.joints)),

@@ -1,90 +1,140 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits, stop policy, start and recovery of the controller as checked values."""
+"""Safety settings of the controller: limits, stop policy, start and recovery, each declared with its parameter."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..numerics.checks import Array
+from ..numerics.checks import Array, freeze
+from ..numerics.parameter_field import VECTOR, Parameter, declared, parameter_field
 from ..robot.joint_limits import JointLimits
 from ..robot.joint_units import REVOLUTE, Units
 
 ZERO, GRAVITY_HOLD = "zero", "gravity_hold"
-LIMITS = (
-    "effort",
-    "effort_rate",
-    "link_position_lower",
-    "link_position_upper",
-    "motor_position_lower",
-    "motor_position_upper",
-    "link_velocity",
-    "motor_velocity",
-    "deflection",
-    "tracking_error",
-    "start_error",
-)
-"""Settings with one bound for each joint, infinite for none; `limits.<name>` among the parameters."""
-_DURATIONS = {
-    "ramp_time": "start.ramp_time",
-    "start_join_time": "start.join_time",
-    "recovery_join_time": "recovery.join_time",
-}
-SHORTEST = 1e-3  # s; of a duration that is not 0
+SHORTEST = 1e-3  # s; shortest duration that is not 0
+_DURATION = f"0, or at least {SHORTEST} s"
+
+
+def _limit(unit: str, description: str, off: float = math.inf, minimum: float = 0.0, constraint: str = "") -> Any:
+    return parameter_field(
+        off,
+        description,
+        unit,
+        name="limits.",
+        minimum=minimum,
+        constraint=constraint,
+        dynamic=True,
+        infinite=True,
+        shape=VECTOR,
+    )
+
+
+def _duration(name: str, default: float, description: str) -> Any:
+    return parameter_field(
+        default,
+        description,
+        "s",
+        name=name,
+        minimum=0.0,
+        maximum=1e3,
+        constraint=_DURATION,
+        dynamic=True,
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """What keeps the closed loop safe; checked at birth. Without arguments but the joints, nothing limits anything.
+    """Safety settings; by default no limit is active.
 
-    joints: names (n,). units: of each joint, revolute by default; prismatic ones have m and N below.
-    Limits, each (n,) or a scalar, infinite for none: effort [N m], effort_rate [N m/s],
-    link_position_lower .. motor_position_upper [rad], link_velocity, motor_velocity [rad/s], deflection
-    |q_m - q_l|, tracking_error and start_error |q_l - q_ld| [rad]. on_stop: "zero" or "gravity_hold".
-    Times [s]: state_timeout, ramp_time, start_join_time, recovery_join_time. hold_deceleration [rad/s^2].
-    wiring_check: stop at exchanged joints and wrong signs.
-    Raises ParameterError, which names the parameter, for other lengths, NaN, a negative bound of a size, a
-    lower limit above the upper one, or a time between 0 and SHORTEST.
+    joints: names (n,). units: of each joint, revolute by default; prismatic joints have m and N in place of rad and
+    N m. Limits are (n,) or scalars, infinite to disable. The fields declare units, ranges and descriptions.
+    Raises ParameterError, which names the parameter, for a wrong length, NaN, a negative bound of a magnitude, a
+    lower limit above the upper one, or a duration between 0 and SHORTEST.
     """
 
     joints: tuple[str, ...]
-    effort: ArrayLike = math.inf
-    effort_rate: ArrayLike = math.inf
-    link_position_lower: ArrayLike = -math.inf
-    link_position_upper: ArrayLike = math.inf
-    motor_position_lower: ArrayLike = -math.inf
-    motor_position_upper: ArrayLike = math.inf
-    link_velocity: ArrayLike = math.inf
-    motor_velocity: ArrayLike = math.inf
-    deflection: ArrayLike = math.inf
-    tracking_error: ArrayLike = math.inf
-    start_error: ArrayLike = math.inf
-    on_stop: str = ZERO
-    state_timeout: float = 0.5
-    ramp_time: float = 0.0
-    start_join_time: float = 0.0
-    recovery_join_time: float = 1.0
-    hold_deceleration: float = 2.0
+    effort: ArrayLike = _limit("N m", "Largest effort; the command saturates there")
+    effort_rate: ArrayLike = _limit(
+        "N m/s", "Largest rate of change of the effort, over the time between the stamps of two states"
+    )
+    link_position_lower: ArrayLike = _limit(
+        "rad", "Lower limit of q_l; a state below it triggers on_stop", off=-math.inf, minimum=-math.inf
+    )
+    link_position_upper: ArrayLike = _limit(
+        "rad",
+        "Upper limit of q_l; a state above it triggers on_stop",
+        minimum=-math.inf,
+        constraint="at least limits.link_position_lower",
+    )
+    motor_position_lower: ArrayLike = _limit(
+        "rad", "Lower limit of q_m; a state below it triggers on_stop", off=-math.inf, minimum=-math.inf
+    )
+    motor_position_upper: ArrayLike = _limit(
+        "rad",
+        "Upper limit of q_m; a state above it triggers on_stop",
+        minimum=-math.inf,
+        constraint="at least limits.motor_position_lower",
+    )
+    link_velocity: ArrayLike = _limit("rad/s", "Largest |dq_l|; a state above it triggers on_stop")
+    motor_velocity: ArrayLike = _limit("rad/s", "Largest |dq_m|; a state above it triggers on_stop")
+    deflection: ArrayLike = _limit("rad", "Largest |q_m - q_l|; a state above it triggers on_stop")
+    tracking_error: ArrayLike = _limit("rad", "Largest |q_l - q_ld|; a state above it triggers on_stop")
+    start_error: ArrayLike = _limit("rad", "Largest |q_l - q_ld| at which tracking starts, if start.join_time is 0")
+    on_stop: str = parameter_field(
+        ZERO,
+        "Effort after a stop, after state_timeout and at shutdown: zero, or gravity compensation with motor damping",
+        choices=(ZERO, GRAVITY_HOLD),
+        dynamic=True,
+    )
+    state_timeout: float = parameter_field(
+        0.5,
+        "Longest time without a state before on_stop applies; a stamp that jumps back by more restarts the reference",
+        "s",
+        minimum=1e-3,
+        maximum=1e3,
+    )
+    ramp_time: float = _duration(
+        "start.ramp_time", 0.0, "Duration of the ramp from the effort of on_stop to that of the law; 0: none"
+    )
+    start_join_time: float = _duration(
+        "start.join_time", 0.0, "Duration of the transition from the first state to the reference; 0: none"
+    )
+    recovery_join_time: float = _duration(
+        "recovery.join_time",
+        1.0,
+        "Duration of the transition after a stop, a state timeout or a change of the reference; 0: none",
+    )
+    hold_deceleration: float = parameter_field(
+        2.0,
+        "Mean deceleration to standstill on ~/hold",
+        "rad/s^2",
+        name="hold.deceleration",
+        minimum=1e-3,
+        maximum=1e4,
+        dynamic=True,
+    )
     units: tuple[Units, ...] = ()
-    wiring_check: bool = True
+    wiring_check: bool = parameter_field(
+        True,
+        "Stop if the first samples reveal exchanged joints or a wrong sign of an effort or encoder",
+        name="start.wiring_check",
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "units", self.units or (REVOLUTE,) * self.n)
-        for name in LIMITS:
-            array = _bounds(name, getattr(self, name), len(self.joints))
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        for upper in ("link_position_upper", "motor_position_upper"):
-            _check_order(self.joints, self.units, upper, getattr(self, lower_of(upper)), getattr(self, upper))
-        for name, word in _DURATIONS.items():
-            if not (getattr(self, name) == 0 or getattr(self, name) >= SHORTEST):
-                raise ParameterError(
-                    f"parameter '{word}' is {getattr(self, name)} s; expected 0 for none, or at least {SHORTEST} s"
-                )
+        for field, parameter in declared(Settings).items():
+            if parameter.shape == VECTOR:
+                freeze(self, field, _bounds(parameter, getattr(self, field), self.n))
+            elif parameter.constraint == _DURATION:
+                _check_duration(parameter, getattr(self, field))
+        for side in ("link", "motor"):
+            self._check_order(f"{side}_position")
 
     @property
     def n(self) -> int:
@@ -92,7 +142,7 @@ class Settings:
         return len(self.joints)
 
     def tightened(self, limits: JointLimits) -> Settings:
-        """These settings where `limits` hold too: on range and speed of the links and on the effort."""
+        """Return these settings with the tighter of both limits: range and speed of the links, effort of the motors."""
         return replace(
             self,
             effort=np.minimum(self.effort, limits.effort),
@@ -101,27 +151,30 @@ class Settings:
             link_position_upper=np.minimum(self.link_position_upper, limits.upper),
         )
 
+    def _check_order(self, limit: str) -> None:
+        bounds = getattr(self, f"{limit}_lower"), getattr(self, f"{limit}_upper")
+        for joint, unit, lower, upper in zip(self.joints, self.units, *bounds, strict=True):
+            if lower > upper:
+                raise ParameterError(
+                    f"parameter 'limits.{limit}_upper' of {joint} is {upper:g} {unit.position}; "
+                    f"expected at least its 'limits.{limit}_lower', {lower:g} {unit.position}"
+                )
 
-def lower_of(upper: str) -> str:
-    """Return the name of the lower limit that belongs to an upper one."""
-    return upper.replace("upper", "lower")
 
-
-def _bounds(name: str, value: ArrayLike, n: int) -> Array:
+def _bounds(parameter: Parameter, value: ArrayLike, n: int) -> Array:
     array = np.array(np.broadcast_to(value, (n,)) if np.ndim(value) == 0 else value, dtype=float)
     if array.shape != (n,):
-        raise ParameterError(f"parameter 'limits.{name}' has {array.size} entries; expected {n}, one per joint")
-    signed = "position" in name
-    if np.any(np.isnan(array)) or not (signed or np.all(array >= 0)):
-        kind = "numbers" if signed else "numbers of at least 0"
-        raise ParameterError(f"parameter 'limits.{name}' is {array.tolist()}; expected {kind}, infinite for no limit")
+        raise ParameterError(f"parameter '{parameter.name}' has {array.size} entries; expected {n}, one per joint")
+    if np.any(np.isnan(array)) or np.any(array < parameter.minimum):
+        kind = "numbers" if parameter.minimum == -math.inf else "numbers of at least 0"
+        raise ParameterError(
+            f"parameter '{parameter.name}' is {array.tolist()}; expected {kind}, infinite for no limit"
+        )
     return array
 
 
-def _check_order(joints: tuple[str, ...], units: tuple[Units, ...], upper: str, low: Array, high: Array) -> None:
-    for joint, unit, a, b in zip(joints, units, low, high, strict=True):
-        if a > b:
-            raise ParameterError(
-                f"parameter 'limits.{upper}' of {joint} is {b:g} {unit.position}; "
-                f"expected at least its 'limits.{lower_of(upper)}', {a:g} {unit.position}"
-            )
+def _check_duration(parameter: Parameter, value: float) -> None:
+    if not (value == 0 or value >= SHORTEST):
+        raise ParameterError(
+            f"parameter '{parameter.name}' is {value} s; expected 0 for none, or at least {SHORTEST} s"
+        )

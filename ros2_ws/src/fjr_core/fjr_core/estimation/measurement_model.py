@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import ParameterError
 from ..numerics import checks
 from ..numerics.checks import Array
+from ..numerics.parameter_field import VECTOR, parameter_field
 
 MEASURED, OBSERVER = "measured", "observer"
 POSITION, TORQUE = "position", "torque"
@@ -29,9 +30,23 @@ class Measurement:
     """
 
     n: int
-    velocity: str = MEASURED
-    motor: str = POSITION
-    gear_ratio: Array | float = 1.0
+    velocity: str = parameter_field(
+        MEASURED,
+        "Source of the velocities: the states, or an observer driven by positions and effort",
+        choices=(MEASURED, OBSERVER),
+    )
+    motor: str = parameter_field(
+        POSITION,
+        "Source of the motor state: the motor position, or the joint torque sensor (effort of the link-side name)",
+        choices=(POSITION, TORQUE),
+    )
+    gear_ratio: Array | float = parameter_field(
+        1.0,
+        "Motor turns in the states per turn of q_m; negative: opposite direction",
+        "1",
+        shape=VECTOR,
+        constraint="not 0",
+    )
     K: Array | None = None
 
     def __post_init__(self) -> None:

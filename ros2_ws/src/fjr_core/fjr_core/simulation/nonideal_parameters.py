@@ -7,6 +7,7 @@ The equations are in nonideal_plant.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,10 +15,21 @@ from numpy.typing import ArrayLike
 from ..errors import ParameterError
 from ..numerics import checks
 from ..numerics.checks import Array
+from ..numerics.parameter_field import POINT, VECTOR, parameter_field
 
 POSITIVE = ("stribeck_l", "stribeck_m", "smoothing")
 SIGNED = ("ripple", "ripple_periods", "ripple_phase", "payload_position")
 SIZES = {"payload_mass": 1, "payload_position": 3}  # of the others: one entry per joint
+
+
+def _per_joint(default: float, name: str, unit: str, description: str, minimum: float = 0.0, **properties: Any) -> Any:
+    return parameter_field(
+        default, description, unit, name=name, minimum=minimum, shape=VECTOR, dynamic=True, **properties
+    )
+
+
+def _channel(name: str, unit: str, description: str, maximum: float) -> Any:
+    return parameter_field(0.0, description, unit, name=name, minimum=0.0, maximum=maximum, dynamic=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,21 +48,47 @@ class Imperfections:
     """
 
     n: int
-    coulomb_l: ArrayLike = 0.0
-    static_l: ArrayLike = 0.0
-    stribeck_l: ArrayLike = 0.1
-    coulomb_m: ArrayLike = 0.0
-    static_m: ArrayLike = 0.0
-    stribeck_m: ArrayLike = 0.1
-    smoothing: ArrayLike = 0.01
-    cubic: ArrayLike = 0.0
-    ripple: ArrayLike = 0.0
-    ripple_periods: ArrayLike = 12.0
-    ripple_phase: ArrayLike = 0.0
-    effort_limit: ArrayLike = np.inf
-    lag: ArrayLike = 0.0
-    payload_mass: ArrayLike = 0.0
-    payload_position: ArrayLike = 0.0
+    coulomb_l: ArrayLike = _per_joint(0.0, "link_coulomb_friction", "N m", "Coulomb friction torque of the links")
+    static_l: ArrayLike = _per_joint(
+        0.0,
+        "link_static_friction",
+        "N m",
+        "Static (breakaway) friction torque of the links; ignored if below the Coulomb level",
+    )
+    stribeck_l: ArrayLike = _per_joint(0.1, "link_stribeck_velocity", "rad/s", "Stribeck velocity of the links", 1e-6)
+    coulomb_m: ArrayLike = _per_joint(0.0, "motor_coulomb_friction", "N m", "Coulomb friction torque of the motors")
+    static_m: ArrayLike = _per_joint(
+        0.0,
+        "motor_static_friction",
+        "N m",
+        "Static (breakaway) friction torque of the motors; ignored if below the Coulomb level",
+    )
+    stribeck_m: ArrayLike = _per_joint(0.1, "motor_stribeck_velocity", "rad/s", "Stribeck velocity of the motors", 1e-6)
+    smoothing: ArrayLike = _per_joint(
+        0.01,
+        "friction_smoothing_velocity",
+        "rad/s",
+        "Smoothing velocity v0 of friction: sign(v) is replaced by tanh(v/v0)",
+        1e-6,
+    )
+    cubic: ArrayLike = _per_joint(0.0, "cubic_stiffness", "N m/rad^3", "Cubic stiffness of the joints")
+    ripple: ArrayLike = _per_joint(0.0, "torque_ripple", "N m", "Amplitude of the motor torque ripple")
+    ripple_periods: ArrayLike = _per_joint(
+        12.0, "torque_ripple_periods", "1/turn", "Periods of the torque ripple per turn of q_m"
+    )
+    ripple_phase: ArrayLike = _per_joint(
+        0.0, "torque_ripple_phase", "rad", "Phase of the torque ripple at q_m = 0", -np.inf
+    )
+    effort_limit: ArrayLike = _per_joint(
+        np.inf, "effort_limit", "N m", "Saturation limit of the motor torque", infinite=True
+    )
+    lag: ArrayLike = _per_joint(0.0, "actuator_lag", "s", "Time constant of the motor torque")
+    payload_mass: ArrayLike = parameter_field(
+        0.0, "Point mass attached to the last link", "kg", minimum=0.0, maximum=1e6, dynamic=True
+    )
+    payload_position: ArrayLike = parameter_field(
+        0.0, "Position of the point mass in the frame of the last link", "m", shape=POINT, dynamic=True
+    )
 
     def __post_init__(self) -> None:
         for name in NAMES:
@@ -122,13 +160,17 @@ class SensorErrors:
     """
 
     n: int
-    bits_l: ArrayLike = 0.0
-    bits_m: ArrayLike = 0.0
-    position_l: ArrayLike = 0.0
-    position_m: ArrayLike = 0.0
-    velocity_l: ArrayLike = 0.0
-    velocity_m: ArrayLike = 0.0
-    velocities: bool = True
+    bits_l: ArrayLike = _per_joint(
+        0.0, "link_encoder_bits", "bit", "Encoder bits per turn of q_l; 0: no quantisation", maximum=MOST_BITS
+    )
+    bits_m: ArrayLike = _per_joint(
+        0.0, "motor_encoder_bits", "bit", "Encoder bits per turn of q_m; 0: no quantisation", maximum=MOST_BITS
+    )
+    position_l: ArrayLike = _per_joint(0.0, "link_position_noise", "rad", "Standard deviation of the noise of q_l")
+    position_m: ArrayLike = _per_joint(0.0, "motor_position_noise", "rad", "Standard deviation of the noise of q_m")
+    velocity_l: ArrayLike = _per_joint(0.0, "link_velocity_noise", "rad/s", "Standard deviation of the noise of dq_l")
+    velocity_m: ArrayLike = _per_joint(0.0, "motor_velocity_noise", "rad/s", "Standard deviation of the noise of dq_m")
+    velocities: bool = parameter_field(True, "Publish velocities in the states", name="publish_velocity", dynamic=True)
 
     def __post_init__(self) -> None:
         for field in fields(self)[1:-1]:
@@ -154,11 +196,13 @@ class ChannelErrors:
     Raises ParameterError.
     """
 
-    delay: float = 0.0
-    jitter: float = 0.0
-    loss: float = 0.0
-    repetition: float = 0.0
-    in_order: bool = True
+    delay: float = _channel("delay", "s", "Transport delay of {}", 10.0)
+    jitter: float = _channel("jitter", "s", "Largest additional delay of {}, uniformly distributed", 10.0)
+    loss: float = _channel("loss", "1", "Probability that one of {} is lost", 1.0)
+    repetition: float = _channel("repetition", "1", "Probability that one of {} is duplicated", 1.0)
+    in_order: bool = parameter_field(
+        True, "Deliver messages in order, whatever their jitter", name="messages_in_order", dynamic=True
+    )
 
     def __post_init__(self) -> None:
         for name in ("delay", "jitter"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Certificates as messages: numbers with labels, the stamp first, as the type has no header."""
+"""Certificates as labelled arrays; the stamp comes first because the message type has no header."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ SECOND = 1_000_000_000
 
 
 class CertificateValues(NamedTuple):
-    """The theory against the measurement at one state.
+    """Storage function and energy at one state.
 
-    V [J]: the law's storage. dV_predicted [W]: its exact rate under the effort sent. dV_measured [W]: its mean rate
-    since the last state. bound [J]: what V may be at most in continuous time, -1 while the effort is not the law's.
-    H [J]: the robot's energy. supplied, dissipated [W]: dH/dt = supplied - dissipated.
+    V [J]: storage function of the law. dV_predicted [W]: dV/dt of the model under the effort sent.
+    dV_measured [W]: mean dV/dt since the last state. bound [J]: continuous-time bound of V, -1 while the law does not
+    determine the effort. H [J]: energy of the robot, with dH/dt = supplied - dissipated [W].
     """
 
     V: float
@@ -35,19 +35,19 @@ LABELS = ("sec", "nanosec", *CertificateValues._fields)
 
 
 class CertificateWriter:
-    """A serialised Float64MultiArray of LABELS, filled again and again."""
+    """Writer of certificates: one serialised Float64MultiArray of LABELS, reused."""
 
     def __init__(self) -> None:
         self._template = Template(float_array(",".join(LABELS), len(LABELS)), [len(LABELS)])
 
     def fill(self, stamp: int, values: CertificateValues) -> bytes:
-        """The message of the state with this stamp [ns], for a publisher."""
+        """Return the serialised message of the state with this stamp [ns]."""
         self._template.fields[0][:] = (*divmod(stamp, SECOND), *values)
         return self._template.serialised()
 
 
 def read_certificate(message: Float64MultiArray) -> tuple[int, CertificateValues]:
-    """Stamp [ns] and values, found by their labels in any order; raises MessageError for anything else."""
+    """Return stamp [ns] and values, found by their labels in any order; raises MessageError if a label is missing."""
     labels = [label for dimension in message.layout.dim for label in dimension.label.split(",")]
     missing = [label for label in LABELS if label not in labels]
     if missing or len(labels) != len(message.data):
@@ -58,7 +58,10 @@ def read_certificate(message: Float64MultiArray) -> tuple[int, CertificateValues
 
 
 def labelled(message: Float64MultiArray) -> dict[str, float]:
-    """Numbers by label: one dimension for each, or one for all with commas between its labels; empty without labels."""
+    """Return the numbers of an array by label; empty if their labels are incomplete.
+
+    The labels are one per dimension, or separated by commas in a single dimension.
+    """
     labels = [dimension.label for dimension in message.layout.dim]
     if len(labels) == 1:
         labels = labels[0].split(",")

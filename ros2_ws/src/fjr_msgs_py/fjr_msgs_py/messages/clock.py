@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The time of whoever owns it, as /clock tells it."""
+"""Simulated time on /clock."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from rosgraph_msgs.msg import Clock
 
 
 class ClockWriter:
-    """One Clock message, filled again and again; valid until the next fill."""
+    """Writer of one reused Clock message; it is valid until the next fill."""
 
     def __init__(self) -> None:
         self._message = Clock()
         self._clock = self._message.clock
 
     def fill(self, stamp: int) -> Clock:
-        """The message with this time [ns]."""
+        """Return the message with this time [ns]."""
         self._clock.sec, self._clock.nanosec = divmod(stamp, 1_000_000_000)
         return self._message

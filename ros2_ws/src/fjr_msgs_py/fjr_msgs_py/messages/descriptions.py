@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot's URDF as a message that whoever comes later still gets."""
+"""URDF of a robot as a latched message."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..names import LATCHED, ROBOT_DESCRIPTION
 
 
 def publish_description(node: Node, urdf: str) -> Publisher:
-    """Publish the URDF's text on robot_description, once; it stays as long as the publisher."""
+    """Publish the URDF once on robot_description; late subscribers receive it while the publisher exists."""
     publisher = node.create_publisher(String, ROBOT_DESCRIPTION, LATCHED)
     publisher.publish(String(data=urdf))
     return publisher

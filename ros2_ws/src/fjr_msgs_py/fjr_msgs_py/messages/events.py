@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens to a node, as messages on ~/events."""
+"""Events of a node on ~/events."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEVELS = {"info": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": D
 
 
 class EventWriter:
-    """Publishes single events: level, kind as the name, one sentence as the message, and values."""
+    """Publisher of events: DiagnosticStatus with level, kind as name, one sentence as message, and values."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -27,5 +27,5 @@ class EventWriter:
         self._publisher.publish(DiagnosticStatus(level=LEVELS[level], name=kind, message=sentence, values=pairs))
 
     def close(self) -> None:
-        """Publish no more."""
+        """Destroy the publisher."""
         self._node.destroy_publisher(self._publisher)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""numpy <-> control_msgs/action/FollowJointTrajectory, where control_msgs is installed."""
+"""NumPy <-> control_msgs/action/FollowJointTrajectory, if control_msgs is installed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """Where an action is: stamp [ns], desired and actual positions [rad] and velocities [rad/s], each (n,)."""
+    """Progress of an action: stamp [ns], desired and actual positions [rad] and velocities [rad/s], each (n,)."""
 
     stamp: int
     q_d: Array
@@ -29,27 +29,27 @@ class Progress:
 
 
 class FollowMessages:
-    """The messages of FollowJointTrajectory; `kind` is the action's type."""
+    """Reader and writer of the messages of FollowJointTrajectory; `kind` is the type of the action."""
 
     def __init__(self, kind: Any, joints: Sequence[str]) -> None:
         self.kind = kind
         self._joints = list(joints)
 
     def trajectory(self, request: Any) -> JointTrajectory:
-        """The trajectory that a goal asks for."""
+        """Return the trajectory of a goal."""
         return request.trajectory
 
     def tolerances(self, request: Any) -> tuple[Sequence[Any], Sequence[Any], float]:
-        """Path and goal tolerances that a goal asks for, and the time [s] allowed after its end."""
+        """Return path tolerances, goal tolerances and goal time tolerance [s] of a goal."""
         time = request.goal_time_tolerance
         return request.path_tolerance, request.goal_tolerance, time.sec + time.nanosec * 1e-9
 
     def result(self, code: int, sentence: str) -> Any:
-        """The result with a code and its reason."""
+        """Return the result with an error code and its reason."""
         return self.kind.Result(error_code=code, error_string=sentence)
 
     def feedback(self, progress: Progress) -> Any:
-        """The feedback: desired, actual, and desired minus actual."""
+        """Return the feedback: desired, actual, and error = desired - actual."""
         message = self.kind.Feedback(joint_names=self._joints)
         set_stamp(message, progress.stamp)
         rows = {
@@ -64,7 +64,7 @@ class FollowMessages:
 
 
 def follow_messages(joints: Sequence[str]) -> FollowMessages | None:
-    """The messages, or None where control_msgs is not installed."""
+    """Return the reader and writer, or None if control_msgs is not installed."""
     try:
         return FollowMessages(import_module("control_msgs.action").FollowJointTrajectory, joints)
     except ImportError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""numpy <-> messages: the only place where joint states and commands are read or built."""
+"""NumPy <-> joint states and effort commands."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .cdr.layout import Template, float_array, joint_state
 
 Array = NDArray[np.float64]
 EMPTY: Array = np.zeros(0)
-FIRST_UNSENDABLE = 2**31 * 10**9  # ns: the seconds of a stamp have 31 bits, and an answer has its state's stamp
+FIRST_UNSENDABLE = 2**31 * 10**9  # ns; the seconds of a stamp are a signed 32-bit integer
 
 
 class MessageError(FjrError):
-    """A message that is refused; `kind` groups the refusals that are counted and reported together."""
+    """A message that is rejected; rejections of the same `kind` are counted and reported together."""
 
     def __init__(self, kind: str, sentence: str) -> None:
         super().__init__(sentence)
@@ -34,7 +34,7 @@ class MessageError(FjrError):
 class JointSample(NamedTuple):
     """A measured state: stamp [ns], positions [rad] and velocities [rad/s] of links and motors, each (n,).
 
-    Velocities are None where the measurement leaves them to an observer.
+    Velocities are None if an observer estimates them.
     """
 
     stamp: int
@@ -45,17 +45,17 @@ class JointSample(NamedTuple):
 
 
 def nanoseconds(stamp: Time) -> int:
-    """A message's stamp as integer nanoseconds."""
+    """Return a stamp as integer nanoseconds."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def set_stamp(message: JointState, stamp: int) -> None:
-    """Stamp a message with integer nanoseconds."""
+    """Set the stamp of a message [ns]."""
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
 
 
 class NamedColumns:
-    """Finds the wanted names in a message's name list; the order of the last message is remembered."""
+    """Index of wanted names in the name list of a message; the result of the last list is cached."""
 
     def __init__(self, wanted: Sequence[str]) -> None:
         self._wanted = list(wanted)
@@ -63,7 +63,7 @@ class NamedColumns:
         self._columns = np.array([], dtype=int)
 
     def columns(self, names: list[str]) -> NDArray[np.intp]:
-        """Index of every wanted name, in the wanted order; raises MessageError when one is absent or twice there."""
+        """Return the index of every wanted name; raises MessageError if one is missing or listed twice."""
         if names != self._seen:
             self._columns = self._find(names)
             self._seen = list(names)
@@ -80,10 +80,10 @@ class NamedColumns:
 
 
 class StateReader:
-    """Reads JointStates of the joints of a robot, in any order and among any others, as the measurement says.
+    """Reader of JointStates by joint name, according to the measurement model; other joints are ignored.
 
-    measurement: None is measured velocities and motor positions of ratio 1. With motor "torque" the motors' names
-    need not be there; the joints' own efforts are the sensors' torques [N m].
+    measurement: None for measured velocities and motor positions with gear ratio 1. With motor "torque" the motor
+    names are not needed; the efforts of the link-side names are the measured joint torques [N m].
     """
 
     def __init__(self, joints: tuple[str, ...], measurement: Measurement | None = None) -> None:
@@ -96,7 +96,7 @@ class StateReader:
         self._compliance = None if K is None else np.linalg.inv(K)
 
     def read(self, message: JointState) -> JointSample:
-        """The state in the order of the joints, in arrays of its own; MessageError for anything that is not one."""
+        """Return the state in the order of the joints, in new arrays; raises MessageError for an invalid message."""
         columns = self._columns.columns(message.name)
         q_l, q_m = self._positions(message, columns)
         velocity = None if self._measurement.observed else self._velocities(message, columns)
@@ -106,11 +106,11 @@ class StateReader:
         return JointSample(stamp, q_l, q_m) if velocity is None else JointSample(stamp, q_l, q_m, *velocity)
 
     def takes_as_is(self, message: JointState) -> bool:
-        """Whether a state is the message's numbers as they are, in their order."""
+        """Return True if the numbers of the message are the state, in the same order and units."""
         return message.name == self._names and self._ratio is None and self._compliance is None
 
     def sides(self, position: Array, velocity: Array, **_: Array) -> tuple[Array, ...]:
-        """A sample's views of numbers (2n,) that are taken as they are."""
+        """Split positions and velocities (2n,) into views (n,) of links and motors."""
         fields = (position,) if self._measurement.observed else (position, velocity)
         return tuple(side for field in fields for side in (field[: self._n], field[self._n :]))
 
@@ -132,7 +132,7 @@ class StateReader:
         return self._sides("velocity", _picked(message, "velocity", columns, self._names))
 
     def _sides(self, field: str, values: Array) -> tuple[Array, Array]:
-        """Link sides and motor sides (n,), the latter divided by the gear ratio."""
+        """Split values (2n,) into link sides and motor sides (n,); divide the motor sides by the gear ratio."""
         link, motor = values[: self._n], values[self._n :]
         if self._ratio is not None:
             with np.errstate(over="ignore"):
@@ -142,14 +142,14 @@ class StateReader:
 
 
 class EffortReader:
-    """Reads effort commands of the joints of a robot."""
+    """Reader of effort commands."""
 
     def __init__(self, joints: tuple[str, ...]) -> None:
         self._joints = list(joints)
         self._columns = NamedColumns(joints)
 
     def read_array(self, message: Float64MultiArray) -> Array:
-        """Efforts (n,) [N m] of an unnamed command; raises MessageError."""
+        """Return the efforts (n,) [N m] of an unnamed command; raises MessageError."""
         effort = np.array(message.data, dtype=float)
         if effort.shape != (len(self._joints),):
             raise MessageError(
@@ -158,24 +158,24 @@ class EffortReader:
         return _finite("data", effort, self._joints)
 
     def takes_as_is(self, message: JointState) -> bool:
-        """Whether a command is the message's numbers as they are, in their order."""
+        """Return True if the efforts of the message are the command, in the same order."""
         return message.name == self._joints
 
     def read_named(self, message: JointState) -> tuple[int, Array]:
-        """Stamp [ns] of the answered state and efforts (n,) [N m] of a stamped command; raises MessageError."""
+        """Return stamp [ns] of the answered state and efforts (n,) [N m] of a named command; raises MessageError."""
         columns = self._columns.columns(message.name)
         return nanoseconds(message.header.stamp), _picked(message, "effort", columns, self._joints)
 
 
 class JointStateWriter:
-    """A serialised JointState, filled again and again."""
+    """Writer of JointStates: one serialised message, reused."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = list(names)
         self._lengths: tuple[int, ...] = ()
 
     def fill(self, stamp: int, position: Array = EMPTY, velocity: Array = EMPTY, effort: Array = EMPTY) -> bytes:
-        """The message with this stamp [ns] and these fields, for a publisher."""
+        """Return the serialised message with this stamp [ns] and these fields."""
         lengths = len(position), len(velocity), len(effort)
         if lengths != self._lengths:
             self._template = Template(joint_state(self._names, lengths), lengths)
@@ -188,14 +188,14 @@ class JointStateWriter:
 
 
 class EffortWriter:
-    """A serialised Float64MultiArray in the order of the joints, filled again and again."""
+    """Writer of unnamed effort commands: one serialised Float64MultiArray in the order of the joints, reused."""
 
     def __init__(self, joints: tuple[str, ...]) -> None:
         n = len(joints)
         self._template = Template(float_array(",".join(joints), n), [n])
 
     def fill(self, effort: Array) -> bytes:
-        """The message with these efforts (n,) [N m], for a publisher."""
+        """Return the serialised message with these efforts (n,) [N m]."""
         self._template.fields[0][:] = effort
         return self._template.serialised()
 
@@ -217,13 +217,13 @@ def _finite(field: str, values: Array, names: Sequence[str]) -> Array:
 
 
 class TorqueReader:
-    """Reads JointStates whose efforts are torques on the links of any subset of the joints."""
+    """Reader of external torques: JointStates whose efforts act on the links of some joints."""
 
     def __init__(self, joints: tuple[str, ...]) -> None:
         self._row = {name: row for row, name in enumerate(joints)}
 
     def read(self, message: JointState) -> Array:
-        """Torques (n,) [N m], zero for a joint that is not named; raises MessageError."""
+        """Return the torques (n,) [N m], zero for a joint that is not named; raises MessageError."""
         names = message.name
         unknown = [name for name in names if name not in self._row]
         if unknown:

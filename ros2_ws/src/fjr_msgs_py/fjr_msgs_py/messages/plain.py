@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Any message as plain Python values, for people to read."""
+"""Convert any message to plain Python values."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """A message as a dict of its fields in their order; sequences as lists, a byte as its number."""
+    """Return a message as a dict of its fields in their order; sequences as lists, a byte as an integer."""
     if hasattr(value, "get_fields_and_field_types"):
         return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if isinstance(value, bytes):

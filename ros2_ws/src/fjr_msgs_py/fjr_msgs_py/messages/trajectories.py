@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""trajectory_msgs/JointTrajectory -> numpy, by the conventions of ros2_control's joint_trajectory_controller.
+"""trajectory_msgs/JointTrajectory -> NumPy, by the conventions of ros2_control's joint_trajectory_controller.
 
-As there: joints in any order; a part of them only where that is allowed, and the others hold; header.stamp zero
-means now; times strictly increase; every point has positions, and may have velocities and accelerations; efforts
-and a last velocity that is not zero are refused, and so is a trajectory that is over.
-Otherwise than there: a message without points is a stop, as it was in ROS 1, not an error; no parameter allows a last
-velocity; a joint that is named twice, a number that is not finite, accelerations without velocities, and points of
-which only some have them are refused.
+As there: joints may come in any order; some may be missing if that is allowed, and these hold; header.stamp zero
+means now; times increase strictly; every point has positions and may have velocities and accelerations. Efforts, a
+nonzero last velocity and a trajectory in the past are rejected.
+Unlike there: a message without points is a stop, as in ROS 1; no parameter allows a nonzero last velocity. Duplicate
+joints, numbers that are not finite, accelerations without velocities, and velocities or accelerations of only some
+points are rejected.
 """
 
 from __future__ import annotations
@@ -26,12 +26,11 @@ SECOND = 1_000_000_000  # ns
 
 @dataclass(frozen=True, eq=False)
 class Waypoints:
-    """Where the joints are to be, and when.
+    """Waypoints of a trajectory of n joints; k = 0 points is a stop.
 
-    start: stamp [ns] from which the times count, or None for now. times (k,) [ns], increasing.
-    positions (k, n) [rad]; velocities [rad/s] and accelerations [rad/s^2] (k, n), or None where none are given.
-    moves (n,): whether a joint is part of it; the columns of the others are NaN until `completed`.
-    Without points (k = 0) it is a stop.
+    start: stamp [ns] at which time is zero, or None for now. times (k,) [ns], increasing.
+    positions (k, n) [rad]; velocities [rad/s] and accelerations [rad/s^2] (k, n), or None if not given.
+    moves (n,): True for joints of the trajectory; the columns of other joints are NaN until `completed`.
     """
 
     start: int | None
@@ -42,9 +41,9 @@ class Waypoints:
     moves: NDArray[np.bool_]
 
     def upcoming(self, now: int) -> Waypoints:
-        """The points that are still to be reached at `now` [ns], where they count from now if that is their start.
+        """Return the waypoints that lie after `now` [ns], with a start that is not before `now`.
 
-        The result has a start, not before `now`. Raises MessageError when no point is left.
+        Raises MessageError if no waypoint is left.
         """
         start = now if self.start is None else self.start
         begin = max(start, now)
@@ -67,7 +66,7 @@ class Waypoints:
         return f"the last point is {behind:g} s before the newest state's stamp; expected one after it"
 
     def completed(self, position: Array) -> Waypoints:
-        """With every joint that is not part of it at rest at `position` (n,) [rad]."""
+        """Return waypoints of all joints; joints that are not part of the trajectory rest at `position` (n,) [rad]."""
         if self.moves.all():
             return self
         return replace(
@@ -79,25 +78,24 @@ class Waypoints:
 
 
 class TrajectoryReader:
-    """Reads JointTrajectories of the joints of a robot."""
+    """Reader of JointTrajectories for the joints of a robot; allow_partial: accept some of the joints."""
 
     def __init__(self, joints: Sequence[str], allow_partial: bool = False) -> None:
         self._joints = list(joints)
         self._allow_partial = allow_partial
 
     def read(self, message: JointTrajectory) -> Waypoints:
-        """What the message asks for; raises MessageError for what it cannot ask for."""
+        """Return the waypoints of the message; raises MessageError if it is invalid."""
         stamp = nanoseconds(message.header.stamp)
         if stamp < 0:
             raise MessageError("bad times", f"header.stamp is {stamp} ns; expected zero, for now, or a time")
         names = list(message.joint_names)
         n, points = len(self._joints), message.points
         if not points:
-            nothing = np.empty((0, n))
-            return Waypoints(stamp or None, np.empty(0, np.int64), nothing, None, None, np.ones(n, bool))
+            return Waypoints(stamp or None, np.empty(0, np.int64), np.empty((0, n)), None, None, np.ones(n, bool))
         self._check_names(names)
         times = _times(points)
-        _refuse_efforts(points)
+        _reject_efforts(points)
         columns = np.array([self._joints.index(name) for name in names])
         positions = self._spread(_rows(points, "positions", names), columns)
         velocities = self._optional(points, "velocities", names, columns)
@@ -133,11 +131,11 @@ class TrajectoryReader:
             raise MessageError("wrong lengths", f"point {i} has no {field}, others have; expected all or none")
         rows = _rows(points, field, names)
         if field == "velocities":
-            _come_to_rest(rows, names)
+            _stop_at_end(rows, names)
         return self._spread(rows, columns)
 
     def _spread(self, rows: Array, columns: NDArray[np.int64]) -> Array:
-        """Rows (k, m) in the message's order as (k, n) in the robot's, NaN where nothing is said."""
+        """Reorder rows (k, m) of the message to (k, n) of the robot, NaN for joints without a value."""
         spread = np.full((len(rows), len(self._joints)), np.nan)
         spread[:, columns] = rows
         return spread
@@ -157,14 +155,14 @@ def _times(points: Sequence[JointTrajectoryPoint]) -> NDArray[np.int64]:
     return times
 
 
-def _refuse_efforts(points: Sequence[JointTrajectoryPoint]) -> None:
+def _reject_efforts(points: Sequence[JointTrajectoryPoint]) -> None:
     for i, point in enumerate(points):
         if len(point.effort):
             raise MessageError("efforts", f"point {i} has efforts; expected positions, velocities and accelerations")
 
 
-def _come_to_rest(velocities: Array, names: list[str]) -> None:
-    """Make the last row (m,) exactly zero, where single precision says that it is, or raise MessageError."""
+def _stop_at_end(velocities: Array, names: list[str]) -> None:
+    """Set the last row (m,) to zero if it is zero in single precision; raise MessageError otherwise."""
     moving = np.flatnonzero(np.abs(velocities[-1]) > np.finfo(np.float32).eps)
     if moving.size:
         k, j = len(velocities) - 1, int(moving[0])
@@ -175,7 +173,7 @@ def _come_to_rest(velocities: Array, names: list[str]) -> None:
 
 
 def _rows(points: Sequence[JointTrajectoryPoint], field: str, names: list[str]) -> Array:
-    """A field of all points as (k, m)."""
+    """Return a field of all points as (k, m); raises MessageError for a wrong length or a number that is not finite."""
     for i, point in enumerate(points):
         size = len(getattr(point, field))
         if size != len(names):

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all nodes share: parameters, process, scheduling and diagnostics."""
+"""Common parts of the nodes: parameters, process, scheduling, diagnostics."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters on a ROS 2 command line: find those that a parameter file overrules.
+"""Find parameters of a ROS 2 command line that a parameter file overrides.
 
 rcl puts `-p name:=value` into the section /** and merges it with the parameter files in the order of the command
-line; a section that comes later in that order, as /**/node of a file, then wins over /**.
+line; a later section, such as /**/node of a file, overrides /**.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _FLAGS = ("-p", "--param")
 
 @dataclass(frozen=True)
 class ParameterRule:
-    """One `-p [node:]name:=value`; node "" for every node, value as rcl reads it."""
+    """One `-p [node:]name:=value`; node is "" for all nodes, value is parsed as by rcl."""
 
     node: str
     name: str
@@ -28,8 +28,8 @@ class ParameterRule:
 
 
 def parameter_rules(arguments: Sequence[str]) -> Iterator[ParameterRule]:
-    """Yield the rules between `--ros-args` and `--`, in their order; what rcl would refuse is left out."""
-    ours, flag = False, ""
+    """Yield the rules between `--ros-args` and `--` in their order; rules that rcl rejects are left out."""
+    inside, flag = False, ""
     for argument in arguments:
         if flag in _FLAGS:
             rule = _rule(argument)
@@ -37,15 +37,15 @@ def parameter_rules(arguments: Sequence[str]) -> Iterator[ParameterRule]:
             if rule is not None:
                 yield rule
         elif argument in ("--ros-args", "--"):
-            ours = argument == "--ros-args"
-        elif ours:
+            inside = argument == "--ros-args"
+        elif inside:
             flag = argument
 
 
 def overruled(arguments: Sequence[str], node: str, values: Mapping[str, Any]) -> str:
-    """Return one sentence about the first rule for `node` that has no effect on its `values`; "" for none.
+    """Return one sentence about the first rule for `node` that has no effect on its `values`, or "".
 
-    Of several rules for one name the last one counts.
+    The last of several rules for one name counts.
     """
     rules = [rule for rule in parameter_rules(arguments) if rule.node in ("", node)]
     last = {rule.name: rule for rule in rules}
@@ -59,12 +59,12 @@ def overruled(arguments: Sequence[str], node: str, values: Mapping[str, Any]) ->
 
 
 def same_value(one: Any, other: Any) -> bool:
-    """Whether two values of parameters are equal in type and number; nan equals nan."""
+    """Return True if two parameter values are equal in type and value; nan equals nan."""
     return repr(plain(one)) == repr(plain(other))
 
 
 def plain(value: Any) -> Any:
-    """A parameter's value with a list in place of an array or a tuple."""
+    """Return a parameter value with arrays and tuples converted to lists."""
     if value is None or isinstance(value, (str, bytes, bool, int, float)):
         return value
     return list(value)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other processes that publish on a topic which is to have one owner: efforts to a robot, the time."""
+"""Detect publishers of other processes on topics that need a single owner: effort commands, /clock."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 LISTENING = 0.25  # s
 MATCHING = 1.0  # s
 _POLL = 0.005  # s
-_PARTICIPANT = 12  # bytes of an endpoint's GID that all endpoints of one participant share
-_ANY = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # hears reliable publishers, too
+_PARTICIPANT = 12  # leading bytes of an endpoint's GID, equal for all endpoints of a participant
+_ANY = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches reliable publishers, too
 
 
 @dataclass(frozen=True)
 class Other:
-    """A publisher in another process: its topic and its node, "" where that is not known."""
+    """A publisher of another process: its topic, and its node or "" if unknown."""
 
     topic: str
     node: str
 
 
 class Rivals:
-    """Watches the topics of publishers of ours for publishers in other processes, each known by its GID.
+    """Own publishers on some topics, and the publishers of other processes there, identified by their GIDs.
 
-    Those of this process's own context are no rivals: what runs in it was put together on purpose.
+    Publishers of this process's own context do not count as conflicts.
     """
 
     def __init__(self, node: Node, kinds: Mapping[str, type], qos: QoSProfile) -> None:
-        """Create a publisher and, until `trust`, a subscription on each topic; kinds: messages by name of the topic."""
+        """Create a publisher and, until `trust`, a subscription on each topic; kinds: message types by topic name."""
         self._node = node
         self._kinds = {node.resolve_topic_name(topic): kind for topic, kind in kinds.items()}
         self._family = self._own_participant()
@@ -44,29 +44,29 @@ class Rivals:
         self._listening = [(topic, kind, self._listen(topic, kind)) for topic, kind in self._kinds.items()]
 
     def appeared(self) -> list[str]:
-        """The topics on which a publisher is there that was not at the last call."""
+        """Return the topics with a publisher that did not exist at the last call."""
         before, self._others = self._others, self._found()
         return sorted({other.topic for gid, other in self._others.items() if gid not in before})
 
     @property
     def others(self) -> bool:
-        """Whether publishers in other processes were there at the last call of `appeared`."""
+        """True if other processes had publishers at the last call of `appeared`."""
         return bool(self._others)
 
     def named(self, *topics: str) -> str:
-        """The nodes of all that are there on these topics, in words."""
+        """Return the nodes of the other publishers on these topics, as text for a message."""
         others = self._found() or self._others
         nodes = sorted({other.node for other in others.values() if other.topic in topics} - {""})
         return f"{'node' if len(nodes) == 1 else 'one of the nodes'} {', '.join(nodes)}" if nodes else "an unknown node"
 
     def heard(self) -> str:
-        """The topic on which anybody publishes within LISTENING seconds, "" for none; everything else waits.
+        """Return the topic of the first message within LISTENING seconds, "" for none; the call blocks.
 
-        They count from the moment on that all publishers are connected, MATCHING seconds later at most, and only while
-        this process gets to look every _POLL: where the cores are busy, another publisher is late as well. Of two that
-        listen to each other the one with the higher GID waits twice as long, and hears the other. Messages from before
-        the call do not count: their sender may have ended. The subscriptions are older than the call, so that senders
-        have found them and their next messages arrive.
+        The time starts when all publishers are connected, at most MATCHING seconds after the call. It is counted in
+        polls of _POLL, so that it extends on busy cores, where another publisher is late as well. If two processes
+        listen to each other, the one with the higher GID listens twice as long and detects the other. Messages from
+        before the call are discarded, because their sender may have ended. The subscriptions exist since construction,
+        so that senders are already matched.
         """
         yields = max(self._family, default=b"") > min(self._others, default=b"\xff")
         latest = time.monotonic() + MATCHING
@@ -81,19 +81,19 @@ class Rivals:
         return ""
 
     def trust(self) -> None:
-        """Listen no more: from now on others are seen, not heard."""
+        """Destroy the subscriptions; `appeared` still detects publishers by discovery."""
         for *_, subscription in self._listening:
             self._node.destroy_subscription(subscription)
         self._listening = []
 
     def close(self) -> None:
-        """End the publishers and subscriptions."""
+        """Destroy publishers and subscriptions."""
         self.trust()
         for publisher in self.publishers:
             self._node.destroy_publisher(publisher)
 
     def _own_participant(self) -> set[bytes]:
-        """The participant of this process, known by a publisher on a topic that nobody else can have."""
+        """Return the participant of this process, found by a publisher on a unique topic."""
         topic = self._node.resolve_topic_name(f"_alone_{uuid4().hex}")
         publisher = self._node.create_publisher(next(iter(self._kinds.values())), topic, _ANY)
         latest = time.monotonic() + MATCHING
@@ -103,12 +103,12 @@ class Rivals:
         return {gid[:_PARTICIPANT] for gid in found}
 
     def _found(self) -> dict[bytes, Other]:
-        """The publishers in other processes by their GIDs."""
+        """Return the publishers of other processes by GID."""
         publishers = {gid: other for topic in self._kinds for gid, other in self._on(topic).items()}
         return {gid: other for gid, other in publishers.items() if gid[:_PARTICIPANT] not in self._family}
 
     def _on(self, topic: str) -> dict[bytes, Other]:
-        """All publishers on a topic by their GIDs."""
+        """Return all publishers on a topic by GID."""
         infos = self._node.get_publishers_info_by_topic(topic)
         return {bytes(info.endpoint_gid): Other(topic, _name(info.node_namespace, info.node_name)) for info in infos}
 
@@ -117,7 +117,7 @@ class Rivals:
         return all(count >= self._node.count_publishers(topic) for count, topic in counts)
 
     def _taken(self) -> str:
-        """A topic on which a message waited, "" where none did; takes one of each topic, all that their queues hold."""
+        """Take the message of each queue (depth 1); return the topic of one that held a message, or ""."""
         found = ""
         for topic, kind, subscription in self._listening:
             with subscription.handle:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node counts, says once, and reports on /diagnostics."""
+"""Counters and one-time warnings of a node, and their report on /diagnostics."""
 
 from __future__ import annotations
 
@@ -19,15 +19,14 @@ _PERIOD_NS = round(PERIOD * 1e9)
 
 
 class Health:
-    """Counters of a node; published once a second, and whenever `publish` is called.
+    """Counters of a node, published once a second and whenever `publish` is called.
 
-    expected: counters that are part of a healthy run; any other that is not zero makes the status WARN, one
-    counted by `error` makes it ERROR. With use_sim_time a second is one of the stamps given to `at`, so that
-    reports repeat with the run.
+    expected: counters of a healthy run. Any other nonzero counter makes the status WARN; a counter of `error` makes
+    it ERROR. With use_sim_time the second is measured by the stamps given to `at`, so that reports are repeatable.
     """
 
     def __init__(self, node: Node, expected: tuple[str, ...], robot: str = "") -> None:
-        """robot: its name, which with the node's namespace is the hardware_id of every status."""
+        """Create the publisher. robot: its name; namespace and robot form the hardware_id of every status."""
         self.count: Counter[str] = Counter(dict.fromkeys(expected, 0))
         self._node = node
         self._hardware = f"{node.get_namespace()}/{robot}".strip("/")
@@ -35,7 +34,7 @@ class Health:
         self._errors: set[str] = set()
         self._values: dict[str, str] = {}
         self._others: list[Callable[[], DiagnosticStatus]] = []
-        self._said: set[str] = set()
+        self._logged: set[str] = set()
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._by_stamps = bool(node.get_parameter("use_sim_time").value)
         self._stamp = self._reported = 0
@@ -43,39 +42,39 @@ class Health:
         self._timer = None if self._by_stamps else node.create_timer(PERIOD, self.publish, clock=steady)
 
     def refuse(self, what: str, error: MessageError) -> None:
-        """Count a refused message and say why, once for each kind of reason."""
+        """Count a rejected message; log the reason the first time that its kind occurs."""
         kind = f"{what} refused: {error.kind}"
-        self.warn(kind, f"{what} refused: {error} (said once; counted on {DIAGNOSTICS})")
+        self.warn(kind, f"{what} refused: {error} (logged once; counted on {DIAGNOSTICS})")
 
     def warn(self, kind: str, sentence: str) -> None:
-        """Count an unwanted event and log the sentence as a warning, the first time that this kind comes."""
+        """Count an unwanted event; log the sentence as a warning the first time that this kind occurs."""
         self.count[kind] += 1
         if self.is_new(kind):
             self._node.get_logger().warning(sentence)
 
     def error(self, kind: str, sentence: str) -> None:
-        """Count an event that makes the node's status ERROR, and log the sentence as an error, the first time."""
+        """Count an event that makes the status ERROR; log the sentence as an error the first time."""
         self._errors.add(kind)
         self.count[kind] += 1
         if self.is_new(kind):
             self._node.get_logger().error(sentence)
 
     def is_new(self, kind: str) -> bool:
-        """Whether this is the first time that this kind is asked for."""
-        new = kind not in self._said
-        self._said.add(kind)
+        """Return True at the first call with this kind."""
+        new = kind not in self._logged
+        self._logged.add(kind)
         return new
 
     def value(self, key: str, text: str) -> None:
-        """Report a value besides the counters, from the next report on."""
+        """Report a value in addition to the counters, from the next report on."""
         self._values[key] = text
 
     def besides(self, status: Callable[[], DiagnosticStatus]) -> None:
-        """Publish another status beside the counters, asked for at each report."""
+        """Publish another status with each report; `status` is called to make it."""
         self._others.append(status)
 
     def at(self, stamp: int) -> None:
-        """Tell the time [ns] of what has just been handled: with use_sim_time a report goes out once a second of it."""
+        """Set the current stamp [ns]; with use_sim_time publish a report once per second of stamps."""
         if self._by_stamps:
             self._stamp = stamp
             if not 0 <= stamp - self._reported < _PERIOD_NS:
@@ -83,7 +82,7 @@ class Health:
                 self.publish()
 
     def close(self) -> None:
-        """Report no more; for a node that makes another one."""
+        """Destroy timer and publisher."""
         if self._timer:
             self._node.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node that ends, and its process with it, where a callback raises an FjrError."""
+"""Shut a node and its process down if a callback raises an FjrError."""
 
 from __future__ import annotations
 
@@ -16,27 +16,26 @@ class Host(Protocol):
     """The process of a node."""
 
     def end(self, error: FjrError) -> None:
-        """The node has ended: let the process end with the error's sentence."""
+        """Let the process exit with the message of the error; the node has ended."""
 
-    def take_care(self, values: Mapping[str, Any]) -> None:
-        """Something large was built from these values: care for the cycles that follow; raises ParameterError."""
+    def apply_process_settings(self, values: Mapping[str, Any]) -> None:
+        """Apply the process settings of the values after large objects were built; raises ParameterError."""
 
 
 class EndingNode(Node):
-    """Mixin of a node that ends where one of its callbacks raises an FjrError.
+    """Mixin of a node that ends if a callback of a timer, subscription or service raises an FjrError.
 
-    An FjrError that a callback of a timer, a subscription or a service raises ends the node: no such callback does
-    anything from then on, and the process around it ends with the error's sentence.
+    Later callbacks then do nothing, and the process exits with the message of the error.
     """
 
     values: dict[str, Any]
     host: Host | None = None
-    """The process, where the node has one of its own (fjr_msgs_py/node/process.py)."""
+    """The process, if the node has its own (fjr_msgs_py/node/process.py)."""
     ended: FjrError | None = None
-    """Why the node has ended."""
+    """The error that ended the node."""
 
     def end(self, error: FjrError) -> None:
-        """Do nothing more; without a process of its own the node says why in the log."""
+        """End the node; without a process of its own it logs the error."""
         self.ended = error
         if self.host is None:
             self.get_logger().error(f"ended: {error}")
@@ -44,20 +43,20 @@ class EndingNode(Node):
             self.host.end(error)
 
     def built(self) -> None:
-        """Tell the process that what answers messages is built, again if need be; raises ParameterError."""
+        """Report to the process that the objects of the callbacks are built; raises ParameterError."""
         if self.host is not None:
-            self.host.take_care(self.values)
+            self.host.apply_process_settings(self.values)
 
     def create_timer(self, seconds: float, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """As of rclpy's Node; an FjrError of the callback ends the node."""
+        """Create a timer as rclpy's Node does; an FjrError of the callback ends the node."""
         return super().create_timer(seconds, self._ending(callback), *args, **kwargs)
 
     def create_subscription(self, kind: Any, name: str, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """As of rclpy's Node; an FjrError of the callback ends the node."""
+        """Create a subscription as rclpy's Node does; an FjrError of the callback ends the node."""
         return super().create_subscription(kind, name, self._ending(callback), *args, **kwargs)
 
     def create_service(self, kind: Any, name: str, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """As of rclpy's Node; an FjrError of the callback ends the node, and the response is sent as it is then."""
+        """Create a service as rclpy's Node does; an FjrError of the callback ends the node after the response."""
         return super().create_service(kind, name, self._ending(callback), *args, **kwargs)
 
     def _ending(self, callback: Callable[..., Any]) -> Callable[..., Any]:

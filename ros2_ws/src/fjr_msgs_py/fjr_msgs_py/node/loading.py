@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must be set before a process loads ROS 2, NumPy and CasADi; this module itself loads none of them."""
+"""Set up a process before it loads ROS 2, NumPy and CasADi; this module imports none of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 
 def without_blas_threads() -> None:
-    """One thread for NumPy's linear algebra, unless the user chose: on matrices of a robot's size more only wait."""
+    """Limit NumPy's linear algebra to one thread, unless the environment sets a number; more threads only add delay."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
@@ -18,10 +18,10 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def end_on_signals(code: int = 0) -> None:
-    """End the process at once with an exit code on SIGINT or SIGTERM: nothing was started that would need an end.
+    """Exit at once with `code` on SIGINT or SIGTERM, while nothing needs a shutdown yet.
 
-    Signals that the installed executables block while Python starts (scripts/ in each package) arrive from here on.
-    The handlers stay until others, as those of process.run(), take their place.
+    Unblocks the signals that the installed executables block while Python starts (scripts/ in each package).
+    The handlers stay until process.run() replaces them.
     """
     for number in SIGNALS:
         signal.signal(number, lambda *_: os._exit(code))
@@ -30,7 +30,7 @@ def end_on_signals(code: int = 0) -> None:
 
 @contextmanager
 def signals_blocked() -> Iterator[None]:
-    """Block SIGINT and SIGTERM in this thread; a process started meanwhile begins with them blocked."""
+    """Block SIGINT and SIGTERM in this thread; child processes started meanwhile inherit the blocked signals."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder for the log files of ROS 2: without one rclpy.init fails."""
+"""Folder of the ROS 2 log files, without which rclpy.init fails."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 
 
 def ensure_log_folder() -> None:
-    """Set ROS_LOG_DIR to a new temporary folder where the usual one cannot be written, and say so on standard error.
+    """Set ROS_LOG_DIR to a new temporary folder if the usual one is not writable, and report it on standard error.
 
-    The usual one: $ROS_LOG_DIR, $ROS_HOME/log or ~/.ros/log. Processes that are started later share the new one.
+    The usual folder is $ROS_LOG_DIR, $ROS_HOME/log or ~/.ros/log. Child processes share the new folder.
     """
     try:
         folder = _usual()

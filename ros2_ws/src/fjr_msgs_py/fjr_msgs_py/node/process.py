@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The life of a node's process: errors in one sentence, signals that let the last command out, exit code."""
+"""Run a node as a process: errors in one sentence, signals that allow a last command, exit code."""
 
 from __future__ import annotations
 
@@ -22,38 +22,37 @@ from fjr_core.config.process import process_care
 
 from .log_folder import ensure_log_folder
 from .parameters import CheckedParameters
-from .scheduling import freeze_garbage, take_care
+from .scheduling import apply_process_settings, freeze_garbage
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
 except ImportError:  # an older rclpy of a ROS 2 Jazzy installation
     EventsExecutor = None
 
-POLL = 0.1  # s; how soon a signal is seen when no message comes
+POLL = 0.1  # s; longest delay of the response to a signal
 
 
 class StoppableNode(Protocol):
-    """A node with checked parameter values and last words."""
+    """A node with checked parameter values that sends last messages before it ends."""
 
     values: dict[str, Any]
 
     def get_logger(self) -> Any:
-        """As of rclpy's Node."""
+        """Return the logger, as rclpy's Node does."""
 
     def stop(self) -> None:
-        """Send what must be sent before the process ends."""
+        """Send the last messages before the process ends."""
 
     def destroy_node(self) -> None:
-        """As of rclpy's Node."""
+        """Destroy the node, as rclpy's Node does."""
 
 
 def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -> int:
     """Run a node until SIGINT or SIGTERM; return the exit code.
 
-    0: ended by a signal. 1: could not start, or ended by an FjrError of its own; one sentence on standard error
-    says why. A node that has started has its last words (node.stop()) whatever ends it; an exception that nobody
-    foresaw goes on to the caller after them. Only what a task of the events executor raises cannot be met: rclpy
-    7.1.6 crashes the process then, so a task must let nothing escape.
+    Exit code 0: ended by a signal. 1: could not start, or ended by an FjrError; one sentence on standard error gives
+    the reason. A started node always gets node.stop(); an unexpected exception then propagates to the caller.
+    Exceptions of tasks of the events executor cannot be caught: rclpy 7.1.6 crashes, so a task must not raise.
     """
     stopped: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -84,32 +83,32 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
 
 
 class _Host:
-    """The process as its node sees it (failure.Host), and the loop that serves the node's callbacks."""
+    """The process of a node (failure.Host), and the loop that serves the callbacks of the node."""
 
     ended: FjrError | None = None
 
     def __init__(self, node: StoppableNode) -> None:
-        """Take care for the node's cycles; raises ParameterError."""
+        """Apply the process settings of the node; raises ParameterError."""
         self._node = node
         self._kind = process_care(node.values).executor
         self._round: Future = Future()
-        self.take_care(node.values)
+        self.apply_process_settings(node.values)
         if isinstance(node, CheckedParameters):
             node.host = self
 
-    def take_care(self, values: Mapping[str, Any]) -> None:
-        """Give the process what the values ask for, and freeze what is built."""
-        for refusal in take_care(process_care(values)):
+    def apply_process_settings(self, values: Mapping[str, Any]) -> None:
+        """Apply the process settings of the values and freeze the garbage collector; raises ParameterError."""
+        for refusal in apply_process_settings(process_care(values)):
             self._node.get_logger().warning(refusal)
         freeze_garbage()
 
     def end(self, error: FjrError) -> None:
-        """Serve no further callback; for a callback."""
+        """Stop serving callbacks; called from a callback."""
         self.ended = error
         self._round.set_result(None)
 
     def spin(self, stopped: list[int]) -> None:
-        """Serve callbacks until a signal is in `stopped` or the node has ended."""
+        """Serve callbacks until `stopped` holds a signal or the node has ended."""
         executor, spin = self._executor()
         executor.add_node(self._node)
         try:
@@ -117,15 +116,15 @@ class _Host:
                 spin()
         except ExternalShutdownException:
             pass
-        except FjrError as error:  # of a callback that the node does not know of, as an action's
+        except FjrError as error:  # of a callback that the node does not wrap, such as an action's
             self.ended = error
         executor.remove_node(self._node)
 
     def _executor(self) -> tuple[Executor, Callable[[], None]]:
-        """The executor that is asked for, or "single" where rclpy has no other, with a spin that ends within POLL.
+        """Return the selected executor (single-threaded if rclpy has no other) and a spin that ends within POLL.
 
-        Without a time limit the events executor runs no callback and ignores signals in rclpy 7.1.6; a future kept
-        from one spin to the next would collect callbacks.
+        Without a timeout the events executor of rclpy 7.1.6 runs no callback and ignores signals. Each spin takes a
+        new future, since a reused one would accumulate callbacks.
         """
         if self._kind == "single" or EventsExecutor is None:
             single = SingleThreadedExecutor()
@@ -146,7 +145,7 @@ def _end(node: StoppableNode | None) -> None:
 
 
 def flush(*publishers: Publisher, seconds: float = 0.2) -> None:
-    """Wait until readers have acknowledged what was published, at most `seconds`."""
+    """Wait until all published messages are acknowledged, at most `seconds`."""
     for publisher in publishers:
         publisher.wait_for_all_acked(Duration(seconds=seconds))
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Care for the cycles of a whole process, where the system allows it: priority, memory, cores, garbage collector.
+"""Real-time settings of a process: priority, locked memory, cores, garbage collector.
 
-What is asked for and refused is a sentence, never an error: the node then runs without it.
+A setting that the system refuses is reported in one sentence and never raises: the node runs without it.
 """
 
 from __future__ import annotations
@@ -14,23 +14,27 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from fjr_core.config.process import ProcessCare
+from fjr_core.config.process import ProcessSettings
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h of Linux
 _CAP_IPC_LOCK = 14  # linux/capability.h
 
 
-def take_care(care: ProcessCare) -> list[str]:
-    """Give this process all that is asked for; returns the sentences of what is refused."""
-    refusals = (use_cores(care.cores), lock_memory() if care.lock_memory else "", take_priority(care.priority))
+def apply_process_settings(settings: ProcessSettings) -> list[str]:
+    """Apply the settings to this process; return one sentence for each that the system refuses."""
+    refusals = (
+        use_cores(settings.cores),
+        lock_memory() if settings.lock_memory else "",
+        take_priority(settings.priority),
+    )
     return [sentence for sentence in refusals if sentence]
 
 
 def take_priority(priority: int, inherited: bool = True) -> str:
-    """Schedule every thread of this process as SCHED_FIFO at `priority` (0: leave it as it is).
+    """Schedule every thread of this process as SCHED_FIFO at `priority`; 0 leaves the scheduling unchanged.
 
-    inherited: threads and processes that begin later are scheduled so, too.
-    Returns an empty string, or a sentence that says why it is not so.
+    inherited: threads and processes started later inherit the priority.
+    Return "", or one sentence with the reason of the refusal.
     """
     if priority == 0:
         return ""
@@ -38,7 +42,7 @@ def take_priority(priority: int, inherited: bool = True) -> str:
         _schedule(os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK), priority)
     except (OSError, AttributeError) as error:
         return (
-            f"realtime_priority {priority} is refused ({error}): ordinary scheduling is used, cycles will come later; "
+            f"realtime_priority {priority} is refused ({error}): ordinary scheduling is used, cycles may be late; "
             "allow it by an rtprio limit (/etc/security/limits.conf) or CAP_SYS_NICE, or set realtime_priority to 0"
         )
     return ""
@@ -46,11 +50,11 @@ def take_priority(priority: int, inherited: bool = True) -> str:
 
 @contextmanager
 def prioritised(priority: int) -> Iterator[None]:
-    """Real-time scheduling of this process inside the block, where the system allows it, else nothing.
+    """Schedule this process as SCHED_FIFO inside the block if the system allows it.
 
-    Not of the processes that it starts, nor of threads that begin there. One that loads at such a priority takes a
-    whole core, and the kernel then keeps all real-time threads from it, those of running nodes, too: for 50 ms of each
-    second (kernel.sched_rt_runtime_us).
+    Child processes and threads started inside the block do not inherit the priority: a process that loads at this
+    priority takes a whole core, and the kernel then suspends all real-time threads on it, those of running nodes
+    included, for 50 ms of each second (kernel.sched_rt_runtime_us).
     """
     refused = take_priority(priority, inherited=False)
     try:
@@ -59,14 +63,14 @@ def prioritised(priority: int) -> Iterator[None]:
         if priority and not refused:
             try:
                 _schedule(os.SCHED_OTHER, 0)
-            except PermissionError:  # only the privileged may take back what their children are not given
+            except PermissionError:  # only a privileged process may clear SCHED_RESET_ON_FORK
                 _schedule(os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, 0)
 
 
 def use_cores(cores: frozenset[int]) -> str:
-    """Keep every thread of this process on these cores (none: leave it as it is).
+    """Restrict every thread of this process to these cores; an empty set leaves the affinity unchanged.
 
-    Returns an empty string, or a sentence that says why it is not so, or not wholly.
+    Return "", or one sentence with the reason of a complete or partial refusal.
     """
     if not cores:
         return ""
@@ -89,24 +93,24 @@ def use_cores(cores: frozenset[int]) -> str:
 
 
 def lock_memory() -> str:
-    """Keep all present and future memory of this process in RAM, so that no page has to be fetched in a cycle.
+    """Lock all present and future memory of this process in RAM, so that no cycle waits for a page fault.
 
-    Returns an empty string, or a sentence that says why it is not so. A limit that the process could outgrow
-    counts as a refusal: beyond it, memory would be denied in mid-motion.
+    Return "", or one sentence with the reason of the refusal. A finite memlock limit counts as a refusal, because
+    the process could exceed it in the middle of a motion.
     """
     reason = _denied_lock()
     if not reason:
         return ""
     return (
-        f"lock_memory is refused ({reason}): pages may be fetched in a cycle; "
+        f"lock_memory is refused ({reason}): page faults may delay a cycle; "
         "allow it by memlock unlimited (/etc/security/limits.conf) or CAP_IPC_LOCK, or set lock_memory to false"
     )
 
 
 def freeze_garbage() -> None:
-    """Take all objects of now out of the garbage collector's sight, dead ones first.
+    """Collect garbage, then exempt all remaining objects from garbage collection.
 
-    For the moment when something large was built: a full collection of a node takes 16 ms before and 4 us after.
+    Call it after large objects were built: a full collection of a node takes 16 ms before and 4 us after.
     """
     gc.unfreeze()
     gc.collect()
@@ -125,7 +129,7 @@ def _denied_lock() -> str:
 
 
 def _capable(capability: int) -> bool:
-    """Whether this process has one of Linux's capabilities."""
+    """Return True if this process has the Linux capability."""
     with suppress(OSError):
         for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
             if line.startswith("CapEff:"):
@@ -140,7 +144,7 @@ def _schedule(policy: int, priority: int) -> None:
 
 
 def _threads() -> list[int]:
-    """The threads of this process; any of them may end at any time."""
+    """Return the thread ids of this process; any thread may end at any time."""
     return [int(thread) for thread in os.listdir("/proc/self/task")]
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,11 +12,16 @@ from numpy.typing import ArrayLike
 from ...errors import GainsError
 from ...numerics import checks
 from ...numerics.checks import Array
+from ...numerics.parameter_field import VECTOR, parameter_field
 
 GAINS = ("residual_gain", "motor_residual_gain", "integral_gain", "motor_integral_gain")
 HOLD = 1e-3  # s
 LONGEST_DELAY = 32  # samples of hold
 FASTEST = 1e4  # 1/s, largest gain
+
+
+def _gain_field(description: str) -> Any:
+    return parameter_field(0.0, description, "1/s", shape=VECTOR, constraint=f"0 to {FASTEST:g}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +35,20 @@ class Robust:
     effort, equal to the sample period; half of it is added to the prediction.
     """
 
-    residual_gain: ArrayLike = 0.0
-    motor_residual_gain: ArrayLike = 0.0
-    integral_gain: ArrayLike = 0.0
-    motor_integral_gain: ArrayLike = 0.0
-    delay: float = 0.0
-    hold: float = HOLD
+    residual_gain: ArrayLike = _gain_field("Bandwidth of the link disturbance observer (feedforward); 0: off")
+    motor_residual_gain: ArrayLike = _gain_field("Bandwidth of the motor disturbance observer (feedforward); 0: off")
+    integral_gain: ArrayLike = _gain_field("Rate of the integral action on the links; 0: off")
+    motor_integral_gain: ArrayLike = _gain_field("Rate of the integral action on the motors; 0: off")
+    delay: float = parameter_field(
+        0.0,
+        "Loop delay over which the Smith predictor predicts the state; 0: no prediction",
+        "s",
+        minimum=0.0,
+        maximum=0.1,
+    )
+    hold: float = parameter_field(
+        HOLD, "Sample period; half of it is added to robust.delay", "s", minimum=1e-5, maximum=1.0
+    )
 
     def checked(self, n: int) -> Robust:
         """Return the options with gains (n,). Raises GainsError for a wrong range or shape, or a non-finite value."""

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +13,13 @@ from scipy.linalg import sqrtm
 from ...errors import GainsError
 from ...numerics import checks
 from ...numerics.checks import Array
+from ...numerics.parameter_field import MATRIX, parameter_field
+
+_DEFINITE = "symmetric positive definite"
+
+
+def _gain(default: Any, description: str, unit: str, constraint: str = _DEFINITE) -> Any:
+    return parameter_field(default, description, unit, shape=MATRIX, constraint=constraint, dynamic=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,14 +30,28 @@ class Gains:
     scalar, a vector (n,) (diagonal) or a matrix (n, n).
     """
 
-    Lambda_l: ArrayLike
-    Pi_l: ArrayLike
-    K_ld: ArrayLike
-    Lambda_m: ArrayLike
-    Pi_m: ArrayLike
-    K_md: ArrayLike
-    Gamma_l: ArrayLike = 0.0
-    Gamma_m: ArrayLike = 0.0
+    Lambda_l: ArrayLike = _gain(
+        MISSING,
+        "Linear part of phi_l, eq. (31)",
+        "1/s",
+        "condition (32): Pi_l Lambda_l + Lambda_l' Pi_l positive definite",
+    )
+    Pi_l: ArrayLike = _gain(MISSING, "Position metric of the links, eq. (32)", "N m/rad")
+    K_ld: ArrayLike = _gain(MISSING, "Damping injected at the links, eq. (33)", "N m s/rad")
+    Lambda_m: ArrayLike = _gain(
+        MISSING,
+        "Linear part of phi_m, eq. (40)",
+        "1/s",
+        "condition (41): Pi_m Lambda_m + Lambda_m' Pi_m positive definite",
+    )
+    Pi_m: ArrayLike = _gain(MISSING, "Position metric of the motors, eq. (41)", "N m/rad")
+    K_md: ArrayLike = _gain(MISSING, "Damping injected at the motors, eq. (42)", "N m s/rad")
+    Gamma_l: ArrayLike = _gain(
+        0.0, "Cubic part of phi_l", "1/(s rad^2)", "condition (32): Pi_l Gamma_l diagonal and nonnegative"
+    )
+    Gamma_m: ArrayLike = _gain(
+        0.0, "Cubic part of phi_m", "1/(s rad^2)", "condition (41): Pi_m Gamma_m diagonal and nonnegative"
+    )
 
     def checked(self, n: int) -> CheckedGains:
         """Return the gains as matrices (n, n) for n joints.

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serialised messages read and written in place, in the CDR layout."""
+"""Read and write serialised messages (CDR) in place."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages in their serialised form (CDR), with numbers that are read and written in place.
+"""Layout of serialised messages (CDR), whose numbers are read and written in place.
 
-A message of a thousand a second has the same names and lengths each time: only its stamp and its numbers are new.
-CDR aligns numbers from the end of its header of 4 bytes on; buffers here begin 4 bytes earlier, so that numbers are
-where NumPy wants them. What only aligns is zero, so that equal messages are equal bytes.
+Successive messages of a 1 kHz topic have the same names and lengths; only the stamp and the numbers change.
+CDR aligns numbers relative to the end of its 4-byte header. Buffers here start 4 bytes earlier, so that the numbers
+are aligned in memory, too. Padding is zero, so that equal messages are equal bytes.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from sensor_msgs.msg import JointState
 Array = NDArray[np.float64]
 
 HEADER = 4
-LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # the header of all that is written here
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # CDR header of every message written here
 FIELDS = ("position", "velocity", "effort")
 _STAMP = struct.Struct("<iI")
 
 
 class Floats(NamedTuple):
-    """A sequence of so many numbers."""
+    """A sequence of `length` numbers."""
 
     length: int
 
 
 Part = int | str | Floats
-"""Of a message: an unsigned number of 4 bytes, a text, or a sequence of numbers, one after another."""
+"""Part of a message: an unsigned integer of 4 bytes, a string, or a sequence of numbers."""
 
 
 class Form:
-    """Where the parts of a serialised message are: a format (of struct) for all but the numbers, and their words."""
+    """Layout of a serialised message: a struct format for all but the numbers, and the offsets of the numbers."""
 
     def __init__(self, parts: Iterable[Part]) -> None:
-        """starts: of each Floats, counted in words of 8 bytes from HEADER before the message."""
+        """Lay out the parts. starts: of each Floats, in words of 8 bytes from HEADER bytes before the message."""
         self.values: list[int | bytes] = []
         self.starts: list[int] = []
         pattern, at = "<4s", 0  # `at` counts from the end of the header
@@ -61,52 +61,52 @@ class Form:
         self.struct = struct.Struct(pattern)
 
     def empty(self) -> bytes:
-        """The message with all numbers zero."""
+        """Return the message with all numbers zero."""
         return self.struct.pack(LITTLE_ENDIAN, *self.values)
 
 
 def joint_state(names: Sequence[str], lengths: Iterable[int], frame: str = "") -> Form:
-    """A JointState with these names and so many positions, velocities and efforts; its stamp comes first."""
+    """Return the layout of a JointState; lengths: numbers of positions, velocities and efforts."""
     return Form([0, 0, frame, len(names), *names, *map(Floats, lengths)])
 
 
 def float_array(label: str, length: int) -> Form:
-    """A Float64MultiArray of one dimension."""
+    """Return the layout of a Float64MultiArray of one dimension."""
     return Form([1, label, length, length, 0, Floats(length)])
 
 
 class Template:
-    """A serialised message whose numbers, and stamp where it has one, are overwritten again and again."""
+    """A serialised message whose numbers and stamp are overwritten for each use."""
 
     def __init__(self, form: Form, lengths: Iterable[int]) -> None:
-        """lengths: of the sequences of numbers, which `fields` are views of."""
+        """Allocate the message. lengths: of the sequences of numbers; `fields` holds a view of each."""
         self._buffer = bytearray(HEADER) + form.empty()
         self._bytes = memoryview(self._buffer)[HEADER:]
         self.fields = [_numbers(self._buffer, start, k) for start, k in zip(form.starts, lengths, strict=True)]
 
     def stamp(self, stamp: int) -> None:
-        """Write the stamp [ns] of the header that the message begins with."""
+        """Write the stamp [ns] into the header of the message."""
         _STAMP.pack_into(self._buffer, 2 * HEADER, *divmod(stamp, 1_000_000_000))
 
     def serialised(self) -> bytes:
-        """The message as it is now, to be published."""
+        """Return a copy of the message, for a publisher."""
         return bytes(self._bytes)
 
 
 def _numbers(buffer: bytearray, start: int, k: int) -> Array:
-    """The k numbers (a view) from a word on."""
+    """Return a view of k numbers from word `start` on."""
     return np.frombuffer(buffer, dtype="<f8", count=k, offset=8 * start) if k else np.zeros(0)
 
 
 class StateLayout:
-    """Where the numbers of a serialised JointState are, and of all others with the same names and lengths.
+    """Layout of a serialised JointState, valid for all messages with the same names and lengths.
 
-    stamp [ns] and values: of the last message that was `taken`; values[field] (k,) are views that the next one
-    overwrites. moving: one row of the positions and velocities, with a zero between them.
+    stamp [ns] and values: of the last message that `taken` accepted; values[field] (k,) are views that the next
+    message overwrites. moving: positions and velocities in one row, separated by a zero.
     """
 
     def __init__(self, data: bytes, message: JointState) -> None:
-        """data: a serialised message, message: the same as rclpy reads it."""
+        """Derive the layout. data: a serialised message; message: its deserialised form."""
         lengths = [len(getattr(message, name)) for name in FIELDS]
         form = joint_state(message.name, lengths, message.header.frame_id)
         self._struct, self._size = form.struct, len(data)
@@ -121,19 +121,19 @@ class StateLayout:
         self.trusted = self._struct.size <= self._size and self._agrees(data, message)
 
     def taken(self, data: bytes) -> bool:
-        """Whether `data` has the same names and lengths; then its stamp and values are here."""
+        """Copy stamp and values of `data` and return True if it has the same names and lengths."""
         if len(data) != self._size:
             return False
         found = self._struct.unpack_from(data)
         if found[0] != LITTLE_ENDIAN or found[3:] != self._key:
             return False
         self._copy[:] = data
-        self._words[self._between] = 0.0  # there it has a length, and bytes that mean nothing
+        self._words[self._between] = 0.0  # overwrite the length field and padding there
         self.stamp = found[1] * 1_000_000_000 + found[2]
         return True
 
     def _agrees(self, data: bytes, message: JointState) -> bool:
-        """Whether what is found in `data` is the message, bit by bit."""
+        """Return True if stamp and values read from `data` equal those of the message bit by bit."""
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         numbers = (values.tobytes() == bytes(getattr(message, name)) for name, values in self.values.items())
         return self.taken(data) and self.stamp == stamp and all(numbers)

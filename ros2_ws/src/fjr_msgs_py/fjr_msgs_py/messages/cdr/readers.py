@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serialised joint states and commands read without making messages of them, where they are like the ones before."""
+"""Read serialised joint states and commands in place if their layout is that of the last message."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Reader = TypeVar("Reader", StateReader, EffortReader)
 
 
 class _Serialised(Generic[Reader]):
-    """A reader of messages, and the layout of the last one that it takes as it is."""
+    """A reader of messages with the layout of the last message that can be read in place."""
 
     def __init__(self, reader: Reader) -> None:
         self._reader: Reader = reader
@@ -31,16 +31,16 @@ class _Serialised(Generic[Reader]):
             raise MessageError("not a message", f"{len(data)} bytes are no JointState; expected one") from None
 
     def _learn(self, data: bytes, message: JointState) -> None:
-        """Remember the layout of a message that was read without an error."""
+        """Store the layout of a valid message."""
         layout = StateLayout(data, message) if self._reader.takes_as_is(message) else None
         self._layout = layout if layout is not None and layout.trusted else None
 
 
 class SerialisedStates(_Serialised[StateReader]):
-    """Reads serialised JointStates as a StateReader does; a sample's arrays are good until the next one is read."""
+    """Reader of serialised JointStates, equivalent to StateReader; a sample is valid until the next one is read."""
 
     def read(self, data: bytes) -> JointSample:
-        """The state in the order of the joints; raises MessageError for anything that is not one."""
+        """Return the state in the order of the joints; raises MessageError for an invalid message."""
         layout = self._layout
         if (
             layout is not None
@@ -58,10 +58,10 @@ class SerialisedStates(_Serialised[StateReader]):
 
 
 class SerialisedEfforts(_Serialised[EffortReader]):
-    """Reads serialised, stamped and named commands as an EffortReader does."""
+    """Reader of serialised named commands, equivalent to EffortReader.read_named."""
 
     def read(self, data: bytes) -> tuple[int, Array]:
-        """Stamp [ns] of the answered state and efforts (n,) [N m]; raises MessageError."""
+        """Return stamp [ns] of the answered state and efforts (n,) [N m]; raises MessageError."""
         layout = self._layout
         if layout is not None and layout.taken(data):
             effort = layout.values["effort"]
