@@ -87,7 +87,7 @@ def test_an_export_is_replaced_only_when_asked_and_nothing_else_is(tmp_path: Pat
 
 def test_what_the_c_has_not_is_said(tmp_path: Path) -> None:
     said = fjr("export-c", "paper_k31", str(tmp_path / "c"), "--set", "measurement.velocity:=observer")
-    assert "not in the C: what measurement.velocity" in said
+    assert "not exported: what measurement.velocity" in said
     assert "`measurement.velocity`" in (tmp_path / "c" / "README.md").read_text()
 
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from fjr_bringup.analysis import headlines
-from fjr_bringup.cli.check import checked, table
+from fjr_bringup.cli.check import table
 from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.cli.preflight import checked
 from fjr_bringup.monitor.state import Watched
 from fjr_bringup.monitor.terminal import text
 from fjr_bringup.report.write import summarise
