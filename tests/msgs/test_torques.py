@@ -7,8 +7,7 @@ import pytest
 from sensor_msgs.msg import JointState
 
 from fjr_msgs_py.messages.clock import ClockWriter
-from fjr_msgs_py.messages.joint_states import MessageError
-from fjr_msgs_py.messages.torques import TorqueReader
+from fjr_msgs_py.messages.joint_states import MessageError, TorqueReader
 
 JOINTS = ("a", "b", "c")
 CASES = {

@@ -23,8 +23,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, StateReader
-from fjr_msgs_py.messages.torques import TorqueReader
+from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, StateReader, TorqueReader
 from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from fjr_msgs_py.names import state_names
 from fjr_plant.plant_node import LOCKSTEP_START

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from fjr_core.robot.urdf_export import description
+from fjr_core.config.description import description
 from fjr_msgs_py.names import LATCHED
 from fjr_plant.plant_node import LOCKSTEP_START, PlantNode
 from nodes.harness import Peer, Ros, nanoseconds

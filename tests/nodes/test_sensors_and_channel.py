@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from fjr_core import ParameterError
-from fjr_core.simulation.nonideal_signals import ChannelErrors, SensorErrors
+from fjr_core.simulation.nonideal_parameters import ChannelErrors, SensorErrors
 from fjr_plant.channel import COMMANDS, PERIOD, SENSORS, STATES, Channel, SampleTimes, channel, generator
 from fjr_plant.sensors import Sensors, sensors
 

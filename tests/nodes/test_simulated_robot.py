@@ -13,8 +13,7 @@ from fjr_core.config import builders
 from fjr_core.config import nonidealities as words
 from fjr_core.config.parameter import complete
 from fjr_core.robot.rigid_arm import closed_form
-from fjr_core.simulation.nonideal_parameters import Imperfections
-from fjr_core.simulation.nonideal_signals import SensorErrors
+from fjr_core.simulation.nonideal_parameters import Imperfections, SensorErrors
 from fjr_plant.channel import COMMANDS, STATES, Channel, SampleTimes
 from fjr_plant.simulated_robot import SimulatedRobot
 

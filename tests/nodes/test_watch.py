@@ -10,10 +10,9 @@ from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from fjr_bringup.monitor.node import FjrWatch
-from fjr_bringup.monitor.state import Watched
+from fjr_bringup.monitor.state import Happening, Health, JointLine, Timing, View, Watched
 from fjr_bringup.monitor.terminal import log_bar, signed_bar, sparkline, text
-from fjr_bringup.monitor.view import Happening, Health, JointLine, Timing, View
-from fjr_msgs_py.messages.labelled import labelled
+from fjr_msgs_py.messages.certificate import labelled
 from nodes.harness import Ros
 
 MS = 1_000_000  # ns

@@ -17,11 +17,17 @@ pytestmark = pytest.mark.system
 
 PEAK = {"paper_k31": 26.203, "paper_k3p1": 255.762}  # N m, by an independent integration
 DURATION = 2.5  # s
+TRIES = 3
 
 
 @pytest.fixture(scope="module", params=PEAK)
 def recorded(request, tmp_path_factory) -> Recorded:
-    return record(request.param, DURATION, tmp_path_factory.mktemp("runs"))
+    """A run of which the recorder heard every message: one that gets no core for long may miss some, and says so."""
+    for _ in range(TRIES):
+        run = record(request.param, DURATION, tmp_path_factory.mktemp("runs"))
+        if json.loads((run.folder / "report.json").read_text())["counts"]["missing"] == 0:
+            break
+    return run
 
 
 def test_the_bag_holds_every_sample_of_the_run(recorded: Recorded) -> None:

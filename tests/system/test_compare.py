@@ -20,11 +20,10 @@ from fjr_bringup.studies.comparison import job as comparison_job
 from fjr_bringup.studies.comparison import markdown as comparison_markdown
 from fjr_bringup.studies.comparison import pool as comparison_pool
 from fjr_bringup.studies.comparison import suite
-from fjr_bringup.studies.comparison.results import extent
-from fjr_bringup.studies.comparison.rows import Row, Value, rows
+from fjr_bringup.studies.comparison.results import Row, Value, extent, rows
 from fjr_core.control.registry import LAWS, V_DPBC
 from fjr_core.errors import CompareError, FjrError
-from fjr_core.numerics import program_digest
+from fjr_core.numerics import jit_cache
 from patience import HANG, Limit
 from system.browser import Browser
 from system.executables import TIME_LIMIT, Executable, fjr
@@ -161,7 +160,7 @@ def test_a_reference_that_stands_still_is_one_sentence() -> None:
 def test_what_is_kept_depends_on_the_code_and_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     job = comparison_job.jobs(suite.read("mine", QUICK))[0]
     keys = [job.key, job.key]
-    monkeypatch.setattr(program_digest, "source_digest", lambda: "another")
+    monkeypatch.setattr(jit_cache, "source_digest", lambda: "another")
     comparison_job._source.cache_clear()
     keys.append(job.key)
     monkeypatch.setenv("PATH", "")

@@ -16,7 +16,7 @@ from fjr_bringup.monitor.state import Watched
 from fjr_bringup.monitor.terminal import text
 from fjr_bringup.report.write import summarise
 from fjr_controller.tracking.limits import StateLimits
-from fjr_core.config.motion import motion_limits
+from fjr_core.config.reference import motion_limits
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import ParameterError, TrajectoryError

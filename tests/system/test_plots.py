@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from fjr_bringup.formatting import milliseconds, number, percent
 from fjr_bringup.report.figure import Pool, drawable, thinned
-from fjr_bringup.report.timing_figures import HALF, bins
+from fjr_bringup.report.run_figures import HALF, bins
 
 VALUES = st.floats(-1e6, 1e6, width=32)
 

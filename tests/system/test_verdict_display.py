@@ -13,8 +13,8 @@ import pytest
 from rich.console import Console
 
 from fjr_bringup.analysis.metrics import _finite
+from fjr_bringup.monitor.state import Health
 from fjr_bringup.monitor.terminal import _status
-from fjr_bringup.monitor.view import Health
 from fjr_bringup.report import html, runs_report
 from fjr_controller.ros.certificate_publisher import LEVELS
 from fjr_core.monitoring.diagnosis import Verdict

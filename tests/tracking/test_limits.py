@@ -12,7 +12,8 @@ import fjr_core as fjr
 from fjr_controller.tracking.limits import EffortLimits, StateLimits, StopPolicy
 from fjr_core.config import builders
 from fjr_core.config import parameter as parameters
-from fjr_core.config.safety import Settings, safety, safety_parameters
+from fjr_core.config.safety import safety, safety_parameters
+from fjr_core.control.safety_settings import Settings
 from tracking.tracked import paper_law, settings, two_link_law
 
 INF = float("inf")

@@ -11,7 +11,7 @@ import numpy as np
 
 import fjr_core as fjr
 from fjr_controller.tracking.tracker import Command, Tracker
-from fjr_core.config.safety import Settings
+from fjr_core.control.safety_settings import Settings
 
 PERIOD = 1_000_000  # ns
 TWO_LINK_GAINS = fjr.Gains(

@@ -14,7 +14,7 @@ from fjr_bringup.recording.reader import Bag, JointTable, read_bag
 from fjr_bringup.recording.writer import BagWriter
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
-from fjr_core.monitoring.innovations import Record
+from fjr_core.monitoring.record import Record
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import EffortWriter, JointStateWriter
 

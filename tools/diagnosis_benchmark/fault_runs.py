@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config.scenario import Scenario
-from fjr_core.monitoring.innovations import Record
+from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
 
 from .faulty_loop import Fault, FaultyLoop

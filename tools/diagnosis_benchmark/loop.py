@@ -17,13 +17,13 @@ from fjr_core import StateError
 from fjr_core.config import nonidealities as words
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
-from fjr_core.monitoring.innovations import Record
+from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py.messages.joint_states import JointSample
+from fjr_plant.channel import Transport
 from fjr_plant.simulated_robot import SimulatedRobot
 from fjr_plant.state_publisher import Sample
 from fjr_plant.timing.lock_step import START
-from fjr_plant.transport import Transport
 
 LARGEST = 1e6  # rad; a robot that went there has diverged
 

@@ -20,7 +20,7 @@ from fjr_core import check
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import PLANT, Scenario, parse_scenario
 from fjr_core.monitoring.certificate import Balance
-from fjr_core.monitoring.innovations import Record
+from fjr_core.monitoring.record import Record
 from fjr_core.monitoring.thresholds import TOLERANCE
 from fjr_core.numerics.checks import Array
 

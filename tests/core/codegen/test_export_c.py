@@ -15,9 +15,9 @@ import pytest
 
 import fjr_core as fjr
 from core.codegen.c_program import C99, CPP, SHIPPED, built, changed, exported, loop, replayed, said
-from fjr_core.codegen import Loop, export, left_out, loop_of, prefix_of
+from fjr_core.codegen import Loop, export, loop_of, prefix_of
 from fjr_core.codegen.c_code import casadi_code, checked_prefix, numbers, quoted
-from fjr_core.config.scenario import parse_scenario
+from fjr_core.config.scenario import left_out, parse_scenario
 from fjr_core.control.sampled_law import Static
 from fjr_core.numerics.casadi_function import NumericFunction
 from fjr_core.robot.robot import Robot

@@ -13,7 +13,7 @@ from core.monitoring.test_diagnosis import DURATION, LAW, PERIOD, REFERENCE, rec
 from fjr_core.monitoring.cause_errors import closed_loop
 from fjr_core.monitoring.diagnosis import judge
 from fjr_core.monitoring.grading import Axes
-from fjr_core.monitoring.innovations import Record
+from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import linearize
 

@@ -14,8 +14,9 @@ from fjr_core.monitoring.certificate import Balance
 from fjr_core.monitoring.delay_estimation import acting, effort_age
 from fjr_core.monitoring.diagnosis import judge
 from fjr_core.monitoring.grading import Axes
-from fjr_core.monitoring.innovations import Record, intervals, needed
+from fjr_core.monitoring.innovations import intervals, needed
 from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_core.monitoring.record import Record
 
 PERIOD, DURATION = 1e-3, 2.5
 LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)

@@ -15,7 +15,7 @@ from fjr_core.monitoring.diagnosis import Verdict, judge
 from fjr_core.monitoring.fault_isolation.added_body import SECOND_MOMENTS, body_torques
 from fjr_core.monitoring.fault_isolation.velocity_consistency import velocity_faults
 from fjr_core.monitoring.grading import Axes
-from fjr_core.monitoring.innovations import Record
+from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.payload import Loaded
 

@@ -17,9 +17,9 @@ from fjr_core.monitoring.cause_errors import CauseErrors
 from fjr_core.monitoring.certificate import Balance
 from fjr_core.monitoring.diagnosis import conclude, judge
 from fjr_core.monitoring.grading import Axes
-from fjr_core.monitoring.innovations import Record
 from fjr_core.monitoring.online_certificate import Forecast
 from fjr_core.monitoring.online_diagnosis import RunningVerdict
+from fjr_core.monitoring.record import Record
 from fjr_core.monitoring.storage_budget import Supplies
 from fjr_core.monitoring.thresholds import DIVERGED, EXCEEDED, FEWEST
 

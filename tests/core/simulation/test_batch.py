@@ -17,7 +17,7 @@ from core.oracles.cases import ARMS, Arm, linear
 from core.oracles.chains import arm7, scaled_gains
 from fjr_core import ParameterError, StateError
 from fjr_core.control.sampled_law import Static
-from fjr_core.numerics import program_digest
+from fjr_core.numerics import jit_cache
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, outcomes, python_loop
 from fjr_core.simulation.batch.program import Program
 
@@ -245,12 +245,12 @@ def test_the_fingerprint_holds_source_casadi_and_whether_it_is_compiled(
         found.append(paper_loop().fingerprint)
     for name in ("a.py", "a.c", "b.c"):
         (tmp_path / name).write_text(name)
-        program_digest.source_digest.cache_clear()
-        digest = program_digest.source_digest(tmp_path)
-        monkeypatch.setattr(program_digest, "source_digest", lambda digest=digest: digest)
+        jit_cache.source_digest.cache_clear()
+        digest = jit_cache.source_digest(tmp_path)
+        monkeypatch.setattr(jit_cache, "source_digest", lambda digest=digest: digest)
         found.append(paper_loop().fingerprint)
         monkeypatch.undo()
-    monkeypatch.setattr(program_digest.ca, "__version__", "another")
+    monkeypatch.setattr(jit_cache.ca, "__version__", "another")
     found.append(paper_loop().fingerprint)
     assert found[0] == found[1]
     assert len(set(found)) == len(found) - 1

@@ -11,14 +11,14 @@ from rclpy.node import Node
 
 from fjr_core import ParameterError, Reference, TrackingLaw
 from fjr_core.config import builders
-from fjr_core.config.control_law import control_law, robust_action
+from fjr_core.config.builders import control_law, robust_action
+from fjr_core.config.description import robot_name
 from fjr_core.config.diagnosis import axes
 from fjr_core.config.measurement import measurement, observer
-from fjr_core.config.motion import motion_limits
 from fjr_core.config.parameter import named
+from fjr_core.config.reference import motion_limits
 from fjr_core.config.safety import safety
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.urdf_export import robot_name
 from fjr_core.trajectories.motion_limits import check_motion
 from fjr_msgs_py.messages.events import EventWriter
 from fjr_msgs_py.messages.follow_joint_trajectory import follow_messages

@@ -18,7 +18,7 @@ from .estimation.measurement_model import Measurement
 from .estimation.velocity_observer import VelocityObserver
 from .monitoring.certificate import Balance
 from .monitoring.diagnosis import Verdict, judge
-from .monitoring.innovations import Record
+from .monitoring.record import Record
 from .robot.closed_form_arms import planar_two_link, single_link
 from .robot.joint_limits import JointLimits
 from .robot.newton_euler import serial_chain
@@ -31,9 +31,9 @@ from .simulation.closed_loop import Trajectory, simulate
 from .stability.sampled_loop import SampledCheck, check, spectral_radius
 from .trajectories.circle import Circle
 from .trajectories.motion_limits import MotionLimits, check_motion
-from .trajectories.multi_sine import MultiSine
 from .trajectories.point_to_point import Hold, PointToPoint, standing
-from .trajectories.reference import Reference, Sine
+from .trajectories.reference import Reference
+from .trajectories.sine import MultiSine, Sine
 from .trajectories.spline import Spline
 from .trajectories.transition import join, shifted
 from .tuning.gain_synthesis import synthesize

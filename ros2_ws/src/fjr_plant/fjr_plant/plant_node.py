@@ -12,15 +12,15 @@ from std_srvs.srv import SetBool, Trigger
 from fjr_core import FjrError, Plant
 from fjr_core.config import builders
 from fjr_core.config import nonidealities as words
-from fjr_core.robot.urdf_export import description, robot_name
+from fjr_core.config.description import description, robot_name
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.descriptions import publish_description
-from fjr_msgs_py.messages.joint_states import EffortReader, MessageError
-from fjr_msgs_py.messages.torques import TorqueReader
+from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, TorqueReader
 from fjr_msgs_py.node import process
 from fjr_msgs_py.node.diagnostics import Health
 from fjr_msgs_py.node.parameters import ParameterNode
 
+from .channel import Transport
 from .simulated_robot import SimulatedRobot
 from .state_publisher import StatePublisher
 from .timing.deferred_service import Answer, DeferredTrigger
@@ -28,7 +28,6 @@ from .timing.lock_step import START as LOCKSTEP_START
 from .timing.lock_step import LockStep
 from .timing.real_time import RealTime
 from .timing.time_base import Pace, Rig
-from .transport import Transport
 
 __all__ = ["LOCKSTEP_START", "PlantNode", "main"]
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.nonideal_signals import SensorErrors
+from fjr_core.simulation.nonideal_parameters import SensorErrors
 
 from .channel import SENSORS, generator
 

@@ -10,7 +10,8 @@ from fjr_core.config import builders
 from fjr_core.config.diagnosis import axes
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.law import TrackingLaw
-from fjr_core.monitoring.diagnosis import Record, Verdict, judge, unknown
+from fjr_core.monitoring.diagnosis import Verdict, judge, unknown
+from fjr_core.monitoring.record import Record
 
 __all__ = ["Verdict", "record", "verdict"]
 

@@ -21,7 +21,7 @@ from fjr_bringup.cli.preflight import (
     start_outside,
 )
 from fjr_bringup.scenarios import library
-from fjr_core.config.control_law import tuning
+from fjr_core.config.builders import tuning
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.registry import law_kind

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fjr_bringup.scenarios import library
-from fjr_core.codegen import export, left_out, loop_of, prefix_of, write
-from fjr_core.config.scenario import Scenario
-from fjr_core.robot.urdf_export import description
+from fjr_core.codegen import export, loop_of, prefix_of, write
+from fjr_core.config.description import description
+from fjr_core.config.scenario import Scenario, left_out
 
 
 def print_description(scenario: str | None, assignments: Sequence[str]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from fjr_bringup.scenarios import library
 from fjr_core.config import builders
-from fjr_core.config.control_law import robust_action
+from fjr_core.config.builders import robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.robust import sampled_law
 from fjr_core.control.vdpbc.law import TrackingLaw

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fjr_core.config.safety import Settings, safety
+from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
+from fjr_core.control.safety_settings import Settings
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import FjrError
 from fjr_core.numerics.checks import Array

@@ -14,9 +14,8 @@ from rich.console import Console
 from rich.live import Live
 
 from fjr_bringup.monitor.node import FjrWatch
-from fjr_bringup.monitor.state import Watched
+from fjr_bringup.monitor.state import View, Watched
 from fjr_bringup.monitor.terminal import render
-from fjr_bringup.monitor.view import View
 from fjr_bringup.recording.echo import listening
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario

@@ -16,11 +16,10 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
-from fjr_bringup.monitor.state import Watched
-from fjr_bringup.monitor.view import Health
+from fjr_bringup.monitor.state import Health, Watched
 from fjr_bringup.recording.reader import header_stamp
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.labelled import labelled
+from fjr_msgs_py.messages.certificate import labelled
 
 DEPTH = 4000  # messages between two looks
 CERTIFICATE = "~/certificate"

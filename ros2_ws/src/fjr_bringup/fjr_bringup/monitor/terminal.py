@@ -12,7 +12,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from fjr_bringup.monitor.view import LEVELS, Health, JointLine, View
+from fjr_bringup.monitor.state import LEVELS, Health, JointLine, View
 
 ERROR_DECADES = (-6.0, 0.0)  # log10 of rad: an empty and a full bar
 WIDE = 118  # characters

@@ -1,16 +1,178 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a run, drawn from what its bag holds."""
+"""The picture of a run and its panels, drawn from what its bag holds."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
-from fjr_bringup.analysis.metrics import Report
+from fjr_bringup.analysis import headlines
+from fjr_bringup.analysis.metrics import STEADY_AFTER, Report
 from fjr_bringup.analysis.run_data import TrackingData
-from fjr_bringup.plotting import panels
+from fjr_bringup.plotting.joint_lines import COLOURS, DRAWABLE, colour, drawable, name_joints
+from fjr_bringup.recording.reader import Array
+from fjr_core.robot.joint_units import joined
+
+GREY = "#666666"
+ENLARGED = 2  # joints; of more the enlarged start would hide the rest
+HEALTHY = 1e-3  # of V(0): a loop that leaves its bound above that is disturbed by more than the hold
+
+
+def tracking(ax: Axes, data: TrackingData) -> None:
+    """q_l on top of q_ld."""
+    for j in range(len(data.joints)):
+        ax.plot(data.t, data.q_ld[:, j], color=GREY, lw=3.2, alpha=0.35, solid_capstyle="round")
+        ax.plot(data.t, drawable(data.q_l[:, j]), color=colour(j), lw=1.4)
+    name_joints(ax, data, data.q_l)
+    error = np.abs(data.error).max(axis=1)
+    follows, many = error[-1] <= error[0], len(data.joints) > 1
+    verb = ("follow" if many else "follows") if follows else ("do not follow" if many else "does not follow")
+    title = f"The {'links' if many else 'link'} {verb} the reference (grey)"
+    ax.set(title=title, xlabel="t [s]", ylabel=f"$q_l$, $q_{{ld}}$ [{joined(each.position for each in data.units)}]")
+
+
+def error(ax: Axes, data: TrackingData, report: Report) -> None:
+    """|q_l - q_ld| on a log axis."""
+    size = drawable(np.abs(data.error))
+    size = np.where(size > 0, size, np.nan)
+    for j in range(len(data.joints)):
+        ax.semilogy(data.t, size[:, j], color=colour(j), lw=1.0)
+    name_joints(ax, data, size)
+    worst = report.tracking.max_error_after_2s_rad
+    title = "Tracking error"
+    if worst and worst < DRAWABLE:
+        ax.hlines(worst, STEADY_AFTER, data.t[-1], color=GREY, lw=1.0, ls="--")
+        label = f"at most {headlines.steady_error(report, _power_of)} after 2 s"
+        ax.annotate(label, (data.t[-1], worst), (0, 4), textcoords="offset points", ha="right", color=GREY)
+        title = f"The error falls from {headlines.initial_error(report)} to {headlines.steady_error(report, _power_of)}"
+    ax.set(title=title, xlabel="t [s]", ylabel=f"$|q_l - q_{{ld}}|$ [{headlines.position_unit(report)}]")
+
+
+def storage(ax: Axes, data: TrackingData, report: Report) -> None:
+    """V against V(0) exp(-2 beta t) on a log axis, with the reason why it leaves the bound; else the energy."""
+    if not np.isfinite(data.V).any():
+        ax.plot(data.t, drawable(data.H), color=COLOURS[0], lw=1.0)
+        ax.set(title="The robot's energy (this law has no certificate)", xlabel="t [s]", ylabel="H [J]")
+        return
+    relative, bound = data.relative_storage, data.bound / (data.V[0] or 1.0)
+    relative = drawable(relative)
+    shown = relative[relative > 0]
+    floor = float(shown.min(initial=1e-3)) / 30.0
+    ax.semilogy(data.t, np.where(bound > floor, bound, np.nan), color=GREY, lw=1.4, ls="--")
+    ax.semilogy(data.t, relative, color=COLOURS[0], lw=1.0)
+    ax.set_ylim(floor, 30.0 * float(shown.max(initial=1.0)))
+    at = int(np.searchsorted(-bound, -(floor ** (1 / 3))))
+    text = f"bound $e^{{-2\\beta t}}$,\n$\\beta$ = {data.beta:.3g} 1/s"
+    ax.annotate(
+        text,
+        (data.t[min(at, len(data.t) - 1)], floor ** (1 / 3)),
+        (8, 2),
+        textcoords="offset points",
+        color=GREY,
+    )
+    found = report.storage
+    leaves, there = (None, None) if found is None else (found.leaves_bound_at_s, found.relative_where_it_leaves)
+    if leaves is not None and there is not None and there < DRAWABLE:
+        ax.plot([leaves], [there], "o", color=COLOURS[1], ms=5, zorder=5)
+        ax.text(
+            0.98,
+            0.97,
+            _why(data, leaves, there),
+            transform=ax.transAxes,
+            ha="right",
+            va="top",
+            color=COLOURS[1],
+        )
+    rate = None if found is None else found.measured_decay_rate_per_s
+    basis = "proven" if data.beta_is_proven else "sampled"
+    title = f"V falls at {rate:.3g} 1/s; {basis}: at least {2 * data.beta:.3g} 1/s" if rate else "V and its bound"
+    ax.set(title=title, xlabel="t [s]", ylabel="$V(t)\\,/\\,V(0)$")
+
+
+def _why(data: TrackingData, leaves: float, there: float) -> str:
+    first = f"leaves the bound at {leaves:.2f} s, {_power(there)} V(0)"
+    if there > HEALTHY:
+        return f"{first}: not healthy.\nCommands were late or missing, or the gains\nare too high for the sample rate."
+    return (
+        f"{first}: healthy.\n"
+        f"The proof is for continuous time; holding u for {data.sample_period * 1e3:g} ms\n"
+        "is a small disturbance, and V stays on its floor."
+    )
+
+
+def effort(ax: Axes, data: TrackingData, report: Report) -> None:
+    """The commands; of a few joints the first quarter of a second enlarged."""
+    _steps(ax, data)
+    name_joints(ax, data, data.u)
+    if len(data.joints) <= ENLARGED:
+        zoom = ax.inset_axes((0.36, 0.12 if data.u[0].sum() < 0 else 0.52, 0.6, 0.36))
+        _steps(zoom, data)
+        zoom.set_xlim(-0.005, 0.25)
+        zoom.set_title("first 0.25 s", fontsize=8, fontweight="normal", color=GREY, loc="center", pad=2)
+        zoom.tick_params(labelsize=7)
+    title = f"The effort peaks at {headlines.peak_effort_and_share(report)}"
+    ax.set(title=title, xlabel="t [s]", ylabel=f"u [{headlines.effort_unit(report)}]")
+
+
+def _steps(ax: Axes, data: TrackingData) -> None:
+    for j in range(len(data.joints)):
+        ax.step(data.t, drawable(data.u[:, j]), where="post", color=colour(j), lw=1.2)
+
+
+def period(ax: Axes, data: TrackingData, report: Report) -> None:
+    """How regularly the states were sent."""
+    timing, counts = report.timing, report.counts
+    _histogram(ax, np.diff(data.sent) * 1e3, COLOURS[0])
+    _marks(ax, (timing.period_p50_us, timing.period_p99_us, timing.period_max_us))
+    title = f"{counts.published} of {counts.nominal} states published"
+    ax.set(title=title, xlabel="time between states [ms]", ylabel="states")
+
+
+def latency(ax: Axes, data: TrackingData, report: Report) -> None:
+    """How soon each state was answered."""
+    timing, counts = report.timing, report.counts
+    _histogram(ax, data.latency[~np.isnan(data.latency)] * 1e3, COLOURS[2])
+    _marks(ax, (timing.latency_p50_us, timing.latency_p99_us, timing.latency_max_us))
+    title = f"{100 * (counts.answered_in_time_fraction or 0.0):.2f} % answered before the next state"
+    ax.set(title=title, xlabel="state to command [ms]", ylabel="states")
+
+
+def _histogram(ax: Axes, milliseconds: Array, face: str) -> None:
+    """Both axes logarithmic, from the smallest to the largest value: nothing is cut off."""
+    low, high = float(milliseconds.min(initial=0.5)), float(milliseconds.max(initial=2.0))
+    ax.hist(milliseconds, bins=np.geomspace(max(low, 1e-3), high * 1.01, 81).tolist(), color=face, log=True)
+    ax.set_xscale("log")
+    ticks = [digit * 10.0**power for power in range(-2, 4) for digit in (1, 2, 5)]
+    ax.set_xticks([tick for tick in ticks if low <= tick <= high] or [low])
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.set_ylim(0.7, 3.0 * ax.get_ylim()[1])
+
+
+def _marks(ax: Axes, microseconds: tuple[float, float, float]) -> None:
+    """Percentiles as text: they are often too close to each other for labels at their places."""
+    for value in microseconds[:2]:
+        ax.axvline(value * 1e-3, color=GREY, lw=1.0, ls="--")
+    names = ("50 %", "99 %", "max")
+    text = "\n".join(f"{name}: {value * 1e-3:.2f} ms" for name, value in zip(names, microseconds, strict=True))
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5}
+    ax.text(0.98, 0.97, text, transform=ax.transAxes, ha="right", va="top", color=GREY, bbox=box)
+
+
+def _power_of(value: float, unit: str) -> str:
+    return f"{_power(value)} {unit}"
+
+
+def _power(value: float) -> str:
+    """1.5e-05 as 1.5 x 10^-5, typeset."""
+    mantissa, exponent = f"{value:.1e}".split("e")
+    return f"${mantissa}\\times10^{{{int(exponent)}}}$"
+
 
 STYLE = {
     "font.size": 9,
@@ -19,7 +181,7 @@ STYLE = {
     "axes.titleweight": "bold",
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.edgecolor": panels.GREY,
+    "axes.edgecolor": GREY,
     "axes.grid": True,
     "grid.color": "#E6E6E6",
     "grid.linewidth": 0.7,
@@ -37,12 +199,12 @@ def draw_overview(name: str, data: TrackingData, report: Report, folder: Path) -
 def _overview(name: str, data: TrackingData, report: Report, folder: Path) -> Path:
     figure = Figure(figsize=(14.0, 7.2), layout="constrained")
     axes = figure.subplots(2, 3)
-    panels.tracking(axes[0, 0], data)
-    panels.error(axes[0, 1], data, report)
-    panels.storage(axes[0, 2], data, report)
-    panels.effort(axes[1, 0], data, report)
-    panels.period(axes[1, 1], data, report)
-    panels.latency(axes[1, 2], data, report)
+    tracking(axes[0, 0], data)
+    error(axes[0, 1], data, report)
+    storage(axes[0, 2], data, report)
+    effort(axes[1, 0], data, report)
+    period(axes[1, 1], data, report)
+    latency(axes[1, 2], data, report)
     clock = "in lock-step" if report.lockstep else "in real time"
     rate = f"{1.0 / data.sample_period:g} Hz"
     figure.suptitle(f"{name}: plant and controller as two ROS 2 nodes, {rate} {clock}", fontsize=13, x=0.01, ha="left")

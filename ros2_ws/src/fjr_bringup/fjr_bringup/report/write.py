@@ -20,8 +20,7 @@ from fjr_bringup.plotting.overview import draw_overview
 from fjr_bringup.recording.reader import Bag, read_bag
 from fjr_bringup.report.fallback_folder import written
 from fjr_bringup.report.run_report import write_run_page
-from fjr_bringup.report.runs_figures import Compared
-from fjr_bringup.report.runs_report import write_comparison
+from fjr_bringup.report.runs_report import Compared, write_comparison
 from fjr_core.config.scenario import Scenario, load_scenario
 
 PAGE, FIGURES, COMPARISON = "report.html", "report.json", "comparison.html"

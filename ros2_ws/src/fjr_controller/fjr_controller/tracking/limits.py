@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from fjr_core.config.safety import GRAVITY_HOLD, Settings
+from fjr_core.control.safety_settings import GRAVITY_HOLD, Settings
 from fjr_core.control.static_law import StaticLaw
 from fjr_core.numerics.casadi_function import numeric
 from fjr_core.numerics.checks import Array

@@ -9,7 +9,7 @@ from copy import copy
 import numpy as np
 
 from fjr_core import Reference
-from fjr_core.config.safety import Settings
+from fjr_core.control.safety_settings import Settings
 from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.point_to_point import standing
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from fjr_core import GainsError, Reference, StateError, TrajectoryError
-from fjr_core.config.safety import Settings
 from fjr_core.control.robust import Robust, RobustLaw, sampled_law
+from fjr_core.control.safety_settings import Settings
 from fjr_core.control.sampled_law import BoundStep
 from fjr_core.control.static_law import BoundCommand, StaticLaw
 from fjr_core.monitoring.wiring.check import WiringCheck

@@ -2,7 +2,7 @@
 """A closed loop as plain C99: law, reference and plant for C and C++ programs, and a case that is replayed."""
 
 from .c_code import prefix_of
-from .exported_loop import Loop, left_out, loop_of
+from .exported_loop import Loop, loop_of
 from .project import ExportError, export, write
 
-__all__ = ["ExportError", "Loop", "export", "left_out", "loop_of", "prefix_of", "write"]
+__all__ = ["ExportError", "Loop", "export", "loop_of", "prefix_of", "write"]

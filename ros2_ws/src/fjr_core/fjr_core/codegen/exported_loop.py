@@ -9,8 +9,6 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from ..config.measurement import measurement_parameters
-from ..config.nonidealities import imperfection_parameters
 from ..config.scenario import Scenario
 from ..control.sampled_law import SampledLaw
 from ..errors import StateError
@@ -83,13 +81,3 @@ def loop_of(scenario: Scenario) -> Loop:
         scenario.sample_period,
         steps,
     )
-
-
-def left_out(scenario: Scenario) -> list[str]:
-    """Names of the parameters by which plant or measurement of the scenario do more than what is exported."""
-    known = {
-        "plant_values": imperfection_parameters(len(scenario.joints)),
-        "controller_values": measurement_parameters(len(scenario.joints)),
-    }
-    pairs = [(getattr(scenario, values), parameter) for values, all_ in known.items() for parameter in all_]
-    return [parameter.name for values, parameter in pairs if values[parameter.name] != parameter.default]

@@ -16,10 +16,10 @@ from ..numerics.casadi_function import dense_function
 from ..numerics.checks import Array
 from ..numerics.symbolic import directional
 from ..trajectories.circle import Circle
-from ..trajectories.multi_sine import MultiSine
 from ..trajectories.piecewise_polynomial import DEGREE, Pieces
 from ..trajectories.point_to_point import Hold, PointToPoint
-from ..trajectories.reference import JETS, Reference, Sine
+from ..trajectories.reference import JETS, Reference
+from ..trajectories.sine import MultiSine, Sine
 from ..trajectories.spline import Spline
 from ..trajectories.transition import Joined, Shifted
 

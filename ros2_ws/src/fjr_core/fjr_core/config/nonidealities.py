@@ -7,8 +7,7 @@ import math
 
 from ..errors import ParameterError
 from ..robot.robot import Robot
-from ..simulation.nonideal_parameters import Imperfections
-from ..simulation.nonideal_signals import MOST_BITS, ChannelErrors, SensorErrors
+from ..simulation.nonideal_parameters import MOST_BITS, ChannelErrors, Imperfections, SensorErrors
 from .parameter import Parameter, Value, Values, named, vector
 
 _DYNAMICS: dict[str, tuple[str, float, str, str, float]] = {  # field: parameter, default, unit, description, minimum

@@ -28,8 +28,9 @@ from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
 from ..trajectories.reference import Reference
 from . import builders, parameter, robot_file, ros_yaml
-from .control_law import control_law, robust_action
-from .nonidealities import channel_errors
+from .builders import control_law, robust_action
+from .measurement import measurement_parameters
+from .nonidealities import channel_errors, imperfection_parameters
 
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
 OWN_PARAMETERS = {PLANT: builders.plant_parameters, CONTROLLER: builders.controller_parameters}
@@ -216,3 +217,13 @@ def _is_common(name: str, value: object, given: Mapping[str, Mapping[str, object
 
 def _same(first: object, second: object) -> bool:
     return repr(first) == repr(second)  # nan is as nan, 1 is not 1.0
+
+
+def left_out(scenario: Scenario) -> list[str]:
+    """Names of the parameters by which plant or measurement of the scenario do more than what is exported."""
+    known = {
+        "plant_values": imperfection_parameters(len(scenario.joints)),
+        "controller_values": measurement_parameters(len(scenario.joints)),
+    }
+    pairs = [(getattr(scenario, values), parameter) for values, all_ in known.items() for parameter in all_]
+    return [parameter.name for values, parameter in pairs if values[parameter.name] != parameter.default]

@@ -15,8 +15,8 @@ import casadi as ca
 from ..numerics import symbolic
 from ..robot import virtual_system
 from ..robot.robot import Robot
+from ..trajectories.reference import REFERENCE_DERIVATIVES
 
-REFERENCE_DERIVATIVES = 4  # q_ld .. d4q_ld: the law has relative degree four
 LOAD_RATES = 2  # of a torque on the links: it acts two integrations later than q_ld
 
 

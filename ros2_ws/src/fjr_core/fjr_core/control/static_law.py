@@ -17,7 +17,7 @@ from ..numerics.casadi_function import NumericFunction, bind, dense_function
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
 from ..robot.robot import Robot
-from .lie_derivative import REFERENCE_DERIVATIVES
+from ..trajectories.reference import REFERENCE_DERIVATIVES
 
 
 @dataclass(frozen=True, eq=False)

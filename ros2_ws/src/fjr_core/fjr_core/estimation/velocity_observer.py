@@ -66,7 +66,7 @@ class VelocityObserver:
     """Velocities (and smoothed positions) of a robot, sample by sample; see this module for what it guarantees.
 
     robot: the model. bandwidth [rad/s]: of the error's double pole, ParameterError unless positive and finite.
-    compile: as machine code where the machine has a C compiler (compile.compiled). Not for two threads at once.
+    compile: as machine code where the machine has a C compiler (numerics.jit). Not for two threads at once.
 
     The first sample gives velocity 0, the second the difference, and the gains of first_corrections shrink from there
     to those of the bandwidth: a robot met in motion is known after some samples, not after some 1 / bandwidth.

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..control.vdpbc.law import TrackingLaw
+from ..control.vdpbc.linearized import feedback
 from ..numerics.checks import Array
-from ..robot.equilibrium import feedback, plant_matrices, rest_points
+from ..robot.equilibrium import plant_matrices, rest_points
 from ..robot.robot import Robot
 from ..stability.linearization import SampledLoop
 from .delay_estimation import Acting

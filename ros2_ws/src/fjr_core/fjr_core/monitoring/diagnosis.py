@@ -16,8 +16,9 @@ from .certificate import Balance
 from .delay_estimation import Acting, acting, effort_age
 from .fault_isolation.isolation import UNKNOWN, Finding, isolate
 from .grading import Axes, Grade, detail, grade
-from .innovations import Intervals, Record, intervals, needed
+from .innovations import Intervals, intervals, needed
 from .one_step_prediction import Prediction
+from .record import Record
 from .storage_budget import CAUSES, Supplies, supplies
 from .storage_growth import floor, growth, rises
 from .thresholds import (

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks at the boundary: values become finite float arrays of the expected shape, or one clear sentence."""
+"""Check values at the boundary: they become finite arrays of the expected shape, or raise one clear sentence."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import FjrError
+from ..errors import FjrError, TrajectoryError
 
 Array = NDArray[np.float64]
 
@@ -66,3 +66,28 @@ def positive_semidefinite(name: str, array: Array, error: type[FjrError]) -> Arr
     if smallest < -1e-14 * float(np.max(np.abs(array))):
         raise error(f"{name} has smallest eigenvalue {smallest:.3g}; expected a positive semidefinite matrix")
     return array
+
+
+def joint_vector(name: str, value: ArrayLike) -> Array:
+    """Return `value` as (n,), n at least 1."""
+    array = finite(name, value, TrajectoryError)
+    if array.ndim != 1 or not array.size:
+        raise TrajectoryError(f"{name} has shape {array.shape}; expected (n,), one number per joint")
+    return array
+
+
+def number(name: str, value: ArrayLike) -> float:
+    """Return `value` as one finite number."""
+    return float(vector(name, value, 1, TrajectoryError)[0])
+
+
+def positive(name: str, value: float) -> None:
+    """Raise unless `value` [s] is positive and finite."""
+    if not (np.isfinite(value) and value > 0):
+        raise TrajectoryError(f"{name} is {value} s; expected a positive finite number")
+
+
+def freeze(owner: object, name: str, array: Array) -> None:
+    """Make `array`, which nobody may change, a field of the frozen `owner`."""
+    array.setflags(write=False)
+    object.__setattr__(owner, name, array)

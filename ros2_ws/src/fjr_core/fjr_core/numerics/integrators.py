@@ -9,6 +9,8 @@ import casadi as ca
 
 from ..errors import ParameterError
 
+INNER_STEP = 2.5e-4  # s; integrator step under a hold
+
 Field = Callable[[ca.SX, ca.SX], ca.SX]
 """dx/dt = f(x, u) on expressions; a CasADi function is one."""
 

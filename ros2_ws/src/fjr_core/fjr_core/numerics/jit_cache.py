@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Machine code found again without deriving anything: by what a function would be made of, not by what it is.
+"""Find compiled code again without deriving anything: by what a function is made of, not by what it is.
 
-compile.compiled needs the function to find its machine code, and a seven-joint arm's certificate takes a third of a
+jit.compiled needs the function to find its machine code, and a seven-joint arm's certificate takes a third of a
 second to derive and write as C. What it is derived from, robot and gains, is read in milliseconds.
 """
 
@@ -14,23 +14,22 @@ from functools import cache
 from pathlib import Path
 
 import casadi as ca
-import numpy as np
 
-from ..robot.robot import Robot
 from .code_cache import code_folder, is_whole
 from .jit import CompileError, compiled, machine, made
 
-LINKS = ("M_l", "P_l", "grad_P_l", "C", "grad_T")
-MATRICES = ("M_m", "K", "D_l", "D_m", "B_m")
+SOURCES = ("*.py", "*.c")
+PACKAGE = Path(__file__).parents[1]
 
 
-def recalled(name: str, robot: Robot, pattern: str, build: Callable[[], ca.Function]) -> ca.Function:
-    """compiled(build()); where that was done before for such a robot and pattern, its machine code at once.
+def recalled(name: str, model: bytes, pattern: str, build: Callable[[], ca.Function]) -> ca.Function:
+    """Return compiled(build()); where that was done before for such a model and pattern, its machine code at once.
 
-    pattern: all else that the function depends on. This package's own source belongs to what is compared.
+    model: fingerprint of what the function is derived from (Robot.fingerprint). pattern: all else that it depends on.
+    This package's own source belongs to what is compared.
     """
     try:
-        note, folder = _note(name, robot, pattern), code_folder()
+        note, folder = _note(name, model, pattern), code_folder()
         found = (folder.read(note) or b"").decode("ascii", "replace")
         if found.startswith(f"{name}-") and "/" not in found and is_whole(folder, found):
             return ca.external(name, folder.within(found))
@@ -43,19 +42,25 @@ def recalled(name: str, robot: Robot, pattern: str, build: Callable[[], ca.Funct
     return function
 
 
-def _note(name: str, robot: Robot, pattern: str) -> str:
-    """The name of the file that holds the name of the machine code."""
-    parts = [name, pattern, ca.__version__, _source(), *machine()]
-    parts += [getattr(robot.links, field).serialize() for field in LINKS]
-    digest = hashlib.sha256("\n".join(parts).encode())
-    for field in MATRICES:
-        digest.update(np.ascontiguousarray(getattr(robot, field)).tobytes())
-    return f"{name}-{digest.hexdigest()[:32]}.note"
+def program_digest(compiled: bool) -> str:
+    """Digest of all but their input that kept results depend on: this package's source, CasADi, a compiler.
+
+    compiled: whether the loop is machine code.
+    """
+    return hashlib.sha256(f"{source_digest()} {ca.__version__} {compiled}".encode()).hexdigest()
 
 
 @cache
-def _source() -> str:
+def source_digest(folder: Path = PACKAGE) -> str:
+    """Digest of all Python and C in a folder, by default this package's, with the names of the files."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+    for path in sorted(path for pattern in SOURCES for path in folder.rglob(pattern)):
+        digest.update(f"{path.relative_to(folder)} {path.stat().st_size}\n".encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def _note(name: str, model: bytes, pattern: str) -> str:
+    """Return the name of the file that holds the name of the machine code."""
+    parts = [name, pattern, ca.__version__, source_digest(), *machine(), model.hex()]
+    return f"{name}-{hashlib.sha256(chr(10).join(parts).encode()).hexdigest()[:32]}.note"

@@ -94,7 +94,7 @@ class Plant:
     """The robot as a system to integrate; pure functions of (x, u), bound once.
 
     integrator: "rk4" (explicit, order 4) or "implicit_midpoint" (order 2, no drift of the energy).
-    compile: the step as machine code where the machine has a C compiler (compile.compiled).
+    compile: the step as machine code where the machine has a C compiler (numerics.jit).
     Units: positions rad, momenta N m s, effort u N m. Raises StateError for wrong shapes and
     ParameterError for an unknown integrator.
     """

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -119,6 +120,14 @@ class Robot:
         q_l, _, p_l, p_m = symbolic.blocks(x, self.n)
         M_l = (links or self.links).M_l(q_l)
         return symbolic.solve(M_l, p_l), ca.DM(np.linalg.inv(self.M_m)) @ p_m
+
+    def fingerprint(self) -> bytes:
+        """Digest of all that its equations of motion consist of: equal for robots with the same equations."""
+        parts = [getattr(self.links, name).serialize() for name in ("M_l", "P_l", "grad_P_l", "C", "grad_T")]
+        digest = hashlib.sha256("\n".join(parts).encode())
+        for name in ("M_m", "K", "D_l", "D_m", "B_m"):
+            digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        return digest.digest()
 
     def _vector(self, name: str, value: ArrayLike) -> Array:
         return checks.vector(name, value, self.n, StateError)

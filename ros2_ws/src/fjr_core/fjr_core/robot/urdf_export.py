@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Any robot as a URDF: an arm's own, or one for a robot in closed form with the same inertia and gravity."""
+"""A robot in closed form as a URDF, a chain of rods with the same inertia and gravity."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
-from ..config import robot_file
-from ..config.parameter import Values, names, vector
-from ..config.robot import MODEL
 from .closed_form_arms import STANDARD_GRAVITY
 
 SMALLEST_LOAD = 1e-9  # N m; below it a single link hangs in no gravity
@@ -30,41 +28,22 @@ class Rod:
     inertia: float
 
 
-def description(values: Values) -> str:
-    """URDF text of the robot that the values of robot_parameters describe; raises ParameterError for no file.
-
-    Robots in closed form hang along -z in the x-z plane; their gravity is the model's, not the reader's.
-    """
-    if values[MODEL.name] == "urdf":
-        return str(robot_file.inlined(values)["robot.urdf"])
-    build = {"single_link": _single_link, "planar_two_link": _planar_two_link}[str(values[MODEL.name])]
-    return _urdf(str(values[MODEL.name]), names(values, "joints"), build(values))
-
-
-def robot_name(values: Values) -> str:
-    """Return the name that the robot has in its URDF."""
-    return str(ElementTree.fromstring(description(values)).get("name", ""))
-
-
-def _single_link(values: Values) -> list[Rod]:
-    """A uniform rod with inertia I about its joint and m g com = the gravity torque: I = 4/3 m com^2.
+def hanging_rod(inertia: float, load: float) -> Rod:
+    """Return a uniform rod with inertia [kg m^2] about its joint and m g com = load [N m]: inertia = 4/3 m com^2.
 
     Without gravity it is balanced at its joint.
     """
-    inertia, load = (float(vector(values, f"robot.{name}", 1)[0]) for name in ("link_inertia", "gravity_torque"))
     if abs(load) < SMALLEST_LOAD:
-        return [Rod(12 * inertia / WEIGHTLESS_LENGTH**2, WEIGHTLESS_LENGTH, 0.0, inertia)]
+        return Rod(12 * inertia / WEIGHTLESS_LENGTH**2, WEIGHTLESS_LENGTH, 0.0, inertia)
     com = 0.75 * inertia * STANDARD_GRAVITY / load
-    return [Rod(abs(load) / (STANDARD_GRAVITY * abs(com)), 2 * com, com, inertia / 4)]
+    return Rod(abs(load) / (STANDARD_GRAVITY * abs(com)), 2 * com, com, inertia / 4)
 
 
-def _planar_two_link(values: Values) -> list[Rod]:
-    columns = (vector(values, f"robot.link_{name}", 2) for name in ("mass", "length", "com", "inertia"))
-    return [Rod(*map(float, row)) for row in zip(*columns, strict=True)]
+def urdf_of_rods(name: str, joints: Sequence[str], rods: Sequence[Rod]) -> str:
+    """Return the URDF text of a chain of rods in a vertical plane, one for each joint.
 
-
-def _urdf(name: str, joints: tuple[str, ...], rods: list[Rod]) -> str:
-    """A chain of rods; each joint turns about -y, so that a hanging link swings towards x where its angle grows."""
+    Each joint turns about -y, so that a hanging link swings towards x where its angle grows.
+    """
     robot = ElementTree.Element("robot", name=name)
     for colour, rgba in (("light", LIGHT), ("dark", DARK)):
         ElementTree.SubElement(ElementTree.SubElement(robot, "material", name=colour), "color", rgba=rgba)

@@ -17,13 +17,12 @@ from ..errors import StateError
 from ..numerics import checks
 from ..numerics.casadi_function import NumericFunction, bind, not_converged
 from ..numerics.checks import Array
-from ..numerics.integrators import rk4_expression
+from ..numerics.integrators import INNER_STEP, rk4_expression
 from ..robot.coordinates import law_view, velocity_function
 from ..robot.port_hamiltonian import Plant
 from ..trajectories.reference import JETS, Reference
 
 CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
-INNER_STEP = 2.5e-4  # s; integrator step under a hold
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a simulated robot departs from eq. (36): the numbers, checked, all off by default, and what they are off from.
 
-The equations are in imperfect_plant.
+The equations are in nonideal_plant.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Imperfections:
 
     @property
     def vector(self) -> Array:
-        """All numbers in the order of NAMES, as imperfect_plant takes them."""
+        """All numbers in the order of NAMES, as nonideal_plant takes them."""
         return np.concatenate([getattr(self, name) for name in NAMES])
 
     def _checked(self, name: str) -> Array:
@@ -104,3 +104,71 @@ def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike) 
     sides = ((M_l, i.coulomb_l, i.static_l), (M_m, i.coulomb_m, i.static_m))
     slopes = [(np.asarray(M), np.maximum(coulomb, static) / i.smoothing) for M, coulomb, static in sides]
     return max(float(np.max(np.linalg.eigvals(np.linalg.solve(M, np.diag(slope))).real)) for M, slope in slopes)
+
+
+NANOSECONDS = 1e9
+MOST_BITS = 48.0
+"""Finer steps of an encoder are no longer seen in double precision."""
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """Errors of the sensors of n joints; fields are scalars or (n,), kept as (n,).
+
+    bits_l, bits_m: encoder bits per turn of q_l and of q_m (0: no quantisation; a motor's encoder behind a gear
+    of ratio r has log2 r bits more per turn of q_m, so they need not be whole). position_l, position_m [rad] and
+    velocity_l, velocity_m [rad/s]: standard deviations of white noise, before the quantisation.
+    velocities: whether velocities are measured at all. Raises ParameterError.
+    """
+
+    n: int
+    bits_l: ArrayLike = 0.0
+    bits_m: ArrayLike = 0.0
+    position_l: ArrayLike = 0.0
+    position_m: ArrayLike = 0.0
+    velocity_l: ArrayLike = 0.0
+    velocity_m: ArrayLike = 0.0
+    velocities: bool = True
+
+    def __post_init__(self) -> None:
+        for field in fields(self)[1:-1]:
+            array = checks.vector(field.name, getattr(self, field.name), self.n, ParameterError)
+            largest = MOST_BITS if field.name.startswith("bits") else np.inf
+            if not np.all((array >= 0) & (array <= largest)):
+                raise ParameterError(f"{field.name} is {array.tolist()}; expected 0 to {largest}")
+            array.setflags(write=False)
+            object.__setattr__(self, field.name, array)
+
+    @property
+    def off(self) -> bool:
+        """Whether the sensors are perfect."""
+        return self.velocities and not any(np.any(getattr(self, field.name)) for field in fields(self)[1:-1])
+
+
+@dataclass(frozen=True)
+class ChannelErrors:
+    """What happens to messages on their way: delay and jitter [s], loss and repetition (probabilities).
+
+    An item takes delay plus a uniform share of jitter; a repeated one comes twice, the copy with a share of its
+    own. in_order: no item overtakes an earlier one, as with DDS; else jitter may change the order.
+    Raises ParameterError.
+    """
+
+    delay: float = 0.0
+    jitter: float = 0.0
+    loss: float = 0.0
+    repetition: float = 0.0
+    in_order: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("delay", "jitter"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ParameterError(f"{name} is {getattr(self, name)} s; expected 0 or more, finite")
+        for name in ("loss", "repetition"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ParameterError(f"{name} is {getattr(self, name)}; expected a probability, 0 to 1")
+
+    @property
+    def off(self) -> bool:
+        """Whether every item arrives once and at once."""
+        return not (self.delay or self.jitter or self.loss or self.repetition)

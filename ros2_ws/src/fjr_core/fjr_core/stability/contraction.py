@@ -15,9 +15,8 @@ from ..control.vdpbc.law import TrackingLaw
 from ..errors import StateError
 from ..numerics import checks
 from ..numerics.checks import Array
-from ..numerics.integrators import rk4_expression
+from ..numerics.integrators import INNER_STEP, rk4_expression
 from ..robot.port_hamiltonian import Plant
-from ..simulation.closed_loop import INNER_STEP
 from ..trajectories.reference import JETS, Reference
 from .prolonged_system import ProlongedSystem
 

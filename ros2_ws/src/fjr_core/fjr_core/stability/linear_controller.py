@@ -20,9 +20,10 @@ import numpy as np
 
 from ..control.sampled_law import ARGUMENTS, SampledLaw, Static
 from ..control.vdpbc.law import TrackingLaw
+from ..control.vdpbc.linearized import feedback
 from ..estimation.velocity_observer import LONGEST_CALL, corrections, steps_of
 from ..numerics.checks import Array
-from ..robot.equilibrium import Indices, RestPoints, feedback, plant_matrices
+from ..robot.equilibrium import Indices, RestPoints, plant_matrices
 from ..robot.robot import Robot
 from ..trajectories.reference import JETS
 

@@ -19,7 +19,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.lie_derivative import REFERENCE_DERIVATIVES
 from ..control.vdpbc.law import TrackingLaw
 from ..control.vdpbc.symbolic_gains import terms
 from ..numerics import symbolic
@@ -27,6 +26,7 @@ from ..numerics.casadi_function import NumericFunction, dense_function
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
 from ..robot.virtual_system import derivative_expression
+from ..trajectories.reference import REFERENCE_DERIVATIVES
 
 
 class ProlongedSystem:

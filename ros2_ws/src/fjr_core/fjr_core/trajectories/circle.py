@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
-from ..numerics.checks import Array
-from ..numerics.reference_checks import freeze, joint_vector, number, positive
+from ..numerics.checks import Array, freeze, joint_vector, number, positive
 from .bounds import Extremes, extremes_on
 from .piecewise_polynomial import SAMPLES, Pieces
 from .point_to_point import standing
-from .reference import JETS, phases
+from .reference import JETS
+from .sine import phases
 
 
 @dataclass(frozen=True, eq=False)

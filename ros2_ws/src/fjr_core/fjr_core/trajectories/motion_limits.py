@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
-from ..numerics.checks import Array
-from ..numerics.reference_checks import freeze
+from ..numerics.checks import Array, freeze
 from ..robot.joint_limits import JointLimits
 from ..robot.joint_units import REVOLUTE, Units
 from .piecewise_polynomial import Pieces

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
 from ..numerics import checks
-from ..numerics.checks import Array
-from ..numerics.reference_checks import freeze, joint_vector, positive
+from ..numerics.checks import Array, freeze, joint_vector, positive
 from .bounds import ROWS, Extremes
 from .piecewise_polynomial import Pieces
 from .reference import JETS

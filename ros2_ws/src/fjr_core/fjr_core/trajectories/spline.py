@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import TrajectoryError
 from ..numerics import checks
-from ..numerics.checks import Array
-from ..numerics.reference_checks import freeze
+from ..numerics.checks import Array, freeze
 from .bounds import Extremes
 from .minimum_jerk import least_jerk, without_overshoot
 from .piecewise_polynomial import Pieces
@@ -25,7 +24,7 @@ class Spline:
     """The reference through positions (k, n) [rad] at times (k,) [s], increasing: polynomials of degree 9, C^4.
 
     velocities [rad/s], accelerations [rad/s^2], both (k, n) or None: met at the points. The derivatives that are
-    not given have least jerk, made smaller where a piece would overshoot (spline_knots); they are zero at an end
+    not given have least jerk, made smaller where a piece would overshoot (minimum_jerk); they are zero at an end
     where it starts from rest or comes to rest.
     start: jets (5, n) of a running reference at t = 0, which it begins with; all times are > 0 then. Without,
     it begins at the first point, with the velocity and acceleration given there, and stands there before.

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
 from ..numerics import checks
-from ..numerics.checks import Array
-from ..numerics.reference_checks import number, positive
+from ..numerics.checks import Array, number, positive
 from .bounds import Extremes
 from .piecewise_polynomial import Pieces
 from .reference import JETS, Reference

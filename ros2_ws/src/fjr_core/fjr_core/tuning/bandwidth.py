@@ -21,7 +21,7 @@ from ..control.vdpbc.gains import Gains
 from ..control.vdpbc.law import TrackingLaw
 from ..numerics.checks import Array
 from ..robot.robot import Robot
-from ..stability.law_slope import rest_position, slope_at_rest
+from ..stability.linearization import rest_position, slope_at_rest
 from ..trajectories.reference import Reference
 
 BANDWIDTH_TOLERANCE = 0.01  # relative; within it bandwidths count as equal

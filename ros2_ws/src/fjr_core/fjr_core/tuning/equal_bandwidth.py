@@ -8,7 +8,7 @@ Each law's gains follow from two numbers, a natural frequency and a damping rati
 2. The damping ratio is the law's usual one, unless another in its range makes the peak effort equal.
 3. Every command, v-dPBC's too, is cut at the same limit: v-dPBC's peak effort.
 
-What bandwidth and peak effort are: yardstick.py.
+What bandwidth and peak effort are: bandwidth.py.
 """
 
 from __future__ import annotations

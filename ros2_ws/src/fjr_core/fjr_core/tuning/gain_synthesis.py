@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..control.vdpbc.gains import Gains, relative_eigenvalues
+from ..control.vdpbc.linearized import feedback
 from ..errors import GainsError
 from ..numerics.checks import Array
 from ..robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
-from ..robot.equilibrium import Indices, RestPoints, feedback, plant_matrices, rest_points
+from ..robot.equilibrium import Indices, RestPoints, plant_matrices, rest_points
 from ..robot.robot import Robot
 from ..stability.linearization import SampledLoop, in_error_coordinates
 from ..stability.sampled_loop import FEW, checked_times

@@ -55,3 +55,13 @@ def read_certificate(message: Float64MultiArray) -> tuple[int, CertificateValues
     numbers = dict(zip(labels, np.asarray(message.data, dtype=float).tolist(), strict=True))
     stamp = round(numbers["sec"]) * SECOND + round(numbers["nanosec"])
     return stamp, CertificateValues(*(numbers[name] for name in CertificateValues._fields))
+
+
+def labelled(message: Float64MultiArray) -> dict[str, float]:
+    """Numbers by label: one dimension for each, or one for all with commas between its labels; empty without labels."""
+    labels = [dimension.label for dimension in message.layout.dim]
+    if len(labels) == 1:
+        labels = labels[0].split(",")
+    if len(labels) != len(message.data) or not all(labels):
+        return {}
+    return {label.strip(): float(value) for label, value in zip(labels, message.data, strict=True)}

@@ -62,18 +62,19 @@ class Rivals:
     def heard(self) -> str:
         """The topic on which anybody publishes within LISTENING seconds, "" for none; everything else waits.
 
-        They count from the moment on that all publishers are connected, MATCHING seconds later at most. Of two that
+        They count from the moment on that all publishers are connected, MATCHING seconds later at most, and only while
+        this process gets to look every _POLL: where the cores are busy, another publisher is late as well. Of two that
         listen to each other the one with the higher GID waits twice as long, and hears the other. Messages from before
         the call do not count: their sender may have ended. The subscriptions are older than the call, so that senders
         have found them and their next messages arrive.
         """
         yields = max(self._family, default=b"") > min(self._others, default=b"\xff")
         latest = time.monotonic() + MATCHING
-        end = math.inf
+        looks = round(LISTENING * (2 if yields else 1) / _POLL)
         self._taken()
-        while time.monotonic() < end:
-            if end == math.inf and (time.monotonic() > latest or self._connected()):
-                end = time.monotonic() + LISTENING * (2 if yields else 1)
+        while looks:
+            if time.monotonic() > latest or self._connected():
+                looks, latest = looks - 1, -math.inf
             if topic := self._taken():
                 return topic
             time.sleep(_POLL)

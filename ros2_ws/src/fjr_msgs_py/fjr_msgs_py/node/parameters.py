@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType, SetParametersResult
 from rclpy.lifecycle import LifecycleNode
-from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from fjr_core import FjrError, ParameterError
@@ -19,6 +17,7 @@ from fjr_core.config import builders, robot_file
 from fjr_core.config.parameter import Parameter, Value, complete, unknown
 
 from .command_line import overruled, same_value
+from .failure import EndingNode
 
 _SIM_TIME = "use_sim_time"
 _FOREIGN = (_SIM_TIME, "start_type_description_service", "qos_overrides.")
@@ -32,17 +31,7 @@ _TYPES = {
 _LIST_TYPES = {float: ParameterType.PARAMETER_DOUBLE_ARRAY, str: ParameterType.PARAMETER_STRING_ARRAY}
 
 
-class Host(Protocol):
-    """The process of a node."""
-
-    def end(self, error: FjrError) -> None:
-        """The node has ended: let the process end with the error's sentence."""
-
-    def take_care(self, values: Mapping[str, Any]) -> None:
-        """Something large was built from these values: care for the cycles that follow; raises ParameterError."""
-
-
-class CheckedParameters(Node):
+class CheckedParameters(EndingNode):
     """Mixin of a node whose parameters are a table of fjr_core.config.builders; `values` holds them, checked.
 
     Given values win over those of the robot file that they name, and these over defaults; paths of files are
@@ -53,23 +42,16 @@ class CheckedParameters(Node):
     Raises ParameterError for a value that does not fit, unless the node `may_wait` for a better one, and for a `-p` of
     the command line that a parameter file overrules.
     use_sim_time changes only while `is_open`: what is built follows one clock.
-
-    An FjrError that a callback of a timer, a subscription or a service raises ends the node: no such callback does
-    anything from then on, and the process around it ends with the error's sentence.
     """
 
     values: dict[str, Any]
-    host: Host | None = None
-    """The process, where the node has one of its own (fjr_msgs_py/node/process.py)."""
-    ended: FjrError | None = None
-    """Why the node has ended."""
     fault: ParameterError | None = None
     """Why the parameters do not fit, of a node that waits for better ones."""
     process_arguments: ClassVar[Sequence[str]] = ()
     """The command line of the process, where it was given to rclpy.init."""
 
     def __init__(self, name: str, own: builders.OwnParameters, **node_kwargs: Any) -> None:
-        """own: config.plant_parameters or config.controller_parameters; node_kwargs: as rclpy's Node."""
+        """own: plant_parameters or controller_parameters of fjr_core.config; node_kwargs: as rclpy's Node."""
         try:
             super().__init__(
                 name,
@@ -103,19 +85,6 @@ class CheckedParameters(Node):
         """Whether every parameter may change now, to be checked later by `recheck`."""
         return False
 
-    def end(self, error: FjrError) -> None:
-        """Do nothing more; without a process of its own the node says why in the log."""
-        self.ended = error
-        if self.host is None:
-            self.get_logger().error(f"ended: {error}")
-        else:
-            self.host.end(error)
-
-    def built(self) -> None:
-        """Tell the process that what answers messages is built, again if need be; raises ParameterError."""
-        if self.host is not None:
-            self.host.take_care(self.values)
-
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
         """Take over the complete new values, of which `names` were set; an FjrError refuses them all."""
 
@@ -135,30 +104,6 @@ class CheckedParameters(Node):
     def _has(self, parameter: RosParameter) -> bool:
         name = parameter.name
         return bool(self.has_parameter(name)) and same_value(self.get_parameter(name).value, parameter.value)
-
-    def create_timer(self, seconds: float, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """As of rclpy's Node; an FjrError of the callback ends the node."""
-        return super().create_timer(seconds, self._ending(callback), *args, **kwargs)
-
-    def create_subscription(self, kind: Any, name: str, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """As of rclpy's Node; an FjrError of the callback ends the node."""
-        return super().create_subscription(kind, name, self._ending(callback), *args, **kwargs)
-
-    def create_service(self, kind: Any, name: str, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """As of rclpy's Node; an FjrError of the callback ends the node, and the response is sent as it is then."""
-        return super().create_service(kind, name, self._ending(callback), *args, **kwargs)
-
-    def _ending(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        @wraps(callback)
-        def call(*arguments: Any) -> Any:
-            if self.ended is None:
-                try:
-                    return callback(*arguments)
-                except FjrError as error:
-                    self.end(error)
-            return arguments[-1] if arguments else None
-
-        return call
 
     def _taken_over(self) -> dict[str, Any]:
         """Return the parameters that were given; those that only other nodes have are dropped."""

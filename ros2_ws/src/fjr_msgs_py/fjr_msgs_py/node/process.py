@@ -84,7 +84,7 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
 
 
 class _Host:
-    """The process as its node sees it (node_parameters.Host), and the loop that serves the node's callbacks."""
+    """The process as its node sees it (failure.Host), and the loop that serves the node's callbacks."""
 
     ended: FjrError | None = None
 

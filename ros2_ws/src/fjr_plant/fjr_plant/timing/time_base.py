@@ -14,9 +14,9 @@ from fjr_core.numerics.checks import Array
 from fjr_msgs_py.messages.joint_states import EffortReader
 from fjr_msgs_py.node.diagnostics import Health
 
+from ..channel import Transport
 from ..simulated_robot import SimulatedRobot
 from ..state_publisher import Sample, StatePublisher
-from ..transport import Transport
 from .deferred_service import Answer
 
 

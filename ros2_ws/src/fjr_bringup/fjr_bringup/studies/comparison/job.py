@@ -19,7 +19,7 @@ from fjr_core.errors import CompareError, FjrError
 from fjr_core.experiments.comparison import Needs, Trial, directions, needs
 from fjr_core.experiments.comparison.tuned_law import Column, column
 from fjr_core.numerics.jit import can_compile
-from fjr_core.numerics.program_digest import program_digest
+from fjr_core.numerics.jit_cache import program_digest
 from fjr_core.simulation.batch import ClosedLoop
 
 DRAWN = 600  # points of a trace

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fjr_bringup.formatting import DASH
-from fjr_bringup.studies.comparison.results import extent
-from fjr_bringup.studies.comparison.rows import Row, rows
+from fjr_bringup.studies.comparison.results import Row, extent, rows
 from fjr_bringup.studies.comparison.suite import NOMINAL
 from fjr_core.errors import CompareError
 

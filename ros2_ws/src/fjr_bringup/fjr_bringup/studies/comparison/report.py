@@ -11,8 +11,7 @@ from typing import Any
 from fjr_bringup.formatting import number, plural
 from fjr_bringup.report import html
 from fjr_bringup.studies.comparison.report_figures import comparison_plots, looks, place_of
-from fjr_bringup.studies.comparison.results import extent
-from fjr_bringup.studies.comparison.rows import Row, Value, rows
+from fjr_bringup.studies.comparison.results import Row, Value, extent, rows
 
 HOW = (
     "Drag over a plot to enlarge it, double-click to go back. All figures are in comparison.json beside this page. "
@@ -22,7 +21,7 @@ COLOURED = {"lost": "maybe", "unstable": "no"}
 
 
 def write_page(path: Path, document: dict[str, Any]) -> None:
-    """Write the page of a comparison (compare_document)."""
+    """Write the page of a comparison (results.document)."""
     found = rows(document)
     body = [*_head(document)]
     for i, robot in enumerate(document["robots"]):

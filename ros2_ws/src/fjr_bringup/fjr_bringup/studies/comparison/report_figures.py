@@ -10,8 +10,7 @@ import numpy as np
 
 from fjr_bringup.recording.reader import Array
 from fjr_bringup.report.figure import Line, Plot
-from fjr_bringup.studies.comparison.results import law_without_additions
-from fjr_bringup.studies.comparison.rows import Row, rows
+from fjr_bringup.studies.comparison.results import Row, law_without_additions, rows
 
 AXIS_WORDS = {
     "stiffness": ("Wrong stiffness", "true stiffness / the model's", 1.0),

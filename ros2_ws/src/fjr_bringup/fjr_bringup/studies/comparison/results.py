@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from fjr_bringup.formatting import plural
+from fjr_bringup.formatting import DASH, number, percent, plural
 from fjr_bringup.studies.comparison.job import Job, Result
-from fjr_bringup.studies.comparison.suite import Suite
+from fjr_bringup.studies.comparison.suite import NOMINAL, Suite
 from fjr_core.control.registry import LAWS
+from fjr_core.experiments.comparison.perturbations import AXES, Direction, directions
 
 SHORT = {
     "pd_gravity": "PD + gravity",
@@ -59,3 +61,123 @@ def _known(name: str) -> dict[str, str]:
     """What there is to know of a law whatever it runs on."""
     kind = LAWS[name]
     return {"full_title": kind.title, "paper": kind.paper, "measures": kind.measures, "adds": kind.adds}
+
+
+TIE = 0.05  # what differs by less is as good
+Words = Callable[[float], str]
+
+
+@dataclass(frozen=True)
+class Value:
+    """What a law has in a row. number: None where there is none. state: tracks, lost (not tracking) or unstable."""
+
+    number: float | None
+    words: str
+    state: str = "tracks"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity of one robot. group: under which heading; less: whether less is better."""
+
+    robot: str
+    group: str
+    what: str
+    values: tuple[Value, ...]
+    less: bool = True
+
+    @property
+    def best(self) -> tuple[bool, ...]:
+        """Of each law whether none is better by more than TIE; only what tracks can be best."""
+        costs = self._costs()
+        least = min(costs)
+        return tuple(cost < math.inf and cost <= least * (1 + TIE) for cost in costs)
+
+    def _costs(self) -> list[float]:
+        """Of each law a positive number, less is better; infinite for what does not count."""
+        return [_cost(value, self.less) for value in self.values]
+
+
+def _cost(value: Value, less: bool) -> float:
+    if value.number is None or value.state != "tracks":
+        return math.inf
+    if less:
+        return value.number
+    return 1 / value.number if value.number > 0 else math.inf
+
+
+def rows(document: dict[str, Any]) -> list[Row]:
+    """All rows of a comparison (results.document), robot by robot: margins, errors, what else of the nominal plant."""
+    found: list[Row] = []
+    for robot in document["robots"]:
+        laws = [document["results"][robot][law["label"]] for law in document["laws"]]
+        found += _margins(robot, laws, document["suite"]["margins"])
+        found += _errors(robot, laws, document)
+        found += _metrics(robot, laws, document)
+    return found
+
+
+def _margins(robot: str, laws: Sequence[Any], axes: Sequence[str]) -> Iterator[Row]:
+    for direction in directions(axes):
+        words = _level_words(direction)
+        values = tuple(_margin(law["margins"][direction.name], words, direction) for law in laws)
+        yield Row(robot, "margins", direction.name, values, less=direction.axis.is_factor and direction.end < 1)
+
+
+def _margin(edge: dict[str, float | None], words: Words, direction: Direction) -> Value:
+    level = edge["level"]
+    if level is None:
+        return Value(None, DASH, "lost")
+    further = "≤ " if direction.end < direction.axis.nominal else "≥ "
+    return Value(level, (further if edge["beyond"] is None else "") + words(level))
+
+
+def _level_words(direction: Direction) -> Words:
+    return lambda level: level_words(direction.axis.name, level)
+
+
+def level_words(axis: str, level: float) -> str:
+    """A level of an imperfection with its unit."""
+    if AXES[axis].is_factor:
+        return f"× {number(level, digits=3)}"
+    if AXES[axis].unit == "s":
+        return number(level * 1e3, "ms", 2)
+    if AXES[axis].unit == "rad":
+        return number(level * 1e3, "mrad", 2)
+    return percent(level, 0 if level >= 0.1 else 1)
+
+
+def _errors(robot: str, laws: Sequence[Any], document: dict[str, Any]) -> Iterator[Row]:
+    """RMS errors under every imperfection along every reference."""
+    for reference in document["robots"][robot]["references"]:
+        for name in document["suite"]["imperfections"]:
+            cells = [law["cells"][reference][name] for law in laws]
+            yield Row(robot, f"errors {reference}", name, tuple(_value(cell, "rms", milliradians) for cell in cells))
+
+
+METRICS: tuple[tuple[str, str, Words], ...] = (
+    ("largest error", "peak", lambda v: milliradians(v)),
+    ("settled after", "settling", lambda v: number(v, "s")),
+    ("RMS effort", "effort_rms", lambda v: number(v, "N m")),
+    ("peak effort", "effort_peak", lambda v: number(v, "N m")),
+    ("mean power", "power", lambda v: number(v, "W")),
+)
+
+
+def _metrics(robot: str, laws: Sequence[Any], document: dict[str, Any]) -> Iterator[Row]:
+    for reference in document["robots"][robot]["references"]:
+        cells = [law["cells"][reference][NOMINAL] for law in laws]
+        for what, name, words in METRICS:
+            yield Row(robot, f"metrics {reference}", what, tuple(_value(cell, name, words) for cell in cells))
+
+
+def _value(cell: dict[str, Any], name: str, words: Words) -> Value:
+    if not cell["stable"]:
+        return Value(None, "unstable", "unstable")
+    value = cell[name]
+    return Value(value, DASH if value is None else words(value), "tracks" if cell["tracks"] else "lost")
+
+
+def milliradians(value: float) -> str:
+    """mrad, short."""
+    return number(value * 1e3, "", 3)

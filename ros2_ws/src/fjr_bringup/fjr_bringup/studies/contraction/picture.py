@@ -12,8 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fjr_bringup.plotting.joint_lines import COLOURS
-from fjr_bringup.plotting.overview import STYLE
-from fjr_bringup.plotting.panels import GREY
+from fjr_bringup.plotting.overview import GREY, STYLE
 from fjr_bringup.recording.reader import Array
 from fjr_core.stability.contraction import Contraction, Measured
 

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from fjr_bringup.formatting import number, percent
 from fjr_bringup.plotting.joint_lines import COLOURS
-from fjr_bringup.plotting.overview import STYLE
-from fjr_bringup.plotting.panels import GREY
+from fjr_bringup.plotting.overview import GREY, STYLE
 from fjr_bringup.studies.monte_carlo.store import Store
 from fjr_core.experiments.monte_carlo.distributions import LOG_UNIFORM
 from fjr_core.experiments.monte_carlo.sensitivity import Effect, Summary

@@ -2,7 +2,7 @@
 """Integrator backstepping: B. Brogliato, R. Ortega, R. Lozano, "Global tracking controllers for flexible-joint
 manipulators: a comparative study", Automatica 31(7), 1995.
 
-    theta_d = q + K^-1 tau_d (cascade.py)      e_m = theta - theta_d      s_m = de_m + c_1 e_m + s
+    theta_d = q + K^-1 tau_d                   e_m = theta - theta_d      s_m = de_m + c_1 e_m + s
     B_m u   = M_m (ddtheta_d - c_1 de_m - ds - c_2 s_m) - K e_m + D_m dtheta + K (theta - q)
 
 The link stage is the law of Slotine and Li. The paper's unit weights of e_m and s_m are K and M_m here, which gives
@@ -26,7 +26,31 @@ from ...numerics.checks import Array
 from ...robot.robot import Robot
 from ..lie_derivative import Flow
 from .baseline import Baseline, damping, effort, rate
-from .cascade import link_stage
+
+
+@dataclass(frozen=True)
+class LinkStage:
+    """e = q - q_d, de, s = de + Lambda e, and the wanted spring torque tau_d; expressions (n,).
+
+    With theta_d so that the springs give tau_d at the error zero of the motors, M_l ds + (C_l + D_l + K_1) s = what
+    the springs give beyond tau_d.
+    """
+
+    e: ca.SX
+    de: ca.SX
+    s: ca.SX
+    tau_d: ca.SX
+
+
+def link_stage(f: Flow, g: SimpleNamespace) -> LinkStage:
+    """tau_d = M_l ddq_r + C_l dq_r + D_l dq_r + grad P_l - K_1 s,  dq_r = dq_d - Lambda e; Lambda (1,), K_1 (n, n)."""
+    links, m = f.robot.links, f.measured
+    e, de = m.q_l - f.jets[:, 0], m.dq_l - f.jets[:, 1]
+    dq_r = f.jets[:, 1] - g.Lambda * e
+    ddq_r = f.jets[:, 2] - g.Lambda * de
+    s = m.dq_l - dq_r
+    tau_d = f.M_l @ ddq_r + links.C(m.q_l, m.dq_l, dq_r) + f.robot.D_l @ dq_r + links.grad_P_l(m.q_l) - g.K_1 @ s
+    return LinkStage(e, de, s, tau_d)
 
 
 @dataclass(frozen=True, eq=False)

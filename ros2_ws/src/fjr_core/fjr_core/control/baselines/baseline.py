@@ -30,7 +30,7 @@ class BaselineGains(Protocol):
 class Baseline(StaticLaw):
     """A law of a robot with given gains: u and V of what is measured, and of q_ld .. d4q_ld.
 
-    compile: as machine code where the machine has a C compiler (compile.compiled); the same numbers to rounding.
+    compile: as machine code where the machine has a C compiler (numerics.jit); the same numbers to rounding.
     Raises GainsError (see the gains) at birth, StateError for wrong shapes.
     """
 

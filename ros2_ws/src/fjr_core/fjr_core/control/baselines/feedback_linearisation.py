@@ -5,7 +5,7 @@ Measurement and Control 109(4), 1987; A. De Luca, "Feedforward/feedback laws for
 
     d4q = d4q_d - A_3 (d3q - d3q_d) - A_2 (ddq - ddq_d) - A_1 (dq - dq_d) - A_0 (q - q_d)
 
-and u by the inverse dynamics (inverse.py) of that motion, with ddq and d3q of the links from the model. So the link
+and u by the inverse dynamics of that motion, with ddq and d3q of the links from the model. So the link
 error obeys this linear equation exactly, and with z = (e, de, dde, d3e) and A' P + P A = -Q of its companion matrix A,
 V = z' P z / 2 has dV/dt = -z' Q z / 2. Q = diag(1, w^-2, w^-4, w^-6), w^4n = det A_0.
 """

@@ -3,7 +3,7 @@
 
     u = u_d - F x~,   x~ = (q - q_d, theta - theta_d, dq - dq_d, dtheta - dtheta_d)
 
-u_d, theta_d by the inverse dynamics of the reference (inverse.py). A, B: the robot linearised at rest at one
+u_d, theta_d by the inverse dynamics of the reference. A, B: the robot linearised at rest at one
 configuration; P solves A' P + P A - P B R^-1 B' P + Q = 0, F = R^-1 B' P, the least of the integral of
 x~' Q x~ + u~' R u~ for the linear system. V = x~' P x~ / 2 has dV/dt = -(x~' Q x~ + u~' R u~) / 2 there, for small
 errors about that configuration at rest; away from it nothing is proven.

@@ -8,7 +8,7 @@ PdGravity: P. Tomei, "A simple PD controller for robots with elastic joints", IE
 leaves an error, which inertia and friction make.
 
 PdFeedforward: A. De Luca, "Feedforward/feedback laws for the control of flexible robots", ICRA 2000. theta_d and
-tau_ff = M_m ddtheta_d + D_m dtheta_d + tau_d by the inverse dynamics (inverse.py) of the reference alone; where the
+tau_ff = M_m ddtheta_d + D_m dtheta_d + tau_d by the inverse dynamics of the reference alone; where the
 reference stands, both laws are the same.
 
 Only the motors are measured. Where the reference stands, q_d is the only rest and

@@ -4,7 +4,7 @@ ASME J. Dynamic Systems, Measurement and Control 109(4), 1987; Spong, Khorasani,
 Automation 3(4), 1987 (integral manifold).
 
     slow   ddq = v(q, dq, t) = ddq_d - K_v (dq - dq_d) - K_p (q - q_d), as if the joints were rigid
-    u      = the inverse dynamics (inverse.py) of that slow flow - B_m^-1 K_f (dtheta - dtheta_s)
+    u      = the inverse dynamics of that slow flow - B_m^-1 K_f (dtheta - dtheta_s)
 
 q, dq are measured, the higher derivatives are v and its rates along the slow flow; theta_s, dtheta_s are the motors' on
 it. What goes beyond the rigid computed torque (M_l + M_m) v + n is of order 1/K: the correction, which makes

@@ -11,7 +11,7 @@ grad P_l(q_bar(theta)) is gravity where the links would rest (online_gravity.py)
 K_theta > 0, and from the torque -(tau - g_bar) to dtheta the motors are passive. The paper regulates:
 theta_d = q_d + K^-1 grad P_l(q_d), and where the reference stands dV/dt = -dq' D_l dq - dtheta' (D_m + D_theta) dtheta.
 
-TorqueFeedbackFeedforward adds what users add for a moving reference: theta_d by the inverse dynamics (inverse.py) of
+TorqueFeedbackFeedforward adds what users add for a moving reference: theta_d by the inverse dynamics of
 the reference, and in w  M_theta ddtheta_d + D_m dtheta_d + tau_d - g_bar(theta_d).
 """
 

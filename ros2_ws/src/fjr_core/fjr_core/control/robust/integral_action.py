@@ -17,9 +17,10 @@ import numpy as np
 
 from ...numerics.checks import Array
 from ...robot.configuration_sampling import sample_configurations
-from ...robot.equilibrium import RestPoints, error_dynamics, error_matrices, metric_roots, rest_points
+from ...robot.equilibrium import RestPoints, rest_points
 from ...robot.robot import Robot
 from ..vdpbc.gains import CheckedGains
+from ..vdpbc.linearized import error_dynamics, error_matrices, metric_roots
 
 Terms = dict[str, ca.MX]
 CONFIGURATIONS = 64  # sampled: where the ports at rest are looked at

@@ -14,7 +14,8 @@ from ...numerics.casadi_function import NumericFunction, dense_function
 from ...numerics.checks import Array
 from ...numerics.jit_cache import recalled
 from ...robot.robot import Robot
-from ..lie_derivative import REFERENCE_DERIVATIVES, Flow, flow
+from ...trajectories.reference import REFERENCE_DERIVATIVES
+from ..lie_derivative import Flow, flow
 from ..static_law import StaticLaw
 from .convergence_rate import Rate, rate
 from .gains import Gains
@@ -48,7 +49,7 @@ class TrackingLaw(StaticLaw):
 
     The controller applies u(x, x, t); analysis uses x_v != x. x_v and x are states (4n,) with momenta,
     jets (5, n) holds q_ld .. d4q_ld, omega (n,) [N m] is the external input of eq. (42).
-    compile: as machine code where the machine has a C compiler (compile.compiled); the same numbers to rounding.
+    compile: as machine code where the machine has a C compiler (numerics.jit); the same numbers to rounding.
     Raises GainsError (see Gains.checked) at birth, StateError for wrong shapes. Nothing is limited and
     nothing non-finite is caught here: that is the caller's.
     """
@@ -116,7 +117,7 @@ class TrackingLaw(StaticLaw):
 
     def derived(self, name: str, build: Callable[[], ca.Function]) -> ca.Function:
         """What `build` derives from robot and shape of the gains; as machine code, which is found again, where so."""
-        return recalled(name, self.robot, self._symbols.pattern, build) if self.compiles else build()
+        return recalled(name, self.robot.fingerprint(), self._symbols.pattern, build) if self.compiles else build()
 
     @property
     def gain_values(self) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.safety import safety
-from ...config.scenario import Scenario, parse_scenario
+from ...config.scenario import Scenario, left_out, parse_scenario
 from ...errors import FjrError, ParameterError
 from ...simulation.batch import counter_rng
 from ...simulation.batch.closed_loop import ClosedLoop
@@ -24,7 +24,6 @@ from ...simulation.batch.uncertain_robot import FRICTION
 from ...simulation.nonideal_parameters import Imperfections, friction_rate
 from . import distributions
 from .distributions import Distribution
-from .scope import refuse_what_is_left_out
 
 MEASURES = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
 """Outcomes that success may set a limit to."""
@@ -207,3 +206,21 @@ def run_part(text: str, begin: int, end: int, compiled: bool) -> Columns:
             here, there = ("without", "with") if compiled else ("with", "without")
             raise CampaignError(f"a worker is {here} a C compiler; expected one {there}, as where the campaign began")
     return sweep.part(begin, end)
+
+
+INTEGRATOR = "rk4"
+
+
+def refuse_what_is_left_out(scenario: Scenario, instead: str) -> None:
+    """Raise ParameterError where the scenario's plant or measurement do what a campaign would leave out in silence.
+
+    instead: the sentence's end, where to say such things.
+    """
+    integrator = scenario.plant_values["integrator"]
+    if integrator != INTEGRATOR:
+        raise ParameterError(
+            f"parameter 'integrator' is '{integrator}'; expected '{INTEGRATOR}', which is what runs here"
+        )
+    names = left_out(scenario)
+    if names:
+        raise ParameterError(f"the scenario sets {', '.join(names)}; expected the default here: {instead}")

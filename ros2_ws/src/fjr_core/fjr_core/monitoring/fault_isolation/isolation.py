@@ -12,8 +12,9 @@ from ...control.vdpbc.law import TrackingLaw
 from ...numerics.checks import Array
 from ..certificate import Balance
 from ..delay_estimation import acting, effort_age
-from ..innovations import Record, intervals, needed
+from ..innovations import intervals, needed
 from ..one_step_prediction import Prediction
+from ..record import Record
 from ..thresholds import LONGEST_GAP
 from ..wiring.check import WiringCheck, WiringFault
 from .hypotheses import Hypothesis, hypotheses

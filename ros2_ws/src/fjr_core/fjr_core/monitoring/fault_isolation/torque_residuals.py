@@ -21,8 +21,9 @@ from ...control.vdpbc.law import TrackingLaw
 from ...numerics.checks import Array
 from ...robot.robot import Robot
 from ..delay_estimation import Acting, acting, effort_age
-from ..innovations import Intervals, Record, consecutive, foreseen, held, needed
+from ..innovations import Intervals, consecutive, foreseen, held, needed
 from ..one_step_prediction import Prediction
+from ..record import Record
 from ..thresholds import BLOCK
 
 FEWEST_BLOCKS = 20

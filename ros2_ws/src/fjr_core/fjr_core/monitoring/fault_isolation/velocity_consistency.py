@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...numerics.checks import Array
-from ..innovations import Record, consecutive
+from ..innovations import consecutive
+from ..record import Record
 from ..thresholds import BLOCK
 from .torque_residuals import FEWEST_BLOCKS, block_means, deviation
 

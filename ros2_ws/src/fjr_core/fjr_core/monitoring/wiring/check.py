@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find exchanged joints and wrong signs of efforts and encoders in the first samples of a run.
 
-A joint whose signals do not follow each other (wiring_signals) is suspected. Every hypothesis on the wiring is then
+A joint whose signals do not follow each other (signals) is suspected. Every hypothesis on the wiring is then
 undone in the data. One that makes the signals follow, and that no other measured torque contradicts, is the fault.
 """
 

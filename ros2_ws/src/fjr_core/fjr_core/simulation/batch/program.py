@@ -17,7 +17,7 @@ import numpy as np
 from ...control.sampled_law import ARGUMENTS, SampledLaw
 from ...numerics.casadi_function import dense_function
 from ...numerics.jit import loaded
-from ...numerics.program_digest import program_digest
+from ...numerics.jit_cache import program_digest
 from ...robot.robot import Robot
 from .uncertain_robot import UncertainPlant, size
 

@@ -11,10 +11,10 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.config import builders, parameter
+from fjr_core.config.description import description
 from fjr_core.config.robot_file import inlined
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import ParameterError
-from fjr_core.robot.urdf_export import description
 
 SCENARIOS = Path(__file__).parents[3] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
 

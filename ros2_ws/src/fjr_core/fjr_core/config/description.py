@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot of a node's parameters as a URDF: an arm's own, or one for a robot in closed form."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+from ..robot.urdf_export import Rod, hanging_rod, urdf_of_rods
+from . import robot_file
+from .parameter import Values, names, vector
+from .robot import MODEL
+
+
+def description(values: Values) -> str:
+    """URDF text of the robot that the values of robot_parameters describe; raises ParameterError for no file.
+
+    Robots in closed form hang along -z in the x-z plane; their gravity is the model's, not the reader's.
+    """
+    if values[MODEL.name] == "urdf":
+        return str(robot_file.inlined(values)["robot.urdf"])
+    build = {"single_link": _single_link, "planar_two_link": _planar_two_link}[str(values[MODEL.name])]
+    return urdf_of_rods(str(values[MODEL.name]), names(values, "joints"), build(values))
+
+
+def robot_name(values: Values) -> str:
+    """Return the name that the robot has in its URDF."""
+    return str(ElementTree.fromstring(description(values)).get("name", ""))
+
+
+def _single_link(values: Values) -> list[Rod]:
+    inertia, load = (float(vector(values, f"robot.{name}", 1)[0]) for name in ("link_inertia", "gravity_torque"))
+    return [hanging_rod(inertia, load)]
+
+
+def _planar_two_link(values: Values) -> list[Rod]:
+    columns = (vector(values, f"robot.link_{name}", 2) for name in ("mass", "length", "com", "inertia"))
+    return [Rod(*map(float, row)) for row in zip(*columns, strict=True)]

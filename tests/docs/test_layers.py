@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Imports run one way: between the packages, and within each from the higher layer to the lower one."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from docs.pages import ROOT
+
+SOURCES = ROOT / "ros2_ws" / "src"
+PACKAGES = ("fjr_core", "fjr_msgs_py", "fjr_plant fjr_controller", "fjr_bringup")
+"""From the bottom up; what stands in one entry does not import each other."""
+LAYERS = {
+    "fjr_core": (
+        "errors files",
+        "numerics",
+        "robot",
+        "estimation trajectories",
+        "control",
+        "stability simulation",
+        "tuning monitoring",
+        "config",
+        "experiments codegen",
+    ),
+    "fjr_msgs_py": ("names", "messages", "node"),
+    "fjr_plant": ("state_publisher", "channel", "sensors", "simulated_robot", "timing", "plant_node", "executable"),
+    "fjr_controller": ("tracking", "ros", "trajectory", "components", "controller_node", "executable"),
+    "fjr_bringup": (
+        "atomic_file formatting interrupt progress",
+        "recording",
+        "analysis",
+        "plotting",
+        "report",
+        "scenarios runner monitor",
+        "studies",
+        "cli",
+    ),
+}
+"""Zones and files of each package from the bottom up: a layer imports what is below it, no other zone of its own."""
+
+
+def level(layers: tuple[str, ...], name: str) -> int | None:
+    return next((i for i, entry in enumerate(layers) if name in entry.split()), None)
+
+
+def modules(package: str) -> Iterator[tuple[str, Path]]:
+    """Dotted name and file of each module of a package."""
+    for file in sorted((SOURCES / package / package).rglob("*.py")):
+        parts = file.relative_to(SOURCES / package).with_suffix("").parts
+        yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), file
+
+
+def imported(name: str, file: Path) -> Iterator[str]:
+    """Dotted names that a module imports, those from a package with the name that is taken."""
+    package = name.split(".") if file.stem == "__init__" else name.split(".")[:-1]
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+def upwards(layers: tuple[str, ...], importer: str, name: str) -> str | None:
+    """The sentence about an import that does not run downwards, where both names have a layer."""
+    here, there = level(layers, importer), level(layers, name)
+    if here is None or there is None or importer == name or there < here:
+        return None
+    return f"{importer} (L{here}) imports {name} (L{there})"
+
+
+def violations(package: str) -> list[str]:
+    """Imports of a package that do not run downwards, one sentence each."""
+    found = []
+    for module, file in modules(package):
+        for target in imported(module, file):
+            top, _, rest = target.partition(".")
+            if top == package and rest and "." in module:
+                sentence = upwards(LAYERS[package], module.split(".")[1], rest.split(".")[0])
+            else:
+                sentence = upwards(PACKAGES, package, top)
+            found += [f"{module}: {sentence}"] if sentence else []
+    return found
+
+
+@pytest.mark.parametrize("package", LAYERS)
+def test_imports_run_downwards(package: str) -> None:
+    assert violations(package) == []
+
+
+@pytest.mark.parametrize("package", LAYERS)
+def test_every_module_has_a_layer(package: str) -> None:
+    tops = {module.split(".")[1] for module, _ in modules(package) if "." in module}
+    assert {top for top in tops if level(LAYERS[package], top) is None} == set()
+    assert {name for entry in LAYERS[package] for name in entry.split()} == tops
