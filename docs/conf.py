@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How Sphinx builds the pages and the API reference (`make docs`, tools/docs/build_docs.py)."""
 
+from docstring_text import as_rst
 from sphinx.application import Sphinx
-
-from docs.docstring_text import as_rst
 
 project = "fjr"
 author = copyright = "The fjr authors"
