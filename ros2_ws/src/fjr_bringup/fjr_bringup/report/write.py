@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a recorded run to its report and page, and the short table at the end of the command."""
+"""Write report.json, report.html and overview.png of a run; format the table at the end of a command."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ PAGE, FIGURES, COMPARISON = "report.html", "report.json", "comparison.html"
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A finished run: where its report is, what it showed, and what that was drawn from."""
+    """A reported run: the folder of its report, the report and the run's data. label: unique among several runs."""
 
     folder: Path
     report: Report
     data: TrackingData
-    label: str = ""  # tells it from others beside it
+    label: str = ""
 
 
 def summarise(
     name: str, folder: Path, duration: float | None, skipped: Mapping[str, str] | None = None, failure: str = ""
 ) -> RunSummary:
-    """Write report.json, report.html and overview.png into a run's folder, also of a run that diverged or hardly began.
+    """Write report.json, report.html and overview.png into a run's folder, also if the run diverged or ended early.
 
-    duration: how long it was to run [s], None for as long as it was answered; skipped: topics that could not be
-    recorded; failure: why it ended early.
+    duration: planned duration [s]; None: up to the last answered state. skipped: topics that could not be recorded.
+    failure: why the run ended early.
     """
     scenario, bag = load_scenario(folder / "scenario.yaml"), read_bag(folder / "bag")
     summary = reported(name, bag, scenario, folder, duration, skipped, failure)
@@ -61,7 +61,7 @@ def reported(
     skipped: Mapping[str, str] | None = None,
     failure: str = "",
 ) -> RunSummary:
-    """Write report.json and report.html of any bag into a folder; the rest as in summarise."""
+    """Write report.json and report.html of any bag into a folder; for the arguments see summarise."""
     with quietly():
         data = tracking_data(bag, scenario, duration or np.inf)
         lasted = duration or float(data.t[-1]) + data.sample_period
@@ -83,7 +83,7 @@ def reported(
 
 @contextmanager
 def quietly() -> Iterator[None]:
-    """No warnings of numpy and matplotlib about values that are not finite: these are what a report is for."""
+    """Suppress warnings of NumPy and Matplotlib about values that are not finite; a report shows them."""
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
@@ -97,7 +97,7 @@ def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
 
 
 def table(summaries: Sequence[RunSummary]) -> str:
-    """Return the figures that matter, one line per run, then the faults found; first why a controller stopped."""
+    """Return why controllers stopped, a table with one line per run, and the faults found."""
     head = (
         "scenario",
         "peak effort",
@@ -114,7 +114,7 @@ def table(summaries: Sequence[RunSummary]) -> str:
 
 
 def stops(summaries: Sequence[RunSummary]) -> list[str]:
-    """A headline for each run in which the controller stopped."""
+    """Return a sentence for each run in which the controller stopped."""
     return [f"{each.label}: {each.report.stop.sentence}" for each in summaries if each.report.stop]
 
 
@@ -161,11 +161,11 @@ def _number(value: float | None, form: str) -> str:
 
 
 def where_to_look(summaries: Sequence[RunSummary]) -> str:
-    """Paths of what was written, for a browser."""
+    """Return the paths of the pages and the JSON files."""
     return "\n".join(["", *(f"{each.label}: {each.folder / PAGE}, {each.folder / FIGURES}" for each in summaries)])
 
 
 def how_to_play(bag: Path) -> str:
-    """How to play a bag."""
+    """Return the command that plays a bag."""
     storage = next(bag.glob("*.mcap"), bag)
     return f"play a bag: ros2 bag play {shlex.quote(str(bag))}   (or open {storage} in Foxglove or PlotJuggler)"
