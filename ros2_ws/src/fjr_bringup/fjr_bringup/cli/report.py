@@ -12,7 +12,7 @@ from typing import Any
 
 from fjr_bringup.recording.formats import files_of
 from fjr_bringup.recording.reader import read_bag
-from fjr_bringup.report.write import FIGURES, RunSummary, compare, reported, table, where_to_look
+from fjr_bringup.report.write import METRICS, RunSummary, compare, output_paths, report_bag, table
 from fjr_bringup.scenarios import library
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import FjrError
@@ -76,7 +76,7 @@ def _print(summaries: Sequence[RunSummary], failures: Sequence[str], output: Pat
     if not summaries:
         return
     print(table(summaries))
-    print(where_to_look(summaries))
+    print(output_paths(summaries))
     if len(summaries) > 1:
         print(f"side by side: {compare(summaries, output or _common(summaries))}")
 
@@ -86,8 +86,8 @@ def _report(source: Source, namespace: str) -> RunSummary:
     if size > LARGE:
         print(f"fjr: reading {source.bag}, {size / 1e6:.0f} MB", file=sys.stderr, flush=True)
     bag = read_bag(source.bag, namespace)
-    known = _known(source.scenario.with_name(FIGURES))
-    return reported(
+    known = _known(source.scenario.with_name(METRICS))
+    return report_bag(
         source.name,
         bag,
         load_scenario(source.scenario),
@@ -138,7 +138,7 @@ def _unlinked(path: Path) -> Path:
 
 def _run_name(folder: Path) -> str:
     """Return the scenario's name from the run's report, or the folder's name if there is no report."""
-    name = _known(folder / FIGURES).get("scenario")
+    name = _known(folder / METRICS).get("scenario")
     return Path(name).name if isinstance(name, str) and Path(name).name else folder.resolve().name
 
 

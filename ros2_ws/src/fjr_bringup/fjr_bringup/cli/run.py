@@ -12,7 +12,7 @@ from typing import Any
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
 from fjr_bringup.interrupt import stoppable
-from fjr_bringup.report.write import RunSummary, compare, how_to_play, stops, summarise, table, where_to_look
+from fjr_bringup.report.write import RunSummary, compare, output_paths, play_command, report_run, stops, table
 from fjr_bringup.runner.run import Plan, RunError
 from fjr_bringup.runner.run import run as run_plan
 from fjr_bringup.scenarios import library
@@ -61,20 +61,20 @@ def _record_and_report(plan: Plan) -> RunSummary:
         if error.kept:
             _report_failure(plan.name, error.kept, error)
         raise
-    return summarise(plan.name, recorded.folder, plan.duration, recorded.skipped)
+    return report_run(plan.name, recorded.folder, plan.duration, recorded.skipped)
 
 
 def _report_failure(name: str, folder: Path, error: RunError) -> None:
     """Write the report of a run that failed, as far as its bag holds data."""
     with suppress(FjrError):
-        summary = summarise(name, folder, None, failure=str(error).partition("\n")[0])
-        print("\n".join([*stops([summary]), where_to_look([summary])]), file=sys.stderr)
+        summary = report_run(name, folder, None, failure=str(error).partition("\n")[0])
+        print("\n".join([*stops([summary]), output_paths([summary])]), file=sys.stderr)
 
 
 def _print(summaries: Sequence[RunSummary]) -> None:
     print(table(summaries))
-    print(where_to_look(summaries))
-    print(how_to_play(Path(summaries[0].report.bag)))
+    print(output_paths(summaries))
+    print(play_command(Path(summaries[0].report.bag)))
 
 
 def _exit_code(summaries: Sequence[RunSummary]) -> Exit:

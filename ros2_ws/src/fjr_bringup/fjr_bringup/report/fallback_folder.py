@@ -12,7 +12,7 @@ from pathlib import Path
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOTDIR)
 
 
-def written(folder: Path, write: Callable[[Path], object]) -> Path:
+def write_with_fallback(folder: Path, write: Callable[[Path], object]) -> Path:
     """Create the folder and call `write` with it, or with a new temporary folder if the first cannot be written.
 
     Return the folder that was written. Raises OSError if neither can be.

@@ -66,7 +66,7 @@ class Plot:
 
     def packed(self, pool: Pool) -> dict[str, Any]:
         """Return the plot as a value for page.js; its arrays are added to the pool."""
-        rows = thinned([line.values for line in self.lines], DRAWN)
+        rows = decimated([line.values for line in self.lines], DRAWN)
         return {
             "name": self.name,
             "title": self.title,
@@ -91,7 +91,7 @@ def colour(number: int) -> str:
     return f"c{number % COLOURS + 1}"
 
 
-def thinned(columns: Sequence[Array], limit: int) -> NDArray[np.intp]:
+def decimated(columns: Sequence[Array], limit: int) -> NDArray[np.intp]:
     """Return the sorted indices to draw: all, or the minimum and maximum of each column in each bucket.
 
     columns: arrays (k,). limit: number of points above which they are decimated.

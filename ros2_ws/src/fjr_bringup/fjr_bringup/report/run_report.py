@@ -13,7 +13,7 @@ from fjr_bringup.formatting import milliseconds, number, percent
 from fjr_bringup.report import html
 from fjr_bringup.report.run_figures import run_plots
 
-HOW = (
+FOOTER = (
     "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. "
     "All plots over time zoom together. Computed by fjr report from the bag and the scenario alone; needs no network."
 )
@@ -34,7 +34,7 @@ def write_run_page(path: Path, data: TrackingData, report: Report, flow: Power) 
         position=headlines.position_unit(report),
         effort=headlines.effort_unit(report),
         json=html.as_json(report.as_json()),
-        footer=HOW,
+        footer=FOOTER,
     )
 
 

@@ -16,11 +16,11 @@ from fjr_bringup.analysis.run_data import TrackingData
 from fjr_bringup.formatting import milliseconds, number, percent
 from fjr_bringup.recording.reader import Array
 from fjr_bringup.report import html
-from fjr_bringup.report.figure import DRAWN, Line, Plot, colour, drawable, thinned
+from fjr_bringup.report.figure import DRAWN, Line, Plot, colour, decimated, drawable
 from fjr_core.robot.joint_units import joined
 
 COLOURED = {"holding": "ok", "degraded": "maybe", "violated": "no", "unknown": "maybe"}
-HOW = (
+FOOTER = (
     "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. "
     "The names of the runs lead to their own pages. Needs no network."
 )
@@ -72,7 +72,7 @@ def write_comparison(path: Path, runs: Sequence[Compared]) -> None:
         links=[Path(os.path.relpath(run.page, path.parent)).as_posix() for run in runs],
         groups=ROWS.items(),
         colours=COLOURED,
-        footer=HOW,
+        footer=FOOTER,
     )
 
 
@@ -156,7 +156,7 @@ def _over_time(
     name: str, title: str, caption: str, runs: Sequence[Compared], values: Sequence[Array], label: str
 ) -> Plot:
     """Plot values over the union of the runs' times."""
-    rows = [thinned([column], DRAWN // len(runs)) for column in values]
+    rows = [decimated([column], DRAWN // len(runs)) for column in values]
     times = np.unique(np.concatenate([run.data.t[keep] for run, keep in zip(runs, rows, strict=True)]))
     lines = [
         Line(run.label, np.interp(times, run.data.t[keep], column[keep], np.nan, np.nan), colour(i), 1.3)

@@ -18,12 +18,12 @@ from fjr_bringup.analysis.power_balance import power
 from fjr_bringup.analysis.run_data import TrackingData, tracking_data
 from fjr_bringup.plotting.overview import draw_overview
 from fjr_bringup.recording.reader import Bag, read_bag
-from fjr_bringup.report.fallback_folder import written
+from fjr_bringup.report.fallback_folder import write_with_fallback
 from fjr_bringup.report.run_report import write_run_page
 from fjr_bringup.report.runs_report import Compared, write_comparison
 from fjr_core.config.scenario import Scenario, load_scenario
 
-PAGE, FIGURES, COMPARISON = "report.html", "report.json", "comparison.html"
+PAGE, METRICS, COMPARISON = "report.html", "report.json", "comparison.html"
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class RunSummary:
     label: str = ""
 
 
-def summarise(
+def report_run(
     name: str, folder: Path, duration: float | None, skipped: Mapping[str, str] | None = None, failure: str = ""
 ) -> RunSummary:
     """Write report.json, report.html and overview.png into a run's folder, also if the run diverged or ended early.
@@ -45,14 +45,14 @@ def summarise(
     failure: why the run ended early.
     """
     scenario, bag = load_scenario(folder / "scenario.yaml"), read_bag(folder / "bag")
-    summary = reported(name, bag, scenario, folder, duration, skipped, failure)
+    summary = report_bag(name, bag, scenario, folder, duration, skipped, failure)
     if np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
-        with quietly():
-            written(summary.folder, lambda place: draw_overview(name, summary.data, summary.report, place))
+        with without_warnings():
+            write_with_fallback(summary.folder, lambda place: draw_overview(name, summary.data, summary.report, place))
     return summary
 
 
-def reported(
+def report_bag(
     name: str,
     bag: Bag,
     scenario: Scenario,
@@ -61,8 +61,8 @@ def reported(
     skipped: Mapping[str, str] | None = None,
     failure: str = "",
 ) -> RunSummary:
-    """Write report.json and report.html of any bag into a folder; for the arguments see summarise."""
-    with quietly():
+    """Write report.json and report.html of any bag into a folder; for the arguments see report_run."""
+    with without_warnings():
         data = tracking_data(bag, scenario, duration or np.inf)
         lasted = duration or float(data.t[-1]) + data.sample_period
         report = replace(
@@ -74,15 +74,15 @@ def reported(
         flow = power(data, scenario.robot.B_m)
 
         def write(place: Path) -> None:
-            report.write(place / FIGURES)
+            report.write(place / METRICS)
             write_run_page(place / PAGE, data, report, flow)
 
-        folder = written(folder, write)
+        folder = write_with_fallback(folder, write)
     return RunSummary(folder, report, data, name)
 
 
 @contextmanager
-def quietly() -> Iterator[None]:
+def without_warnings() -> Iterator[None]:
     """Suppress warnings of NumPy and Matplotlib about values that are not finite; a report shows them."""
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -91,9 +91,9 @@ def quietly() -> Iterator[None]:
 
 def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
     """Write comparison.html of several runs into a folder."""
-    with quietly():
+    with without_warnings():
         runs = [Compared(each.label, each.data, each.report, each.folder / PAGE) for each in summaries]
-        return written(folder, lambda place: write_comparison(place / COMPARISON, runs)) / COMPARISON
+        return write_with_fallback(folder, lambda place: write_comparison(place / COMPARISON, runs)) / COMPARISON
 
 
 def table(summaries: Sequence[RunSummary]) -> str:
@@ -160,12 +160,12 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None or not np.isfinite(value) else form.format(value)
 
 
-def where_to_look(summaries: Sequence[RunSummary]) -> str:
+def output_paths(summaries: Sequence[RunSummary]) -> str:
     """Return the paths of the pages and the JSON files."""
-    return "\n".join(["", *(f"{each.label}: {each.folder / PAGE}, {each.folder / FIGURES}" for each in summaries)])
+    return "\n".join(["", *(f"{each.label}: {each.folder / PAGE}, {each.folder / METRICS}" for each in summaries)])
 
 
-def how_to_play(bag: Path) -> str:
+def play_command(bag: Path) -> str:
     """Return the command that plays a bag."""
     storage = next(bag.glob("*.mcap"), bag)
     return f"play a bag: ros2 bag play {shlex.quote(str(bag))}   (or open {storage} in Foxglove or PlotJuggler)"
