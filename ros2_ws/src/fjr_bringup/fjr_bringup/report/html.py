@@ -39,31 +39,28 @@ def environment() -> Environment:
         keep_trailing_newline=True,
     )
     made.filters |= {"number": number, "percent": percent}
-    made.globals |= {"HEADINGS": HEADINGS, "colour": colour}
+    made.globals |= {"HEADINGS": HEADINGS, "SCRIPT": uplot.SCRIPT, "STYLE": uplot.STYLE}
+    made.globals |= {"colour": colour, "static": _static, "asset": _asset}
     made.policies["json.dumps_kwargs"] = {}
     return made
 
 
 def write_page(path: Path, template: str, title: str, plots: Sequence[Plot], **values: Any) -> None:
-    """Render a template with its values and the plots; raises UPlotError if uPlot is not installed."""
+    """Render a template with its values and the plots, if any; raises UPlotError if uPlot is needed but missing."""
     pool = Pool()
     packed = [plot.packed(pool) for plot in plots]
     page = environment().get_template(template)
-    text = page.render(
-        values,
-        title=title,
-        plots={"arrays": pool.arrays, "plots": packed},
-        css=_static("page.css"),
-        script=_static("page.js"),
-        uplot_css=Markup(uplot.asset(uplot.STYLE)),
-        uplot=Markup(uplot.asset(uplot.SCRIPT)),
-    )
-    write_text(path, text)
+    write_text(path, page.render(values, title=title, plots={"arrays": pool.arrays, "plots": packed}))
 
 
 def as_json(value: object) -> str:
     """Return a value as indented JSON for the folded block at the end of a page."""
     return json.dumps(value, indent=2, ensure_ascii=False)
+
+
+def _asset(name: str) -> Markup:
+    """Return uPlot's script or style."""
+    return Markup(uplot.asset(name))
 
 
 def _static(name: str) -> Markup:

@@ -110,7 +110,7 @@ DASHED = "Green: best, or within 5 % of it. A dash: does not even track the nomi
 
 
 Cell = tuple[str, str]
-"""Text of a cell and its CSS class."""
+"""Text of a cell, and `best` or its CSS class."""
 
 
 def _groups(found: Sequence[Row], kind: str) -> list[tuple[str, list[tuple[str, list[Cell]]]]]:
@@ -123,4 +123,4 @@ def _groups(found: Sequence[Row], kind: str) -> list[tuple[str, list[tuple[str, 
 
 
 def _cell(value: Value, best: bool) -> Cell:
-    return value.words, "ok best" if best else COLOURED.get(value.state, "")
+    return value.words, "best" if best else COLOURED.get(value.state, "")
