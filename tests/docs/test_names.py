@@ -13,7 +13,7 @@ from bench.__main__ import parser as bench_parser
 from docs.pages import PAGES, ROOT, blocks, inline
 from docs.ros2_lines import Graph
 from docs.shell import NOT_RUN, commands, is_run, words
-from fjr_bringup.cli.app import parser as fjr_parser
+from fjr_bringup.cli.app import fjr
 from nodes.harness import Ros
 
 HELD = [c for page in PAGES for b in blocks(page) if b.language == "sh" for c in commands(b.text) if not is_run(c)]
@@ -66,13 +66,12 @@ def test_a_line_that_names_what_does_not_exist_is_found(graph: Graph, line: str)
 
 
 def test_fjr_commands_in_the_text_exist() -> None:
-    subcommands = next(action for action in fjr_parser()._actions if action.dest == "command").choices
     for text in SAID:
         if text.startswith("fjr "):
             name, *rest = words(text)[1:]
-            assert name in subcommands, text
-            known = subcommands[name]._option_string_actions
-            assert {word for word in rest if word.startswith("--")} <= set(known), text
+            assert name in fjr.commands, text
+            known = {option for parameter in fjr.commands[name].params for option in parameter.opts}
+            assert {word for word in rest if word.startswith("--")} <= known, text
 
 
 def test_make_targets_and_their_arguments_exist() -> None:

@@ -27,7 +27,7 @@ from std_msgs.msg import String
 from fjr_bringup.recording import message_types
 from fjr_bringup.recording.reader import Bag, BagError, header_stamp, read_bag
 from fjr_bringup.recording.recorder import Recorder, Track
-from fjr_bringup.runner.run import ANSWERS, _Run
+from fjr_bringup.runner.run import JOINT_COMMANDS, _Run
 from patience import Limit
 
 LIMIT = 20.0  # s
@@ -101,8 +101,8 @@ def test_the_elapsed_time_can_be_asked_for_while_messages_are_taken(tmp_path: Pa
 
     recorder = Recorder(tmp_path / "bag")
     subscription = SimpleNamespace(handle=SimpleNamespace(take_message=take_message), msg_type=JointState)
-    channel = recorder.writer.add_topic(ANSWERS, JOINT_STATE, [], "")
-    recorder._tracks[ANSWERS] = Track(subscription, channel, [])
+    channel = recorder.writer.add_topic(JOINT_COMMANDS, JOINT_STATE, [], "")
+    recorder._tracks[JOINT_COMMANDS] = Track(subscription, channel, [])
     with recorder:
         until(lambda: len(elapsed) > 4 or recorder.failure is not None)
     assert recorder.failure is None
@@ -251,7 +251,6 @@ from pathlib import Path
 import rclpy
 from std_msgs.msg import String
 from fjr_bringup.recording.recorder import Recorder, Track
-from fjr_bringup.runner.run import ANSWERS, _Run
 recorder = Recorder(Path(sys.argv[1])).start()
 rclpy.init()
 node = rclpy.create_node("talker")

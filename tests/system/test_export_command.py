@@ -34,8 +34,8 @@ def run(*command: str | Path) -> str:
 
 def test_cmake_builds_and_ctest_passes(tmp_path: Path) -> None:
     folder, build = tmp_path / "two_link", tmp_path / "build"
-    said = fjr("export-c", "two_link", str(folder), "--set", "gains.Lambda_m:=[17.0, 18.0]")
-    assert "ctest --test-dir" in said
+    output = fjr("export-c", "two_link", str(folder), "--set", "gains.Lambda_m:=[17.0, 18.0]")
+    assert "ctest --test-dir" in output
     assert "17.0, 18.0" in (folder / "two_link.c").read_text()
     run(tool("cmake"), "-S", folder, "-B", build)
     run(tool("cmake"), "--build", build)
@@ -85,9 +85,9 @@ def test_an_export_is_replaced_only_when_asked_and_nothing_else_is(tmp_path: Pat
     assert (folder / "mine.txt").read_text() == "mine"
 
 
-def test_what_the_c_has_not_is_said(tmp_path: Path) -> None:
-    said = fjr("export-c", "paper_k31", str(tmp_path / "c"), "--set", "measurement.velocity:=observer")
-    assert "not in the C: what measurement.velocity" in said
+def test_what_is_not_exported_is_named(tmp_path: Path) -> None:
+    output = fjr("export-c", "paper_k31", str(tmp_path / "c"), "--set", "measurement.velocity:=observer")
+    assert "not exported: what measurement.velocity" in output
     assert "`measurement.velocity`" in (tmp_path / "c" / "README.md").read_text()
 
 

@@ -271,5 +271,5 @@ def test_what_is_no_bag_of_ours_is_explained(run: Path, tmp_path: Path, kind: st
 
 def test_a_bag_without_a_scenario_asks_for_one(run: Path, tmp_path: Path) -> None:
     bag = rewritten(run / "bag", tmp_path / "copy", topics=OURS)
-    assert "expected scenario.yaml beside the bag, or --scenario" in fjr("report", str(bag), code=1)
+    assert "expected scenario.yaml next to the bag, or --scenario" in fjr("report", str(bag), code=1)
     assert "unknown scenario 'paper_k99'" in fjr("report", str(bag), "--scenario", "paper_k99", code=1)

@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 
 from fjr_bringup.analysis import headlines
-from fjr_bringup.cli.check import checked, table
+from fjr_bringup.cli.check import table
 from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.cli.preflight import checked
 from fjr_bringup.monitor.state import Watched
 from fjr_bringup.monitor.terminal import text
-from fjr_bringup.report.write import summarise
+from fjr_bringup.report.write import report_run
 from fjr_controller.tracking.measured_state import MeasuredState
 from fjr_controller.tracking.state_limits import StateLimits
 from fjr_core.config.reference import motion_limits
@@ -87,7 +88,7 @@ def test_a_run_names_the_joint_and_the_unit_of_each_figure(file: Path, tmp_path:
 
 def test_one_joint_needs_no_name(tmp_path: Path) -> None:
     fjr("run", "paper_k31", "--lockstep", "--duration", "0.1", "--output", str(tmp_path))
-    report = summarise("paper_k31", tmp_path / "paper_k31", 0.1).report
+    report = report_run("paper_k31", tmp_path / "paper_k31", 0.1).report
     assert headlines.peak_effort_and_share(report) == "26.2 N m"
     assert (headlines.position_unit(report), headlines.effort_unit(report)) == ("rad", "N m")
 

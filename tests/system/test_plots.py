@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a page is given to draw is what there is: thinned lines keep their extremes, histograms every value."""
+"""What a page is given to draw is what there is: decimated lines keep their extremes, histograms every value."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fjr_bringup.formatting import milliseconds, number, percent
-from fjr_bringup.report.figure import Pool, drawable, thinned
+from fjr_bringup.report.figure import Pool, decimated, drawable
 from fjr_bringup.report.run_figures import HALF, bins
 
 VALUES = st.floats(-1e6, 1e6, width=32)
@@ -20,7 +20,7 @@ VALUES = st.floats(-1e6, 1e6, width=32)
 
 @given(st.lists(arrays(float, 500, elements=VALUES), min_size=1, max_size=4), st.integers(20, 600))
 def test_thinned_lines_keep_their_extremes_and_ends(columns: list[np.ndarray], limit: int) -> None:
-    rows = thinned(columns, limit)
+    rows = decimated(columns, limit)
     assert (np.diff(rows) > 0).all()
     assert rows[0] == 0
     assert rows[-1] == 499
@@ -30,7 +30,7 @@ def test_thinned_lines_keep_their_extremes_and_ends(columns: list[np.ndarray], l
 
 
 def test_lines_that_fit_are_drawn_whole() -> None:
-    np.testing.assert_array_equal(thinned([np.arange(50.0)], 50), np.arange(50))
+    np.testing.assert_array_equal(decimated([np.arange(50.0)], 50), np.arange(50))
 
 
 def unpacked(text: str) -> np.ndarray:

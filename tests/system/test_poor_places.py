@@ -14,7 +14,7 @@ import pytest
 from envsetup.quoting import quote_paths
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.recording.reader import read_bag
-from fjr_bringup.report.fallback_folder import written
+from fjr_bringup.report.fallback_folder import write_with_fallback
 from fjr_msgs_py.node.log_folder import ensure_log_folder
 
 LIMIT, SENT = 100_000, 1500  # bytes that a file may have; messages of 100 bytes and more
@@ -66,13 +66,13 @@ def test_a_report_that_cannot_be_written_is_written_elsewhere(
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     for spoilt in ("/dev/null/none", "/dev/null/none/two"):
-        folder = written(Path(spoilt), lambda place: (place / "report.json").write_text("{}"))
+        folder = write_with_fallback(Path(spoilt), lambda place: (place / "report.json").write_text("{}"))
         assert (folder / "report.json").read_text() == "{}"
         said = capsys.readouterr().err
         assert said.count("\n") == 1
         assert spoilt in said
         assert str(folder) in said
-    assert written(tmp_path / "good", lambda place: None) == tmp_path / "good"
+    assert write_with_fallback(tmp_path / "good", lambda place: None) == tmp_path / "good"
     assert capsys.readouterr().err == ""
 
 

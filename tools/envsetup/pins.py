@@ -16,6 +16,8 @@ LEVELS = {
     "test": ("run", "bench", "docs", "cluster", "test"),
 }
 """Levels of the environment and the files in requirements/ they take."""
+FILES_ONLY = "pages.txt"
+"""The file in requirements/ whose distributions every level installs without their own dependencies."""
 
 
 def normalise(name: str) -> str:

@@ -62,7 +62,7 @@ class Environment:
     def wanted(self, level: str) -> str:
         """Fingerprint of all that decides what a level holds."""
         files = pins.requirement_files(self.root, level, not self.sourced_ros)
-        files.append(self.root / "constraints.txt")
+        files += [self._files_only(), self.root / "constraints.txt"]
         return pins.fingerprint(pins.texts(files), pins.texts([Path(__file__), Path(pins.__file__)]))
 
     def _create(self) -> None:
@@ -82,6 +82,10 @@ class Environment:
             self._pip(step, constraints, "pip", "setuptools")
         with Step(f"packages to {level} ({extent})") as step:
             self._pip(step, constraints, *(f"--requirement={file}" for file in files))
+            self._pip(step, constraints, "--no-deps", f"--requirement={self._files_only()}")
+
+    def _files_only(self) -> Path:
+        return self.root / "requirements" / pins.FILES_ONLY
 
     def _pip(self, step: Step, constraints: Path, *wanted: str) -> None:
         """Install by pip; only empy is built, with the pinned setuptools of the environment itself."""

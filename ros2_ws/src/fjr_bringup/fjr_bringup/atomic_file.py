@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write files that are there whole or not at all, and tell later whether their content is still what was written."""
+"""Write files atomically, with an optional checksum that detects later changes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ DIGEST = ".sha256"
 
 @contextmanager
 def whole_file(path: Path, sealed: bool = False) -> Iterator[Path]:
-    """Yield a path to write to; the file takes the name `path` once it is written and on disk.
+    """Yield a path to write to; the file is renamed to `path` once its content is on disk.
 
-    An exception in the block removes what was written and leaves an earlier file as it is. sealed: note the SHA-256
-    digest of the content in `<name>.sha256` next to it, before the file takes its name.
+    An exception in the block removes the partial file and keeps an earlier one. sealed: write the SHA-256 digest of
+    the content to `<name>.sha256` before the rename.
     """
     scratch = path.with_name(f"{path.name}.part")
     try:
@@ -33,13 +33,13 @@ def whole_file(path: Path, sealed: bool = False) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str, sealed: bool = False) -> None:
-    """Write a text file that is there whole or not at all."""
+    """Write a text file atomically; sealed: see whole_file."""
     with whole_file(path, sealed) as scratch:
         scratch.write_text(text, encoding="utf-8")
 
 
 def is_sealed(path: Path) -> bool:
-    """Whether a file is there with the content that it was written with."""
+    """Return whether a file exists and matches its SHA-256 digest."""
     try:
         return _seal(path).read_text(encoding="ascii") == _digest(path)
     except (OSError, UnicodeDecodeError):

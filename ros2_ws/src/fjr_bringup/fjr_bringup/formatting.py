@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers as a page writes them."""
+"""Format numbers for pages, tables and messages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ DASH = "\N{EN DASH}"
 
 
 def number(value: float | None, unit: str = "", digits: int = 3) -> str:
-    """0.0123, 1234, 1.2 times a power of ten with superscripts; a dash for what is not known."""
+    """Return 0.0123, 1234, or 1.2 times a power of ten in superscripts; a dash for None or a value not finite."""
     if value is None or not math.isfinite(value):
         return DASH
     size = abs(value)
@@ -23,17 +23,17 @@ def number(value: float | None, unit: str = "", digits: int = 3) -> str:
 
 
 def percent(fraction: float | None, digits: int = 2) -> str:
-    """99.86 %; a dash for what is not known."""
+    """Return a fraction in percent, as 99.86 %; a dash for None or a value not finite."""
     if fraction is None or not math.isfinite(fraction):
         return DASH
     return f"{100 * fraction:.{digits}f} %"
 
 
 def milliseconds(microseconds: float | None) -> str:
-    """0.28 ms."""
+    """Return microseconds as milliseconds, as 0.28 ms."""
     return number(None if microseconds is None else microseconds * 1e-3, "ms")
 
 
 def plural(count: int, one: str, many: str = "") -> str:
-    """1 state, 2 states."""
+    """Return a count with its noun, as 1 state or 2 states."""
     return f"{count} {one if count == 1 else many or one + 's'}"

@@ -14,7 +14,7 @@ from fjr_msgs_py.node.loading import SIGNALS
 
 
 class Interrupted(Exception):  # noqa: N818 (not an error)
-    """The user ended the command. `kept`: the folder with what was recorded, None when nothing was."""
+    """The user ended the command. kept: the folder of what was recorded, None if nothing was."""
 
     def __init__(self, kept: Path | None = None) -> None:
         super().__init__()
@@ -23,9 +23,9 @@ class Interrupted(Exception):  # noqa: N818 (not an error)
 
 @contextmanager
 def stoppable() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set instead of ending the process; in the main thread only.
+    """Yield an event that SIGINT and SIGTERM set instead of ending the process; use in the main thread only.
 
-    Shutting down takes a second or two and has time limits of its own, so a second signal changes nothing.
+    A second signal has no effect: shutting down takes seconds and has its own time limits.
     """
     stop = threading.Event()
     previous = [signal.signal(number, lambda *_: stop.set()) for number in SIGNALS]
@@ -37,13 +37,13 @@ def stoppable() -> Iterator[threading.Event]:
 
 
 def interruptible() -> None:
-    """Raise KeyboardInterrupt in the main thread on SIGINT and on SIGTERM, outside `stoppable`."""
+    """Raise KeyboardInterrupt in the main thread on SIGINT and SIGTERM, except within `stoppable`."""
     for number in SIGNALS:
         signal.signal(number, _interrupt)
 
 
 def uninterruptible() -> None:
-    """Ignore SIGINT and SIGTERM: the process is about to end anyway."""
+    """Ignore SIGINT and SIGTERM; use when the process is about to end."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 

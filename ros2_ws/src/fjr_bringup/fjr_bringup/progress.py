@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress on stderr: a bar on a terminal, one plain line elsewhere."""
+"""Show progress on stderr: a bar on a terminal, one line elsewhere."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tqdm import tqdm
 
 
 class Progress:
-    """Stamped seconds done out of `total`; a context manager."""
+    """Progress of a run in seconds of stamped time, out of `total`; a context manager."""
 
     def __init__(self, name: str, total: float) -> None:
         terminal = sys.stderr.isatty()
@@ -19,7 +19,7 @@ class Progress:
         self._bar = tqdm(total=total, desc=name, bar_format=form, disable=not terminal, file=sys.stderr)
 
     def at(self, seconds: float) -> None:
-        """Show how far the run is."""
+        """Show that the run has reached `seconds`."""
         self._bar.update(min(seconds, self._bar.total or seconds) - self._bar.n)
 
     def __enter__(self) -> Progress:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plant and controller with the parameters of a scenario.
+"""Start plant and controller with the parameters of a scenario.
 
 ros2 launch fjr_bringup tracking.launch.py scenario:=paper_k31
 """
@@ -28,13 +28,13 @@ def generate_launch_description() -> LaunchDescription:
                 "scenario",
                 default_value="paper_k31",
                 choices=sorted(path.stem for path in installed),
-                description="Which parameter file of fjr_bringup/scenarios both nodes get",
+                description="Name of the parameter file in fjr_bringup/scenarios that both nodes read",
             ),
             DeclareLaunchArgument(
                 "lockstep",
                 default_value="false",
                 choices=["true", "false"],
-                description="Advance one sample per answer instead of with the clock",
+                description="Simulate one sample per command, independently of the clock",
             ),
             Node(
                 package="fjr_plant",

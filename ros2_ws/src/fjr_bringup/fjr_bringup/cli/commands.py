@@ -1,240 +1,262 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the `fjr` command does once its line is understood."""
+"""Declare the commands of `fjr`: names, arguments, options and help. The code behind each is imported when it runs."""
 
 from __future__ import annotations
 
-import argparse
-import logging
-import shutil
-import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from pathlib import Path
+from importlib import import_module
+from types import ModuleType
 from typing import Any
 
-from rclpy.impl.implementation_singleton import rclpy_implementation
+import click
 
-from fjr_bringup.cli import check as check_command
-from fjr_bringup.cli import gains as gains_command
-from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.cli.export import export_to
-from fjr_bringup.cli.report import ReportError, report_bags, tell
-from fjr_bringup.interrupt import Interrupted, stoppable
-from fjr_bringup.monitor import app as monitor_app
-from fjr_bringup.recording.echo import echo
-from fjr_bringup.recording.record import record
-from fjr_bringup.report.write import RunSummary, compare, how_to_play, stops, summarise, table, where_to_look
-from fjr_bringup.runner.run import Plan, RunError, discover_quickly, run
-from fjr_bringup.scenarios import library
-from fjr_bringup.studies.comparison import command as comparison_command
-from fjr_bringup.studies.contraction import run as contraction_study
-from fjr_core.config.description import description
-from fjr_core.errors import CompareError, FjrError, ParameterError
-
-DEMO = ("paper_k31", "paper_k3p1", "arm7")
+from fjr_bringup.cli import options
+from fjr_bringup.cli.options import duration_option, output_option, scenario_argument, set_option
 
 
-def execute(options: argparse.Namespace) -> Exit:
-    """Run one command; every error is one sentence on stderr. Returns the exit code."""
-    _tell_what_takes_long()
-    commands: dict[str, Callable[[argparse.Namespace], Exit | None]] = {
-        "demo": _demo,
-        "run": _run,
-        "report": _report,
-        "check": _check,
-        "gains": _gains,
-        "scenarios": _scenarios,
-        "contraction": _contraction,
-        "description": _description,
-        "sweep": _sweep,
-        "export-c": _export_c,
-        "echo": _echo,
-        "record": _record,
-        "watch": _watch,
-        "compare": _compare,
-    }
-    try:
-        return commands[options.command](options) or Exit.DONE
-    except Interrupted as interruption:
-        kept = f"; what was recorded is in {interruption.kept}" if interruption.kept else "; nothing was recorded"
-        print(f"fjr: stopped{kept}", file=sys.stderr)
-        return Exit.INTERRUPTED
-    except FjrError as error:
-        print(f"fjr: {error}", file=sys.stderr)
-        invalid = isinstance(error, (library.ScenarioError, ParameterError, CompareError))
-        return Exit.NOT_UNDERSTOOD if invalid else Exit.FAILED
-    except (OSError, rclpy_implementation.RCLError) as error:
-        print(f"fjr: {' '.join(str(error).split())}", file=sys.stderr)
-        return Exit.FAILED
+def implementation(name: str) -> ModuleType:
+    """Import the module of a command, then report that all is loaded (see app.main)."""
+    module = import_module(f"fjr_bringup.cli.{name}")
+    click.get_current_context().obj()
+    return module
 
 
-def _tell_what_takes_long() -> None:
-    """fjr_core's log, which says when it compiles and when it cannot."""
-    handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("fjr: %(message)s"))
-    log = logging.getLogger("fjr_core")
-    log.handlers = [handler]
-    log.setLevel(logging.INFO)
+stamped_duration = duration_option("Duration of a run in seconds of stamped time.", 5.0)
+runs_folder = output_option("Folder for the folders of runs.", "runs")
+force_over_ros2 = click.option("--force", is_flag=True, help="Run although ros2 is on the PATH.")
 
 
-def _demo(options: argparse.Namespace) -> Exit:
-    plans = [_plan(name, {}, options) for name in DEMO]
-    summaries = [_record_and_report(plan) for plan in plans]
-    _tell(summaries)
-    print(f"side by side: {compare(summaries, options.output)}")
-    return _exit_of(summaries)
+@click.command()
+@stamped_duration
+@runs_folder
+def demo(**given: Any) -> Any:
+    """Run three scenarios in real time and print a table.
+
+    The scenarios are the paper's two and a 7-joint arm.
+    """
+    return implementation("run").demo(**given)
 
 
-def _run(options: argparse.Namespace) -> Exit:
-    overrides = _overrides(options)
-    if options.lockstep:
-        overrides = {"realtime_priority": 0, **overrides, "lockstep": True}
-    summary = _record_and_report(_plan(options.scenario, overrides, options, options.force))
-    _tell([summary])
-    return _exit_of([summary])
+@click.command()
+@scenario_argument
+@click.option("--lockstep", is_flag=True, help="Simulate one sample per command, independently of the clock.")
+@click.option("--force", is_flag=True, help="Run a scenario even if it is unstable as sampled.")
+@set_option
+@stamped_duration
+@runs_folder
+def run(**given: Any) -> Any:
+    """Run one scenario on two ROS 2 nodes and report it.
+
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
+    """
+    return implementation("run").run_scenario(**given)
 
 
-def _exit_of(summaries: Sequence[RunSummary]) -> Exit:
-    """The exit code of finished runs."""
-    if any(each.report.stop for each in summaries):
-        return Exit.FAILED
-    return Exit.VIOLATED if any(each.report.verdict.kind == "violated" for each in summaries) else Exit.DONE
+@click.command()
+@click.argument("bags", nargs=-1, required=True, metavar="BAG...", type=options.PATH)
+@click.option("--scenario", metavar="NAME", help="Scenario of the robot: a name or a file. [default: next to the bag]")
+@output_option("Folder for the reports. [default: next to the bag]")
+@click.option("--namespace", metavar="NS", default="", help="Namespace of the nodes, if the bag holds several.")
+def report(**given: Any) -> Any:
+    """Write pages and figures from bags of any robot.
+
+    BAG is the folder of a run, the folder of a bag, or an .mcap or .db3 file.
+    """
+    return implementation("report").report(**given)
 
 
-def _report(options: argparse.Namespace) -> None:
-    namespace = f"/{options.namespace.strip('/')}" if options.namespace.strip("/") else ""
-    summaries, failures = report_bags(options.bags, options.scenario, options.output, namespace)
-    tell(summaries, failures[:-1], options.output)
-    if failures:
-        raise ReportError(failures[-1])
+@click.command()
+@scenario_argument
+@set_option
+def check(**given: Any) -> Any:
+    """Check rates, stability and margins before a run.
+
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
+    """
+    return implementation("check").check_scenario(**given)
 
 
-def _check(options: argparse.Namespace) -> None:
-    _, scenario = library.as_run(library.find(options.scenario), _overrides(options))
-    found = check_command.checked(scenario)
-    print(check_command.table(scenario, found), flush=True)
-    for warning in scenario.warnings:
-        print(f"fjr: {warning}", file=sys.stderr)
-    check_command.refuse_coarse_steps(scenario)
-    check_command.refuse_unstable(scenario, found)
-    check_command.refuse_start_outside(scenario)
+@click.command()
+@scenario_argument
+@click.option("--beta", type=options.RATE, metavar="B", required=True, help="Required rate of convergence [1/s].")
+@click.option(
+    "--delay", type=options.SAMPLES, metavar="D", default=0.0, show_default=True, help="Delay of the loop in samples."
+)
+@click.option("--everywhere", is_flag=True, help="Cover the joints' whole range instead of the reference only.")
+@set_option
+def gains(**given: Any) -> Any:
+    """Synthesise gains and print them as YAML.
+
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
+    """
+    return implementation("gains").print_gains(**given)
 
 
-def _gains(options: argparse.Namespace) -> None:
-    _, scenario = library.as_run(library.find(options.scenario), _overrides(options))
-    print(gains_command.text(scenario, options.beta, options.delay, options.everywhere), end="")
+@click.command()
+def scenarios() -> Any:
+    """List the installed scenarios."""
+    return implementation("report").list_scenarios()
 
 
-def _scenarios(_options: argparse.Namespace) -> None:
-    for name, path in library.known().items():
-        print(f"{name:12}  {library.summary(path)}")
+@click.command()
+@scenario_argument
+@click.option("--run", "run_folder", type=options.PATH, metavar="DIR", help="Folder of a recorded run to follow.")
+@duration_option("Duration in seconds.", 1.0)
+@click.option(
+    "--starts",
+    type=options.SOLUTIONS,
+    metavar="M",
+    default=8,
+    show_default=True,
+    help="Number of virtual solutions, 2 to 64.",
+)
+@click.option(
+    "--spread",
+    type=options.ANGLE,
+    metavar="RAD",
+    default=0.5,
+    show_default=True,
+    help="Largest initial distance of the links [rad].",
+)
+@click.option("--seed", type=int, metavar="N", default=0, show_default=True, help="Seed of the random initial states.")
+@output_option("Folder in which contraction/ is written.", "runs")
+@set_option
+def contraction(**given: Any) -> Any:
+    """Show that solutions of the virtual system converge.
+
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
+    """
+    return implementation("studies").contraction(**given)
 
 
-def _contraction(options: argparse.Namespace) -> None:
-    _, scenario = library.as_run(library.find(options.scenario), _overrides(options))
-    wish = contraction_study.Wish(options.duration, options.starts, options.spread, options.seed)
-    with stoppable() as stop:
-        print(contraction_study.run_and_draw(scenario, wish, options.run, options.output / "contraction", stop))
+@click.command()
+@scenario_argument
+@set_option
+def description(**given: Any) -> Any:
+    """Print a robot as URDF for robot_state_publisher.
+
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
+    """
+    return implementation("export").print_description(**given)
 
 
-def _description(options: argparse.Namespace) -> None:
-    _, scenario = library.as_run(library.find(options.scenario), _overrides(options))
-    print(description(scenario.plant_values), end="")
+@click.command()
+@scenario_argument
+@click.option("--runs", type=options.RUNS, metavar="N", help="Number of runs. [default: the sweep's, else 1000]")
+@click.option("--seed", type=int, metavar="N", help="Seed of all random numbers. [default: the sweep's, else 0]")
+@duration_option("Duration of a run in seconds. [default: the sweep's, else 5]")
+@click.option(
+    "--cores", type=options.cores, metavar="N", default="1", show_default=True, help="Cores of this machine, or `all`."
+)
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Dask cluster to use instead of this machine, e.g. tcp://host:8786."
+)
+@output_option("Folder in which NAME/ is written.", "runs/sweeps")
+@set_option
+def sweep(**given: Any) -> Any:
+    """Run a Monte-Carlo study of model errors.
+
+    SCENARIO is the name of an installed sweep or scenario, or a YAML file of either.
+    """
+    return implementation("studies").sweep(**given)
 
 
-def _sweep(options: argparse.Namespace) -> None:
-    from fjr_bringup.studies.monte_carlo import command as monte_carlo_command  # pyarrow loads here
+@click.command("export-c")
+@click.argument("scenario", shell_complete=options.complete_scenario)
+@click.argument("folder", metavar="DIR", type=options.PATH)
+@click.option("--prefix", metavar="NAME", help="Prefix of all names in C. [default: the scenario's name]")
+@click.option("--force", is_flag=True, help="Replace an earlier export; other files are kept.")
+@set_option
+def export_c(**given: Any) -> Any:
+    """Export law, plant and reference as C99.
 
-    given = {"runs": options.runs, "seed": options.seed, "duration": options.duration}
-    numbers = {name: value for name, value in given.items() if value is not None}
-    wish = monte_carlo_command.Wish(options.cores, options.scheduler, options.output, _overrides(options), numbers)
-    with stoppable() as stop:
-        print(monte_carlo_command.sweep(options.scenario, wish, stop))
-
-
-def _export_c(options: argparse.Namespace) -> None:
-    _, scenario = library.as_run(library.find(options.scenario), _overrides(options))
-    print(export_to(scenario, options.folder, options.prefix, options.force))
-
-
-def _echo(options: argparse.Namespace) -> None:
-    refuse_where_better(f"ros2 topic echo {options.topic}", "with filters, fields and statistics", options.force)
-    discover_quickly()
-    with stoppable() as stop:
-        echo(options.topic, options.count, options.timeout, stop)
+    SCENARIO is the name of an installed scenario or a YAML file. DIR is a new or empty folder.
+    """
+    return implementation("export").export_scenario(**given)
 
 
-def _record(options: argparse.Namespace) -> None:
-    wanted = " ".join(options.topics) or "--all"
-    refuse_where_better(f"ros2 bag record --storage mcap {wanted}", "with splitting and compression", options.force)
-    discover_quickly()
-    with stoppable() as stop:
-        print(record(options.topics, options.output, options.duration, stop))
+@click.command()
+@click.argument("suite", default="paper")
+@output_option("Folder in which compare_SUITE/ is written.", "runs")
+@click.option("--cores", type=options.cores, metavar="N", help="Cores of this machine, or `all`. [default: all]")
+@click.option(
+    "--document",
+    type=options.PATH,
+    metavar="[FILE]",
+    is_flag=False,
+    flag_value="docs/compare.md",
+    help="Write the table into FILE too. [FILE: docs/compare.md]",
+)
+@click.option(
+    "--readme", type=options.PATH, is_flag=False, flag_value="docs/compare.md", hidden=True
+)  # deprecated in 0.1.0
+def compare(**given: Any) -> Any:
+    """Compare control laws under non-idealities.
+
+    SUITE is the name of a comparison or a YAML file. [default: paper]
+    """
+    return implementation("studies").compare(**given)
 
 
-def _watch(options: argparse.Namespace) -> None:
-    limits = {}
-    if options.scenario:
-        limits = dict(monitor_app.effort_limits(library.as_run(library.find(options.scenario), {})[1]))
-    discover_quickly()
-    wish = monitor_app.Wish(options.namespace, tuple(options.remaps), options.controller, options.once)
-    with stoppable() as stop:
-        monitor_app.watch(wish, limits, stop)
+@click.command()
+@click.argument("topic")
+@click.option("--once", "count", flag_value=1, type=int, default=None, help="Print only the first message.")
+@click.option("--count", type=options.MESSAGES, metavar="N", help="Print only N messages.")
+@click.option("--timeout", type=options.SECONDS, metavar="S", help="Give up after S seconds without a message.")
+@force_over_ros2
+def echo(**given: Any) -> Any:
+    """Print the messages of a topic without `ros2 topic echo`."""
+    return implementation("live").echo_topic(**given)
 
 
-def _compare(options: argparse.Namespace) -> None:
-    if options.readme is not None:
-        print("fjr: --readme is deprecated; use --document", file=sys.stderr)
-    document = options.document or options.readme
-    with stoppable() as stop:
-        print(comparison_command.compare(options.suite, options.output, options.cores, document, stop))
+@click.command()
+@click.argument("topics", nargs=-1, metavar="[TOPIC]...")
+@output_option("A new folder. [default: bag_ and the time]")
+@duration_option("Duration in seconds. [default: until Ctrl-C]")
+@force_over_ros2
+def record(**given: Any) -> Any:
+    """Record topics to an MCAP bag without `ros2 bag record`.
+
+    All topics are recorded unless some are named.
+    """
+    return implementation("live").record_topics(**given)
 
 
-def _overrides(options: argparse.Namespace) -> dict[str, Any]:
-    return dict(library.parse_assignment(text) for text in options.overrides)
+@click.command()
+@scenario_argument
+@click.option("--namespace", metavar="NS", default="/", show_default=True, help="Namespace of the nodes.")
+@click.option(
+    "--controller", metavar="NAME", default="fjr_controller", show_default=True, help="Name of the controller node."
+)
+@click.option("--once", is_flag=True, help="Print the state once as plain text.")
+@click.option(
+    "--remap",
+    "remaps",
+    metavar="FROM:=TO",
+    type=options.remap,
+    multiple=True,
+    help="Remap a topic, e.g. joint_states:=/robot/joint_states; may be repeated.",
+)
+def watch(**given: Any) -> Any:
+    """Watch a running control loop in the terminal.
+
+    SCENARIO is the scenario whose effort limits are shown; without one those of the URDF are.
+    """
+    return implementation("live").watch_loop(**given)
 
 
-def _plan(name: str | None, overrides: dict[str, Any], options: argparse.Namespace, force: bool = False) -> Plan:
-    """What to run, once it is known to be stable as sampled or the user insists."""
-    path = library.find(name)
-    text, scenario = library.as_run(path, overrides)
-    if not force:
-        check_command.refuse_coarse_steps(scenario)
-        check_command.refuse_unstable(scenario, check_command.checked(scenario))
-    scenario.warm_up()
-    lockstep = bool(scenario.plant_values["lockstep"])
-    return Plan(path.stem, text, options.duration, options.output / path.stem, lockstep)
-
-
-def _record_and_report(plan: Plan) -> RunSummary:
-    try:
-        with stoppable() as stop:
-            recorded = run(plan, stop)
-    except RunError as error:
-        if error.kept:
-            _report_of_failure(plan.name, error.kept, error)
-        raise
-    return summarise(plan.name, recorded.folder, plan.duration, recorded.skipped)
-
-
-def _report_of_failure(name: str, folder: Path, error: RunError) -> None:
-    """Report and pictures of what was recorded before a run failed, as far as there is anything to show."""
-    with suppress(FjrError):
-        summary = summarise(name, folder, None, failure=str(error).partition("\n")[0])
-        print("\n".join([*stops([summary]), where_to_look([summary])]), file=sys.stderr)
-
-
-def _tell(summaries: list[RunSummary]) -> None:
-    print(table(summaries))
-    print(where_to_look(summaries))
-    print(how_to_play(Path(summaries[0].report.bag)))
-
-
-class BetterToolError(FjrError):
-    """ROS 2's own tool is installed."""
-
-
-def refuse_where_better(command: str, what: str, force: bool) -> None:
-    """Raise BetterToolError, naming the `command` of ros2 to use, where ros2 is on the PATH, unless forced."""
-    if not force and (found := shutil.which("ros2")):
-        raise BetterToolError(f"{found} is there and does this better: use `{command}` ({what}), or add --force")
+COMMANDS = (
+    demo,
+    run,
+    report,
+    check,
+    gains,
+    scenarios,
+    contraction,
+    description,
+    sweep,
+    export_c,
+    compare,
+    echo,
+    record,
+    watch,
+)

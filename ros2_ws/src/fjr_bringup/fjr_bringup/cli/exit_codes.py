@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exit codes of the `fjr` command, in one place."""
+"""Exit codes of the `fjr` command."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from enum import IntEnum
 
 
 class Exit(IntEnum):
-    """Exit code of `fjr`; of several runs in one command the largest counts, FAILED before all."""
+    """Exit code of `fjr`. For several runs in one command the largest counts, but FAILED takes precedence."""
 
     DONE = 0
     FAILED = 1
     NOT_UNDERSTOOD = 2
     VIOLATED = 3
-    INTERRUPTED = 130  # 128 + SIGINT, as shells count
+    INTERRUPTED = 130  # 128 + SIGINT, the convention of shells
 
 
 MEANINGS = {

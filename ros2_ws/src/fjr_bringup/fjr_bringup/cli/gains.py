@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Synthesised gains as a block of YAML for a scenario."""
+"""`fjr gains`: synthesise gains and print them as a block of YAML for a scenario."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from fjr_bringup.scenarios import library
 from fjr_core.config import builders
 from fjr_core.config.builders import robust_action
 from fjr_core.config.scenario import Scenario
@@ -19,11 +20,16 @@ DIGITS = 4
 INDENT = " " * 6
 
 
-def text(scenario: Scenario, beta: float, delay: float, everywhere: bool) -> str:
-    """Gains for the scenario's robot with rate beta [1/s] at its sample rate and a delay [samples].
+def print_gains(scenario: str | None, assignments: Sequence[str], beta: float, delay: float, everywhere: bool) -> None:
+    """Print gains for a scenario's robot (see gains_block)."""
+    print(gains_block(library.load(scenario, assignments), beta, delay, everywhere), end="")
+
+
+def gains_block(scenario: Scenario, beta: float, delay: float, everywhere: bool) -> str:
+    """Return gains as YAML, with rate beta [1/s] at the scenario's sample rate and a loop delay [samples].
 
     The rate holds along the scenario's reference, or everywhere within the joints' range. Raises GainsError
-    where there are no such gains.
+    if no such gains exist.
     """
     robot, period = scenario.robot, scenario.sample_period
     where = None if everywhere else scenario.configurations()
@@ -44,19 +50,19 @@ def text(scenario: Scenario, beta: float, delay: float, everywhere: bool) -> str
 
 
 def _checked(scenario: Scenario, law: TrackingLaw, delay: float, where: Array | None) -> SampledCheck:
-    """Check the gains with the scenario's robust action, observer and sensors; raise GainsError where unstable."""
+    """Check the gains with the scenario's robust.* options, observer and sensors; raise GainsError if unstable."""
     robust = robust_action(scenario.controller_values, law)
     found = check(sampled_law(law, robust), scenario.sample_period, delay, where, sensing=scenario.sensing)
     if not found.stable:
         raise GainsError(
-            f"the spectral radius with the scenario's robust action and observer is {found.spectral_radius:.4g}; "
-            "expected less than 1: try a lower rate, slower robust action or a faster observer"
+            f"the spectral radius with the scenario's robust.* options and observer is {found.spectral_radius:.4g}; "
+            "expected less than 1: try a lower rate, lower robust.* gains or a faster observer"
         )
     return found
 
 
 def _assignment(name: str, entries: Sequence[float], n: int) -> str:
-    """One gain; a matrix has one row a line."""
+    """Return the line of one gain; a matrix has one row a line."""
     head = f"{INDENT}{name}: ["
     numbers = [repr(float(f"{entry:.{DIGITS}g}")) for entry in entries]
     rows = [", ".join(numbers[i : i + n]) for i in range(0, len(numbers), n)]

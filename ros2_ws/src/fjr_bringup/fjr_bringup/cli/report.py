@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr report`: any bag of the interface, one page each, and all side by side."""
+"""`fjr report` and `fjr scenarios`: write pages from bags; list what is installed."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from typing import Any
 
 from fjr_bringup.recording.formats import files_of
 from fjr_bringup.recording.reader import read_bag
-from fjr_bringup.report.write import FIGURES, RunSummary, compare, reported, table, where_to_look
+from fjr_bringup.report.write import METRICS, RunSummary, compare, output_paths, report_bag, table
 from fjr_bringup.scenarios import library
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import FjrError
 from fjr_core.files.text_file import read_json
 
 SCENARIO = "scenario.yaml"
-LARGE = 50e6  # bytes; reading more takes a while
+LARGE = 50e6  # bytes: reading a larger bag is announced
 
 
 class ReportError(FjrError):
-    """A bag of which there is nothing to report."""
+    """A bag cannot be reported."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A bag to report of: its name and scenario, and where the report goes."""
+    """A bag with its name and scenario, and the folder of its report."""
 
     bag: Path
     name: str
@@ -36,23 +36,38 @@ class Source:
     folder: Path
 
 
-def report_bags(
-    bags: Sequence[Path], scenario: str | None, output: Path | None, namespace: str = ""
+def report(bags: Sequence[Path], scenario: str | None, output: Path | None, namespace: str) -> None:
+    """Report each bag, and compare them if there are several; raise ReportError if any bag failed."""
+    namespace = namespace.strip("/")
+    summaries, failures = _report_all(bags, scenario, output, f"/{namespace}" if namespace else "")
+    _print(summaries, failures[:-1], output)
+    if failures:
+        raise ReportError(failures[-1])
+
+
+def list_scenarios() -> None:
+    """Print the installed scenarios with a summary of each."""
+    for name, path in library.known().items():
+        print(f"{name:12}  {library.summary(path)}")
+
+
+def _report_all(
+    bags: Sequence[Path], scenario: str | None, output: Path | None, namespace: str
 ) -> tuple[list[RunSummary], list[str]]:
-    """Report of each bag, and a page of all where there are several; what was written, and a sentence per failure."""
+    """Write the report of each bag; return what was written, and a sentence for each failure."""
     summaries: list[RunSummary] = []
     failures: list[str] = []
     for path in bags:
         try:
             taken = [each.folder for each in summaries]
-            summaries.append(_report(_apart(_source(path, scenario, output), taken), namespace))
+            summaries.append(_report(_unique(_source(path, scenario, output), taken), namespace))
         except (FjrError, OSError) as error:
             failures.append(str(error) if str(path) in str(error) else f"{path}: {error}")
     return _labelled(summaries), failures
 
 
-def tell(summaries: Sequence[RunSummary], failures: Sequence[str], output: Path | None) -> None:
-    """Print the table, what is missing in each bag, and where the pages are."""
+def _print(summaries: Sequence[RunSummary], failures: Sequence[str], output: Path | None) -> None:
+    """Print failures and missing data on stderr, then the table and the paths of the pages."""
     for failure in failures:
         print(f"fjr: {failure}", file=sys.stderr)
     for each in summaries:
@@ -61,7 +76,7 @@ def tell(summaries: Sequence[RunSummary], failures: Sequence[str], output: Path 
     if not summaries:
         return
     print(table(summaries))
-    print(where_to_look(summaries))
+    print(output_paths(summaries))
     if len(summaries) > 1:
         print(f"side by side: {compare(summaries, output or _common(summaries))}")
 
@@ -71,8 +86,8 @@ def _report(source: Source, namespace: str) -> RunSummary:
     if size > LARGE:
         print(f"fjr: reading {source.bag}, {size / 1e6:.0f} MB", file=sys.stderr, flush=True)
     bag = read_bag(source.bag, namespace)
-    known = _known(source.scenario.with_name(FIGURES))
-    return reported(
+    known = _known(source.scenario.with_name(METRICS))
+    return report_bag(
         source.name,
         bag,
         load_scenario(source.scenario),
@@ -84,7 +99,7 @@ def _report(source: Source, namespace: str) -> RunSummary:
 
 
 def _source(path: Path, scenario: str | None, output: Path | None) -> Source:
-    """Where everything of a bag is; raises ScenarioError where no scenario is."""
+    """Return where all files of a bag are; raises ScenarioError if no scenario is known."""
     path = _unlinked(path)
     run = _run_folder(path)
     if scenario is not None:
@@ -92,17 +107,17 @@ def _source(path: Path, scenario: str | None, output: Path | None) -> Source:
     elif run is not None:
         file = run / SCENARIO
     else:
-        files_of(_inner(path))  # what is no bag is said first
+        files_of(_inner(path))  # raises first if the path is no bag
         raise library.ScenarioError(
-            f"no scenario for {path}: expected {SCENARIO} beside the bag, or --scenario NAME or FILE"
+            f"no scenario for {path}: expected {SCENARIO} next to the bag, or --scenario NAME or FILE"
         )
     name = _run_name(run) if run else (path.resolve().name if scenario is None else path.resolve().stem)
-    beside = run if run is not None else path.with_name(f"{path.resolve().stem}_report")
-    return Source(path, name, file, beside if output is None else output / name)
+    default = run if run is not None else path.with_name(f"{path.resolve().stem}_report")
+    return Source(path, name, file, default if output is None else output / name)
 
 
-def _apart(source: Source, taken: Sequence[Path]) -> Source:
-    """The same with a folder that no other bag has: a number follows the name where several share it."""
+def _unique(source: Source, taken: Sequence[Path]) -> Source:
+    """Append a number to the folder's name if the folder is already taken."""
     folder, number = source.folder, 2
     while folder in taken:
         folder = source.folder.with_name(f"{source.folder.name}-{number}")
@@ -111,19 +126,19 @@ def _apart(source: Source, taken: Sequence[Path]) -> Source:
 
 
 def _run_folder(path: Path) -> Path | None:
-    """The folder of the run that a bag belongs to: the one with the scenario in it."""
+    """Return the folder of the run that the bag belongs to: the one with the scenario in it."""
     above = [path, *path.resolve().parents[:2]]
     return next((folder for folder in above if (folder / SCENARIO).is_file()), None)
 
 
 def _unlinked(path: Path) -> Path:
-    """The folder that a link leads to, such as that to the newest run: what is written names it for good."""
+    """Resolve a link, such as that to the newest run, so that the report names a folder that does not change."""
     return path.parent / path.readlink() if path.is_symlink() else path
 
 
 def _run_name(folder: Path) -> str:
-    """What a run was called: its scenario, or its folder where no report tells."""
-    name = _known(folder / FIGURES).get("scenario")
+    """Return the scenario's name from the run's report, or the folder's name if there is no report."""
+    name = _known(folder / METRICS).get("scenario")
     return Path(name).name if isinstance(name, str) and Path(name).name else folder.resolve().name
 
 
@@ -132,7 +147,7 @@ def _inner(path: Path) -> Path:
 
 
 def _known(path: Path) -> Mapping[str, Any]:
-    """What only the run itself knew, from its own report."""
+    """Return from the run's own report what its bag does not hold: name, planned duration, losses, failure."""
     try:
         found = read_json(path)
     except (OSError, ValueError):
@@ -142,11 +157,11 @@ def _known(path: Path) -> Mapping[str, Any]:
 
 
 def _labelled(summaries: Sequence[RunSummary]) -> list[RunSummary]:
-    """Each with a name of its own: the scenario's, or the folder's where two runs share one."""
+    """Label each run by its scenario, or by its folder if two runs have the same scenario."""
     names = [each.label for each in summaries]
     return [replace(each, label=str(each.folder)) if names.count(each.label) > 1 else each for each in summaries]
 
 
 def _common(summaries: Sequence[RunSummary]) -> Path:
-    """The folder above all reports."""
+    """Return the folder above all reports."""
     return Path(os.path.commonpath([each.folder.resolve().parent for each in summaries]))

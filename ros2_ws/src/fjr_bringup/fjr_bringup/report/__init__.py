@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports of recorded runs as pages and files."""
+"""Reports of recorded runs: report.json, overview.png and HTML pages."""

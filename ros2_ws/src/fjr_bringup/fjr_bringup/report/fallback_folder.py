@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports of a folder that cannot be written go into a temporary one, and the user is told."""
+"""Write a report into a temporary folder, and report that on stderr, if its own folder cannot be written."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pathlib import Path
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOTDIR)
 
 
-def written(folder: Path, write: Callable[[Path], object]) -> Path:
-    """Make the folder and call `write` with it; with a new temporary one where the first cannot be written.
+def write_with_fallback(folder: Path, write: Callable[[Path], object]) -> Path:
+    """Create the folder and call `write` with it, or with a new temporary folder if the first cannot be written.
 
-    Return the folder that was written. Raises OSError where neither can be.
+    Return the folder that was written. Raises OSError if neither can be.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a page draws: plots and their lines as numbers, thinned to what a screen can show, packed for the page."""
+"""Plots of a page: lines as arrays, decimated to the resolution of a screen and packed for page.js."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fjr_bringup.recording.reader import Array
 
-DRAWN = 6000  # points of a line, from there on the smallest and the largest of neighbours stand for them
-DRAWABLE = 1e12
+DRAWN = 6000  # points of a line; longer lines are decimated to the minimum and maximum of each bucket
+DRAWABLE = 1e12  # larger magnitudes are not drawn
 COLOURS = 7  # --c1 .. --c7 of page.css
 
 
@@ -22,8 +22,8 @@ COLOURS = 7  # --c1 .. --c7 of page.css
 class Line:
     """One line: values (k,) over the plot's x; NaN is a gap.
 
-    colour: name of a colour of page.css (c1 .. c7, grey, bad). dash: pixels on and off. step: values are held.
-    x: the line's own abscissa where it is not the plot's. hidden: its name is in the legend only.
+    colour: name of a colour of page.css (c1 .. c7, grey, bad). dash: pixels on and off. step: hold each value until
+    the next x. fill: fill the area below the line.
     """
 
     label: str
@@ -37,9 +37,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Plot:
-    """A plot with its finding as the title. time: its abscissa is time, moved and enlarged with the others'.
+    """A plot, titled by its result.
 
-    place: id of the element that it goes into. legend: whether names and values are shown below it.
+    time: the abscissa is time; all such plots zoom together. place: id of the element that contains the plot.
+    legend: show names and values below the plot. views: the plot in other units, by the label of a button.
     """
 
     name: str
@@ -56,16 +57,16 @@ class Plot:
     wide: bool = False
     place: str = "figures"
     legend: bool = True
-    views: dict[str, Plot] = field(default_factory=dict)  # the same in other units, by the name of a button
+    views: dict[str, Plot] = field(default_factory=dict)
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is nothing to draw."""
+        """Return whether no line has a finite value."""
         return not any(np.isfinite(line.values).any() for line in self.lines)
 
     def packed(self, pool: Pool) -> dict[str, Any]:
-        """For page.js; the numbers go into the pool."""
-        rows = thinned([line.values for line in self.lines], DRAWN)
+        """Return the plot as a value for page.js; its arrays are added to the pool."""
+        rows = decimated([line.values for line in self.lines], DRAWN)
         return {
             "name": self.name,
             "title": self.title,
@@ -86,12 +87,15 @@ class Plot:
 
 
 def colour(number: int) -> str:
-    """A joint's or a bag's colour."""
+    """Return the colour of joint or run `number`."""
     return f"c{number % COLOURS + 1}"
 
 
-def thinned(columns: Sequence[Array], limit: int) -> NDArray[np.intp]:
-    """Rows to draw, in order: all, or of each bucket of neighbours where each column is smallest and largest."""
+def decimated(columns: Sequence[Array], limit: int) -> NDArray[np.intp]:
+    """Return the sorted indices to draw: all, or the minimum and maximum of each column in each bucket.
+
+    columns: arrays (k,). limit: number of points above which they are decimated.
+    """
     k = len(columns[0]) if columns else 0
     if k <= limit:
         return np.arange(k)
@@ -106,18 +110,18 @@ def thinned(columns: Sequence[Array], limit: int) -> NDArray[np.intp]:
 
 
 class Pool:
-    """The arrays of a page in base64, each once; of equal numbers only the first and how many there are."""
+    """Arrays of a page in base64. Equal arrays are stored once; a constant array is stored as one value and a count."""
 
     def __init__(self) -> None:
         self._places: dict[str, int] = {}
 
     @property
     def arrays(self) -> list[str]:
-        """All of them: kind (d double, f single), count, little-endian numbers in base64."""
+        """Return the arrays as text: type (d double, f single), count, little-endian values in base64."""
         return list(self._places)
 
     def add(self, values: Array, kind: type = np.float32) -> int:
-        """The place of an array."""
+        """Store an array and return its index."""
         numbers = np.asarray(values).astype(np.dtype(kind).newbyteorder("<"))
         same = len(numbers) > 1 and np.array_equal(numbers, np.full_like(numbers, numbers[0]), equal_nan=True)
         text = base64.b64encode((numbers[:1] if same else numbers).tobytes()).decode()
@@ -125,7 +129,7 @@ class Pool:
 
 
 def drawable(values: Array, log: bool = False) -> Array:
-    """The values that an axis can show: none of a loop that diverged beyond all bounds, on a log axis none below 0."""
+    """Return the values with NaN for those that an axis cannot show: huge ones, and on a log axis those <= 1e-37."""
     good = (np.abs(values) < DRAWABLE) & ((values > 1e-37) | (not log))
     return np.where(good, values, np.nan)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The story of one run in plots: it follows, at this effort, with the proof at work, and the loop kept time."""
+"""Plots of one run: tracking, effort, storage function V, energy balance and timing."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from fjr_bringup.recording.reader import Array
 from fjr_bringup.report.figure import Line, Plot, colour, drawable
 from fjr_core.robot.joint_units import joined
 
-FEW = 2  # joints; efforts of more are shown as shares of their limits at first
+FEW = 2  # joints; with more, efforts are shown in percent of their limits first
 
 
 def run_plots(data: TrackingData, report: Report, flow: Power) -> list[Plot]:
-    """All plots that the data have something for, in the order of the page."""
+    """Return the plots that are not empty, in the order of the page."""
     drawn = [
         tracking(data),
         error(data, report),
@@ -37,7 +37,7 @@ def run_plots(data: TrackingData, report: Report, flow: Power) -> list[Plot]:
 
 
 def tracking(data: TrackingData) -> Plot:
-    """q_l on top of q_ld."""
+    """Plot q_l over q_ld."""
     many = len(data.joints) > 1
     size = np.abs(data.error).max(axis=1)
     verb = "follow" if size[-1] <= max(size[0], 1e-3) else "do not follow"
@@ -56,7 +56,7 @@ def tracking(data: TrackingData) -> Plot:
 
 
 def error(data: TrackingData, report: Report) -> Plot:
-    """|q_l - q_ld| on a log axis."""
+    """Plot |q_l - q_ld| on a log axis."""
     worst, first = report.tracking.max_error_after_2s_rad, report.tracking.initial_error_rad
     title = f"The error begins at {headlines.initial_error(report)}"
     if worst is not None and np.isfinite(worst):
@@ -73,10 +73,10 @@ def error(data: TrackingData, report: Report) -> Plot:
 
 
 def effort(data: TrackingData, report: Report) -> Plot:
-    """The commands with their limits; where all joints have one, as a share of it too."""
+    """Plot the commands and their limits; also in percent of the limits if every joint has one."""
     title, unit = f"The effort peaks at {headlines.peak_effort_and_share(report)}", headlines.effort_unit(report)
     limited = np.isfinite(data.effort_limit)
-    caption = "Commands, held from state to state. " + _limits_said(report)
+    caption = "Commands, held from state to state. " + _limits_caption(report)
     torque = Plot("effort", title, caption, data.t, _efforts(data, np.ones(len(limited))), y_label=f"u [{unit}]")
     if not limited.all():
         return torque
@@ -85,7 +85,7 @@ def effort(data: TrackingData, report: Report) -> Plot:
     return replace(first[0], views={second[1]: second[0]})
 
 
-def _limits_said(report: Report) -> str:
+def _limits_caption(report: Report) -> str:
     saturated = report.tracking.saturated_fraction
     if saturated is None:
         return "The scenario gives no limit."
@@ -107,7 +107,7 @@ def _efforts(data: TrackingData, unit: Array) -> list[Line]:
 
 
 def storage(data: TrackingData, report: Report) -> Plot:
-    """V against V(0) exp(-2 beta t) on a log axis, with the reason why it leaves the bound."""
+    """Plot V and its bound V(0) exp(-2 beta t) on a log axis; the caption explains why V leaves the bound."""
     found, relative = report.storage, drawable(data.relative_storage, log=True)
     floor = float(np.nanmin(relative, initial=1e-3)) / 30.0
     with np.errstate(all="ignore"):
@@ -122,11 +122,11 @@ def storage(data: TrackingData, report: Report) -> Plot:
         least = f"{basis}: at least {number(found.guaranteed_decay_rate_per_s, '1/s')}"
         measured = found.measured_decay_rate_per_s
         title = f"V falls at {number(measured, '1/s')}; {least}" if measured else f"V and its bound; {least}"
-        caption = _why(data, report)
+        caption = _bound_caption(data, report)
     return Plot("storage", title, caption, data.t, lines, y_label="V(t) / V(0)", y_log=True, y_range=(floor, None))
 
 
-def _why(data: TrackingData, report: Report) -> str:
+def _bound_caption(data: TrackingData, report: Report) -> str:
     found = report.storage
     if found is None or found.leaves_bound_at_s is None or found.relative_where_it_leaves is None:
         return "V stays within its bound throughout."
@@ -134,14 +134,14 @@ def _why(data: TrackingData, report: Report) -> str:
     leaves = f"V leaves the bound at {number(found.leaves_bound_at_s, 's')}, at {there} V(0)."
     if report.verdict.kind == "holding":
         return (
-            f"{leaves} The proof is for continuous time: holding u for {number(data.sample_period * 1e3, 'ms')} "
-            "is a small disturbance, which keeps V on a floor."
+            f"{leaves} The proof assumes continuous time; the controller is sampled: it holds u for "
+            f"{number(data.sample_period * 1e3, 'ms')}, so V levels off."
         )
     return leaves
 
 
 def rate(data: TrackingData) -> Plot:
-    """-dV/dt as the model has it for the effort sent, as it was measured, and what the bound asks for."""
+    """Plot -dV/dt [W]: predicted by the model for the effort sent, measured, and required by the bound."""
     with np.errstate(all="ignore"):
         measured = -np.diff(data.V) / np.diff(data.t)
     predicted = -data.dV
@@ -149,11 +149,11 @@ def rate(data: TrackingData) -> Plot:
     lines = [
         _line("predicted", predicted, "grey", 4.0),
         _line("measured", measured, "c1", 1.2),
-        _line("2βV, the bound's", least, "c2", 1.2, (6, 4)),
+        _line("2βV, required by the bound", least, "c2", 1.2, (6, 4)),
     ]
     caption = (
-        "Power that leaves V, from state to state: predicted by the model for the effort sent, measured, and what the "
-        "bound asks for. Gaps: V grows, fed by the hold."
+        "Rate of decay of V between states: predicted by the model for the effort sent, measured, and required by the "
+        "bound. Gaps: V grows because u is held."
     )
     return Plot("rate", _rate_title(predicted, measured), caption, data.t[:-1], lines, y_label="−dV/dt [W]", y_log=True)
 
@@ -168,14 +168,14 @@ def _rate_title(predicted: Array, measured: Array) -> str:
 
 
 def balance(flow: Power, report: Report) -> Plot:
-    """The energy supplied, dissipated and stored since the start; the same as power."""
+    """Plot the energy supplied, dissipated and stored since the start; the other view shows the power."""
     title, energy = "Energy balance", report.energy
     if energy is not None and np.isfinite(energy.rms_residual_of_supplied):
         left = number(100 * energy.rms_residual_of_supplied, "%", 2)
-        title = f"Of the power supplied the balance leaves {left} over"
+        title = f"{left} of the power supplied is unexplained"
     caption = (
-        "By the model: what the motors supply is stored or dissipated. What is left over is friction, load, delay or "
-        "parameters that the model does not know."
+        "In the model, the energy that the motors supply is stored or dissipated. The residual is due to friction, "
+        "load, delay or wrong parameters."
     )
     watts = Plot("power", title, caption, flow.t, _flows(flow, np.asarray), y_label="power [W]")
     joules = _flows(flow, lambda values: np.nancumsum(values * flow.dt))
@@ -189,7 +189,7 @@ def _flows(flow: Power, shown: Callable[[Array], Array]) -> list[Line]:
         _line("supplied", shown(flow.supplied), "c1", 1.5),
         _line("dissipated", shown(flow.dissipated), "c2", 1.5),
         _line("stored", shown(flow.stored), "c3", 1.5),
-        _line("left over", shown(flow.residual), "bad", 1.2),
+        _line("residual", shown(flow.residual), "bad", 1.2),
     ]
 
 
@@ -202,12 +202,12 @@ def _line(label: str, values: Array, shade: str, width: float, dash: tuple[int, 
 
 
 BINS = 60
-HALF = 0.5  # a state: where a log axis has its empty bins
+HALF = 0.5  # states; drawn for an empty bin on the log axis
 SMALLEST = 1e-3  # ms
 
 
 def period(data: TrackingData, report: Report) -> Plot:
-    """How regularly the states were sent."""
+    """Plot the distribution of the time between states."""
     timing, counts = report.timing, report.counts
     title = f"{counts.published} of {counts.nominal} states published"
     caption = _percentiles(timing.period_p50_us, timing.period_p99_us, timing.period_max_us)
@@ -215,7 +215,7 @@ def period(data: TrackingData, report: Report) -> Plot:
 
 
 def latency(data: TrackingData, report: Report) -> Plot:
-    """How soon each state was answered."""
+    """Plot the distribution of the time from state to command."""
     timing, counts = report.timing, report.counts
     title = f"{percent(counts.answered_in_time_fraction)} answered before the next state"
     caption = _percentiles(timing.latency_p50_us, timing.latency_p99_us, timing.latency_max_us)
@@ -223,7 +223,7 @@ def latency(data: TrackingData, report: Report) -> Plot:
 
 
 def timeline(data: TrackingData, report: Report) -> Plot:
-    """When states came late or were answered late."""
+    """Plot the time between states and from state to command over the run."""
     counts, since = report.counts, np.diff(data.sent, prepend=np.nan) * 1e3
     lines = [
         Line("since the last state", since, "c1", 1.0),
@@ -231,7 +231,7 @@ def timeline(data: TrackingData, report: Report) -> Plot:
         Line("sample period", np.full(len(data.t), data.sample_period * 1e3), "grey", 1.0, (6, 4)),
     ]
     late = "" if counts.late is None else f", {plural(counts.late, 'late answer')}, {counts.unanswered} without"
-    caption = "Time from state to state and from state to command, as the middleware stamped them when they were sent."
+    caption = "Time from state to state and from state to command, by the middleware's stamps at sending."
     title = plural(counts.gaps, "gap") + late
     return Plot("timeline", title, caption, data.t, lines, y_label="[ms]", y_log=True, wide=True)
 
@@ -241,7 +241,7 @@ def _percentiles(p50: float, p99: float, largest: float) -> str:
 
 
 def _histogram(name: str, title: str, caption: str, values: Array, label: str, shade: str) -> Plot:
-    """Both axes logarithmic, from the smallest to the largest value: nothing is cut off."""
+    """Plot a histogram with two log axes that cover all values."""
     edges, heights = bins(values[np.isfinite(values)])
     line = Line("states", heights, shade, 1.2, step=True, fill=True)
     axes = {"x_label": label, "y_label": "states", "x_log": True, "y_log": True, "time": False}
@@ -249,7 +249,7 @@ def _histogram(name: str, title: str, caption: str, values: Array, label: str, s
 
 
 def bins(values: Array) -> tuple[Array, Array]:
-    """Edges (BINS + 1,) [ms] and the number from each edge to the next, HALF where there is none."""
+    """Return edges (BINS + 1,) [ms] and the counts from each edge to the next, HALF for an empty bin."""
     if not values.size:
         return np.array([SMALLEST, 1.0]), np.full(2, np.nan)
     low = max(float(values.min()), SMALLEST)

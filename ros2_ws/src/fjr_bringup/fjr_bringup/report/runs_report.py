@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page that shows several runs side by side, with its plots: comparison.html."""
+"""Page that compares several runs, with its plots: comparison.html."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -17,78 +16,64 @@ from fjr_bringup.analysis.run_data import TrackingData
 from fjr_bringup.formatting import milliseconds, number, percent
 from fjr_bringup.recording.reader import Array
 from fjr_bringup.report import html
-from fjr_bringup.report.figure import DRAWN, Line, Plot, colour, drawable, thinned
+from fjr_bringup.report.figure import DRAWN, Line, Plot, colour, decimated, drawable
 from fjr_core.robot.joint_units import joined
 
 COLOURED = {"holding": "ok", "degraded": "maybe", "violated": "no", "unknown": "maybe"}
-HOW = (
+FOOTER = (
     "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. "
     "The names of the runs lead to their own pages. Needs no network."
 )
 Row = tuple[str, Callable[[Report], str]]
 
-ROWS: tuple[Row, ...] = (
-    ("verdict", lambda r: _verdict(r)),
-    ("joints", lambda r: str(len(r.joints))),
-    ("duration", lambda r: number(r.duration_s, "s")),
-    ("sample period", lambda r: number(r.sample_period_s * 1e3, "ms") + (", lock-step" if r.lockstep else "")),
-    ("Tracking", str),
-    ("error at the start", headlines.initial_error),
-    ("settled within 2 % after", lambda r: number(r.tracking.settling_time_2_percent_s, "s")),
-    ("largest error after 2 s", headlines.steady_error),
-    ("RMS error after 2 s", lambda r: number(r.tracking.rms_error_after_2s_rad, headlines.position_unit(r))),
-    ("Effort", str),
-    ("peak effort", headlines.peak_effort),
-    ("largest share of a limit", lambda r: headlines.effort_share(r) or number(None)),
-    ("commands at a limit", lambda r: percent(r.tracking.saturated_fraction)),
-    ("Certificate", str),
-    ("decay of V, measured", lambda r: number(_of(r.storage, "measured_decay_rate_per_s"), "1/s")),
-    ("decay of V, at least", lambda r: _least(r)),
-    ("V leaves its bound at", lambda r: number(_of(r.storage, "leaves_bound_at_s"), "s")),
-    ("power left over, of that supplied", lambda r: percent(_of(r.energy, "rms_residual_of_supplied"))),
-    ("Timing", str),
-    ("states missing", lambda r: f"{r.counts.missing} of {r.counts.nominal}"),
-    ("answered in time", lambda r: percent(r.counts.answered_in_time_fraction)),
-    ("state to command, 50 %", lambda r: milliseconds(r.timing.latency_p50_us)),
-    ("state to command, 99 %", lambda r: milliseconds(r.timing.latency_p99_us)),
-    ("longest gap", lambda r: number(r.counts.longest_gap_s * 1e3, "ms")),
-)
+ROWS: dict[str, tuple[Row, ...]] = {
+    "": (
+        ("joints", lambda r: str(len(r.joints))),
+        ("duration", lambda r: number(r.duration_s, "s")),
+        ("sample period", lambda r: number(r.sample_period_s * 1e3, "ms") + (", lock-step" if r.lockstep else "")),
+    ),
+    "Tracking": (
+        ("error at the start", headlines.initial_error),
+        ("settled within 2 % after", lambda r: number(r.tracking.settling_time_2_percent_s, "s")),
+        ("largest error after 2 s", headlines.steady_error),
+        ("RMS error after 2 s", lambda r: number(r.tracking.rms_error_after_2s_rad, headlines.position_unit(r))),
+    ),
+    "Effort": (
+        ("peak effort", headlines.peak_effort),
+        ("largest share of a limit", lambda r: headlines.effort_share(r) or number(None)),
+        ("commands at a limit", lambda r: percent(r.tracking.saturated_fraction)),
+    ),
+    "Certificate": (
+        ("decay of V, measured", lambda r: number(_of(r.storage, "measured_decay_rate_per_s"), "1/s")),
+        ("decay of V, at least", lambda r: _least(r)),
+        ("V leaves its bound at", lambda r: number(_of(r.storage, "leaves_bound_at_s"), "s")),
+        ("unexplained power, of that supplied", lambda r: percent(_of(r.energy, "rms_residual_of_supplied"))),
+    ),
+    "Timing": (
+        ("states missing", lambda r: f"{r.counts.missing} of {r.counts.nominal}"),
+        ("answered in time", lambda r: percent(r.counts.answered_in_time_fraction)),
+        ("state to command, 50 %", lambda r: milliseconds(r.timing.latency_p50_us)),
+        ("state to command, 99 %", lambda r: milliseconds(r.timing.latency_p99_us)),
+        ("longest gap", lambda r: number(r.counts.longest_gap_s * 1e3, "ms")),
+    ),
+}
 
 
 def write_comparison(path: Path, runs: Sequence[Compared]) -> None:
-    """Write the page of two runs or more."""
-    title = " · ".join(run.label for run in runs)
-    body = [
-        html.header(f"Comparison of {len(runs)} runs", title, None, _notes(runs)),
-        html.table("Side by side", ["", *(_name(run, i, path.parent) for i, run in enumerate(runs))], _rows(runs)),
-        '<h2 class="section">In the same axes</h2>',
-        html.figures(),
-        html.footer(HOW),
-    ]
-    html.write_page(path, title, body, side_by_side_plots(runs))
-
-
-def _rows(runs: Sequence[Compared]) -> list[list[str]]:
-    return [[what] if of is str else [what, *(of(run.report) for run in runs)] for what, of in ROWS]
-
-
-def _notes(runs: Sequence[Compared]) -> list[str]:
-    return [f"{run.label}: {note}" for run in runs for note in run.report.missing]
-
-
-def _name(run: Compared, number: int, folder: Path) -> str:
-    link = escape(Path(os.path.relpath(run.page, folder)).as_posix(), quote=True)
-    return f'{html.swatch(colour(number))}<a href="{link}">{escape(run.label)}</a>'
-
-
-def _verdict(report: Report) -> str:
-    if report.stop:
-        return (
-            f'<span class="no" title="{escape(report.stop.sentence, quote=True)}">{escape(report.stop.heading)}</span>'
-        )
-    verdict = report.verdict
-    words = html.HEADINGS[verdict.kind] + (f":<br>{escape(verdict.detail)}" if verdict.detail else "")
-    return f'<span class="{COLOURED[verdict.kind]}" title="{escape(verdict.sentence, quote=True)}">{words}</span>'
+    """Write the page of two runs or more; raises UPlotError."""
+    html.write_page(
+        path,
+        "runs.html",
+        " · ".join(run.label for run in runs),
+        side_by_side_plots(runs),
+        kicker=f"Comparison of {len(runs)} runs",
+        notes=[f"{run.label}: {note}" for run in runs for note in run.report.missing],
+        runs=runs,
+        links=[Path(os.path.relpath(run.page, path.parent)).as_posix() for run in runs],
+        groups=ROWS.items(),
+        colours=COLOURED,
+        footer=FOOTER,
+    )
 
 
 def _of(part: Storage | Energy | None, name: str) -> float | None:
@@ -103,13 +88,13 @@ def _least(report: Report) -> str:
     return f"{number(storage.guaranteed_decay_rate_per_s, '1/s')} ({basis})"
 
 
-POINTS = 240  # of a distribution
+POINTS = 240  # of a distribution curve
 SHORTEST = 1e-3  # ms
 
 
 @dataclass(frozen=True)
 class Compared:
-    """A run beside others: the name that tells it from them, what it is, and where its own page is."""
+    """One of several runs: its unique label, its data and report, and the path of its own page."""
 
     label: str
     data: TrackingData
@@ -118,20 +103,20 @@ class Compared:
 
 
 def side_by_side_plots(runs: Sequence[Compared]) -> list[Plot]:
-    """All plots that the runs have something for, in the order of the page."""
+    """Return the plots that are not empty, in the order of the page."""
     drawn = [errors(runs), efforts(runs), storages(runs), latencies(runs), periods(runs)]
     return [plot for plot in drawn if not plot.is_empty]
 
 
 def errors(runs: Sequence[Compared]) -> Plot:
-    """The largest error of all joints."""
+    """Plot the largest tracking error of all joints."""
     values = [np.abs(run.data.error).max(axis=1) for run in runs]
     caption = "The largest |q_l − q_ld| of all joints at each state; log axis."
     return _over_time("error", "Tracking error", caption, runs, values, f"error [{_units(runs, 'position')}]")
 
 
 def efforts(runs: Sequence[Compared]) -> Plot:
-    """The largest effort of all joints."""
+    """Plot the largest effort of all joints."""
     values = [np.fmax.reduce(np.abs(run.data.u), axis=1) for run in runs]
     caption = "The largest |u| of all joints at each state; log axis."
     return _over_time("effort", "Effort", caption, runs, values, f"|u| [{_units(runs, 'effort')}]")
@@ -142,7 +127,7 @@ def _units(runs: Sequence[Compared], what: str) -> str:
 
 
 def storages(runs: Sequence[Compared]) -> Plot:
-    """V / V(0), with the bounds dashed."""
+    """Plot V / V(0), with the bounds dashed."""
     relative = [drawable(run.data.relative_storage, log=True) for run in runs]
     floor = min(float(np.nanmin(values, initial=1e-3)) for values in relative) / 30.0
     caption = "V relative to its start; dashed: the bound exp(−2βt) of each run."
@@ -156,13 +141,13 @@ def storages(runs: Sequence[Compared]) -> Plot:
 
 
 def latencies(runs: Sequence[Compared]) -> Plot:
-    """What part of the states waited longer than so long."""
+    """Plot the share of the states whose command took longer than a time."""
     values = [run.data.latency * 1e3 for run in runs]
-    return _distribution("latency", "From state to command", "that waited longer", runs, values)
+    return _distribution("latency", "From state to command", "answered later", runs, values)
 
 
 def periods(runs: Sequence[Compared]) -> Plot:
-    """What part of the states came later after the one before than so late."""
+    """Plot the share of the states that followed the previous one later than a time."""
     values = [np.diff(run.data.sent) * 1e3 for run in runs]
     return _distribution("period", "From state to state", "that came later", runs, values)
 
@@ -170,8 +155,8 @@ def periods(runs: Sequence[Compared]) -> Plot:
 def _over_time(
     name: str, title: str, caption: str, runs: Sequence[Compared], values: Sequence[Array], label: str
 ) -> Plot:
-    """On the union of the runs' own times."""
-    rows = [thinned([column], DRAWN // len(runs)) for column in values]
+    """Plot values over the union of the runs' times."""
+    rows = [decimated([column], DRAWN // len(runs)) for column in values]
     times = np.unique(np.concatenate([run.data.t[keep] for run, keep in zip(runs, rows, strict=True)]))
     lines = [
         Line(run.label, np.interp(times, run.data.t[keep], column[keep], np.nan, np.nan), colour(i), 1.3)
@@ -190,6 +175,6 @@ def _distribution(name: str, title: str, what: str, runs: Sequence[Compared], va
         for i, (run, column) in enumerate(zip(runs, known, strict=True))
         if len(column)
     ]
-    caption = f"Part of the states {what} than the time below; both axes log."
+    caption = f"Share of the states {what} than the time on the axis; both axes log."
     axes = {"x_label": "time [ms]", "y_label": "states [%]", "x_log": True, "y_log": True, "time": False}
     return Plot(name, title, caption, times, lines, **axes)  # type: ignore[arg-type]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a recorded run to its report and page, and the short table at the end of the command."""
+"""Write report.json, report.html and overview.png of a run; format the table at the end of a command."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from fjr_bringup.analysis.power_balance import power
 from fjr_bringup.analysis.run_data import TrackingData, tracking_data
 from fjr_bringup.plotting.overview import draw_overview
 from fjr_bringup.recording.reader import Bag, read_bag
-from fjr_bringup.report.fallback_folder import written
+from fjr_bringup.report.fallback_folder import write_with_fallback
 from fjr_bringup.report.run_report import write_run_page
 from fjr_bringup.report.runs_report import Compared, write_comparison
 from fjr_core.config.scenario import Scenario, load_scenario
 
-PAGE, FIGURES, COMPARISON = "report.html", "report.json", "comparison.html"
+PAGE, METRICS, COMPARISON = "report.html", "report.json", "comparison.html"
 
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A finished run: where its report is, what it showed, and what that was drawn from."""
+    """A reported run: the folder of its report, the report and the run's data. label: unique among several runs."""
 
     folder: Path
     report: Report
     data: TrackingData
-    label: str = ""  # tells it from others beside it
+    label: str = ""
 
 
-def summarise(
+def report_run(
     name: str, folder: Path, duration: float | None, skipped: Mapping[str, str] | None = None, failure: str = ""
 ) -> RunSummary:
-    """Write report.json, report.html and overview.png into a run's folder, also of a run that diverged or hardly began.
+    """Write report.json, report.html and overview.png into a run's folder, also if the run diverged or ended early.
 
-    duration: how long it was to run [s], None for as long as it was answered; skipped: topics that could not be
-    recorded; failure: why it ended early.
+    duration: planned duration [s]; None: up to the last answered state. skipped: topics that could not be recorded.
+    failure: why the run ended early.
     """
     scenario, bag = load_scenario(folder / "scenario.yaml"), read_bag(folder / "bag")
-    summary = reported(name, bag, scenario, folder, duration, skipped, failure)
+    summary = report_bag(name, bag, scenario, folder, duration, skipped, failure)
     if np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
-        with quietly():
-            written(summary.folder, lambda place: draw_overview(name, summary.data, summary.report, place))
+        with without_warnings():
+            write_with_fallback(summary.folder, lambda place: draw_overview(name, summary.data, summary.report, place))
     return summary
 
 
-def reported(
+def report_bag(
     name: str,
     bag: Bag,
     scenario: Scenario,
@@ -61,8 +61,8 @@ def reported(
     skipped: Mapping[str, str] | None = None,
     failure: str = "",
 ) -> RunSummary:
-    """Write report.json and report.html of any bag into a folder; the rest as in summarise."""
-    with quietly():
+    """Write report.json and report.html of any bag into a folder; for the arguments see report_run."""
+    with without_warnings():
         data = tracking_data(bag, scenario, duration or np.inf)
         lasted = duration or float(data.t[-1]) + data.sample_period
         report = replace(
@@ -74,16 +74,16 @@ def reported(
         flow = power(data, scenario.robot.B_m)
 
         def write(place: Path) -> None:
-            report.write(place / FIGURES)
+            report.write(place / METRICS)
             write_run_page(place / PAGE, data, report, flow)
 
-        folder = written(folder, write)
+        folder = write_with_fallback(folder, write)
     return RunSummary(folder, report, data, name)
 
 
 @contextmanager
-def quietly() -> Iterator[None]:
-    """No warnings of numpy and matplotlib about values that are not finite: these are what a report is for."""
+def without_warnings() -> Iterator[None]:
+    """Suppress warnings of NumPy and Matplotlib about values that are not finite; a report shows them."""
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
@@ -91,13 +91,13 @@ def quietly() -> Iterator[None]:
 
 def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
     """Write comparison.html of several runs into a folder."""
-    with quietly():
+    with without_warnings():
         runs = [Compared(each.label, each.data, each.report, each.folder / PAGE) for each in summaries]
-        return written(folder, lambda place: write_comparison(place / COMPARISON, runs)) / COMPARISON
+        return write_with_fallback(folder, lambda place: write_comparison(place / COMPARISON, runs)) / COMPARISON
 
 
 def table(summaries: Sequence[RunSummary]) -> str:
-    """Return the figures that matter, one line per run, then the faults found; first why a controller stopped."""
+    """Return why controllers stopped, a table with one line per run, and the faults found."""
     head = (
         "scenario",
         "peak effort",
@@ -114,7 +114,7 @@ def table(summaries: Sequence[RunSummary]) -> str:
 
 
 def stops(summaries: Sequence[RunSummary]) -> list[str]:
-    """A headline for each run in which the controller stopped."""
+    """Return a sentence for each run in which the controller stopped."""
     return [f"{each.label}: {each.report.stop.sentence}" for each in summaries if each.report.stop]
 
 
@@ -160,12 +160,12 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None or not np.isfinite(value) else form.format(value)
 
 
-def where_to_look(summaries: Sequence[RunSummary]) -> str:
-    """Paths of what was written, for a browser."""
-    return "\n".join(["", *(f"{each.label}: {each.folder / PAGE}, {each.folder / FIGURES}" for each in summaries)])
+def output_paths(summaries: Sequence[RunSummary]) -> str:
+    """Return the paths of the pages and the JSON files."""
+    return "\n".join(["", *(f"{each.label}: {each.folder / PAGE}, {each.folder / METRICS}" for each in summaries)])
 
 
-def how_to_play(bag: Path) -> str:
-    """How to play a bag."""
+def play_command(bag: Path) -> str:
+    """Return the command that plays a bag."""
     storage = next(bag.glob("*.mcap"), bag)
     return f"play a bag: ros2 bag play {shlex.quote(str(bag))}   (or open {storage} in Foxglove or PlotJuggler)"

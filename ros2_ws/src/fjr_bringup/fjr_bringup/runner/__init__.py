@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Running a scenario with both nodes as processes."""
+"""Run a scenario with both nodes as processes."""

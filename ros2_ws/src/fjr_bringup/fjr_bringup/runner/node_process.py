@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes as processes: the very executables `ros2 run` starts, none of which outlives the command."""
+"""Start nodes as processes, by the executables that `ros2 run` starts; no node outlives the command."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from fjr_core.errors import FjrError
 from fjr_msgs_py.node.loading import signals_blocked
 
-GRACE = 20.0  # s between asking a node to end and killing it; imports alone take seconds on a busy machine
+GRACE = 20.0  # s from SIGINT to SIGKILL; imports alone take seconds on a busy machine
 
-# Runs in the child before the node: the kernel ends the node when `fjr` dies in whatever way.
+# Runs in the child before the node: the kernel sends SIGTERM to the node when `fjr` dies, however it dies.
 _FOLLOW_PARENT = """
 import ctypes, os, sys
 PR_SET_PDEATHSIG, SIGTERM = 1, 15
@@ -30,14 +30,14 @@ os.execv(sys.argv[2], sys.argv[2:])
 
 
 class NodeError(FjrError):
-    """A node that cannot be started or that ended by itself."""
+    """A node cannot be started or ended by itself."""
 
 
 def executable(package: str, name: str) -> Path:
-    """What `ros2 run package name` starts; raises NodeError when the workspace is not sourced or built."""
+    """Return the file that `ros2 run package name` starts; raises NodeError if it is not built or sourced."""
     try:
         path = Path(get_package_prefix(package), "lib", package, name)
-    except (PackageNotFoundError, OSError):  # OSError: no workspace is sourced at all
+    except (PackageNotFoundError, OSError):  # OSError: no workspace is sourced
         path = Path()
     if not path.is_file():
         raise NodeError(
@@ -48,7 +48,7 @@ def executable(package: str, name: str) -> Path:
 
 
 class NodeProcess:
-    """One node in its own session, its output in a log file. Start it from the main thread only."""
+    """One node in its own session, with its output in a log file. Create it in the main thread only."""
 
     def __init__(self, package: str, name: str, ros_arguments: Sequence[str], log: Path) -> None:
         self.name = name
@@ -63,23 +63,23 @@ class NodeProcess:
 
     @property
     def running(self) -> bool:
-        """Whether the process still runs."""
+        """Return whether the process still runs."""
         return self._process.poll() is None
 
     def check(self) -> None:
-        """Raise NodeError with the node's last words when it has ended."""
+        """Raise NodeError with the end of the node's log if the node has ended."""
         if not self.running:
             code = self._process.returncode
             how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
             raise NodeError(f"{self.name} {how}. Its last lines ({self.log}):\n{self.last_lines()}")
 
     def last_lines(self, count: int = 8) -> str:
-        """The end of what the node wrote to stdout and stderr, indented."""
+        """Return the last lines of the node's log, indented."""
         lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()[-count:]
         return "\n".join(f"    {line}" for line in lines) or "    (nothing)"
 
     def stop(self, grace: float = GRACE) -> int:
-        """Interrupt as Ctrl-C would, wait, then kill the process group; returns the exit code."""
+        """Send SIGINT, wait up to `grace` [s], kill the process group; return the exit code."""
         with suppress(ProcessLookupError):
             if self.running:
                 self._process.send_signal(signal.SIGINT)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run a scenario: two real nodes as processes, everything recorded, nothing left behind.
+"""Run a scenario on two nodes and record every topic.
 
-The order matters. The recorder listens first; the plant starts paused; only when nobody else drives this
-ROS domain the controller starts; only when all are connected the plant is let go. Ending goes backwards:
-the controller first, so that its last zero effort reaches the plant and the bag.
+Start in this order: the recorder; the plant, paused; the controller, once no other node publishes in this ROS domain.
+The plant is resumed once all are connected. At the end the controller stops first, so that its last command, zero
+effort, reaches the plant and the bag.
 """
 
 from __future__ import annotations
@@ -24,23 +24,24 @@ from fjr_bringup.recording.reader import header_stamp
 from fjr_bringup.recording.recorder import Recorder
 from fjr_bringup.recording.run_folder import RunFolder
 from fjr_bringup.runner.node_process import NodeProcess
-from fjr_bringup.runner.plant_client import PlantRemote
+from fjr_bringup.runner.plant_client import PlantClient
 from fjr_core.errors import FjrError
 from fjr_msgs_py import names
 from fjr_msgs_py.node.log_folder import ensure_log_folder
 from fjr_msgs_py.node.scheduling import prioritised
 
 PLANT, CONTROLLER = names.PLANT, names.CONTROLLER
-STATES, COMMANDS, ANSWERS = (f"/{topic}" for topic in (names.JOINT_STATES, names.EFFORT_COMMANDS, names.JOINT_COMMANDS))
-STARTUP_LIMIT = 120.0  # s for each step until both nodes are connected; a node that ends is seen at once
-SILENCE_LIMIT = 15.0  # s without a new answered state
+STATES = f"/{names.JOINT_STATES}"
+EFFORT_COMMANDS, JOINT_COMMANDS = f"/{names.EFFORT_COMMANDS}", f"/{names.JOINT_COMMANDS}"
+STARTUP_LIMIT = 120.0  # s for each step of the start; a node that ends is detected at once
+SILENCE_LIMIT = 15.0  # s without a new command
 POLL = 0.02  # s
-GRAPH_PERIOD = 0.5  # s between looks at the graph while running
-RECORDER_PRIORITY = 1  # in lock-step nothing paces the nodes: the recorder comes first and loses nothing
+GRAPH_PERIOD = 0.5  # s between checks of the graph during the run
+RECORDER_PRIORITY = 1  # in lock-step nothing paces the nodes: the recorder needs priority to lose no message
 
 
 class RunError(FjrError):
-    """A run that could not start or could not be finished. `kept`: its folder if something of it was recorded."""
+    """A run could not start or could not be finished. kept: its folder if something was recorded."""
 
     def __init__(self, sentence: str, kept: Path | None = None) -> None:
         super().__init__(sentence)
@@ -49,9 +50,9 @@ class RunError(FjrError):
 
 @dataclass(frozen=True)
 class Plan:
-    """What to run: name, scenario text as the nodes get it, seconds of stamped time, where to write, how.
+    """What to run: name, scenario as YAML text, duration [s of stamped time], folder, and whether in lock-step.
 
-    folder: of the newest run of that name; run() makes a numbered one that this name then links to.
+    folder: link to the newest run of that name; run() creates a numbered folder and updates the link.
     """
 
     name: str
@@ -62,28 +63,28 @@ class Plan:
 
 
 def discover_quickly() -> None:
-    """Announce this process often at its start, unless the user chose otherwise; give ROS 2 a folder for its logs."""
+    """Use a DDS profile with quick discovery unless the user set another; set the folder of the ROS 2 logs."""
     ensure_log_folder()
     profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
 
 
 def set_ros_environment() -> None:
-    """Quick discovery, on this machine only, here and in the nodes, unless the user chose otherwise."""
+    """Set quick discovery, limited to this machine, for this process and the nodes, unless the user set otherwise."""
     discover_quickly()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """A finished run: its own folder, and the topics that could not be recorded, with the reason."""
+    """A finished run: its folder, and the reason for each topic that could not be recorded."""
 
     folder: Path
     skipped: dict[str, str]
 
 
 def run(plan: Plan, stop: threading.Event) -> Recorded:
-    """Run the plan; bag, scenario and logs are in a new folder then. Raises FjrError or Interrupted."""
+    """Run the plan and write bag, scenario and logs into a new folder. Raises FjrError or Interrupted."""
     set_ros_environment()
     with RunFolder(plan.folder) as kept:
         plan = replace(plan, folder=kept.path)
@@ -103,26 +104,26 @@ class _Run:
         self.recorder = recorder
         self.stop = stop
         self.file = file
-        self.remote = PlantRemote(recorder.context, PLANT)
+        self.client = PlantClient(recorder.context, PLANT)
         self.nodes: dict[str, NodeProcess] = {}
-        self.going = False  # whether the plant was let go
+        self.going = False  # whether the plant was resumed
 
     def execute(self, on_go: Callable[[], None]) -> None:
-        """Start, run and end; `on_go` is called when everything is in place and the run begins."""
+        """Start, run and stop the nodes; `on_go` is called when the plant is about to be resumed."""
         try:
             self._start(PLANT, "fjr_plant", "plant_node", "-p", "start_paused:=true")
             self._wait_for(PLANT, STATES)
             self._refuse_others()
             clock = ("-p", "use_sim_time:=true") if self.plan.lockstep else ()
             self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)
-            self._wait_for(CONTROLLER, ANSWERS)
+            self._wait_for(CONTROLLER, JOINT_COMMANDS)
             self._wait(self._matched, STARTUP_LIMIT, "plant and controller to find each other")
             self._refuse_others()
-            self._wait(self.remote.ready, STARTUP_LIMIT, "the plant's pause service")
+            self._wait(self.client.ready, STARTUP_LIMIT, "the plant's pause service")
             on_go()
             self.going = True
             with prioritised(RECORDER_PRIORITY if self.plan.lockstep else 0):
-                self.remote.resume()
+                self.client.resume()
                 self._follow()
         except FjrError as error:
             kept = f"\nwhat was recorded is in {self.plan.folder}" if self.going else ""
@@ -135,42 +136,42 @@ class _Run:
         self.nodes[node] = NodeProcess(package, name, ["--params-file", str(self.file), *arguments], log)
 
     def _wait_for(self, node: str, signature: str) -> None:
-        """Wait until the node publishes `signature`, and the recorder is connected to all that it publishes."""
+        """Wait until the node publishes the topic `signature` and the recorder is connected to all its topics."""
         try:
-            self._wait(lambda: signature in self.remote.published_by(node), STARTUP_LIMIT, f"{node} to appear")
-            self._wait(lambda: not self._unconnected(node), STARTUP_LIMIT, f"{node} to be heard")
+            self._wait(lambda: signature in self.client.published_by(node), STARTUP_LIMIT, f"{node} to appear")
+            self._wait(lambda: not self._unconnected(node), STARTUP_LIMIT, f"the recorder to be connected to {node}")
         except RunError as error:
-            head, _, words = str(error).partition("\n")
-            raise RunError(f"{head}; {self._graph(node)}\n{words}") from None
+            head, _, logs = str(error).partition("\n")
+            raise RunError(f"{head}; {self._graph(node)}\n{logs}") from None
 
     def _unconnected(self, node: str) -> list[str]:
-        """Topics of the node that the recorder is not connected to."""
-        topics = self.remote.published_by(node)
-        return [topic for topic in topics if self.recorder.matched(topic) < self._ours(topic)]
+        """Return the topics of the node that the recorder is not connected to."""
+        topics = self.client.published_by(node)
+        return [topic for topic in topics if self.recorder.matched(topic) < self._own_publishers(topic)]
 
     def _graph(self, node: str) -> str:
-        """What is seen of a node that is waited for."""
-        topics, silent = self.remote.published_by(node), self._unconnected(node)
+        """Describe a node in the graph, for the error message."""
+        topics, silent = self.client.published_by(node), self._unconnected(node)
         seen = f"it publishes {', '.join(topics) or 'nothing'}; not connected to {', '.join(silent) or 'none of these'}"
         others = ", ".join(sorted(self.recorder.node.get_node_names())) or "none"
         return f"{seen}; nodes in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: {others}"
 
-    def _ours(self, topic: str) -> int:
-        """How many publishers the nodes of this run have on a topic; others may be there that answer nobody."""
+    def _own_publishers(self, topic: str) -> int:
+        """Return the number of publishers of this run's nodes on a topic."""
         infos = self.recorder.node.get_publishers_info_by_topic(topic)
         return sum(info.node_name in self.nodes for info in infos)
 
     def _matched(self) -> bool:
-        """The controller reads the plant's states and the plant its commands, as the graph tells it."""
-        obeyed = ANSWERS if self.plan.lockstep else COMMANDS
-        return self._reads(CONTROLLER, STATES) and self._reads(PLANT, obeyed)
+        """Return whether the graph shows both subscriptions: states by the controller, commands by the plant."""
+        commands = JOINT_COMMANDS if self.plan.lockstep else EFFORT_COMMANDS
+        return self._reads(CONTROLLER, STATES) and self._reads(PLANT, commands)
 
     def _reads(self, node: str, topic: str) -> bool:
         return node in (info.node_name for info in self.recorder.node.get_subscriptions_info_by_topic(topic))
 
     def _refuse_others(self) -> None:
-        """Raise RunError when anyone but our two nodes publishes states or commands in this domain."""
-        for topic, owner in ((STATES, PLANT), (COMMANDS, CONTROLLER), (ANSWERS, CONTROLLER)):
+        """Raise RunError if any other node publishes states or commands in this domain."""
+        for topic, owner in ((STATES, PLANT), (EFFORT_COMMANDS, CONTROLLER), (JOINT_COMMANDS, CONTROLLER)):
             publishers = [info.node_name for info in self.recorder.node.get_publishers_info_by_topic(topic)]
             if (owner in self.nodes and publishers.count(owner) > 1) or set(publishers) - {owner}:
                 found = ", ".join(sorted(publishers))
@@ -180,36 +181,36 @@ class _Run:
                 )
 
     def _follow(self) -> None:
-        """Wait until `duration` seconds of stamped time since the first answered state are in the bag."""
+        """Wait until commands for `duration` [s of stamped time] are recorded."""
         with Progress(self.plan.name, self.plan.duration) as progress:
             last, deadline, look = 0.0, time.monotonic() + SILENCE_LIMIT, 0.0
             while last < self.plan.duration:
                 self._pause()
                 if time.monotonic() > look:
-                    self._refuse_others()  # a node without our discovery profile may show up only after 3 s
+                    self._refuse_others()  # a node with another discovery profile may appear only after 3 s
                     look = time.monotonic() + GRAPH_PERIOD
                 elapsed = self._elapsed()
                 if elapsed > last:
                     last, deadline = elapsed, time.monotonic() + SILENCE_LIMIT
                     progress.at(elapsed)
                 elif time.monotonic() > deadline:
-                    raise RunError(f"no answered state for {SILENCE_LIMIT:g} s\n{self._words()}")
+                    raise RunError(f"no command to a new state for {SILENCE_LIMIT:g} s\n{self._logs()}")
         self._refuse_others()
 
     def _elapsed(self) -> float:
-        """Stamped time [s] from the first to the latest answered state."""
-        ends = self.recorder.ends(ANSWERS)
+        """Return the stamped time [s] from the first to the latest state with a command."""
+        ends = self.recorder.ends(JOINT_COMMANDS)
         return (header_stamp(ends[1]) - header_stamp(ends[0])) * 1e-9 if ends else 0.0
 
     def _wait(self, condition: Callable[[], bool], limit: float, what: str) -> None:
         deadline = time.monotonic() + limit
         while not condition():
             if time.monotonic() > deadline:
-                raise RunError(f"waited {limit:g} s for {what}\n{self._words()}")
+                raise RunError(f"waited {limit:g} s for {what}\n{self._logs()}")
             self._pause()
 
     def _pause(self) -> None:
-        """A moment's wait that ends the run when it has to end."""
+        """Wait for POLL; raise Interrupted, NodeError or RunError if the run has to end."""
         if self.stop.wait(POLL):
             raise Interrupted(self.plan.folder if self.going else None)
         for node in self.nodes.values():
@@ -217,13 +218,13 @@ class _Run:
         if self.recorder.failure:
             raise RunError(f"the recorder failed: {self.recorder.failure}")
 
-    def _words(self) -> str:
-        return "\n".join(f"{node.name} says:\n{node.last_lines()}" for node in self.nodes.values())
+    def _logs(self) -> str:
+        return "\n".join(f"log of {node.name}:\n{node.last_lines()}" for node in self.nodes.values())
 
     def _end(self) -> None:
-        """End the controller, then the plant; the recorder still listens."""
+        """Stop the controller, then the plant; the recorder is still connected."""
         for name in (CONTROLLER, PLANT):
             if name in self.nodes:
                 self.nodes[name].stop()
         with suppress(Exception):
-            self.remote.close()
+            self.client.close()

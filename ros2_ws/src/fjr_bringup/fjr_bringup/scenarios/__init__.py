@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Installed scenarios and their overrides."""
+"""Installed scenarios and parameter changes from the command line."""

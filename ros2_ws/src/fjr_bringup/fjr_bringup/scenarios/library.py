@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Installed scenarios, and the one file a run really uses: a scenario with what the command line changes."""
+"""Find scenarios and apply the parameter changes of the command line."""
 
 from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +17,14 @@ from fjr_core.errors import FjrError, ParameterError
 
 
 class ScenarioError(FjrError):
-    """A scenario that does not exist, or a workspace that is not sourced."""
+    """A scenario does not exist, or no workspace is sourced."""
 
 
 def folder() -> Path:
-    """Where the scenarios are installed."""
+    """Return the folder of the installed scenarios; raises ScenarioError."""
     try:
         return Path(get_package_share_directory("fjr_bringup"), "scenarios")
-    except (PackageNotFoundError, OSError) as error:  # OSError: no workspace is sourced at all
+    except (PackageNotFoundError, OSError) as error:  # OSError: no workspace is sourced
         raise ScenarioError(
             "package fjr_bringup is not installed here: build with `colcon build` in ros2_ws, "
             "then `. ros2_ws/install/setup.sh`"
@@ -32,19 +32,19 @@ def folder() -> Path:
 
 
 def known() -> dict[str, Path]:
-    """Installed scenarios by name."""
+    """Return the files of the installed scenarios by name."""
     return {path.stem: path for path in sorted(folder().glob("*.yaml"))}
 
 
 def summary(path: Path) -> str:
-    """First sentence of a scenario's first comment: what it is."""
+    """Return the first sentence of the first comment of a scenario file."""
     lines = path.read_text(encoding="utf-8").splitlines()
     comments = [line.lstrip("# ") for line in lines if line.startswith("#") and "SPDX" not in line]
     return comments[0].partition(". ")[0] if comments else ""
 
 
 def find(name: str | None) -> Path:
-    """Path of a scenario given by installed name or by file; raises ScenarioError naming the known ones."""
+    """Return the path of a scenario given by name or by file; raises ScenarioError that lists the installed ones."""
     scenarios = known()
     if name in scenarios:
         return scenarios[name]
@@ -55,7 +55,7 @@ def find(name: str | None) -> Path:
 
 
 def parse_assignment(text: str) -> tuple[str, Any]:
-    """``name:=value`` with the value as YAML (numbers like 1e-3 included); raises ParameterError."""
+    """Split ``name:=value``; the value is YAML, including numbers such as 1e-3. Raises ParameterError."""
     name, separator, value = text.partition(":=")
     if not (name and separator):
         raise ParameterError(f"'{text}' is not an assignment; expected name:=value, e.g. robot.joint_stiffness:=[31.0]")
@@ -65,10 +65,20 @@ def parse_assignment(text: str) -> tuple[str, Any]:
         raise ParameterError(f"value of '{name}' {error}") from None
 
 
-def as_run(path: Path, overrides: Mapping[str, Any]) -> tuple[str, Scenario]:
-    """A scenario with parameters changed and all that it needs from other files in it: its text, and what it means.
+def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+    """Return the parameter values of ``name:=value`` assignments; raises ParameterError."""
+    return dict(parse_assignment(text) for text in assignments)
 
-    Raises ParameterError, naming the scenario.
+
+def load(name: str | None, assignments: Iterable[str] = ()) -> Scenario:
+    """Return a scenario, given by name or by file, with parameters changed; raises ScenarioError or ParameterError."""
+    return as_run(find(name), parse_assignments(assignments))[1]
+
+
+def as_run(path: Path, overrides: Mapping[str, Any]) -> tuple[str, Scenario]:
+    """Return a scenario with parameters changed, as self-contained YAML text and as a Scenario.
+
+    The text includes everything that the file takes from other files. Raises ParameterError with the scenario's name.
     """
     try:
         text = _self_contained(path, overrides)
@@ -82,7 +92,7 @@ def _self_contained(path: Path, overrides: Mapping[str, Any]) -> str:
     given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
     for name, value in overrides.items():
         for node in _nodes_with(name, given, path.parent):
-            given[node] |= robot_file.absolute({name: value}, Path.cwd())  # a path is relative to where `fjr` runs
+            given[node] |= robot_file.absolute({name: value}, Path.cwd())  # relative to the current folder
     changes = "".join(f"\n#   {name}:={_brief(value)}" for name, value in overrides.items())
     header = f"# {path.name} as it was run" + (f", with{changes}" if changes else "")
     return f"{header}\n{ros_yaml.dump(self_contained(given, path.parent))}"
@@ -94,7 +104,7 @@ def _brief(value: Any) -> str:
 
 
 def _nodes_with(name: str, given: Mapping[str, Mapping[str, object]], folder: Path) -> list[str]:
-    """The nodes that have a parameter; raises ParameterError for a name that none has."""
+    """Return the nodes that declare a parameter; raises ParameterError if none does."""
     if not isinstance(name, str):
         raise ParameterError(f"the name of a parameter is {name!r}; expected text")
     by_node = {node: _parameter_names(node, values, folder) for node, values in given.items()}

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws the plots of a page of `fjr report` with uPlot. What is drawn is in the JSON element "plots"; see plots.py.
+// Draws the plots of a page of `fjr report` with uPlot. Reads the plots from the JSON element "plots" (figure.py).
 "use strict";
 (() => {
   const [HEIGHT, LOW] = [280, 210];
@@ -12,7 +12,7 @@
 
   const page = JSON.parse(document.getElementById("plots").textContent);
 
-  // Array number `place`: see Pool of plots.py.
+  // Decode array number `place` (class Pool in figure.py).
   function numbers(place) {
     const [kind, count, text] = page.arrays[place].split(":");
     const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
@@ -31,7 +31,7 @@
     return String(Number(value.toPrecision(4)));
   }
 
-  // Ticks of a log axis: the powers of ten, thinned to what there is room for, or 1, 2, 5 where it spans few decades.
+  // Return the ticks of a log axis: powers of ten, as many as fit, or 1, 2, 5 if the axis spans few decades.
   function logSplits(plot, axis, low, high) {
     const [first, last] = [Math.floor(Math.log10(low)), Math.ceil(Math.log10(high))];
     const room = (axis === 0 ? plot.bbox.width / 45 : plot.bbox.height / 34) / devicePixelRatio;
@@ -158,7 +158,7 @@
     drawn.push(entry);
   }
 
-  // A button that shows the same in other units, and then goes back.
+  // Add a button that switches the plot to other units and back.
   function swap(place, spec, name, use) {
     const button = element("button", place, name);
     const [here, other] = [spec.yLabel.replace(/.*\[(.*)\]/, "$1"), name];

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -22,81 +22,72 @@ COLOURED = {"lost": "maybe", "unstable": "no"}
 
 def write_page(path: Path, document: dict[str, Any]) -> None:
     """Write the page of a comparison (results.document)."""
-    found = rows(document)
-    body = [*_head(document)]
-    for i, robot in enumerate(document["robots"]):
-        body += _robot(i, robot, [row for row in found if row.robot == robot], document)
-    body += [_laws(document), html.footer(HOW)]
-    html.write_page(path, f"fjr compare {document['suite']['name']}", body, comparison_plots(document))
+    found, laws, suite = rows(document), document["laws"], document["suite"]
+    html.write_page(
+        path,
+        "laws.html",
+        f"fjr compare {suite['name']}",
+        comparison_plots(document),
+        kicker=f"fjr compare {suite['name']}",
+        heading=f"{extent(document)[:-1]}: {', '.join(document['robots'])}",
+        tiles=_tiles(document),
+        note=NO_RANKING,
+        laws=[
+            {"title": law["title"], "colour": colour, "dash": dash}
+            for law, (colour, dash) in zip(laws, looks(laws), strict=True)
+        ],
+        robots=[
+            _robot(i, robot, [row for row in found if row.robot == robot], document)
+            for i, robot in enumerate(document["robots"])
+        ],
+        sources_head=[
+            "",
+            "paper",
+            "added to the paper's law",
+            "measures",
+            *(f"tuned on {r}" for r in document["robots"]),
+        ],
+        sources=[[law["title"], law["paper"], law["adds"], law["measures"], *_tunings(law, document)] for law in laws],
+        sources_text=TUNED,
+        footer=HOW,
+    )
 
 
-def _head(document: dict[str, Any]) -> list[str]:
-    laws, robots, suite = document["laws"], document["robots"], document["suite"]
-    figures = [
-        (str(len(laws)), "versions of control laws"),
+def _tiles(document: dict[str, Any]) -> list[tuple[str, str]]:
+    suite = document["suite"]
+    return [
+        (str(len(document["laws"])), "versions of control laws"),
         (str(document["runs"]), f"independent runs of {suite['duration']:g} s"),
         (f"{100 * suite['tracks']:g} % of the motion", "RMS error up to which a stable run tracks"),
         ("one rule", "of tuning for all laws: docs/baselines.md"),
     ]
-    return [
-        html.header(f"fjr compare {suite['name']}", f"{extent(document)[:-1]}: {', '.join(robots)}", None, []),
-        html.tiles(figures),
-        f'<div class="notes"><p>{escape(NO_RANKING)}</p></div>',
-        html.key([(colour, str(law["title"]), dash) for law, (colour, dash) in zip(laws, looks(laws), strict=True)]),
-    ]
 
 
-def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -> list[str]:
-    told = document["robots"][robot]
+def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -> dict[str, Any]:
+    """Return heading, text, place of the plots and tables of one robot."""
+    about = document["robots"][robot]
     references = "; ".join(
         f"{name}: RMS {number(each['motion_rad'], 'rad')}, torque up to {number(max(each['torque_nm']), 'N m')} RMS"
-        for name, each in told["references"].items()
+        for name, each in about["references"].items()
     )
-    joints, period = plural(len(told["joints"]), "joint"), number(told["sample_period_s"] * 1e3, "ms")
-    laws = document["laws"]
-    head = ["", *(html.swatch(*look) + escape(law["title"]) for law, look in zip(laws, looks(laws), strict=True))]
-    first = next(iter(told["references"]))
-    return [
-        html.section(robot, f"{joints}, a sample each {period}. Motions: {references}."),
-        html.figures(place_of(i), small=True),
-        html.table("How much a law bears", head, _table(found, "margins"), _margins_text(first, document), kind="even"),
-        html.table(
-            "RMS error [mrad]",
-            head,
-            _table(found, "errors"),
-            "Of the links, over time and joints, once settled.",
-            kind="even",
-        ),
-        html.table(
-            "The nominal run", head, _table(found, "metrics"), "Errors in mrad; efforts from the start on.", kind="even"
-        ),
-    ]
-
-
-def _laws(document: dict[str, Any]) -> str:
-    """Where each law is from, what it measures, and what came of the rule on each robot."""
-    lines = [
-        [
-            escape(law["title"]),
-            *(escape(str(text)) for text in (law["paper"], law["adds"], law["measures"])),
-            *_tunings(law, document),
-        ]
-        for law in document["laws"]
-    ]
-    head = [
-        "",
-        "paper",
-        "added to the paper's law",
-        "measures",
-        *(f"tuned on {escape(robot)}" for robot in document["robots"]),
-    ]
-    return html.table("The laws", head, lines, TUNED, "words")
+    joints, period = plural(len(about["joints"]), "joint"), number(about["sample_period_s"] * 1e3, "ms")
+    first = next(iter(about["references"]))
+    return {
+        "name": robot,
+        "text": f"{joints}, a sample each {period}. Motions: {references}.",
+        "place": place_of(i),
+        "tables": [
+            ("How much a law bears", _groups(found, "margins"), _margins_text(first, document)),
+            ("RMS error [mrad]", _groups(found, "errors"), "Of the links, over time and joints, once settled."),
+            ("The nominal run", _groups(found, "metrics"), "Errors in mrad; efforts from the start on."),
+        ],
+    }
 
 
 def _tunings(law: dict[str, Any], document: dict[str, Any]) -> list[str]:
     options = ", ".join(f"{name} {value:g}" for name, value in law["robust"].items())
     told = [document["results"][robot][law["label"]]["tuning"] for robot in document["robots"]]
-    return [escape(f"{each}; {options}" if options else each) for each in told]
+    return [f"{each}; {options}" if options else each for each in told]
 
 
 def _margins_text(reference: str, document: dict[str, Any]) -> str:
@@ -118,21 +109,18 @@ TUNED = (
 DASHED = "Green: best, or within 5 % of it. A dash: does not even track the nominal robot."
 
 
-def _table(found: Sequence[Row], kind: str) -> list[list[str]]:
-    """Rows of one kind, with a heading for each reference."""
-    lines: list[list[str]] = []
-    group = ""
-    for row in (row for row in found if row.group.partition(" ")[0] == kind):
-        reference = row.group.partition(" ")[2]
-        if reference and row.group != group:
-            lines.append([escape(reference)])
-        group = row.group
-        lines.append([escape(row.what), *(_cell(v, best) for v, best in zip(row.values, row.best, strict=True))])
-    return lines
+Cell = tuple[str, str]
+"""Text of a cell, and `best` or its CSS class."""
 
 
-def _cell(value: Value, best: bool) -> str:
-    words = escape(value.words)
-    if best:
-        return f'<b class="ok">{words}</b>'
-    return f'<span class="{COLOURED[value.state]}">{words}</span>' if value.state in COLOURED else words
+def _groups(found: Sequence[Row], kind: str) -> list[tuple[str, list[tuple[str, list[Cell]]]]]:
+    """Return the rows of one kind, grouped by the reference that heads them."""
+    chosen = [row for row in found if row.group.partition(" ")[0] == kind]
+    return [
+        (group.partition(" ")[2], [(row.what, list(map(_cell, row.values, row.best))) for row in rows_of_group])
+        for group, rows_of_group in groupby(chosen, lambda row: row.group)
+    ]
+
+
+def _cell(value: Value, best: bool) -> Cell:
+    return value.words, "best" if best else COLOURED.get(value.state, "")

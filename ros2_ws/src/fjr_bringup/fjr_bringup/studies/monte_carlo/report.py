@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from html import escape
 from pathlib import Path
 
 from fjr_bringup.formatting import number, percent
@@ -36,20 +35,26 @@ def write_page(store: Store, summary: Summary, picture: Path, path: Path) -> Pat
     sweep = store.sweep
     title = f"{sweep.name}: {percent(summary.succeeded / summary.runs)} of {summary.runs:,} runs succeed"
     image = b64encode(picture.read_bytes()).decode()
-    body = [
-        html.header(f"Campaign of {summary.runs:,} runs", title, None, _notes(sweep)),
-        html.tiles(_tiles(summary)),
-        f'<p><img style="width:100%" alt="{escape(title, quote=True)}" src="data:image/png;base64,{image}"></p>',
-        html.table("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], _outcomes(summary)),
-        html.table(
-            "What was drawn, and what it decides",
-            ["", "from", "to", "success", "log RMS error"],
-            _drawn(sweep, summary),
-        ),
-        html.everything("All figures", summary.as_json()),
-        html.footer(HOW),
-    ]
-    html.write_page(path, title, body, [])
+    html.write_page(
+        path,
+        "monte_carlo.html",
+        title,
+        [],
+        kicker=f"Monte-Carlo study of {summary.runs:,} runs",
+        notes=_notes(sweep),
+        tiles=_tiles(summary),
+        picture=image,
+        tables=[
+            ("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], _outcomes(summary)),
+            (
+                "What was drawn, and what it decides",
+                ["", "from", "to", "success", "log RMS error"],
+                _drawn(sweep, summary),
+            ),
+        ],
+        json=html.as_json(summary.as_json()),
+        footer=HOW,
+    )
     return path
 
 
@@ -81,7 +86,7 @@ def _unit(name: str) -> str:
 def _drawn(sweep: Sweep, summary: Summary) -> list[list[str]]:
     return [
         [
-            escape(effect.name),
+            effect.name,
             number(float(effect.edges[0]), _unit(effect.name)),
             number(float(effect.edges[-1]), _unit(effect.name)),
             percent(effect.success, 1),

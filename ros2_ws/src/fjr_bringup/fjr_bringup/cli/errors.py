@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Convert exceptions to one sentence on stderr and an exit code."""
+
+from __future__ import annotations
+
+import sys
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+
+from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.interrupt import Interrupted
+from fjr_bringup.scenarios.library import ScenarioError
+from fjr_core.errors import CompareError, FjrError, ParameterError
+
+INVALID_INPUT = (ScenarioError, ParameterError, CompareError)
+
+
+def exit_code(error: Exception) -> Exit:
+    """Print the error on stderr and return its exit code; raise an error that no user can cause."""
+    if isinstance(error, Interrupted):
+        kept = f"what was recorded is in {error.kept}" if error.kept else "nothing was recorded"
+        _print(f"stopped; {kept}")
+        return Exit.INTERRUPTED
+    if isinstance(error, FjrError):
+        _print(str(error))
+        return Exit.NOT_UNDERSTOOD if isinstance(error, INVALID_INPUT) else Exit.FAILED
+    if isinstance(error, (OSError, rclpy_implementation.RCLError)):
+        _print(" ".join(str(error).split()))
+        return Exit.FAILED
+    raise error
+
+
+def _print(sentence: str) -> None:
+    print(f"fjr: {sentence}", file=sys.stderr)

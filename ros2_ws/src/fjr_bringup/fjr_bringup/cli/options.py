@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arguments, options and number types that several commands of `fjr` share. Imports nothing slow."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+PATH = click.Path(path_type=Path)
+
+
+def number(noun: str, expected: str, accepts: Callable[[float], bool]) -> Callable[[str], float]:
+    """Return a converter of text to a number; it raises click.BadParameter where `accepts` is false or for NaN."""
+
+    def convert(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not accepts(value):
+            raise click.BadParameter(f"'{text}' is not {noun}; expected {expected}")
+        return value
+
+    return convert
+
+
+def integer(noun: str, expected: str, lowest: int, highest: float = math.inf) -> Callable[[str], int]:
+    """Return a converter of text, such as 20 or 1e4, to an integer within lowest and highest."""
+    convert = number(noun, expected, lambda value: lowest <= value <= highest and value % 1 == 0)
+    return lambda text: int(convert(text))
+
+
+def cores(text: str) -> int:
+    """Convert a number of cores, or `all` of this machine."""
+    if text == "all":
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return integer("a number of cores", "1 or more, or all", 1, 1024)(text)
+
+
+def remap(text: str) -> str:
+    """Check a remap FROM:=TO."""
+    if not all(text.partition(":=")[::2]):
+        raise click.BadParameter(f"'{text}' is not a remap; expected FROM:=TO")
+    return text
+
+
+SECONDS = number("a duration", "seconds, more than 0, at most 3600", lambda value: 0 < value <= 3600)
+RATE = number("a rate", "a positive number", lambda value: 0 < value < math.inf)
+SAMPLES = number("a delay", "samples, 0 to 20", lambda value: 0 <= value <= 20)
+ANGLE = number("an angle", "rad, more than 0, at most 3", lambda value: 0 < value <= 3)
+MESSAGES = integer("a number of messages", "1 or more", 1, 1e15)
+RUNS = integer("a number of runs", "1 or more", 1, 1e9)
+SOLUTIONS = integer("a number of solutions", "2 to 64", 2, 64)
+
+
+def complete_scenario(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Complete the names of installed scenarios, or else file names."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
+    try:
+        folder = Path(get_package_share_directory("fjr_bringup"), "scenarios")
+    except (PackageNotFoundError, OSError):  # OSError: no workspace is sourced
+        return [CompletionItem(incomplete, type="file")]
+    names = [path.stem for path in sorted(folder.glob("*.yaml")) if path.stem.startswith(incomplete)]
+    return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="file")]
+
+
+scenario_argument = click.argument("scenario", required=False, shell_complete=complete_scenario)
+set_option = click.option(
+    "--set",
+    "assignments",
+    metavar="NAME:=VALUE",
+    multiple=True,
+    help="Change a parameter, e.g. robot.joint_stiffness:=[10.0]; may be repeated.",
+)
+
+
+def output_option(meaning: str, default: str | None = None) -> Callable[..., Any]:
+    """Return the option --output DIR."""
+    return click.option("--output", type=PATH, metavar="DIR", default=default, show_default=bool(default), help=meaning)
+
+
+def duration_option(meaning: str, default: float | None = None) -> Callable[..., Any]:
+    """Return the option --duration S."""
+    return click.option(
+        "--duration", type=SECONDS, metavar="S", default=default, show_default=default is not None, help=meaning
+    )

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr run` and `fjr demo`: check a scenario, run it on two nodes, report it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
+from fjr_bringup.interrupt import stoppable
+from fjr_bringup.report.write import RunSummary, compare, output_paths, play_command, report_run, stops, table
+from fjr_bringup.runner.run import Plan, RunError
+from fjr_bringup.runner.run import run as run_plan
+from fjr_bringup.scenarios import library
+from fjr_core.errors import FjrError
+
+DEMO = ("paper_k31", "paper_k3p1", "arm7")
+
+
+def demo(duration: float, output: Path) -> Exit:
+    """Run the demonstration scenarios in real time, print a table and write a page that compares them."""
+    plans = [_plan(name, {}, duration, output) for name in DEMO]
+    summaries = [_record_and_report(plan) for plan in plans]
+    _print(summaries)
+    print(f"side by side: {compare(summaries, output)}")
+    return _exit_code(summaries)
+
+
+def run_scenario(
+    scenario: str | None, assignments: Sequence[str], duration: float, output: Path, lockstep: bool, force: bool
+) -> Exit:
+    """Run one scenario for `duration` [s] and report it; force: even if it is unstable as sampled."""
+    overrides = library.parse_assignments(assignments)
+    if lockstep:
+        overrides = {"realtime_priority": 0, **overrides, "lockstep": True}
+    summary = _record_and_report(_plan(scenario, overrides, duration, output, force))
+    _print([summary])
+    return _exit_code([summary])
+
+
+def _plan(name: str | None, overrides: Mapping[str, Any], duration: float, output: Path, force: bool = False) -> Plan:
+    """Return what to run; raises UnstableError for a scenario that is unstable as sampled, unless forced."""
+    path = library.find(name)
+    text, scenario = library.as_run(path, overrides)
+    if not force:
+        refuse_coarse_steps(scenario)
+        refuse_unstable(scenario, checked(scenario))
+    scenario.warm_up()
+    return Plan(path.stem, text, duration, output / path.stem, bool(scenario.plant_values["lockstep"]))
+
+
+def _record_and_report(plan: Plan) -> RunSummary:
+    try:
+        with stoppable() as stop:
+            recorded = run_plan(plan, stop)
+    except RunError as error:
+        if error.kept:
+            _report_failure(plan.name, error.kept, error)
+        raise
+    return report_run(plan.name, recorded.folder, plan.duration, recorded.skipped)
+
+
+def _report_failure(name: str, folder: Path, error: RunError) -> None:
+    """Write the report of a run that failed, as far as its bag holds data."""
+    with suppress(FjrError):
+        summary = report_run(name, folder, None, failure=str(error).partition("\n")[0])
+        print("\n".join([*stops([summary]), output_paths([summary])]), file=sys.stderr)
+
+
+def _print(summaries: Sequence[RunSummary]) -> None:
+    print(table(summaries))
+    print(output_paths(summaries))
+    print(play_command(Path(summaries[0].report.bag)))
+
+
+def _exit_code(summaries: Sequence[RunSummary]) -> Exit:
+    """Return the exit code of finished runs: FAILED before VIOLATED before DONE."""
+    if any(each.report.stop for each in summaries):
+        return Exit.FAILED
+    return Exit.VIOLATED if any(each.report.verdict.kind == "violated" for each in summaries) else Exit.DONE

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr contraction`, `fjr sweep` and `fjr compare`: studies by simulation, without nodes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+
+from fjr_bringup.interrupt import stoppable
+from fjr_bringup.scenarios import library
+from fjr_bringup.studies.comparison import command as comparison
+from fjr_bringup.studies.contraction import run as contraction_study
+
+
+def contraction(
+    scenario: str | None,
+    assignments: Sequence[str],
+    run_folder: Path | None,
+    duration: float,
+    starts: int,
+    spread: float,
+    seed: int,
+    output: Path,
+) -> None:
+    """Simulate solutions of the virtual system along a run and draw how they converge."""
+    loaded = library.load(scenario, assignments)
+    wish = contraction_study.Wish(duration, starts, spread, seed)
+    with stoppable() as stop:
+        print(contraction_study.run_and_draw(loaded, wish, run_folder, output / "contraction", stop))
+
+
+def sweep(
+    scenario: str | None,
+    assignments: Sequence[str],
+    runs: int | None,
+    seed: int | None,
+    duration: float | None,
+    cores: int,
+    scheduler: str | None,
+    output: Path,
+) -> None:
+    """Run a Monte-Carlo study; a number that is None is the study's own."""
+    monte_carlo = import_module(
+        "fjr_bringup.studies.monte_carlo.command"
+    )  # loads pyarrow, which the others do not need
+    given = {"runs": runs, "seed": seed, "duration": duration}
+    numbers = {name: value for name, value in given.items() if value is not None}
+    wish = monte_carlo.Wish(cores, scheduler, output, library.parse_assignments(assignments), numbers)
+    with stoppable() as stop:
+        print(monte_carlo.sweep(scenario, wish, stop))
+
+
+def compare(suite: str, output: Path, cores: int | None, document: Path | None, readme: Path | None) -> None:
+    """Compare control laws; document: a page that receives the table too; readme: its deprecated name."""
+    if readme is not None:
+        print("fjr: --readme is deprecated; use --document", file=sys.stderr)
+    with stoppable() as stop:
+        print(comparison.compare(suite, output, cores, document or readme, stop))

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line of `fjr`: help without slow imports, options that need no value, numbers that are refused."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+
+import click
+import pytest
+
+from fjr_bringup.cli.app import fjr, main
+from fjr_bringup.cli.exit_codes import Exit
+from patience import HANG
+from system.executables import fjr as run_fjr
+
+pytestmark = pytest.mark.system
+SLOW = ("numpy", "casadi", "rclpy", "matplotlib", "scipy", "pyarrow")
+
+
+def given(*words: str) -> dict[str, object]:
+    """Return the parameters that a command is called with."""
+    command = fjr.commands[words[0]]
+    return dict(command.make_context(words[0], list(words[1:]), obj=lambda: None).params)
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["run", "--help"], ["run", "--duration", "no"]])
+def test_help_version_and_usage_errors_import_nothing_slow(arguments: Sequence[str]) -> None:
+    code = f"import sys; from fjr_bringup.cli.app import main; main({arguments!r}); "
+    code += f"print('loaded:', *sorted(set({SLOW!r}) & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG, check=True)
+    assert done.stdout.splitlines()[-1] == "loaded:"
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == Exit.DONE
+    assert capsys.readouterr().out == "fjr 0.1.0\n"
+
+
+@pytest.mark.parametrize("name", fjr.commands)
+def test_every_command_and_option_has_help(name: str) -> None:
+    command = fjr.commands[name]
+    assert command.help
+    assert "..." not in command.get_short_help_str(61)
+    assert all(each.help for each in command.params if isinstance(each, click.Option))
+
+
+@pytest.mark.parametrize("arguments", [[], ["unknown"], ["run", "--unknown"], ["report"], ["gains", "arm7"]])
+def test_what_is_missing_or_unknown_ends_with_the_exit_code_of_a_usage_error(arguments: Sequence[str]) -> None:
+    assert main(arguments) == Exit.NOT_UNDERSTOOD
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "--duration", "nan"], "'nan' is not a duration; expected seconds"),
+        (["run", "--duration", "3601"], "'3601' is not a duration"),
+        (["gains", "arm7", "--beta", "inf"], "'inf' is not a rate; expected a positive number"),
+        (["sweep", "--runs", "1.5"], "'1.5' is not a number of runs; expected 1 or more"),
+        (["sweep", "--cores", "0"], "'0' is not a number of cores; expected 1 or more, or all"),
+        (["contraction", "--starts", "1"], "'1' is not a number of solutions; expected 2 to 64"),
+        (["watch", "--remap", "a:="], "'a:=' is not a remap; expected FROM:=TO"),
+    ],
+)
+def test_numbers_and_remaps_that_are_not_valid_are_named(
+    arguments: Sequence[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == Exit.NOT_UNDERSTOOD
+    assert words in capsys.readouterr().err
+
+
+def test_options_whose_value_may_be_left_out() -> None:
+    assert str(given("compare", "--readme")["readme"]) == "README.md"
+    assert str(given("compare", "quick", "--readme", "other.md")["readme"]) == "other.md"
+    assert given("compare")["readme"] is None
+    assert given("compare")["suite"] == "paper"
+    assert given("echo", "/t")["count"] is None
+    assert given("echo", "/t", "--once")["count"] == 1
+    assert given("echo", "/t", "--count", "3")["count"] == 3
+    assert given("sweep", "--runs", "1e4")["runs"] == 10_000
+    assert given("sweep", "--cores", "all")["cores"] == len(os.sched_getaffinity(0))
+
+
+def test_the_shell_completes_commands_and_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("_FJR_COMPLETE", "bash_complete")
+    for line, expected in (("fjr exp", "export-c"), ("fjr run paper_k31", "paper_k31")):
+        monkeypatch.setenv("COMP_WORDS", line)
+        monkeypatch.setenv("COMP_CWORD", str(len(line.split()) - 1))
+        assert run_fjr(*line.split()[1:]) == f"plain,{expected}\n"

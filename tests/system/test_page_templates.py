@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Templates of the pages: every value is escaped, pages are self-contained, a missing uPlot is one sentence."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from jinja2 import UndefinedError
+
+from fjr_bringup.report import html, uplot
+from fjr_bringup.report.figure import Line, Plot
+
+HOSTILE = "</script><b onload='x' title=\"y\">&amp;"
+VALUES: dict[str, Any] = {
+    "kicker": HOSTILE,
+    "notes": [HOSTILE],
+    "tiles": [(HOSTILE, HOSTILE)],
+    "picture": "",
+    "tables": [(HOSTILE, ["", HOSTILE], [[HOSTILE, HOSTILE]])],
+    "json": html.as_json({HOSTILE: HOSTILE}),
+    "footer": HOSTILE,
+}
+
+
+def page(path: Path, **values: Any) -> str:
+    plot = Plot(HOSTILE, HOSTILE, HOSTILE, np.arange(2.0), [Line(HOSTILE, np.ones(2))])
+    html.write_page(path, "monte_carlo.html", HOSTILE, [plot], **values)
+    return path.read_text(encoding="utf-8")
+
+
+def test_every_value_of_a_page_is_escaped(tmp_path: Path) -> None:
+    text = page(tmp_path / "page.html", **VALUES)
+    assert "<b onload" not in text
+    assert text.count("&lt;/script&gt;&lt;b onload=") >= len(VALUES)
+    assert text.count("</script>") == 3
+
+
+def test_a_page_fetches_nothing_and_contains_the_plotting_library(tmp_path: Path) -> None:
+    text = page(tmp_path / "page.html", **VALUES)
+    assert uplot.asset(uplot.SCRIPT) in text
+    assert uplot.asset(uplot.STYLE) in text
+    assert not re.search(r"<(?:script|link|img)[^>]*(?:src|href)=[\"'](?!data:)", text)
+
+
+def test_a_value_that_a_template_lacks_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(UndefinedError):
+        page(tmp_path / "page.html")
+
+
+def test_a_missing_plotting_library_is_one_sentence_and_leaves_no_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(uplot, "DISTRIBUTION", "no-such-distribution")
+    uplot.asset.cache_clear()
+    try:
+        with pytest.raises(
+            uplot.UPlotError, match=r"is not installed; expected it from: pip install --no-deps"
+        ) as error:
+            page(tmp_path / "page.html", **VALUES)
+    finally:
+        uplot.asset.cache_clear()
+    assert "\n" not in str(error.value)
+    assert list(tmp_path.iterdir()) == []
