@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's joint follows points with 16-bit encoders and no velocity sensor: an observer gives the velocities."""
+"""Track a spline with 16-bit encoders and no velocity sensor; an observer estimates the velocities."""
 
 import numpy as np
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust action on the paper's joint at 1 kHz: a load that the model lacks, and a late loop, with and without it."""
+"""Compare robust options on the paper's joint at 1 kHz, with an unmodelled load and with a delay of one sample."""
 
 from dataclasses import replace
 
@@ -14,23 +14,23 @@ robot = fjr.single_link(stiffness=31.0)
 law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS)
 reference = fjr.Sine(amplitude=1.0, frequency=1.0)  # q_ld = sin t
 
-q = ca.SX.sym("q", 1)  # the same robot with 0.3 N m on its link: P_l - 0.3 q_l
+q = ca.SX.sym("q", 1)  # robot with 0.3 N m on its link: P_l - 0.3 q_l
 P_l = ca.Function("P_l", [q], [robot.links.P_l(q) - 0.3 * q])
 grad_P_l = ca.Function("grad_P_l", [q], [robot.links.grad_P_l(q) - 0.3])
-loaded = replace(robot, links=replace(robot.links, P_l=P_l, grad_P_l=grad_P_l))
+with_load = replace(robot, links=replace(robot.links, P_l=P_l, grad_P_l=grad_P_l))
 
-ways = {
+options = {
     "none": Robust(),
     "residual": Robust(residual_gain=60.0),
     "integral": Robust(integral_gain=5.0),
     "prediction": Robust(delay=PERIOD),
 }
-cases = {"0.3 N m on the link": (loaded, 0.0), "one sample late": (robot, PERIOD)}
+cases = {"0.3 N m on the link": (with_load, 0.0), "one sample late": (robot, PERIOD)}
 
 print("case                  robust action   |q_l - q_ld|, RMS of the last second")
-for case, (real, delay) in cases.items():
-    plant, x0 = fjr.Plant(real), real.state(q_l=0.5, q_m=0.5, dq_l=0.0, dq_m=0.0)
-    for name, robust in ways.items():
+for case, (actual, delay) in cases.items():
+    plant, x0 = fjr.Plant(actual), actual.state(q_l=0.5, q_m=0.5, dq_l=0.0, dq_m=0.0)
+    for name, robust in options.items():
         run = fjr.simulate(plant, sampled_law(law, robust), reference, x0, 6.0, PERIOD, delay=delay)
         error = (run.x[:, 0] - run.jets[:, 0, 0])[run.t > 5.0]
         print(f"{case:20}  {name:>13}   {np.sqrt(np.mean(error**2)):.1e} rad")

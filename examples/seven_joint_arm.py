@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A seven-joint arm from its URDF: gains for its sample rate, a check before it runs, the closed loop; without ROS."""
+"""Synthesise gains for a seven-joint arm from its URDF, check the sampled loop and simulate it without ROS."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ found = fjr.check(law, PERIOD, configurations=along)
 print(f"beta {law.rate(along).beta:.2f} 1/s; spectral radius {found.spectral_radius:.4f} at 1 kHz")
 print(f"delay margin {found.delay_margin:.2f} samples; stable down to {found.lowest_stable_rate:.0f} Hz")
 
-q_l = reference.jets(0.0)[0] + 0.05  # every joint 0.05 rad off, the springs loaded by the weight
+q_l = reference.jets(0.0)[0] + 0.05  # initial error of 0.05 rad at every joint; the springs carry the weight
 q_m = q_l + np.linalg.solve(robot.K, robot.grad_P_l(q_l))
 x0 = robot.state(q_l, q_m, np.zeros(7), np.zeros(7))
 run = fjr.simulate(fjr.Plant(robot, compile=True), law, reference, x0, 3.0, PERIOD)

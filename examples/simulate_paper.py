@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's example without ROS: peak effort and error for both stiffnesses, continuous and at 1 kHz."""
+"""Simulate the example of the paper for both stiffnesses, in continuous time and at 1 kHz."""
 
 import numpy as np
 

@@ -112,13 +112,13 @@ def test_a_running_robot_is_not_advanced(ros: Ros, peer: Peer, lockstep: bool) -
     ros.plant(lockstep=lockstep)
     response = advance(ros, peer)
     assert not response.success
-    assert response.message == "the robot's time runs; expected a paused robot: call ~/pause with true first"
+    assert response.message == "robot time is running; expected a paused robot: call ~/pause with true first"
 
 
 INTERRUPTIONS = {
     "reset": (Trigger, "fjr_plant/reset", {}, "reset after 2 of 5 samples: the time is 1.002000000 s"),
     "pause": (SetBool, "fjr_plant/pause", {"data": True}, "paused after 2 of 5 samples: the time is 1.002000000 s"),
-    "go": (SetBool, "fjr_plant/pause", {"data": False}, "let go after 2 of 5 samples: the time is 1.002000000 s"),
+    "go": (SetBool, "fjr_plant/pause", {"data": False}, "resumed after 2 of 5 samples: the time is 1.002000000 s"),
 }
 
 

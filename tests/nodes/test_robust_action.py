@@ -98,7 +98,7 @@ def test_with_prediction_there_is_no_diagnosis_but_a_storage_with_rates(ros: Ros
     ros.until(lambda: len(hearer.verdicts()) > 1, "a verdict")
     assert {verdict for verdict, _ in hearer.verdicts()} == {"unknown"}
     statuses = [s for message in hearer.diagnostics for s in message.status if s.name.endswith(": certificate")]
-    assert statuses[-1].message == "no verdict: the effort is the law's for a predicted state (robust.delay)"
+    assert statuses[-1].message == "no diagnosis: the effort is the law's for a predicted state (robust.delay)"
     _, values = read_certificate(hearer.certificates[-1])
     assert np.isfinite(values).all()
     assert values.bound == -1

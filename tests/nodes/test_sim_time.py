@@ -172,7 +172,7 @@ def test_a_pause_outlasts_a_jump_of_the_clock(ros: Ros, peer: Peer, jump: int) -
 def test_the_robot_is_not_advanced_before_the_clock_shows_a_time(ros: Ros, peer: Peer) -> None:
     player = Player(ros, peer, start_paused=True, advance_samples=3)
     response = call(ros, peer, Trigger, "fjr_plant/advance")
-    assert (response.success, response.message) == (False, "no time has come on /clock yet; expected one first")
+    assert (response.success, response.message) == (False, "no time has been received on /clock; expected one first")
     player.play(SECOND)
     response = call(ros, peer, Trigger, "fjr_plant/advance")
     assert (response.success, response.message) == (True, "advanced by 3 samples: the time is 1.003000000 s")

@@ -148,7 +148,7 @@ def test_a_plant_that_diverges_ends_with_one_sentence(ros: Ros, start) -> None:
     assert code == 1
     ended = [line for line in said.splitlines() if "not finite" in line]
     assert len(ended) == 1, said
-    assert ended[0].startswith("ended: the robot's state is not finite after ")
+    assert ended[0].startswith("ended: the state of the robot is not finite after ")
     assert "Traceback" not in said
     assert "FATAL" not in said
     assert all(np.isfinite(state.position).all() for state in peer.states)

@@ -20,7 +20,7 @@ def test_a_run_with_another_law_is_reported_without_v(tmp_path: Path, name: str)
     fjr("run", "paper_k31", "--lockstep", "--duration", "2.5", "--set", f"law.type:={name}", "--output", str(tmp_path))
     report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
     assert report["verdict"]["kind"] == "unknown"
-    assert report["verdict"]["sentence"] == f"no verdict: the law {name} has no certificate"
+    assert report["verdict"]["sentence"] == f"no diagnosis: the law {name} has no certificate"
     assert report["storage"] is None
     (joint,) = report["joints"]
     assert joint["peak_error_after_2s_rad"] < 1e-3

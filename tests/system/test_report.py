@@ -15,6 +15,7 @@ from fjr_bringup.analysis.metrics import _counts
 from fjr_bringup.analysis.run_data import TrackingData
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.plotting.joint_lines import LABEL_GAP, apart
+from fjr_core.monitoring.certificate import CertificateSeries
 from system.executables import fjr
 
 pytestmark = pytest.mark.system
@@ -24,7 +25,7 @@ MS = 1e-3
 def recorded(stamps: list[float], answers: list[float]) -> TrackingData:
     """Five nominal samples of 1 ms: states at `stamps` [ms], sent at once, answered at `answers` [ms]."""
     t = MS * np.array(stamps)
-    one, two = np.zeros((len(stamps), 1)), np.zeros((len(stamps), 2))
+    one, two, V = np.zeros((len(stamps), 1)), np.zeros((len(stamps), 2)), np.zeros(len(stamps))
     return TrackingData(
         joints=("joint1",),
         sample_period=MS,
@@ -38,10 +39,9 @@ def recorded(stamps: list[float], answers: list[float]) -> TrackingData:
         jets=np.zeros((len(stamps), 5, 1)),
         u=one,
         torque=one,
-        V=one[:, 0],
-        dV=one[1:, 0],
-        H=one[:, 0],
-        dissipated=one[:, 0],
+        u_applied=None,
+        certificate=CertificateSeries(*(V,) * 5, u_law=one, slope=two, drive=one, dissipation=V),
+        dV=V[1:],
         sent=t,
         answered=MS * np.array(answers),
         reference_mismatch=0.0,

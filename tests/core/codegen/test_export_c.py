@@ -84,7 +84,7 @@ def test_a_law_with_memory_lead_and_no_storage_replays(name: str, tmp_path: Path
     header = (tmp_path / f"{name}.h").read_text()
     assert re.search(r"_MEMORY [23] ", header)
     assert "_LEAD 0.003 " in header
-    assert "sent (n): the effort that was sent for the last sample, after all limits" in header
+    assert "sent (n): the effort sent for the last sample, after all limits" in header
 
 
 def test_the_implicit_plant_replays(tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_the_replay_sees_a_wrong_number(column: str, part: str, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("text", ["", "t,dt\n", "t,dt\n1,2\n", "t,dt\n" + "x," * 30 + "\n"])
-def test_what_is_no_case_is_told(text: str, tmp_path: Path) -> None:
+def test_an_invalid_case_is_reported(text: str, tmp_path: Path) -> None:
     folder = exported(loop("paper_k31"), tmp_path)
     program = built(C99, sorted(folder.glob("*.c")), folder / "replay")
     (folder / "case.csv").write_text(text)
@@ -286,11 +286,11 @@ def test_prefixes_that_are_in_the_way_of_other_files_and_targets(prefix: str) ->
 
 
 def test_what_cannot_be_exported_is_said() -> None:
-    with pytest.raises(fjr.StateError, match="expected equally many"):
+    with pytest.raises(fjr.StateError, match="expected equal numbers"):
         changed("paper_k31", joints=("a", "b"))
     with pytest.raises(fjr.StateError, match="diverged at t = "):
         export(changed("paper_k3p1", sample_period=0.05, inner_steps=1), "p")
-    with pytest.raises(fjr.TrajectoryError, match="cannot be written as C; expected one of Sine"):
+    with pytest.raises(fjr.TrajectoryError, match="cannot be exported to C; expected one of Sine"):
         _ = changed("paper_k31", reference=Unknown()).functions
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Campaigns: what is drawn, what is kept, what is taken up again, whoever runs it."""
+"""Monte-Carlo studies: draws, store, resume, independence of the workers."""
 
 from __future__ import annotations
 
@@ -76,14 +76,14 @@ def test_joints_and_names_and_seeds_are_drawn_apart() -> None:
 
 
 @pytest.mark.parametrize("n", [1, 3, 4, 7])
-def test_a_run_draws_the_same_whatever_is_drawn_beside(n: int) -> None:
+def test_the_draws_of_a_run_are_independent_of_other_runs(n: int) -> None:
     one = distributions.read("stiffness", {"normal": [1.0, 0.1], "each_joint": True})
     whole = one.drawn("stiffness", 3, 0, 20, n)
     parts = [one.drawn("stiffness", 3, begin, 5, n) for begin in (0, 5, 10, 15)]
     assert np.array_equal(np.vstack(parts), whole)
 
 
-def test_a_part_of_a_campaign_is_the_same_bits_alone() -> None:
+def test_a_part_of_a_study_is_the_same_bits_alone() -> None:
     plan = campaign()
     whole, middle = plan.part(0, 45), plan.part(13, 29)
     for name, column in middle.items():
@@ -103,7 +103,7 @@ def test_a_payload_is_where_it_is_drawn_in_parts_of_any_size() -> None:
     assert fixed.draws(0, 3).columns("payload_position", 1).tolist() == [[0.1, 0.2, 0.3]] * 3
 
 
-def test_a_campaign_as_text_is_the_same_campaign() -> None:
+def test_a_study_as_text_is_the_same_study() -> None:
     plan = campaign()
     assert from_text(plan.text) == plan
     assert from_text(plan.text).text == plan.text
@@ -167,7 +167,7 @@ def test_a_part_that_lost_its_end_does_not_count(tmp_path: Path) -> None:
         ({"success": {}}, "success differs in rms"),
     ],
 )
-def test_a_store_of_another_campaign_is_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+def test_a_store_of_another_study_is_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
     with open_store(tmp_path, campaign(), "program"):
         pass
     with (
@@ -224,9 +224,9 @@ def test_few_parts_are_under_way_at_any_time(tmp_path: Path) -> None:
     assert most[0] <= pool.AHEAD
 
 
-def test_a_worker_that_cannot_do_as_the_others_is_said(tmp_path: Path) -> None:
+def test_a_different_worker_is_refused(tmp_path: Path) -> None:
     plan = campaign()
-    with pytest.raises(sweep.CampaignError, match="expected one .*, as where the campaign began"):
+    with pytest.raises(sweep.CampaignError, match="expected one .*, as where the study was started"):
         sweep.run_part(plan.text, 0, 5, not plan.loop.compiled)
 
     class Elsewhere:
@@ -288,7 +288,7 @@ def test_a_file_that_is_not_understood_is_refused_in_a_sentence(document: dict[s
         ({"seed": -1}, "'seed' is -1"),
     ],
 )
-def test_a_campaign_that_cannot_be_is_refused_in_a_sentence(changes: dict[str, Any], words: str) -> None:
+def test_an_invalid_study_is_refused_in_a_sentence(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError) as caught:
         campaign(**changes)
     assert words in str(caught.value)

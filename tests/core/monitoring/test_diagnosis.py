@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verdicts on runs of the simulated loop: each cause alone, with and without a measured torque; what is unknown."""
+"""Diagnosis of simulated runs: each cause alone, with and without a measured torque, and unknown cases."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fjr_core.monitoring.certificate import Balance
 from fjr_core.monitoring.delay_estimation import acting, effort_age
 from fjr_core.monitoring.diagnosis import judge
 from fjr_core.monitoring.grading import Axes
-from fjr_core.monitoring.innovations import intervals, needed
+from fjr_core.monitoring.innovations import innovations, needed
 from fjr_core.monitoring.one_step_prediction import Prediction
 from fjr_core.monitoring.record import Record
 
@@ -46,7 +46,7 @@ def record(delay: float = 0.0, measured: bool = False, **robot: float) -> Record
 
 
 def test_a_perfect_model_foretells_the_next_state() -> None:
-    found = intervals(record(), Balance(LAW), Prediction(LAW))
+    found = innovations(record(), Balance(LAW), Prediction(LAW))
     assert np.abs(found.error).max() <= 1e-11
     assert np.abs(found.V1 - found.foretold).max() <= 1e-11
     assert np.abs(needed(found, LAW.robot) - found.sent).max() <= 1e-7
@@ -78,13 +78,13 @@ def test_another_robot_is_a_mismatch(name: str, value: float) -> None:
     verdict = judge(record(**{name: value}), LAW)
     assert verdict.kind in ("degraded", "violated")
     assert verdict.causes == ("model mismatch",)
-    assert "not the model" in verdict.sentence
+    assert "differs from the model" in verdict.sentence
 
 
 @pytest.mark.parametrize("delay", [0.7e-3, 1e-3, 2.4e-3, 4e-3])
 def test_a_delay_is_found_and_measured_from_the_motion_alone(delay: float) -> None:
     seen = record(delay=delay)
-    found = intervals(seen, Balance(LAW), Prediction(LAW))
+    found = innovations(seen, Balance(LAW), Prediction(LAW))
     age = acting(found, effort_age(found, LAW.robot), needed(found, LAW.robot)).age
     assert age * PERIOD == pytest.approx(delay, abs=0.02 * PERIOD)
     verdict = judge(seen, LAW)
@@ -118,7 +118,7 @@ def test_states_that_are_missing_are_a_loss() -> None:
 
 
 def looped(noise: float = 0.0, limit: float = np.inf) -> Record:
-    """The loop run on velocities with white noise [rad/s], the effort cut off at the limit [N m]."""
+    """The loop run on velocities with white noise [rad/s], the effort saturated at the limit [N m]."""
     plant, rng = fjr.Plant(LAW.robot), np.random.default_rng(7)
     x, rows = LAW.robot.state(0.5, 0.5, 0.0, 0.0), []
     for k in range(round(DURATION / PERIOD)):
@@ -139,8 +139,8 @@ def test_an_effort_at_its_limit_is_saturation() -> None:
     assert judge(looped(limit=30.0), LAW).kind == "holding"
 
 
-def test_an_effort_that_is_not_the_laws_is_not_judged() -> None:
-    """A ramp or a stop: nobody said that V falls there."""
+def test_a_run_with_other_efforts_is_unknown() -> None:
+    """During a ramp or a stop V need not decay."""
     seen = looped(limit=0.7)
     assert judge(replace(seen, effort_limit=np.array([np.inf])), LAW).kind == "holding"
 
@@ -162,16 +162,16 @@ def test_sampled_too_slowly() -> None:
     assert verdict.figures["spectral radius"] > 1
 
 
-def test_what_cannot_be_judged_is_unknown_with_a_reason() -> None:
+def test_insufficient_data_give_unknown_with_a_reason() -> None:
     whole = record()
     nothing = np.full_like(whole.velocity, np.nan)
     assert "no velocities" in judge(replace(whole, velocity=nothing), LAW).sentence
     unanswered = judge(replace(whole, u=np.full_like(whole.u, np.nan)), LAW)
     assert (unanswered.kind, unanswered.causes) == ("unknown", ())
     few = {name: getattr(whole, name)[:30] for name in ("t", "position", "velocity", "jets", "u")}
-    assert "29 answered states" in judge(replace(whole, **few), LAW).sentence
+    assert "29 consecutive states" in judge(replace(whole, **few), LAW).sentence
     other = judge(replace(whole, u=whole.u + 0.1), LAW)
-    assert "seldom the law's" in other.sentence
+    assert "not those of the law" in other.sentence
 
 
 def test_a_record_says_what_does_not_fit() -> None:

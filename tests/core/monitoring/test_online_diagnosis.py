@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict while a loop runs in real time: answers come within the sample, a little sooner or later each time."""
+"""Online diagnosis of a loop in real time, in which commands arrive within the sample with varying latency."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
 REFERENCE = fjr.Sine(1.0, 1.0)
 
 
-def run(seconds: float, told: bool = True, late: int = 0, tolerance: float = 1e-3, **robot: float) -> list[Verdict]:
-    """A verdict each second; `told`: the latency of each answer, `late`: samples that efforts are older besides."""
+def run(seconds: float, known: bool = True, late: int = 0, tolerance: float = 1e-3, **robot: float) -> list[Verdict]:
+    """Diagnose once per second; `known`: latency of each command is known; `late`: additional delay in samples."""
     real = fjr.single_link(**robot)
     plant, x = fjr.Plant(real), real.state(0.5, 0.5, 0.0, 0.0)
     forecast = Forecast(LAW)
@@ -30,7 +30,7 @@ def run(seconds: float, told: bool = True, late: int = 0, tolerance: float = 1e-
         velocity, jets = np.concatenate(real.velocities(x)), REFERENCE.jets(k * PERIOD)
         u, _ = LAW.measured_command(x[:2], velocity, jets)
         efforts.append(u)
-        forecast.take(PERIOD, x[:2], velocity, jets, u, latency if told else 0.0)
+        forecast.take(PERIOD, x[:2], velocity, jets, u, latency if known else 0.0)
         if k:
             running.look(BETA)
         x = plant.step(x, efforts[-2 - late], latency)
@@ -43,7 +43,7 @@ def run(seconds: float, told: bool = True, late: int = 0, tolerance: float = 1e-
 def test_a_loop_that_answers_within_the_sample_holds_where_its_latency_is_known() -> None:
     assert [verdict.kind for verdict in run(3.0)] == ["holding"] * 3
     assert [verdict.kind for verdict in run(3.0, tolerance=1e-9)] == ["holding"] * 3
-    assert "holding" not in [verdict.kind for verdict in run(3.0, told=False)]
+    assert "holding" not in [verdict.kind for verdict in run(3.0, known=False)]
 
 
 @pytest.mark.parametrize("late", [1, 2])
@@ -60,15 +60,15 @@ def test_another_robot_is_a_mismatch(robot: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("offset", [0, 5_000_000_000, -5_000_000_000])
 def test_latency_is_the_same_by_any_clock(offset: int) -> None:
-    latency, ways = Latency(), [120_000, 100_000, 250_000, 100_000]
+    latency, delays = Latency(), [120_000, 100_000, 250_000, 100_000]
     found = [
         latency.of(k * 1_000_000, k * 1_000_000 + way + offset, k * 1_000_000 + way + offset + 50_000)
-        for k, way in enumerate(ways)
+        for k, way in enumerate(delays)
     ]
     assert found == pytest.approx([50e-6, 50e-6, 200e-6, 50e-6])
 
 
-def test_the_difference_of_clocks_is_found_anew_where_it_grows() -> None:
+def test_the_clock_offset_is_estimated_again_when_it_grows() -> None:
     latency = Latency()
     for k in range(3 * WINDOW):
         jump = 3_000_000 if k >= WINDOW else 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A verdict of "holding" is earned: short runs, growth of V and a high share of violated blocks never give it."""
+"""Short runs, growth of V and a high share of violated blocks are never diagnosed as "holding"."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def growth(seen: Record) -> float:
 
 
 def live(seen: Record) -> list[str]:
-    """Return the kinds of the verdicts while the record is taken, one every 20 samples."""
+    """Return the kinds of the online diagnosis, one every 20 samples."""
     forecast = Forecast(LAW)
     running, kinds = RunningVerdict(LAW, seen.effort_limit, forecast), []
     for k in range(len(seen.t)):
@@ -168,8 +168,8 @@ def test_two_violated_blocks_of_four_do_not_hold() -> None:
 
 
 @pytest.mark.parametrize("size", [1e10, 1e100, 1e300, np.inf])
-def test_a_record_that_overflows_gives_a_verdict_and_no_warning(size: float) -> None:
-    """Neither judge nor the running verdict shows a NumPy warning for numbers near the largest one."""
+def test_a_record_that_overflows_is_diagnosed_without_warning(size: float) -> None:
+    """Neither the offline nor the online diagnosis emits a NumPy warning for numbers near the largest one."""
     seen = record(200)
     factor = np.geomspace(1.0, min(size, 1e300), len(seen.t))[:, None]
     factor[-1] = size

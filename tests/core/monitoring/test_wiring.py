@@ -103,14 +103,14 @@ def test_a_healthy_start_is_never_taken_for_a_fault(seed: int) -> None:
     assert checked(robot, noise=noise, delay=delay, moving=1.0, seed=seed)[0] is None
 
 
-def test_a_robot_that_follows_is_looked_at_no_more() -> None:
+def test_the_check_ends_when_all_joints_follow() -> None:
     fault, samples, check = checked()
     assert fault is None
     assert check.done
     assert samples <= 21
 
 
-def test_without_motion_nothing_is_said_and_the_search_goes_on() -> None:
+def test_without_motion_the_check_continues() -> None:
     check = WiringCheck(MODEL)
     for k in range(200):
         assert check.see(k * PERIOD, np.zeros(4), np.zeros(4)) is None

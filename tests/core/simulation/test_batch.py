@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled closed loop of many runs: the same numbers as `simulate`, whatever runs beside a run."""
+"""The compiled closed loop of many runs: same numbers as `simulate`, independent of the other runs."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def test_payload_and_smoothing_and_seed_are_felt() -> None:
     assert len(set(found)) == len(changes)
 
 
-def test_a_run_that_diverges_is_lost_and_the_others_go_on() -> None:
+def test_a_diverging_run_ends_and_the_others_continue() -> None:
     result = paper_loop().run(Draws(3, delay=[0.0, 0.02, 0.0]))
     assert result.stable.tolist() == [True, False, True]
     assert result.lost_at[1] < 0.3
@@ -189,7 +189,7 @@ def test_a_run_that_diverges_is_lost_and_the_others_go_on() -> None:
     assert result.rms[0] == result.rms[2]
 
 
-def test_the_law_is_told_what_was_sent() -> None:
+def test_the_law_receives_the_sent_effort() -> None:
     """The effort beyond the limit never reaches the plant."""
     _, recorded = paper_loop().recorded(Draws(1, effort_limit=3.0))
     assert np.abs(recorded.u).max() == 3.0
@@ -261,5 +261,5 @@ def test_it_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
         assert paper_loop().compiled
-    assert len(list((tmp_path / "fjr").glob("campaign-*.so"))) == 1
+    assert len(list((tmp_path / "fjr").glob("batch-*.so"))) == 1
     assert os.access(tmp_path, os.W_OK)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The imperfect plant: exact power balance with each departure, payloads that are real links, exact actuators."""
+"""Non-ideal plant: exact power balance with each non-ideality, payloads equal to real links, exact actuators."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def everything(n: int) -> Imperfections:
 
 
 def friction(v: Array, coulomb: Array, static: Array, stribeck: Array, smoothing: Array) -> Array:
-    """The model by hand."""
+    """Hand-written model."""
     level = coulomb + np.maximum(static - coulomb, 0) * np.exp(-((v / stribeck) ** 2))
     return level * np.tanh(v / smoothing)
 
@@ -90,7 +90,7 @@ def test_with_everything_off_a_step_is_the_plants(arm: Arm, integrator: str) -> 
 @arms
 @seeds
 def test_power_balance_with_all_departures(arm: Arm, seed: int) -> None:
-    """dH/dt = supplied by the actuators, the pushes and the ripple - viscous damping - friction."""
+    """dH/dt = power of actuators, external torques and ripple - viscous damping - friction."""
     p, n, i = random_point(arm, seed), arm.n, everything(arm.n)
     plant, push = plant_of(arm.robot), np.random.default_rng(seed).uniform(-2, 2, n)
     dx = plant.derivative(p.x, p.u, push, i.vector)
@@ -404,6 +404,6 @@ def test_an_effort_limit_may_be_infinite_but_not_unknown() -> None:
             Imperfections(2, effort_limit=bad)
 
 
-def test_imperfections_of_other_joints_are_refused() -> None:
+def test_nonidealities_of_other_joints_are_refused() -> None:
     with pytest.raises(fjr.ParameterError, match="2 joints; expected 1"):
         plant_of(fjr.single_link()).check(Imperfections(2))

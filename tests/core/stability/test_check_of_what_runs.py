@@ -19,7 +19,7 @@ from fjr_core.control.robust import Robust, sampled_law
 from fjr_core.control.sampled_law import SampledLaw, Static, bound_step
 from fjr_core.estimation.observer_stability import error_radii
 from fjr_core.estimation.velocity_observer import VelocityObserver
-from fjr_core.experiments.comparison.tuned_law import column
+from fjr_core.experiments.comparison.tuned_law import tuned_law
 from fjr_core.robot.equilibrium import rest_points
 from fjr_core.stability.integral_bound import refuse_fast_integral
 from fjr_core.stability.linear_controller import Sensing
@@ -234,5 +234,5 @@ def test_an_integral_above_its_bound_is_refused_with_the_bound() -> None:
 
 def test_a_law_that_is_unstable_as_sampled_says_so_in_a_comparison() -> None:
     scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/paper_k3p1.yaml")
-    sentences = [column("v_dpbc", {"integral_gain": rate}, scenario).tuning for rate in (5.0, 40.0)]
+    sentences = [tuned_law("v_dpbc", {"integral_gain": rate}, scenario).tuning for rate in (5.0, 40.0)]
     assert ["unstable as sampled" in sentence for sentence in sentences] == [False, True]

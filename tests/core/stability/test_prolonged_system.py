@@ -57,7 +57,7 @@ def test_differential_storage_is_that_of_the_varied_errors(arm: Arm, gains: Gain
 @loops
 @seeds
 def test_rate_of_the_differential_storage_is_exact(arm: Arm, gains: GainSet, seed: int) -> None:
-    """dW/dt along plant, virtual closed loop and variation, by differences, whatever u drives the plant."""
+    """dW/dt along plant, virtual closed loop and variation, by differences, for any u of the plant."""
     loop, p, delta = loop_of(arm, gains), random_point(arm, seed), direction(arm, seed)
     system = ProlongedSystem(loop.law)
     dx = loop.plant.derivative(p.x, p.u)
@@ -123,18 +123,18 @@ def test_virtual_solutions_meet_the_measured_one_down_to_what_the_hold_leaves() 
     assert np.all(found.to_measured[-1] < 1e-2)
 
 
-def test_time_done_is_told() -> None:
-    told: list[float] = []
+def test_progress_is_reported() -> None:
+    progress: list[float] = []
     law, reference = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS), fjr.Sine(1.0, 1.0)
     run = fjr.simulate(fjr.Plant(law.robot), law, reference, np.zeros(4), 0.01, sample_period=1e-3)
     starts = scattered(law, run.x[0], 2, 0.1)
-    contraction(law, reference, Measured(run.t, run.x, run.u), starts, tell=told.append)
-    np.testing.assert_allclose(told, run.t[1:])
+    contraction(law, reference, Measured(run.t, run.x, run.u), starts, on_progress=progress.append)
+    np.testing.assert_allclose(progress, run.t[1:])
 
 
 def test_what_does_not_fit_is_refused() -> None:
     law, reference = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS), fjr.Sine(1.0, 1.0)
-    with pytest.raises(StateError, match="two growing instants"):
+    with pytest.raises(StateError, match="two increasing instants"):
         Measured(np.zeros(2), np.zeros((2, 4)), np.zeros((2, 1)))
     measured = Measured(np.arange(3) * 1e-3, np.zeros((3, 4)), np.zeros((3, 1)))
     with pytest.raises(StateError, match="starts have shape"):

@@ -309,7 +309,7 @@ def test_a_loop_that_overflows_is_unstable() -> None:
     assert np.isinf(spectral_radius(law, 1e5, configurations=[[np.pi]])[0])
 
 
-def test_an_unstable_loop_is_told_what_would_be_stable() -> None:
+def test_the_check_of_an_unstable_loop_reports_a_stable_rate() -> None:
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
     slow = check(law, 0.02)
     assert not slow.stable

@@ -20,7 +20,7 @@ from fjr_core.control.sampled_law import Static
 from fjr_core.control.static_law import StaticLaw
 from fjr_core.control.vdpbc import two_scale_gains
 from fjr_core.control.vdpbc.law import TrackingLaw
-from fjr_core.experiments.comparison import Trial, needs
+from fjr_core.experiments.comparison import Trial, motion_demand
 from fjr_core.simulation.batch import ClosedLoop
 from fjr_core.stability.linearization import rest_position, slope_at_rest
 from fjr_core.tuning.bandwidth import Yardstick
@@ -75,7 +75,7 @@ def test_bandwidths_are_equal_and_peak_efforts_where_the_rule_says_so(case: str,
     assert "the same bandwidth" in t.sentence
     assert t.bandwidth == pytest.approx(y.bandwidth, rel=0.01)
     assert t.same_peak == (name in PEAK_IS_REACHED[case])
-    assert ("cut" in t.sentence) == (name in PEAK_IS_CUT[case])
+    assert ("saturated" in t.sentence) == (name in PEAK_IS_CUT[case])
     if t.same_peak:
         assert t.peak == pytest.approx(y.peak, rel=0.1)
     low, high = t.kind.damping
@@ -115,8 +115,8 @@ def test_the_bandwidth_is_that_of_the_closed_form(omega_zeta: tuple[float, float
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_at_the_bandwidth_a_told_position_comes_out_at_0_7_of_its_size(name: str) -> None:
-    """The nonlinear loop, integrated by SciPy, told q_ld = a sin(w t) without its derivatives."""
+def test_at_the_bandwidth_the_gain_is_0_7(name: str) -> None:
+    """The nonlinear loop, integrated by SciPy, with q_ld = a sin(w t) and no derivatives."""
     y = joint()
     law, w, a = found("k = 31", name).law if name != "v_dpbc" else y.law, y.bandwidth, 1e-3
     plant = fjr.Plant(y.robot)
@@ -149,7 +149,7 @@ def test_slopes_are_those_of_the_effort() -> None:
     np.testing.assert_allclose(np.hstack([F, G]), columns, rtol=1e-5, atol=1e-5 * np.abs(columns).max())
 
 
-def test_the_yardstick_is_v_dpbc_with_the_given_gains() -> None:
+def test_the_target_is_v_dpbc_with_the_given_gains() -> None:
     y = joint()
     t = tune("v_dpbc", y)
     assert t.same_bandwidth
@@ -157,10 +157,10 @@ def test_the_yardstick_is_v_dpbc_with_the_given_gains() -> None:
     assert t.peak == pytest.approx(26.203, abs=1e-3)
     assert isinstance(t.law, TrackingLaw)
     np.testing.assert_array_equal(t.law.gains.Pi_m, [[60.0]])
-    assert t.sentence == "the yardstick, with the scenario's gains"
+    assert t.sentence == "tuning target, with the gains of the scenario"
 
 
-def test_all_commands_are_cut_at_the_yardsticks_peak() -> None:
+def test_all_commands_are_saturated_at_the_target_peak() -> None:
     assert joint().effort_limit == pytest.approx([26.203], abs=1e-3)
     assert found("k = 31", "lqr").effort_limit == pytest.approx([26.203], abs=1e-3)
 
@@ -175,19 +175,19 @@ def test_a_start_without_an_error_leaves_the_limit_above_what_the_reference_need
 
 
 @pytest.mark.parametrize("name", ["pd_gravity", "torque_feedback", "singular_perturbation"])
-def test_a_law_that_cannot_be_as_fast_is_told_so(name: str) -> None:
+def test_a_slower_law_is_reported(name: str) -> None:
     """The paper's soft joint: on the motors' side nothing is faster than link and spring."""
     t = tune(name, joint(3.1))
     assert not t.same_bandwidth
     assert t.bandwidth < 0.9 * t.yardstick_bandwidth
-    assert "no more here" in t.sentence
+    assert "the largest possible" in t.sentence
     assert np.linalg.eigvals(joint(3.1).loop(t.law)[0]).real.max() < 0
 
 
 def test_where_the_springs_cannot_hold_the_arm_motor_laws_are_refused() -> None:
     arm: Arm = planar("soft", 3.1)
     y = Yardstick(arm.robot, fjr.Sine([0.5, 0.5], 1.0), TWO_LINK)
-    with pytest.raises(fjr.GainsError, match="no natural frequency and damping ratio make pd_gravity stable"):
+    with pytest.raises(fjr.GainsError, match="pd_gravity is unstable for all natural frequencies"):
         tune("pd_gravity", y)
     assert tune("feedback_linearisation", y).same_bandwidth
 
@@ -216,7 +216,7 @@ def test_feedback_linearisation_with_two_time_scales_tracks_seven_joints() -> No
     assert t.same_bandwidth
     x0 = arm.robot.state(*np.split(rest_position(arm.robot, y.q_0), 2), np.zeros(7), np.zeros(7))
     loop = ClosedLoop(arm.robot, Static(t.law), reference, x0, 2.0, 1e-3, settle_after=1.0)
-    nominal = Trial(loop, needs(arm.robot, reference), y.effort_limit).cells([{}])[0]
+    nominal = Trial(loop, motion_demand(arm.robot, reference), y.effort_limit).metrics([{}])[0]
     assert nominal.rms is not None
     assert nominal.rms < 5e-4  # rad
 
@@ -316,7 +316,7 @@ def test_the_start_error_moves_what_the_rule_does() -> None:
         ("{tuned: 1}", "law.tuned"),
     ],
 )
-def test_parameters_that_do_not_fit_are_told_in_one_sentence(law: str, words: str) -> None:
+def test_invalid_parameters_are_refused_in_one_sentence(law: str, words: str) -> None:
     with pytest.raises(fjr.ParameterError, match=words.replace("[", r"\[")) as error:
         scenario(law)
     assert "\n" not in str(error.value)
@@ -329,7 +329,7 @@ def test_v_dpbc_is_the_default() -> None:
     assert isinstance(control_law(made.controller_values, made.robot), TrackingLaw)
 
 
-def test_a_yardstick_that_does_nothing_divides_by_nothing() -> None:
+def test_a_target_without_effort_causes_no_division_by_zero() -> None:
     y = Yardstick(fjr.single_link(stiffness=31.0), fjr.Sine(0.0, 1.0), fjr.PAPER_GAINS, (np.zeros(2), np.zeros(2)))
     assert y.peak == 0
     assert y.same_peak(0.0)

@@ -81,7 +81,7 @@ def test_synthesised_gains_have_the_rate_and_half_a_sample_of_margin(
 
 @pytest.mark.parametrize("name", ["planar", "full", "chain", "arm7"])
 def test_margins_hold_where_the_check_has_not_looked(name: str) -> None:
-    """Gains for one place, judged everywhere: the figures are those of a larger, different set."""
+    """Gains for one configuration, checked at a larger, different set."""
     arm, q_l = robot(name), workspace() if name == "arm7" else np.zeros((1, robot(name).n))
     law = fjr.TrackingLaw(arm, synthesize(arm, 6.0, 1e-3, configurations=q_l))
     found, loop = check(law, 1e-3), closed_form(law, elsewhere(arm), fjr.Plant(arm))
@@ -139,7 +139,7 @@ def test_what_is_said_to_be_within_reach_is() -> None:
 
 
 def test_hopeless_loops_are_named() -> None:
-    with pytest.raises(fjr.GainsError, match="nor is any down to"):
+    with pytest.raises(fjr.GainsError, match="so are all rates down to"):
         synthesize(robot("chain"), 1.0, 1.0, 1.0)
 
 

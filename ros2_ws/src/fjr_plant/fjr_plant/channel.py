@@ -1,23 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens to messages on their way, in the robot's time: delay, jitter, loss, repetition; without ROS.
+"""Message channels with delay, jitter, loss and duplication in robot time; without ROS.
 
-How a node uses it. Make one channel for states going out and one for commands coming in:
+Make one channel for outgoing states and one for incoming commands:
 
-    channel(errors, seed, STATES) -> Channel | None          # None: everything off, nothing to do
+    channel(errors, seed, STATES) -> Channel | None          # None: no errors
 
-State: `states.push(robot.time, (robot.time, *robot.measure()))`, then publish what `states.due(robot.time)` gives,
-each with the stamp of its measurement. Command: `commands.push(robot.time, effort)`, and while integrating up to
-`now`, stop wherever a command takes effect:
+States: `states.push(robot.time, (robot.time, *robot.measure()))`, then publish the items of `states.due(robot.time)`,
+each with the stamp of its measurement. Commands: `commands.push(robot.time, effort)`; while integrating up to `now`,
+stop at each instant at which a command takes effect:
 
     while (instant := commands.next_due) is not None and instant <= now:
         robot.advance_to(instant)
         for robot.u in commands.due(instant): pass
     robot.advance_to(now)
 
-An effort acts from the last inner step at or before its instant on; a delay of whole inner steps is exact.
-Lock-step: where nothing is due for the sample (lost or still on its way) there is nobody to wait for: hold the
-effort and go on to the next sample. An item must not change after it was pushed: push numbers, not a message
-that is filled again and again.
+An effort acts from the last inner step at or before its instant, so that a delay of whole inner steps is exact. In
+lock-step, if nothing is due for a sample (lost or delayed), hold the effort and continue with the next sample. Items
+must not change after they were pushed: push numbers, not a message that is reused.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ from fjr_core.simulation.nonideal_parameters import NANOSECONDS, ChannelErrors
 
 from .state_publisher import Sample
 
-STATES, COMMANDS, SENSORS, PERIOD = range(4)  # which random sequence of a seed is whose
+STATES, COMMANDS, SENSORS, PERIOD = range(4)  # streams of random numbers of a seed
 Item = TypeVar("Item")
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
-    """The random sequence number `stream` (STATES, COMMANDS, SENSORS, PERIOD) of a seed: independent of the others."""
+    """Return the generator of a stream (STATES, COMMANDS, SENSORS, PERIOD) of a seed; streams are independent."""
     return np.random.default_rng([seed, stream])
 
 
 class Channel(Generic[Item]):
-    """Items in flight. Times are integer nanoseconds of the robot; nothing here looks at a clock.
+    """Channel for items in transit. Times are integer nanoseconds of robot time; no clock is read.
 
-    The fate of the k-th item pushed depends on the seed, the stream, k and the errors only, so a run repeats
-    exactly; each of the errors has its own random numbers, so changing one leaves the fate by the others as it was.
+    Loss, duplication and delay of the k-th item depend only on seed, stream, k and the errors, so that a run repeats
+    exactly. Each error has its own random numbers, so that changing one does not affect the others.
     """
 
     def __init__(self, errors: ChannelErrors, seed: int = 0, stream: int = STATES) -> None:
@@ -54,73 +53,73 @@ class Channel(Generic[Item]):
         self.reset()
 
     def reset(self) -> None:
-        """Nothing in flight, and the random sequence from its start."""
+        """Discard all items and restart the random sequence."""
         self._random = generator(self._seed, self._stream)
-        self._flying: list[tuple[int, int, Item]] = []  # a heap: due, number, item
+        self._in_transit: list[tuple[int, int, Item]] = []  # a heap: due, number, item
         self._number = 0
         self._latest = 0
 
     def change(self, errors: ChannelErrors) -> None:
-        """Other errors for what is pushed from now on; what is in flight arrives as it would have."""
+        """Use other errors for items pushed from now on; items in transit arrive unchanged."""
         self.errors = errors
 
     def push(self, time: int, item: Item) -> None:
         """Send an item at `time` [ns]."""
-        lost, repeated, wait, wait_of_copy = self._random.random(4)  # always four: fates stay apart
+        lost, duplicated, wait, wait_of_copy = self._random.random(4)  # always four, so that errors stay independent
         if lost < self.errors.loss:
             return
         self._send(time, wait, item)
-        if repeated < self.errors.repetition:
+        if duplicated < self.errors.repetition:
             self._send(time, wait_of_copy, item)
 
     def due(self, time: int) -> list[Item]:
-        """What has arrived by `time` [ns] and was not given before, in the order of arrival."""
+        """Return and remove the items that have arrived by `time` [ns], in the order of arrival."""
         arrived = []
-        while self._flying and self._flying[0][0] <= time:
-            arrived.append(heapq.heappop(self._flying)[2])
+        while self._in_transit and self._in_transit[0][0] <= time:
+            arrived.append(heapq.heappop(self._in_transit)[2])
         return arrived
 
     @property
     def next_due(self) -> int | None:
-        """When the next item arrives [ns]; None: nothing is in flight."""
-        return self._flying[0][0] if self._flying else None
+        """Arrival time of the next item [ns]; None: no items in transit."""
+        return self._in_transit[0][0] if self._in_transit else None
 
     def _send(self, time: int, share: float, item: Item) -> None:
         due = time + round((self.errors.delay + self.errors.jitter * share) * NANOSECONDS)
         if self.errors.in_order:
             due = max(due, self._latest)
         self._latest = max(due, self._latest)
-        heapq.heappush(self._flying, (due, self._number, item))
+        heapq.heappush(self._in_transit, (due, self._number, item))
         self._number += 1
 
 
 def channel(errors: ChannelErrors | None, seed: int, stream: int) -> Channel | None:
-    """A channel with these errors; None where they are off, so that what is off costs nothing."""
+    """Return a channel with these errors; None if they are off, which costs nothing."""
     return None if errors is None or errors.off else Channel(errors, seed, stream)
 
 
 class SampleTimes:
-    """When samples are taken: every period, each late by a uniform share of the jitter; in whole inner steps.
+    """Sample times: every period, each delayed by a uniform share of the jitter, in whole inner steps.
 
-    The k-th is at k period + jitter_k, rounded down to an inner step: lateness does not add up. With a jitter
-    below the period the instants grow, by at least one inner step.
+    The k-th sample is at k period + jitter_k, rounded down to an inner step, so that delays do not accumulate. If the
+    jitter is below the period, the instants increase by at least one inner step.
     """
 
     def __init__(self, period: int, inner_step: int, jitter: float, seed: int = 0) -> None:
-        """period, inner_step [ns], jitter [s]."""
+        """Start at time 0; period, inner_step [ns], jitter [s]."""
         self._period, self._inner_step = period, inner_step
         self.jitter = jitter
         self._seed = seed
         self.reset()
 
     def reset(self) -> None:
-        """Back to the first sample, at time 0."""
+        """Return to the first sample at time 0 and restart the random sequence."""
         self._random = generator(self._seed, PERIOD)
         self._k = 0
         self.now = 0
 
     def next(self) -> int:
-        """The next sample's time [ns], which `now` gives from here on."""
+        """Advance to the next sample and return its time [ns], also available as `now`."""
         self._k += 1
         late = round(self._random.random() * self.jitter * NANOSECONDS)
         instant = self._k * self._period + late
@@ -129,13 +128,13 @@ class SampleTimes:
 
 
 class Transport:
-    """Two channels, None where a message arrives once and at once, and the lateness of samples."""
+    """Channels for states and commands, None without errors, and the sample times."""
 
     states: Channel[Sample] | None
     commands: Channel[Array] | None
 
     def __init__(self, period: int, inner_step: int, seed: int) -> None:
-        """period, inner_step [ns]."""
+        """Start without errors; period, inner_step [ns]."""
         self.period = period
         self._inner_step = inner_step
         self._errors: tuple[ChannelErrors, ChannelErrors] = (ChannelErrors(), ChannelErrors())
@@ -144,17 +143,17 @@ class Transport:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is on its way, and every random sequence starts again."""
+        """Discard all messages and restart all random sequences."""
         states, commands = self._errors
         self.states, self.commands = channel(states, self._seed, STATES), channel(commands, self._seed, COMMANDS)
         self.times.reset()
 
     def lateness(self) -> int:
-        """How late the next sample is taken [ns]."""
+        """Return the delay of the next sample [ns]."""
         return self.times.next() % self.period if self.times.jitter else 0
 
     def change(self, states: ChannelErrors, commands: ChannelErrors, jitter: float) -> None:
-        """Other errors for what is sent from now on, and another lateness of samples [s]."""
+        """Use other errors for messages sent from now on and another jitter [s] of the sample times."""
         self._errors = states, commands
         self.states = _changed(self.states, states, self._seed, STATES)
         self.commands = _changed(self.commands, commands, self._seed, COMMANDS)
@@ -162,7 +161,7 @@ class Transport:
 
 
 def _changed(found: Channel | None, errors: ChannelErrors, seed: int, stream: int) -> Channel | None:
-    """The channel with other errors; one that is there stays, for what is on its way in it."""
+    """Return the channel with other errors; an existing channel keeps its items."""
     if found is None:
         return channel(errors, seed, stream)
     found.change(errors)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated robot as a ROS 2 node: holds the last effort, integrates, publishes what it measures."""
+"""Simulated robot as a ROS 2 node: hold the last effort, integrate, publish the measurements."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from fjr_core import FjrError, Plant
-from fjr_core.config import builders
-from fjr_core.config import nonidealities as words
+from fjr_core.config import builders, nonidealities
 from fjr_core.config.description import description, robot_name
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.descriptions import publish_description
@@ -23,11 +22,11 @@ from fjr_msgs_py.node.parameters import ParameterNode
 from .channel import Transport
 from .simulated_robot import SimulatedRobot
 from .state_publisher import StatePublisher
-from .timing.deferred_service import Answer, DeferredTrigger
+from .timing.deferred_service import DeferredReply, DeferredTrigger
 from .timing.lock_step import START as LOCKSTEP_START
 from .timing.lock_step import LockStep
 from .timing.real_time import RealTime
-from .timing.time_base import Pace, Rig
+from .timing.time_base import NodeParts, Pace
 
 __all__ = ["LOCKSTEP_START", "PlantNode", "main"]
 
@@ -43,18 +42,18 @@ EXPECTED = (
 
 
 class PlantNode(ParameterNode):
-    """Publishes /joint_states; obeys /effort_controller/commands, or /joint_commands in lock-step (and owns /clock).
+    """Plant node: publishes /joint_states and applies /effort_controller/commands.
 
-    The robot's time stands still until the first command has come (wait_for_command) and while paused.
-    Services: ~/reset, ~/pause, ~/advance by advance_samples while paused. Torques on ~/external_torque act on the
-    links that are named until the next message or a reset.
+    In lock-step it applies /joint_commands and publishes /clock. Robot time stands still until the first command
+    (wait_for_command) and while paused. Services: ~/reset, ~/pause, ~/advance by advance_samples while paused. Torques
+    on ~/external_torque act on the named links until the next message or a reset.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__(names.PLANT, builders.plant_parameters, **node_kwargs)
 
     def build(self) -> None:
-        """Make the robot from the parameters and start to publish."""
+        """Build the robot from the parameters and start publishing."""
         joints = self.values["joints"]
         self._model = builders.robot(self.values)
         self._health = Health(self, EXPECTED, robot_name(self.values))
@@ -63,8 +62,8 @@ class PlantNode(ParameterNode):
         self._torques = TorqueReader(joints)
         if self.values["publish_description"]:
             publish_description(self, description(self.values))
-        rig = Rig(self, self.values, self._robot, self._transport, states, reader, self._health)
-        self._pace: Pace = (LockStep if self.values["lockstep"] else RealTime)(rig)
+        parts = NodeParts(self, self.values, self._robot, self._transport, states, reader, self._health)
+        self._pace: Pace = (LockStep if self.values["lockstep"] else RealTime)(parts)
         self.create_subscription(JointState, names.EXTERNAL_TORQUE, self._on_torque, names.LATEST)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.PAUSE, self._on_pause)
@@ -72,19 +71,22 @@ class PlantNode(ParameterNode):
         self._advance = DeferredTrigger(self, names.ADVANCE, self._on_advance)
 
     def stop(self) -> None:
-        """Report the last counters."""
+        """Publish the final counters."""
         self._health.publish()
 
     def end(self, error: FjrError) -> None:
-        """Let the robot's time stand still, with an answer to whoever waits for it."""
+        """Stop the robot time, reply to waiting clients, and end the node."""
         self._pace.end()
         super().end(error)
 
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
-        """Let the robot be as imperfect as the new values say, from now on; an FjrError refuses them."""
+        """Apply new non-idealities from now on; an FjrError refuses them."""
         if any(name.startswith("imperfections.") for name in names):
-            motion, sensors = words.imperfections(values, self._model), words.sensor_errors(values, self._model.n)
-            messages, jitter = words.channel_errors(values), words.period_jitter(values)
+            motion, sensors = (
+                nonidealities.imperfections(values, self._model),
+                nonidealities.sensor_errors(values, self._model.n),
+            )
+            messages, jitter = nonidealities.channel_errors(values), nonidealities.period_jitter(values)
             self._pace.catch_up()
             self._robot.change(motion, sensors)
             self._transport.change(*messages, jitter)
@@ -100,12 +102,12 @@ class PlantNode(ParameterNode):
         values, model = self.values, self._model
         inner_step = round(1e9 / values["publish_rate"] / values["inner_steps"])  # ns
         plant = Plant(model, values["integrator"], compile=values["compile"])
-        motion, sensors = words.imperfections(values, model), words.sensor_errors(values, model.n)
-        seed, x0 = words.seed(values), builders.initial_state(values, model)
+        motion, sensors = nonidealities.imperfections(values, model), nonidealities.sensor_errors(values, model.n)
+        seed, x0 = nonidealities.seed(values), builders.initial_state(values, model)
         robot = SimulatedRobot(plant, x0, inner_step, motion, sensors, seed)
         robot.warm_up()
         transport = Transport(inner_step * values["inner_steps"], inner_step, seed)
-        transport.change(*words.channel_errors(values), words.period_jitter(values))
+        transport.change(*nonidealities.channel_errors(values), nonidealities.period_jitter(values))
         return robot, transport
 
     def _on_torque(self, message: JointState) -> None:
@@ -130,8 +132,8 @@ class PlantNode(ParameterNode):
         response.message = "paused" if self._pace.paused else "running"
         return response
 
-    def _on_advance(self, answer: Answer) -> None:
-        self._pace.advance(self.values["advance_samples"], answer)
+    def _on_advance(self, reply: DeferredReply) -> None:
+        self._pace.advance(self.values["advance_samples"], reply)
 
 
 def main(args: list[str] | None = None) -> int:

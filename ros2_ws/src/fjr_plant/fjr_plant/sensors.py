@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What sensors make of the robot's motion: noise, encoder steps, no velocities; seeded, without ROS."""
+"""Sensors with noise, encoder quantisation and optional velocities; seeded, without ROS."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ NO_VELOCITIES: Array = np.zeros(0)
 
 
 class Sensors:
-    """Sensors of n joints with errors; what they say at one time is said once, however often it is asked for.
+    """Sensors of n joints with errors; repeated readings at the same time are equal.
 
-    The noise of the k-th instant depends on the seed and k only, and each kind has its own random numbers: the
-    same sequence scaled, whatever the other errors are.
+    The noise at the k-th instant depends only on the seed and k. Each kind of error has its own random numbers, scaled
+    by its deviation, independent of the other errors.
     """
 
     def __init__(self, errors: SensorErrors, seed: int = 0) -> None:
@@ -26,18 +26,18 @@ class Sensors:
         self.reset()
 
     def reset(self) -> None:
-        """The random sequence from its start."""
+        """Restart the random sequence."""
         self._random = generator(self._seed, SENSORS)
         self._time = -1
 
     def change(self, errors: SensorErrors) -> None:
-        """Other errors from now on; the random sequence goes on."""
+        """Use other errors from now on; the random sequence continues."""
         self.errors, self.perfect = errors, errors.off
         self._step = _encoder_steps(np.concatenate([errors.bits_l, errors.bits_m]))
         self._deviation = np.concatenate([errors.position_l, errors.position_m, errors.velocity_l, errors.velocity_m])
 
     def measured(self, time: int, position: Array, velocity: Array) -> tuple[Array, Array]:
-        """Positions [rad] and velocities [rad/s], (2n,) each, as measured at `time` [ns]; without velocities: (0,)."""
+        """Return measured positions [rad] and velocities [rad/s], (2n,) each, at `time` [ns]; no velocities: (0,)."""
         if time != self._time:
             self._time = time
             self._draw = self._random.standard_normal(len(self._deviation))
@@ -47,16 +47,16 @@ class Sensors:
 
 
 def quantised(position: Array, step: Array) -> Array:
-    """The nearest multiple of the step; where the step is 0 the position itself."""
+    """Round positions to the nearest multiple of the step; a step of 0 leaves them unchanged."""
     fine = step == 0
     return np.where(fine, position, np.round(position / np.where(fine, 1.0, step)) * step)
 
 
 def _encoder_steps(bits: Array) -> Array:
-    """2 pi / 2^bits [rad]; 0 where there are no bits."""
+    """Return 2 pi / 2^bits [rad]; 0 for 0 bits."""
     return np.where(bits == 0, 0.0, 2 * np.pi * 2.0**-bits)
 
 
 def sensors(errors: SensorErrors | None, seed: int) -> Sensors | None:
-    """Sensors with these errors; None where they are off."""
+    """Return sensors with these errors; None if they are off."""
     return None if errors is None or errors.off else Sensors(errors, seed)

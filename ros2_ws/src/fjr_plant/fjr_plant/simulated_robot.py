@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot in motion: state, exact time and held effort, advanced in fixed inner steps; without ROS."""
+"""Simulated robot: state, exact time and held effort, advanced in fixed inner steps; without ROS."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from .sensors import Sensors
 
 
 class Stepper:
-    """A step function (state, held inputs.., dt) -> next state, from one buffer into the other and back."""
+    """Step function (state, held inputs.., dt) -> next state, bound to two buffers used in turn; not thread-safe."""
 
     def __init__(self, function: ca.Function, dt: float) -> None:
-        """dt: length of a step [s]. Not for two threads at once."""
+        """Bind the function; dt: length of a step [s]."""
         state, *held, _ = (np.zeros(function.numel_in(i)) for i in range(function.n_in()))
         self._function, self._held = function, held
         self._buffers = state, state.copy()
         length = np.array(dt)
         there = bind(function, (self._buffers[0], *held, length), self._buffers[1:])
         back = bind(function, (self._buffers[1], *held, length), self._buffers[:1])
-        self._turns = there, back
+        self._steps = there, back
 
     def after(self, steps: int, state: Array, *held: Array) -> Array:
-        """The state that many steps later, a new array; raises StateError where a step does not converge."""
+        """Return the state after `steps` steps as a new array; raises StateError if a step does not converge."""
         np.copyto(self._buffers[0], state)
         for own, given in zip(self._held, held, strict=True):
             np.copyto(own, given)
         try:
             for k in range(steps):
-                self._turns[k & 1]()
+                self._steps[k & 1]()
         except RuntimeError:
             raise not_converged(self._function) from None
         return self._buffers[steps & 1].copy()
 
 
 class Velocities:
-    """Velocities (dq_l, dq_m) (2n,) of states x (4n,) of a robot; not for two threads at once."""
+    """Velocities (dq_l, dq_m) (2n,) of states x (4n,) of a robot, bound to buffers; not thread-safe."""
 
     def __init__(self, robot: Robot) -> None:
         x = ca.SX.sym("x", 4 * robot.n)
@@ -53,22 +53,22 @@ class Velocities:
         self._evaluate = bind(function, (self._x,), (self._dq,))
 
     def of(self, x: Array) -> Array:
-        """The velocities, a new array."""
+        """Return the velocities as a new array."""
         np.copyto(self._x, x)
         self._evaluate()
         return self._dq.copy()
 
 
 STIFFEST_FRICTION = 2.0
-"""Largest product of friction's rate about rest and the inner step: Runge-Kutta is stable to 2.78, here with room."""
+"""Largest product of friction rate and inner step; Runge-Kutta of order 4 is stable up to 2.78."""
 
 
 class SimulatedRobot:
-    """A plant with a state, a time [ns, integer, exact] and an effort that is held between commands.
+    """Plant with a state, an exact integer time [ns] and an effort that is held between commands.
 
-    u (n,) [N m]: the command, external (n,) [N m]: torques on the links; both are set from outside and held.
-    x (4n,): the state; with a payload p_l holds its momenta too.
-    Without imperfections the motion is that of plant.step, bit for bit.
+    u (n,) [N m]: command, external (n,) [N m]: torques on the links; both are set by the caller and held. x (4n,):
+    state, with the momenta of a payload in p_l. Without non-idealities the motion equals that of plant.step to the last
+    bit.
     """
 
     def __init__(
@@ -80,9 +80,9 @@ class SimulatedRobot:
         sensor_errors: SensorErrors | None = None,
         seed: int = 0,
     ) -> None:
-        """x0: initial state (4n,) of the robot without payload; inner_step: integrator step [ns].
+        """Start at the state x0 (4n,) of the robot without payload; inner_step: integrator step [ns].
 
-        seed: of the sensors' noise. Raises ParameterError for imperfections that do not fit.
+        seed: of the sensor noise. Raises ParameterError for invalid non-idealities.
         """
         self._plant, self._n = plant, plant.robot.n
         self._imperfect = ImperfectPlant(plant)
@@ -94,44 +94,44 @@ class SimulatedRobot:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the initial positions and velocities and time 0, no effort, the noise from its start."""
+        """Return to the initial positions and velocities at time 0, without effort, and restart the sensor noise."""
         self.time = 0
         self.u: Array = np.zeros(self._n)
         self.external = np.zeros(self._n)
-        self._output: Array = np.zeros(self._n)  # of the actuators
+        self._output: Array = np.zeros(self._n)  # of the actuators, behind the lag
         self.x = self._x0.copy()
         if np.any(self._imperfections.payload_mass):
-            self.x = self._moving(np.concatenate(self._plant.robot.velocities(self._x0)))
+            self.x = self._with_velocity(np.concatenate(self._plant.robot.velocities(self._x0)))
         self._sensors.reset()
 
     def warm_up(self) -> None:
-        """Build everything that is built once, so that the first step is as fast as any other, whatever is changed."""
+        """Build all functions, so that the first step is as fast as the later ones."""
         nothing = np.zeros(self._n)
         self._step.after(1, self._x0, nothing)
         self._imperfect_step.after(1, np.concatenate([self._x0, nothing]), nothing, nothing, self._parameters)
         self._imperfect.applied(nothing, nothing, self._parameters)
-        self._moving(self._imperfect.measure(self._x0, self._parameters)[0])
+        self._with_velocity(self._imperfect.measure(self._x0, self._parameters)[0])
         self.measure()
         self._sensors.reset()
 
     def change(self, imperfections: Imperfections, sensor_errors: SensorErrors | None = None) -> None:
-        """Other imperfections from now on; sensor_errors: other ones, None leaves them as they are.
+        """Use other non-idealities from now on; sensor_errors: None keeps the present ones.
 
-        Positions and velocities go on without a jump: a payload is taken and let go at the speed of the hand.
-        Raises ParameterError and changes nothing for imperfections that do not fit.
+        Positions and velocities are continuous; a payload is attached and released at the velocity of the end-effector.
+        Raises ParameterError for invalid non-idealities, without any change.
         """
         velocity, output, before = self._ideal()[1], self._applied(), self._imperfections
         self._use(imperfections)
         self._output = output
         if not _same_load(before, imperfections):
-            self.x = self._moving(velocity)
+            self.x = self._with_velocity(velocity)
         if sensor_errors is not None:
             self._sensors.change(sensor_errors)
 
     def advance_to(self, time: int) -> None:
         """Integrate in whole inner steps up to, and never past, `time` [ns]; raises StateError on divergence."""
         steps = max((time - self.time) // self._inner_step, 0)
-        if self._perfect and not self._pushed:
+        if self._perfect and not self._loaded:
             self.x = self._step.after(steps, self.x, self.u)
         else:
             state = np.concatenate([self.x, self._applied() if self._perfect else self._output])
@@ -139,12 +139,14 @@ class SimulatedRobot:
             self.x, self._output = np.split(state, [4 * self._n])
         self.time += steps * self._inner_step
         if not self.x.dot(self.x) < np.inf and not np.isfinite(self.x).all():  # the squares may overflow
-            raise StateError(f"the robot's state is not finite after {self.time * 1e-9:.3f} s: the motion diverged")
+            raise StateError(
+                f"the state of the robot is not finite after {self.time * 1e-9:.3f} s: the motion diverged"
+            )
 
     def measure(self) -> tuple[Array, Array, Array]:
-        """Positions (q_l, q_m) [rad], velocities [rad/s] and efforts (spring torque, applied torque) [N m], (2n,) each.
+        """Measure positions (q_l, q_m) [rad], velocities [rad/s] and (spring, applied) torques [N m], (2n,) each.
 
-        Velocities are (0,) where the sensors have none. The same at one time, however often it is asked for.
+        Velocities are (0,) if the sensors do not measure them. Repeated calls at the same time return the same values.
         """
         position, velocity, spring = self._ideal()
         if not self._sensors.perfect:
@@ -153,12 +155,12 @@ class SimulatedRobot:
 
     @property
     def external(self) -> Array:
-        """Torques on the links (n,) [N m]; to be replaced as a whole."""
+        """Torques on the links (n,) [N m]; assign a new array to change them."""
         return self._external
 
     @external.setter
     def external(self, torque: Array) -> None:
-        self._external, self._pushed = torque, bool(torque.any())
+        self._external, self._loaded = torque, bool(torque.any())
 
     @cached_property
     def _step(self) -> Stepper:
@@ -184,7 +186,7 @@ class SimulatedRobot:
             )
 
     def _ideal(self) -> tuple[Array, Array, Array]:
-        """Positions, velocities (2n,) and spring torques (n,) as they are."""
+        """Return exact positions, velocities (2n,) and spring torques (n,)."""
         n, robot = self._n, self._plant.robot
         position = self.x[: 2 * n]
         if self._perfect:
@@ -192,11 +194,11 @@ class SimulatedRobot:
         return position, *self._imperfect.measure(self.x, self._parameters)
 
     def _applied(self) -> Array:
-        """What the actuators give now (n,)."""
+        """Return the present actuator outputs (n,) [N m]."""
         return self.u if self._perfect else self._imperfect.applied(self._output, self.u, self._parameters)
 
-    def _moving(self, velocity: Array) -> Array:
-        """The state (4n,) here with these velocities (2n,), payload and all."""
+    def _with_velocity(self, velocity: Array) -> Array:
+        """Return the state (4n,) at the present position with these velocities (2n,), including the payload."""
         return self._imperfect.state(self.x[: 2 * self._n], velocity, self._parameters)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant's /joint_states: a sample is measured once, however often it is sent."""
+"""Publish samples of the plant on /joint_states."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import JointStateWriter
 
 Sample = tuple[int, Array, Array, Array]
-"""Stamp [ns], positions, velocities, efforts (2n,) each, or (0,) for what is not measured."""
+"""Stamp [ns], positions, velocities, efforts: (2n,) each, or (0,) if not measured."""
 
 
 class StatePublisher:
-    """Publishes samples."""
+    """Publisher of samples on /joint_states."""
 
     def __init__(self, node: Node, joints: tuple[str, ...]) -> None:
         self._writer = JointStateWriter(names.state_names(joints))
@@ -28,5 +28,5 @@ class StatePublisher:
         self._publisher.publish(self._message)
 
     def send_again(self) -> None:
-        """Publish the last sample once more."""
+        """Publish the last sample again, unchanged."""
         self._publisher.publish(self._message)

@@ -27,7 +27,7 @@ from fjr_bringup.analysis.joint_metrics import (
     rms,
     settling_time,
 )
-from fjr_bringup.analysis.power_balance import power
+from fjr_bringup.analysis.power_balance import Power
 from fjr_bringup.analysis.run_data import TrackingData
 from fjr_bringup.analysis.verdicts import Verdict, verdict
 from fjr_bringup.atomic_file import write_text
@@ -157,8 +157,8 @@ class Report:
         write_text(path, json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n")
 
 
-def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, duration: float) -> Report:
-    """The report of a run of `duration` seconds of stamped time."""
+def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, flow: Power, duration: float) -> Report:
+    """Return the report of a run of `duration` seconds of stamped time with the power balance `flow`."""
     return Report(
         scenario=name,
         duration_s=duration,
@@ -172,7 +172,7 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, dur
         tracking=_tracking(data),
         joints=joint_figures(data),
         storage=_storage(data) if np.isfinite(data.V[0]) else None,
-        energy=_energy(data, scenario) if np.isfinite(data.H[0]) else None,
+        energy=_energy(flow) if np.isfinite(data.H[0]) else None,
         timing=_timing(data),
         counts=_counts(data, duration, bag.lost()),
         diagnostics=bag.counters(),
@@ -220,8 +220,7 @@ def _saturated(data: TrackingData) -> float | None:
     return float((np.abs(sent) >= AT_LIMIT * data.effort_limit).any(axis=1).mean())
 
 
-def _energy(data: TrackingData, scenario: Scenario) -> Energy:
-    flow = power(data, scenario.robot.B_m)
+def _energy(flow: Power) -> Energy:
     supplied, dissipated, stored, residual = (
         float(np.nansum(each * flow.dt)) for each in (flow.supplied, flow.dissipated, flow.stored, flow.residual)
     )

@@ -22,7 +22,8 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.convergence_rate import NO_RATE, Rate
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import FjrError
-from fjr_core.monitoring.certificate import Balance
+from fjr_core.monitoring.certificate import Balance, CertificateSeries
+from fjr_core.monitoring.record import Record
 from fjr_core.robot.joint_units import REVOLUTE, Units
 
 VISITED = 200  # configurations of a run at which the rate is looked at
@@ -34,28 +35,21 @@ class DataError(FjrError):
     """A bag in which no run of the scenario is recorded."""
 
 
-@dataclass(frozen=True)
-class TrackingData:
-    """k states from the first answered one on, n joints. Times in s since that state's stamp; NaN: not known."""
+@dataclass(frozen=True, kw_only=True)
+class TrackingData(Record):
+    """Record of a run (k states from the first answered one on, n joints) with the certificate along it.
 
+    Times in s since the stamp of that state; NaN: not known.
+    """
+
+    sent: Array  # (k,) s, send time of each state since that of the first
+    answered: Array  # (k,) s, send time of its command, NaN: none
+    certificate: CertificateSeries  # along the states; V, dV NaN for another law than v-dPBC
     joints: tuple[str, ...]
-    sample_period: float  # s
-    lockstep: bool  # the simulated plant waits for the answer to each state: nothing is late, whatever the clock says
     beta: float  # rate [1/s]: V(t) <= V(0) exp(-2 beta t) in continuous time
     beta_is_proven: bool  # for every configuration; else beta is the least at configurations of the run
-    effort_limit: Array  # (n,) N m, infinite where none is given
-    t: Array  # (k,) stamps
-    position: Array  # (k, 2n) rad, links then motors
-    velocity: Array  # (k, 2n) rad/s
-    jets: Array  # (k, 5, n) reference at the stamps, q_ld .. d4q_ld
-    u: Array  # (k, n) N m, command that answers each state, NaN where none came
     torque: Array  # (k, n) N m, measured at the motors
-    V: Array  # (k,) J, storage of the law at each recorded state, x_v = x
-    dV: Array  # (k - 1,) W, its rate over each step as the model has it with the effort sent, held
-    H: Array  # (k,) J, energy of the robot
-    dissipated: Array  # (k,) W, by the damping of links and motors
-    sent: Array  # (k,) s, send time of each state since that of the first
-    answered: Array  # (k,) s, send time of its command, NaN where none came
+    dV: Array  # (k - 1,) W, mean rate of V over each step by the model, the sent effort held
     reference_mismatch: float  # rad, recorded reference against the one computed here
     notes: tuple[str, ...] = field(default=())  # what is missing or made up for, a sentence each
     velocities_measured: bool = True  # False: estimated by an observer
@@ -63,7 +57,23 @@ class TrackingData:
     units: tuple[Units, ...] = ()  # of each joint; revolute ones by default. Prismatic joints have m and N below
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "units", self.units or (REVOLUTE,) * len(self.joints))
+
+    @property
+    def V(self) -> Array:
+        """Storage of the law (k,) [J] at each state, x_v = x."""
+        return self.certificate.V
+
+    @property
+    def H(self) -> Array:
+        """Energy of the robot (k,) [J]."""
+        return self.certificate.H
+
+    @property
+    def dissipated(self) -> Array:
+        """Power dissipated by links and motors (k,) [W]."""
+        return self.certificate.dissipated
 
     @property
     def q_l(self) -> Array:
@@ -117,13 +127,13 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
     measured = states.velocity
     states = with_velocities(states, u, scenario)
     tracked = recorded_reference(bag, scenario, states.stamp, t)
-    balance = Balance(_certified(scenario))
-    found = balance.along(states.position, states.velocity, tracked.jets, u)
-    dV = _held_rate(balance, states, tracked.jets, u, found.dV)
-    no_storage = np.nan if balance.law is not scenario.law else 1.0
+    certificate, known = _certificate(scenario, states, tracked.jets, u), bool(np.isfinite(states.torque).any())
     rate, (period, odd) = _rate(scenario, states.position[:, :n]), _sample_period(scenario, t)
     torn = () if bag.complete else ("the bag was not closed: shown is what was written until then",)
     return TrackingData(
+        certificate=certificate,
+        dV=certificate.held_rate(u),
+        u_applied=states.torque @ np.linalg.inv(scenario.robot.B_m).T if known else None,
         joints=scenario.joints,
         sample_period=period,
         lockstep=bool(scenario.plant_values["lockstep"]),
@@ -136,10 +146,6 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
         jets=tracked.jets,
         u=u,
         torque=states.torque,
-        V=no_storage * found.V,
-        dV=no_storage * dV,
-        H=found.H,
-        dissipated=found.dissipated,
         sent=(sent - sent[0]) * 1e-9,
         answered=np.where(answered >= 0, (answered - sent[0]) * 1e-9, np.nan),
         reference_mismatch=tracked.mismatch,
@@ -192,14 +198,6 @@ def _effort_limit(scenario: Scenario) -> Array:
     return own if robot.limits is None else np.asarray(np.minimum(own, robot.limits.effort))
 
 
-def _held_rate(balance: Balance, states: States, jets: Array, u: Array, dV: Array) -> Array:
-    """dV/dt (k - 1,) over each step, by the trapezoidal rule: dV (k,) at its begin, and at its end with the same u."""
-    if len(u) < 2:
-        return np.zeros(0)
-    end = balance.along(states.position[1:], states.velocity[1:], jets[1:], u[:-1])
-    return np.asarray((dV[:-1] + end.dV) / 2)
-
-
 def _sample_period(scenario: Scenario, t: Array) -> tuple[float, tuple[str, ...]]:
     """The scenario's period [s], or the states' own where that is another, and what is to be said then."""
     nominal = scenario.sample_period
@@ -209,10 +207,13 @@ def _sample_period(scenario: Scenario, t: Array) -> tuple[float, tuple[str, ...]
     return seen, (f"states came every {seen * 1e3:.4g} ms; the scenario's robot sends them every {nominal * 1e3:g} ms",)
 
 
-def _certified(scenario: Scenario) -> TrackingLaw:
-    """The scenario's law; of another one than v-dPBC what stands in for it, for the energies of the robot."""
+def _certificate(scenario: Scenario, states: States, jets: Array, u: Array) -> CertificateSeries:
+    """Return the certificate along the states; of another law than v-dPBC only what the robot alone determines."""
     law = scenario.law
-    return law if isinstance(law, TrackingLaw) else TrackingLaw(scenario.robot, scenario.gains)
+    if isinstance(law, TrackingLaw):
+        return Balance(law).along(states.position, states.velocity, jets, u)
+    found = Balance(TrackingLaw(scenario.robot, scenario.gains)).along(states.position, states.velocity, jets, u)
+    return replace(found, V=np.nan * found.V, dV=np.nan * found.dV)
 
 
 def _rate(scenario: Scenario, q_l: Array) -> Rate:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict on a recorded run: fjr_core's, on what the bag holds."""
+"""Diagnose a recorded run with fjr_core."""
 
 from __future__ import annotations
 
@@ -11,39 +11,19 @@ from fjr_core.config.diagnosis import axes
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.monitoring.diagnosis import Verdict, judge, unknown
-from fjr_core.monitoring.record import Record
 
-__all__ = ["Verdict", "record", "verdict"]
+__all__ = ["Verdict", "verdict"]
 
 
 def verdict(data: TrackingData, scenario: Scenario) -> Verdict:
-    """Whether V fell as proven, and why not."""
+    """Return whether V decayed as proven, and the causes if it did not."""
     if not isinstance(scenario.law, TrackingLaw):
         return unknown(f"the law {scenario.controller_values['law.type']} has no certificate")
     if not np.isfinite(data.V).any():
-        return unknown("V is not known, for want of both sides of each joint")
+        return unknown("V is not known: the bag lacks links or motors")
     if not np.isfinite(data.u).any():
         return unknown("no effort of the controller was recorded")
     if not builders.robust(scenario.controller_values, scenario.robot.n).off:
-        return unknown(
-            "the law ran with robust action (robust.*), of which V here, the law's without it, knows nothing"
-        )
+        return unknown("V does not include the disturbance estimate (robust.* is enabled)")
     judged = axes(scenario.controller_values, scenario.robot)
-    return judge(record(data, scenario), scenario.law, data.beta, judged, data.velocities_measured)
-
-
-def record(data: TrackingData, scenario: Scenario) -> Record:
-    """The recorded run as fjr_core judges it; in lock-step the clock says nothing of when efforts acted."""
-    known = bool(np.isfinite(data.torque).any())
-    return Record(
-        t=data.t,
-        position=data.position,
-        velocity=data.velocity,
-        jets=data.jets,
-        u=data.u,
-        u_applied=data.torque @ np.linalg.inv(scenario.robot.B_m).T if known else None,
-        sent=None if data.lockstep else data.sent,
-        answered=None if data.lockstep else data.answered,
-        sample_period=data.sample_period,
-        effort_limit=data.effort_limit,
-    )
+    return judge(data, scenario.law, data.beta, judged, data.velocities_measured, data.certificate)

@@ -64,14 +64,13 @@ def report_bag(
     """Write report.json and report.html of any bag into a folder; for the arguments see report_run."""
     with without_warnings():
         data = tracking_data(bag, scenario, duration or np.inf)
-        lasted = duration or float(data.t[-1]) + data.sample_period
+        flow, lasted = power(data, scenario.robot.B_m), duration or float(data.t[-1]) + data.sample_period
         report = replace(
-            make_report(name, bag, scenario, data, lasted),
+            make_report(name, bag, scenario, data, flow, lasted),
             not_recorded=dict(skipped or {}),
             failure=failure,
             planned_s=duration,
         )
-        flow = power(data, scenario.robot.B_m)
 
         def write(place: Path) -> None:
             report.write(place / METRICS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is exported: a closed loop, and its parts as CasADi functions of which C can be made."""
+"""Closed loop to export, with its parts as CasADi functions from which C can be generated."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from .reference_function import jets_function
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A sampled closed loop: joints (n) by name, x0 (4n,) the plant's first state, times in seconds.
+    """Sampled closed loop: names of n joints, initial state x0 (4n,) of the plant, times in seconds.
 
-    Raises StateError where law, reference, plant and names have not the same number of joints.
+    Raises StateError if law, reference, plant and names differ in the number of joints.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Loop:
     def __post_init__(self) -> None:
         n = [self.law.robot.n, self.reference.n, self.plant.robot.n, len(self.joints), np.size(self.x0) / 4]
         if len(set(n)) != 1:
-            raise StateError(f"law, reference, plant, names and x0 have {n} joints; expected equally many")
+            raise StateError(f"law, reference, plant, names and x0 have {n} joints; expected equal numbers")
 
     @property
     def n(self) -> int:
@@ -53,7 +53,7 @@ class Loop:
 
     @cached_property
     def functions(self) -> dict[str, ca.Function]:
-        """By their names in C; none of them is machine code."""
+        """Return the functions by their names in C; none of them is compiled."""
         return {
             "reference": jets_function(self.reference),
             "law": self.law.step_function,
@@ -62,22 +62,14 @@ class Loop:
         }
 
     def _measurement(self) -> ca.Function:
-        """x (4n,) -> position (q_l, q_m), velocity (dq_l, dq_m), each (2n,)."""
+        """Build x (4n,) -> position (q_l, q_m), velocity (dq_l, dq_m), each (2n,)."""
         x = ca.SX.sym("x", 4 * self.n)
         velocity = ca.vertcat(*self.plant.robot.velocity_expressions(x))
         return dense_function("measure", {"x": x}, {"position": x[: 2 * self.n], "velocity": velocity}, cse=True)
 
 
 def loop_of(scenario: Scenario) -> Loop:
-    """The closed loop of a scenario, with the law's options where it has any; the plant is without imperfections."""
+    """Return the closed loop of a scenario with the options of the law and an ideal plant."""
     steps = int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
-    return Loop(
-        scenario.name,
-        scenario.joints,
-        scenario.sampled_law,
-        scenario.reference,
-        scenario.plant,
-        scenario.x0,
-        scenario.sample_period,
-        steps,
-    )
+    s = scenario
+    return Loop(s.name, s.joints, s.sampled_law, s.reference, s.plant, s.x0, s.sample_period, steps)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of an export, and the folder that they are written to."""
+"""Write the files of an export to a folder."""
 
 from __future__ import annotations
 
@@ -19,38 +19,38 @@ from .replay_case import as_csv, recorded
 
 SAMPLES = 200
 TEMPLATES = {"header.h": "{}.h", "source.c": "{}.c"}
-"""Templates whose file is named after the prefix; the others keep their names."""
+"""Templates whose file name contains the prefix; the others keep their names."""
 AS_THEY_ARE = ("replay.c", "CMakeLists.txt", "README.md")
 
 
 class ExportError(FjrError):
-    """A folder that an export cannot be written to."""
+    """Folder to which an export cannot be written."""
 
 
 class _CTemplate(Template):
-    """@{name} stands for a value: C, CMake and Markdown have their own uses for `$`."""
+    """Template with @{name} for values, since C, CMake and Markdown use `$` themselves."""
 
     delimiter = "@"
 
 
 def export(loop: Loop, prefix: str, samples: int = SAMPLES, notes: str = "") -> dict[str, str]:
-    """The texts of all files by name; notes: Markdown that ends the README.
+    """Return the texts of all files by name; notes: Markdown at the end of the README.
 
-    Raises ParameterError for a prefix that C names cannot begin with, TrajectoryError for a reference of another kind
-    than the built-in ones, StateError where the loop diverges within the samples of the case.
+    Raises ParameterError for an invalid prefix, TrajectoryError for a reference that is not built in, StateError if the
+    loop diverges within the samples of the case.
     """
     prefix = checked_prefix(prefix)
-    words = {**_words(loop, prefix), "samples": str(samples), "notes": notes}
-    texts = {TEMPLATES.get(name, name).format(prefix): _filled(name, words) for name in (*TEMPLATES, *AS_THEY_ARE)}
+    values = {**_values(loop, prefix), "samples": str(samples), "notes": notes}
+    texts = {TEMPLATES.get(name, name).format(prefix): _filled(name, values) for name in (*TEMPLATES, *AS_THEY_ARE)}
     texts[f"{prefix}_casadi.c"] = casadi_code(prefix, loop.functions)
     texts["case.csv"] = as_csv(recorded(loop, samples))
     return texts
 
 
 def write(texts: Mapping[str, str], folder: Path, force: bool = False) -> None:
-    """Write the files; raises ExportError for a folder that is not empty, unless force, or not to be written to.
+    """Write the files; raises ExportError for a folder that is not empty or not writable.
 
-    force: files of the same names are replaced, others left alone.
+    force: accept a folder that is not empty; files of the same names are replaced, others are kept.
     """
     try:
         if folder.exists() and not force and (not folder.is_dir() or any(folder.iterdir())):
@@ -63,13 +63,13 @@ def write(texts: Mapping[str, str], folder: Path, force: bool = False) -> None:
         raise ExportError(f"cannot write to {folder}: {error.strerror}") from None
 
 
-def _filled(template: str, words: Mapping[str, str]) -> str:
+def _filled(template: str, values: Mapping[str, str]) -> str:
     text = (files("fjr_core.codegen") / "templates" / f"{template}.in").read_text(encoding="utf-8")
-    return _CTemplate(text).substitute(words)
+    return _CTemplate(text).substitute(values)
 
 
-def _words(loop: Loop, prefix: str) -> dict[str, str]:
-    """What the templates' names stand for."""
+def _values(loop: Loop, prefix: str) -> dict[str, str]:
+    """Return the values of the names in the templates."""
     law, plant = loop.law, loop.plant
     memory, gains = len(law.memory), len(law.gain_values)
     return {
@@ -87,7 +87,7 @@ def _words(loop: Loop, prefix: str) -> dict[str, str]:
         "gain_numbers": numbers(law.gain_values),
         "memory": str(memory),
         "memory_length": str(max(1, memory)),
-        "memory_words": "" if memory else "; it has none, and this one entry is not used",
+        "memory_words": "" if memory else "; it has none, and this entry is not used",
         "memory_numbers": numbers(law.memory),
         "x0_numbers": numbers(loop.x0),
         "sample_period": number(loop.sample_period),
@@ -100,7 +100,7 @@ def _words(loop: Loop, prefix: str) -> dict[str, str]:
 
 
 def _gain_words(law: SampledLaw) -> str:
-    """How many numbers each gain of the v-dPBC law has in `gains`; nothing for other laws."""
+    """Describe the layout of `gains` of a v-dPBC law; an empty string for other laws."""
     if not (isinstance(law, Static) and isinstance(law.law, TrackingLaw)):
         return ""
     terms = GainSymbols(law.law.gains).terms

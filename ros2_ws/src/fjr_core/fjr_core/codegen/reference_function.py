@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The built-in references as CasADi functions t -> jets, of which C can be made.
+"""Build the built-in references as CasADi functions t -> jets, from which C can be generated.
 
-Of what turns or swings only the position is written here; its derivatives are CasADi's, total ones along the angle's.
+For circles and sines only the position is written here; CasADi derives the total derivatives along those of the angle.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from ..trajectories.sine import MultiSine, Sine
 from ..trajectories.spline import Spline
 from ..trajectories.transition import Joined, Shifted
 
-FAR = 1e300  # s; times beyond are not told apart
+FAR = 1e300  # s; larger times are equivalent
 KNOWN = "Sine, MultiSine, PointToPoint, Circle, Hold, Spline, joined or shifted"
 
 
 def jets_function(reference: Reference) -> ca.Function:
-    """The CasADi function t -> jets (n, 5) of a built-in reference; raises TrajectoryError for another."""
+    """Return the CasADi function t -> jets (n, 5) of a built-in reference; raises TrajectoryError for any other."""
     t = ca.MX.sym("t")
     return dense_function("reference", {"t": t}, {"jets": jets_expression(reference, t)})
 
 
 @singledispatch
 def jets_expression(reference: object, _t: ca.MX) -> ca.MX:
-    """q_ld .. d4q_ld (n, 5) at time t [s]."""
-    raise TrajectoryError(f"a reference {type(reference).__name__} cannot be written as C; expected one of {KNOWN}")
+    """Return q_ld .. d4q_ld (n, 5) at time t [s]."""
+    raise TrajectoryError(f"a reference {type(reference).__name__} cannot be exported to C; expected one of {KNOWN}")
 
 
 @jets_expression.register
 def _(reference: Sine, t: ca.MX) -> ca.MX:
     a, w, phase = (np.atleast_2d(value) for value in (reference.amplitude, reference.frequency, reference.phase))
-    return _swinging(a, w, phase, np.asarray(reference.offset), t)
+    return _sines(a, w, phase, np.asarray(reference.offset), t)
 
 
 @jets_expression.register
 def _(reference: MultiSine, t: ca.MX) -> ca.MX:
     a, w, phase = (np.asarray(value) for value in (reference.amplitude, reference.frequency, reference.phase))
-    return _swinging(a, w, phase, np.asarray(reference.offset), t)
+    return _sines(a, w, phase, np.asarray(reference.offset), t)
 
 
 @jets_expression.register
@@ -77,10 +77,12 @@ def _(reference: PointToPoint, t: ca.MX) -> ca.MX:
 @jets_expression.register
 def _(reference: Circle, t: ca.MX) -> ca.MX:
     angle = [ca.SX.sym(name) for name in ("angle", "w", "dw", "ddw", "d3w")]
-    swept = reference.radius * ca.vertcat(ca.cos(angle[0]), ca.sin(angle[0]))
-    place = ca.vertcat(swept, ca.DM.zeros(reference.n - 2)) + ca.DM(np.asarray(reference.centre))
-    turning = dense_function("turning", {"angle": ca.vertcat(*angle)}, {"jets": _along(place, angle)}, cse=True)
-    return turning(jets_expression(reference.angle, t).T)
+    circle = reference.radius * ca.vertcat(ca.cos(angle[0]), ca.sin(angle[0]))
+    position = ca.vertcat(circle, ca.DM.zeros(reference.n - 2)) + ca.DM(np.asarray(reference.centre))
+    along_circle = dense_function(
+        "turning", {"angle": ca.vertcat(*angle)}, {"jets": _with_derivatives(position, angle)}, cse=True
+    )
+    return along_circle(jets_expression(reference.angle, t).T)
 
 
 @jets_expression.register
@@ -99,27 +101,27 @@ def _(reference: Shifted, t: ca.MX) -> ca.MX:
     return jets_expression(reference.reference, t - reference.t0)
 
 
-def _swinging(amplitude: Array, frequency: Array, phase: Array, offset: Array, t: ca.MX) -> ca.MX:
-    """offset + sum of amplitude sin(frequency t + phase), tables (m, n), offset (n,)."""
+def _sines(amplitude: Array, frequency: Array, phase: Array, offset: Array, t: ca.MX) -> ca.MX:
+    """Return the jets of offset + sum of amplitude sin(frequency t + phase), with tables (m, n) and offset (n,)."""
     m, n = amplitude.shape
     angle = [ca.SX.sym("angle", m, n), ca.SX(ca.DM(frequency)), *(ca.SX.zeros(m, n) for _ in range(JETS - 2))]
-    place = ca.DM(offset) + ca.sum1(ca.DM(amplitude) * ca.sin(angle[0])).T
-    swing = dense_function("swing", {"angle": angle[0]}, {"jets": _along(place, angle)}, cse=True)
-    return swing(ca.DM(frequency) * t + ca.DM(phase))
+    position = ca.DM(offset) + ca.sum1(ca.DM(amplitude) * ca.sin(angle[0])).T
+    sines = dense_function("swing", {"angle": angle[0]}, {"jets": _with_derivatives(position, angle)}, cse=True)
+    return sines(ca.DM(frequency) * t + ca.DM(phase))
 
 
-def _along(place: ca.SX, angle: list[ca.SX]) -> ca.SX:
-    """place (n,) and its four derivatives (n, 5) along the angle's, angle[k] being the k-th of these."""
+def _with_derivatives(position: ca.SX, angle: list[ca.SX]) -> ca.SX:
+    """Return position (n,) and its four derivatives as (n, 5), with angle[k] the k-th derivative of the angle."""
     rates = [ca.vec(ca.SX(rate)) for rate in angle]
-    moves = [k for k, rate in enumerate(rates[:-1]) if not rate.is_constant()]
-    z, dz = (ca.vertcat(*(rates[k + step] for k in moves)) for step in (0, 1))
-    rows = [ca.SX(place)]
+    varying = [k for k, rate in enumerate(rates[:-1]) if not rate.is_constant()]
+    z, dz = (ca.vertcat(*(rates[k + step] for k in varying)) for step in (0, 1))
+    rows = [ca.SX(position)]
     for _ in range(JETS - 1):
         rows.append(directional(rows[-1], z, dz))
     return ca.horzcat(*rows)
 
 
 def _entry(table: Array, i: ca.MX) -> ca.MX:
-    """table[i] as a column, i a whole number that is known at run time only."""
+    """Return table[i] as a column for an integer i known only at run time."""
     width = int(np.prod(table.shape[1:], dtype=int))
     return ca.MX(ca.DM(table.ravel()))[i * width + ca.DM(range(width))]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A closed loop as Python runs it, sample by sample, with all that goes into and comes out of each function."""
+"""Record a closed loop in Python, sample by sample, with inputs and outputs of each exported function."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from .exported_loop import Loop
 
 @dataclass(frozen=True)
 class Case:
-    """k samples, a row each; sizes and units as in SampledLaw.step_function, jets (k, 5n) a derivative after the other.
+    """k samples, one per row; sizes and units as in SampledLaw.step_function, jets (k, 5n) by increasing derivative.
 
-    t (k, 1) of the sample, dt (k, 1) since the last, x (k, 4n) the plant's state, x_next (k, 4n) one sample later.
+    t (k, 1) [s]: time; dt (k, 1) [s]: since the last sample; x (k, 4n): state of the plant; x_next (k, 4n): one sample
+    later.
     """
 
     t: Array
@@ -37,9 +38,9 @@ class Case:
 
 
 def recorded(loop: Loop, samples: int) -> Case:
-    """The first samples of the loop from its x0; raises StateError where it diverges.
+    """Simulate the first samples of the loop from its x0; raises StateError if it diverges.
 
-    The reference is NumPy's, law and plant run in CasADi's virtual machine.
+    The reference is evaluated by NumPy, law and plant by CasADi's virtual machine.
     """
     n, m = loop.n, len(loop.law.memory)
     sizes = (2 * n,), (2 * n,), (JETS, n), loop.law.gain_values.shape, (m,), (n,), ()
@@ -55,7 +56,9 @@ def recorded(loop: Loop, samples: int) -> Case:
         u, V, after = law(position, velocity, jets, loop.law.gain_values, memory, sent, dt)
         x_next = _one_sample_later(loop, x, u)
         if not np.isfinite(x_next).all():
-            raise StateError(f"the loop diverged at t = {t:.6g} s; expected one that is stable as sampled (fjr check)")
+            raise StateError(
+                f"the loop diverged at t = {t:.6g} s; expected a loop that is stable at its sample period (fjr check)"
+            )
         rows.append(
             (np.array([t]), np.array([dt]), x, position, velocity, jets.ravel(), memory, sent, u, V, after, x_next)
         )
@@ -70,7 +73,7 @@ def _one_sample_later(loop: Loop, x: Array, u: Array) -> Array:
 
 
 def as_csv(case: Case) -> str:
-    """A line of names, then a row a sample; numbers with 17 digits, which give back the same doubles."""
+    """Format a line of names, then one row per sample; 17 digits reproduce the doubles exactly."""
     columns = {field.name: getattr(case, field.name) for field in fields(case)}
     names = [f"{name}[{i}]" for name, values in columns.items() for i in range(values.shape[1])]
     text = io.StringIO()

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run shows: certificate, diagnosis of its violations, and isolation of faults."""
+"""Monitoring of a run: certificate, diagnosis of violations, isolation of faults."""

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compute the tracking error that each cause makes: its disturbances, propagated through the linearised sampled loop.
+"""Compute the tracking error due to each cause: its disturbances, propagated through the linearised sampled loop.
 
     e_k+1 = (Phi + Gamma F) e_k + w_k        e = (q_l, q_m, dq_l, dq_m) less that of the undisturbed loop
 
-w_k is the effect of the cause on the state in interval k: of an effort that is not the law's, or the residual of the
-model. What the causes leave of the measured tracking error is the loop's own: the initial error and the hold.
+w_k is the effect of the cause on the state in interval k: an effort that differs from that of the law, or the residual
+of the model. The remainder of the measured tracking error is due to the loop itself: initial error and hold.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from ..control.vdpbc.linearized import feedback
 from ..numerics.checks import Array
 from ..robot.equilibrium import plant_matrices, rest_points
 from ..robot.robot import Robot
-from ..stability.linearization import SampledLoop
+from ..stability.linear_controller import momentum_matrix
+from ..stability.one_sample_map import SampledLoop
 from .delay_estimation import Acting
 from .innovations import Intervals, foreseen
 from .storage_budget import CAUSES, blocks_of, foreign, state_change
@@ -29,8 +30,8 @@ from .thresholds import BLOCK, GAP
 class CauseErrors:
     """Tracking errors in b blocks, by cause.
 
-    peaks (b, 4, n): largest |q_l - q_ld| [rad, m] that each of CAUSES makes in a block. own (b, n): largest error that
-    the causes leave, the loop's own.
+    peaks (b, 4, n): largest |q_l - q_ld| [rad, m] due to each of CAUSES in a block. own (b, n): largest remaining
+    error, due to the loop itself.
     """
 
     peaks: Array
@@ -39,12 +40,11 @@ class CauseErrors:
 
 def closed_loop(law: TrackingLaw, configurations: Array, period: float) -> Array:
     """Return Phi + Gamma F (k, 4n, 4n) in positions and velocities at k configurations (k, n), held for period [s]."""
-    rest, robot = rest_points(law.robot, configurations), law.robot
-    one = np.eye(robot.n)
-    momenta = rest.blocks([one, 0, 0, 0], [0, one, 0, 0], [0, 0, rest.M_l, 0], [0, 0, 0, robot.M_m])
-    A, B = plant_matrices(rest)
-    F = feedback(rest, law.gains)
-    Phi, Gamma = SampledLoop(configurations, A, B, F)._held(period)
+    equilibria = rest_points(law.robot, configurations)
+    momenta = momentum_matrix(equilibria)
+    A, B = plant_matrices(equilibria)
+    F = feedback(equilibria, law.gains)
+    Phi, Gamma = SampledLoop(configurations, A, B, F).held_map(period)
     return np.asarray(np.linalg.solve(momenta, (Phi + Gamma @ F) @ momenta))
 
 
@@ -57,7 +57,7 @@ def cause_errors(
     loops: Array,
     start: Array | None = None,
 ) -> tuple[CauseErrors, Array]:
-    """Return the errors that the causes make in the whole blocks of the intervals, and e (4n, 4) of each after them.
+    """Return the errors due to the causes in the complete blocks of the intervals, and the final e (4n, 4) of each.
 
     loops (m, 4n, 4n): closed loops at m configurations, spread evenly over the intervals. start (4n, 4): e of each
     cause before the first interval; None: zero.
@@ -78,7 +78,7 @@ def cause_errors(
 
 
 def disturbances(found: Intervals, acted: Acting, robot: Robot, period: float, limit: Array) -> Array:
-    """Return the change of the state (k, 4n, 4) that each of CAUSES makes in each interval."""
+    """Return the change of the state (k, 4n, 4) due to each of CAUSES in each interval."""
     other, answered = found.sent - found.law, found.answered[:, None]
     saturation = other * (answered & ~foreign(found, limit)[:, None]) + acted.cut
     loss = acted.lost + other * ~answered + _outdated(found, period)
@@ -88,7 +88,7 @@ def disturbances(found: Intervals, acted: Acting, robot: Robot, period: float, l
 
 
 def _outdated(found: Intervals, period: float) -> Array:
-    """Return the mean effort (k, n) by which the law, sampled within a gap, would have differed from the held one."""
+    """Return the mean difference (k, n) between the held effort and that of the law, had it been sampled in a gap."""
     law = np.vstack([found.law[1:], found.law[-1:]])
     samples = np.maximum(1.0, np.round(found.dt / period)) * (found.dt > GAP * period)
     share = np.divide(samples - 1, 2 * samples, out=np.zeros_like(samples), where=samples > 0)

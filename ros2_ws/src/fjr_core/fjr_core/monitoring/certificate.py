@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate of the running loop: the law's storage and the robot's energy, with their exact rates.
+"""Evaluate the certificate of the closed loop: the storage V of the law and the energy H, with their exact rates.
 
-    dV/dt = -dissipation + s_m' B_m (u - u_law(x))      whatever effort u acts, as long as the robot is the model
+    dV/dt = -dissipation + s_m' B_m (u - u_law(x))      for any applied effort u
     dH/dt = dq_m' B_m u - dq_l' D_l dq_l - dq_m' D_m dq_m
 
-The first is (50) with omega = B_m (u - u_law) in (42): a held, late, cut or lost effort is another input of the
-virtual system. Both hold along the plant (36) only, so what they leave over is the model's error.
+The first is (50) with omega = B_m (u - u_law) in (42): a held, delayed, saturated or lost effort is an external input
+of the virtual system. Both hold along trajectories of the plant (36), so their residual measures the model error.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ OUTPUTS = ("V", "H", "dissipation", "dissipated", "u_law", "drive", "slope")
 
 @dataclass(frozen=True)
 class CertificateSample:
-    """The certificate at one instant.
+    """Certificate at one instant.
 
-    V [J]: the law's storage, (43). dV [W]: its rate under the effort given. H [J]: the robot's energy, (36).
-    supplied, dissipated [W]: dH/dt = supplied - dissipated. u_law (n,) [N m]: the law's effort here.
-    slope (4n,): dV/d(position, velocity) [N m, N m s], the reference held.
+    V [J]: storage of the law, (43). dV [W]: its rate under the applied effort. H [J]: energy of the robot, (36).
+    supplied, dissipated [W]: dH/dt = supplied - dissipated. u_law (n,) [N m]: effort of the law at this state.
+    slope (4n,): dV/d(position, velocity) [N m, N m s] at a constant reference. drive (n,) [rad/s]: B_m' s_m.
+    dissipation [W]: -dV/dt under the effort of the law.
     """
 
     V: float
@@ -43,11 +44,16 @@ class CertificateSample:
     dissipated: float
     u_law: Array
     slope: Array
+    drive: Array
+    dissipation: float
 
 
 @dataclass(frozen=True)
 class CertificateSeries:
-    """The same at k instants: V, dV, H, supplied, dissipated (k,), u_law (k, n), slope (k, 4n)."""
+    """Certificate at k instants.
+
+    V, dV, H, supplied, dissipated, dissipation (k,); u_law, drive (k, n); slope (k, 4n): see CertificateSample.
+    """
 
     V: Array
     dV: Array
@@ -56,16 +62,32 @@ class CertificateSeries:
     dissipated: Array
     u_law: Array
     slope: Array
+    drive: Array
+    dissipation: Array
+
+    def held_rate(self, u: Array) -> Array:
+        """Return the mean dV/dt (k - 1,) [W] of each step under the effort u (k, n) [N m] held from its start.
+
+        Trapezoidal rule. u is the series' own; NaN: the effort of the law.
+        """
+        if len(u) < 2:
+            return np.zeros(0)
+        held = np.where(np.isnan(u[:-1]), self.u_law[1:], u[:-1])
+        end = _rate(self.drive[1:], held - self.u_law[1:], self.dissipation[1:])
+        return np.asarray((self.dV[:-1] + end) / 2)
 
 
 class Balance:
-    """Certificates of a law; pure functions of what is measured, bound once, machine code where the law is."""
+    """Certificate of a law as a function of measured positions and velocities.
+
+    The functions are built once per law; they are machine code where the law is compiled.
+    """
 
     def __init__(self, law: TrackingLaw) -> None:
         self.law = law
 
     def with_law(self, law: TrackingLaw) -> Balance:
-        """The same of a law made by `self.law.with_gains`: nothing is built again."""
+        """Return the certificate of a law made by `self.law.with_gains`; the functions are shared."""
         other = Balance(law)
         other.function = self.function
         return other
@@ -73,10 +95,10 @@ class Balance:
     def at(
         self, position: ArrayLike, velocity: ArrayLike, jets: ArrayLike, u: ArrayLike | None = None
     ) -> CertificateSample:
-        """The certificate at positions (2n,) [rad] and velocities (2n,) [rad/s] of links, then motors.
+        """Return the certificate at positions (2n,) [rad] and velocities (2n,) [rad/s] of links, then motors.
 
-        jets (5, n): the reference's. u (n,) [N m]: the effort that acts; None: the law's own, with which
-        dV = -dissipation. Raises StateError for shapes that do not fit.
+        jets (5, n): reference. u (n,) [N m]: applied effort; None: the effort of the law, for which
+        dV = -dissipation. Raises StateError for wrong shapes.
         """
         n = self.law.robot.n
         u = np.full(n, np.nan) if u is None else checks.vector("u", u, n, StateError)
@@ -88,7 +110,10 @@ class Balance:
     def along(
         self, position: ArrayLike, velocity: ArrayLike, jets: ArrayLike, u: ArrayLike | None = None
     ) -> CertificateSeries:
-        """The same at k instants: position, velocity (k, 2n), jets (k, 5, n), u (k, n), nan: the law's own."""
+        """Return the certificate at k instants.
+
+        position, velocity (k, 2n); jets (k, 5, n); u (k, n) [N m], NaN: the effort of the law. Raises StateError.
+        """
         position, velocity, jets = (np.asarray(value, dtype=float) for value in (position, velocity, jets))
         n, k = self.law.robot.n, len(position)
         u = np.full((k, n), np.nan) if u is None else np.asarray(u, dtype=float)
@@ -102,32 +127,32 @@ class Balance:
                 raise StateError(f"{name} has shape {value.shape}; expected {shape}")
         if not k:
             nothing = np.zeros(0)
-            return CertificateSeries(*(nothing,) * 5, u_law=np.zeros((0, n)), slope=np.zeros((0, 4 * n)))
+            efforts, slopes = np.zeros((0, n)), np.zeros((0, 4 * n))
+            return CertificateSeries(*(nothing,) * 5, u_law=efforts, slope=slopes, drive=efforts, dissipation=nothing)
         columns = jets.transpose(2, 0, 1).reshape(n, k * JETS)
         found = self.function(position.T, velocity.T, columns, self.law.gain_values)
         rows = (result.full().T for result in found)
         return self._series(velocity, u, dict(zip(OUTPUTS, rows, strict=True)))
 
     def _series(self, velocity: Array, u: Array, values: dict[str, Array]) -> CertificateSeries:
-        """The series of OUTPUTS by name, one row an instant, under efforts u (k, n)."""
-        robot, u_law = self.law.robot, values["u_law"]
+        """Return the series from the OUTPUTS by name, one row per instant, under efforts u (k, n)."""
+        robot, u_law, dissipation = self.law.robot, values["u_law"], values["dissipation"][:, 0]
         u = np.where(np.isnan(u), u_law, u)
         return CertificateSeries(
             V=values["V"][:, 0],
-            dV=(values["drive"] * (u - u_law)).sum(axis=1) - values["dissipation"][:, 0],
+            dV=_rate(values["drive"], u - u_law, dissipation),
             H=values["H"][:, 0],
             supplied=(velocity[:, robot.n :] * (u @ robot.B_m.T)).sum(axis=1),
             dissipated=values["dissipated"][:, 0],
             u_law=u_law,
             slope=values["slope"],
+            drive=values["drive"],
+            dissipation=dissipation,
         )
 
     @cached_property
     def function(self) -> ca.Function:
-        """The CasADi function (position, velocity, jets (n, 5), gains) -> OUTPUTS.
-
-        dissipation [W]: -dV/dt under the law's effort. drive (n,) = B_m' s_m [rad/s]: dV/dt by another one's excess.
-        """
+        """Return the CasADi function (position, velocity, jets (n, 5), gains) -> OUTPUTS; see CertificateSample."""
         return self.law.derived("certificate", self._derived)
 
     def _derived(self) -> ca.Function:
@@ -147,7 +172,7 @@ class Balance:
         return dense_function("certificate", inputs, {name: values[name] for name in OUTPUTS}, cse=True)
 
     def _energy(self, position: ca.SX, velocity: ca.SX) -> ca.SX:
-        """H of eq. (36) from velocities."""
+        """Return H of eq. (36) from velocities."""
         robot = self.law.robot
         (q_l, q_m), (dq_l, dq_m) = ca.vertsplit(position, robot.n), ca.vertsplit(velocity, robot.n)
         kinetic = (ca.dot(dq_l, robot.links.M_l(q_l) @ dq_l) + ca.dot(dq_m, robot.M_m @ dq_m)) / 2
@@ -157,3 +182,8 @@ class Balance:
     def _at(self) -> NumericFunction:
         n = self.law.robot.n
         return NumericFunction(self.function, ((2 * n,), (2 * n,), (JETS, n), self.law.gain_values.shape))
+
+
+def _rate(drive: Array, excess: Array, dissipation: Array) -> Array:
+    """Return dV/dt (k,) [W] under efforts that exceed those of the law by `excess` (k, n) [N m]."""
+    return np.asarray((drive * excess).sum(axis=1) - dissipation)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How old the effort is that acts: what the motor equation needs, regressed on efforts shifted in time."""
+"""Estimate the input delay by regressing the effort that the motor equation requires on time-shifted commands."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from .thresholds import (
 
 @dataclass(frozen=True)
 class EffortAge:
-    """Which effort acts: `whole` samples late and then for a `fraction` of the interval the one before.
+    """Input delay: `whole` samples plus a `fraction` of the interval, during which the previous effort acts.
 
-    measured: found from the measured torque, so that `whole` is 0 and any torque may have acted.
+    measured: estimated from the measured torque; `whole` is then 0.
     """
 
     whole: int = 0
@@ -42,61 +42,62 @@ class EffortAge:
 
     @property
     def late(self) -> bool:
-        """Whether it is not the effort sent."""
+        """Return whether the delay is not zero."""
         return self.whole > 0 or self.fraction > 0
 
 
 @dataclass(frozen=True)
 class Acting:
-    """What acted in each interval in place of the effort sent: the difference (k, n) [N m], by its reason."""
+    """Deviation (k, n) [N m] of the acting effort from the sent one in each interval, by its reason."""
 
     cut: Array
     late: Array
     lost: Array
-    age: float  # samples, of most efforts
+    age: float  # samples, median delay
 
     def last(self, count: int) -> Acting:
-        """Of the last intervals only."""
+        """Return the deviations of the last `count` intervals."""
         return Acting(self.cut[-count:], self.late[-count:], self.lost[-count:], self.age)
 
 
 def effort_age(found: Intervals, robot: Robot) -> EffortAge:
-    """The age that explains best what the motors' equation needs; by changes in time, so that what is slow is out.
+    """Estimate the input delay that best explains the effort that the motor equation requires.
 
-    It is believed where it explains more than a factor on each effort does: a motor with another inertia.
+    Only changes from interval to interval are compared, which removes slow disturbances. A delay is accepted if it
+    explains more than a factor on each effort, which a wrong motor inertia would make.
     """
-    wanted, regular = needed(found, robot), _regular(found)
-    nothing = _spread(wanted - found.sent, regular)
-    shifted = [_shifted(found.sent, d) for d in range(OLDEST + 1)]
-    fits = [_fit(wanted, newer, older, regular) for newer, older in pairwise(shifted)]
+    required, regular = needed(found, robot), _regular(found)
+    undelayed = _squares(required - found.sent, regular)
+    delayed = [_delayed(found.sent, d) for d in range(OLDEST + 1)]
+    fits = [_fit(required, newer, older, regular) for newer, older in pairwise(delayed)]
     whole = min(range(OLDEST), key=lambda d: fits[d][1])
     fraction, left = fits[whole]
-    believed = left < min((1 - EXPLAINED) * nothing, _scaled(wanted, found.sent, regular))
+    accepted = left < min((1 - EXPLAINED) * undelayed, _scaled(required, found.sent, regular))
     if np.isfinite(found.after).all() and np.isfinite(found.before).all():
-        own, rest = _fit(wanted, found.after, found.before, regular)
-        if rest <= max(NO_WORSE * left, EXACT * nothing) or not believed:
-            plain = _spread(wanted - found.after, regular)
-            mixed = rest < (1 - HALF_WAY) * plain and plain > NEGLIGIBLE * _spread(found.sent, regular)
-            return EffortAge(0, own if mixed else 0.0, True)
-    if not believed:
+        measured, residual = _fit(required, found.after, found.before, regular)
+        if residual <= max(NO_WORSE * left, EXACT * undelayed) or not accepted:
+            unmixed = _squares(required - found.after, regular)
+            mixed = residual < (1 - HALF_WAY) * unmixed and unmixed > NEGLIGIBLE * _squares(found.sent, regular)
+            return EffortAge(0, measured if mixed else 0.0, True)
+    if not accepted:
         return EffortAge()
     return EffortAge(whole + 1) if fraction > 1 - EXACT else EffortAge(whole, fraction)
 
 
-def acting(found: Intervals, age: EffortAge, wanted: Array) -> Acting:
-    """What acted, sorted: cut off by a limit of the motor, late, or an older one because the newer was lost.
+def acting(found: Intervals, age: EffortAge, required: Array) -> Acting:
+    """Classify the deviations of the acting effort: saturated by the motor, delayed, or held because one was lost.
 
-    wanted (k, n) [N m]: what the motors' equation needs, to see from what was not measured.
+    required (k, n) [N m]: effort that the motor equation requires; used if the torque was not measured.
     """
     if age.measured:
         samples, newer, older = _samples(found.sent, found.after), found.after, found.before
         cut = _clipped(found.sent, found.after)
     else:
-        samples, cut = age.whole + _samples(found.sent, wanted, age.whole), np.zeros_like(found.sent, dtype=bool)
-        newer, older = (_shifted(found.sent, samples + more) for more in (0, 1))
+        samples, cut = age.whole + _samples(found.sent, required, age.whole), np.zeros_like(found.sent, dtype=bool)
+        newer, older = (_delayed(found.sent, samples + more) for more in (0, 1))
     regular = _regular(found)
-    whole = _spread(wanted - newer, regular) <= MIXED * _spread(newer - older, regular)  # none came within an interval
-    if not (whole or age.measured or age.late):  # what is near to an older effort is so by chance
+    whole = _squares(required - newer, regular) <= MIXED * _squares(newer - older, regular)  # no change in an interval
+    if not (whole or age.measured or age.late):  # an older effort is nearest by chance
         samples, newer = np.zeros_like(samples), found.sent
     usual = float(np.median(samples)) if len(samples) else 0.0
     total = usual + age.fraction
@@ -113,7 +114,7 @@ def acting(found: Intervals, age: EffortAge, wanted: Array) -> Acting:
 
 
 def _regular(found: Intervals) -> NDArray[np.bool_]:
-    """Changes (k - 1,) between intervals of the usual length: all, but in real time, where one of them may be late."""
+    """Return which changes (k - 1,) are between intervals of usual length; all of them unless latencies are known."""
     if not found.latency.any():
         return np.ones(max(0, len(found) - 1), dtype=bool)
     usual = np.median(found.dt)
@@ -121,53 +122,54 @@ def _regular(found: Intervals) -> NDArray[np.bool_]:
     return np.asarray(good[1:] & good[:-1])
 
 
-def _fit(wanted: Array, newer: Array, older: Array, regular: NDArray[np.bool_]) -> tuple[float, float]:
-    """The fraction of `older`, 0 to 1, with which the mixture is nearest to what is wanted, and what is left."""
-    y, b = _changes(wanted - newer, regular), _changes(older - newer, regular)
+def _fit(required: Array, newer: Array, older: Array, regular: NDArray[np.bool_]) -> tuple[float, float]:
+    """Fit the fraction of `older`, 0 to 1, in the required effort; return it and the residual sum of squares."""
+    y, b = _changes(required - newer, regular), _changes(older - newer, regular)
     power = float((b * b).sum())
     fraction = float(np.clip((b * y).sum() / power, 0.0, 1.0)) if power > 0 else 0.0
     return fraction, float(((y - fraction * b) ** 2).sum())
 
 
-def _scaled(wanted: Array, sent: Array, regular: NDArray[np.bool_]) -> float:
-    """What is left where each effort is taken times the factor that is nearest to what is wanted."""
-    y, b = _changes(wanted, regular), _changes(sent, regular)
+def _scaled(required: Array, sent: Array, regular: NDArray[np.bool_]) -> float:
+    """Return the residual sum of squares of the best fit by a constant factor on each effort."""
+    y, b = _changes(required, regular), _changes(sent, regular)
     power = (b * b).sum(axis=0)
     factors = np.divide((b * y).sum(axis=0), power, out=np.ones_like(power), where=power > 0)
     return float(((y - factors * b) ** 2).sum())
 
 
-def _spread(residual: Array, regular: NDArray[np.bool_]) -> float:
+def _squares(residual: Array, regular: NDArray[np.bool_]) -> float:
+    """Return the sum of squares of the changes of a residual (k, n)."""
     return float((_changes(residual, regular) ** 2).sum())
 
 
 def _changes(values: Array, regular: NDArray[np.bool_]) -> Array:
-    """From interval to interval, but for the first, before which efforts are not known."""
+    """Return the regular changes from interval to interval, without the first OLDEST, whose efforts are unknown."""
     return np.asarray(np.diff(values, axis=0)[OLDEST:][regular[OLDEST:]])
 
 
-def _shifted(u: Array, samples: int | NDArray[np.intp]) -> Array:
-    """Each effort's predecessor by so many samples, or by its own number of them; the first where there is none."""
+def _delayed(u: Array, samples: int | NDArray[np.intp]) -> Array:
+    """Return efforts (k, n) delayed by `samples`, a number or (k,); the first effort before the start."""
     return u[np.maximum(np.arange(len(u)) - samples, 0)]
 
 
-def _samples(sent: Array, gave: Array, whole: int = 0) -> NDArray[np.intp]:
-    """The age (k,) of what the motors gave beyond `whole` samples: back to the effort sent that it is; 0: to none."""
-    distances = np.array([np.abs(gave - _shifted(sent, whole + j)).max(axis=1) for j in range(OLDEST + 1)])
+def _samples(sent: Array, acting: Array, whole: int = 0) -> NDArray[np.intp]:
+    """Return the delay (k,) in samples, beyond `whole`, of the sent effort that equals the acting one; 0: none does."""
+    distances = np.array([np.abs(acting - _delayed(sent, whole + j)).max(axis=1) for j in range(OLDEST + 1)])
     nearest = np.argmin(distances, axis=0)
     return np.where(distances.min(axis=0) <= SAME_OLDER * distances[0], nearest, 0)
 
 
-def _clipped(sent: Array, gave: Array) -> NDArray[np.bool_]:
-    """Where (k, n) the motor gave its most, for some intervals in a row, and was asked for more."""
-    size = np.abs(gave)
+def _clipped(sent: Array, acting: Array) -> NDArray[np.bool_]:
+    """Return where (k, n) the motor is saturated: at its largest torque for CLIPPED_FOR intervals, commanded more."""
+    size = np.abs(acting)
     at_most = size >= (1 - CLIPPED_LEVEL) * size.max(axis=0, initial=0.0)
-    more = (np.abs(sent) > (1 + CLIPPED_BY) * size) & (sent * gave > 0)
+    more = (np.abs(sent) > (1 + CLIPPED_BY) * size) & (sent * acting > 0)
     return _runs(at_most & more, CLIPPED_FOR)
 
 
 def _runs(flags: NDArray[np.bool_], length: int) -> NDArray[np.bool_]:
-    """The flags (k, n) that stand in a row of at least `length` along the first axis."""
+    """Return the flags (k, n) that belong to runs of at least `length` along the first axis."""
     kept = np.zeros_like(flags)
     for j, column in enumerate(flags.T):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))

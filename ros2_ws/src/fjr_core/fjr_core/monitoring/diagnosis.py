@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the theory held on a recorded run, and if not, why: from measured states and sent efforts alone."""
+"""Diagnose a recorded run: whether V decayed as guaranteed and, if not, which causes prevented it.
+
+Only measured states and sent efforts are used.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,14 @@ from ..control.vdpbc.law import TrackingLaw
 from ..numerics.checks import Array
 from ..stability.linearization import linearize
 from .cause_errors import CauseErrors, cause_errors, closed_loop
-from .certificate import Balance
+from .certificate import Balance, CertificateSeries
 from .delay_estimation import Acting, acting, effort_age
 from .fault_isolation.isolation import UNKNOWN, Finding, isolate
 from .grading import Axes, Grade, detail, grade
-from .innovations import Intervals, intervals, needed
+from .innovations import Intervals, innovations, needed
 from .one_step_prediction import Prediction
 from .record import Record
-from .storage_budget import CAUSES, Supplies, supplies
+from .storage_budget import CAUSES, Supplies, storage_budget
 from .storage_growth import floor, growth, rises
 from .thresholds import (
     BLOCK,
@@ -37,20 +40,20 @@ from .thresholds import (
 )
 
 SAMPLING, SATURATION = "sampling", "saturation"
-LOOKED_AT = 12  # configurations of a run at which the sampled loop is linearised
+CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
 
 __all__ = ["Axes", "Verdict", "conclude", "judge"]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The result of comparing V with its guaranteed decay.
+    """Result of comparing V with its guaranteed decay.
 
-    kind: "holding": V fell as proven, down to the floor that hold and noise predict. "degraded": V stayed above it,
-    and the tracking error that this makes is within the tolerance. "violated": it is not, or V grew. "unknown": not
-    enough was measured. causes: of the violating blocks, the strongest first, out of "model mismatch", "saturation",
-    "delay", "loss", "sampling"; empty if none is known. sentence: kind and causes in words. figures: the numbers
-    behind them, by name. errors: the tracking error (n,) [rad; m if the joint slides] that each cause makes.
+    kind: "holding": V decayed as proven, down to the floor that hold and noise predict. "degraded": V exceeds the floor
+    and the resulting tracking error is within the tolerance. "violated": it is not, or V grew. "unknown": too few
+    data. causes: of the violating blocks, the strongest first, out of "model mismatch", "saturation",
+    "delay", "loss", "sampling"; empty if none is known. sentence: kind and causes as text. figures: the underlying
+    numbers by name. errors: the tracking error (n,) [rad; m if the joint slides] that each cause makes.
     detail: causes with the largest of these, e.g. "delay makes 0.14 mrad at joint2". findings: faults of the robot or
     its signals, by joint, side and kind.
     """
@@ -70,41 +73,43 @@ def judge(
     beta: float | None = None,
     axes: Axes | None = None,
     velocities_measured: bool = True,
+    series: CertificateSeries | None = None,
 ) -> Verdict:
-    """Return the verdict on a record, with the faults that explain it.
+    """Diagnose a record and isolate the faults that explain it.
 
-    beta [1/s]: guaranteed rate of V; None: that of the law at configurations of the record. axes: names, units and
-    tolerances of the joints; None: Axes.plain. velocities_measured: False where an observer estimates them; then no
-    faults are sought, nor in a loop that is unstable at its sample period.
+    beta [1/s]: guaranteed rate of V; None: the rate of the law at configurations of the record. axes: names, units and
+    tolerances of the joints; None: Axes.plain. velocities_measured: false if an observer estimates them; faults are
+    then not isolated, nor in a loop that is unstable at its sample period. series: certificate of the law along the
+    record; None: it is computed here.
     """
     axes = axes or Axes.plain(law.robot.n)
-    with np.errstate(all="ignore"):  # a diverging run overflows; every comparison below is written for it
-        verdict = _judged(record, law, beta, axes)
-        if not velocities_measured or SAMPLING in verdict.causes or not np.isfinite(record.velocity).any():
-            return verdict  # no velocities to judge by, or samples too far apart for a model between them
-        found = isolate(record, law, axes.names)
-    explained = verdict.kind in ("degraded", "violated") and "model mismatch" not in verdict.causes
-    findings = tuple(each for each in found if not (explained and each.kind == UNKNOWN))
-    sentence = "; ".join([verdict.sentence, *(each.sentence for each in findings)])
-    return replace(verdict, sentence=sentence, findings=findings)
-
-
-def _judged(record: Record, law: TrackingLaw, beta: float | None, axes: Axes) -> Verdict:
-    """Return the verdict without findings."""
     if not np.isfinite(record.velocity).any():
         return unknown("the states hold no velocities")
-    found = intervals(record, Balance(law), Prediction(law))
+    with np.errstate(all="ignore"):  # a diverging run overflows; the comparisons below allow for it
+        found = innovations(record, Balance(law), Prediction(law), series)
+        diagnosis = _diagnosis(record, found, law, beta, axes)
+        if not velocities_measured or SAMPLING in diagnosis.causes:
+            return diagnosis  # the model needs measured velocities and close samples
+        findings = isolate(record, law, axes.names, found)
+    explained = diagnosis.kind in ("degraded", "violated") and "model mismatch" not in diagnosis.causes
+    findings = tuple(each for each in findings if not (explained and each.kind == UNKNOWN))
+    sentence = "; ".join([diagnosis.sentence, *(each.sentence for each in findings)])
+    return replace(diagnosis, sentence=sentence, findings=findings)
+
+
+def _diagnosis(record: Record, found: Intervals, law: TrackingLaw, beta: float | None, axes: Axes) -> Verdict:
+    """Diagnose a record with velocities, without isolating faults."""
     if not len(found):
-        return unknown("no two states follow one another of which the first was answered")
+        return unknown("no state with a command is followed by another state")
     visited, period = _visited(record.jets[:, 0]), float(np.median(found.dt))
     radius = float(linearize(law, visited).radii(period).max())
     acted = acting(found, effort_age(found, law.robot), needed(found, law.robot))
     figures = {**_figures(found, acted, record), "spectral radius": radius}
-    if radius >= 1 and _stays(found.V1):
+    if radius >= 1 and not _decayed(found.V1):
         return violated((SAMPLING,), figures)
     beta = law.rate(visited).beta if beta is None else beta
     decay = float(np.exp(-2 * beta * BLOCK * period))
-    blocks = supplies(found, acted, law.robot, beta, record.sample_period, record.effort_limit)
+    blocks = storage_budget(found, acted, law.robot, beta, record.sample_period, record.effort_limit)
     loops = closed_loop(law, visited, period)
     made, _ = cause_errors(found, acted, law.robot, record.sample_period, record.effort_limit, loops)
     grown = growth(rises(found, record.effort_limit), floor(blocks, decay, axes.storage(law)))
@@ -114,10 +119,10 @@ def _judged(record: Record, law: TrackingLaw, beta: float | None, axes: Axes) ->
 def conclude(
     blocks: Supplies, made: CauseErrors, grown: float, decay: float, axes: Axes, figures: dict[str, float]
 ) -> Verdict:
-    """Return the verdict on the blocks of a loop whose sample period is short enough.
+    """Diagnose the blocks of a loop that is stable at its sample period.
 
     made: tracking errors by cause in the same blocks. grown: growth of V over its lowest value and its floor.
-    decay: guaranteed factor of V in a block. figures: what else is known.
+    decay: guaranteed factor of V in a block. figures: further numbers to report.
     """
     judged = int(blocks.judged.sum())
     above, share, strongest = _violating(blocks)
@@ -129,20 +134,23 @@ def conclude(
         return diverged(causes or _hold(blocks), figures)
     if len(blocks.judged) < FEWEST:
         states = int(figures.get("intervals", len(blocks.judged) * BLOCK))
-        return unknown(f"{states} answered states follow one another; expected {FEWEST * BLOCK}", figures)
+        return unknown(f"{states} consecutive states with a command; expected {FEWEST * BLOCK}", figures)
     if judged < max(FEWEST, JUDGED * len(blocks.judged)):
-        return unknown("the effort sent was seldom the law's", figures)
+        return unknown("most efforts sent are not those of the law", figures)
     found = grade(made, blocks.judged, decay, axes.tolerance)
     if grown > EXCEEDED or share >= HIGH_SHARE or (share >= SHARE and above >= FEWEST):
         return graded(causes, found, axes, figures)
     if share > SHARE_OF_FEW:
         return unknown(f"V exceeds its floor in {above} of {judged} blocks; expected more blocks", figures)
-    sentence = "V falls as proven, down to the floor that hold and noise predict"
+    sentence = "V decays as proven, down to the floor that hold and noise predict"
     return Verdict("holding", (), sentence, figures, found.errors)
 
 
 def _violating(blocks: Supplies) -> tuple[int, float, Array]:
-    """Return the number of violated blocks, their share of the judged ones, and the share (4,) that each cause fed."""
+    """Return the number of violated blocks, their share, and the share (4,) of them that each cause dominates.
+
+    Only blocks with `judged` count.
+    """
     causes = np.maximum(blocks.causes[blocks.judged], 0.0)
     allowed = (blocks.slack + PREDICTED * (blocks.hold + blocks.noise))[blocks.judged]
     above = ~(causes.sum(axis=1) <= allowed)
@@ -152,18 +160,18 @@ def _violating(blocks: Supplies) -> tuple[int, float, Array]:
 
 
 def _hold(blocks: Supplies) -> tuple[str, ...]:
-    """Return the sample period as the cause, if the ideal sampled loop supplied more of V than its rate took away."""
+    """Return the sample period as the cause if the ideal sampled loop added more to V than the decay removed."""
     return (SAMPLING,) if blocks.hold.sum() > blocks.slack.sum() else ()
 
 
 def unknown(reason: str, figures: dict[str, float] | None = None) -> Verdict:
-    """Return no verdict, with the reason."""
-    return Verdict("unknown", (), f"no verdict: {reason}", figures or {})
+    """Return "unknown" with the reason."""
+    return Verdict("unknown", (), f"no diagnosis: {reason}", figures or {})
 
 
-_WORDS = {
-    "model mismatch": "the robot is not the model: links or motors have torques that their equations do not know",
-    SATURATION: "the effort was cut off at a limit",
+_EXPLANATIONS = {
+    "model mismatch": "the robot differs from the model: torques act on links or motors that the model lacks",
+    SATURATION: "the effort was saturated at a limit",
     "delay": "the effort acted late",
     "loss": "states or efforts were lost",
     SAMPLING: "the loop is unstable at this sample period",
@@ -171,28 +179,28 @@ _WORDS = {
 
 
 def graded(causes: tuple[str, ...], found: Grade, axes: Axes, figures: dict[str, float]) -> Verdict:
-    """Return "degraded" for known causes whose errors are within the tolerance, "violated" for all others."""
+    """Return "degraded" for known causes whose errors are within the tolerance, otherwise "violated"."""
     size, why = detail(causes, found.errors, axes), _why(causes)
     if causes and found.within and SATURATION not in causes:
         sentence = f"{size}, within the tolerance: {why}"
         return Verdict("degraded", causes, sentence, figures, found.errors, size)
-    sentence = f"V does not fall as proven: {why}" + (f"; {size}" if size else "")
+    sentence = f"V does not decay as proven: {why}" + (f"; {size}" if size else "")
     return Verdict("violated", causes, sentence, figures, found.errors, size)
 
 
 def violated(causes: tuple[str, ...], figures: dict[str, float]) -> Verdict:
     """Return "violated" with the causes, the strongest first."""
-    return Verdict("violated", causes, f"V does not fall as proven: {_why(causes)}", figures, {}, ", ".join(causes))
+    return Verdict("violated", causes, f"V does not decay as proven: {_why(causes)}", figures, {}, ", ".join(causes))
 
 
 def diverged(causes: tuple[str, ...], figures: dict[str, float]) -> Verdict:
-    """Return "violated" of a run in which V grew."""
+    """Return "violated" for a run in which V grew."""
     sentence = f"V grew to {figures['growth of V']:.2g} times its floor: {_why(causes)}"
     return Verdict("violated", causes, sentence, figures, {}, ", ".join(causes))
 
 
 def _why(causes: tuple[str, ...]) -> str:
-    return "; ".join(_WORDS[cause] for cause in causes) or "no cause can be told"
+    return "; ".join(_EXPLANATIONS[cause] for cause in causes) or "the cause is unknown"
 
 
 def _figures(found: Intervals, acted: Acting, record: Record) -> dict[str, float]:
@@ -206,13 +214,13 @@ def _figures(found: Intervals, acted: Acting, record: Record) -> dict[str, float
     }
 
 
-def _stays(V: Array) -> bool:
-    """Whether V has not fallen from the first third to the last."""
+def _decayed(V: Array) -> bool:
+    """Return whether V decreased from the first third of the run to the last."""
     third = max(1, len(V) // 3)
-    return bool(V[-third:].max() >= FALLEN * V[:third].max())
+    return not V[-third:].max() >= FALLEN * V[:third].max()
 
 
 def _visited(q_l: Array) -> Array:
-    """Some of the reference's configurations (k, n): a robot that has left it may be anywhere."""
+    """Return about CONFIGURATIONS configurations (k, n) of the reference; a diverging robot may be anywhere else."""
     known = q_l[np.isfinite(q_l).all(axis=1)]
-    return known[:: max(1, len(known) // LOOKED_AT)]
+    return known[:: max(1, len(known) // CONFIGURATIONS)]

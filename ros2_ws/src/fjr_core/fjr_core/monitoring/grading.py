@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grade a violation by the tracking error that its causes make, and put that error in words."""
+"""Grade a violation by the tracking error due to its causes, and format that error."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LARGE = 0.1  # rad, m; smaller errors are written in thousandths
 
 @dataclass(frozen=True)
 class Axes:
-    """Joints as a verdict names and grades them.
+    """Names, units and tolerances of the joints in a diagnosis.
 
     names, units: of n joints; a unit is "rad" or "m". tolerance (n,) [rad, m]: tracking error up to which a violation
     of the decay of V is a degradation. Raises StateError for numbers that do not fit.
@@ -44,16 +44,16 @@ class Axes:
 
     @classmethod
     def plain(cls, n: int) -> Axes:
-        """Return n turning joints called joint1 .. jointn, with the default tolerance."""
+        """Return n revolute joints called joint1 .. jointn with the default tolerance."""
         return cls(tuple(f"joint{j + 1}" for j in range(n)), ("rad",) * n, np.full(n, TOLERANCE))
 
     def storage(self, law: TrackingLaw) -> float:
-        """Return V [J] of links at rest that are off by the tolerance, or by TOLERANCE if larger: e' Pi_l e / 2."""
+        """Return V = e' Pi_l e / 2 [J] of links at rest whose error e is the tolerance, at least TOLERANCE."""
         e = np.maximum(self.tolerance, TOLERANCE)
         return float(e @ law.gains.Pi_l @ e) / 2
 
     def largest(self, errors: Array) -> str:
-        """Return the largest of errors (n,), by its tolerance, with its joint: "0.14 mrad at joint2"."""
+        """Format the largest of errors (n,) relative to its tolerance: "0.14 mrad at joint2"."""
         j = int(np.argmax(errors / self.tolerance))
         size = f"{errors[j]:.2g} " if errors[j] >= LARGE else f"{1e3 * errors[j]:.2g} m"
         return f"{size}{self.units[j]} at {self.names[j]}"
@@ -61,18 +61,19 @@ class Axes:
 
 @dataclass(frozen=True)
 class Grade:
-    """Tracking errors by cause [rad, m], and whether they are within the tolerance."""
+    """Largest tracking error (n,) [rad, m] by cause; within: true if all are within the tolerance."""
 
     errors: dict[str, Array]
     within: bool
 
 
 def grade(made: CauseErrors, judged: Flags, decay: float, tolerance: Array) -> Grade:
-    """Return the largest error (n,) that each cause makes in the judged blocks (b,) outside a transient.
+    """Return the largest error (n,) due to each cause in the judged blocks (b,) outside a transient.
 
-    decay: guaranteed factor of V in a block; the loop's own error, once there, may take its root to vanish. Where that
-    envelope exceeds both the tolerance (n,) and what the causes make, the block is of a transient; if all judged blocks
-    are, all count. Within: the causes make at most the tolerance plus RELATIVE times the envelope.
+    decay: guaranteed factor of V in a block. The loop's own error is bounded by an envelope that decays with its square
+    root. A block belongs to a transient if that envelope exceeds both the tolerance (n,) and the errors due to the
+    causes; if all judged blocks do, all count. Within the tolerance: the errors due to the causes are at most the
+    tolerance plus RELATIVE times the envelope.
     """
     total, own = made.peaks.sum(axis=1), _envelope(made.own, np.sqrt(decay))
     transient = ((own > tolerance) & (own > total)).any(axis=1)
@@ -82,7 +83,7 @@ def grade(made: CauseErrors, judged: Flags, decay: float, tolerance: Array) -> G
 
 
 def _envelope(values: Array, decay: float) -> Array:
-    """Return the running maximum of values (b, n) that shrinks by a factor from block to block."""
+    """Return the running maximum of values (b, n), multiplied by `decay` from block to block."""
     values = values.copy()
     for previous, value in pairwise(values):
         np.maximum(value, decay * previous, out=value)
@@ -90,5 +91,5 @@ def _envelope(values: Array, decay: float) -> Array:
 
 
 def detail(causes: Sequence[str], errors: dict[str, Array], axes: Axes) -> str:
-    """Return causes with the error that each makes: "delay makes 0.14 mrad at joint2, sampling"."""
+    """Format causes with the error due to each: "delay makes 0.14 mrad at joint2, sampling"."""
     return ", ".join(f"{cause} makes {axes.largest(errors[cause])}" if cause in errors else cause for cause in causes)

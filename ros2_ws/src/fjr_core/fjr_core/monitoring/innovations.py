@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A record cut into intervals between two states: what the model foretold for the second, and what was measured."""
+"""Compute the innovations of a record: each measured state minus its one-step-ahead prediction by the model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..numerics.checks import Array
 from ..robot.robot import Robot
-from .certificate import Balance
+from .certificate import Balance, CertificateSeries
 from .one_step_prediction import Prediction
 from .record import Record
 from .thresholds import LONGEST_GAP
@@ -19,14 +19,14 @@ from .thresholds import LONGEST_GAP
 
 @dataclass(frozen=True)
 class Intervals:
-    """k intervals of a record, in order.
+    """Innovations of k intervals between consecutive states, in order of time.
 
-    dt (k,) [s]. V0, V1, foretold (k,) [J]: the storage at the first and second state, and at the second by the model,
-    the effort sent being held. sent, law (k, n) [N m]: that effort, and the law's at the first state. before, after
-    (k, n) [N m]: what the motors gave at both states, nan where it was not measured. error (k, 4n): second state,
-    positions and velocities, measured less foretold. slope (k, 4n): dV/d of these at the second state. answered (k,):
-    whether the first state was. older (k, n) [N m]: the effort sent before. latency (k,): of the answer to the first
-    state by the times these went, as a part of the interval, in which the older effort acted on; 0: not known.
+    dt (k,) [s]: lengths. V0, V1, predicted (k,) [J]: storage at the first state, at the second, and predicted for the
+    second with the sent effort held. sent, law (k, n) [N m]: sent effort, and effort of the law at the first state.
+    before, after (k, n) [N m]: measured effort of the motors at both states, NaN: not measured. error (k, 4n): measured
+    minus predicted positions and velocities of the second state. slope (k, 4n): dV/d of these there. answered (k,):
+    true if the first state received a command. older (k, n) [N m]: effort sent before. latency (k,): delay of the
+    command by send times as a fraction of the interval, during which the older effort still acts; 0: not known.
     tracking (k, n) [rad]: q_l - q_ld at the second state.
     """
 
@@ -49,16 +49,22 @@ class Intervals:
         return len(self.dt)
 
     def rows(self, rows: slice | Array) -> Intervals:
-        """Some of them."""
+        """Return the selected intervals."""
         return Intervals(*(getattr(self, name)[rows] for name in _NAMES))
 
 
 _NAMES = tuple(f.name for f in fields(Intervals))
 
 
-def intervals(record: Record, balance: Balance, prediction: Prediction) -> Intervals:
-    """Those of a record in which everything was measured and no gap is longer than LONGEST_GAP sample periods."""
-    series = balance.along(record.position, record.velocity, record.jets)
+def innovations(
+    record: Record, balance: Balance, prediction: Prediction, series: CertificateSeries | None = None
+) -> Intervals:
+    """Return the innovations of the intervals that `consecutive` selects.
+
+    series: certificate along the record; None: it is computed here.
+    """
+    if series is None:
+        series = balance.along(record.position, record.velocity, record.jets)
     sent, dt = held(record.u), np.diff(record.t)
     first = consecutive(record, np.isfinite(series.V))
     before = sent[np.maximum(first - 1, 0)]
@@ -97,39 +103,40 @@ def consecutive(record: Record, known: NDArray[np.bool_] | None = None) -> NDArr
 
 
 def _latency(record: Record) -> Array:
-    """From each state to its answer (k,) [s] by the times these went, up to the next state; 0 where not known."""
-    if record.sent is None or record.answered is None:
+    """Return the time from each state to its command (k,) [s], at most one sample period; 0 where not known."""
+    if record.lockstep or record.sent is None or record.answered is None:
         return np.zeros(len(record.t))
     known = np.nan_to_num(np.asarray(record.answered) - np.asarray(record.sent))
     return np.asarray(np.clip(known, 0.0, record.sample_period))
 
 
 def held(u: Array) -> Array:
-    """Efforts (k, n) with the last one where none came (nan)."""
+    """Return efforts (k, n) with the previous one in place of a missing one (NaN)."""
     came = np.isfinite(u).all(axis=1)
     last = np.maximum.accumulate(np.where(came, np.arange(len(u)), -1))
     return np.where((last >= 0)[:, None], u[np.maximum(last, 0)], np.nan)
 
 
-def needed(intervals: Intervals, robot: Robot) -> Array:
-    """Mean effort (k, n) [N m] that the motor equation needs in each interval, from the measured velocities.
+def needed(found: Intervals, robot: Robot) -> Array:
+    """Return the mean effort (k, n) [N m] that the motor equation requires in each interval.
 
-    Less what is foreseen: a loop in real time that answers within the sample is as it should be.
-
-    M_m ddq_m + K zeta + D_m dq_m = B_m u, integrated over the interval: the motors' generalised momenta against
-    their prediction, as A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta,
-    ICRA 2003.
+    M_m ddq_m + K zeta + D_m dq_m = B_m u, integrated over the interval: measured minus predicted generalised momenta of
+    the motors, as in A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta, ICRA
+    2003. The part that the known latency explains is subtracted.
     """
-    residual: Array = intervals.error[:, 3 * robot.n :] @ _effort(robot) / intervals.dt[:, None]
-    return intervals.sent + residual - foreseen(intervals)
+    residual: Array = found.error[:, 3 * robot.n :] @ _effort(robot) / found.dt[:, None]
+    return found.sent + residual - foreseen(found)
 
 
-def foreseen(intervals: Intervals) -> Array:
-    """What acted beside the effort sent (k, n) [N m] by the times of sending alone: so long the older one acted on."""
-    return np.asarray(intervals.latency[:, None] * (intervals.older - intervals.sent))
+def foreseen(found: Intervals) -> Array:
+    """Return the mean deviation (k, n) [N m] from the sent effort due to the known latency.
+
+    The older effort acts until the command arrives.
+    """
+    return np.asarray(found.latency[:, None] * (found.older - found.sent))
 
 
 @lru_cache(maxsize=8)
 def _effort(robot: Robot) -> Array:
-    """(B_m^-1 M_m)' (n, n): what makes efforts of accelerations."""
+    """Return (B_m^-1 M_m)' (n, n), which maps accelerations to efforts."""
     return np.asarray(np.linalg.solve(robot.B_m, robot.M_m).T)

@@ -1,28 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long after its state an answer went, by the controller's own clock and stamps of a clock it does not know."""
+"""Estimate the delay from a state to its command when the clock of the stamps has an unknown offset."""
 
 from __future__ import annotations
 
-WINDOW = 1000  # states
+WINDOW = 1000  # states over which the clock offset is estimated
 
 
 class Latency:
-    """The time from each state to its answer [s], but for the shortest way of a state to the controller.
+    """Time from each state to its command [s] without the shortest transport delay of a state.
 
-    Arrival less stamp is an unknown difference of clocks, plus the way of the state; the least of it over the last
-    one to two WINDOWs is taken for that difference. So a way that is always as long is not in it, one that is
-    longer than others is.
+    Arrival minus stamp is the clock offset plus the transport delay. The minimum over the last one to two WINDOWs
+    estimates the offset. A constant transport delay cannot be distinguished from the clock offset and is not included;
+    variations of the delay are.
     """
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """The stamps begin anew."""
+        """Discard the estimate of the clock offset."""
         self._count, self._before, self._least = 0, float("inf"), float("inf")
 
     def of(self, stamp: int, arrival: int, sent: int) -> float:
-        """For a state with that stamp, which arrived and was answered then; all [ns], the last two by one clock."""
+        """Return the latency [s] of a state with this stamp, time of arrival and send time of its command [ns].
+
+        arrival and sent are read from the same clock.
+        """
         if self._count == WINDOW:
             self._count, self._before, self._least = 0, self._least, float("inf")
         self._count += 1

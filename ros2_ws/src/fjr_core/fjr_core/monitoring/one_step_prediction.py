@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the model makes of a measured state within one sample period, the effort held; in what is measured."""
+"""Predict measured positions and velocities one sample ahead with the model, the effort held."""
 
 from __future__ import annotations
 
@@ -15,18 +15,21 @@ from ..numerics.integrators import rk4_expression
 from ..robot.coordinates import Coordinates
 from ..robot.port_hamiltonian import Plant
 
-STEPS = 4  # of the integrator in a call
-LONGEST = 1e-3  # s of a call; more is made in several
+STEPS = 4  # integrator steps per call
+LONGEST = 1e-3  # s, longest horizon of a call; longer intervals take several calls
 
 
 class Prediction:
-    """Positions and velocities (2n,) after dt [s] under a held effort, by the law's robot; machine code as the law."""
+    """One-step-ahead prediction by the model of the law; machine code if the law is compiled."""
 
     def __init__(self, law: TrackingLaw) -> None:
         self._law = law
 
     def along(self, position: Array, velocity: Array, u: Array, dt: Array) -> tuple[Array, Array]:
-        """The same of k intervals: position, velocity (k, 2n), u (k, n) [N m], dt (k,) [s]."""
+        """Return positions and velocities (k, 2n) after dt (k,) [s] under held efforts u (k, n) [N m].
+
+        position, velocity (k, 2n) [rad, rad/s]: at the start.
+        """
         if not len(dt):
             return position, velocity
         calls = max(1, int(np.ceil(dt.max() / LONGEST - 1e-6)))
@@ -37,7 +40,7 @@ class Prediction:
 
     @cached_property
     def function(self) -> ca.Function:
-        """The CasADi function (position, velocity, u, dt) -> next position, next velocity."""
+        """Return the CasADi function (position, velocity, u, dt) -> next position, next velocity."""
         return self._law.derived("prediction", self._derived)
 
     def _derived(self) -> ca.Function:

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate sample by sample as states come, with the model's forecast of each; bound to buffers, for 1 kHz."""
+"""Evaluate the certificate and the innovations online, one state at a time; bound to buffers for loops at 1 kHz."""
 
 from __future__ import annotations
+
+from dataclasses import fields
 
 import numpy as np
 
@@ -13,34 +15,29 @@ from .certificate import OUTPUTS, Balance
 from .innovations import Intervals
 from .one_step_prediction import Prediction
 
-ROOM = 640  # intervals that are kept, at least half of it
+CAPACITY = 640  # intervals; at least the latest half is kept
 
 
 class Forecast:
-    """Takes states one after another and makes intervals of them; not for two threads at once.
+    """Certificate of the latest state and innovations of the latest intervals; not thread-safe.
 
-    position, velocity (2n,), jets (5, n), u (n,): of the last state, with the effort that answered it. V, H [J],
-    dissipation, dissipated [W], law, drive (n,): of it, as Balance.function gives them.
+    position, velocity (2n,) [rad, rad/s], jets (5, n), u (n,) [N m]: latest state, reference and command.
     """
 
     def __init__(self, law: TrackingLaw) -> None:
         n = law.robot.n
         self._robot, self._balance, self._prediction = law.robot, Balance(law), Prediction(law)
-        self.position, self.velocity, self.jets, self.u = (
-            np.zeros(2 * n),
-            np.zeros(2 * n),
-            np.zeros((JETS, n)),
-            np.zeros(n),
-        )
+        self.position, self.velocity = np.zeros(2 * n), np.zeros(2 * n)
+        self.jets, self.u = np.zeros((JETS, n)), np.zeros(n)
         sizes = {"u_law": n, "drive": n, "slope": 4 * n}
         self._found = {name: np.zeros(sizes.get(name, 1)) for name in OUTPUTS}
         self._dt, self._next_position, self._next_velocity = np.zeros(1), np.zeros(2 * n), np.zeros(2 * n)
-        self._kept, self._older, self._latency = _room(n), np.zeros(n), 0.0
+        self._kept, self._older, self._latency = _buffers(n), np.zeros(n), 0.0
         self.use(law)
         self.forget()
 
     def use(self, law: TrackingLaw) -> None:
-        """Another law, made by `with_gains`: intervals begin anew."""
+        """Use a law made by `with_gains` and discard the intervals."""
         self._balance = self._balance.with_law(law)
         measured = (self.position, self.velocity, self.jets, law.gain_values)
         self._certify = bind(self._balance.function, measured, list(self._found.values()))
@@ -52,18 +49,18 @@ class Forecast:
         self.forget()
 
     def forget(self) -> None:
-        """The next state has no predecessor, and there are no intervals."""
+        """Discard the intervals; the next state has no predecessor."""
         self.count, self._follows = 0, False
 
     def skip(self) -> None:
-        """The next state has no predecessor."""
+        """Let the next state have no predecessor."""
         self._follows = False
 
     @np.errstate(all="ignore")  # a diverging robot overflows; V says so
     def take(self, dt: float, position: Array, velocity: Array, jets: Array, u: Array, latency: float = 0.0) -> float:
-        """The next state, dt [s] after the last, with its reference and the effort that answered it; V [J] before.
+        """Take the next state, dt [s] after the last, with its reference and command; return V [J] of the last state.
 
-        latency [s]: how long after the state that was, 0 where nothing is known of it.
+        position, velocity (2n,), jets (5, n), u (n,) [N m]. latency [s]: delay of the command; 0: not known.
         """
         V, self._dt[0] = self.V, dt
         if self._follows:
@@ -82,39 +79,39 @@ class Forecast:
 
     @property
     def V(self) -> float:
-        """Storage [J] at the last state."""
+        """Storage [J] at the latest state."""
         return float(self._found["V"][0])
 
     @property
     def H(self) -> float:
-        """Energy [J] there."""
+        """Energy [J] of the robot at the latest state."""
         return float(self._found["H"][0])
 
     @property
     @np.errstate(all="ignore")
     def dV(self) -> float:
-        """The exact rate of V [W] there under the effort that answered."""
+        """Exact rate of V [W] at the latest state under its command."""
         found = self._found
         return float(found["drive"].dot(self.u - found["u_law"]) - found["dissipation"][0])
 
     @property
     @np.errstate(all="ignore")
     def supplied(self) -> float:
-        """Power [W] that the effort that answered supplies there."""
+        """Power [W] supplied by the command at the latest state."""
         return float(self.velocity[self._robot.n :].dot(self._robot.B_m.dot(self.u)))
 
     @property
     def dissipated(self) -> float:
-        """Power [W] that the robot's own dampings take there."""
+        """Power [W] dissipated by the damping of the robot at the latest state."""
         return float(self._found["dissipated"][0])
 
     def last(self, count: int) -> Intervals:
-        """The last intervals (views, good until the next state), fewer where there are not so many."""
+        """Return at most the last `count` intervals, as views that are valid until the next state."""
         return self._kept.rows(slice(max(0, self.count - count), self.count))
 
     def _keep(self, dt: float, V: float, law: Array) -> None:
-        if self.count == ROOM:
-            self._make_room()
+        if self.count == CAPACITY:
+            self._drop_oldest()
         kept, i, n = self._kept, self.count, self._robot.n
         kept.dt[i], kept.V0[i], kept.V1[i], kept.foretold[i] = dt, V, self.V, self._foretold.V[0]
         kept.sent[i], kept.law[i], kept.older[i] = self.u, law, self._older
@@ -125,28 +122,17 @@ class Forecast:
         np.subtract(self.position[:n], self.jets[0], out=kept.tracking[i])
         self.count += 1
 
-    def _make_room(self) -> None:
-        half = self.last(ROOM // 2)
+    def _drop_oldest(self) -> None:
+        half = self.last(CAPACITY // 2)
         for name, values in vars(half).items():
-            getattr(self._kept, name)[: ROOM // 2] = values
-        self.count = ROOM // 2
+            getattr(self._kept, name)[: CAPACITY // 2] = values
+        self.count = CAPACITY // 2
 
 
-def _room(n: int) -> Intervals:
-    one, nothing = np.zeros(ROOM), np.full((ROOM, n), np.nan)
-    return Intervals(
-        dt=one.copy(),
-        V0=one.copy(),
-        V1=one.copy(),
-        foretold=one.copy(),
-        sent=np.zeros((ROOM, n)),
-        law=np.zeros((ROOM, n)),
-        before=nothing,
-        after=nothing.copy(),
-        error=np.zeros((ROOM, 4 * n)),
-        slope=np.zeros((ROOM, 4 * n)),
-        answered=np.ones(ROOM, dtype=bool),
-        older=np.zeros((ROOM, n)),
-        latency=np.zeros(ROOM),
-        tracking=np.zeros((ROOM, n)),
-    )
+def _buffers(n: int) -> Intervals:
+    """Return zeroed innovations of CAPACITY intervals without measured efforts, all answered."""
+    sizes = dict.fromkeys(("sent", "law", "older", "tracking", "before", "after"), n) | {"error": 4 * n, "slope": 4 * n}
+    shapes = {f.name: (CAPACITY, sizes[f.name]) if f.name in sizes else (CAPACITY,) for f in fields(Intervals)}
+    values = {name: np.zeros(shape) for name, shape in shapes.items()}
+    unmeasured = {name: np.full((CAPACITY, n), np.nan) for name in ("before", "after")}
+    return Intervals(**{**values, **unmeasured, "answered": np.ones(CAPACITY, dtype=bool)})

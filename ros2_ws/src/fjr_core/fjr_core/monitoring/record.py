@@ -14,12 +14,13 @@ from ..trajectories.reference import JETS
 
 @dataclass(frozen=True)
 class Record:
-    """What was measured and sent at k instants, by the stamps.
+    """Measured states and commands at k instants.
 
-    t (k,) [s]. position, velocity (k, 2n): of links, then motors. jets (k, 5, n): of the reference. u (k, n) [N m]:
-    the effort that answered each state, nan: none did. u_applied (k, n) [N m]: what the motors gave at each state, by
-    measurement, or None. sent, answered (k,) [s]: when states and answers went, or None. sample_period [s].
-    effort_limit (n,) [N m]: inf for none. Raises StateError for shapes that do not fit.
+    t (k,) [s]: time stamps. position, velocity (k, 2n) [rad, rad/s]: links, then motors. jets (k, 5, n): reference.
+    u (k, n) [N m]: command for each state, NaN: none. u_applied (k, n) [N m]: measured effort of the motors at each
+    state, or None. sent, answered (k,) [s]: send times of states and commands, or None. sample_period [s].
+    effort_limit (n,) [N m]: inf for none. lockstep: the robot waits for each command, so that send times carry no
+    information. Raises StateError for wrong shapes and a sample period that is not positive.
     """
 
     t: Array
@@ -32,6 +33,7 @@ class Record:
     answered: Array | None
     sample_period: float
     effort_limit: Array
+    lockstep: bool = False
 
     def __post_init__(self) -> None:
         k, n = np.shape(self.u) if np.ndim(self.u) == 2 else (-1, -1)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who supplied the storage: what V gained in a block of intervals over the ideal sampled loop, by its cause.
+"""Attribute the growth of V, relative to the ideal sampled loop, to its causes.
 
-V(second state) - V(first) = [what the law's own effort, held, makes of V in the model]
-                           + saturation: effort sent - the law's   + delay, loss: effort that acted - effort sent
-                           + mismatch: residual that persists      + noise: residual that averages out
+V(second state) - V(first) = [change of V in the model with the effort of the law held]
+                       + saturation: effort sent - effort of the law   + delay, loss: effort acting - effort sent
+                       + mismatch: mean residual of a block            + noise: residual that averages out
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ CAUSES = ("model mismatch", "saturation", "delay", "loss")
 
 @dataclass(frozen=True)
 class Supplies:
-    """b blocks: what was supplied to V by each of CAUSES (b, 4) [J], what is foretold and what is allowed.
+    """Contributions to V over b blocks of intervals.
 
-    hold (b,): by the ideal sampled loop, its answers as late as the stamps say, beyond exp(-2 beta dt). slack (b,):
-    what that loop lost beyond it. noise (b,). judged (b,): whether the effort was the law's, or at its limit,
-    throughout. V (b,): at the end.
+    causes (b, 4) [J]: contribution of each of CAUSES. hold (b,) [J]: growth of V in the ideal sampled loop, with the
+    known latency, above the bound exp(-2 beta dt). slack (b,) [J]: decay of V below that bound. noise (b,) [J]: what
+    measurement noise explains. judged (b,): true if every effort is that of the law or at its limit. V (b,) [J]: at
+    the end of the block.
     """
 
     causes: Array
@@ -40,12 +41,15 @@ class Supplies:
     V: Array
 
 
-def supplies(found: Intervals, acted: Acting, robot: Robot, beta: float, period: float, limit: Array) -> Supplies:
-    """The supplies of the whole blocks of the intervals."""
+def storage_budget(found: Intervals, acted: Acting, robot: Robot, beta: float, period: float, limit: Array) -> Supplies:
+    """Return the contributions to V in the complete blocks of the intervals.
+
+    beta [1/s]: guaranteed rate of V. period [s]: sample period. limit (n,) [N m]: effort limits.
+    """
     other = found.sent - found.law
     saturation, unanswered = (_gain(found, other * mask[:, None], robot) for mask in (found.answered, ~found.answered))
     cut, late, lost = (_gain(found, part, robot) for part in (acted.cut, acted.late, acted.lost))
-    rest = found.V1 - found.foretold - cut - late - lost
+    residual = found.V1 - found.foretold - cut - late - lost
     ideal = found.foretold - saturation - unanswered
     usual = foreseen(found)
     within = _gain(found, usual, robot)
@@ -60,14 +64,14 @@ def supplies(found: Intervals, acted: Acting, robot: Robot, beta: float, period:
         causes=causes,
         hold=_sums(np.maximum(excess, 0.0)),
         slack=_sums(np.maximum(-excess, 0.0)),
-        noise=np.abs(_sums(rest - within) - mismatch) + SIGNIFICANT * uncertain + np.abs(_sums(unsure)),
+        noise=np.abs(_sums(residual - within) - mismatch) + SIGNIFICANT * uncertain + np.abs(_sums(unsure)),
         judged=_sums(foreign(found, limit).astype(float)) == 0,
         V=blocks_of(found.V1)[:, -1],
     )
 
 
 def foreign(found: Intervals, limit: Array) -> NDArray[np.bool_]:
-    """Return in which intervals (k,) the effort sent is neither the law's nor at its limit (n,) [N m]."""
+    """Return in which intervals (k,) the effort sent is neither that of the law nor at its limit (n,) [N m]."""
     at_limit = np.abs(found.sent) >= AT_LIMIT * limit
     same = SAME_EFFORT * (1.0 + np.abs(found.law).max(axis=1, initial=0.0)[:, None])
     differs = np.abs(found.sent - found.law) > same
@@ -75,7 +79,7 @@ def foreign(found: Intervals, limit: Array) -> NDArray[np.bool_]:
 
 
 def state_change(found: Intervals, effort: Array, robot: Robot) -> Array:
-    """Return what efforts (k, n) [N m], each held for its interval, change in positions and velocities (k, 4n)."""
+    """Return the change of positions and velocities (k, 4n) by efforts (k, n) [N m] held over their intervals."""
     dv, n = effort @ _acceleration(robot) * found.dt[:, None], robot.n
     change = np.zeros((len(found), 4 * n))
     change[:, n : 2 * n] = dv * found.dt[:, None] / 2
@@ -84,9 +88,9 @@ def state_change(found: Intervals, effort: Array, robot: Robot) -> Array:
 
 
 def _gain(found: Intervals, effort: Array, robot: Robot) -> Array:
-    """What V gained (k,) [J] by efforts (k, n) [N m] beside the rest, held for each interval.
+    """Return the change of V (k,) [J] by additional efforts (k, n) [N m] held over their intervals.
 
-    They change dq_m by dv = M_m^-1 B_m effort dt, q_m by dv dt / 2; V is quadratic in dq_m with the matrix M_m.
+    They change dq_m by dv = M_m^-1 B_m effort dt and q_m by dv dt / 2; V is quadratic in dq_m with the matrix M_m.
     """
     if not np.count_nonzero(effort):
         return np.zeros(len(found))
@@ -99,12 +103,15 @@ def _gain(found: Intervals, effort: Array, robot: Robot) -> Array:
 
 @lru_cache(maxsize=8)
 def _acceleration(robot: Robot) -> Array:
-    """(M_m^-1 B_m)' (n, n)."""
+    """Return (M_m^-1 B_m)' (n, n)."""
     return np.asarray(np.linalg.solve(robot.M_m, robot.B_m).T)
 
 
 def _persistent(found: Intervals, acted: Acting, usual: Array, robot: Robot) -> tuple[Array, Array]:
-    """What V gained (b,) by the mean residual of each block, without the effort that acted; its deviation (b,)."""
+    """Return the change of V (b,) by the mean residual of each block and its standard deviation (b,).
+
+    The residual excludes the known deviations of the effort.
+    """
     effort = acted.cut + acted.late + acted.lost + usual
     slope, errors = _sums(found.slope), blocks_of(found.error - state_change(found, effort, robot))
     gain: Array = (slope * errors.mean(axis=1)).sum(axis=1)
@@ -113,7 +120,7 @@ def _persistent(found: Intervals, acted: Acting, usual: Array, robot: Robot) -> 
 
 
 def blocks_of(values: Array) -> Array:
-    """Return values (k, ...) as (b, BLOCK, ...), without the last ones that fill no block."""
+    """Return values (k, ...) as (b, BLOCK, ...) without an incomplete last block."""
     count = len(values) // BLOCK
     return values[: count * BLOCK].reshape(count, BLOCK, *values.shape[1:])
 

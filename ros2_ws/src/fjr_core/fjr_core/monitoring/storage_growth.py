@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measure how far V grew, beyond what the hold, the noise and the tolerated tracking error explain."""
+"""Measure the growth of V beyond what hold, noise and the tolerated tracking error explain."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ def rises(found: Intervals, limit: Array, lowest: float = np.inf) -> Array:
 def floor(blocks: Supplies, decay: float, tolerated: float) -> float:
     """Return the storage [J] that hold, noise and the tolerated tracking error explain.
 
-    decay: guaranteed factor of V in a block. tolerated [J]: storage of the tolerated error. The rest is the level at
-    which V loses as much in a block as hold and noise supply in one of the lower quartile: a diverging loop must not
-    raise its own floor.
+    decay: guaranteed factor of V in a block. tolerated [J]: storage of the tolerated error. The remainder is the level
+    at which the decay in a block equals the lower quartile of the contributions of hold and noise. The quartile keeps a
+    diverging loop from raising its own floor.
     """
     if not len(blocks.V):
         return tolerated
-    supplied = blocks.hold + blocks.noise
-    supply = PREDICTED * float(np.quantile(np.where(np.isfinite(supplied), supplied, np.finfo(float).max), 0.25))
-    return tolerated + supply / max(1 - decay, np.finfo(float).eps)
+    added = blocks.hold + blocks.noise
+    explained = PREDICTED * float(np.quantile(np.where(np.isfinite(added), added, np.finfo(float).max), 0.25))
+    return tolerated + explained / max(1 - decay, np.finfo(float).eps)
 
 
 def growth(risen: Array, floor: float) -> float:

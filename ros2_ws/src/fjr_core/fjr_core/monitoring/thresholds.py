@@ -1,67 +1,67 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Thresholds of the diagnosis, offline and live; chosen on other seeds than the labelled set (docs/diagnosis.md)."""
+"""Thresholds of the diagnosis, offline and online; tuned on other seeds than the labelled set (docs/diagnosis.md)."""
 
 BLOCK = 20
-"""Intervals that are judged together: noise averages out, a mismatch does not."""
+"""Intervals per block: noise averages out within a block, a model mismatch does not."""
 SHARE = 0.035
-"""Share of violated blocks from which on the run does not hold, if they are FEWEST at least."""
+"""Smallest share of violated blocks of a violated run, if there are at least FEWEST."""
 FEWEST = 3
-"""Blocks needed for a verdict; violated blocks below which only their share counts."""
+"""Fewest blocks of a diagnosis, and fewest violated blocks for SHARE to apply."""
 SHARE_OF_FEW = 0.1
-"""Share of fewer violated blocks than FEWEST, up to which the run may still hold."""
+"""Largest share of violated blocks, if they are fewer than FEWEST, of a run that still holds."""
 HIGH_SHARE = 0.3
-"""Share of violated blocks from which on their number does not matter."""
+"""Smallest share of violated blocks of a violated run, whatever their number."""
 EXCEEDED = 10.0
-"""Growth of V, over its lowest value and its floor, above which the run does not hold."""
+"""Largest growth of V over its lowest value plus its floor of a run that holds."""
 DIVERGED = 100.0
-"""The same growth, above which the run is violated however small the errors are."""
+"""Growth of V above which the run is violated, however small the errors are."""
 TOLERANCE = 1e-3
-"""Tracking error [rad, m] that the causes of a violation may make in a run that is degraded, not violated."""
+"""Largest tracking error [rad, m] due to the causes in a run that is degraded, not violated."""
 RELATIVE = 0.1
-"""Share of the loop's own tracking error that they may make in addition."""
+"""Additional tracking error due to the causes, as a share of the loop's own error."""
 CAUSE_SHARE = 0.2
-"""Share of the violated blocks that a cause must have fed most, to be named."""
+"""A cause is reported if it is dominant in at least this share of the violating blocks."""
 SIGNIFICANT = 2.0
-"""Standard deviations of the mean residual's supply that count as noise."""
+"""Standard deviations of the contribution of the mean residual that count as noise."""
 PREDICTED = 1.3
-"""Supply of the causes over that of hold and noise, above which a block is violated."""
+"""A block is violated if the causes contribute more than this multiple of hold and noise."""
 SAME_EFFORT = 1e-6
-"""Relative difference up to which the effort sent is the law's."""
+"""Largest relative difference between the effort sent and that of the law if they are equal."""
 AT_LIMIT = 0.999
-"""Share of its limit from which on an effort is at it."""
+"""An effort is at its limit from this share of the limit."""
 CLIPPED_BY = 0.01
-"""Share by which an effort sent exceeds what acted, where the motor is at its limit."""
+"""Smallest relative excess of the sent over the acting effort of a saturated motor."""
 CLIPPED_LEVEL = 1e-3
-"""Relative width of the level that a motor at its limit gives."""
+"""Relative width of the torque level of a saturated motor."""
 CLIPPED_FOR = 5
-"""Intervals at that level in a row that make it a limit."""
+"""Consecutive intervals at that level of a saturated motor."""
 EXPLAINED = 0.5
-"""Share of the motors' residual that an age of the effort must explain, to be believed."""
+"""Share of the motor residual that a delay must explain to be accepted."""
 EXACT = 0.01
-"""Share of the motors' residual that the measured torque may leave, to be believed whatever another age leaves."""
+"""Accept the measured torque unconditionally if its residual is below this fraction of the motor residual."""
 HALF_WAY = 0.3
-"""The same of a torque that changed within the interval, both ends being measured."""
+"""Share of the residual that a change of the measured torque within the interval must explain to be accepted."""
 NO_WORSE = 1.1
-"""Residual that the measured torque leaves, over that of the best age, up to which it is believed instead."""
+"""Accept the measured torque if its residual is at most this multiple of that of the best delay."""
 OLDEST = 6
-"""Samples of age that are looked for."""
+"""Largest delay searched, in samples."""
 SAME_OLDER = 0.1
-"""Distance of the measured torque from an older effort, over that from the newest, up to which it is that one."""
+"""The acting torque is an older effort if its distance is at most this fraction of that from the newest."""
 MIXED = 0.02
-"""Changes of what the motors' equation needs beside one effort, over those of the efforts, above which two acted."""
+"""Two efforts acted in an interval if one leaves more than this share of the changes of the required effort."""
 NEGLIGIBLE = 1e-8
-"""Changes beside the efforts, over those of the efforts, that are rounding."""
+"""Residual changes relative to those of the efforts that are due to rounding."""
 LATE = 0.5
-"""Samples of age of most efforts from which on it is a delay, below which older ones are lost ones."""
+"""Median delay in samples from which deviations are a delay; below it, older efforts indicate losses."""
 GAP = 1.85
-"""Sample periods from which on an interval is a gap."""
+"""Sample periods from which an interval is a gap."""
 LONGEST_GAP = 20.0
-"""Sample periods above which an interval says nothing."""
+"""Sample periods above which an interval is ignored."""
 JUDGED = 0.2
-"""Share of the intervals that must be the law's, for a verdict."""
+"""Smallest share of blocks with the effort of the law for a diagnosis."""
 FALLEN = 0.01
-"""Largest V of the last third of a run over that of the first, below which an unstable linear loop is not blamed."""
+"""V has decayed if its maximum in the last third of a run is below this fraction of that in the first third."""
 REGULAR = 0.1
-"""Relative difference from the usual length up to which an interval of a loop in real time tells the effort's age."""
+"""Largest relative difference from the usual length of an interval used for the delay in real time."""
 UNSURE = 0.35
-"""Part of an interval by which it is not known when an answer took over whose sending is stamped."""
+"""Uncertainty, as a fraction of the sample period, of the instant at which a new effort takes effect."""

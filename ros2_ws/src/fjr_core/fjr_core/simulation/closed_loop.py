@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The closed loop in one function, without ROS: in continuous time, or sampled with a zero-order hold."""
+"""Simulate the closed loop without ROS, in continuous time or sampled with a zero-order hold."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A closed-loop run at k instants: t (k,), x (k, 4n), u (k, n), jets (k, 5, n), V (k,); SI units."""
+    """Closed-loop run at k instants: t (k,), x (k, 4n), u (k, n), jets (k, 5, n), V (k,); SI units."""
 
     t: Array
     x: Array
@@ -46,24 +46,20 @@ def simulate(
     inner_step: float | None = None,
     delay: float = 0.0,
 ) -> Trajectory:
-    """Run u(x, x, t) on the plant from x0 (4n,) for `duration` seconds.
+    """Simulate u(x, x, t) on the plant from x0 (4n,) for `duration` seconds.
 
-    sample_period [s]: the law is evaluated once a sample and held (plant.step inside, at most inner_step
-    each); None: continuous time, the law in every stage of a Runge-Kutta step of inner_step. Times are
+    sample_period [s]: the law is evaluated once per sample and held, with steps of plant.step of at most inner_step
+    [s]; None: continuous time, the law is evaluated in each stage of a Runge-Kutta step of inner_step. The instants are
     multiples of the sample period (of inner_step in continuous time) up to the duration.
-    delay [s]: the effort for the state at t acts from t + delay on, none before the first; Trajectory.u is
-    what the law said at t. Only for a sampled loop.
-    The plant's robot and the law's may differ (model mismatch): the law then gets the plant's positions and
-    velocities, with momenta by its own inertia, and V is its own; Trajectory.x is the plant's state.
-    law: a SampledLaw (e.g. robust.RobustLaw) only with a sample_period; it gets the reference `lead` later.
-    Raises StateError for shapes or numbers that do not fit, and when the loop diverges to non-finite numbers.
+    delay [s]: the effort for the state at t acts from t + delay on, with zero effort before the first; Trajectory.u is
+    the effort computed at t. Only for a sampled loop.
+    law: a SampledLaw (e.g. robust.RobustLaw) requires a sample_period; it receives the reference at t + law.lead.
+    The robots of plant and law may differ (model mismatch). The law then receives the positions and velocities of the
+    plant with momenta by its own inertia, and V is its own; Trajectory.x is the state of the plant.
+    Raises StateError for wrong shapes or numbers, and if the state is no longer finite.
     """
     x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
-    n = {plant.robot.n, law.robot.n, reference.n}
-    if len(n) != 1:
-        raise StateError(
-            f"plant, law and reference have {plant.robot.n}, {law.robot.n} and {reference.n} joints; expected equal"
-        )
+    _check_joints(plant, law, reference)
     if inner_step is not None:
         _positive("inner_step", inner_step)
     if not (np.isfinite(delay) and delay >= 0) or (delay and sample_period is None):
@@ -73,12 +69,20 @@ def simulate(
     jets = reference.jets(t)
     if sample_period is None:
         if not isinstance(law, StaticLaw):
-            raise StateError(f"law is a {type(law).__name__} without a sample_period; expected a StaticLaw, or one")
+            raise StateError(
+                f"law is a {type(law).__name__} without a sample_period; expected a StaticLaw or a sample_period"
+            )
         return _continuous(plant, law, reference, x0, t, period)
     segments = _segments(period, delay, inner_step or INNER_STEP)
     if isinstance(law, StaticLaw):
         return _sampled(plant, x0, t, jets, segments, partial(_static, plant, law, jets))
-    return _sampled(plant, x0, t, jets, segments, partial(_remembering, plant, law, reference.jets(t + law.lead), t))
+    return _sampled(plant, x0, t, jets, segments, partial(_with_state, plant, law, reference.jets(t + law.lead), t))
+
+
+def _check_joints(plant: Plant, law: StaticLaw | SampledLaw, reference: Reference) -> None:
+    n = plant.robot.n, law.robot.n, reference.n
+    if len(set(n)) != 1:
+        raise StateError(f"plant, law and reference have {n[0]}, {n[1]} and {n[2]} joints; expected equal")
 
 
 def _times(duration: float, period: float) -> Array:
@@ -94,7 +98,7 @@ def _positive(name: str, value: float) -> None:
 
 @dataclass(frozen=True)
 class _Segment:
-    """A part of the sample period under one effort, which is `age` samples old, in `steps` steps of dt [s]."""
+    """Part of the sample period with one effort, computed `age` samples ago, in `steps` steps of dt [s]."""
 
     age: int
     steps: int
@@ -102,24 +106,24 @@ class _Segment:
 
 
 def _segments(period: float, delay: float, inner_step: float) -> list[_Segment]:
-    """The sample period cut where the effort changes."""
+    """Split the sample period where the effort changes."""
     whole, late = divmod(delay, period)
     parts = [(int(whole) + 1, late), (int(whole), period - late)]
     steps = [int(np.ceil(length / inner_step - 1e-9)) for _, length in parts]
     return [_Segment(age, k, length / k) for (age, length), k in zip(parts, steps, strict=True) if k]
 
 
-Asked = Callable[[int], None]
-"""Evaluates the law for sample k, from the plant's state in an array into efforts (n,) and V (1,)."""
+BoundLaw = Callable[[int], None]
+"""Evaluate the law for sample k, from the state of the plant in an array into efforts (n,) and V (1,)."""
 
 
 def _sampled(
-    plant: Plant, x0: Array, t: Array, jets: Array, segments: list[_Segment], bound: Callable[..., Asked]
+    plant: Plant, x0: Array, t: Array, jets: Array, segments: list[_Segment], bound: Callable[..., BoundLaw]
 ) -> Trajectory:
     n = plant.robot.n
     run = _empty_trajectory(n, t, jets)
     x, u, x_next, V = x0.copy(), np.zeros(n), np.zeros_like(x0), np.zeros(1)
-    ask = bound(x, u, V)
+    evaluate_law = bound(x, u, V)
     held = [np.zeros(n) for _ in segments]
     steps = [
         bind(plant.step_function, [x, effort, np.array([segment.dt])], [x_next])
@@ -128,7 +132,7 @@ def _sampled(
     for k in range(len(t)):
         if not x.dot(x) < np.inf:
             raise _diverged(t[k])
-        ask(k)
+        evaluate_law(k)
         run.x[k], run.u[k], run.V[k] = x, u, V[0]
         if k + 1 == len(t):
             break
@@ -144,36 +148,36 @@ def _sampled(
     return run
 
 
-def _static(plant: Plant, law: StaticLaw, jets: Array, x: Array, u: Array, V: Array) -> Asked:
-    """A law without memory."""
+def _static(plant: Plant, law: StaticLaw, jets: Array, x: Array, u: Array, V: Array) -> BoundLaw:
+    """Bind a static law to the arrays of state x (4n,), effort u (n,) and V (1,)."""
     now = np.zeros(jets.shape[1:])
-    seen, look = _bound_view(law_view(plant.robot, law.robot), x)
+    seen, update_view = _bound_view(law_view(plant.robot, law.robot), x)
     evaluate = bind(law.command_function, [seen, now], [u, V])
 
-    def ask(k: int) -> None:
+    def evaluate_law(k: int) -> None:
         now[...] = jets[k]
-        look()
+        update_view()
         evaluate()
 
-    return ask
+    return evaluate_law
 
 
-def _remembering(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, u: Array, V: Array) -> Asked:
-    """A law with a memory."""
+def _with_state(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, u: Array, V: Array) -> BoundLaw:
+    """Bind a law with a controller state to the arrays of state x (4n,), effort u (n,) and V (1,)."""
     n, now, velocity = plant.robot.n, np.zeros(jets.shape[1:]), np.zeros(len(x) // 2)
-    look = bind(velocity_function(plant.robot), [x], [velocity])
+    update_view = bind(velocity_function(plant.robot), [x], [velocity])
     step = bound_step(law, x[: 2 * n], velocity, now, getattr(law, "ready_step", None))
 
-    def ask(k: int) -> None:
+    def evaluate_law(k: int) -> None:
         now[...] = jets[k]
-        look()
+        update_view()
         step.dt[0] = t[k] - t[k - 1] if k else 0.0
         step.evaluate()
         step.keep()
         u[...], V[...] = step.u, step.V
         step.sent[...] = u
 
-    return ask
+    return evaluate_law
 
 
 def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t: Array, dt: float) -> Trajectory:
@@ -186,16 +190,16 @@ def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t
         if not np.isfinite(run.x[k + 1]).all():
             raise _diverged(t[k + 1])
     x = np.zeros_like(x0)
-    seen, look = _bound_view(law_view(plant.robot, law.robot), x)
+    seen, update_view = _bound_view(law_view(plant.robot, law.robot), x)
     for k, jets in enumerate(run.jets):
         x[...] = run.x[k]
-        look()
+        update_view()
         run.u[k], run.V[k] = law.command_and_storage(seen, jets)
     return run
 
 
 def _closed_loop_step(plant: Plant, law: StaticLaw) -> NumericFunction:
-    """One Runge-Kutta step of dx = f(x) + G u(x, x, t), the reference given at its three instants."""
+    """Build one Runge-Kutta step of dx/dt = f(x) + G u(x, x, t), with the reference at its three instants."""
     n = plant.robot.n
     x, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("dt")
     start, middle, end = (ca.MX.sym(name, n, JETS) for name in ("start", "middle", "end"))
@@ -210,7 +214,7 @@ def _closed_loop_step(plant: Plant, law: StaticLaw) -> NumericFunction:
 
 
 def _bound_view(view: ca.Function | None, x: Array) -> tuple[Array, Callable[[], None]]:
-    """The array with the law's state, and what fills it from the plant's state in x."""
+    """Return the array of the state seen by the law, and the function that updates it from the plant state in x."""
     if view is None:
         return x, lambda: None
     seen = np.zeros_like(x)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a simulated robot departs from eq. (36): the numbers, checked, all off by default, and what they are off from.
+"""Checked parameters of the non-ideal plant, its sensors and its message channels; all are off by default.
 
 The equations are in nonideal_plant.
 """
@@ -34,17 +34,16 @@ def _channel(name: str, unit: str, description: str, maximum: float) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Imperfections:
-    """Departures of n joints; every field but n is a scalar or (n,), kept as (n,). Off by default.
+    """Non-idealities of n joints; each field except n is a scalar or (n,), stored as (n,). All are off by default.
 
-    coulomb_l, static_l [N m], stribeck_l [rad/s]: friction of the links, of level coulomb + (static - coulomb)
-    exp(-(v / stribeck)^2); a static level below the Coulomb level counts as that. coulomb_m, static_m, stribeck_m:
-    of the motors. smoothing [rad/s]: both are multiplied by tanh(v / smoothing) in place of sign(v), so that a
-    joint creeps instead of sticking and an explicit integrator stays stable: see friction_rate.
-    cubic [N m/rad^3]: springs K zeta + cubic zeta^3. ripple [N m], ripple_periods [1/turn], ripple_phase [rad]:
-    motor torque ripple sin(periods q_m + phase). effort_limit [N m]: the command is cut off there, inf: no limit.
-    lag [s]: time constant of the motor's torque behind that, 0: none.
-    payload_mass [kg], payload_position (3,) [m]: a point on the last link, in its frame.
-    Raises ParameterError.
+    coulomb_l, static_l [N m], stribeck_l [rad/s]: friction of the links, of level coulomb + (static - coulomb) exp(-(v
+    / stribeck)^2); a static level below the Coulomb level is ignored. coulomb_m, static_m, stribeck_m: friction of the
+    motors. smoothing [rad/s]: sign(v) is replaced by tanh(v / smoothing), so that a joint creeps instead of sticking
+    and an explicit integrator stays stable; see friction_rate. cubic [N m/rad^3]: spring torque K zeta + cubic zeta^3.
+    ripple [N m], ripple_periods [1/turn], ripple_phase [rad]: motor torque ripple sin(periods q_m + phase).
+    effort_limit [N m]: saturation of the command, inf: none. lag [s]: time constant of the motor torque after the
+    saturation, 0: none. payload_mass [kg], payload_position (3,) [m]: point mass on the last link, in its frame. Raises
+    ParameterError.
     """
 
     n: int
@@ -98,12 +97,12 @@ class Imperfections:
 
     @property
     def off(self) -> bool:
-        """Whether the robot is eq. (36) itself."""
+        """Return whether the robot equals eq. (36)."""
         return not any(np.any(getattr(self, name)) for name in SWITCHES) and bool(np.all(np.isinf(self.effort_limit)))
 
     @property
     def vector(self) -> Array:
-        """All numbers in the order of NAMES, as nonideal_plant takes them."""
+        """Return all numbers in the order of NAMES, the parameters of nonideal_plant."""
         return np.concatenate([getattr(self, name) for name in NAMES])
 
     def _checked(self, name: str) -> Array:
@@ -121,7 +120,7 @@ class Imperfections:
 
 NAMES = tuple(field.name for field in fields(Imperfections) if field.name != "n")
 SWITCHES = ("coulomb_l", "static_l", "coulomb_m", "static_m", "cubic", "ripple", "lag", "payload_mass")
-"""With all of these 0 and no effort_limit nothing departs from eq. (36)."""
+"""If all of these are 0 and there is no effort_limit, the robot equals eq. (36)."""
 
 
 def _limit(value: ArrayLike, n: int) -> Array:
@@ -132,11 +131,11 @@ def _limit(value: ArrayLike, n: int) -> Array:
 
 
 def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike) -> float:
-    """The fastest rate [1/s] that friction damps a joint with, in the creep about rest where it is steepest.
+    """Return the largest damping rate [1/s] of friction, which occurs in creep at zero velocity.
 
-    An eigenvalue of M^-1 diag(level / smoothing) with the inertias (n, n) and the levels at rest. A Runge-Kutta
-    step of order 4 needs it below 2.78 / dt (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II,
-    sec. IV.2); a motion that creeps or turns would chatter beyond.
+    Largest eigenvalue of M^-1 diag(level / smoothing) with the inertias M_l, M_m (n, n) and the levels at rest. A
+    Runge-Kutta step of order 4 is stable below 2.78 / dt (E. Hairer, G. Wanner, Solving Ordinary Differential Equations
+    II, sec. IV.2); above, a motion that creeps or reverses would chatter.
     """
     i = imperfections
     sides = ((M_l, i.coulomb_l, i.static_l), (M_m, i.coulomb_m, i.static_m))
@@ -146,17 +145,17 @@ def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike) 
 
 NANOSECONDS = 1e9
 MOST_BITS = 48.0
-"""Finer steps of an encoder are no longer seen in double precision."""
+"""Largest resolution of an encoder; finer steps vanish in double precision."""
 
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Errors of the sensors of n joints; fields are scalars or (n,), kept as (n,).
+    """Errors of the sensors of n joints; fields are scalars or (n,), stored as (n,).
 
-    bits_l, bits_m: encoder bits per turn of q_l and of q_m (0: no quantisation; a motor's encoder behind a gear
-    of ratio r has log2 r bits more per turn of q_m, so they need not be whole). position_l, position_m [rad] and
-    velocity_l, velocity_m [rad/s]: standard deviations of white noise, before the quantisation.
-    velocities: whether velocities are measured at all. Raises ParameterError.
+    bits_l, bits_m: encoder bits per turn of q_l and of q_m, 0: no quantisation. They need not be integers: a motor
+    encoder with gear ratio r has log2 r additional bits per turn of q_m. position_l, position_m [rad], velocity_l,
+    velocity_m [rad/s]: standard deviations of white noise before quantisation. velocities: whether velocities are
+    measured. Raises ParameterError.
     """
 
     n: int
@@ -183,17 +182,16 @@ class SensorErrors:
 
     @property
     def off(self) -> bool:
-        """Whether the sensors are perfect."""
+        """Return whether the sensors are ideal."""
         return self.velocities and not any(np.any(getattr(self, field.name)) for field in fields(self)[1:-1])
 
 
 @dataclass(frozen=True)
 class ChannelErrors:
-    """What happens to messages on their way: delay and jitter [s], loss and repetition (probabilities).
+    """Errors of a message channel: delay and jitter [s], probabilities of loss and duplication (`repetition`).
 
-    An item takes delay plus a uniform share of jitter; a repeated one comes twice, the copy with a share of its
-    own. in_order: no item overtakes an earlier one, as with DDS; else jitter may change the order.
-    Raises ParameterError.
+    An item arrives after the delay plus a uniform share of the jitter; a duplicate draws its own share. in_order: no
+    item overtakes an earlier one, as with DDS; false: jitter may change the order. Raises ParameterError.
     """
 
     delay: float = _channel("delay", "s", "Transport delay of {}", 10.0)
@@ -214,5 +212,5 @@ class ChannelErrors:
 
     @property
     def off(self) -> bool:
-        """Whether every item arrives once and at once."""
+        """Return whether every item arrives exactly once without delay."""
         return not (self.delay or self.jitter or self.loss or self.repetition)

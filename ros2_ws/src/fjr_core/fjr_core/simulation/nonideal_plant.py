@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated robot with friction, cubic springs, torque ripple, a weak and slow actuator, a payload and pushes.
+"""Robot with friction, cubic springs, torque ripple, saturation and lag of the actuators, payload, external torques.
 
     dq_l = (M_l + m J'J)^-1 p_l                      dq_m = M_m^-1 p_m
     dp_l = -dH/dq_l - D_l dq_l - F_l(dq_l) + tau     dp_m = -dH/dq_m - D_m dq_m - F_m(dq_m) + r(q_m) + B_m a
     H    = eq. (36) with the payload + sum cubic zeta^4 / 4
-    T da/dt = cut(u) - a                             exactly, also in the middle of a step
+    T da/dt = sat(u) - a                             solved exactly, also in the middle of a step
 
-All imperfections are numbers that go into one function, so that they change while the robot moves.
+All non-idealities are arguments of one function, so that they can change while the robot moves.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ SHORTEST_LAG = 1e-12  # s
 
 
 class ImperfectPlant:
-    """A plant beside which numbers say how it departs from eq. (36); pure functions, bound once.
+    """Plant (36) with non-idealities as parameters, as pure functions that are built once.
 
-    The state is (x, a) (5n,): x of eq. (36) with the payload's momenta in p_l, and the actuators' output a (n,).
-    Where the links cannot carry a payload, it is ignored: `check` refuses one.
+    The state is (x, a) (5n,): x of eq. (36) with the momenta of the payload in p_l, and the actuator outputs a (n,). A
+    payload is ignored for links without an end-effector frame; `check` refuses it.
     """
 
     def __init__(self, plant: Plant) -> None:
@@ -44,40 +44,40 @@ class ImperfectPlant:
         self.robot = plant.robot
 
     def check(self, imperfections: Imperfections) -> None:
-        """Raise ParameterError for imperfections that this robot cannot have."""
+        """Raise ParameterError for non-idealities that do not fit this robot."""
         if imperfections.n != self.robot.n:
-            raise ParameterError(f"imperfections are of {imperfections.n} joints; expected {self.robot.n}")
+            raise ParameterError(f"imperfections have {imperfections.n} joints; expected {self.robot.n}")
         if self.robot.links.hand is None and np.any(imperfections.payload_mass):
-            raise ParameterError("payload_mass is not 0 for links that do not say where a hand is; expected 0")
+            raise ParameterError("payload_mass is not 0 for links without an end-effector frame; expected 0")
 
     def step(self, state: ArrayLike, u: ArrayLike, external: ArrayLike, parameters: ArrayLike, dt: float) -> Array:
-        """State (5n,) after dt seconds; command u (n,), external (n,) torques on the links, Imperfections.vector."""
+        """Return the state (5n,) after dt [s] under the command u (n,) and external torques (n,) [N m] on the links."""
         return self._step(state, u, external, parameters, dt)[0]
 
     def derivative(self, x: ArrayLike, applied: ArrayLike, external: ArrayLike, parameters: ArrayLike) -> Array:
-        """dx/dt (4n,) at x (4n,) under what the actuators give (n,) and torques `external` (n,) on the links."""
+        """Return dx/dt (4n,) at x (4n,) under actuator outputs `applied` (n,) and external torques (n,) [N m]."""
         return self._derivative(x, np.concatenate([applied, external, parameters]))[0]
 
     def applied(self, a: ArrayLike, u: ArrayLike, parameters: ArrayLike) -> Array:
-        """What the actuators give now (n,), with the output a (n,) behind them and the command u (n,)."""
+        """Return the present actuator outputs (n,) for the state a (n,) of the lag and the command u (n,)."""
         return self._applied(a, u, parameters)[0]
 
     def measure(self, x: ArrayLike, parameters: ArrayLike) -> tuple[Array, Array]:
-        """Velocities (dq_l, dq_m) (2n,) [rad/s] and spring torques (n,) [N m] at x (4n,)."""
+        """Return velocities (dq_l, dq_m) (2n,) [rad/s] and spring torques (n,) [N m] at x (4n,)."""
         velocity, spring = self._measure(x, parameters)
         return velocity, spring
 
     def hamiltonian(self, x: ArrayLike, parameters: ArrayLike) -> float:
-        """Energy [J] at x (4n,), with the payload and the cubic part of the springs."""
+        """Return the energy [J] at x (4n,), with the payload and the cubic part of the springs."""
         return float(self._hamiltonian(x, parameters)[0][0])
 
     def state(self, position: ArrayLike, velocity: ArrayLike, parameters: ArrayLike) -> Array:
-        """x (4n,) from positions and velocities (2n,) of links and motors, with the payload's momenta."""
+        """Return x (4n,) from positions and velocities (2n,) of links and motors, with the momenta of the payload."""
         return self._state(position, velocity, parameters)[0]
 
     @cached_property
     def dynamics(self) -> ca.Function:
-        """(x, inputs) -> dx (4n,); inputs: what the actuators give, torques on the links, parameters."""
+        """Return the function (x, inputs) -> dx/dt (4n,); inputs: actuator outputs, external torques, parameters."""
         n = self.robot.n
         x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", 2 * n + size(n))
         applied, external, parameters = ca.vertsplit(inputs, [0, n, 2 * n, inputs.numel()])
@@ -89,11 +89,11 @@ class ImperfectPlant:
         ripple = p.ripple * ca.sin(p.ripple_periods * q_m + p.ripple_phase)
         dx = derivative_expression(self.robot, x, applied, dH)
         dx += ca.vertcat(ca.SX.zeros(2 * n), external - F_l, ripple - F_m)
-        return dense_function("imperfect_dynamics", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
+        return dense_function("nonideal_dynamics", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
 
     @cached_property
     def step_function(self) -> ca.Function:
-        """(state, u, external, parameters, dt) -> next state; machine code if the plant's step is."""
+        """Return the function (state, u, external, parameters, dt) -> next state; machine code as the plant's step."""
         n = self.robot.n
         sizes = {"state": 5 * n, "u": n, "external": n, "parameters": size(n), "dt": 1}
         symbols = {name: ca.MX.sym(name, rows) for name, rows in sizes.items()}
@@ -102,7 +102,7 @@ class ImperfectPlant:
         applied = [self._actuators(a, u, parameters, t) for t in (0, dt / 2, dt)]
         start, middle, end = (ca.vertcat(b, external, parameters) for b in applied)
         x_next = step_expression(self.plant.integrator, self.dynamics, x, (start, middle, end), dt)
-        function = dense_function("imperfect_step", symbols, {"next": ca.vertcat(x_next, applied[-1])})
+        function = dense_function("nonideal_step", symbols, {"next": ca.vertcat(x_next, applied[-1])})
         return compiled(function) if self.plant.compiles else function
 
     def _links(self, p: SimpleNamespace) -> Links | RigidArm:
@@ -111,16 +111,16 @@ class ImperfectPlant:
 
     @cached_property
     def _actuators(self) -> ca.Function:
-        """(a, u, parameters, t) -> what the actuators give t seconds later: the cut command, behind the lag."""
+        """Build (a, u, parameters, t) -> actuator outputs after t [s]: the saturated command behind the lag."""
         n = self.robot.n
         a, u, parameters, t = ca.SX.sym("a", n), ca.SX.sym("u", n), ca.SX.sym("parameters", size(n)), ca.SX.sym("t")
         p = named(parameters, n)
-        cut = ca.fmin(ca.fmax(u, -p.effort_limit), p.effort_limit)
-        lagged = cut + (a - cut) * ca.exp(-t / ca.fmax(p.lag, SHORTEST_LAG))
+        saturated = ca.fmin(ca.fmax(u, -p.effort_limit), p.effort_limit)
+        lagged = saturated + (a - saturated) * ca.exp(-t / ca.fmax(p.lag, SHORTEST_LAG))
         return dense_function(
             "actuators",
             {"a": a, "u": u, "parameters": parameters, "t": t},
-            {"applied": ca.if_else(p.lag > 0, lagged, cut)},
+            {"applied": ca.if_else(p.lag > 0, lagged, saturated)},
         )
 
     @cached_property
@@ -159,7 +159,7 @@ class ImperfectPlant:
         x, parameters, p = self._at()
         q_l, q_m, _, _ = symbolic.blocks(x, self.robot.n)
         H = self.robot.hamiltonian_expression(x, self._links(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
-        return numeric("imperfect_hamiltonian", {"x": x, "parameters": parameters}, {"H": H})
+        return numeric("nonideal_hamiltonian", {"x": x, "parameters": parameters}, {"H": H})
 
     @cached_property
     def _state(self) -> NumericFunction:
@@ -168,11 +168,11 @@ class ImperfectPlant:
         position, velocity, parameters = symbols = [ca.SX.sym(name, k) for name, k in rows.items()]
         links = self._links(named(parameters, n))
         momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:], links)
-        return numeric("imperfect_state", dict(zip(rows, symbols, strict=True)), {"x": ca.vertcat(position, *momenta)})
+        return numeric("nonideal_state", dict(zip(rows, symbols, strict=True)), {"x": ca.vertcat(position, *momenta)})
 
 
 def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing: ca.SX) -> ca.SX:
-    """Torque (n,) against the velocity v (n,), beside the viscous damping: v' F >= 0.
+    """Return the friction torque (n,) at the velocity v (n,), without the viscous damping: v' F >= 0.
 
     B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30(7), 1994, with tanh(v / smoothing)
     in place of sign(v) as in S. Andersson, A. Soderberg, S. Bjorklund, Tribology International 40(4), 2007.
@@ -182,11 +182,11 @@ def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing
 
 
 def size(n: int) -> int:
-    """Length of Imperfections.vector for n joints."""
+    """Return the length of Nonidealities.vector for n joints."""
     return sum(SIZES.get(name, n) for name in NAMES)
 
 
 def named(parameters: ca.SX, n: int) -> SimpleNamespace:
-    """The parts of Imperfections.vector by their names."""
+    """Return the parts of Nonidealities.vector by name."""
     ends = np.cumsum([0, *(SIZES.get(name, n) for name in NAMES)]).tolist()
     return SimpleNamespace(**dict(zip(NAMES, ca.vertsplit(parameters, ends), strict=True)))

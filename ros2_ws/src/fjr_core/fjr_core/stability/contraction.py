@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Theorem 2 made visible: many solutions of the virtual system along one measured trajectory, and how they meet."""
+"""Demonstrate Theorem 2: solutions of the virtual system along one measured trajectory converge to each other."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from ..robot.port_hamiltonian import Plant
 from ..trajectories.reference import JETS, Reference
 from .prolonged_system import ProlongedSystem
 
-VISITED = 200  # configurations of a trajectory at which a rate is looked at that is not proven
+VISITED = 200  # configurations of a trajectory at which an unproven rate is evaluated
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A measured trajectory at k samples: t (k,) [s], x (k, 4n) with the momenta of the law's robot, u (k, n) held.
+    """Measured trajectory at k samples: t (k,) [s], x (k, 4n) with the momenta of the law's robot, u (k, n) [N m] held.
 
-    Between samples x is what the model makes of it under the held u. Raises StateError where shapes do not fit.
+    Between samples x follows the model under the held u. Raises StateError for wrong shapes.
     """
 
     t: Array
@@ -39,7 +39,7 @@ class Measured:
         if k < 2 or self.x.shape != (k, 4 * n) or self.u.shape != (k, n) or not np.all(np.diff(self.t) > 0):
             raise StateError(
                 f"t, x and u have shapes {self.t.shape}, {self.x.shape}, {self.u.shape}; expected (k,), (k, 4n) and "
-                "(k, n) of at least two growing instants"
+                "(k, n) with at least two increasing instants"
             )
 
 
@@ -47,9 +47,9 @@ class Measured:
 class Contraction:
     """m virtual trajectories at k instants, and the variations along them.
 
-    t (k,) [s]; x_v (k, m, 4n); distance (k, m (m - 1) / 2) [sqrt J] of each pair of them in the metric P; to_measured
-    (k, m) [sqrt J] from x(t) itself; W (k, m) [J], dW (k, m) [W]: differential storage and its exact rate;
-    beta [1/s], proven or, at the configurations gone through, sampled.
+    t (k,) [s]; x_v (k, m, 4n); distance (k, m (m - 1) / 2) [sqrt J] of each pair in the metric P; to_measured (k, m)
+    [sqrt J]: distance to x(t); W (k, m) [J], dW (k, m) [W]: differential storage and its exact rate; beta [1/s]: rate,
+    proven or else evaluated at configurations of the trajectory.
     """
 
     t: Array
@@ -63,25 +63,26 @@ class Contraction:
 
     @property
     def bound(self) -> Array:
-        """exp(-beta t) (k,): no distance falls more slowly."""
+        """Upper bound exp(-beta t) (k,) of every distance relative to its initial value."""
         return np.exp(-self.beta * (self.t - self.t[0]))
 
     @property
     def rate(self) -> Array:
-        """-dW / (2 W) (k, m) [1/s], the exact rate of contraction in each variation's direction; at least beta."""
+        """Exact contraction rate -dW / (2 W) (k, m) [1/s] along each variation; at least beta."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.W > 0, -self.dW / (2 * self.W), np.nan)
 
     @property
     def balance(self) -> float:
-        """Largest |W(t) - W(0) - integral of dW| over W(0): what the integration of both leaves, near 0."""
+        """Largest |W(t) - W(0) - integral of dW| / W(0): the integration error, near 0."""
         steps = np.diff(self.t)[:, None] * (self.dW[1:] + self.dW[:-1]) / 2
         return float(np.max(np.abs(self.W[1:] - self.W[0] - np.cumsum(steps, axis=0)) / self.W[0]))
 
 
 def scattered(law: TrackingLaw, x: ArrayLike, m: int, spread: float, seed: int = 0) -> Array:
-    """m virtual states (m, 4n) around x (4n,), at random: links up to `spread` [rad] away, springs bearing the weight,
-    links and motors as fast as `spread` every tenth of a second.
+    """Return m random virtual states (m, 4n) around x (4n,).
+
+    Links differ by up to `spread` [rad]; the springs carry the weight; velocities are up to `spread` per 0.1 s.
     """
     robot, rng = law.robot, np.random.default_rng(seed)
     q_l = checks.vector("x", x, 4 * robot.n, StateError)[: robot.n]
@@ -98,19 +99,19 @@ def contraction(
     starts: Array,
     compile: bool = False,
     inner_step: float = INNER_STEP,
-    tell: Callable[[float], None] = lambda _: None,
+    on_progress: Callable[[float], None] = lambda _: None,
 ) -> Contraction:
     """Run the virtual closed loop from the states `starts` (m, 4n) along a measured trajectory.
 
-    The first variation of each start points from the measured state to it. Runge-Kutta steps of at most inner_step
-    [s]; compile: as machine code; `tell` hears the time done [s]. Raises StateError where shapes do not fit or
-    numbers are not finite.
+    The initial variation of each start points from the measured state to it. inner_step [s]: longest Runge-Kutta step.
+    compile: use machine code. on_progress: called with the simulated time [s] after each sample. Raises StateError for
+    wrong shapes and for numbers that are not finite.
     """
     n = law.robot.n
     if starts.ndim != 2 or starts.shape[1] != 4 * n or len(starts) < 2:
         raise StateError(f"starts have shape {starts.shape}; expected (m, {4 * n}), m at least 2")
     system = ProlongedSystem(law, compile)
-    columns = _integrated(system, reference, measured, starts, inner_step, tell)
+    columns = _integrated(system, reference, measured, starts, inner_step, on_progress)
     jets = reference.jets(measured.t)
     x_v, delta = columns[:, :, : 4 * n], columns[:, :, 4 * n :]
     distance, to_measured = _distances(system, measured.x, x_v, jets)
@@ -132,9 +133,9 @@ def _integrated(
     measured: Measured,
     starts: Array,
     inner_step: float,
-    tell: Callable[[float], None],
+    on_progress: Callable[[float], None],
 ) -> Array:
-    """Virtual states and variations (k, m, 8n)."""
+    """Return virtual states and variations (k, m, 8n)."""
     longest = float(np.max(np.diff(measured.t)))
     steps = int(np.ceil(longest / inner_step - 1e-9))
     step = _step(system, len(starts))
@@ -148,12 +149,12 @@ def _integrated(
         columns[k + 1] = np.asarray(z).T
         if not np.isfinite(columns[k + 1]).all():
             raise StateError(f"the virtual system is not finite at t = {end:.6g} s; expected a shorter inner step")
-        tell(end - measured.t[0])
+        on_progress(end - measured.t[0])
     return columns
 
 
 def _step(system: ProlongedSystem, m: int) -> ca.Function:
-    """One Runge-Kutta step of x under a held u and of m columns (x_v, delta) along it: (x, z, u, jets.., dt)."""
+    """Build one Runge-Kutta step of x under a held u and of m columns (x_v, delta) along it: (x, z, u, jets.., dt)."""
     n, plant = system.law.robot.n, Plant(system.law.robot)
     x, z, u, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("z", 8 * n, m), ca.MX.sym("u", n), ca.MX.sym("dt")
     jets = [ca.MX.sym(name, n, JETS) for name in ("start", "middle", "end")]
@@ -170,7 +171,7 @@ def _step(system: ProlongedSystem, m: int) -> ca.Function:
 
 
 def _distances(system: ProlongedSystem, x: Array, x_v: Array, jets: Array) -> tuple[Array, Array]:
-    """Distances of each pair (k, pairs), and of each from the measured state (k, m)."""
+    """Return the distances of all pairs (k, pairs) and those to the measured state (k, m)."""
     pairs = list(combinations(range(x_v.shape[1]), 2))
     between, from_x = np.empty((len(x), len(pairs))), np.empty(x_v.shape[:2])
     for k, (state, row, now) in enumerate(zip(x, x_v, jets, strict=True)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The largest rates of integral action that the sampled loop bears: faster ones are refused."""
+"""Refuse integral action that destabilises the sampled loop, and compute the largest stable gains."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ..robot.configuration_sampling import sample_configurations
 from .sampled_loop import spectral_radius
 
 NAMES = ("integral_gain", "motor_integral_gain")
-CONFIGURATIONS = 3  # sampled: where the loop is looked at
-BISECTIONS = 7  # of the logarithm of a factor between LEAST and 1
+CONFIGURATIONS = 3  # sampled configurations at which the loop is evaluated
+BISECTIONS = 7  # of the logarithm of the factor on the gains, between LEAST and 1
 LEAST = 1e-4
 DIGITS = 2
 
 
 def refuse_fast_integral(law: StaticLaw, robust: Robust) -> None:
-    """Raise GainsError where integral action alone makes the loop unstable that is sampled every robust.hold [s].
+    """Raise GainsError if integral action makes an otherwise stable loop unstable at sample period robust.hold [s].
 
-    The loop is the law on its own robot, linearised at rest at a few configurations, with a delay of robust.delay.
+    The loop consists of the law and its own robot, linearised at a few equilibria, with the delay robust.delay [s].
     """
     if not robust.integrates or _stable(law, robust, 1.0) or not _stable(law, robust, 0.0):
         return
@@ -33,10 +33,10 @@ def refuse_fast_integral(law: StaticLaw, robust: Robust) -> None:
         middle = float(np.sqrt(low * high))
         low, high = (middle, high) if _stable(law, robust, middle) else (low, middle)
     gains = {name: np.asarray(getattr(robust, name)) for name in NAMES if np.any(getattr(robust, name))}
-    asked = ", ".join(f"{name} is {_rates(gain)}" for name, gain in gains.items())
+    given = ", ".join(f"{name} is {_rates(gain)}" for name, gain in gains.items())
     most = " and ".join(_rates(low * gain) for gain in gains.values())
     raise GainsError(
-        f"{asked} 1/s, which makes the loop unstable at a hold of {robust.hold:g} s; expected at most {most} 1/s"
+        f"{given} 1/s, which makes the loop unstable at a hold of {robust.hold:g} s; expected at most {most} 1/s"
     )
 
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller as the node runs it, linearised at rest: velocity observer, law and controller state in one sample.
+"""Linearise the sampled controller at equilibria: velocity observer, law and controller state in one sample.
 
     u  = F y + C c + S s          y: measured positions and velocities, c: controller state, s: the last effort sent
     c+ = G y + H c + J s
 
-All are deviations from rest. The observer and the law's step function are linearised by their Jacobians; those of the
-observer have a closed form, because a Runge-Kutta step about an equilibrium is a polynomial of the plant's matrix.
+All are deviations from the equilibrium. The step function of the law is linearised by its Jacobian. The observer has a
+closed form, because a Runge-Kutta step about an equilibrium is a polynomial of the plant matrix.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from ..robot.equilibrium import Indices, RestPoints, plant_matrices
 from ..robot.robot import Robot
 from ..trajectories.reference import JETS
 
-DIRECTIONS = 16  # of a Jacobian, found at once
-MOST_SAMPLES = 64  # at rest until the controller state stays as it is: more than any delay has
+DIRECTIONS = 16  # columns of a Jacobian per evaluation
+MOST_SAMPLES = 64  # until the controller state is stationary at an equilibrium: more than any delay has
 
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """The matrices above, a stack over k rest points: F (k, n, 4n), C (k, n, m), S (k, n, n), G, H, J (k, m, .)."""
+    """Matrices at k equilibria: F (k, n, 4n), C (k, n, m), S (k, n, n), G (k, m, 4n), H (k, m, m), J (k, m, n)."""
 
     F: Array
     C: Array
@@ -44,32 +44,33 @@ class Controller:
 
     @property
     def states(self) -> int:
-        """m, the size of the controller state."""
+        """Return m, the size of the controller state."""
         return int(self.H.shape[1])
 
     @property
     def reads_sent(self) -> bool:
-        """Whether the last effort sent is read."""
+        """Return whether the controller reads the last effort sent."""
         return bool(self.S.any() or self.J.any())
 
     def seeing(self, measured: Array) -> Controller:
-        """Return the controller that gets measured (4n, 4n) times y."""
+        """Return the controller whose measurement is `measured` (4n, 4n) times y."""
         return replace(self, F=self.F @ measured, G=self.G @ measured)
 
     def at(self, indices: Indices) -> Controller:
-        """Some of the rest points."""
+        """Return the controller at the selected equilibria."""
         return replace(self, **{name: getattr(self, name)[indices] for name in "FCSGHJ"})
 
 
 At = Callable[[float], Controller]
-"""The controller at a sample period [s]."""
+"""Return the controller at a sample period [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensing:
-    """What the law gets of the plant. bandwidth [rad/s]: of the velocity observer; None: velocities are measured.
+    """Measurements of the law.
 
-    by_torque: motor positions come from the joint torque sensors, q_m = q_l + K^-1 tau with the law's K.
+    bandwidth [rad/s]: of the velocity observer; None: velocities are measured. by_torque: motor positions are computed
+    from joint torque sensors, q_m = q_l + K^-1 tau with the K of the law.
     """
 
     bandwidth: float | None = None
@@ -77,11 +78,11 @@ class Sensing:
 
     @property
     def plain(self) -> bool:
-        """Whether the law gets the plant's state itself."""
+        """Return whether the law measures the state of the plant directly."""
         return self.bandwidth is None and not self.by_torque
 
     def measured(self, own: Robot, K: Array) -> Array | None:
-        """What the sensors make of the plant's state (4n, 4n) whose stiffness is K (n, n); None: the state itself."""
+        """Return the map (4n, 4n) from the state of a plant with stiffness K to the measurement; None: identity."""
         if not self.by_torque:
             return None
         n, ratio = own.n, np.linalg.solve(own.K, K)
@@ -91,57 +92,57 @@ class Sensing:
 
 
 def static(F: Array) -> Controller:
-    """A controller without state: u = F y."""
+    """Return a controller without state: u = F y."""
     k, n, N = F.shape
     empty = np.zeros((k, n, 0))
     return Controller(F, empty, np.zeros((k, n, n)), np.zeros((k, 0, N)), np.zeros((k, 0, 0)), np.zeros((k, 0, n)))
 
 
-def controller(law: SampledLaw, rest: RestPoints, sensing: Sensing) -> At:
-    """The law's controller about the rest points of its own robot, the reference at rest there."""
-    alone = _law_alone(law, rest)
+def controller(law: SampledLaw, equilibria: RestPoints, sensing: Sensing) -> At:
+    """Return the controller of a law, linearised at equilibria of its own robot with the reference at rest there."""
+    alone = _law_alone(law, equilibria)
     if sensing.bandwidth is None:
         return alone
-    return lambda T: _behind_observer(alone(T), rest, sensing.bandwidth, T)  # type: ignore[arg-type]
+    return lambda T: _behind_observer(alone(T), equilibria, sensing.bandwidth, T)  # type: ignore[arg-type]
 
 
-def _law_alone(law: SampledLaw, rest: RestPoints) -> At:
+def _law_alone(law: SampledLaw, equilibria: RestPoints) -> At:
     if isinstance(law, Static):
         if isinstance(law.law, TrackingLaw):
-            found = static(feedback(rest, law.law.gains) @ _momenta(rest))
+            found = static(feedback(equilibria, law.law.gains) @ momentum_matrix(equilibria))
         else:
-            found = _linearised(law, rest, 1.0)
+            found = _linearised(law, equilibria, 1.0)
         return lambda _: found
-    return lru_cache(maxsize=2)(lambda T: _linearised(law, rest, T))
+    return lru_cache(maxsize=2)(lambda T: _linearised(law, equilibria, T))
 
 
-def _momenta(rest: RestPoints) -> Array:
-    """dx = T dy: momenta of velocities at rest (k, 4n, 4n)."""
-    one = np.eye(rest.robot.n)
-    return rest.blocks([one, 0, 0, 0], [0, one, 0, 0], [0, 0, rest.M_l, 0], [0, 0, 0, rest.robot.M_m])
+def momentum_matrix(equilibria: RestPoints) -> Array:
+    """Return T (k, 4n, 4n) with dx = T dy at equilibria: from velocities to momenta."""
+    one = np.eye(equilibria.robot.n)
+    return equilibria.blocks([one, 0, 0, 0], [0, one, 0, 0], [0, 0, equilibria.M_l, 0], [0, 0, 0, equilibria.robot.M_m])
 
 
-def plant_in_velocities(rest: RestPoints) -> tuple[Array, Array]:
-    """A (k, 4n, 4n) and B (k, 4n, n) of a robot about its rest points, in y = (q_l, q_m, dq_l, dq_m)."""
-    A, B = plant_matrices(rest)
-    T = _momenta(rest)
+def plant_in_velocities(equilibria: RestPoints) -> tuple[Array, Array]:
+    """Return A (k, 4n, 4n) and B (k, 4n, n) of a robot at its equilibria, in y = (q_l, q_m, dq_l, dq_m)."""
+    A, B = plant_matrices(equilibria)
+    T = momentum_matrix(equilibria)
     return np.asarray(np.linalg.solve(T, A @ T)), np.asarray(np.linalg.solve(T, B))
 
 
-def _linearised(law: SampledLaw, rest: RestPoints, T: float) -> Controller:
-    """The step function's Jacobian at each rest point, samples T [s] apart."""
-    n, m = rest.robot.n, len(law.memory)
+def _linearised(law: SampledLaw, equilibria: RestPoints, T: float) -> Controller:
+    """Linearise the step function of a law at each equilibrium for the sample period T [s]."""
+    n, m = equilibria.robot.n, len(law.memory)
     step, blocks = law.step_function, []
-    for x, u in zip(rest.x, rest.u, strict=True):
+    for x, u in zip(equilibria.x, equilibria.u, strict=True):
         at = [x[: 2 * n], np.zeros(2 * n), _standing(x[:n]), law.gain_values, _state_at_rest(law, step, x, u, T), u, T]
         blocks.append(np.split(_jacobian(step, at), [n]))
     of_u, of_next = (np.array(rows) for rows in zip(*blocks, strict=True))
     parts = [np.split(rows, [4 * n, 4 * n + m], axis=2) for rows in (of_u, of_next)]
-    return _without_constants(Controller(*parts[0], *parts[1]))
+    return _without_constant_states(Controller(*parts[0], *parts[1]))
 
 
-def _without_constants(law: Controller) -> Controller:
-    """Drop the states that nothing else changes, such as an integral whose gain is 0: they stay at rest."""
+def _without_constant_states(law: Controller) -> Controller:
+    """Remove states that no other signal changes, such as an integral of gain 0: they stay constant."""
     while law.states:
         others = law.H * (1 - np.eye(law.states))
         moves = np.concatenate([law.G, law.J, others], axis=2).any(axis=(0, 2))
@@ -154,12 +155,12 @@ def _without_constants(law: Controller) -> Controller:
 
 
 def _standing(q_l: Array) -> Array:
-    """Jets (n, 5) of a reference at rest."""
+    """Return the jets (n, 5) of a reference at rest."""
     return np.column_stack([q_l, np.zeros((len(q_l), JETS - 1))])
 
 
 def _state_at_rest(law: SampledLaw, step: ca.Function, x: Array, u: Array, T: float) -> Array:
-    """The controller state (m,) that stays as it is at rest under the effort that holds the robot there."""
+    """Return the stationary controller state (m,) at an equilibrium x under its holding effort u."""
     n, state = law.robot.n, law.memory
     for k in range(MOST_SAMPLES if len(state) else 0):
         dt = T if k else 0.0
@@ -172,12 +173,12 @@ def _state_at_rest(law: SampledLaw, step: ca.Function, x: Array, u: Array, T: fl
 
 @lru_cache(maxsize=4)
 def _forward(step: ca.Function) -> ca.Function:
-    """Directional derivatives of a step function, kept: CasADi builds them anew when nobody holds them."""
+    """Return directional derivatives of a step function; cached, since CasADi would build them again."""
     return step.forward(DIRECTIONS)
 
 
 def _jacobian(step: ca.Function, at: list[Array]) -> Array:
-    """Jacobian (n + m, 5 n + m) of (u, next) in (position, velocity, memory, sent), DIRECTIONS columns at a time."""
+    """Return the Jacobian (n + m, 5 n + m) of (u, next) in (position, velocity, memory, sent)."""
     moved = [ARGUMENTS.index(name) for name in ("position", "velocity", "memory", "sent")]
     sizes = [step.size1_in(i) for i in moved]
     total = sum(sizes)
@@ -194,12 +195,15 @@ def _jacobian(step: ca.Function, at: list[Array]) -> Array:
     return np.hstack(found)[:, :total]
 
 
-def _behind_observer(law: Controller, rest: RestPoints, bandwidth: float, T: float) -> Controller:
-    """The law fed with the observer's estimate, which joins the controller state; see observer for its equations."""
-    n = rest.robot.n
+def _behind_observer(law: Controller, equilibria: RestPoints, bandwidth: float, T: float) -> Controller:
+    """Return the law with the estimate of the observer as measurement and as part of the controller state.
+
+    Equations: see estimation.velocity_observer.
+    """
+    n = equilibria.robot.n
     g, h = corrections(bandwidth, T)
     correct = np.vstack([g * np.eye(2 * n), h / T * np.eye(2 * n)])
-    Phi, Gamma = _predicted(rest, T)
+    Phi, Gamma = _predicted(equilibria, T)
     X, U = Phi - correct @ Phi[:, : 2 * n], Gamma - correct @ Gamma[:, : 2 * n]
     Y = np.broadcast_to(np.hstack([correct, np.zeros((4 * n, 2 * n))]), Phi.shape)
     stacked = [np.concatenate([a, b], axis=1) for a, b in ((law.G @ Y, Y), (law.J + law.G @ U, U))]
@@ -210,11 +214,11 @@ def _behind_observer(law: Controller, rest: RestPoints, bandwidth: float, T: flo
     )
 
 
-def _predicted(rest: RestPoints, T: float) -> tuple[Array, Array]:
-    """Phi (k, 4n, 4n) and Gamma (k, 4n, n) of the observer's Runge-Kutta steps over T [s], an effort held."""
-    n = rest.robot.n
-    A, B = plant_in_velocities(rest)
-    steps = math.ceil(T / LONGEST_CALL) * steps_of(rest.robot)
+def _predicted(equilibria: RestPoints, T: float) -> tuple[Array, Array]:
+    """Return Phi (k, 4n, 4n) and Gamma (k, 4n, n) of the observer's Runge-Kutta prediction over T [s], effort held."""
+    n = equilibria.robot.n
+    A, B = plant_in_velocities(equilibria)
+    steps = math.ceil(T / LONGEST_CALL) * steps_of(equilibria.robot)
     whole = np.zeros((len(A), 5 * n, 5 * n))
     whole[:, : 4 * n, : 4 * n], whole[:, : 4 * n, 4 * n :] = A * (T / steps), B * (T / steps)
     step = one = np.eye(5 * n)

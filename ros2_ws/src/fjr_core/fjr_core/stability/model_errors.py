@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sampled loop on a plant that is not quite the model: stiffness or inertia off by 20 or 30 %, one at a time."""
+"""Evaluate the sampled loop under parameter errors: stiffness or inertia wrong by 20 or 30 %, one at a time."""
 
 from __future__ import annotations
 
@@ -18,14 +18,18 @@ from .linear_controller import Sensing, controller
 from .linearization import as_sampled, on_plant
 
 FACTORS = (0.7, 0.8, 1.2, 1.3)
-"""Of a quantity of the plant over what it is without the error."""
+"""Ratios of a plant parameter to its value in the model."""
 
 QUANTITIES: Mapping[str, Callable[[RestPoints, float], RestPoints]] = {
-    "stiffness": lambda rest, factor: replace(rest, robot=replace(rest.robot, K=factor * rest.robot.K)),
-    "link inertia": lambda rest, factor: replace(rest, M_l=factor * rest.M_l),
-    "motor inertia": lambda rest, factor: replace(rest, robot=replace(rest.robot, M_m=factor * rest.robot.M_m)),
+    "stiffness": lambda equilibria, factor: replace(
+        equilibria, robot=replace(equilibria.robot, K=factor * equilibria.robot.K)
+    ),
+    "link inertia": lambda equilibria, factor: replace(equilibria, M_l=factor * equilibria.M_l),
+    "motor inertia": lambda equilibria, factor: replace(
+        equilibria, robot=replace(equilibria.robot, M_m=factor * equilibria.robot.M_m)
+    ),
 }
-"""What may be off, of all joints at once; the weight of the links stays."""
+"""Parameters that are changed, for all joints at once; the weight of the links stays."""
 
 
 def radii_with_model_errors(
@@ -38,7 +42,7 @@ def radii_with_model_errors(
 ) -> dict[tuple[str, float], float]:
     """Return the largest spectral radius at the configurations (k, n) [rad] for each (quantity, factor).
 
-    The law keeps its model. Arguments as in sampled_loop.check. Raises StateError for shapes that do not fit.
+    The law keeps its model. Arguments as in sampled_loop.check. Raises StateError for wrong shapes.
     """
     sensing, q_l = sensing or Sensing(), checked_configurations(law.robot, configurations)
     own, real = rest_points(law.robot, q_l), rest_points((plant or Plant(law.robot)).robot, q_l)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The prolonged system: virtual closed loop and its variations, with the exact differential storage (34), (43).
+"""Prolonged system: virtual closed loop and its variations, with the exact differential storage (34), (43).
 
 The closed loop is dx_v = Gamma(x_v, x, u(x_v, x, t)), eq. (38) under (42); its prolongation adds the variational
 dynamics d(delta) = J(x_v, x, t) delta, eq. (28). With the variation of the errors,
@@ -7,8 +7,8 @@ delta_e = Theta delta = (delta q_tilde_l, delta q_tilde_m, delta sigma_l, delta 
 
     W = delta_e' P delta_e / 2,    P = diag(Pi_l, Pi_m, M_l(q_l)^-1, M_m^-1)    along any x(t) of the plant's links,
 
-and dW/dt is minus the dissipation of `storage`, exactly. P depends on the measured q_l alone, so that in the errors
-the metric is flat: the distance of two virtual states is that of their errors.
+and dW/dt is exactly minus the dissipation of `storage`. P depends only on the measured q_l. The metric is therefore
+flat in the errors: the distance of two virtual states is that of their errors.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from ..trajectories.reference import REFERENCE_DERIVATIVES
 
 
 class ProlongedSystem:
-    """The virtual closed loop of a law and its variations; pure functions, bound once.
+    """Virtual closed loop of a law and its variations, as pure functions that are built once.
 
-    x_v, x, delta (4n,) as states, with momenta; jets (5, n). Raises StateError for wrong shapes.
-    compile: the derivative as machine code where the machine has a C compiler.
+    x_v, x, delta (4n,): states with momenta; jets (5, n). Raises StateError for wrong shapes.
+    compile: build the derivative as machine code if a C compiler is available.
     """
 
     def __init__(self, law: TrackingLaw, compile: bool = False) -> None:
@@ -41,21 +41,21 @@ class ProlongedSystem:
         self._compile = compile
 
     def derivative(self, x_v: ArrayLike, x: ArrayLike, delta: ArrayLike, jets: ArrayLike) -> tuple[Array, Array]:
-        """(dx_v, d delta) (4n,) each: eqs. (38) and (28) under the law."""
+        """Return dx_v and d delta (4n,): eqs. (38) and (28) under the law."""
         dx_v, d_delta = self._derivative(x_v, x, delta, jets)
         return dx_v, d_delta
 
     def errors(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike) -> Array:
-        """(q_tilde_l, q_tilde_m, sigma_l, sigma_m) (4n,), eqs. (30), (39)."""
+        """Return (q_tilde_l, q_tilde_m, sigma_l, sigma_m) (4n,), eqs. (30), (39)."""
         return self._errors(x_v, x, jets)[0]
 
     def storage(self, x_v: ArrayLike, x: ArrayLike, delta: ArrayLike, jets: ArrayLike) -> tuple[float, float]:
-        """W [J] of a variation and its exact rate dW [W], never positive."""
+        """Return W [J] of a variation and its exact rate dW [W], which is never positive."""
         W, dW = self._storage(x_v, x, delta, jets)
         return float(W[0]), float(dW[0])
 
     def in_metric(self, errors: Array, x: ArrayLike) -> Array:
-        """Errors (..., 4n) at one measured x as coordinates in which P is the identity."""
+        """Return errors (..., 4n) at one measured x in coordinates in which P is the identity."""
         n, gains = self.law.robot.n, self.law.gains
         upper = [np.linalg.cholesky(Pi).T for Pi in (gains.Pi_l, gains.Pi_m)]
         inertias = self.law.robot.M_l(np.asarray(x, dtype=float)[:n]), self.law.robot.M_m
@@ -65,7 +65,7 @@ class ProlongedSystem:
 
     @cached_property
     def function(self) -> ca.Function:
-        """The CasADi function (x_v, x, delta, jets (n, 5)) -> dx_v, d_delta; machine code if that was asked for."""
+        """Return the CasADi function (x_v, x, delta, jets (n, 5)) -> dx_v, d_delta."""
         symbols = self._symbols()
         x_v, x, delta, jets = symbols.values()
         u = self.law.function(x_v, x, jets, 0)
@@ -121,7 +121,7 @@ class ProlongedSystem:
 
 
 def _variation(phi: object, at: ca.SX, direction: ca.SX) -> ca.SX:
-    """dphi(at) direction."""
+    """Return the directional derivative of phi at `at`."""
     z = ca.SX.sym("z", at.numel())
     (value,) = ca.substitute([symbolic.directional(phi(z), z, direction)], [z], [at])  # type: ignore[operator]
     return value

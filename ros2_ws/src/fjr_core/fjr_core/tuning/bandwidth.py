@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""v-dPBC as the yardstick of the other laws: its bandwidth and its peak effort, and how theirs are measured.
+"""Measure bandwidth and peak effort of a law; those of v-dPBC are the tuning targets of the other laws.
 
-Bandwidth [rad/s]: links and reference at rest where the reference begins, the linear loop from a step of the
-reference's position to the links, T(s) with T(0) = 1; the lowest frequency at which a link motion of unit kinetic
-energy comes out at less than 2^-1/2, the smallest singular value of M_l^1/2 T M_l^-1/2. Peak effort: of the first
-answer at the start, or what the reference itself needs where that is more, as the largest share of the joints' effort
-limits, in N m where the robot has none.
+Bandwidth [rad/s]: T(s), T(0) = 1, is the linearised loop from the reference position to the links, at rest at the start
+of the reference. The bandwidth is the lowest frequency at which the smallest singular value of M_l^1/2 T M_l^-1/2, the
+gain for link motions of unit kinetic energy, is below 2^-1/2. Peak effort: the larger of the first command at the start
+and the effort of the reference motion itself, as the largest share of the effort limits of the joints, or in N m if the
+robot has none.
 """
 
 from __future__ import annotations
@@ -24,19 +24,21 @@ from ..robot.robot import Robot
 from ..stability.linearization import rest_position, slope_at_rest
 from ..trajectories.reference import Reference
 
-BANDWIDTH_TOLERANCE = 0.01  # relative; within it bandwidths count as equal
-PEAK_TOLERANCE = 0.1  # relative; within it peak efforts count as equal
-GRID: Array = np.geomspace(0.02, 4.0, 100, dtype=float)  # where a bandwidth is looked for, times the yardstick's
-START_ERROR = 0.1  # rad; of all joints at rest, where no start is given
-HORIZON = 10.0  # s of the reference whose effort is looked at
+BANDWIDTH_TOLERANCE = 0.01  # relative, of equal bandwidths
+PEAK_TOLERANCE = 0.1  # relative, of equal peak efforts
+GRID: Array = np.geomspace(
+    0.02, 4.0, 100, dtype=float
+)  # frequencies at which a bandwidth is searched, relative to the target
+START_ERROR = 0.1  # rad; initial error of all joints, at rest, if no start is given
+HORIZON = 10.0  # s of the reference whose effort is evaluated
 
 
 class Yardstick:
-    """v-dPBC with given gains on a robot along a reference, and what the other laws are measured by.
+    """Tuning target: bandwidth and peak effort of v-dPBC with given gains on a robot along a reference.
 
-    start: (positions (2n,) [rad], velocities (2n,) [rad/s]) of links and motors; None: at rest, every joint
-    START_ERROR off the reference. sample_period [s]: of the loop that the gains are for.
-    Raises GainsError for gains that do not fit, StateError for shapes.
+    start: (positions (2n,) [rad], velocities (2n,) [rad/s]) of links and motors; None: at rest with a position error of
+    START_ERROR at every joint. sample_period [s]: of the loop. Raises GainsError for wrong gains, StateError for wrong
+    shapes.
     """
 
     def __init__(
@@ -60,29 +62,29 @@ class Yardstick:
 
     @cached_property
     def effort_limit(self) -> Array:
-        """The common limit (n,) [N m]: v-dPBC's peak effort, but a fifth more than the reference itself needs."""
-        return np.asarray(self._scale * max(self.peak, 1.2 * self.needed))
+        """Common effort limit (n,) [N m]: peak effort of v-dPBC, at least 1.2 times that of the reference motion."""
+        return np.asarray(self._scale * max(self.peak, 1.2 * self.reference_effort))
 
     def peak_of(self, law: StaticLaw) -> float:
-        """Peak effort of a law: see the module."""
+        """Return the peak effort of a law; see the module."""
         u, _ = law.measured_command(*self.start, self._jets)
-        return max(float(np.max(np.abs(u) / self._scale)), self.needed)
+        return max(float(np.max(np.abs(u) / self._scale)), self.reference_effort)
 
     def same_bandwidth(self, bandwidth: float) -> bool:
-        """Whether it is the yardstick's."""
+        """Return whether a bandwidth [rad/s] equals the target."""
         return alike(bandwidth, self.bandwidth, BANDWIDTH_TOLERANCE)
 
     def same_peak(self, peak: float) -> bool:
-        """Whether it is the yardstick's."""
+        """Return whether a peak effort equals the target."""
         return alike(peak, self.peak, PEAK_TOLERANCE)
 
     def loop(self, law: StaticLaw) -> tuple[Array, Array]:
-        """The closed loop dx = A x + B dq_ld about rest at q_0."""
+        """Return A, B of the closed loop dx/dt = A x + B dq_ld, linearised at rest at q_0."""
         F, G = slope_at_rest(law, self.q_0)
         return self._A + self._B @ F, self._B @ G
 
     def bandwidth_of(self, law: StaticLaw) -> float:
-        """Bandwidth [rad/s], see the module; 0 where the loop is unstable, at most 4 times the yardstick's."""
+        """Return the bandwidth [rad/s], see the module; 0 if the loop is unstable, at most 4 times the target."""
         A, B = self.loop(law)
         if not np.linalg.eigvals(A).real.max() < 0:
             return 0.0
@@ -93,7 +95,7 @@ class Yardstick:
         return self._crossing(*self.loop(self.law), GRID * found)
 
     def _crossing(self, A: Array, B: Array, frequencies: Array) -> float:
-        """The first crossing of 2^-1/2 among the frequencies [rad/s], interpolated."""
+        """Return the first crossing of 2^-1/2 among the frequencies [rad/s], interpolated."""
         n = self.robot.n
         s = 1j * frequencies[:, None, None]
         T = np.linalg.solve(s * np.eye(4 * n) - A, (B @ np.linalg.inv(self._root))[None].astype(complex))
@@ -106,8 +108,8 @@ class Yardstick:
         return float(np.exp(np.interp(0.0, *logs)))
 
     @cached_property
-    def needed(self) -> float:
-        """Largest share that the reference's own motion needs within HORIZON."""
+    def reference_effort(self) -> float:
+        """Largest share of the effort limits that the reference motion requires within HORIZON."""
         times = np.linspace(0.0, min(self.reference.end, HORIZON), 200)
         motions = self.reference.jets(times).transpose(1, 2, 0)
         u = np.linalg.solve(self.robot.B_m, inverse_dynamics(self.robot)(*motions)[-1].full())
@@ -115,11 +117,11 @@ class Yardstick:
 
 
 def alike(one: float, other: float, tolerance: float) -> bool:
-    """Whether two numbers, 0 or more, are equal to a tolerance relative to the other."""
+    """Return whether two nonnegative numbers are equal within a tolerance relative to `other`."""
     return abs(one - other) <= tolerance * other
 
 
 def _scale(robot: Robot) -> Array:
-    """The efforts (n,) [N m] that count as one: the limits of the joints, or 1 N m where not all are known."""
+    """Return the unit of effort (n,) [N m]: the limits of the joints, or 1 N m if not all are known."""
     limits = robot.limits
     return limits.effort if limits is not None and np.isfinite(limits.effort).all() else np.ones(robot.n)

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one rule by which the gains of all laws are chosen, so that they may be compared (docs/baselines.md).
+"""Tune all laws to equal bandwidth and peak effort, so that they can be compared (docs/baselines.md).
 
-Each law's gains follow from two numbers, a natural frequency and a damping ratio, by its paper's usual choice
-(laws.LawKind.standard). With v-dPBC under the scenario's gains as the yardstick (and v-dPBC itself too, if asked for):
+The gains of a law follow from two numbers, a natural frequency and a damping ratio, by the standard choice of its paper
+(registry.LawKind.standard). The targets are bandwidth and peak effort of v-dPBC with the gains of the scenario:
 
-1. The natural frequency makes the bandwidth equal.
-2. The damping ratio is the law's usual one, unless another in its range makes the peak effort equal.
-3. Every command, v-dPBC's too, is cut at the same limit: v-dPBC's peak effort.
+1. The natural frequency is chosen for equal bandwidth.
+2. The damping ratio is the usual one of the law, unless another one in its range gives equal peak effort.
+3. All commands, also those of v-dPBC, are saturated at the same limit: the peak effort of v-dPBC.
 
-What bandwidth and peak effort are: bandwidth.py.
+Definitions of bandwidth and peak effort: bandwidth.py.
 """
 
 from __future__ import annotations
@@ -30,16 +30,17 @@ from ..robot.robot import Robot
 from ..trajectories.reference import Reference
 from .bandwidth import BANDWIDTH_TOLERANCE, PEAK_TOLERANCE, Yardstick, alike
 
-REACH = 0.9  # of the largest bandwidth that a law has, where that is below the yardstick's
-SEARCHED = (0.1, 20.0)  # natural frequencies, times the yardstick's bandwidth
+REACH = 0.9  # fraction of the largest bandwidth of a law that is used if it cannot reach the target
+SEARCHED = (0.1, 20.0)  # natural frequencies searched, relative to the target bandwidth
 STEPS = 16  # of the search
 
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """A law under the rule, with what came of it. bandwidth [rad/s] and peak effort beside the yardstick's.
+    """Tuned law with its bandwidth [rad/s] and peak effort and the targets of both.
 
-    omega [rad/s], damping: the two numbers, nan for the yardstick. effort_limit (n,) [N m]: where all commands are cut.
+    omega [rad/s], damping: the two numbers, NaN for v-dPBC with given gains. effort_limit (n,) [N m]: common
+    saturation.
     """
 
     kind: LawKind
@@ -54,34 +55,32 @@ class Tuning:
 
     @property
     def same_bandwidth(self) -> bool:
-        """Whether the bandwidth is the yardstick's."""
+        """Return whether the bandwidth equals the target."""
         return alike(self.bandwidth, self.yardstick_bandwidth, BANDWIDTH_TOLERANCE)
 
     @property
     def same_peak(self) -> bool:
-        """Whether the peak effort is the yardstick's."""
+        """Return whether the peak effort equals the target."""
         return alike(self.peak, self.yardstick_peak, PEAK_TOLERANCE)
 
     @property
     def sentence(self) -> str:
-        """What came of it, in words."""
+        """Summary of the result of the tuning."""
         if np.isnan(self.omega):
-            return "the yardstick, with the scenario's gains"
-        bandwidth = (
-            "the same bandwidth" if self.same_bandwidth else f"bandwidth {self._times('bandwidth')}: no more here"
-        )
+            return "tuning target, with the gains of the scenario"
+        times = f"{self.bandwidth / self.yardstick_bandwidth:.2g} times the target"
+        bandwidth = "the same bandwidth" if self.same_bandwidth else f"bandwidth {times}, the largest possible"
         if self.same_peak:
             return f"{bandwidth}, the same peak effort"
-        return f"{bandwidth}, peak effort {self._times('peak')}" + (", cut" if self.peak > self.yardstick_peak else "")
-
-    def _times(self, what: str) -> str:
-        return f"{getattr(self, what) / getattr(self, f'yardstick_{what}'):.2g} times the yardstick's"
+        saturated = ", saturated" if self.peak > self.yardstick_peak else ""
+        return f"{bandwidth}, peak effort {self.peak / self.yardstick_peak:.2g} times the target{saturated}"
 
 
 def tune(name: str, yardstick: Yardstick, compile: bool = False, retune: bool = False) -> Tuning:
-    """Tune the law of this name. Raises ParameterError for an unknown name, GainsError where nothing is stable.
+    """Tune the law of this name to the target.
 
-    compile: the law as machine code. retune: tune v-dPBC too; else it is the yardstick, with the scenario's gains.
+    compile: build the law as machine code. retune: tune v-dPBC too; false: it keeps the gains of the target. Raises
+    ParameterError for an unknown name, GainsError if no gains are stable.
     """
     kind, y = law_kind(name), yardstick
     if kind.name == V_DPBC and not retune:
@@ -102,7 +101,7 @@ def tuned(
     start: tuple[Array, Array] | None = None,
     compile: bool = False,
 ) -> StaticLaw:
-    """The law of tune; see Yardstick and tune."""
+    """Return the law tuned to v-dPBC with the given gains; see `tune`."""
     return tune(name, Yardstick(robot, reference, gains, start), compile).law
 
 
@@ -117,43 +116,36 @@ class _Candidate:
 
 
 class _Family:
-    """The laws of a kind, by natural frequency and damping ratio."""
+    """Laws of one kind as a function of natural frequency and damping ratio."""
 
     def __init__(self, kind: LawKind, yardstick: Yardstick) -> None:
         self.kind, self.yardstick = kind, yardstick
         self._first: StaticLaw | None = None
 
     def bandwidth(self, omega: float, damping: float) -> float:
-        """Bandwidth [rad/s]; 0 where these gains break the paper's condition or the loop is unstable."""
+        """Return the bandwidth [rad/s]; 0 if the gains violate the condition of the paper or the loop is unstable."""
         try:
             return self.yardstick.bandwidth_of(self._law(omega, damping))
         except GainsError:
             return 0.0
 
     def candidate(self, damping: float) -> _Candidate | None:
-        """The law of this damping ratio with that bandwidth, or one near its own largest; None: no stable one."""
-        wanted = self.yardstick.bandwidth
-        grid = wanted * np.geomspace(*SEARCHED, STEPS)
-        seen: list[float] = []
+        """Return the law of this damping ratio with the target bandwidth, or near its largest; None if unstable."""
+        target = self.yardstick.bandwidth
+        grid = target * np.geomspace(*SEARCHED, STEPS)
+        bandwidths: list[float] = []
         for omega in grid:
-            seen.append(self.bandwidth(omega, damping))
-            if seen[-1] >= wanted:
+            bandwidths.append(self.bandwidth(omega, damping))
+            if bandwidths[-1] >= target:
                 break
-        if max(seen) < wanted:
-            wanted = REACH * max(seen)
-        if not wanted:
+        if max(bandwidths) < target:
+            target = REACH * max(bandwidths)
+        if not target:
             return None
-        i = int(np.flatnonzero(np.array(seen) >= wanted)[0])
-        omega = grid[i] if i == 0 else _root(lambda w: self.bandwidth(w, damping) - wanted, grid[i - 1], grid[i], 1e-3)
-        law = self._law(omega, damping)
-        return _Candidate(
-            law,
-            self._gains(omega, damping),
-            omega,
-            damping,
-            self.yardstick.bandwidth_of(law),
-            self.yardstick.peak_of(law),
-        )
+        i = int(np.flatnonzero(np.array(bandwidths) >= target)[0])
+        omega = grid[i] if i == 0 else _root(lambda w: self.bandwidth(w, damping) - target, grid[i - 1], grid[i], 1e-3)
+        law, y = self._law(omega, damping), self.yardstick
+        return _Candidate(law, self._gains(omega, damping), omega, damping, y.bandwidth_of(law), y.peak_of(law))
 
     def _law(self, omega: float, damping: float) -> StaticLaw:
         gains = self._gains(omega, damping)
@@ -168,7 +160,7 @@ class _Family:
 
 
 def _chosen(family: _Family) -> _Candidate:
-    """The usual damping ratio, or the one in the range that makes the peak efforts equal; bandwidth comes first."""
+    """Return the law of the usual damping ratio, or of the one with equal peak effort; bandwidth has priority."""
     kind, y = family.kind, family.yardstick
     usual = family.candidate(kind.usual)
     if usual is not None and y.same_bandwidth(usual.bandwidth) and y.same_peak(usual.peak):
@@ -176,7 +168,9 @@ def _chosen(family: _Family) -> _Candidate:
     tried = [family.candidate(kind.damping[0]), usual, family.candidate(kind.damping[1])]
     known = [candidate for candidate in tried if candidate is not None]
     if not known:
-        raise GainsError(f"no natural frequency and damping ratio make {kind.name} stable; expected some to do")
+        raise GainsError(
+            f"{kind.name} is unstable for all natural frequencies and damping ratios; expected a stable choice"
+        )
     equal = [candidate for candidate in known if y.same_bandwidth(candidate.bandwidth)]
     if not equal:
         return max(known, key=lambda candidate: candidate.bandwidth)
@@ -187,7 +181,7 @@ def _chosen(family: _Family) -> _Candidate:
 
 
 def _between(family: _Family, low: _Candidate, high: _Candidate) -> _Candidate:
-    """A damping ratio between the two whose peak effort is the yardstick's; both have its bandwidth."""
+    """Search the damping ratio between two laws of target bandwidth for the target peak effort."""
     found = [low, high]
 
     def excess(damping: float) -> float:
@@ -203,5 +197,5 @@ def _between(family: _Family, low: _Candidate, high: _Candidate) -> _Candidate:
 
 
 def _root(f: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
-    """Where f changes its sign between low and high, to a relative tolerance."""
+    """Return a root of f between low and high to a relative tolerance."""
     return float(np.exp(brentq(lambda log: f(float(np.exp(log))), np.log(low), np.log(high), xtol=tolerance)))

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gains from a robot, a wanted rate and the loop it will run in: scaled by inertia and stiffness, then checked.
+"""Synthesise gains for a convergence rate and a sampled loop: scaled by inertia and stiffness, then checked.
 
-    K_ld = beta s M      M the mean of M_l over the configurations, s the least with s M >= M_l at all of them
+    K_ld = beta s M      M: mean of M_l over the configurations, s: smallest number with s M >= M_l at all of them
     Lambda_l = c beta    Pi_l = (c beta)^2 M
     Lambda_m = c beta    Pi_m = g K             K_md = c beta M_m
 
-K_ld is what sampling pays for: where the arm is light it damps at a rate of K_ld / M_l >> beta. So it is no larger
-than the wanted rate needs, and has the shape of M. Pi_m near K keeps the elastic mode of the error dynamics,
-sqrt(K^2 / (Pi_m M_l)), where the robot has it, so that the law need not fight the springs with delayed effort.
-c is the largest of a few for which the loop is sure, g that which then bears the longest delay.
+K_ld limits the sample period: where the inertia is small it damps at a rate K_ld / M_l >> beta. It is therefore no
+larger than the rate requires and proportional to M. Pi_m near K keeps the elastic mode of the error dynamics,
+sqrt(K^2 / (Pi_m M_l)), near that of the robot, so that the law does not act against the springs with delayed effort.
+c is the largest of a few values for which the loop has the required decay; g is the value that then tolerates the
+longest delay.
 """
 
 from __future__ import annotations
@@ -26,17 +27,18 @@ from ..numerics.checks import Array
 from ..robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from ..robot.equilibrium import Indices, RestPoints, plant_matrices, rest_points
 from ..robot.robot import Robot
-from ..stability.linearization import SampledLoop, in_error_coordinates
+from ..stability.linearization import in_error_coordinates
+from ..stability.one_sample_map import SampledLoop
 from ..stability.sampled_loop import FEW, checked_times
 
-QUICKNESS = (2.0, 1.4, 1.0)  # c, what Lambda and K_md have more than the wanted rate
+SPEED_FACTORS = (2.0, 1.4, 1.0)  # c: ratio of Lambda and K_md M_m^-1 to the rate
 COUPLING = (1.0, 1.1, 1.2, 1.35, 1.5)  # g = Pi_m / K
-SURE = (0.5, 0.25, 0.0)  # samples of delay beyond the given one at which the loop must decay
-WISHED = (0.75, 1.0, 1.5, 2.0, 3.0)  # samples beyond, of which it shall bear as many as it can
-LEAST_DECAY = 0.5  # of the wanted rate, which the sampled loop must keep
-HALVINGS = 16  # of a rate out of reach, in search of one within
-QUICKEST = 30.0  # beta times the sample period; no loop decays by e^-15 a sample
-KEPT = 12  # configurations of the largest radius at each screened delay: there gains are compared
+REQUIRED_DELAYS = (0.5, 0.25, 0.0)  # samples beyond the given delay at which the loop must decay
+DESIRED_DELAYS = (0.75, 1.0, 1.5, 2.0, 3.0)  # samples beyond; the more of them the loop tolerates, the better
+LEAST_DECAY = 0.5  # fraction of the rate that the sampled loop must keep
+HALVINGS = 16  # of an unreachable rate in the search of a reachable one
+LARGEST_PRODUCT = 30.0  # beta times the sample period; no loop decays by e^-15 per sample
+KEPT = 12  # configurations of the largest radius at each screened delay, at which gains are compared
 
 
 def synthesize(
@@ -46,13 +48,13 @@ def synthesize(
     delay: float = 0.0,
     configurations: ArrayLike | None = None,
 ) -> Gains:
-    """Gains with block rates of at least beta [1/s] for a loop of sample_period [s] and delay [s].
+    """Return gains with block rates of at least beta [1/s] for a loop of sample_period [s] and delay [s].
 
-    Rates and sampled loop hold at the configurations (k, n) [rad], at best those where the robot will move; when
-    none are given, at the 1024 of `check` within the robot's limits: then law.rate().beta >= beta and check(...)
-    is stable. There the sampled loop decays at half of beta or faster at the given delay and at a quarter and half a
-    sample more; between the configurations nothing is promised.
-    Raises GainsError when no gains of this family do, with the largest rate that is within reach.
+    configurations (k, n) [rad]: where rate and sampled loop are checked, preferably those of the planned motion; None:
+    the 1024 of `check` within the limits of the robot, so that law.rate().beta >= beta and check(...) is stable. At
+    these configurations the sampled loop decays at least at beta / 2 with the given delay and with a quarter and half a
+    sample more. There is no guarantee between the configurations.
+    Raises GainsError with the largest reachable rate if no gains of this family meet these conditions.
     """
     checked_times(sample_period, delay)
     if not (np.isfinite(beta) and beta > 0):
@@ -69,18 +71,19 @@ def synthesize(
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A robot at rest points, its M and s (see the module), and the loop."""
+    """Equilibria of a robot, its M and s (see the module), and the loop."""
 
-    rest: RestPoints
+    equilibria: RestPoints
     M: Array
     s: float
     sample_period: float
     delay: float
 
     def best(self, beta: float) -> Gains | None:
-        """The quickest gains that are sure, with the coupling that bears the longest delay; None when none is sure.
+        """Return the fastest gains with the required decay and the coupling of the longest delay; None if none exist.
 
-        Compared at the worst few configurations, then looked at everywhere; where that fails is added to the few.
+        Gains are compared at a few of the worst configurations and then checked at all; those that fail are added to
+        the few.
         """
         few = self.critical(beta)
         while (gains := self._best_at(few, beta)) is not None:
@@ -91,27 +94,27 @@ class _Task:
         return None
 
     def critical(self, beta: float) -> Indices:
-        """Indices of the rest points that decide about the plainest gains; all when they are few."""
-        k = len(self.rest.q_l)
-        if k <= FEW or beta * self.sample_period > QUICKEST:
+        """Return indices of the equilibria that are critical for the slowest gains; all if they are few."""
+        k = len(self.equilibria.q_l)
+        if k <= FEW or beta * self.sample_period > LARGEST_PRODUCT:
             return np.arange(k)
-        plainest = next(self._candidates(beta, QUICKNESS[-1]))
-        return self._loop(self.rest, plainest).critical(self.sample_period, self.delay, KEPT)
+        slowest = next(self._candidates(beta, SPEED_FACTORS[-1]))
+        return self._loop(self.equilibria, slowest).critical(self.sample_period, self.delay, KEPT)
 
     def reaches(self, beta: float) -> bool:
-        """Whether any gains are sure at all rest points."""
-        return beta * self.sample_period <= QUICKEST and any(
-            self._unsure(self._loop(self.rest, gains), beta) is None
-            for c in QUICKNESS[::-1]
+        """Return whether any gains have the required decay at all equilibria."""
+        return beta * self.sample_period <= LARGEST_PRODUCT and any(
+            self._too_slow(self._loop(self.equilibria, gains), beta) is None
+            for c in SPEED_FACTORS[::-1]
             for gains in self._candidates(beta, c)
         )
 
     def _best_at(self, few: Indices, beta: float) -> Gains | None:
-        if beta * self.sample_period > QUICKEST:
+        if beta * self.sample_period > LARGEST_PRODUCT:
             return None
-        rest = self.rest.at(few)
-        for c in QUICKNESS:
-            ranked = [(self._rank(self._loop(rest, gains), beta), gains) for gains in self._candidates(beta, c)]
+        equilibria = self.equilibria.at(few)
+        for c in SPEED_FACTORS:
+            ranked = [(self._rank(self._loop(equilibria, gains), beta), gains) for gains in self._candidates(beta, c)]
             rank, gains = max(ranked, key=lambda pair: pair[0])
             if rank[0]:
                 return gains
@@ -124,22 +127,22 @@ class _Task:
                 Pi_l=(c * beta) * (c * beta) * self.M,
                 K_ld=beta * self.s * self.M,
                 Lambda_m=c * beta,
-                Pi_m=g * self.rest.robot.K,
-                K_md=c * beta * self.rest.robot.M_m,
+                Pi_m=g * self.equilibria.robot.K,
+                K_md=c * beta * self.equilibria.robot.M_m,
             )
 
-    def _loop(self, rest: RestPoints, gains: Gains) -> SampledLoop:
-        checked = gains.checked(rest.robot.n)
-        return in_error_coordinates(rest, checked, *plant_matrices(rest), feedback(rest, checked))
+    def _loop(self, equilibria: RestPoints, gains: Gains) -> SampledLoop:
+        checked = gains.checked(equilibria.robot.n)
+        return in_error_coordinates(equilibria, checked, *plant_matrices(equilibria), feedback(equilibria, checked))
 
     def _decays(self, loop: SampledLoop, samples: float) -> Array:
-        """Rates (k,) [1/s] at which the loop decays, `samples` later than the given delay."""
+        """Return the decay rates (k,) [1/s] of the loop at the given delay plus `samples`."""
         T = self.sample_period
         return np.asarray(-np.log(loop.radii(T, self.delay + samples * T)) / T)
 
-    def _unsure(self, loop: SampledLoop, beta: float) -> Indices | None:
-        """Where the loop decays too slowly at a sure delay, the worst first; None: nowhere."""
-        for samples in SURE:
+    def _too_slow(self, loop: SampledLoop, beta: float) -> Indices | None:
+        """Return where the loop decays too slowly at a required delay, the worst first; None: nowhere."""
+        for samples in REQUIRED_DELAYS:
             decays = self._decays(loop, samples)
             if not decays.min() >= LEAST_DECAY * beta:
                 worst = np.argsort(decays, kind="stable")[:KEPT]
@@ -147,15 +150,15 @@ class _Task:
         return None
 
     def _missed(self, gains: Gains, beta: float) -> Indices:
-        unsure = self._unsure(self._loop(self.rest, gains), beta)
-        return np.zeros(0, dtype=np.intp) if unsure is None else unsure
+        too_slow = self._too_slow(self._loop(self.equilibria, gains), beta)
+        return np.zeros(0, dtype=np.intp) if too_slow is None else too_slow
 
     def _rank(self, loop: SampledLoop, beta: float) -> tuple[int, float]:
-        """How many of the delays the loop bears, and the least rate [1/s] at which it decays there; 0: not sure."""
-        if self._unsure(loop, beta) is not None:
+        """Return the number of tolerated delays and the lowest decay rate [1/s] there; 0 without the required decay."""
+        if self._too_slow(loop, beta) is not None:
             return 0, 0.0
-        decays = [float(self._decays(loop, samples).min()) for samples in SURE]
-        for samples in WISHED:
+        decays = [float(self._decays(loop, samples).min()) for samples in REQUIRED_DELAYS]
+        for samples in DESIRED_DELAYS:
             decay = float(self._decays(loop, samples).min())
             if not decay > 0:
                 break
@@ -164,23 +167,23 @@ class _Task:
 
 
 def _task(robot: Robot, sample_period: float, delay: float, configurations: ArrayLike | None) -> _Task:
-    rest = rest_points(robot, checked_configurations(robot, configurations))
-    inertias = list(rest.M_l)
+    equilibria = rest_points(robot, checked_configurations(robot, configurations))
+    inertias = list(equilibria.M_l)
     M = np.mean(inertias if configurations is not None else inertias[:RATE_CONFIGURATIONS], axis=0)
     if configurations is None:
         inertias += [np.asarray(vertex) for vertex in robot.links.M_l_vertices or ()]
     s = max(float(relative_eigenvalues(M_l, M)[-1]) for M_l in inertias)
-    return _Task(rest, M, s, sample_period, delay)
+    return _Task(equilibria, M, s, sample_period, delay)
 
 
 def _reachable(task: _Task, beta: float) -> str:
-    """The largest rate below beta that has gains, to 5 %, in words; searched for at the worst configurations."""
-    beta = min(beta, QUICKEST / task.sample_period)
-    few = replace(task, rest=task.rest.at(task.critical(beta)))
+    """Describe the largest reachable rate below beta to 5 %, searched at the worst configurations."""
+    beta = min(beta, LARGEST_PRODUCT / task.sample_period)
+    few = replace(task, equilibria=task.equilibria.at(task.critical(beta)))
     rates = [beta / 2**k for k in range(1, HALVINGS + 1)]
     low = next((rate for rate in rates if few.reaches(rate)), None)
     if low is None:
-        return f"nor is any down to {rates[-1]:.3g} 1/s; expected a faster loop or fewer configurations"
+        return f"so are all rates down to {rates[-1]:.3g} 1/s; expected a faster loop or fewer configurations"
     high = 2 * low
     while high > 1.05 * low:
         middle = float(np.sqrt(low * high))

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the plant's time passes: with the clock, or in lock-step with commands."""
+"""Time bases of the plant: real time, or lock-step with commands."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ownership of /clock in lock-step: two publishers would make the time of all nodes jump back and forth."""
+"""Own /clock in lock-step: with two publishers the time of all nodes would jump back and forth."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from fjr_msgs_py.node.conflicting_publishers import Rivals
 from fjr_msgs_py.node.diagnostics import Health
 
 OTHERS = "other clocks"
-LOOK_PERIOD = 0.5  # s between looks at the graph
-SETTLING = 5.0  # s in which whoever was there before is discovered
+LOOK_PERIOD = 0.5  # s between checks of the graph
+SETTLING = 5.0  # s in which earlier publishers are discovered
 
 
 class ClockError(FjrError):
@@ -24,11 +24,11 @@ class ClockError(FjrError):
 
 
 class ClockOwner:
-    """Publishes the time, unless another process does.
+    """Publisher of the time, unless another process publishes it.
 
-    The topic is checked when the node starts, before the first answer counts, and twice a second. A newcomer
-    (younger than SETTLING, or not answered yet) that hears another time ends with ClockError; while another publisher
-    is there it listens at every check, because a busy one may be late. An established owner continues and reports the
+    The topic is checked when the node starts, before the first command is accepted, and twice per second. A new owner
+    (younger than SETTLING, or without a command so far) that receives another time raises ClockError; it listens at every
+    check while another publisher exists, because a busy one may be late. An established owner continues and reports the
     other one.
     """
 
@@ -54,7 +54,7 @@ class ClockOwner:
             raise ClockError(self._sentence("publishes"))
 
     def look(self, established: bool) -> None:
-        """Check twice a second for other publishers; raises ClockError where this node is the newcomer."""
+        """Check twice per second for other publishers; raises ClockError unless established."""
         now = time.monotonic()
         if now < self._next_look:
             return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lock-step: the plant owns the time, and one sample passes for each answer to the state that was sent."""
+"""Lock-step: the plant owns the time and advances one sample for each command that answers its state."""
 
 from __future__ import annotations
 
@@ -16,46 +16,45 @@ from fjr_msgs_py.messages.joint_states import MessageError
 
 from ..state_publisher import Sample
 from .clock_owner import ClockOwner
-from .time_base import Pace, Rig, seconds
+from .time_base import NodeParts, Pace, seconds
 
 START = 1_000_000_000  # ns; stamp of the first state, the same in every run
-RESEND_PERIOD = 0.1  # s; a state without an answer is sent again
-MOST_SILENT = 1000  # samples without a state to send before the node looks for other work
+RESEND_PERIOD = 0.1  # s; a state without a command is sent again
+MOST_SILENT = 1000  # samples without a state to send before the node processes other events
 
 
 class LockStepError(FjrError):
-    """A controller that has answered and answers no more."""
+    """Controller that stopped sending commands."""
 
 
 class LockStep(Pace):
-    """Sends a state and /clock, and waits for the /joint_commands with its stamp and an effort for each joint.
+    """Time base that sends a state and /clock and waits for /joint_commands with its stamp and all efforts.
 
-    What is not answered is sent again, with the very same numbers, and never skipped. From the first answer
-    on (after a start or a reset) LockStepError ends a silence of lockstep_timeout; until then the robot waits.
-    What an imperfect channel loses or still holds at a sample's time has nobody to wait for: the sample passes
-    with the effort that is held, the same in every run, and /clock shows its time. There is one owner of /clock
-    (ClockOwner): where another process publishes on it, ClockError.
+    A state without a command is sent again unchanged and never skipped. After the first command since a start or a
+    reset, LockStepError is raised if no command comes for lockstep_timeout; before, the robot waits. If a channel loses
+    or delays a state, the sample passes with the held effort, in every run alike, and /clock shows its time. Raises
+    ClockError if another process publishes on /clock (ClockOwner).
     """
 
-    def __init__(self, rig: Rig) -> None:
-        super().__init__(rig)
-        node = rig.node
+    def __init__(self, parts: NodeParts) -> None:
+        super().__init__(parts)
+        node = parts.node
         self.offset = START
-        self._timeout = float(rig.values["lockstep_timeout"])
+        self._timeout = float(parts.values["lockstep_timeout"])
         self._arrived: deque[Sample] = deque()
-        self._awaited: int | None = None  # stamp of the state that was sent and is not answered
+        self._awaited: int | None = None  # stamp of the sent state that has no command yet
         self._newest = 0  # stamp of the newest state that was sent
-        self._other: int | None = None  # stamp of the last answer to another one
+        self._other: int | None = None  # stamp of the last command for another state
         self._heard = False
-        self._clock = ClockOwner(node, rig.health)
+        self._clock = ClockOwner(node, parts.health)
         self._topic = node.resolve_topic_name(names.JOINT_COMMANDS)
-        self._reader = SerialisedEfforts(rig.reader)
-        node.create_subscription(JointState, names.JOINT_COMMANDS, self._on_answer, names.LATEST, raw=True)
+        self._reader = SerialisedEfforts(parts.reader)
+        node.create_subscription(JointState, names.JOINT_COMMANDS, self._on_command, names.LATEST, raw=True)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(RESEND_PERIOD / 2, self._watch, clock=steady)
         self._restart()
 
-    def _on_answer(self, message: bytes) -> None:
+    def _on_command(self, message: bytes) -> None:
         try:
             stamp, effort = self._reader.read(message)
         except MessageError as error:
@@ -69,12 +68,12 @@ class LockStep(Pace):
             self._clock.refuse_others()
         self._take(effort)
         self._awaited, self._heard = None, True
-        self._say_once("moving: the first answer has come")
-        self._go_on()
+        self._log_once("moving: the first answer has come")
+        self._continue()
         self._health.count["commands received"] += 1
 
-    def _go_on(self) -> None:
-        """Send what has arrived; where nothing has, let samples pass until something does."""
+    def _continue(self) -> None:
+        """Send states that have arrived; if there are none, let samples pass until one arrives."""
         sent = self._send_arrived()
         for _ in range(MOST_SILENT):
             if sent or not self.running:
@@ -88,46 +87,46 @@ class LockStep(Pace):
             self._count_sample()
 
     def _measure(self) -> None:
-        """Take a sample, and what of it and of earlier ones has arrived."""
+        """Take a sample and collect the samples that have arrived."""
         channel = self._transport.states
-        if channel is None or not self._heard:  # a robot at rest waits until it is heard
+        if channel is None or not self._heard:  # without errors until the first command
             self._arrived.append(self._sample())
         else:
             channel.push(self._robot.time, self._sample())
             self._arrived.extend(channel.due(self._robot.time))
 
     def _send_arrived(self) -> bool:
-        """Send the first state that has arrived and can still be answered; False where there is none."""
+        """Send the first arrived state that can still receive a command; return False if there is none."""
         while self._arrived:
             sample = self._arrived.popleft()
             self._awaited = sample[0]
-            self._rig.states.send(sample)
+            self._parts.states.send(sample)
             self._show_time()
             self._sent_at = self._first_sent_at = time.monotonic()
             self._health.count["states published"] += 1
             if sample[0] >= self._newest:
                 self._newest = sample[0]
                 return True
-        self._awaited = None  # overtaken on the way: nobody answers an older state
+        self._awaited = None  # overtaken by a newer state: no command will come
         return False
 
     def _send_again(self) -> None:
-        self._rig.states.send_again()
+        self._parts.states.send_again()
         self._show_time()
         self._sent_at = time.monotonic()
         self._health.count["states sent again"] += 1
 
     def _show_time(self) -> None:
-        """Publish /clock; after the state of that time, so that its readers have the state first."""
+        """Publish /clock, after the state of that time, so that subscribers receive the state first."""
         self._clock.show(self.stamp)
 
     def _watch(self) -> None:
-        """Look for an answer that is missing and for another owner of the time; raises FjrError."""
+        """Check for a missing command and for another owner of the time; raises FjrError."""
         self._clock.look(established=self._heard)
         if not self.running:
             return
         if self._awaited is None:
-            self._go_on()
+            self._continue()
             return
         now = time.monotonic()
         if self._heard and 0.0 < self._timeout < now - self._first_sent_at:
@@ -155,7 +154,7 @@ class LockStep(Pace):
     def _resume(self) -> None:
         self._first_sent_at = time.monotonic()
         if self._awaited is None:
-            self._go_on()
+            self._continue()
         else:
             self._send_again()
 
@@ -163,4 +162,4 @@ class LockStep(Pace):
         self._resume()
 
     def catch_up(self) -> None:
-        """The robot is where its last answer has brought it."""
+        """Do nothing: the robot is already at the time of its last command."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A timer that rings once each time that it is set."""
+"""Timer that fires once each time it is set."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from rclpy.node import Node
 
 
 class Alarm:
-    """Calls back once, a while after it was last set."""
+    """Timer that calls back once after it was last set."""
 
     def __init__(self, node: Node, clock: Clock, callback: Callable[[], None]) -> None:
         self._callback = callback
-        self._timer = node.create_timer(1.0, self._ring, clock=clock)
+        self._timer = node.create_timer(1.0, self._fire, clock=clock)
         self._timer.cancel()
 
     def set(self, wait: int) -> None:
-        """Ring after `wait` [ns]."""
+        """Fire after `wait` [ns]."""
         self._timer.timer_period_ns = max(wait, 1)
         self._timer.reset()
 
-    def _ring(self) -> None:
+    def _fire(self) -> None:
         self._timer.cancel()
         self._callback()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real time: the robot's time follows a clock, the steady one or with use_sim_time the /clock of somebody else."""
+"""Real time: robot time follows the steady clock or, with use_sim_time, an external /clock."""
 
 from __future__ import annotations
 
@@ -13,36 +13,35 @@ from fjr_msgs_py.messages.joint_states import MessageError
 
 from ..state_publisher import Sample
 from .one_shot_timer import Alarm
-from .time_base import Pace, Rig
+from .time_base import NodeParts, Pace
 
-LONGEST_BACKLOG = 200_000_000  # ns that are integrated at once when late
-LARGEST_LAG = 1_000_000_000  # ns that stamps may be behind the clock because time was lost
+LONGEST_BACKLOG = 200_000_000  # ns; longest time integrated at once
+LARGEST_LAG = 1_000_000_000  # ns; largest lag of the stamps behind the clock due to lost time
 
 
 class RealTime(Pace):
-    """Obeys /effort_controller/commands at once, and publishes a state at every tick of the clock.
+    """Time base that applies /effort_controller/commands at once and publishes a state at every tick of the clock.
 
-    A state is stamped with the node's clock at the instant where the robot's time started or resumed, plus the time
-    integrated since. At rest, before the first command (wait_for_command), it is stamped with the node's clock, and
-    the time that is integrated counts from the last state at rest on. Stamps never go back.
-    The robot's time stands still at rest, while paused, and while the clock stands still or is 0. After a reset or a
-    pause no state is published for restart_silence, so that a controller recovers instead of seeing a jump.
-    A clock that jumps forward, or that the robot cannot follow, costs what is more than LONGEST_BACKLOG. The stamps
-    are late by that, until they would be late by more than LARGEST_LAG. After a /clock that jumps back the stamps go
-    on from its new time, the motion from where it is.
+    A stamp is the node time at which robot time started or resumed, plus the time integrated since. While waiting for
+    the first command (wait_for_command), a state is stamped with the node time, and integration starts from the last
+    such state. Stamps never decrease. Robot time stands still while waiting, while paused, and while the clock stands
+    still or is 0. After a reset or a pause no state is published for restart_silence, so that a controller recovers
+    instead of receiving a jump. If the clock jumps forward or is too fast, a backlog of more than LONGEST_BACKLOG is
+    skipped and the stamps lag behind by that time, at most LARGEST_LAG. If /clock jumps back, stamps continue from its
+    new time and the motion continues unchanged.
     """
 
-    def __init__(self, rig: Rig) -> None:
-        super().__init__(rig)
-        node = rig.node
+    def __init__(self, parts: NodeParts) -> None:
+        super().__init__(parts)
+        node = parts.node
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._ros_clock = node.get_clock()
         clock = self._ros_clock if self._simulated else Clock(clock_type=ClockType.STEADY_TIME)
-        self._late = Alarm(node, clock, self._on_late)
-        self._arrival = Alarm(node, clock, self._on_arrival)
-        self.origin: int | None = None  # the clock at the robot's time 0; None while that stands still
+        self._late_timer = Alarm(node, clock, self._on_late)
+        self._arrival_timer = Alarm(node, clock, self._on_arrival)
+        self.origin: int | None = None  # clock time of robot time 0; None while that stands still
         self._started = self._waiting = False
-        self._silence = round(rig.values["restart_silence"] * 1e9)  # ns
+        self._silence = round(parts.values["restart_silence"] * 1e9)  # ns
         self._latest = self._quiet_until = self._lag = 0  # ns of the clock
         self._newest = 0  # ns, the largest stamp so far
         self._read_clock()
@@ -50,12 +49,12 @@ class RealTime(Pace):
         node.create_timer(self._period * 1e-9, self._on_tick, clock=clock)
 
     def catch_up(self) -> None:
-        """Integrate to the clock's time, without effort once the last command is too old."""
+        """Integrate up to the present clock time, with zero effort after the command timeout."""
         now = self._read_clock()
         if self.origin is None or self.paused or not self._started:
             return
         elapsed = now - self.origin
-        if elapsed - self._robot.time > LONGEST_BACKLOG:  # slower than the clock: the rest is lost, not piled up
+        if elapsed - self._robot.time > LONGEST_BACKLOG:  # too slow for the clock: skip the rest
             lost = elapsed - self._robot.time - LONGEST_BACKLOG
             self.origin += lost
             self._lag += lost
@@ -68,7 +67,7 @@ class RealTime(Pace):
     # The clock.
 
     def _read_clock(self) -> int:
-        """The clock's time [ns]; 0 until there is one, and standing still while it is 0 later on."""
+        """Return the clock time [ns]; 0 before the first one, constant while the clock is 0 later."""
         now = int(self._ros_clock.now().nanoseconds) if self._simulated else time.monotonic_ns()
         if now > 0:
             if not self._started:
@@ -96,29 +95,29 @@ class RealTime(Pace):
         self._first_tick, self._ticks = now, 0
 
     def _stamp_from_now(self) -> None:
-        """Let stamps follow from the node's clock; never back."""
+        """Restart the stamps from the node clock; they never decrease."""
         now = int(self._ros_clock.now().nanoseconds)
         self.offset, self._lag = max(now, self._newest) - self._robot.time, 0
 
-    # Rest.
+    # Start, pause and resume.
 
     def _restart(self) -> None:
         if self._started:
             self._answered = True
-            self._waiting = bool(self._rig.values["wait_for_command"])
+            self._waiting = bool(self._parts.values["wait_for_command"])
             self._stamp_from_now()
             self._resume()
 
     def _resume(self) -> None:
-        """Let states come again, after a silence if there were some, and the robot's time with them."""
+        """Resume states and robot time, after the silence if states were published before."""
         now = self._read_clock()
         self.origin = None
         self._quiet_until = now + self._silence if self._newest and self._silence else 0
         if not self.paused and not self._quiet_until:
-            self._set_off(now)
+            self._start_motion(now)
 
-    def _set_off(self, now: int) -> None:
-        """Stamp from now on, and start the robot's time unless it waits for a command."""
+    def _start_motion(self, now: int) -> None:
+        """Restart the stamps, and robot time unless it waits for a command."""
         self._quiet_until = 0
         self._restart_ticks(now)
         self._stamp_from_now()
@@ -126,19 +125,21 @@ class RealTime(Pace):
             self.origin = now - self._robot.time
             self._on_arrival()
 
-    def _is_awake(self, now: int) -> bool:
-        """Whether states are published and commands obeyed; the first call after a silence ends it."""
+    def _is_active(self, now: int) -> bool:
+        """Return whether states are published and commands applied; ends an elapsed silence."""
         if self.paused or not self._started or now < self._quiet_until:
             return False
         if self._quiet_until:
-            self._set_off(now)
+            self._start_motion(now)
         return True
 
     def _refusal(self) -> str:
-        return super()._refusal() or ("" if self._started else "no time has come on /clock yet; expected one first")
+        return super()._refusal() or (
+            "" if self._started else "no time has been received on /clock; expected one first"
+        )
 
     def _begin_advance(self) -> None:
-        """All samples at once: nobody is asked in between, the effort that is held acts."""
+        """Advance all samples at once under the held effort."""
         while self._left:
             self._integrate(self._robot.time + self._period)
             self._publish_sample()
@@ -148,38 +149,38 @@ class RealTime(Pace):
 
     def _on_command(self, message: Float64MultiArray) -> None:
         try:
-            effort = self._rig.reader.read_array(message)
+            effort = self._parts.reader.read_array(message)
         except MessageError as error:
             self._health.refuse("command", error)
             return
         self._health.count["commands received"] += 1
         now = self._read_clock()
-        if not self._is_awake(now):
+        if not self._is_active(now):
             return
         self._answered = True
-        if self._waiting:  # the last state at rest was that of the robot's time now
+        if self._waiting:  # the last published state is that of the present robot time
             self._waiting, self.origin = False, now - self._robot.time
-            self._take(effort)  # acts from the first instant of motion on, however long the log takes
-            self._say_once("moving: the first command has come")
+            self._take(effort)  # acts from the first instant of motion, whatever logging takes
+            self._log_once("moving: the first command has come")
             return
         self.catch_up()
         self._take(effort)
 
     def _on_tick(self) -> None:
         now = self._read_clock()
-        if not self._is_awake(now):
+        if not self._is_active(now):
             return
         due = round((now - self._first_tick) / self._period)
         self._health.count["ticks skipped"] += max(0, due - self._ticks - 1)
         self._ticks = max(due, self._ticks)
         late = self._transport.lateness()
         if late:
-            self._late.set(late)
+            self._late_timer.set(late)
         else:
             self._on_late()
 
     def _on_late(self) -> None:
-        if self._is_awake(self._latest):
+        if self._is_active(self._latest):
             self.catch_up()
             self._publish_sample()
 
@@ -188,20 +189,20 @@ class RealTime(Pace):
             self._stamp_from_now()
         channel, sample = self._transport.states, self._sample()
         self._newest = max(sample[0], self._newest)
-        if channel is None or self._waiting:  # a robot at rest waits until it is heard
+        if channel is None or self._waiting:  # without errors until the first command
             self._send(sample)
         else:
             channel.push(self._robot.time, sample)
             self._send_arrived(self._robot.time)
 
     def _send_arrived(self, elapsed: int) -> None:
-        """Send what has arrived after `elapsed` [ns] of the robot's time, and be back for the next."""
+        """Send the states that have arrived by `elapsed` [ns] of robot time and set the timer for the next."""
         channel = self._transport.states
         if channel is not None:
             for sample in channel.due(elapsed):
                 self._send(sample)
             if channel.next_due is not None:
-                self._arrival.set(channel.next_due - elapsed)
+                self._arrival_timer.set(channel.next_due - elapsed)
 
     def _on_arrival(self) -> None:
         if self.origin is not None and not self.paused:
@@ -212,5 +213,5 @@ class RealTime(Pace):
             self._health.count["states unanswered"] += 1
         self._answered = self._waiting
         self._health.count["states published"] += 1
-        self._rig.states.send(sample)
+        self._parts.states.send(sample)
         self._health.at(sample[0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a simulated robot's time goes on: what real time and lock-step share."""
+"""Common time base of real time and lock-step: run, pause and advance the robot time."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from fjr_msgs_py.node.diagnostics import Health
 from ..channel import Transport
 from ..simulated_robot import SimulatedRobot
 from ..state_publisher import Sample, StatePublisher
-from .deferred_service import Answer
+from .deferred_service import DeferredReply
 
 
 @dataclass(frozen=True)
-class Rig:
-    """A node and what it drives."""
+class NodeParts:
+    """Components of the plant node."""
 
     node: Node
     values: dict[str, Any]
@@ -34,34 +34,34 @@ class Rig:
 
 
 class Pace(ABC):
-    """Run, rest or advance the robot's time by a number of samples; a sample is stamped `offset` + robot's time.
+    """Time base that runs, pauses or advances the robot; a sample has the stamp `offset` + robot time.
 
-    An effort acts until the next one, but no longer than command_timeout of the robot's time: then there is none.
+    An effort acts until the next one, at most for command_timeout of robot time; then the effort is zero.
     """
 
-    def __init__(self, rig: Rig) -> None:
-        self._rig = rig
-        self._robot, self._transport, self._health = rig.robot, rig.transport, rig.health
-        self._period = rig.transport.period  # ns
-        self.paused = bool(rig.values["start_paused"])
-        self.offset = 0  # ns, the stamp of the robot's time 0
-        self._command_timeout = round(rig.values["command_timeout"] * 1e9)  # ns
-        self._last_command = 0  # robot's time, ns
+    def __init__(self, parts: NodeParts) -> None:
+        self._parts = parts
+        self._robot, self._transport, self._health = parts.robot, parts.transport, parts.health
+        self._period = parts.transport.period  # ns
+        self.paused = bool(parts.values["start_paused"])
+        self.offset = 0  # ns, stamp of robot time 0
+        self._command_timeout = round(parts.values["command_timeout"] * 1e9)  # ns
+        self._last_command = 0  # robot time, ns
         self._samples = self._left = 0
-        self._answer: Answer | None = None
+        self._reply: DeferredReply | None = None
 
     @property
     def stamp(self) -> int:
-        """The stamp [ns] of the robot's time."""
+        """Stamp [ns] of the present robot time."""
         return self.offset + self._robot.time
 
     @property
     def running(self) -> bool:
-        """Whether the robot's time goes on, if only for some samples."""
+        """Return whether robot time runs, possibly only for some samples."""
         return not self.paused or self._left > 0
 
     def reset(self) -> None:
-        """Back to the initial state, with nothing on its way."""
+        """Return to the initial state and discard all messages in transit."""
         self._end_advance(False, "reset")
         self._robot.reset()
         self._last_command = 0
@@ -69,8 +69,8 @@ class Pace(ABC):
         self._restart()
 
     def pause(self, wanted: bool) -> None:
-        """Stop the robot's time, or let it go on."""
-        self._end_advance(False, "paused" if wanted else "let go")
+        """Pause or resume robot time."""
+        self._end_advance(False, "paused" if wanted else "resumed")
         if wanted and not self.paused:
             self.catch_up()
         if wanted != self.paused:
@@ -78,57 +78,57 @@ class Pace(ABC):
             if not wanted:
                 self._resume()
 
-    def advance(self, samples: int, answer: Answer) -> None:
-        """Move a paused robot by so many samples; the answer is given when that is done, or refused."""
+    def advance(self, samples: int, reply: DeferredReply) -> None:
+        """Advance a paused robot by `samples`; reply when that is done or refused."""
         refusal = self._refusal()
         if refusal:
-            answer.give(False, refusal)
+            reply.give(False, refusal)
             return
         self._samples = self._left = samples
-        self._answer = answer
+        self._reply = reply
         self._begin_advance()
 
     def end(self) -> None:
-        """Tell whoever waits for the end of an advance that there is none."""
+        """Reply to a waiting client that the advance has ended early."""
         self._end_advance(False, "ended")
 
     @abstractmethod
     def catch_up(self) -> None:
-        """Bring the robot to the present, before something about it changes."""
+        """Integrate up to the present, before a change takes effect."""
 
     def _refusal(self) -> str:
         if not self.paused:
-            return "the robot's time runs; expected a paused robot: call ~/pause with true first"
+            return "robot time is running; expected a paused robot: call ~/pause with true first"
         return f"already advancing: {self._left} of {self._samples} samples are left" if self._left else ""
 
-    def _say_once(self, sentence: str) -> None:
+    def _log_once(self, sentence: str) -> None:
         if self._health.is_new(sentence):
-            self._rig.node.get_logger().info(sentence)
+            self._parts.node.get_logger().info(sentence)
 
     def _count_sample(self) -> None:
-        """One sample is done, of those to advance by."""
+        """Count one sample of an advance."""
         if self._left:
             self._left -= 1
             if not self._left:
                 self._end_advance(True, "")
 
     def _end_advance(self, success: bool, why: str) -> None:
-        """Answer whoever waits for the end of an advance."""
-        answer, self._answer = self._answer, None
-        if answer is None:
+        """Reply to the client that waits for the end of an advance."""
+        reply, self._reply = self._reply, None
+        if reply is None:
             return
         done, self._left = self._samples - self._left, 0
         now = f"the time is {seconds(self.stamp)} s"
         if success:
-            answer.give(True, f"advanced by {done} samples: {now}")
+            reply.give(True, f"advanced by {done} samples: {now}")
         else:
-            answer.give(False, f"{why} after {done} of {self._samples} samples: {now}")
+            reply.give(False, f"{why} after {done} of {self._samples} samples: {now}")
 
     def _sample(self) -> Sample:
         return self.stamp, *self._robot.measure()
 
     def _take(self, effort: Array) -> None:
-        """A command has come: it acts at once, or when the channel lets it."""
+        """Take a command, which acts at once or after its channel delay."""
         commands = self._transport.commands
         if commands is None:
             self._apply(effort)
@@ -136,7 +136,7 @@ class Pace(ABC):
             commands.push(self._robot.time, effort)
 
     def _integrate(self, time: int) -> None:
-        """Advance the robot to `time` [ns], each command on its way taking effect at its instant."""
+        """Advance the robot to `time` [ns]; commands in transit take effect at their instants."""
         commands = self._transport.commands
         while commands is not None and (instant := commands.next_due) is not None and instant <= time:
             self._integrate_held(instant)
@@ -154,24 +154,24 @@ class Pace(ABC):
         self._robot.advance_to(time)
 
     def _apply(self, effort: Array) -> None:
-        """Let an effort act from the robot's time on."""
+        """Apply an effort from the present robot time on."""
         self._robot.u = effort
         self._last_command = self._robot.time
 
     @abstractmethod
     def _restart(self) -> None:
-        """Begin afresh with the robot at its initial state."""
+        """Restart with the robot at its initial state."""
 
     @abstractmethod
     def _resume(self) -> None:
-        """Go on after a rest."""
+        """Resume after a pause."""
 
     @abstractmethod
     def _begin_advance(self) -> None:
-        """Start with the samples to advance by."""
+        """Start an advance."""
 
 
 def seconds(stamp: int) -> str:
-    """A stamp [ns] in seconds, with all its digits."""
+    """Format a stamp [ns] in seconds with all digits."""
     sec, nanosec = divmod(stamp, 1_000_000_000)
     return f"{sec}.{nanosec:09d}"

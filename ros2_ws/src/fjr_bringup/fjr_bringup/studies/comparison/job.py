@@ -16,8 +16,8 @@ import numpy as np
 from fjr_bringup.studies.comparison.suite import LawChoice, Suite, scenario_texts
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import CompareError, FjrError
-from fjr_core.experiments.comparison import Needs, Trial, directions, needs
-from fjr_core.experiments.comparison.tuned_law import Column, column
+from fjr_core.experiments.comparison import Needs, Trial, directions, motion_demand
+from fjr_core.experiments.comparison.tuned_law import TunedLaw, tuned_law
 from fjr_core.numerics.jit import can_compile
 from fjr_core.numerics.jit_cache import program_digest
 from fjr_core.simulation.batch import ClosedLoop
@@ -65,7 +65,7 @@ def work(job: Job, tell: Tell) -> Result:
     first = next(iter(scenarios.values()))
     wanted = {label: _needs(job, label, scenario) for label, scenario in scenarios.items()}
     try:
-        chosen = column(job.law.law, job.law.robust, first, job.law.retune)
+        chosen = tuned_law(job.law.law, job.law.robust, first, job.law.retune)
     except FjrError as error:
         raise CompareError(f"{job.name}: {error}") from None
     cells: Result = {}
@@ -73,10 +73,10 @@ def work(job: Job, tell: Tell) -> Result:
     runs = 0
     for done, (label, scenario) in enumerate(scenarios.items(), 1):
         trial = _trial(job, scenario, chosen, wanted[label])
-        each = trial.cells(list(job.imperfections.values()))
+        each = trial.metrics(list(job.imperfections.values()))
         cells[label] = {name: asdict(cell) for name, cell in zip(job.imperfections, each, strict=True)}
         found = found or {**_margins(job, trial), "trace": _trace(trial)}
-        runs += len(each) + len(trial.looked_at)
+        runs += len(each) + len(trial.evaluated)
         tell(done / len(scenarios))
     return {
         "robot": _robot(first, wanted),
@@ -102,12 +102,12 @@ def _margins(job: Job, trial: Trial) -> Result:
 def _needs(job: Job, label: str, scenario: Scenario) -> Needs:
     """Of the reference; first of all, for no law can be tuned along one that stands still."""
     try:
-        return needs(scenario.robot, scenario.reference)
+        return motion_demand(scenario.robot, scenario.reference)
     except CompareError as error:
         raise CompareError(f"'{label}' of {job.robot}: {error}") from None
 
 
-def _trial(job: Job, scenario: Scenario, chosen: Column, wanted: Needs) -> Trial:
+def _trial(job: Job, scenario: Scenario, chosen: TunedLaw, wanted: Needs) -> Trial:
     loop = ClosedLoop(
         scenario.plant.robot,
         chosen.law,

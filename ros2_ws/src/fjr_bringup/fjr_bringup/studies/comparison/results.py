@@ -12,7 +12,7 @@ from fjr_bringup.formatting import DASH, number, percent, plural
 from fjr_bringup.studies.comparison.job import Job, Result
 from fjr_bringup.studies.comparison.suite import NOMINAL, Suite
 from fjr_core.control.registry import LAWS
-from fjr_core.experiments.comparison.perturbations import AXES, Direction, directions
+from fjr_core.experiments.comparison.perturbations import PERTURBATIONS, Direction, directions
 
 SHORT = {
     "pd_gravity": "PD + gravity",
@@ -121,28 +121,28 @@ def _margins(robot: str, laws: Sequence[Any], axes: Sequence[str]) -> Iterator[R
     for direction in directions(axes):
         words = _level_words(direction)
         values = tuple(_margin(law["margins"][direction.name], words, direction) for law in laws)
-        yield Row(robot, "margins", direction.name, values, less=direction.axis.is_factor and direction.end < 1)
+        yield Row(robot, "margins", direction.name, values, less=direction.perturbation.is_factor and direction.end < 1)
 
 
 def _margin(edge: dict[str, float | None], words: Words, direction: Direction) -> Value:
     level = edge["level"]
     if level is None:
         return Value(None, DASH, "lost")
-    further = "≤ " if direction.end < direction.axis.nominal else "≥ "
+    further = "≤ " if direction.end < direction.perturbation.nominal else "≥ "
     return Value(level, (further if edge["beyond"] is None else "") + words(level))
 
 
 def _level_words(direction: Direction) -> Words:
-    return lambda level: level_words(direction.axis.name, level)
+    return lambda level: level_words(direction.perturbation.name, level)
 
 
 def level_words(axis: str, level: float) -> str:
     """A level of an imperfection with its unit."""
-    if AXES[axis].is_factor:
+    if PERTURBATIONS[axis].is_factor:
         return f"× {number(level, digits=3)}"
-    if AXES[axis].unit == "s":
+    if PERTURBATIONS[axis].unit == "s":
         return number(level * 1e3, "ms", 2)
-    if AXES[axis].unit == "rad":
+    if PERTURBATIONS[axis].unit == "rad":
         return number(level * 1e3, "mrad", 2)
     return percent(level, 0 if level >= 0.1 else 1)
 

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws beside each other on one plant: metrics under imperfections, and how much of each imperfection a law bears."""
+"""Comparison of laws on one plant: metrics under perturbations and robustness margins."""
 
-from .motion_demand import Needs, needs
-from .perturbations import AXES, Axis, Direction, directions
-from .robustness_margins import Edge, search
-from .trial import Cell, Trial
+from .motion_demand import Needs, motion_demand
+from .perturbations import PERTURBATIONS, Direction, Perturbation, directions
+from .robustness_margins import RobustnessMargin, search
+from .trial import RunMetrics, Trial
 
 __all__ = [
-    "AXES",
-    "Axis",
-    "Cell",
+    "PERTURBATIONS",
+    "RunMetrics",
     "Direction",
-    "Edge",
     "Needs",
+    "Perturbation",
+    "RobustnessMargin",
     "Trial",
     "directions",
-    "needs",
+    "motion_demand",
     "search",
 ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a motion is in numbers, whatever law is to follow it: its size, and the torque that it takes."""
+"""Compute the demand of a motion, independent of the law: its amplitude and the torque that it requires."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ...trajectories.reference import Reference
 
 INSTANTS = 4096
 CONFIGURATIONS = 16
-HORIZON = 60.0  # s of the reference that are looked at, or until it ends
-STANDING = 1e-9  # rad
+HORIZON = 60.0  # s of the reference that are evaluated, at most
+STANDING = 1e-9  # rad; RMS of a reference at rest
 
 
 @dataclass(frozen=True)
 class Needs:
-    """motion [rad]: RMS of q_ld about its mean, over time and joints.
+    """Demand of a motion.
 
-    torque (n,) [N m]: RMS over time of M_l ddq_ld + C dq_ld + D_l dq_ld + grad P_l, what the rigid arm takes along the
-    reference. friction_rate [rad/s^2]: the fastest rate of imperfections.friction_rate with friction of that torque on
-    both sides, times its smoothing.
+    motion [rad]: RMS of q_ld about its mean, over time and joints. torque (n,) [N m]: RMS over time of the inverse
+    dynamics of the rigid arm, M_l ddq_ld + C dq_ld + D_l dq_ld + grad P_l. friction_rate [rad/s^2]: largest
+    nonideal_parameters.friction_rate with friction of that torque on both sides, times its smoothing.
     """
 
     motion: float
@@ -34,14 +34,14 @@ class Needs:
     friction_rate: float
 
 
-def needs(robot: Robot, reference: Reference) -> Needs:
-    """The needs of a reference; raises CompareError for one that stands still."""
+def motion_demand(robot: Robot, reference: Reference) -> Needs:
+    """Return the demand of a reference; raises CompareError for a reference at rest."""
     end = min(HORIZON, reference.end)
     jets = reference.jets(np.linspace(0.0, end, INSTANTS))
     position = jets[:, 0]
     motion = float(np.sqrt(np.mean((position - position.mean(axis=0)) ** 2)))
     if not motion > STANDING:
-        raise CompareError(f"the reference stands still for {end:g} s; expected one that moves")
+        raise CompareError(f"the reference is at rest for {end:g} s; expected a motion")
     inverse = _inverse_dynamics(robot)
     torques = inverse.map(INSTANTS)(*(jets[:, row].T for row in range(3))).full()
     torque = np.sqrt(np.mean(torques**2, axis=1))

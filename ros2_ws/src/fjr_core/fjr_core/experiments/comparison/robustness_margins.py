@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far each imperfection may go: levels in steps from the nominal one, then finer about the first that fails."""
+"""Search robustness margins: increase a perturbation until tracking fails, then refine around that level."""
 
 from __future__ import annotations
 
@@ -12,54 +12,57 @@ from numpy.typing import NDArray
 from ...numerics.checks import Array
 from .perturbations import Direction
 
-STEPS = 16  # levels of the first look, evenly on a logarithmic scale
-PARTS = 7  # levels of each finer look
-ROUNDS = 2  # of finer looks
+STEPS = 16  # levels of the first scan, evenly spaced on a logarithmic scale
+PARTS = 7  # levels of each refinement
+ROUNDS = 2  # of refinement
 Levels = Sequence[tuple[str, float]]
-Judge = Callable[[Levels], NDArray[np.bool_]]
-"""(axis, level) of k runs -> whether each tracks (k,)."""
+Evaluation = Callable[[Levels], NDArray[np.bool_]]
+"""(perturbation, level) of k runs -> whether each run tracks (k,)."""
 
 
 @dataclass(frozen=True)
-class Edge:
-    """Where tracking ends in one direction.
+class RobustnessMargin:
+    """Margin in one direction.
 
-    level: up to which, from the nominal one, every level that was looked at tracks; None where the nominal one does
-    not. beyond: the next level, which does not; None where tracking lasts to the end of the search.
+    level: largest level such that it and all tested levels below track; None if the nominal one does not. beyond: the
+    next tested level, which does not track; None if all levels track.
     """
 
     level: float | None
     beyond: float | None
 
 
-def search(judge: Judge, directions: Sequence[Direction]) -> dict[str, Edge]:
-    """The edges in all directions, by their names; `judge` gets all levels of a look at once.
+def search(tracks: Evaluation, directions: Sequence[Direction]) -> dict[str, RobustnessMargin]:
+    """Return the margins in all directions by name.
 
-    A level that tracks beyond one that does not does not count: a robot that is 30 % off may pass through all of them.
+    tracks: evaluates all levels of a scan at once. The search stops at the first level that fails; larger levels that
+    track again are ignored, because a robot may have any level in between.
     """
     ladders = {direction.name: direction.ladder(STEPS) for direction in directions}
-    edges = _look(judge, directions, ladders)
+    margins = _scan(tracks, directions, ladders)
     for _ in range(ROUNDS):
-        finer = {name: _between(edge) for name, edge in edges.items() if edge.level is not None and edge.beyond}
-        edges = {**edges, **_look(judge, [d for d in directions if d.name in finer], finer)}
-    return edges
+        finer = {name: _between(found) for name, found in margins.items() if found.level is not None and found.beyond}
+        margins = {**margins, **_scan(tracks, [d for d in directions if d.name in finer], finer)}
+    return margins
 
 
-def _look(judge: Judge, directions: Sequence[Direction], ladders: Mapping[str, Array]) -> dict[str, Edge]:
-    asked = [(d.axis.name, float(level)) for d in directions for level in ladders[d.name]]
-    answers = iter([bool(tracks) for tracks in judge(asked)] if asked else ())
-    return {d.name: _edge(ladders[d.name], [next(answers) for _ in ladders[d.name]]) for d in directions}
+def _scan(
+    tracks: Evaluation, directions: Sequence[Direction], ladders: Mapping[str, Array]
+) -> dict[str, RobustnessMargin]:
+    levels = [(d.perturbation.name, float(level)) for d in directions for level in ladders[d.name]]
+    results = iter([bool(each) for each in tracks(levels)] if levels else ())
+    return {d.name: _margin(ladders[d.name], [next(results) for _ in ladders[d.name]]) for d in directions}
 
 
-def _edge(levels: Array, tracks: Sequence[bool]) -> Edge:
+def _margin(levels: Array, tracks: Sequence[bool]) -> RobustnessMargin:
     if all(tracks):
-        return Edge(float(levels[-1]), None)
+        return RobustnessMargin(float(levels[-1]), None)
     first = tracks.index(False)
-    return Edge(float(levels[first - 1]) if first else None, float(levels[first]))
+    return RobustnessMargin(float(levels[first - 1]) if first else None, float(levels[first]))
 
 
-def _between(edge: Edge) -> Array:
-    """The two ends, which are judged again with the rest, and PARTS levels between them."""
-    low, high = float(edge.level or 0.0), float(edge.beyond or 0.0)
+def _between(margin: RobustnessMargin) -> Array:
+    """Return the two ends of a margin and PARTS levels between them."""
+    low, high = float(margin.level or 0.0), float(margin.beyond or 0.0)
     between = np.linspace if low == 0.0 else np.geomspace
     return np.asarray(between(low, high, PARTS + 2), dtype=float)

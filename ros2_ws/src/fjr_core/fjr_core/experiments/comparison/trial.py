@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One law on one robot along one reference, run under any imperfections: every cell an independent run."""
+"""Run one law on one robot along one reference under given perturbations, as independent runs."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from ...numerics.checks import Array
 from ...simulation.batch import ClosedLoop, Draws, Outcomes, Recorded
 from ...simulation.batch.draws import PER_RUN
 from .motion_demand import Needs
-from .perturbations import Direction, Fields, bearable, known
-from .robustness_margins import Edge, Levels, search
+from .perturbations import Direction, Fields, known, numerically_stable
+from .robustness_margins import Levels, RobustnessMargin, search
 
-TRACKS = 0.1  # of the motion
-Levels_of = Mapping[str, float]
+TRACKS = 0.1  # largest RMS error of a tracking run, relative to the RMS motion
+LevelByName = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Cell:
-    """Metrics of one run, after the start where Outcomes has them so; of all joints together.
+class RunMetrics:
+    """Metrics of one run over all joints; errors count after settle_after, see Outcomes.
 
-    rms [rad]: RMS over time and joints of q_l - q_ld; relative: that as a part of the motion's own RMS (Needs.motion).
-    peak [rad]: of the worst joint. settling [s]. effort_rms [N m]: over time and joints; effort_peak [N m]: of any
-    joint. power [W]: mean of |u' dq_m|. steady [rad]: mean error of the last second, of the worst joint.
-    Of a run that is not stable all of them are None.
+    rms [rad]: RMS over time and joints of q_l - q_ld; relative: rms divided by the RMS of the motion. peak [rad]: of
+    the worst joint. settling [s]. effort_rms [N m]: over time and joints; effort_peak [N m]: of any joint. power [W]:
+    mean of |u' dq_m|. steady [rad]: mean error of the worst joint over the last second. All are None for a run that is
+    not stable.
     """
 
     stable: bool
@@ -44,71 +44,71 @@ class Cell:
 
 @dataclass
 class Trial:
-    """A closed loop with what its motion needs.
+    """Closed loop with the demand of its motion.
 
-    effort_limit (n,) [N m]: where commands are cut; inf: nowhere. tracks: a run tracks when it is stable and its RMS
-    error is at most this part of the motion's RMS; one number for all laws. seed: of the noise, the same in every run.
-    looked_at: (axis, level) of every run so far -> its cell.
+    effort_limit (n,) [N m]: saturation of commands; inf: none. tracks: a run tracks if it is stable and its RMS error
+    is at most this fraction of the RMS motion; the same for all laws. seed: of the noise, the same in every run.
+    evaluated: (perturbation, level) of all runs so far -> metrics.
     """
 
     loop: ClosedLoop
-    needs: Needs
+    demand: Needs
     effort_limit: ArrayLike = np.inf
     tracks: float = TRACKS
     seed: int = 0
-    looked_at: dict[tuple[str, float], Cell] = field(default_factory=dict)
+    evaluated: dict[tuple[str, float], RunMetrics] = field(default_factory=dict)
 
-    def cells(self, imperfections: Sequence[Levels_of]) -> list[Cell]:
-        """A run each; an imperfection is levels by the names of AXES, {} for the nominal plant."""
-        outcomes = self.loop.run(self._draws(imperfections))
-        return [self._cell(outcomes, i) for i in range(len(imperfections))]
+    def metrics(self, perturbations: Sequence[LevelByName]) -> list[RunMetrics]:
+        """Return the metrics of one run per item: levels by the names of PERTURBATIONS, {} for the nominal plant."""
+        outcomes = self.loop.run(self._draws(perturbations))
+        return [self._metrics(outcomes, i) for i in range(len(perturbations))]
 
-    def margins(self, directions: Sequence[Direction]) -> dict[str, Edge]:
-        """The largest level of each imperfection up to which the loop tracks."""
-        return search(self._judge, directions)
+    def margins(self, directions: Sequence[Direction]) -> dict[str, RobustnessMargin]:
+        """Return the largest level of each perturbation up to which the loop tracks."""
+        return search(self._track, directions)
 
-    def curve(self, axis: str) -> tuple[Array, list[Cell]]:
-        """All levels of an axis that the search for margins looked at, in order, with their cells."""
-        levels = sorted(level for name, level in self.looked_at if name == axis)
-        return np.array(levels), [self.looked_at[axis, level] for level in levels]
+    def curve(self, perturbation: str) -> tuple[Array, list[RunMetrics]]:
+        """Return all evaluated levels of a perturbation in increasing order, with their metrics."""
+        levels = sorted(level for name, level in self.evaluated if name == perturbation)
+        return np.array(levels), [self.evaluated[perturbation, level] for level in levels]
 
     def recorded(self) -> Recorded:
-        """The nominal run, sample by sample."""
+        """Return the samples of the nominal run."""
         return self.loop.recorded(self._draws([{}]))[1]
 
-    def _judge(self, levels: Levels) -> NDArray[np.bool_]:
-        new = [key for key in dict.fromkeys(levels) if key not in self.looked_at]
-        cells = self.cells([{axis: level} for axis, level in new]) if new else []
-        self.looked_at |= dict(zip(new, cells, strict=True))
-        return np.array([self.looked_at[key].tracks for key in levels])
+    def _track(self, levels: Levels) -> NDArray[np.bool_]:
+        new = [key for key in dict.fromkeys(levels) if key not in self.evaluated]
+        cells = self.metrics([{name: level} for name, level in new]) if new else []
+        self.evaluated |= dict(zip(new, cells, strict=True))
+        return np.array([self.evaluated[key].tracks for key in levels])
 
-    def _draws(self, imperfections: Sequence[Levels_of]) -> Draws:
-        """A row of each field for every run; where a run has no such imperfection, the nominal one."""
-        fields = [self._fields(imperfection) for imperfection in imperfections]
+    def _draws(self, perturbations: Sequence[LevelByName]) -> Draws:
+        """Return the draws of all runs; fields without a perturbation are nominal."""
+        fields = [self._fields(perturbation) for perturbation in perturbations]
         names = {name for each in fields for name in each}
         nominal = Draws(1)
         columns = {
             name: np.stack([np.asarray(each.get(name, getattr(nominal, name))) + self._zeros(name) for each in fields])
             for name in names
         }
-        limit = np.broadcast_to(self.effort_limit, (len(imperfections), self.loop.robot.n))
-        return Draws(len(imperfections), seed=self.seed, effort_limit=limit, **columns)
+        limit = np.broadcast_to(self.effort_limit, (len(perturbations), self.loop.robot.n))
+        return Draws(len(perturbations), seed=self.seed, effort_limit=limit, **columns)
 
-    def _fields(self, imperfection: Levels_of) -> Fields:
+    def _fields(self, perturbation: LevelByName) -> Fields:
         step = self.loop.sample_period / self.loop.inner_steps
-        levels = {known(name): level for name, level in imperfection.items()}
-        parts = [axis.fields(level, self.needs, step) for axis, level in levels.items()]
-        return bearable({key: value for part in parts for key, value in part.items()})
+        levels = {known(name): level for name, level in perturbation.items()}
+        parts = [one.fields(level, self.demand, step) for one, level in levels.items()]
+        return numerically_stable({key: value for part in parts for key, value in part.items()})
 
     def _zeros(self, name: str) -> Array:
         return np.zeros(() if name in PER_RUN else self.loop.robot.n)
 
-    def _cell(self, outcomes: Outcomes, i: int) -> Cell:
+    def _metrics(self, outcomes: Outcomes, i: int) -> RunMetrics:
         if not outcomes.stable[i]:
-            return Cell(stable=False, tracks=False)
+            return RunMetrics(stable=False, tracks=False)
         rms = _over_joints(outcomes.rms[i])
-        relative = rms / self.needs.motion
-        return Cell(
+        relative = rms / self.demand.motion
+        return RunMetrics(
             stable=True,
             tracks=bool(relative <= self.tracks),
             rms=rms,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A law of a comparison, ready to run: tuned by the one rule of docs/baselines.md, with robust options on it."""
+"""Prepare a law of a comparison: tuned to equal bandwidth (docs/baselines.md), with robust options."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ...numerics.checks import Array
 from ...stability.sampled_loop import spectral_radius
 from ...tuning.equal_bandwidth import Yardstick, tune
 
-FEW = 4  # points of the reference at which a loop is checked
+FEW = 4  # configurations of the reference at which a loop is checked
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
-    """A law on a robot. gains, tuning: its gains in plain values, and what came of the rule in words.
+class TunedLaw:
+    """Law with its gains as plain values and a summary of its tuning.
 
-    effort_limit (n,) [N m]: where every command is cut, the same for all laws.
+    effort_limit (n,) [N m]: saturation of every command, the same for all laws.
     """
 
     law: SampledLaw
@@ -32,10 +32,11 @@ class Column:
     tuning: str
 
 
-def column(name: str, robust: Mapping[str, float], scenario: Scenario, retune: bool = False) -> Column:
-    """The law of this name for the scenario's robot, start, reference and (of v-dPBC, unless retune) gains.
+def tuned_law(name: str, robust: Mapping[str, float], scenario: Scenario, retune: bool = False) -> TunedLaw:
+    """Return the law of this name for robot, start and reference of the scenario.
 
-    robust: fields of Robust but hold, which is the sample period. Raises FjrError where there is no such law.
+    v-dPBC keeps the gains of the scenario unless retune. robust: fields of Robust except hold, which is the sample
+    period. Raises FjrError if there is no such law or no stable gains.
     """
     robot, n = scenario.robot, scenario.robot.n
     start = scenario.x0[: 2 * n], np.hstack(robot.velocities(scenario.x0))
@@ -43,17 +44,17 @@ def column(name: str, robust: Mapping[str, float], scenario: Scenario, retune: b
     found = tune(name, yardstick, retune=retune)
     law = sampled_law(found.law, Robust(**robust, hold=scenario.sample_period))
     gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}  # type: ignore[attr-defined]
-    return Column(law, found.effort_limit, gains, found.sentence + _unstable(law, scenario))
+    return TunedLaw(law, found.effort_limit, gains, found.sentence + _unstable(law, scenario))
 
 
 def _unstable(law: SampledLaw, scenario: Scenario) -> str:
-    """Return what the check says of the loop along the reference where it is unstable as sampled, else nothing."""
+    """Return a note if the sampled loop is unstable along the reference, else an empty string."""
     where, period = scenario.configurations(FEW), scenario.sample_period
     radius = spectral_radius(law, period, scenario.loop_delay, where, scenario.plant).max()
     return "" if radius < 1 else f"; unstable as sampled: spectral radius {radius:.4g}"
 
 
 def _plain(value: Any, *names: str) -> dict[str, Any]:
-    """The numbers of a dataclass, those that are not finite left out."""
+    """Return the finite arrays and numbers of a dataclass as plain values."""
     arrays = {name: np.asarray(getattr(value, name)) for name in names or [field.name for field in fields(value)]}
     return {name: array.tolist() for name, array in arrays.items() if np.isfinite(array).all()}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a number of a campaign is drawn from: read from a sweep's file, checked, drawn by the run's number."""
+"""Distributions of the varied parameters: read, checked, and drawn by the number of the run."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from ...simulation.batch import counter_rng
 
 UNIFORM, NORMAL, LOG_UNIFORM, FIXED = "uniform", "normal", "log_uniform", "fixed"
 WIDEST = 4.0
-"""Standard deviations where a normal distribution is cut off."""
+"""Standard deviations at which a normal distribution is truncated."""
 EACH_JOINT = "each_joint"
 FORM = "{uniform: [low, high]}, {log_uniform: [low, high]}, {normal: [mean, deviation]}, or a number"
 
 
 @dataclass(frozen=True)
 class Distribution:
-    """kind with its two numbers: low and high, or mean and standard deviation; of a fixed one its values.
+    """Distribution of a kind with its numbers: low and high, mean and standard deviation, or fixed values.
 
-    each_joint: drawn for every joint by itself, else once for all. A normal one is cut off at WIDEST deviations.
+    each_joint: drawn separately for every joint, else once for all. A normal distribution is truncated at WIDEST
+    standard deviations.
     """
 
     kind: str
@@ -35,14 +36,14 @@ class Distribution:
 
     @property
     def range(self) -> tuple[float, float]:
-        """The least and the largest value that can be drawn."""
+        """Return the smallest and the largest value that can be drawn."""
         if self.kind == NORMAL:
             mean, deviation = self.numbers
             return mean - WIDEST * deviation, mean + WIDEST * deviation
         return min(self.numbers), max(self.numbers)
 
     def at(self, share: Array) -> Array:
-        """The value that a share (in [0, 1)) of all draws is below; elementwise."""
+        """Return the quantile of a share in [0, 1), elementwise."""
         low, high = self.numbers[0], self.numbers[-1]
         if self.kind == UNIFORM:
             return np.asarray(low + (high - low) * share)
@@ -52,7 +53,7 @@ class Distribution:
         return np.asarray(low + high * ndtri(outside + (1 - 2 * outside) * share))
 
     def share(self, value: Array) -> Array:
-        """The inverse of `at`."""
+        """Return the cumulative probability of a value, the inverse of `at`."""
         low, high = self.numbers[0], self.numbers[-1]
         if self.kind == UNIFORM:
             return np.asarray((value - low) / (high - low))
@@ -62,7 +63,7 @@ class Distribution:
         return np.asarray((ndtr((value - low) / high) - outside) / (1 - 2 * outside))
 
     def drawn(self, name: str, seed: int, first: int, count: int, n: int) -> Array:
-        """For the runs first .. first + count - 1: (count, n), (count,) of one number a run; fixed: as it is."""
+        """Return draws (count, n) of the runs from `first` on, (count,) without each_joint; fixed: its values."""
         if self.kind == FIXED:
             return np.array(self.numbers if len(self.numbers) > 1 else self.numbers[0])
         words = counter_rng.rows((seed, stream(name)), first, count, n if self.each_joint else 1)
@@ -71,19 +72,19 @@ class Distribution:
 
     @property
     def as_yaml(self) -> Any:
-        """What `read` makes the same of."""
+        """Return the plain value from which `read` makes this distribution."""
         if self.kind == FIXED:
             return list(self.numbers) if len(self.numbers) > 1 else self.numbers[0]
         return {self.kind: list(self.numbers)} | ({EACH_JOINT: True} if self.each_joint else {})
 
 
 def stream(name: str) -> int:
-    """The second word of the key that a number of this name is drawn with: never 0, which is the noise's."""
+    """Return the second word of the random key of a parameter name; it is never 0, which the noise uses."""
     return zlib.crc32(name.encode()) | 1 << 32
 
 
 def read(name: str, given: object) -> Distribution:
-    """A distribution as a sweep's file has it; raises ParameterError."""
+    """Return the distribution given in a sweep file; raises ParameterError."""
     if isinstance(given, (int, float)) and not isinstance(given, bool):
         return Distribution(FIXED, _numbers(name, [given]))
     if isinstance(given, Sequence) and not isinstance(given, str):
@@ -93,7 +94,7 @@ def read(name: str, given: object) -> Distribution:
     kinds = [key for key in given if key in (UNIFORM, NORMAL, LOG_UNIFORM)]
     unknown = [key for key in given if key not in (*kinds, EACH_JOINT)]
     if len(kinds) != 1 or unknown or not isinstance(given.get(EACH_JOINT, False), bool):
-        raise ParameterError(f"'{name}' is {dict(given)}; expected {FORM}, and each_joint: true where it is wanted")
+        raise ParameterError(f"'{name}' is {dict(given)}; expected {FORM}, optionally with each_joint: true")
     return _checked(name, Distribution(kinds[0], _numbers(name, given[kinds[0]]), given.get(EACH_JOINT, False)))
 
 
@@ -106,7 +107,7 @@ def _checked(name: str, one: Distribution) -> Distribution:
     if one.kind != NORMAL and not low < high:
         raise ParameterError(f"'{name}' goes from {low:g} to {high:g}; expected the smaller number first")
     if one.kind == LOG_UNIFORM and not low > 0:
-        raise ParameterError(f"'{name}' goes from {low:g} on; expected more than 0 for log_uniform")
+        raise ParameterError(f"'{name}' starts at {low:g}; expected more than 0 for log_uniform")
     return one
 
 

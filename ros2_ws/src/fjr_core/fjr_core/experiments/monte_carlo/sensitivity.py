@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign says: how many runs succeed, how well, and which drawn number decides it."""
+"""Summarise a Monte-Carlo study: success rate, outcomes and first-order sensitivity of each parameter."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from .distributions import Distribution
 from .sweep import Sweep
 
 BINS, FULL_BIN = 20, 25
-"""At most so many bins, with so many runs in each on average."""
+"""Largest number of bins, and smallest mean number of runs per bin."""
 Z = 1.959964  # of a 95 % interval
 QUANTILES = (0.5, 0.95, 0.99, 1.0)
-Column = Callable[[str], NDArray[Any]]
+ReadColumn = Callable[[str], NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """What one drawn number does, in bins that hold equally many runs on average.
+    """Effect of one drawn parameter, in bins of equal probability.
 
-    edges (bins + 1,): of the bins. share, low, high (bins,): of success, with its 95 % interval. success, error:
-    which part of the variance of success, and of log rms of the stable runs, goes with this number alone: its
-    first-order sensitivity index (A. Saltelli et al., Global Sensitivity Analysis, Wiley 2008, sec. 1.2.6).
+    edges (bins + 1,): of the bins. share, low, high (bins,): success rate with its 95 % interval. success, error:
+    first-order sensitivity index, the share of the variance of success and of log rms of the stable runs that this
+    parameter explains alone (A. Saltelli et al., Global Sensitivity Analysis, Wiley 2008, sec. 1.2.6).
     """
 
     name: str
@@ -41,11 +41,12 @@ class Effect:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """runs; succeeded, stable: how many; low, high: 95 % interval of the share of success; quantiles of the outcomes.
+    """Summary of a study.
 
-    quantiles: of each outcome's largest joint, at QUANTILES, over the stable runs (nan when there are none). effects:
-    the drawn numbers, the most important first. worst: numbers of the successful run with the largest rms and of
-    the first run that failed; -1: none.
+    runs, succeeded, stable: numbers of runs. low, high: 95 % interval of the success rate. quantiles: of each outcome,
+    of the largest joint, at QUANTILES over the stable runs (NaN if there are none). effects: drawn parameters, the most
+    important first. worst: number of the successful run with the largest rms; failed: of the first failed run; -1:
+    none.
     """
 
     runs: int
@@ -59,12 +60,12 @@ class Summary:
     failed: int
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; nan and inf as None."""
+        """Return plain values, with None for NaN and inf."""
         return dict(_plain(asdict(self)))
 
 
-def summarised(sweep: Sweep, column: Column) -> Summary:
-    """The summary of a table of which `column` reads a column; one is in memory at a time."""
+def summarised(sweep: Sweep, column: ReadColumn) -> Summary:
+    """Summarise a table; `column` reads one column, of which one at a time is in memory."""
     success, stable = column("success"), column("stable")
     rms = _largest(sweep, column, "rms")
     log_rms = np.log10(np.maximum(rms, 1e-300), where=stable, out=np.zeros(len(rms)))
@@ -90,16 +91,16 @@ def summarised(sweep: Sweep, column: Column) -> Summary:
 
 
 def interval(count: ArrayLike, of: ArrayLike) -> tuple[Array, Array]:
-    """Wilson's 95 % interval of a share (E. B. Wilson, JASA 22(158), 1927)."""
+    """Return Wilson's 95 % interval of a share (E. B. Wilson, JASA 22(158), 1927)."""
     k = np.maximum(np.asarray(of, dtype=float), 1e-9)
     share = np.asarray(count, dtype=float) / k
-    middle, spread = share + Z**2 / (2 * k), Z * np.sqrt(share * (1 - share) / k + Z**2 / (4 * k**2))
+    middle, half = share + Z**2 / (2 * k), Z * np.sqrt(share * (1 - share) / k + Z**2 / (4 * k**2))
     scale = 1 + Z**2 / k
-    return np.clip((middle - spread) / scale, 0, 1), np.clip((middle + spread) / scale, 0, 1)
+    return np.clip((middle - half) / scale, 0, 1), np.clip((middle + half) / scale, 0, 1)
 
 
-def _largest(sweep: Sweep, column: Column, name: str) -> Array:
-    """An outcome, of several joints the largest (runs,)."""
+def _largest(sweep: Sweep, column: ReadColumn, name: str) -> Array:
+    """Return an outcome (runs,), the largest over the joints."""
     if name in ("settling", "power"):
         return column(name)
     first, *others = (f"{name}.{joint}" for joint in sweep.scenario.joints)
@@ -122,9 +123,9 @@ def _effect(
 
 
 def index(place: NDArray[np.int_], values: ArrayLike) -> float:
-    """The part of the variance of `values` (k,) that the bins `place` (k,) explain, 0 to 1.
+    """Return the share of the variance of `values` (k,) that the bins `place` (k,) explain, 0 to 1.
 
-    The correlation ratio, less what bins explain of what has nothing to do with them (T. L. Kelley, PNAS 21(9), 1935).
+    Correlation ratio, corrected for the number of bins (T. L. Kelley, PNAS 21(9), 1935).
     """
     values = np.asarray(values, dtype=float)
     count = np.bincount(place)

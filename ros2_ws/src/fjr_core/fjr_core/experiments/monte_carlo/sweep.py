@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Monte-Carlo campaign as one plain value: a scenario, what is drawn, what counts as success; any part of it, run."""
+"""Monte-Carlo study as one plain value: scenario, distributions, success criterion; run any part of it."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from . import distributions
 from .distributions import Distribution
 
 MEASURES = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
-"""Outcomes that success may set a limit to."""
+"""Outcomes that the success criterion may limit."""
 MOST_RUNS = 10**9
 REACH = 2.0
-"""Largest product of friction's rate about rest and the step: Runge-Kutta is stable to 2.78, here with room."""
+"""Largest product of friction rate and step; Runge-Kutta of order 4 is stable up to 2.78."""
 NOISE_SEED = "seed"
 
 
 class CampaignError(FjrError):
-    """A part of a campaign that cannot be run as the others are."""
+    """Part of a study that a worker cannot run as the others do."""
 
 
 Columns = dict[str, NDArray[Any]]
@@ -42,11 +42,11 @@ Columns = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Sweep:
-    """`runs` runs of `duration` [s] of a scenario, given as its self-contained text.
+    """Study of `runs` runs of `duration` [s] of a scenario, given as its self-contained text.
 
-    vary: by the names of Draws what is drawn, or fixed at another value. seed: of all of it. settle_after [s],
-    band, lost [rad]: see ClosedLoop. success: the largest value of an outcome of every joint with which a stable run
-    succeeds. Raises ParameterError.
+    vary: distributions or fixed values by field of Draws. seed: of all random numbers. settle_after [s], band, lost
+    [rad]: see ClosedLoop. success: largest value of an outcome, at every joint, of a successful stable run. Raises
+    ParameterError.
     """
 
     name: str
@@ -79,12 +79,12 @@ class Sweep:
 
     @cached_property
     def scenario(self) -> Scenario:
-        """The scenario of the nominal run."""
+        """Scenario of the nominal run."""
         return parse_scenario(self.name, self.scenario_text)
 
     @cached_property
     def loop(self) -> ClosedLoop:
-        """The closed loop that all runs are runs of."""
+        """Closed loop of all runs."""
         s = self.scenario
         return ClosedLoop(
             s.plant.robot, s.sampled_law, s.reference, s.x0, self.duration, s.sample_period,
@@ -92,7 +92,7 @@ class Sweep:
         )  # fmt: skip
 
     def refuse_stiff_friction(self) -> None:
-        """Raise ParameterError where the steepest friction that may be drawn is too much for the steps of the plant."""
+        """Raise ParameterError if the stiffest friction that can be drawn is too stiff for the steps of the plant."""
         least, most = ({name: one.range[side] for name, one in self.vary.items()} for side in (0, 1))
         robot, inertia = self.scenario.plant.robot, [least.get(name, 1.0) for name in ("link_inertia", "motor_inertia")]
         levels = {name: most[name] for name in FRICTION if name in most}
@@ -107,7 +107,7 @@ class Sweep:
             )
 
     def draws(self, begin: int, end: int) -> Draws:
-        """What the runs begin .. end - 1 draw, the same whatever is drawn beside; limits of effort: the scenario's."""
+        """Return the draws of the runs begin .. end - 1, which depend only on the numbers of the runs."""
         n, count = self.scenario.robot.n, end - begin
         limit = np.broadcast_to(safety(self.scenario.controller_values, self.scenario.robot).effort, n)
         fixed: dict[str, Any] = {"effort_limit": np.tile(limit, (count, 1))}
@@ -115,13 +115,13 @@ class Sweep:
             values = distribution.drawn(name, self.seed, begin, count, n)
             per_joint = distribution.kind == distributions.FIXED and values.ndim and name not in PER_RUN
             fixed[name] = np.tile(values, (count, 1)) if per_joint else values
-            if name == "payload_position" and not per_joint and values.ndim:  # one number a run, for x, y and z
+            if name == "payload_position" and not per_joint and values.ndim:  # one number per run for x, y and z
                 fixed[name] = values[:, None]
         seeds = counter_rng.rows((self.seed, distributions.stream(NOISE_SEED)), begin, count, 1)[:, 0]
         return Draws(count, **fixed, seed=seeds)
 
     def part(self, begin: int, end: int) -> Columns:
-        """The rows of the runs begin .. end - 1: number, what was drawn, what came out; columns by their names."""
+        """Run begin .. end - 1; return number, draws, success and outcomes as columns by name."""
         draws = self.draws(begin, end)
         outcomes = self.loop.run(draws)
         drawn = {
@@ -129,28 +129,28 @@ class Sweep:
             for name in self.drawn
             for column, values in zip(self.columns(name), draws.columns(name, self.scenario.robot.n).T, strict=False)
         }
-        came_out = {key: values for name in FIELDS for key, values in self._columns_of(name, outcomes).items()}
-        return {"run": np.arange(begin, end), **drawn, "success": self.succeeded(outcomes), **came_out}
+        results = {key: values for name in FIELDS for key, values in self._columns_of(name, outcomes).items()}
+        return {"run": np.arange(begin, end), **drawn, "success": self.succeeded(outcomes), **results}
 
     def succeeded(self, outcomes: Outcomes) -> NDArray[np.bool_]:
-        """Which runs are stable and keep every limit (k,)."""
+        """Return which runs (k,) are stable and within all limits of success."""
         kept = [np.asarray(getattr(outcomes, name)) <= limit for name, limit in self.success.items()]
         each = [one.all(axis=1) if one.ndim > 1 else one for one in kept]
         return np.asarray(np.logical_and.reduce([outcomes.stable, *each]))
 
     @property
     def drawn(self) -> list[str]:
-        """Names of what differs from run to run."""
+        """Names of the parameters that differ between runs."""
         return [name for name, one in self.vary.items() if one.kind != distributions.FIXED]
 
     def columns(self, name: str) -> list[str]:
-        """The columns of a drawn number: one, or one a joint."""
+        """Return the column names of a drawn parameter: one, or one per joint."""
         joints = self.scenario.joints
         return [f"{name}.{joint}" for joint in joints] if self.vary[name].each_joint else [name]
 
     @property
     def text(self) -> str:
-        """The whole campaign as JSON; two that are equal here have equal results."""
+        """Study as JSON; studies with equal text have equal results."""
         values = {name: getattr(self, name) for name in _PLAIN}
         vary = {name: one.as_yaml for name, one in self.vary.items()}
         return json.dumps({**values, "vary": vary, "success": dict(self.success)}, indent=1)
@@ -185,7 +185,7 @@ _PLAIN = ("name", "scenario_text", "runs", "duration", "seed", "settle_after", "
 
 
 def from_text(text: str) -> Sweep:
-    """The campaign that Sweep.text describes."""
+    """Return the study described by Sweep.text."""
     values = json.loads(text)
     vary = {name: distributions.read(name, given) for name, given in values.pop("vary").items()}
     return Sweep(**values, vary=vary)
@@ -196,15 +196,17 @@ _building = threading.Lock()
 
 
 def run_part(text: str, begin: int, end: int, compiled: bool) -> Columns:
-    """Sweep.part of a campaign given as text: what a worker, here or elsewhere, is asked for.
+    """Run a part of a study given as text, in a local or remote worker; see Sweep.part.
 
-    compiled: whether the others run machine code. Raises CampaignError where this one cannot do as they do.
+    compiled: whether the other workers run machine code. Raises CampaignError if this worker differs.
     """
     with _building:  # once for all threads of a process
         sweep = _recent(text)
         if sweep.loop.compiled != compiled:
             here, there = ("without", "with") if compiled else ("with", "without")
-            raise CampaignError(f"a worker is {here} a C compiler; expected one {there}, as where the campaign began")
+            raise CampaignError(
+                f"a worker is {here} a C compiler; expected one {there}, as where the study was started"
+            )
     return sweep.part(begin, end)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Torques that a body fixed to one link needs at the joints, linear in the body's ten inertial parameters."""
+"""Compute the joint torques of a body fixed to one link, linear in its ten inertial parameters."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ def body_torques(links: Links, link: int, q_l: Array, dq_l: Array, ddq_l: Array)
 
     Parameters: m [kg]; m r [kg m] (3); sum m r r' [kg m^2] (6, in the order of SECOND_MOMENTS), r in the frame of
     the last link with the joints after `link` held at 0. d/dt dL/d(dq_l) - dL/dq_l with the Lagrangian
-    L = sum m (|dp|^2 / 2 + g'p), p = p_0 + R r. Raises RobotError for links without a hand.
+    L = sum m (|dp|^2 / 2 + g'p), p = p_0 + R r. Raises RobotError for links without an end-effector frame.
     """
     function, n = _function(links, link), links.n
     return over_rows(lambda rows: function(rows).full(), np.hstack([q_l, dq_l, ddq_l]), PARAMETERS).reshape(-1, n, 10)
 
 
 def _function(links: Links, link: int) -> ca.Function:
-    """(q_l, dq_l, ddq_l) stacked -> (n, 10)."""
+    """Build the function (q_l, dq_l, ddq_l) stacked -> (n, 10)."""
     if links.hand is None:
-        raise RobotError("these links do not say where their last one is; expected links with a hand")
+        raise RobotError("the links have no end-effector frame; expected links with one")
     n = links.n
     state, theta = ca.SX.sym("state", 3 * n), ca.SX.sym("theta", PARAMETERS)
     q_l, dq_l, ddq_l = ca.vertsplit(state, n)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Residual torques that each kind of fault would leave, joint by joint, in the link and the motor equations together.
+"""Compute the residual torques of each possible fault in the link and motor equations, joint by joint.
 
-Every hypothesis is a set of columns: the residual is their sum with unknown sizes. A wrong stiffness, for example,
-leaves opposite torques proportional to the deflection in the two equations of its joint.
+Each hypothesis is a set of columns; the residual is their sum with unknown coefficients. A wrong stiffness, for
+example, leaves opposite torques proportional to the deflection in the two equations of its joint.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from .torque_residuals import Residuals
 
 LINK, MOTOR, JOINT = "link", "motor", "joint"
 SMOOTHING = 0.01
-"""Speed [rad/s] below which the sign of a velocity is not taken for certain."""
+"""Speed [rad/s] below which the sign of a velocity is uncertain."""
 FREEPLAYS = np.geomspace(0.02, 2.0, 40)
-"""Half-widths of backlash that are tried, relative to the RMS deflection."""
+"""Tested half-widths of backlash relative to the RMS deflection."""
 LONGEST_ARM = 1.5
-"""Distance [m] of a payload from its joint up to which it is looked for."""
+"""Largest considered distance [m] of a payload from its joint."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A fault: kind, joint (index), side, unit of its size, and what the residual (b, 2n) then is.
+    """Possible fault: kind, joint (index), side, unit of its size, and the residual (b, 2n) that it causes.
 
-    columns (b, 2n, p): per unknown. size: makes one number of the p fitted ones; None: the fault cannot be.
-    nonlinear: fits the p unknowns where they depend on one another, from (A, c) = (X'X, X'y); None: least squares.
+    columns (b, 2n, p): residual per unknown. size: returns the size from the p fitted unknowns, None if the fault is
+    impossible. nonlinear: fits dependent unknowns from (A, c) = (X'X, X'y); None: least squares.
     """
 
     kind: str
@@ -44,7 +44,7 @@ class Hypothesis:
 
 
 def hypotheses(seen: Residuals) -> Iterator[Hypothesis]:
-    """Return every fault of every joint that a residual is compared with."""
+    """Return all possible faults of all joints."""
     n = seen.robot.n
     for j in range(n):
         yield from _of_side(seen, j, LINK, j)
@@ -55,7 +55,7 @@ def hypotheses(seen: Residuals) -> Iterator[Hypothesis]:
 
 
 def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypothesis]:
-    """Constant torque, frictions and position offset of one side of a joint."""
+    """Return constant torque, frictions and position offset of one side of a joint."""
     dq = seen.dq[:, channel]
     one = _single(seen, channel)
     yield Hypothesis("constant torque", j, side, "N m", one(np.ones_like(dq)))
@@ -66,7 +66,7 @@ def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypot
 
 
 def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
-    """Stiffness and backlash: torques between link and motor."""
+    """Return stiffness and backlash: torques between link and motor."""
     n, K = seen.robot.n, seen.robot.K
     zeta = seen.q[:, n + j] - seen.q[:, j]
     pair = _pair(seen, j)
@@ -77,7 +77,7 @@ def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
 
 
 def _of_motor(seen: Residuals, j: int) -> Iterator[Hypothesis]:
-    """Torque constant, inertia of the motor, efforts of two motors exchanged."""
+    """Return torque constant and inertia of the motor."""
     n, robot = seen.robot.n, seen.robot
     one = _single(seen, n + j)
     given = seen.u[:, j] * robot.B_m[j, j]
@@ -86,7 +86,7 @@ def _of_motor(seen: Residuals, j: int) -> Iterator[Hypothesis]:
 
 
 def _of_body(seen: Residuals, j: int) -> Iterator[Hypothesis]:
-    """Mass at a place of a link, and inertia of a link about its joint."""
+    """Return a point mass on a link and the inertia of a link about its joint."""
     n, links = seen.robot.n, seen.robot.links
     if links.hand is None:
         yield Hypothesis("inertia", j, LINK, "kg m^2", _single(seen, j)(-seen.ddq[:, j]))
@@ -103,12 +103,12 @@ def _of_body(seen: Residuals, j: int) -> Iterator[Hypothesis]:
 
 
 def _single(seen: Residuals, channel: int) -> Callable[[Array], Array]:
-    """Return what puts a signal (k,) into one equation."""
+    """Return a function that places a signal (k,) in one equation."""
     return lambda signal: _placed(seen, {channel: signal})
 
 
 def _pair(seen: Residuals, j: int) -> Callable[[Array], Array]:
-    """Return what puts a spring torque (k,) on the link and its reaction on the motor."""
+    """Return a function that places a spring torque (k,) on the link and its reaction on the motor."""
     return lambda signal: _placed(seen, {j: signal, seen.robot.n + j: -signal})
 
 
@@ -128,12 +128,12 @@ def _free_play(half: float) -> Callable[[Array], float | None]:
 
 
 def _largest(own: Array) -> Callable[[Array], float]:
-    """Return what makes the largest weight torque at the joint, of columns `own` (k, 4), of fitted parameters."""
+    """Return a function of fitted parameters: the largest weight torque at the joint, with its columns `own` (k, 4)."""
     return lambda fitted: float(np.abs(own @ fitted[:4]).max())
 
 
 def _point_mass(A: Array, c: Array) -> Array:
-    """Return the ten parameters of the point mass that fits best: of either sign, at most LONGEST_ARM away."""
+    """Fit a point mass of either sign, at most LONGEST_ARM away; return its ten inertial parameters."""
     scale = np.sqrt(np.diag(A).max()) or 1.0
     values, vectors = np.linalg.eigh(A / scale**2)
     kept = values > 1e-12 * values.max()

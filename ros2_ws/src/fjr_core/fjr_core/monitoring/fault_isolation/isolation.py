@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Name the one fault that explains the residual torques of a record best: its kind, joint, side and size."""
+"""Isolate the single fault that best explains the residual torques of a record: kind, joint, side and size."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...control.vdpbc.law import TrackingLaw
 from ...numerics.checks import Array
 from ..certificate import Balance
 from ..delay_estimation import acting, effort_age
-from ..innovations import intervals, needed
+from ..innovations import Intervals, innovations, needed
 from ..one_step_prediction import Prediction
 from ..record import Record
 from ..thresholds import LONGEST_GAP
@@ -23,25 +23,25 @@ from .velocity_consistency import VelocityFault, velocity_faults
 
 UNKNOWN = "unknown"
 SIGNIFICANT = 4.0
-"""Residual torque of an equation, in standard deviations of noise and rounding, below which there is no fault."""
+"""Smallest residual torque of a fault, in standard deviations of noise and rounding."""
 EXPLAINED = 0.8
-"""Share of the residual (R^2, noise apart) that a fault must explain, to be named."""
+"""Share of the residual (R^2 without noise) that a fault must explain to be reported."""
 ADVANTAGE = 0.7
-"""Unexplained share, relative to that of the best fault of another kind or joint, above which neither is named."""
+"""Report a fault only if it leaves less than this fraction of what the next best kind or joint leaves."""
 
 LONGEST = 10_000
-"""States of a record that are looked at."""
+"""Largest number of states used."""
 STARTING = 400
-"""States at the start of a record in which the wiring is checked."""
+"""Number of states at the start of a record in which the wiring is checked."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong with a robot or its signals.
+    """Fault of a robot or its signals.
 
-    kind: e.g. "Coulomb friction"; "unknown". joint: its name ("a and b" where two are exchanged), empty if unknown.
-    side: "link", "motor", "joint" (the spring between the two) or empty. size, unit: how large. share: part of the
-    residual torque that it explains.
+    kind: e.g. "Coulomb friction"; "unknown". joint: its name ("a and b" if two are exchanged), empty if unknown.
+    side: "link", "motor", "joint" (the spring between the two) or empty. size, unit: magnitude. share: part of the
+    residual torque that the fault explains.
     """
 
     kind: str
@@ -53,14 +53,17 @@ class Finding:
     sentence: str
 
 
-def isolate(record: Record, law: TrackingLaw, joints: Sequence[str] = ()) -> tuple[Finding, ...]:
-    """Return the findings on a record, the worst first; empty where nothing is wrong or too little is known.
+def isolate(
+    whole: Record, law: TrackingLaw, joints: Sequence[str] = (), found: Intervals | None = None
+) -> tuple[Finding, ...]:
+    """Return the faults of a record, the worst first; empty if none is found or the data do not suffice.
 
-    Wiring comes first (exchanged joints, wrong signs), then velocities that contradict their positions, then the one
-    fault that explains the residual torques: each hides what comes after it. joints: names (n,), else joint1 .. jointn.
-    Of more than LONGEST states only as many are looked at, half of them at the start and half at the end.
+    Three checks in this order: wiring (exchanged joints, wrong signs), velocities that contradict their positions, the
+    single fault that explains the residual torques. The first check that finds a fault ends the search, because the
+    fault masks the later ones. joints: names (n,); default joint1 .. jointn. found: innovations of the record; None:
+    they are computed here. Of a record longer than LONGEST states the middle is ignored.
     """
-    names, record = list(joints) or [f"joint{j + 1}" for j in range(law.robot.n)], _shortened(record)
+    names, record = list(joints) or [f"joint{j + 1}" for j in range(law.robot.n)], _shortened(whole)
     with np.errstate(all="ignore"):
         wiring = _wiring(record, law)
         if wiring is not None:
@@ -68,7 +71,8 @@ def isolate(record: Record, law: TrackingLaw, joints: Sequence[str] = ()) -> tup
         contradicted = velocity_faults(record)
         if contradicted:
             return tuple(_of_velocity(fault, names) for fault in contradicted)
-        found = intervals(record, Balance(law), Prediction(law))
+        if found is None or record is not whole:
+            found = innovations(record, Balance(law), Prediction(law))
         if not len(found):
             return ()
         acted = acting(found, effort_age(found, law.robot), needed(found, law.robot))
@@ -77,18 +81,18 @@ def isolate(record: Record, law: TrackingLaw, joints: Sequence[str] = ()) -> tup
 
 
 def _shortened(record: Record) -> Record:
-    """Return the record without the middle of a long one."""
+    """Return the record without its middle if it is longer than LONGEST states."""
     count = len(record.t)
     if count <= LONGEST:
         return record
     rows = np.r_[: LONGEST // 2, count - LONGEST // 2 : count]
-    series = {f.name: getattr(record, f.name) for f in fields(record)}
+    series = {f.name: getattr(record, f.name) for f in fields(Record)}
     kept = {name: value[rows] for name, value in series.items() if np.ndim(value) and len(value) == count}
     return replace(record, **kept)
 
 
 def _wiring(record: Record, law: TrackingLaw) -> WiringFault | None:
-    """Return what the start of a record shows, as the running controller looks at it."""
+    """Check the wiring on the first states of a record, as the running controller does."""
     check = WiringCheck(law.robot)
     longest = LONGEST_GAP * record.sample_period
     for k in range(min(STARTING, len(record.t))):
@@ -104,29 +108,29 @@ def _wiring(record: Record, law: TrackingLaw) -> WiringFault | None:
 
 
 def _of_wiring(fault: WiringFault, names: list[str]) -> Finding:
-    """Return the finding of what the first samples show."""
+    """Return the finding of a wiring fault."""
     concerned = fault.joints[:1] if fault.kind == "velocity of another joint" else fault.joints
     joint = " and ".join(names[j] for j in concerned)
     return Finding(fault.kind, joint, fault.side, float("nan"), "", 1.0, fault.sentence(names))
 
 
 def _of_velocity(fault: VelocityFault, names: list[str]) -> Finding:
-    """Return the finding of a velocity that its position contradicts."""
+    """Return the finding of a velocity that contradicts its position."""
     side, joint = ("link", "motor")[fault.channel // len(names)], names[fault.channel % len(names)]
-    said = {
+    sentences = {
         UNKNOWN: "the measured velocity contradicts the slope of the position",
         "velocity sign": "the measured velocity has the wrong sign",
         "velocity scale": f"the measured velocity is {fault.size:+.3g} % off the slope of the position",
         "velocity delay": f"the measured velocity is {1e3 * fault.size:.3g} ms late",
     }
-    other = "" if fault.kind in said else names[int(fault.size) % len(names)]
-    sentence = said.get(fault.kind, f"the measured velocity is that of {other}")
+    other = "" if fault.kind in sentences else names[int(fault.size) % len(names)]
+    sentence = sentences.get(fault.kind, f"the measured velocity is that of {other}")
     return Finding(fault.kind, joint, side, fault.size, fault.unit, fault.share, f"{_where(side, joint)}: {sentence}")
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A hypothesis with its size and the weighted squares that it leaves."""
+    """Hypothesis with its fitted size and the weighted residual sum of squares `left`."""
 
     fault: Hypothesis
     size: float

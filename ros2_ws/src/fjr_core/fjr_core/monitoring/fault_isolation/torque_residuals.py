@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Torques that the model's link and motor equations lack on a record, with the signals that may explain them.
+"""Compute the residual torques of the link and motor equations on a record, with signals that may explain them.
 
     link    M_l ddq_l + C dq_l + D_l dq_l + grad P_l - K zeta = r_l
     motor   M_m ddq_m + D_m dq_m + K zeta - B_m u = r_m
 
-Each is the error of the one-step prediction of a velocity, times the inertia, over the step: the generalised momentum
-residual of A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta, ICRA 2003.
-Means over blocks of intervals suppress the noise of velocity sensors, which telescopes.
+Each is the error of the one-step-ahead prediction of a velocity times the inertia, divided by the step: the generalised
+momentum residual of A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta, ICRA
+2003. Means over blocks of intervals suppress the noise of velocity sensors, which telescopes.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from ..record import Record
 from ..thresholds import BLOCK
 
 FEWEST_BLOCKS = 20
-"""Blocks that a regression needs."""
+"""Smallest number of blocks of a regression."""
 FLOOR = 1e-3
-"""Residual, relative to the torques of its equation, below which it is rounding and discretisation."""
+"""Residual relative to the torques of its equation that is attributed to rounding and discretisation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Residual torques over b blocks of intervals, and the motion that they are regressed on.
+    """Residual torques over b blocks of intervals, and the regressors.
 
-    r (b, 2n) [N m]: of the link equations, then of the motor equations. sigma (2n,) [N m]: what of r is noise or
-    rounding. noise (2n,) [N m]: what of it is noise. q, dq, ddq (k, 2n): midpoint position, velocity and acceleration
-    of each interval. u (k, n) [N m]: effort that acted.
+    r (b, 2n) [N m]: of the link equations, then of the motor equations. sigma (2n,) [N m]: standard deviation of r due
+    to noise and rounding. noise (2n,) [N m]: due to noise alone. q, dq, ddq (k, 2n): midpoint position, velocity and
+    acceleration of each interval. u (k, n) [N m]: acting effort.
     """
 
     record: Record
@@ -60,9 +60,9 @@ class Residuals:
         return block_means(values[self.kept], self.block)
 
     def of_offset(self, channel: int, offset: float = 1e-4) -> Array:
-        """Residual (b, 2n) [N m/rad] that an offset of one position sensor makes, per radian.
+        """Return the residual (b, 2n) [N m/rad] due to an offset of one position sensor, per radian.
 
-        The model then predicts from q + offset what the robot does from q.
+        The model predicts from q + offset, the robot moves from q.
         """
         record, first = self.record, self.first
         shift = np.zeros(2 * self.robot.n)
@@ -74,9 +74,9 @@ class Residuals:
 
 
 def residuals(record: Record, law: TrackingLaw, found: Intervals, acted: Acting) -> Residuals | None:
-    """Return the residuals of a record; None where too few intervals are known.
+    """Return the residuals of a record; None if it has too few intervals.
 
-    found: its intervals. acted: what acted in them, by the measured torque where there is one.
+    found: innovations of the record. acted: deviations of the acting effort, from the measured torque if available.
     """
     robot, first = law.robot, consecutive(record, np.asarray(np.isfinite(record.jets).all(axis=(1, 2))))
     if len(first) != len(found) or len(first) < FEWEST_BLOCKS:
@@ -113,14 +113,14 @@ def over_rows(function: Callable[[Array], Array], rows: Array, columns: int) -> 
 
 
 def block_means(values: Array, block: int) -> Array:
-    """Return the means of `block` consecutive rows; a remainder is left out."""
+    """Return the means of `block` consecutive rows; a remainder is ignored."""
     count = len(values) // block
     means: Array = values[: count * block].reshape(count, block, *values.shape[1:]).mean(axis=1)
     return means
 
 
 def _late(found: Intervals, robot: Robot) -> Array:
-    """Effort that acted less the effort sent (k, n) [N m], by the motion alone: a measured torque may be the fault."""
+    """Return acting minus sent effort (k, n) [N m] from the motion alone, since the measured torque may be faulty."""
     unmeasured = replace(found, before=np.full_like(found.sent, np.nan), after=np.full_like(found.sent, np.nan))
     age = effort_age(unmeasured, robot)
     usual = foreseen(found)
@@ -131,6 +131,6 @@ def _late(found: Intervals, robot: Robot) -> Array:
 
 
 def deviation(r: Array) -> Array:
-    """Return the standard deviation (m,) of white noise on r (b, m), by the median of its second differences."""
+    """Estimate the standard deviation (m,) of white noise on r (b, m) from the median of its second differences."""
     second = np.diff(r, 2, axis=0) ** 2 / 6
     return np.sqrt(np.median(second, axis=0) / 0.455)

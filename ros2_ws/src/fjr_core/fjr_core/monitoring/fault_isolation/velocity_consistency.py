@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare measured velocities with differences of the measured positions: no model of the robot is needed."""
+"""Compare measured velocities with differences of the measured positions, without a model of the robot."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from ..thresholds import BLOCK
 from .torque_residuals import FEWEST_BLOCKS, block_means, deviation
 
 SIGNIFICANT = 5.0
-"""Difference of velocity and slope of position, in standard deviations, from which on a velocity is wrong."""
+"""Smallest difference of a wrong velocity from the slope of its position, in standard deviations."""
 FLOOR = 5e-4
-"""Difference, relative to the speed, below which it is discretisation."""
+"""Difference relative to the speed that is attributed to discretisation."""
 EXPLAINED = 0.8
-"""Share of the difference that a fault must explain, to be named."""
+"""Share of the difference that a fault must explain to be reported."""
 REVERSED = (-3.0, -1.4)
-"""Relative error of scale that is a wrong sign."""
+"""Range of the relative error of scale that is reported as a wrong sign."""
 
 
 @dataclass(frozen=True)
 class VelocityFault:
-    """A velocity that its position contradicts.
+    """Fault of a velocity that contradicts its position.
 
     kind: "velocity sign", "velocity scale" [%], "velocity delay" [s], "velocity of another joint" (size: its channel)
     or "unknown". channel: of the 2n velocities, links then motors. power: mean square, in variances.
@@ -44,7 +44,7 @@ def velocity_faults(record: Record) -> tuple[VelocityFault, ...]:
     """Return the velocities (2n) that differ from the slope of their position, the worst first.
 
     The slope D and the mean velocity V of each block of intervals are compared. V - D is regressed on D (scale or
-    sign), on -dD/dt (delay) and on D of another joint of the same side less its own.
+    sign), on -dD/dt (delay) and on D of another joint of the same side minus its own.
     """
     first = consecutive(record)
     block = int(np.clip(len(first) // FEWEST_BLOCKS, 1, BLOCK))
@@ -84,7 +84,7 @@ def _fault(channel: int, D: Array, V: Array, dD: Array) -> VelocityFault | None:
 
 
 def _regressed(e: Array, x: Array) -> tuple[float, float]:
-    """Return what e = factor x leaves, and the factor."""
+    """Fit e = factor x; return the residual sum of squares and the factor."""
     factor = float(e @ x) / max(float(x @ x), 1e-300)
     return float(((e - factor * x) ** 2).sum()), factor
 

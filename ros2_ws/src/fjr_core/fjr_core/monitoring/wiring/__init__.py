@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exchanged joints and wrong signs, found in the first samples of a run."""
+"""Detection of exchanged joints and wrong signs in the first samples of a run."""

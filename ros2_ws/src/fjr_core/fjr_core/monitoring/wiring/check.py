@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find exchanged joints and wrong signs of efforts and encoders in the first samples of a run.
 
-A joint whose signals do not follow each other (signals) is suspected. Every hypothesis on the wiring is then
-undone in the data. One that makes the signals follow, and that no other measured torque contradicts, is the fault.
+A joint is suspected if its signals do not follow each other (see signals). Each hypothesis on the wiring is then undone
+in the data. The fault is a hypothesis that makes the signals follow and that no other measured torque contradicts.
 """
 
 from __future__ import annotations
@@ -30,57 +30,59 @@ from .signals import (
 )
 
 WINDOW = 20
-"""Samples that are compared."""
+"""Number of samples compared."""
 FULL = WINDOW - 4
-"""Samples from which on a decision is taken between explanations that are about equal."""
+"""Number of samples from which a choice is made between nearly equal explanations."""
 PIECE = 4
-"""Intervals over which these torques are averaged."""
+"""Number of intervals over which spring torques are averaged."""
 OVERLOAD = 2.0
-"""Torque of a spring beyond weight and motion over the largest weight, above which its encoders are suspected."""
+"""Suspect the encoders of a joint if its spring torque minus weight and motion exceeds this multiple of the weight."""
 EASED = 0.05
-"""Part of such a torque that may remain once the right fault is undone."""
+"""Largest fraction of such a torque that remains after the right fault is undone."""
 CLEARER = 3.0
-"""Factor in the unexplained share by which a later hypothesis must be better than one before it."""
+"""Factor in the unexplained share by which a hypothesis must be better than another one."""
 FOLLOWS = 0.1
-"""Unexplained share of a row, up to which it follows."""
+"""Largest unexplained share of a row that follows."""
 FAILS = 0.3
-"""Unexplained share of a row, from which on it does not follow."""
+"""Smallest unexplained share of a row that fails to follow."""
 AGAINST = 1.0
-"""Unexplained share that a row of a wrong sign or another joint has: more than where nothing is assumed."""
+"""Smallest unexplained share of a row with a wrong sign or of another joint."""
 WORSE = 1.1
-"""Factor by which undoing the right fault may raise the unexplained share of a row of its joints: noise."""
+"""Factor by which noise may raise the unexplained share of a row when the right fault is undone."""
 CONFIRMED = 3
-"""Comparisons in a row that must agree on a fault."""
+"""Number of consecutive comparisons that must agree on a fault."""
 SOUND = 0.003
-"""Unexplained share of a link's row, up to which the encoders of its joint are right: coupling hides wrong signs."""
+"""Largest unexplained share of a link row whose encoders are right; small because coupling hides wrong signs."""
 EARLY, RARER = 2, 1.1
-"""Samples between comparisons in the first window, and the factor from each later comparison to the next: the mean
-cost of a sample vanishes where noise hides whether a joint follows."""
+"""Samples between comparisons in the first window, and ratio of the sample counts of later comparisons.
+
+The mean cost per sample vanishes if noise hides whether a joint follows.
+"""
 CERTAIN = 0.02
-"""Unexplained share up to which a fault is believed before the window is full."""
+"""Largest unexplained share at which a fault is reported before the window is full."""
 
 
 class WiringCheck:
-    """Takes samples and efforts from the start on until every joint was seen to follow, or a fault is found."""
+    """Check of the wiring with samples and efforts from the start until every joint follows or a fault is found."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self.start()
 
     def start(self) -> None:
-        """Begin again: nothing is known of any joint."""
+        """Start again with no joint checked."""
         self._cleared = np.zeros(2 * self._robot.n, dtype=bool)
         self.skip()
 
     def skip(self) -> None:
-        """Forget the samples so far: the next one does not follow them."""
+        """Discard the samples so far; the next one does not follow them."""
         self._rows: deque[tuple[float, Array, Array, Array]] = deque(maxlen=WINDOW)
         self._count = self._due = self._agreed = 0
         self._last: WiringFault | None = None
 
     @property
     def done(self) -> bool:
-        """Return whether every joint was seen to follow."""
+        """Return whether the signals of every joint follow."""
         return bool(self._cleared[self._robot.n :].all())
 
     def see(self, t: float, q: Array, dq: Array) -> WiringFault | None:
@@ -93,7 +95,7 @@ class WiringCheck:
         return self._compared()
 
     def sent(self, u: Array) -> None:
-        """Take the effort u (n,) [N m] that answered the last state."""
+        """Take the command u (n,) [N m] for the last state."""
         if self._rows:
             self._rows[-1][3][...] = u
 
@@ -110,11 +112,11 @@ class WiringCheck:
 def wiring_fault(
     robot: Robot, window: Window, cleared: Flags, starting: bool = True
 ) -> tuple[WiringFault | None, Flags]:
-    """Return the fault that explains a window of samples, or None, and what follows (2n,).
+    """Return the fault that explains a window of samples, or None, and flags of what follows (2n,).
 
-    Of these the first n say that a link follows its spring, so that the joint's encoders are right; the others that
-    both equations and both velocities of a joint follow. cleared (2n,): what was seen to follow before. starting: the
-    window is the first; later, loads of the springs may come from outside and are no evidence.
+    The first n flags: the link follows its spring, so that the encoders of the joint are right. The others: both
+    equations and both velocities of the joint follow. cleared (2n,): flags so far. starting: true for the first window;
+    later, external torques may load the springs, so that loads are no evidence.
     """
     n, velocities = robot.n, speeds(window)
     rows = Rows.of(robot, window)
@@ -134,7 +136,7 @@ def wiring_fault(
 
 
 def _wrong_velocity(window: Window, failing: Flags) -> WiringFault | None:
-    """Return the velocity that follows the slope of another position, or of its own with the sign changed."""
+    """Return the fault of a velocity that follows the slope of another position, or of its own with changed sign."""
     (slope, mean), n = slopes(window), window.u.shape[1]
     for channel in np.flatnonzero(failing):
         side, j, own = ("link", "motor")[channel // n], int(channel % n), mean[:, [channel]]
@@ -150,9 +152,9 @@ def _wrong_velocity(window: Window, failing: Flags) -> WiringFault | None:
 
 @dataclass(frozen=True)
 class _Load:
-    """Spring torques less weight and motion of the links [N m]: RMS of means over PIECE intervals, and mean size (n,).
+    """Spring torques minus weight and motion of the links [N m]: RMS of means over PIECE intervals, and |mean| (n,).
 
-    weight: the largest of the joints; motion (n,): mean torque of the motion.
+    weight: largest of all joints; motion (n,): mean torque of the motion.
     """
 
     rms: Array
@@ -172,13 +174,13 @@ class _Load:
 
     @property
     def unlikely(self) -> Flags:
-        """Return which springs are loaded far beyond what moves and weighs."""
+        """Return which spring torques far exceed weight and motion."""
         return np.asarray(self.rms > OVERLOAD * self.weight + 1e-3)
 
 
 @dataclass(frozen=True)
 class _Evidence:
-    """What a window says as it is: rows (2n,) and loads (n,), and which rows fail and which joints are overloaded."""
+    """Rows (2n,) and loads (n,) of a window as measured, with flags of failing rows and overloaded joints."""
 
     robot: Robot
     window: Window
@@ -189,13 +191,11 @@ class _Evidence:
     sound: Flags
 
     def explained(self) -> WiringFault | None:
-        """Return the hypothesis whose undoing makes every failing row follow.
+        """Return the hypothesis that makes every failing row follow once it is undone.
 
-        Of about equal ones it is the best of an effort, else the best, and under a static load the first: link and
-        motor are the same at rest.
-
-        Before the window is full, about equal ones are not told apart yet. A full window may keep failing rows of other
-        joints: more than one thing is wrong then.
+        Of nearly equal hypotheses, the best one on an effort is returned, else the best one. Under a static load it is
+        the first, since link and motor cannot be distinguished at rest. Before the window is full, None is returned for
+        nearly equal hypotheses. With a full window, rows of other joints may still fail: there are several faults.
         """
         n, full = self.robot.n, len(self.window.t) >= FULL
         links, motors = (set(np.flatnonzero(part).tolist()) for part in self.failing.reshape(2, n))
@@ -217,14 +217,14 @@ class _Evidence:
     def _score(self, undone: Window, tried: WiringFault) -> tuple[bool, float]:
         """Return whether rows of other joints still fail once a fault is undone, and the unexplained share of its own.
 
-        That is inf where the fault is no explanation.
+        The share is inf if the fault is no explanation.
         """
         n, joints = self.robot.n, list(tried.joints)
         own = np.isin(np.arange(2 * n) % n, joints)
         left = Rows.of(self.robot, undone).unexplained
         if tried.kind.startswith("effort"):
             before, after = (motor_squares(self.robot, w)[joints].sum() for w in (self.window, undone))
-            if CLEARER * after > before:  # a motor that gives less than commanded moves the right way
+            if CLEARER * after > before:  # a motor with too little torque still moves in the right direction
                 return True, np.inf
         load = _Load.of(self.robot, undone)
         if (load.mean > self.load.mean + self.load.weight + self.load.motion)[joints].any():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of the wiring, and what undoes each of them in measured samples."""
+"""Hypotheses on the wiring, each with the correction that undoes it in measured samples."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ Order = NDArray[np.intp]
 
 @dataclass(frozen=True, order=True)
 class WiringFault:
-    """kind: "effort sign", "efforts exchanged", "encoder sign", "encoders exchanged", "velocity sign" or "velocity of
-    another joint". joints: indices, two where joints are exchanged. side: "link" or "motor".
+    """Fault of the wiring.
+
+    kind: "effort sign", "efforts exchanged", "encoder sign", "encoders exchanged", "velocity sign" or "velocity of
+    another joint". joints: indices, two if joints are exchanged. side: "link" or "motor".
     """
 
     kind: str
@@ -26,7 +28,7 @@ class WiringFault:
     side: str
 
     def sentence(self, names: tuple[str, ...] | list[str]) -> str:
-        """Return what is wrong, with the names of the joints."""
+        """Describe the fault with the names of the joints."""
         named = " and ".join(names[j] for j in self.joints)
         other = names[self.joints[-1]]
         return {
@@ -41,7 +43,7 @@ class WiringFault:
 
 @dataclass(frozen=True)
 class Window:
-    """m samples: t (m,) [s]; q, dq (m, 2n): links, then motors; u (m, n) [N m]: sent in answer to each."""
+    """m samples: t (m,) [s]; q, dq (m, 2n): links, then motors; u (m, n) [N m]: command for each sample."""
 
     t: Array
     q: Array
@@ -53,7 +55,7 @@ Undone = Callable[[Window], Window]
 
 
 def hypotheses(encoders: set[int], motors: set[int], n: int) -> Iterator[tuple[WiringFault, Undone]]:
-    """Return the faults of suspected joints, each with what undoes it."""
+    """Return the possible faults of suspected joints, each with the correction that undoes it."""
     none, same, same_encoders = np.ones(2 * n), np.arange(n), np.arange(2 * n)
     for j in sorted(motors):
         yield WiringFault("effort sign", (j,), "motor"), _effort(same, _signs(n, j))
@@ -62,11 +64,11 @@ def hypotheses(encoders: set[int], motors: set[int], n: int) -> Iterator[tuple[W
         yield WiringFault("effort sign", tuple(sorted(motors)), "motor"), _effort(same, signs)
     for i, j in combinations(sorted(motors), 2):
         yield WiringFault("efforts exchanged", (i, j), "motor"), _effort(_order(n, i, j), none[:n])
-    for side, word in ((0, "link"), (n, "motor")):
+    for side, name in ((0, "link"), (n, "motor")):
         for j in sorted(encoders):
-            yield WiringFault("encoder sign", (j,), word), _encoders(same_encoders, _signs(2 * n, side + j))
+            yield WiringFault("encoder sign", (j,), name), _encoders(same_encoders, _signs(2 * n, side + j))
         for i, j in combinations(sorted(encoders), 2):
-            yield WiringFault("encoders exchanged", (i, j), word), _encoders(_order(2 * n, side + i, side + j), none)
+            yield WiringFault("encoders exchanged", (i, j), name), _encoders(_order(2 * n, side + i, side + j), none)
 
 
 def _effort(order: Order, signs: Array) -> Undone:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Campaigns: the closed loop run thousands of times with numbers drawn, inside compiled code."""
+"""Batch engine: thousands of closed-loop runs with drawn parameters in compiled code."""
 
 from .closed_loop import ClosedLoop, Recorded
 from .draws import Draws

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sampled closed loop of one robot, law and reference, run many times with drawn numbers."""
+"""Run the sampled closed loop of one robot, law and reference many times with drawn parameters."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from ...trajectories.reference import Reference
 from . import python_loop, uncertain_robot
 from .draws import Draws
 from .outcomes import Outcomes, width
-from .program import LANES, Program, campaign
+from .program import LANES, Program, batch
 
-LAST = 1.0  # s; what Outcomes.final is the mean of
+LAST = 1.0  # s; averaging time of Outcomes.final
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """Runs sample by sample: t (s,), x (k, s, 4n), u (k, s, n) as sent; nan after a run was lost."""
+    """Samples of k runs: t (s,) [s], x (k, s, 4n), u (k, s, n) [N m] saturated; NaN after the end of a run."""
 
     t: Array
     x: Array
@@ -36,14 +36,14 @@ class Recorded:
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """The plant `robot` under a SampledLaw, which believes in its own robot, along a reference.
+    """Plant `robot` under a SampledLaw with its own model, along a reference.
 
-    x0 (4n,): the state at the start of the nominal plant; every run starts at its positions and velocities.
-    duration, sample_period [s]. inner_steps: Runge-Kutta steps of order 4 a sample (more where a delay divides it).
-    settle_after [s], band [rad]: see Outcomes. lost [rad]: a run whose link error is beyond that, or whose numbers
-    are not finite, is ended as not stable. What is run is compiled once and cached; without a C compiler Python
-    runs the same loop, some thousand times slower. A run's numbers depend on its own draws only, bit by bit,
-    whatever runs beside it. Raises StateError and ParameterError.
+    x0 (4n,): initial state of the nominal plant; every run starts at its positions and velocities. duration,
+    sample_period [s]. inner_steps: Runge-Kutta steps of order 4 per sample (more if a delay divides the sample).
+    settle_after [s], band [rad]: see Outcomes. lost [rad]: a run ends as not stable if a link error exceeds it or a
+    number is not finite. The loop is compiled once and cached; without a C compiler it runs in Python, some thousand
+    times slower. The results of a run depend only on its own draws, to the last bit. Raises StateError and
+    ParameterError.
     """
 
     robot: Robot
@@ -59,11 +59,9 @@ class ClosedLoop:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "x0", checks.vector("x0", self.x0, 4 * self.robot.n, StateError))
-        joints = (self.robot.n, self.law.robot.n, self.reference.n)
-        if len(set(joints)) != 1:
-            raise StateError(
-                f"plant, law and reference have {joints[0]}, {joints[1]} and {joints[2]} joints; expected equal"
-            )
+        n = self.robot.n, self.law.robot.n, self.reference.n
+        if len(set(n)) != 1:
+            raise StateError(f"plant, law and reference have {n[0]}, {n[1]} and {n[2]} joints; expected equal")
         for name in ("duration", "sample_period", "lost", "band"):
             if not 0 < getattr(self, name) < np.inf:
                 raise StateError(f"{name} is {getattr(self, name)}; expected a positive finite number")
@@ -79,20 +77,20 @@ class ClosedLoop:
 
     @property
     def compiled(self) -> bool:
-        """Whether runs are machine code here; builds it."""
+        """Return whether runs are compiled here; compiles them."""
         return self._program.library is not None
 
     @property
     def fingerprint(self) -> str:
-        """Tells apart loops of another law, plant or program."""
+        """Return a hash that differs for another law, plant or program."""
         return self._program.fingerprint
 
     def run(self, draws: Draws) -> Outcomes:
-        """All runs, on the core that calls; other threads go on meanwhile."""
+        """Run all draws on the calling core; other threads are not blocked."""
         return Outcomes.of(self._run(draws, None), self.robot.n)
 
     def recorded(self, draws: Draws) -> tuple[Outcomes, Recorded]:
-        """The same with every sample: for few runs."""
+        """Run all draws and also return every sample; meant for few runs."""
         n, samples = self.robot.n, self._samples
         trace = np.full((draws.runs, samples + 1, 5 * n), np.nan)
         outcomes = Outcomes.of(self._run(draws, trace), n)
@@ -107,8 +105,8 @@ class ClosedLoop:
             python_loop.run(self._program, values)
             return rows
         ring = np.zeros((LANES, values["ring"], self.robot.n))
-        filled = campaign(**values)
-        self._program.library.run_campaign(ctypes.byref(filled), 0, draws.runs, _pointer(ring))
+        filled = batch(**values)
+        self._program.library.run_batch(ctypes.byref(filled), 0, draws.runs, _pointer(ring))
         return rows
 
     def _drawn(self, draws: Draws) -> dict[str, NDArray[Any]]:
@@ -133,7 +131,7 @@ class ClosedLoop:
 
     @property
     def _first(self) -> int:
-        """The first sample whose error counts."""
+        """Return the first sample whose error counts."""
         return int(np.ceil(self.settle_after / self.sample_period - 1e-9))
 
     @cached_property
@@ -142,7 +140,7 @@ class ClosedLoop:
 
     @cached_property
     def _constants(self) -> dict[str, Any]:
-        """What all runs share; the reference is tabulated once."""
+        """Return the values common to all runs, with the tabulated reference."""
         positions, velocities = np.split(np.asarray(self.x0), 2)[0], np.hstack(self.robot.velocities(self.x0))
         return {
             "samples": self._samples,
@@ -165,7 +163,7 @@ class ClosedLoop:
 
 
 def _segments(delay: Array, period: float, inner_steps: int) -> tuple[NDArray[np.int64], Array]:
-    """The sample period cut where the effort changes: (k, 2, 2) age of the effort and steps, (k, 2) their dt [s]."""
+    """Split the sample period where the effort changes: (k, 2, 2) age of the effort and steps, (k, 2) their dt [s]."""
     whole, late = np.divmod(delay, period)
     lengths = np.stack([late, period - late], axis=1)
     steps = np.ceil(lengths / (period / inner_steps) - 1e-9).astype(np.int64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What k runs of a campaign draw: how each run's robot, sensors and loop depart from the nominal ones."""
+"""Drawn parameters of k runs: deviations of robot, sensors and loop from the nominal ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...errors import ParameterError
 from ...numerics.checks import Array
 
 PER_RUN = ("delay", "position_noise", "velocity_noise", "resolution", "payload_mass", "smoothing")
-"""Levels that are one number a run; of the others each joint may have its own."""
+"""Parameters with one number per run; the others may differ between joints."""
 POSITIVE = ("stiffness", "link_inertia", "motor_inertia", "smoothing", "effort_limit")
 SMOOTHING = 0.01  # rad/s
 UNITS = {
@@ -29,22 +29,22 @@ UNITS = {
     "resolution": "rad",
     "effort_limit": "N m",
 }
-"""Of levels; the other fields are factors."""
+"""Units of levels; the other fields are factors."""
 SIGNED = ("gravity", "external", "payload_position")
 
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """k runs. Every field is a scalar for all runs, (k,), or (k, n) for the joints of each; nominal by default.
+    """Parameters of k runs. Each field is a scalar for all runs, (k,), or (k, n) per joint; nominal by default.
 
-    Factors of the plant's own numbers: stiffness, link_inertia, gravity, motor_inertia, link_damping, motor_damping
-    (see uncertain for matrices; those of damping may be 0, that of gravity of either sign). Levels: coulomb_l,
-    coulomb_m [N m] friction of links and of motors, multiplied by tanh(v / smoothing), smoothing [rad/s] (k,);
-    external [N m] constant torque on the links; payload_mass [kg] (k,) at payload_position (3,) or (k, 3) [m] in the
-    last link's frame; delay [s] (k,) from a sample to the effort that answers it, any fraction of the sample period;
-    position_noise [rad] and velocity_noise [rad/s] (k,) standard deviations, white; resolution [rad] (k,) of the
-    encoders, 0: exact; effort_limit [N m] where the command is cut, which the law is told of. seed (k,) uint64: of
-    the run's noise, by default the run's number. Raises ParameterError.
+    Factors on plant parameters: stiffness, link_inertia, gravity, motor_inertia, link_damping, motor_damping (see
+    uncertain_robot for matrices; damping may be 0, gravity of either sign). Levels: coulomb_l, coulomb_m [N m]: Coulomb
+    friction of links and motors, times tanh(v / smoothing); smoothing [rad/s] (k,); external [N m]: constant torque on
+    the links;
+    payload_mass [kg] (k,) at payload_position (3,) or (k, 3) [m] in the frame of the last link; delay [s] (k,) from a
+    sample to its effort, any fraction of the sample period; position_noise [rad] and velocity_noise [rad/s] (k,):
+    standard deviations of white noise; resolution [rad] (k,) of the encoders, 0: exact; effort_limit [N m]: saturation
+    of the command, known to the law. seed (k,) uint64: of the noise; default: number of the run. Raises ParameterError.
     """
 
     runs: int
@@ -75,9 +75,9 @@ class Draws:
         object.__setattr__(self, "seed", _frozen(self._seeds()))
 
     def columns(self, name: str, n: int) -> Array:
-        """One field as (k, n), or (k, 1) of what is one number a run, (k, 3) of payload_position."""
+        """Return one field as (k, n), as (k, 1) if it is PER_RUN, or as (k, 3) for payload_position."""
         value, most = np.asarray(getattr(self, name)), 1 if name in PER_RUN else width(name, n)
-        each = value.shape == (self.runs,) and name != "payload_position"  # whose one list is always x, y, z
+        each = value.shape == (self.runs,) and name != "payload_position"  # a list of it is always x, y, z
         column = value[:, None] if each else value
         if column.ndim and column.shape[-1] not in (1, most):
             raise ParameterError(
@@ -86,7 +86,7 @@ class Draws:
         return np.ascontiguousarray(np.broadcast_to(column, (self.runs, most)))
 
     def taken(self, which: slice | Iterable[int]) -> Draws:
-        """Some of the runs, as they are: with their seeds."""
+        """Return the selected runs with their seeds."""
         index = np.arange(self.runs)[which if isinstance(which, slice) else np.asarray(list(which), dtype=int)]
         values = {name: _taken(getattr(self, name), index, self.runs, name) for name in (*LEVELS, "seed")}
         return Draws(len(index), **values)
@@ -127,7 +127,7 @@ def _frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def width(name: str, n: int) -> int:
-    """How many numbers a level that is not PER_RUN has in a run of a robot with n joints."""
+    """Return the length of a parameter that is not PER_RUN in a run of n joints."""
     return 3 if name == "payload_position" else n
 
 

@@ -5,14 +5,14 @@
 #define JETS 5
 #define ROW (5 * N + 4)
 
-struct campaign {
+struct batch {
   long long samples, first, last_second, ring;
   double period, lost, band;
-  const double *jets, *target;                  /* (samples + 1, JETS, N) at the law's lead, (samples + 1, N) */
+  const double *jets, *target;                  /* (samples + 1, JETS, N) at the lead of the law, (samples + 1, N) */
   const double *gains, *memory;                 /* (GAINS), (MEMORY) */
   const double *position, *velocity;            /* (2 N) at the start */
   const double *parameters, *sensing, *limit;   /* of each run (PARAMETERS), (3), (N) */
-  const unsigned char* full;                    /* whether a run has friction or a payload */
+  const unsigned char* full;                    /* true if a run has friction or a payload */
   const long long* segments;                    /* (2, 2): age of the effort in samples, steps */
   const double* dt;                             /* (2) of the steps in each */
   const uint64_t* seeds;
@@ -43,7 +43,7 @@ static void plant_state(struct work* k, int full, const double* position, const 
   (full ? full_state : plain_state)(k->arg, k->res, k->iw, k->w, 0);
 }
 
-/* What the sensors say: noise, then the encoders' steps. sensing: position noise, velocity noise, resolution. */
+/* Measure: add noise, then quantise. sensing: position noise, velocity noise, resolution. */
 static void measure(const double* sensing, uint64_t seed, long long sample, double* position, double* velocity) {
   if (sensing[0] > 0 || sensing[1] > 0) {
     for (int i = 0; i < N; ++i) {
@@ -59,7 +59,7 @@ static void measure(const double* sensing, uint64_t seed, long long sample, doub
     for (int i = 0; i < 2 * N; ++i) position[i] = sensing[2] * rint(position[i] / sensing[2]);
 }
 
-/* The fields of a row of results. */
+/* Fields of a row of results. */
 struct sums {
   double *stable, *lost_at, *rms, *peak, *final, *settling, *effort_rms, *effort_peak, *power;
 };
@@ -70,8 +70,8 @@ static struct sums sums_of(double* row) {
   return s;
 }
 
-/* Add the errors at a sample; 0 when the run is lost. */
-static int add_errors(const struct campaign* c, long long sample, const double* x, struct sums* s) {
+/* Add the errors at a sample; return 0 if the run is lost. */
+static int add_errors(const struct batch* c, long long sample, const double* x, struct sums* s) {
   double size = 0;
   int inside = 1;
   for (int i = 0; i < 4 * N; ++i) size += x[i] * x[i];
@@ -95,8 +95,8 @@ static void add_efforts(const double* u, const double* velocity, struct sums* s)
   *s->power += fabs(power);
 }
 
-/* Sums become means; sample: how many efforts were sent. */
-static void finish(const struct campaign* c, long long sample, struct sums* s) {
+/* Convert sums to means; sample: number of efforts sent. */
+static void finish(const struct batch* c, long long sample, struct sums* s) {
   const int stable = sample > c->samples;
   const double count = sample > 0 ? (double)sample : 1;
   *s->stable = stable;
@@ -111,8 +111,8 @@ static void finish(const struct campaign* c, long long sample, struct sums* s) {
   *s->power /= count;
 }
 
-/* One sample of the law: u is cut at the limit; memory becomes the next. 0 when u is not finite. */
-static int command(struct work* k, const struct campaign* c, const double* limit, const double* position,
+/* Evaluate the law, saturate u and update its state; return 0 if u is not finite. */
+static int command(struct work* k, const struct batch* c, const double* limit, const double* position,
                    const double* velocity, const double* jets, double dt, double* memory, double* u) {
   double next[MEMORY + 1], wanted[N], size = 0;
   k->arg[0] = position, k->arg[1] = velocity, k->arg[2] = jets, k->arg[3] = c->gains;
@@ -127,7 +127,7 @@ static int command(struct work* k, const struct campaign* c, const double* limit
   return size < INFINITY;
 }
 
-/* A run under way. */
+/* State of a run. */
 struct run {
   long long number, sample;
   int going;
@@ -136,7 +136,7 @@ struct run {
   struct sums sums;
 };
 
-static void start(struct work* k, const struct campaign* c, struct run* r, long long number, double* ring) {
+static void start(struct work* k, const struct batch* c, struct run* r, long long number, double* ring) {
   double* row = c->rows + ROW * number;
   r->number = number, r->sample = 0, r->going = 1, r->ring = ring, r->sums = sums_of(row);
   for (int i = 0; i < ROW; ++i) row[i] = 0;
@@ -145,14 +145,14 @@ static void start(struct work* k, const struct campaign* c, struct run* r, long 
   plant_state(k, c->full[number], c->position, c->velocity, c->parameters + PARAMETERS * number, r->x);
 }
 
-static void record(const struct campaign* c, const struct run* r) {
+static void record(const struct batch* c, const struct run* r) {
   double* at = c->trace + ((c->samples + 1) * r->number + r->sample) * 5 * N;
   for (int i = 0; i < 4 * N; ++i) at[i] = r->x[i];
   for (int i = 0; i < N; ++i) at[4 * N + i] = r->u[i];
 }
 
-/* Errors, measurement and law at a sample; 0 when the run is lost. */
-static int answer(struct work* k, const struct campaign* c, struct run* r) {
+/* Evaluate errors, measurement and law at a sample; return 0 if the run is lost. */
+static int sample_law(struct work* k, const struct batch* c, struct run* r) {
   const double* jets = c->jets + r->sample * JETS * N;
   double position[2 * N], exact[2 * N], velocity[2 * N];
   if (!add_errors(c, r->sample, r->x, &r->sums)) return 0;
@@ -167,8 +167,8 @@ static int answer(struct work* k, const struct campaign* c, struct run* r) {
   return 1;
 }
 
-/* Step `step` of a part of the sample period, where a run has one. */
-static void integrate(struct work* k, const struct campaign* c, struct run* r, int part, long long step) {
+/* Integrate step `step` of a part of the sample period, if the run has one. */
+static void integrate(struct work* k, const struct batch* c, struct run* r, int part, long long step) {
   static const double none[N] = {0};
   const long long *segment = c->segments + 4 * r->number + 2 * part, age = segment[0];
   const double* u = r->sample >= age ? r->ring + (r->sample - age) % c->ring * N : none;
@@ -178,8 +178,8 @@ static void integrate(struct work* k, const struct campaign* c, struct run* r, i
   for (int i = 0; i < 4 * N; ++i) r->x[i] = next[i];
 }
 
-/* LANES runs in step: a processor works on the next while it waits for a sine or a division of one. */
-static void run_some(struct work* k, const struct campaign* c, struct run* runs, int lanes) {
+/* Interleave LANES runs: the processor continues with the next one during a sine or division of another. */
+static void run_some(struct work* k, const struct batch* c, struct run* runs, int lanes) {
   long long steps[2] = {0, 0};
   int going = lanes;
   for (int i = 0; i < lanes; ++i)
@@ -189,7 +189,7 @@ static void run_some(struct work* k, const struct campaign* c, struct run* runs,
     }
   for (long long sample = 0; going && sample <= c->samples; ++sample) {
     for (int i = 0; i < lanes; ++i)
-      if (runs[i].going && !(runs[i].going = answer(k, c, runs + i))) --going;
+      if (runs[i].going && !(runs[i].going = sample_law(k, c, runs + i))) --going;
     for (int part = 0; part < 2 && sample < c->samples; ++part)
       for (long long step = 0; step < steps[part]; ++step)
         for (int i = 0; i < lanes; ++i) integrate(k, c, runs + i, part, step);
@@ -197,8 +197,8 @@ static void run_some(struct work* k, const struct campaign* c, struct run* runs,
   }
 }
 
-/* The runs from begin to end. rings (LANES, ring, N): for the efforts sent last. No state is shared between calls. */
-void run_campaign(const struct campaign* c, long long begin, long long end, double* rings) {
+/* Run begin .. end. rings (LANES, ring, N): buffers of the last efforts. No state is shared between calls. */
+void run_batch(const struct batch* c, long long begin, long long end, double* rings) {
   struct work k;
   struct run runs[LANES];
   for (; begin < end; begin += LANES) {
@@ -209,7 +209,7 @@ void run_campaign(const struct campaign* c, long long begin, long long end, doub
   }
 }
 
-/* For tests: normals of n joints at a sample (n, 4). */
+/* For tests: normal numbers (n, 4) of n joints at a sample. */
 void noise_of(uint64_t seed, uint64_t sample, long long joints, double* z) {
   for (long long i = 0; i < joints; ++i) normals(seed, sample, (uint64_t)i, z + 4 * i);
 }

@@ -21,7 +21,7 @@ static void philox(uint64_t c[4], uint64_t k0, uint64_t k1) {
   }
 }
 
-/* Uniform in [0, 1), 53 bits, as NumPy makes it. */
+/* Uniform in [0, 1) with 53 bits, as in NumPy. */
 static double unit(uint64_t word) { return (double)(word >> 11) * (1.0 / 9007199254740992.0); }
 
 static void normal_pair(uint64_t first, uint64_t second, double* z) {
@@ -30,7 +30,7 @@ static void normal_pair(uint64_t first, uint64_t second, double* z) {
   z[1] = radius * sin(angle);
 }
 
-/* z (4): normal numbers of a joint at a sample. */
+/* Fill z (4) with normal numbers of a joint at a sample. */
 static void normals(uint64_t seed, uint64_t sample, uint64_t joint, double* z) {
   uint64_t c[4] = {sample, joint, 0, 0};
   philox(c, seed, 0);

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What came out of k runs: one row a run, numbers only."""
+"""Outcomes of k runs, one row of numbers per run."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from ...numerics.checks import Array
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """k runs of n joints; errors are q_l - q_ld at the samples, efforts what was sent to the motors.
+    """Outcomes of k runs of n joints; errors are q_l - q_ld at the samples, efforts the saturated commands.
 
-    stable (k,): all numbers finite and no error beyond ClosedLoop.lost to the end; lost_at (k,) [s]: when it was
-    not any more, else inf.
-    rms, peak (k, n) [rad]: of the errors from settle_after on. final (k, n) [rad]: mean of their magnitudes over the
-    last second. settling (k,) [s]: from when on every error stays within ClosedLoop.band; inf: not at the end.
-    effort_rms, effort_peak (k, n) [N m]: from the start. power (k,) [W]: mean of |u' dq_m|.
-    Of a run that is not stable rms, peak, final and settling are inf; the others count until it was lost.
+    stable (k,): all numbers are finite and no error exceeds ClosedLoop.lost; lost_at (k,) [s]: end of a run that is not
+    stable, else inf. rms, peak (k, n) [rad]: of the errors after settle_after. final (k, n) [rad]: mean magnitude of
+    the errors over the last second. settling (k,) [s]: instant after which every error stays within ClosedLoop.band;
+    inf: never. effort_rms, effort_peak (k, n) [N m]: from the start. power (k,) [W]: mean of |u' dq_m|.
+    For a run that is not stable, rms, peak, final and settling are inf and the others cover the run up to lost_at.
     """
 
     stable: NDArray[np.bool_]
@@ -36,7 +35,7 @@ class Outcomes:
 
     @classmethod
     def of(cls, rows: Array, n: int) -> Outcomes:
-        """From rows (k, width(n)) as the engine writes them: the fields one after another."""
+        """Return the outcomes from rows (k, width(n)) of the engine, which hold the fields in order."""
         ends = np.cumsum([0, *(n if name in PER_JOINT else 1 for name in FIELDS)])
         parts = {
             name: rows[:, start:end] if name in PER_JOINT else rows[:, start]
@@ -46,7 +45,7 @@ class Outcomes:
 
     @classmethod
     def joined(cls, parts: Sequence[Outcomes]) -> Outcomes:
-        """The runs of several one after another."""
+        """Concatenate the runs of several outcomes."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in FIELDS))
 
 
@@ -55,5 +54,5 @@ PER_JOINT = ("rms", "peak", "final", "effort_rms", "effort_peak")
 
 
 def width(n: int) -> int:
-    """Length of a row for n joints."""
+    """Return the length of a row for n joints."""
     return sum(n if name in PER_JOINT else 1 for name in FIELDS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""loop.c in Python, for machines without a C compiler: the same numbers, some thousand times slower."""
+"""Python equivalent of loop.c for machines without a C compiler: same results, some thousand times slower."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .program import Program
 
 
 def run(program: Program, c: Mapping[str, Any]) -> None:
-    """Fill c["rows"], and c["trace"] where there is one; c: the values of struct campaign in loop.c."""
+    """Fill c["rows"] and, if present, c["trace"]; c: the values of struct batch in loop.c."""
     for i in range(len(c["rows"])):
         c["rows"][i] = _One(program, c, i).row()
 
 
 class _One:
-    """One run."""
+    """Simulation of one run."""
 
     def __init__(self, program: Program, c: Mapping[str, Any], i: int) -> None:
         self.c, self.i, self.n = c, i, program.robot.n
@@ -38,7 +38,7 @@ class _One:
         self.power: list[float] = []
 
     def row(self) -> Array:
-        """What a row of results holds, see Outcomes."""
+        """Simulate the run and return its row of outcomes; see Outcomes."""
         lost = next((k for k in range(self.c["samples"] + 1) if not self._sample(k)), None)
         n, period, sent = self.n, self.c["period"], np.array(self.sent[1:]).reshape(-1, self.n)
         result: dict[str, Any] = {name: np.full(n, np.inf) for name in ("rms", "peak", "final")}
@@ -63,7 +63,7 @@ class _One:
         }
 
     def _sample(self, k: int) -> bool:
-        """From one sample to the next; whether the run is not lost."""
+        """Advance by one sample; return whether the run is still stable."""
         c, n = self.c, self.n
         error = np.abs(self.x[:n] - c["target"][k])
         self.errors.append(error)
@@ -103,7 +103,7 @@ class _One:
 
 
 def normals(seed: int, sample: int, n: int) -> Array:
-    """Normal numbers (n, 4) of n joints at a sample: Philox4x64-10 and the method of Box and Muller, see noise.c."""
+    """Return normal numbers (n, 4) of n joints at a sample: Philox4x64-10 and Box-Muller, see noise.c."""
     drawn = np.vstack([counter_rng.words((seed, 0), sample + (joint << 64), 1) for joint in range(n)])
     first, second = np.moveaxis(counter_rng.unit(drawn).reshape(n, 2, 2), 2, 0)
     radius, angle = np.sqrt(-2 * np.log(1 - first)), 2 * np.pi * second

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot whose numbers are arguments: what a run of a campaign draws goes in as one vector.
+"""Robot whose parameters are arguments: the drawn parameters of a run enter as one vector.
 
-A factor f of a matrix scales it from both sides, S M S with S = diag(sqrt f): it stays symmetric positive definite, a
-diagonal matrix has its entries multiplied by f, and one factor for all joints multiplies the matrix. Of the links'
-inertia that is M_l(q_l) -> S M_l(q_l) S, so that v' S M_l S v is the kinetic energy of S v and all follows from it.
+Factors f scale a matrix from both sides, S M S with S = diag(sqrt f): it stays symmetric positive definite, the entries
+of a diagonal matrix are multiplied by f, and one factor for all joints multiplies the matrix. For the inertia of the
+links, M_l(q_l) -> S M_l(q_l) S; the kinetic energy of v is then that of S v, from which all other terms follow.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from ...robot.robot import Robot
 from ..nonideal_plant import friction
 
 ROOTS = ("stiffness", "link_inertia", "motor_inertia", "link_damping", "motor_damping")
-"""Factors that come as their square roots."""
+"""Factors that enter as their square roots."""
 SCALED = (*ROOTS, "gravity")
 FRICTION = ("coulomb_l", "coulomb_m")
 SIZES = {"payload_mass": 1, "payload_position": 3, "smoothing": 1}  # of the others: one entry per joint
 NAMES = (*SCALED, *FRICTION, "external", *SIZES)
-"""The parts of the argument `parameters` of all functions here, in this order."""
+"""Parts of the argument `parameters` of all functions here, in this order."""
 
 
 def size(n: int) -> int:
-    """Length of the argument `parameters` for n joints."""
+    """Return the length of the argument `parameters` for n joints."""
     return sum(SIZES.get(name, n) for name in NAMES)
 
 
 @dataclass(frozen=True)
 class ScaledLinks:
-    """Links with sqrt factors (n,) of their inertia and factors (n,) of their gravity torques, expressions."""
+    """Links with square roots of factors (n,) on their inertia and factors (n,) on their gravity torques."""
 
     links: Links
     root: ca.SX
@@ -53,7 +53,7 @@ class ScaledLinks:
 
     @property
     def hand(self) -> Hand | None:
-        """Where a payload can be."""
+        """End-effector frame, for a payload."""
         return self.links.hand
 
     def M_l(self, q_l: ca.SX) -> ca.SX:
@@ -61,7 +61,7 @@ class ScaledLinks:
         return _both_sides(self.root, self.links.M_l(q_l))
 
     def P_l(self, q_l: ca.SX) -> ca.SX:
-        """Potential energy for one factor of all joints; else the torques are none of a potential."""
+        """Potential energy, valid if all joints have the same factor; otherwise no potential exists."""
         return self.gravity[0] * self.links.P_l(q_l)
 
     def grad_P_l(self, q_l: ca.SX) -> ca.SX:
@@ -75,7 +75,7 @@ class ScaledLinks:
 
 @dataclass(frozen=True)
 class ScaledRobot:
-    """A robot with the drawn numbers in place of its own; expressions."""
+    """Robot with the drawn parameters in place of its own, as expressions."""
 
     robot: Robot
     links: RigidArm
@@ -119,15 +119,14 @@ class ScaledRobot:
 
 
 def _both_sides(root: ca.SX, matrix: ca.SX) -> ca.SX:
-    """S A S, entry by entry r_i A_ij r_j; of the diagonal r_i^2 A_ii."""
+    """Return S A S with the entries r_i A_ij r_j."""
     return matrix * (root @ root.T)
 
 
 class UncertainPlant:
-    """Eq. (36) with drawn numbers as CasADi functions of (.., parameters): what one run is integrated with.
+    """Eq. (36) with drawn parameters as CasADi functions of (.., parameters), from which C can be generated.
 
-    friction, payload: whether there are these at all; without, their parameters are not read and a step costs less.
-    Momenta are those of the drawn inertia. All functions can be written as C.
+    friction, payload: false leaves them out and makes a step cheaper. Momenta are those of the drawn inertia.
     """
 
     def __init__(self, robot: Robot, friction: bool, payload: bool) -> None:
@@ -136,7 +135,7 @@ class UncertainPlant:
 
     @cached_property
     def dynamics(self) -> ca.Function:
-        """(x, inputs) -> dx (4n,); inputs: effort u (n,), parameters."""
+        """Return the function (x, inputs) -> dx/dt (4n,); inputs: effort u (n,), parameters."""
         n = self.robot.n
         x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", n + size(n))
         u, parameters = ca.vertsplit(inputs, [0, n, inputs.numel()])
@@ -151,7 +150,7 @@ class UncertainPlant:
         return dense_function("uncertain_dynamics", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
 
     def step(self, name: str) -> ca.Function:
-        """(x, u, parameters, dt) -> x after dt seconds, a Runge-Kutta step of order 4, u held."""
+        """Return the function (x, u, parameters, dt) -> x after a Runge-Kutta step of order 4 with u held."""
         n = self.robot.n
         x, u, parameters = (ca.SX.sym(key, k) for key, k in (("x", 4 * n), ("u", n), ("parameters", size(n))))
         dt = ca.SX.sym("dt")
@@ -160,7 +159,7 @@ class UncertainPlant:
         return dense_function(name, inputs, {"x_next": x_next}, cse=True)
 
     def velocity(self, name: str) -> ca.Function:
-        """(x, parameters) -> (dq_l, dq_m) (2n,)."""
+        """Return the function (x, parameters) -> (dq_l, dq_m) (2n,)."""
         n = self.robot.n
         x, parameters = ca.SX.sym("x", 4 * n), ca.SX.sym("parameters", size(n))
         _, robot = self._drawn(parameters)
@@ -168,7 +167,7 @@ class UncertainPlant:
         return dense_function(name, {"x": x, "parameters": parameters}, {"velocity": velocity}, cse=True)
 
     def state(self, name: str) -> ca.Function:
-        """(position (2n,), velocity (2n,), parameters) -> x (4n,)."""
+        """Return the function (position (2n,), velocity (2n,), parameters) -> x (4n,)."""
         n = self.robot.n
         sizes = {"position": 2 * n, "velocity": 2 * n, "parameters": size(n)}
         position, velocity, parameters = symbols = [ca.SX.sym(key, k) for key, k in sizes.items()]
@@ -188,12 +187,12 @@ class UncertainPlant:
 
 
 def named(parameters: ca.SX, n: int) -> SimpleNamespace:
-    """The parts of `parameters` by their names."""
+    """Return the parts of `parameters` by name."""
     ends = np.cumsum([0, *(SIZES.get(name, n) for name in NAMES)]).tolist()
     return SimpleNamespace(**dict(zip(NAMES, ca.vertsplit(parameters, ends), strict=True)))
 
 
 def vector(parts: dict[str, Array]) -> Array:
-    """`parameters` of k runs (k, size) from their parts, each (k, its size); factors as they are."""
+    """Return `parameters` of k runs (k, size) from their parts (k, .), with factors before the square root."""
     columns = [np.sqrt(parts[name]) if name in ROOTS else parts[name] for name in NAMES]
     return np.ascontiguousarray(np.hstack(columns))

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Form the one-sample map of a linearised loop under hold and delay, and its spectral radius."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..numerics.checks import Array
+from ..robot.equilibrium import Indices
+from .linear_controller import At, Controller, static
+
+SCREENED = (0.0, 1.0)  # additional samples of delay at which the worst configurations are selected
+SERIES = 16  # terms: 0.5^16 / 16! = 7e-19
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLoop:
+    """Plant and controller linearised at k equilibria: dz/dt = A z + B u in continuous time.
+
+    configurations (k, n) [rad], A (k, 4n, 4n), B (k, 4n, n). F (k, n, 4n): law u = F z of a static loop, with
+    z = P^(1/2) (q_tilde_l, q_tilde_m, sigma_l, sigma_m), so that V = |z|^2 / 2. with_state: controller with a state as
+    a function of the sample period [s]; z is then (q_l, q_m, dq_l, dq_m) and F is not used.
+    """
+
+    configurations: Array
+    A: Array
+    B: Array
+    F: Array
+    with_state: At | None = None
+
+    def critical(self, sample_period: float, delay: float, most: int) -> Indices:
+        """Return index 0 and the indices of the `most` largest radii at the delay [s] and at one sample more."""
+        delays = (delay + samples * sample_period for samples in SCREENED)
+        worst = [np.argsort(-self.radii(sample_period, late), kind="stable")[:most] for late in delays]
+        return np.unique(np.concatenate([[0], *worst]))
+
+    def radii(self, sample_period: float, delay: float = 0.0) -> Array:
+        """Return the spectral radii (k,) of the loop with sample_period [s] and delay [s].
+
+        A command computed from z(t_j) is held from t_j + delay to t_j+1 + delay. Exact for the linear loop.
+        """
+        loop = self.one_sample_map(sample_period, delay)
+        radii = np.full(len(loop), np.inf)
+        finite = np.flatnonzero(np.isfinite(loop).all(axis=(1, 2)))
+        radii[finite] = np.abs(np.linalg.eigvals(loop[finite])).max(axis=1)
+        return radii
+
+    def one_sample_map(self, sample_period: float, delay: float = 0.0) -> Array:
+        """Return the map (k, N, N) of (z, controller state, delayed efforts) from one sample to the next."""
+        T, (whole, late) = sample_period, _split(delay, sample_period)
+        law = static(self.F) if self.with_state is None else self.with_state(T)
+        Phi, Gamma = self.held_map((1 - late) * T)
+        if not late:
+            return _one_sample_map(Phi, {whole: Gamma}, law)
+        Phi_late, Gamma_late = self.held_map(late * T)
+        return _one_sample_map(Phi @ Phi_late, {whole: Gamma, whole + 1: Phi @ Gamma_late}, law)
+
+    def at(self, indices: Indices) -> SampledLoop:
+        """Return the loop at the selected configurations."""
+        whole = self.with_state
+        part = None if whole is None else lambda T: whole(T).at(indices)
+        return SampledLoop(self.configurations[indices], self.A[indices], self.B[indices], self.F[indices], part)
+
+    def held_map(self, T: float) -> tuple[Array, Array]:
+        """Return Phi (k, 4n, 4n) and Gamma (k, 4n, n): z(t + T) = Phi z(t) + Gamma u with u held."""
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable plant over a long time
+            Psi = _integrated_exponential(self.A, T)
+            return np.eye(self.A.shape[1]) + self.A @ Psi, Psi @ self.B
+
+
+def _integrated_exponential(A: Array, T: float) -> Array:
+    """Return Psi (k, N, N), the integral of exp(A s) from 0 to T, for a stack A (k, N, N).
+
+    Series over T / 2^j, doubled j times: Psi(2 h) = Psi(h) + exp(A h) Psi(h), exp(A h) = 1 + A Psi(h). SciPy's expm
+    takes the matrices one by one.
+    """
+    one, norm = np.eye(A.shape[1]), float(np.abs(A).sum(axis=2).max())
+    doublings = max(0, int(np.ceil(np.log2(2 * norm * T)))) if norm * T else 0
+    h = T / 2**doublings
+    Psi = one + A * h / SERIES
+    for i in range(SERIES - 1, 1, -1):
+        Psi = one + A @ Psi * (h / i)
+    Psi = h * Psi
+    for _ in range(doublings):
+        Psi = Psi + Psi + A @ Psi @ Psi
+    return Psi
+
+
+def _one_sample_map(Phi: Array, inputs: dict[int, Array], law: Controller) -> Array:
+    """Return the map of (z, c, earlier efforts): z+ = Phi z + sum of inputs[i] u(i samples ago), u by the law."""
+    (k, n, N), m = law.F.shape, law.states
+    past = max(*inputs, int(law.reads_sent))
+    start = N + m  # of the efforts
+    u = np.zeros((k, n, start + n * past))
+    u[:, :, :N], u[:, :, N:start] = law.F, law.C
+    loop = np.zeros((k, start + n * past, start + n * past))
+    loop[:, :N, :N], loop[:, N:start, :N], loop[:, N:start, N:start] = Phi, law.G, law.H
+    if past:
+        last = slice(start, start + n)
+        u[:, :, last], loop[:, N:start, last] = law.S, law.J
+        loop[:, last] = u
+        loop[:, start + n :, start:-n] = np.eye(n * (past - 1))
+    for i, Gamma in inputs.items():
+        if i == 0:
+            loop[:, :N] += Gamma @ u
+        else:
+            loop[:, :N, start + n * (i - 1) : start + n * i] += Gamma
+    return loop
+
+
+def _split(delay: float, T: float) -> tuple[int, float]:
+    """Split delay / T into whole samples and a fraction; a whole number up to rounding has fraction 0."""
+    samples = delay / T
+    whole = round(samples) if abs(samples - round(samples)) < 1e-9 else int(samples)
+    return whole, max(samples - whole, 0.0)
