@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a comparison: robot by robot small multiples, margins, errors and efforts, then the laws."""
+"""HTML page of a comparison: plots, margins, errors and efforts of each robot, then the laws."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from fjr_bringup.studies.comparison.report_figures import comparison_plots, look
 from fjr_bringup.studies.comparison.results import Row, Value, extent, rows
 
 HOW = (
-    "Drag over a plot to enlarge it, double-click to go back. All figures are in comparison.json beside this page. "
-    "Needs no network."
+    "Drag over a plot to enlarge it, double-click to go back. All results are in comparison.json in the same folder. "
+    "Works offline."
 )
 COLOURED = {"lost": "maybe", "unstable": "no"}
 
@@ -47,19 +47,19 @@ def _head(document: dict[str, Any]) -> list[str]:
 
 
 def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -> list[str]:
-    told = document["robots"][robot]
+    data = document["robots"][robot]
     references = "; ".join(
         f"{name}: RMS {number(each['motion_rad'], 'rad')}, torque up to {number(max(each['torque_nm']), 'N m')} RMS"
-        for name, each in told["references"].items()
+        for name, each in data["references"].items()
     )
-    joints, period = plural(len(told["joints"]), "joint"), number(told["sample_period_s"] * 1e3, "ms")
+    joints, period = plural(len(data["joints"]), "joint"), number(data["sample_period_s"] * 1e3, "ms")
     laws = document["laws"]
     head = ["", *(html.swatch(*look) + escape(law["title"]) for law, look in zip(laws, looks(laws), strict=True))]
-    first = next(iter(told["references"]))
+    first = next(iter(data["references"]))
     return [
-        html.section(robot, f"{joints}, a sample each {period}. Motions: {references}."),
+        html.section(robot, f"{joints}, sample period {period}. Motions: {references}."),
         html.figures(place_of(i), small=True),
-        html.table("How much a law bears", head, _table(found, "margins"), _margins_text(first, document), kind="even"),
+        html.table("Robustness margins", head, _table(found, "margins"), _margins_text(first, document), kind="even"),
         html.table(
             "RMS error [mrad]",
             head,
@@ -74,7 +74,7 @@ def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -
 
 
 def _laws(document: dict[str, Any]) -> str:
-    """Where each law is from, what it measures, and what came of the rule on each robot."""
+    """Return the table of laws: paper, additions, measured signals, and tuning on each robot."""
     lines = [
         [
             escape(law["title"]),
@@ -95,31 +95,31 @@ def _laws(document: dict[str, Any]) -> str:
 
 def _tunings(law: dict[str, Any], document: dict[str, Any]) -> list[str]:
     options = ", ".join(f"{name} {value:g}" for name, value in law["robust"].items())
-    told = [document["results"][robot][law["label"]]["tuning"] for robot in document["robots"]]
-    return [escape(f"{each}; {options}" if options else each) for each in told]
+    tunings = [document["results"][robot][law["label"]]["tuning"] for robot in document["robots"]]
+    return [escape(f"{each}; {options}" if options else each) for each in tunings]
 
 
 def _margins_text(reference: str, document: dict[str, Any]) -> str:
     part = f"{100 * document['suite']['tracks']:g} %"
     return (
-        f"The largest error of the model, delay, noise, friction and load with which it still tracks along "
+        f"The largest model error, delay, noise, friction and load with which the law still tracks along "
         f"'{reference}': stable, with an RMS error of at most {part} of the motion. {DASHED}"
     )
 
 
 NO_RANKING = (
     "Rows are facts about one quantity each, not a ranking: the rule of tuning makes bandwidths equal, but not margins "
-    "or peak efforts everywhere, and v-dPBC with the scenario's gains is its yardstick."
+    "or peak efforts everywhere, and v-dPBC with the gains of the scenario is the tuning target."
 )
 TUNED = (
     "All tuned by one rule to equal bandwidth and peak effort (docs/baselines.md); every command is cut at the same "
     "limit. Gains are in comparison.json."
 )
-DASHED = "Green: best, or within 5 % of it. A dash: does not even track the nominal robot."
+DASHED = "Green: best, or within 5 % of it. A dash: does not track the nominal robot."
 
 
 def _table(found: Sequence[Row], kind: str) -> list[list[str]]:
-    """Rows of one kind, with a heading for each reference."""
+    """Return the rows of one kind, with a heading for each reference."""
     lines: list[list[str]] = []
     group = ""
     for row in (row for row in found if row.group.partition(" ")[0] == kind):
@@ -132,7 +132,7 @@ def _table(found: Sequence[Row], kind: str) -> list[list[str]]:
 
 
 def _cell(value: Value, best: bool) -> str:
-    words = escape(value.words)
+    text = escape(value.words)
     if best:
-        return f'<b class="ok">{words}</b>'
-    return f'<span class="{COLOURED[value.state]}">{words}</span>' if value.state in COLOURED else words
+        return f'<b class="ok">{text}</b>'
+    return f'<span class="{COLOURED[value.state]}">{text}</span>' if value.state in COLOURED else text
