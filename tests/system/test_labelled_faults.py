@@ -13,14 +13,14 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 
-from diagnosis_benchmark.fault_runs import FAULTS, FOUND_ON, HEALTHY, TRIED_ON, WIRING, FaultCase, cases  # noqa: E402
+from diagnosis_benchmark.fault_runs import FAULTS, HEALTHY, TUNING_SEEDS, VALIDATION_SEED, WIRING, FaultCase, cases  # noqa: E402
 from diagnosis_benchmark.fault_table import BEGIN, KINDS, Outcome, outcome, shares, table  # noqa: E402
 from diagnosis_benchmark.faulty_loop import Fault, FaultyLoop  # noqa: E402
 from diagnosis_benchmark.runs import Case  # noqa: E402
 from fjr_core.monitoring.certificate import Balance  # noqa: E402
 
 pytestmark = pytest.mark.system
-SET = cases(TRIED_ON)
+SET = cases(VALIDATION_SEED)
 SEVERAL = [case for case in SET if case.case.scenario == "two_link" and case.kind in FAULTS][2::6]
 MISWIRED = [case for case in SET if case.case.scenario == "two_link" and case.kind in WIRING][2::3]
 
@@ -34,7 +34,7 @@ def test_the_set_has_every_fault_in_three_sizes_and_healthy_runs() -> None:
             assert len(sizes) == 3
             assert sizes == sorted(set(sizes))
     assert sum(case.kind == HEALTHY for case in SET) >= 12
-    assert TRIED_ON not in FOUND_ON
+    assert VALIDATION_SEED not in TUNING_SEEDS
 
 
 @pytest.mark.parametrize("case", SEVERAL, ids=lambda case: case.name)

@@ -194,7 +194,7 @@ def test_a_store_of_another_program_or_in_use_or_broken_is_refused(tmp_path: Pat
 def test_runs_of_which_nobody_says_what_they_are_are_refused(tmp_path: Path, left: str) -> None:
     (tmp_path / "parts").mkdir()
     (tmp_path / left).write_bytes(b"of another campaign")
-    with pytest.raises(StoreError, match="no campaign.json"), open_store(tmp_path, campaign(), "program"):
+    with pytest.raises(StoreError, match="without their campaign.json"), open_store(tmp_path, campaign(), "program"):
         pass
     assert not (tmp_path / "campaign.json").exists()
 
