@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr echo` and `fjr record` beside real nodes, and where ros2 is better."""
+"""`fjr echo` and `fjr record` with running nodes, and in comparison with ros2."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def test_wrong_wiring_stops_the_controller_without_effort_and_is_named(case: Fau
     assert loop.state == "stopped"
     assert all(name in loop.reason for name in case.joints.split(" and "))
     assert not record.u[-1].any()
-    assert outcome(case).said == case.kind
+    assert outcome(case).found == case.kind
     if case.kind == "efforts exchanged":
         answered = np.flatnonzero(record.u.any(axis=1))
         assert answered[-1] < 20
@@ -59,7 +59,7 @@ def test_wrong_wiring_stops_the_controller_without_effort_and_is_named(case: Fau
 
 @pytest.mark.parametrize("case", [case for case in SET if case.kind == HEALTHY][1:9:3], ids=lambda case: case.name)
 def test_healthy_runs_have_no_finding(case: FaultCase) -> None:
-    assert outcome(case).said == HEALTHY
+    assert outcome(case).found == HEALTHY
 
 
 WEAK: dict[str, tuple[dict[str, object], dict[str, object], float]] = {  # effort limits that the controller lacks

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr watch` in a real terminal, beside real nodes: what a user sees on the screen."""
+"""`fjr watch` in a pseudo-terminal with running nodes: the content of the screen."""
 
 from __future__ import annotations
 
