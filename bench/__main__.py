@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measure all, print the table, write runs/bench.json; exit 1 when a bound is missed."""
+"""Run all benchmarks, print the table, write runs/bench.json; exit 1 if a bound is missed."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Measurement = Callable[[], list[Figure]]
 
 
 def main() -> int:
-    """Run the measurements that are wanted."""
+    """Run the selected benchmarks; return the exit code."""
     arguments = parser().parse_args()
     all_of_them = measurements(arguments.quick)
     figures = measured({name: run for name, run in all_of_them.items() if name in (arguments.only or USUAL)})
@@ -58,7 +58,7 @@ def main() -> int:
 
 
 def measured(wanted: dict[str, Measurement]) -> list[Figure]:
-    """The figures of all, with a progress bar on a terminal and plain lines elsewhere."""
+    """Return the figures of all benchmarks; show a progress bar on a terminal, plain lines elsewhere."""
     figures: list[Figure] = []
     terminal = sys.stderr.isatty()
     with tqdm(total=len(wanted), disable=not terminal, bar_format="{desc:16} |{bar}| {n}/{total} {elapsed}") as bar:
@@ -72,7 +72,7 @@ def measured(wanted: dict[str, Measurement]) -> list[Figure]:
 
 
 def measurements(quick: bool = False) -> dict[str, Measurement]:
-    """All measurements by name; quick: those of running nodes for a few seconds only."""
+    """Return all benchmarks by name; quick: run nodes for a few seconds only."""
     arm = arm7()
     runs: tuple[Measurement, ...] = (
         lambda: peers.law_over_rnea(arm),
@@ -95,7 +95,7 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Command-line arguments."""
+    """Return the parser of the command line."""
     made = argparse.ArgumentParser(prog="bench", description="Measure against peers, in turns, and check the bounds.")
     made.add_argument(
         "--only",
@@ -104,13 +104,13 @@ def parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help=f"some of {', '.join(NAMES)} (default: all but {', '.join(LONG)})",
     )
-    made.add_argument("--quick", action="store_true", help="run nodes for a few seconds only; no bound is for these")
+    made.add_argument("--quick", action="store_true", help="run nodes for a few seconds only; bounds do not apply")
     made.add_argument("--output", type=Path, default=RESULTS, help=f"where the JSON goes (default: {RESULTS})")
     return made
 
 
 def processor() -> str:
-    """The kind of processor."""
+    """Return the processor model."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -120,7 +120,7 @@ def processor() -> str:
 
 
 def write(figures: list[Figure], path: Path) -> None:
-    """All figures with what they were measured on."""
+    """Write all figures with machine and date."""
     machine = {"processor": processor(), "cores": os.cpu_count(), "python": platform.python_version()}
     versions = {module.__name__: module.__version__ for module in (casadi, mujoco, numpy, pinocchio)}
     document = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The seven-joint arm of the scenario `arm7`: as this project sees it, and as Pinocchio does."""
+"""The seven-joint arm of the scenario `arm7`, as this project's and as Pinocchio's model."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ URDF = BRINGUP / "robots" / "arm7.urdf"
 
 @dataclass(frozen=True)
 class Arm:
-    """The arm of a scenario, with law and plant as machine code; model: Pinocchio's, of the same URDF."""
+    """The arm of a scenario with compiled law and plant; model: Pinocchio's, of the same URDF."""
 
     scenario: Scenario
     model: Any
@@ -38,17 +38,17 @@ class Arm:
 
     @cached_property
     def law(self) -> TrackingLaw:
-        """The scenario's law as machine code."""
+        """The compiled law of the scenario."""
         return TrackingLaw(self.robot, self.scenario.gains, compile=True)
 
     @cached_property
     def plant(self) -> Plant:
-        """The scenario's plant as machine code."""
+        """The compiled plant of the scenario."""
         return Plant(self.robot, "rk4", compile=True)
 
     @cached_property
     def forward_dynamics(self) -> ca.Function:
-        """The rigid arm's ddq = M^-1 (tau - C dq - grad P), with (q, dq, tau) -> ddq."""
+        """Rigid forward dynamics (q, dq, tau) -> ddq = M^-1 (tau - C dq - grad P)."""
         links = self.robot.links
         q, dq, tau = (ca.SX.sym(name, links.n) for name in ("q", "dq", "tau"))
         ddq = symbolic.solve(links.M_l(q), tau - links.C(q, dq, dq) - links.grad_P_l(q))
@@ -56,11 +56,11 @@ class Arm:
 
 
 def arm7() -> Arm:
-    """The arm of the scenario `arm7`; its joints are all that its URDF has, in the same order."""
+    """Return the arm of the scenario `arm7`; its joints are those of its URDF, in the same order."""
     return Arm(load_scenario(SCENARIO), pin.buildModelFromUrdf(str(URDF)))
 
 
 def random_motion(n: int, seed: int) -> tuple[Array, Array, Array]:
-    """Positions [rad], velocities [rad/s] and torques [N m] to evaluate at, each (n,)."""
+    """Return random positions [rad], velocities [rad/s] and torques [N m], each (n,)."""
     random = np.random.default_rng(seed)
     return random.uniform(-1.5, 1.5, n), random.uniform(-1.0, 1.0, n), random.uniform(-20.0, 20.0, n)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bare rclpy nodes that send what ours send and compute nothing, each a process of its own: what ROS itself takes.
+"""Bare rclpy nodes with the messages of our nodes but no computation, each in its own process: the cost of ROS.
 
     python -m bench.bare echo|timer|ping|pong --ros-args ...
 
-They run as ours do: the same executor, garbage collection and priority (fjr_msgs_py.node.process), messages made once.
+They run like ours: the same executor, garbage collection and priority (fjr_msgs_py.node.process), messages made once.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ RESEND = 0.1  # s
 
 
 class Bare(Node):
-    """A node with the process parameters of ours."""
+    """A node with the process parameters of our nodes."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
@@ -36,34 +36,34 @@ class Bare(Node):
         self.build()
 
     def build(self) -> None:
-        """Make publishers, subscriptions and timers."""
+        """Create publishers, subscriptions and timers."""
 
     def stop(self) -> None:
-        """No last words."""
+        """Do nothing on shutdown."""
 
     def publisher(self, topic: str, kind: Any = JointState) -> Publisher:
-        """A publisher as those of our nodes."""
+        """Create a publisher with the QoS of our nodes."""
         return self.create_publisher(kind, topic, names.LATEST)
 
     def every(self, seconds: float, call: Any) -> None:
-        """A timer of the steady clock."""
+        """Create a timer of the steady clock."""
         self.create_timer(seconds, call, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 class Echo(Bare):
-    """Answers a JointState with the four messages of the controller."""
+    """Reply to a JointState with the four messages of the controller."""
 
     def build(self) -> None:
-        """As the controller node."""
+        """Create the endpoints of the controller node."""
         self._effort = Float64MultiArray()
         self._effort.layout.dim = [MultiArrayDimension(label=",".join(JOINTS), size=7, stride=7)]
         self._command, self._reference, self._error = (JointState(name=JOINTS) for _ in range(3))
         self._efforts = self.publisher(names.EFFORT_COMMANDS, Float64MultiArray)
         self._commands = self.publisher(names.JOINT_COMMANDS)
         self._references, self._errors = self.publisher(names.REFERENCE), self.publisher(names.TRACKING_ERROR)
-        self.create_subscription(JointState, names.JOINT_STATES, self._answer, names.LATEST)
+        self.create_subscription(JointState, names.JOINT_STATES, self._reply, names.LATEST)
 
-    def _answer(self, message: JointState) -> None:
+    def _reply(self, message: JointState) -> None:
         position, velocity, effort = message.position[:7], message.velocity[:7], message.effort[:7]
         self._effort.data = effort
         self._efforts.publish(self._effort)
@@ -75,10 +75,10 @@ class Echo(Bare):
 
 
 class Timer(Bare):
-    """Publishes a JointState a thousand times a second."""
+    """Publish a JointState at 1 kHz."""
 
     def build(self) -> None:
-        """As the plant node in real time."""
+        """Create the endpoints of the plant node in real time."""
         self._state = full_state()
         self._states = self.publisher(names.JOINT_STATES)
         self.every(PERIOD * 1e-9, self._tick)
@@ -89,10 +89,10 @@ class Timer(Bare):
 
 
 class Ping(Bare):
-    """Sends a JointState, and the next, a period later by its stamp, when the answer comes."""
+    """Send a JointState, and the next, one period later by its stamp, on the reply."""
 
     def build(self) -> None:
-        """As the plant node in lock-step."""
+        """Create the endpoints of the plant node in lock-step."""
         self._state = full_state()
         self._sent = self._seen = 0
         self._states = self.publisher(names.JOINT_STATES)
@@ -111,21 +111,21 @@ class Ping(Bare):
 
 
 class Pong(Bare):
-    """Answers a JointState with a JointState of efforts."""
+    """Reply to a JointState with a JointState of efforts."""
 
     def build(self) -> None:
-        """As the controller node, without all that nobody waits for."""
+        """Create the endpoints of the controller node, commands only."""
         self._command = JointState(name=JOINTS)
         self._commands = self.publisher(names.JOINT_COMMANDS)
-        self.create_subscription(JointState, names.JOINT_STATES, self._answer, names.LATEST)
+        self.create_subscription(JointState, names.JOINT_STATES, self._reply, names.LATEST)
 
-    def _answer(self, message: JointState) -> None:
+    def _reply(self, message: JointState) -> None:
         self._command.header.stamp, self._command.effort = message.header.stamp, message.effort[:7]
         self._commands.publish(self._command)
 
 
 def full_state() -> JointState:
-    """A JointState as the arm's: 14 names and three fields."""
+    """Return a JointState of the arm: 14 names and three fields."""
     zeros = [0.0] * 14
     return JointState(name=names.state_names(JOINTS), position=zeros, velocity=zeros, effort=zeros)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""10,000 runs of the paper's joint with a model that is wrong, and SciPy and MuJoCo doing the same campaign."""
+"""Monte-Carlo study of 10,000 runs of the paper's joint with model errors, against SciPy and MuJoCo."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ RANGES = {
 
 
 def loop() -> ClosedLoop:
-    """The paper's joint, k = 31, at 1 kHz."""
+    """Return the closed loop of the paper's joint, k = 31, at 1 kHz."""
     robot = single_link(stiffness=31.0)
     law = TrackingLaw(robot, PAPER_GAINS, compile=True)
     x0 = robot.state([0.5], [0.5], [0.0], [0.0])
@@ -41,13 +41,13 @@ def loop() -> ClosedLoop:
 
 
 def draws(runs: int) -> Draws:
-    """Six numbers of the plant, all wrong."""
+    """Draw six plant parameters for every run."""
     rng = np.random.default_rng(1)
     return Draws(runs, **{name: rng.uniform(*RANGES[name], runs) for name in NAMES})
 
 
 def against_peers(runs: int = RUNS, rounds: int = ROUNDS) -> list[Figure]:
-    """The wall time of the whole campaign on two cores, and times faster than each peer on one."""
+    """Measure the wall time of the study on two cores, and the speed-up over each peer on one core."""
     ours, drawn = loop(), draws(runs)
     ours.run(drawn.taken(range(2)))
     wall, busy = campaign(ours, drawn)
@@ -72,7 +72,7 @@ def against_peers(runs: int = RUNS, rounds: int = ROUNDS) -> list[Figure]:
 
 
 def campaign(ours: ClosedLoop, drawn: Draws) -> tuple[float, float]:
-    """Seconds for all runs, in parts, by two threads: on the wall, and of the processors."""
+    """Run the study in two threads; return wall time and processor time [s]."""
     parts = [slice(begin, begin + PART) for begin in range(0, drawn.runs, PART)]
     start, before = perf_counter(), process_time()
     with ThreadPoolExecutor(CORES) as pool:

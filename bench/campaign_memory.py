@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the memory of `fjr sweep` depends on how many runs it makes."""
+"""Check that the memory of `fjr sweep` does not depend on the number of runs."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ vary:
 
 
 def bounded(many: int = MANY) -> list[Figure]:
-    """Largest resident memory of a campaign of many short runs over that of one of few, table and picture included."""
+    """Compare the peak resident memory of a study of many short runs with that of few, table and figure included."""
     few, most = (peak(runs) for runs in (FEW, many))
     parts = {f"{FEW:,} runs [MB]": few, f"{many:,} runs [MB]": most}
     return [Figure("memory of fjr sweep, many runs over few", most / few, "", bound=2.0, aim=1.5, parts=parts)]
 
 
 def peak(runs: int) -> float:
-    """Largest resident memory [MB] of `fjr sweep` on one core."""
+    """Return the peak resident memory [MB] of `fjr sweep` on one core."""
     command = shutil.which("fjr")
     if command is None:
         raise RuntimeError("fjr is not on the path; expected a sourced workspace")

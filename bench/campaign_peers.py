@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One run of a campaign of the paper's joint as SciPy's and MuJoCo's users would do it; both call the compiled law."""
+"""One run of the paper's joint in typical SciPy and MuJoCo code; both call the compiled law."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from fjr_core.simulation.batch import ClosedLoop, Draws
 
 NAMES = ("stiffness", "link_inertia", "gravity", "motor_inertia", "link_damping", "motor_damping")
 GRAVITY = 9.81  # m/s^2
-MASS = 1.0  # kg, of the link that MuJoCo has; the torque of its weight and its inertia are the joint's
+MASS = 1.0  # kg, of MuJoCo's link; its gravity torque and inertia are those of the joint
 
 Peer = Callable[[ClosedLoop, Draws, int], float]
 """(loop, draws, run) -> RMS error of the link from loop.settle_after on [rad]."""
 
 
 def scipy_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
-    """solve_ivp with its own choice of method, tolerances and steps over each hold."""
+    """Simulate a run by solve_ivp with default method and tolerances over each sample."""
     M_l, load, M_m, K, D_l, D_m = numbers(loop.robot, draws, run)
     period = loop.sample_period
 
@@ -43,7 +43,7 @@ def scipy_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
 
 
 def mujoco_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
-    """mj_step, all steps of a hold in one call."""
+    """Simulate a run by mj_step, all steps of a sample in one call."""
     peer = mujoco_joint(loop.robot, draws, run, loop.sample_period / loop.inner_steps)
     model, data, first = peer.model, peer.data, [True]
 
@@ -60,7 +60,7 @@ def mujoco_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
 
 
 def mujoco_joint(robot: Robot, draws: Draws, run: int, dt: float) -> MujocoArm:
-    """The joint with drawn numbers as a MuJoCo model."""
+    """Return the joint with the drawn parameters as a MuJoCo model."""
     M_l, load, M_m, K, D_l, D_m = numbers(robot, draws, run)
     lever = load / (MASS * GRAVITY)
     about_com = M_l - MASS * lever**2
@@ -74,7 +74,7 @@ def mujoco_joint(robot: Robot, draws: Draws, run: int, dt: float) -> MujocoArm:
 
 
 def numbers(robot: Robot, draws: Draws, run: int) -> tuple[float, float, float, float, float, float]:
-    """M_l, m g l, M_m, K, D_l and D_m of a run."""
+    """Return M_l, m g l, M_m, K, D_l and D_m of a run."""
     factor = {name: float(np.asarray(getattr(draws, name))[run]) for name in NAMES}
     load = float(robot.grad_P_l([np.pi / 2])[0]) * factor["gravity"]
     M_l, M_m = float(robot.M_l([0.0])[0, 0]), float(robot.M_m[0, 0])
@@ -89,7 +89,7 @@ def numbers(robot: Robot, draws: Draws, run: int) -> tuple[float, float, float, 
 
 
 def _tracked(loop: ClosedLoop, follow: Callable[[Array, float], Array]) -> float:
-    """Run the loop; follow: (q_l, q_m, dq_l, dq_m) and the effort held -> the same a sample later."""
+    """Run the loop; follow: (q_l, q_m, dq_l, dq_m) and held effort -> state one sample later."""
     assert isinstance(loop.law, Static)
     assert isinstance(loop.law.law, TrackingLaw)
     samples = round(loop.duration / loop.sample_period)

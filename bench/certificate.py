@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the certificate costs: the controller node's process with it against the same without, from state to effort."""
+"""Cost of the certificate: latency from state to effort of the controller node with it and without it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BOUND = 1.10
 
 
 def over_none(arm: Arm, rounds: int = ROUNDS) -> list[Figure]:
-    """Median and 99th percentile of both, round by round; the arm stands at its reference."""
+    """Compare median and 99th percentile of both, round by round; the arm rests at its reference."""
     n = arm.robot.n
     offset = arm.scenario.reference.jets(0.0)[0]
     still = {"reference.amplitude": [0.0] * n, "reference.offset": offset.tolist(), "state_timeout": PATIENCE}

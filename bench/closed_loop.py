@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole closed loop without ROS: how many times faster than the arm itself, at a step that is fine enough."""
+"""Closed loop without ROS: speed relative to real time, at a converged integration step."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from fjr_core import simulate
 from fjr_core.numerics.checks import Array
 
 DURATION = 3.0  # s
-TOLERANCE = 1e-6  # rad; what halving the step may change
+TOLERANCE = 1e-6  # rad; largest change when the step is halved
 MOST_STEPS = 64
 REPEATS = 9
 
 
 def times_real_time(arm: Arm) -> list[Figure]:
-    """Law and plant of the scenario at its sample period."""
+    """Measure law and plant of the scenario at its sample period."""
     steps, change = fine_enough(arm)
     with one_core():
         walls = [_wall(arm, steps) for _ in range(REPEATS)]
@@ -34,7 +34,7 @@ def times_real_time(arm: Arm) -> list[Figure]:
 
 
 def fine_enough(arm: Arm) -> tuple[int, float]:
-    """The fewest steps a sample, a power of two, and what twice as many change in any position [rad]."""
+    """Return the fewest steps per sample (a power of two), and the change of positions [rad] with twice as many."""
     steps, change, coarse = 1, np.inf, positions(arm, 1)
     while steps <= MOST_STEPS:
         fine = positions(arm, 2 * steps)
@@ -42,11 +42,11 @@ def fine_enough(arm: Arm) -> tuple[int, float]:
         if change < TOLERANCE:
             return steps, change
         steps, coarse = 2 * steps, fine
-    raise ArithmeticError(f"{MOST_STEPS} steps a sample still leave {change:.1e} rad; expected less than {TOLERANCE}")
+    raise ArithmeticError(f"{MOST_STEPS} steps a sample leave {change:.1e} rad; expected less than {TOLERANCE}")
 
 
 def positions(arm: Arm, steps: int) -> Array:
-    """q_l and q_m (k, 2n) at every sample."""
+    """Return q_l and q_m (k, 2n) at every sample [rad]."""
     period = arm.scenario.sample_period
     run = simulate(
         arm.plant, arm.law, arm.scenario.reference, arm.scenario.x0, DURATION, period, inner_step=period / steps

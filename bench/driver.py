@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot's driver as a process of its own: sends states at 1 kHz and takes the time until an effort comes back.
+"""Robot driver in its own process: send states at 1 kHz and measure the time until the effort arrives.
 
     python -m bench.driver --ros-args -p rounds:=3 -p sides:="[ours, bare]" -p position:="[...]"
 
-Blocks of states go to the sides (namespaces) in turns; a state waits for the answer to the one before. Prints JSON:
+Blocks of states go to the sides (namespaces) in turns; a state waits for the effort of the previous one. Print JSON:
 for each side its rounds, each a list of the times [us].
 """
 
@@ -22,18 +22,18 @@ from bench.bare import PERIOD, Bare, full_state, stamp
 from fjr_msgs_py import names
 from fjr_msgs_py.node import process
 
-BLOCK = 250  # states to one side before it is the other's turn
-BLOCKS = 4  # of each side in a round
-LONGEST = 0.1  # s that an answer is waited for
+BLOCK = 250  # consecutive states to one side
+BLOCKS = 4  # of each side per round
+LONGEST = 0.1  # s; timeout of an effort
 
 
 class Driver(Bare):
-    """Publishes <side>/joint_states and hears <side>/effort_controller/commands."""
+    """Publish <side>/joint_states and subscribe to <side>/effort_controller/commands."""
 
     def build(self) -> None:
-        """Wait for the other ends by looking once a tick."""
+        """Create the endpoints; every tick checks whether the peers are there."""
         self._sides: list[str] = list(self.get_parameter("sides").value)
-        self._rounds = self.get_parameter("rounds").value + 1  # the first is not counted
+        self._rounds = self.get_parameter("rounds").value + 1  # the first is discarded
         self._state = full_state()
         self._state.position = self.get_parameter("position").value
         self._states = [self.publisher(f"{side}/{names.JOINT_STATES}") for side in self._sides]
@@ -41,12 +41,12 @@ class Driver(Bare):
             topic = f"{side}/{names.EFFORT_COMMANDS}"
             self.create_subscription(Float64MultiArray, topic, self._on_effort, names.LATEST)
         self._blocks: list[list[float]] = [[]]
-        self._sent = 0.0  # s; 0: nothing is under way
+        self._sent = 0.0  # s; 0: no state is pending
         self._ready = False
         self.every(PERIOD * 1e-9, self._tick)
 
     def stop(self) -> None:
-        """Print the times."""
+        """Print the measured times."""
         print(json.dumps(rounds(self._blocks, self._sides, self._rounds)), flush=True)
 
     def _tick(self) -> None:
@@ -71,7 +71,7 @@ class Driver(Bare):
 
 
 def rounds(blocks: Sequence[list[float]], sides: Sequence[str], count: int) -> dict[str, list[list[float]]]:
-    """The times of each side, round by round, without the first round; the sides' blocks alternate."""
+    """Return the times of each side by round, without the first round; blocks of the sides alternate."""
     of_side = {side: blocks[index :: len(sides)] for index, side in enumerate(sides)}
     return {
         side: [sum(own[k * BLOCKS : (k + 1) * BLOCKS], []) for k in range(1, count)] for side, own in of_side.items()

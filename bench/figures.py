@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was measured, what it must reach, and both as a table."""
+"""Measured figures with their bounds, as a table."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ HEADINGS = ("figure", "measured", "bound", "aim", "holds", "from")
 
 @dataclass(frozen=True)
 class Figure:
-    """A measured value with what it must reach (bound) and should reach (aim), if anything.
+    """A measured value with an optional required bound and desired aim.
 
     parts: what the value was made of, by name with its unit, e.g. {"law [us]": 2.4}.
     """
@@ -26,17 +26,17 @@ class Figure:
 
     @property
     def holds(self) -> bool:
-        """Whether the bound is met; true where there is none."""
+        """Return whether the bound is met; True without a bound."""
         return self._reaches(self.bound)
 
     def as_json(self) -> dict[str, object]:
-        """The figure as plain values."""
+        """Return the figure as plain values."""
         holds = None if self.bound is None else self.holds
         limits = {"bound": self.bound, "aim": self.aim, "at_least": self.at_least, "holds": holds}
         return {"name": self.name, "value": self.value, "unit": self.unit, **limits, "parts": self.parts}
 
     def row(self) -> tuple[str, ...]:
-        """The cells below HEADINGS."""
+        """Return the cells below HEADINGS."""
         measured = f"{self.value:.3g} {self.unit}".strip()
         parts = ", ".join(f"{name} {value:.3g}" for name, value in self.parts.items())
         return (self.name, measured, self._limit(self.bound), self._limit(self.aim), self._verdict(), parts)
@@ -56,7 +56,7 @@ class Figure:
 
 
 def table(figures: Sequence[Figure]) -> str:
-    """All figures, one a line, in columns."""
+    """Format all figures as a table, one per line."""
     rows = [HEADINGS, *(figure.row() for figure in figures)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process of its own: from a scenario's URDF to the first effort, as a user's script would."""
+"""Script that computes the first effort from the URDF of a scenario, run in its own process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fjr_core.config.scenario import load_scenario
 
 
 def main(path: str) -> None:
-    """Print the law's effort at the scenario's start."""
+    """Print the effort at the initial state of the scenario."""
     scenario = load_scenario(path)
     law = TrackingLaw(scenario.robot, scenario.gains, compile=True)
     print(law.command(scenario.x0, scenario.reference.jets(0.0)).tolist(), flush=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hears one of the topics between plant and controller."""
+"""Subscribe to a topic between plant and controller."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from fjr_msgs_py import names
 
 
 class Listener:
-    """A node that waits for messages of one topic, and costs nothing when it is closed; a context manager."""
+    """Context manager: a node that waits for messages of one topic."""
 
     def __init__(self, topic: str, kind: Any) -> None:
         self.topic = topic
-        self._heard = False
+        self._received = False
         self._context = Context()
         rclpy.init(context=self._context)
         self._node = rclpy.create_node("fjr_bench", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._node.create_subscription(kind, topic, self._hear, names.LATEST)
+        self._node.create_subscription(kind, topic, self._on_message, names.LATEST)
 
     def wait(self, longest: float) -> None:
-        """Return when a message came; TimeoutError after so many seconds."""
+        """Wait for a message; raise TimeoutError after `longest` [s]."""
         end = perf_counter() + longest
-        while not self._heard:
+        while not self._received:
             if perf_counter() > end:
                 raise TimeoutError(f"{self.topic} was silent for {longest:g} s; expected a message")
             self._executor.spin_once(timeout_sec=0.1)
 
-    def _hear(self, _: Any) -> None:
-        self._heard = True
+    def _on_message(self, _: Any) -> None:
+        self._received = True
 
     def __enter__(self) -> Listener:
         return self

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples per second in lock-step, against two bare nodes that exchange a state and an answer."""
+"""Samples per second in lock-step, against two bare nodes that exchange states and commands."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ REPEATS = 5
 SECONDS = 5.0
 BOUND = 0.7
 WARM_UP = 1.0  # s
-LONGEST = 60.0  # s until they run
+LONGEST = 60.0  # s; timeout of the start
 
 
 def over_ping_pong(repeats: int = REPEATS, seconds: float = SECONDS) -> list[Figure]:
-    """Rates of both, in turns; the nodes are started anew each time."""
+    """Compare the rates of both, alternating; nodes are restarted every time."""
     with scenario_file() as file:
         lockstep = (plant(file, "-p", "lockstep:=true"), controller(file, "-p", "realtime_priority:=0"))
         ping_pong = (bare("ping", priority=0), bare("pong", priority=0))
@@ -38,7 +38,7 @@ def over_ping_pong(repeats: int = REPEATS, seconds: float = SECONDS) -> list[Fig
 
 
 def _rate(commands: Sequence[Sequence[str]], seconds: float) -> float:
-    """Samples per second, by the stamps of two states; nobody else listens between them."""
+    """Return samples per second, from the stamps of two states without a subscription between them."""
     with running(*commands), Tap() as tap:
         tap.next(names.JOINT_STATES, LONGEST)
         time.sleep(WARM_UP)
@@ -49,5 +49,5 @@ def _rate(commands: Sequence[Sequence[str]], seconds: float) -> float:
 
 
 def samples_per_second(first: Seen, last: Seen) -> float:
-    """By stamps, a period apart from sample to sample, and by the times of sending."""
+    """Return samples per second from stamps (one period per sample) and send times."""
     return (last.stamp - first.stamp) / PERIOD / ((last.sent - first.sent) * 1e-9)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times of calls, measured in turns (A B A B ...), so that a machine that slows down slows all of them."""
+"""Time calls alternately (A B A B ...), so that a slower machine affects all of them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ import numpy as np
 from fjr_core.numerics.checks import Array
 
 REPEATS = 41
-BLOCK = 5e-3  # s; a block is as many calls as take about so long
+BLOCK = 5e-3  # s; approximate duration of a block of calls
 
 Call = Callable[[], object]
 
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Keep this process on one core, and the garbage collector quiet, where the system allows it."""
+    """Pin this process to one core and disable the garbage collector, where the system allows it."""
     allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     if allowed:
         os.sched_setaffinity(0, {max(allowed)})
@@ -36,7 +36,7 @@ def one_core() -> Iterator[None]:
 
 
 def in_turns(calls: Mapping[str, Call], repeats: int = REPEATS) -> dict[str, Array]:
-    """Seconds per call of each, one entry a repeat; each block of one is followed by a block of the next."""
+    """Return seconds per call of each, one entry per repeat; blocks of the calls alternate."""
     with one_core():
         counts = {name: _block_size(call) for name, call in calls.items()}
         rounds = [[_seconds_per_call(call, counts[name]) for name, call in calls.items()] for _ in range(repeats)]
@@ -44,17 +44,17 @@ def in_turns(calls: Mapping[str, Call], repeats: int = REPEATS) -> dict[str, Arr
 
 
 def ratio(ours: Array, theirs: Array) -> float:
-    """The median over the repeats of ours over theirs, each taken beside the other."""
+    """Return the median over the repeats of ours / theirs."""
     return float(np.median(ours / theirs))
 
 
 def microseconds(times: Mapping[str, Array]) -> dict[str, float]:
-    """Medians for a table."""
+    """Return the medians [us]."""
     return {f"{name} [us]": 1e6 * float(np.median(seconds)) for name, seconds in times.items()}
 
 
 def _block_size(call: Call) -> int:
-    """How many calls take about BLOCK; the first call, which may build what it needs, does not count."""
+    """Return the number of calls that take about BLOCK, after a warm-up call."""
     call()
     count = 1
     while _seconds_per_call(call, count) * count < BLOCK:

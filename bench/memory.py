@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the memory of both nodes stays the same while they run in real time."""
+"""Check that the memory of both nodes is constant while they run in real time."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from fjr_core.numerics.checks import Array
 from fjr_msgs_py import names
 
 MINUTES = 10.0
-SETTLED = 1.0  # minutes that do not count
+SETTLED = 1.0  # minutes; discarded
 BOUND = 32.0  # kB/min; half a byte a sample at 1 kHz
 PERIOD = 1.0  # s
-LONGEST = 60.0  # s until both run
+LONGEST = 60.0  # s; timeout of the start
 
 
 def flat(minutes: float = MINUTES) -> list[Figure]:
-    """How fast the resident memory of each node grows, a line through all of it after the first minute."""
+    """Return the growth of the resident memory of each node, by a line fit after the first minute."""
     with scenario_file() as file, running(plant(file), controller(file)) as pids:
         with Tap() as tap:
             tap.next(names.JOINT_COMMANDS, LONGEST)
@@ -32,7 +32,7 @@ def flat(minutes: float = MINUTES) -> list[Figure]:
 
 
 def _watched(pids: Sequence[int], duration: float) -> tuple[Array, Array]:
-    """Times (k,) [s] and resident memory (k, processes) [kB]."""
+    """Return times (k,) [s] and resident memory (k, processes) [kB]."""
     start, rows = time.monotonic(), []
     while (now := time.monotonic() - start) < duration:
         rows.append([now, *(resident(pid) for pid in pids)])
@@ -42,16 +42,16 @@ def _watched(pids: Sequence[int], duration: float) -> tuple[Array, Array]:
 
 
 def resident(pid: int) -> float:
-    """Resident memory of a process [kB]; RuntimeError when it has ended."""
+    """Return the resident memory of a process [kB]; raise RuntimeError if it has ended."""
     try:
         text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="utf-8")
     except (FileNotFoundError, ProcessLookupError):
-        raise RuntimeError(f"process {pid} has ended; expected it to run on") from None
+        raise RuntimeError(f"process {pid} has ended; expected it to be running") from None
     return float(next(line for line in text.splitlines() if line.startswith("Rss:")).split()[1])
 
 
 def figure(name: str, seconds: Array, kilobytes: Array) -> Figure:
-    """The slope of a line through the resident memory (k,) [kB] of times (k,) [s], without the first minute."""
+    """Fit a line to the resident memory (k,) [kB] over times (k,) [s], without the first minute; return its slope."""
     late = seconds >= min(60 * SETTLED, seconds[-1] / 2)
     slope = 60 * float(np.polyfit(seconds[late], kilobytes[late], 1)[0])
     parts = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The elastic arm as a MuJoCo model: every joint twice, as link and as motor, with the spring as a fixed tendon."""
+"""MuJoCo model of the elastic arm: a link and a motor joint per joint, coupled by a fixed tendon as spring."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OFF = (
 
 
 class MujocoArm:
-    """MuJoCo's model and data of a robot; qpos = (q_l, q_m), and efforts u enter as qfrc_applied of the motors.
+    """MuJoCo model and data of a robot; qpos = (q_l, q_m), efforts u are qfrc_applied of the motors.
 
     model: Pinocchio's model of the links, revolute joints in one chain. robot: the same arm, with diagonal
     M_m, K, D_l, D_m and B_m = 1. Contacts, constraints and sensors are off; integrator RK4 with steps dt [s].
@@ -32,19 +32,19 @@ class MujocoArm:
         self.data = mujoco.MjData(self.model)
 
     def set(self, q_l: Array, q_m: Array, dq_l: Array, dq_m: Array, u: Array) -> None:
-        """Put the arm into a state [rad, rad/s] under efforts u (n,) [N m]."""
+        """Set the state [rad, rad/s] and the efforts u (n,) [N m]."""
         self.data.qpos[:] = np.concatenate([q_l, q_m])
         self.data.qvel[:] = np.concatenate([dq_l, dq_m])
         self.data.qfrc_applied[self.n :] = u
 
     def acceleration(self) -> Array:
-        """(ddq_l, ddq_m) (2n,) [rad/s^2] of the present state."""
+        """Return (ddq_l, ddq_m) (2n,) [rad/s^2] at the current state."""
         mujoco.mj_forward(self.model, self.data)
         return np.array(self.data.qacc)
 
 
 def mjcf(model: Any, robot: Robot, dt: float) -> str:
-    """The model as XML: the links are nested bodies, the motors are wheels beside them."""
+    """Return the model as XML: links are nested bodies, motors are separate rotors."""
     flags = " ".join(f'{name}="disable"' for name in OFF)
     motors = "\n".join(_motor(i, robot) for i in range(robot.n))
     springs = "\n".join(_spring(i, robot) for i in range(robot.n))

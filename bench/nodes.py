@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Our nodes and bare ones as processes, on the arm of the scenario `arm7`."""
+"""Start our nodes and bare nodes as processes, on the arm of the scenario `arm7`."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from fjr_bringup.runner.node_process import executable
 from fjr_bringup.runner.run import set_ros_environment
 from fjr_bringup.scenarios import library
 
-PRIORITY = 50  # as in the scenario; taken where the system allows it
+PRIORITY = 50  # as in the scenario; used where the system allows it
 GRACE = 5.0  # s
 
 
 @contextmanager
 def scenario_file(overrides: Mapping[str, Any] | None = None) -> Iterator[Path]:
-    """The scenario as a parameter file, with some parameters changed; sets what ROS needs in the environment."""
+    """Write the scenario with changed parameters to a file; set the ROS environment variables."""
     os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
     set_ros_environment()
     with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder:
@@ -35,34 +35,34 @@ def scenario_file(overrides: Mapping[str, Any] | None = None) -> Iterator[Path]:
 
 
 def plant(file: Path, *arguments: str) -> list[str]:
-    """Command of the plant node."""
+    """Return the command of the plant node."""
     return _ours("fjr_plant", "plant_node", file, arguments)
 
 
 def controller(file: Path, *arguments: str) -> list[str]:
-    """Command of the controller node."""
+    """Return the command of the controller node."""
     return _ours("fjr_controller", "controller_node", file, arguments)
 
 
 def bare(kind: str, *arguments: str, priority: int = PRIORITY) -> list[str]:
-    """Command of a bare node."""
+    """Return the command of a bare node."""
     return _module("bench.bare", kind, arguments=(*arguments, "-p", f"realtime_priority:={priority}"))
 
 
 def driver(*arguments: str) -> list[str]:
-    """Command of the driver."""
+    """Return the command of the driver."""
     return _module("bench.driver", arguments=(*arguments, "-p", f"realtime_priority:={PRIORITY}"))
 
 
 @contextmanager
 def running(*commands: Sequence[str]) -> Iterator[list[int]]:
-    """Process ids of the commands, which run inside the block; RuntimeError when one does not end well after it."""
+    """Run commands inside the block, yield their process ids; raise RuntimeError if one fails."""
     with ExitStack() as stack:
         yield [stack.enter_context(_running(command)) for command in commands]
 
 
 def output(command: Sequence[str], longest: float) -> str:
-    """What a command prints until it ends by itself."""
+    """Run a command to its end; return its output."""
     done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True, timeout=longest)
     return done.stdout
 
@@ -73,7 +73,9 @@ def _running(command: Sequence[str]) -> Iterator[int]:
         try:
             yield process.pid
             if process.poll() is not None:
-                raise RuntimeError(f"{Path(command[0]).name} ended with {process.returncode}; expected it to run on")
+                raise RuntimeError(
+                    f"{Path(command[0]).name} ended with {process.returncode}; expected it to be running"
+                )
         finally:
             process.send_signal(signal.SIGINT)
             try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Single evaluations against Pinocchio and MuJoCo, all called from Python with arguments that are already there."""
+"""Single evaluations against Pinocchio and MuJoCo, called from Python with prepared arguments."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STEP = 2.5e-4  # s
 
 
 def law_over_rnea(arm: Arm) -> list[Figure]:
-    """u(x, x, t) of the law against inverse dynamics; also through the public methods."""
+    """Compare u(x, x, t) of the law with inverse dynamics, also through the public methods."""
     q, dq, ddq = random_motion(arm.robot.n, seed=1)
     x, jets = arm.robot.state(q, q + 0.01, dq, dq), arm.scenario.reference.jets(0.3)
     calls: dict[str, Call] = {
@@ -49,7 +49,7 @@ def law_over_rnea(arm: Arm) -> list[Figure]:
 
 
 def forward_dynamics_over_aba(arm: Arm) -> list[Figure]:
-    """Forward dynamics of the rigid arm."""
+    """Compare the forward dynamics of the rigid arm."""
     q, dq, tau = random_motion(arm.robot.n, seed=2)
     calls: dict[str, Call] = {
         "forward dynamics": _bound(compiled(arm.forward_dynamics), q, dq, tau),
@@ -59,7 +59,7 @@ def forward_dynamics_over_aba(arm: Arm) -> list[Figure]:
 
 
 def step_over_mujoco(arm: Arm) -> list[Figure]:
-    """One Runge-Kutta step of the elastic arm, without effort: MuJoCo's goes on from step to step, and swings."""
+    """Compare one Runge-Kutta step of the elastic arm without effort; MuJoCo continues from step to step."""
     q, dq, _ = random_motion(arm.robot.n, seed=3)
     u = np.zeros(arm.robot.n)
     peer = MujocoArm(arm.model, arm.robot, STEP)
@@ -71,12 +71,12 @@ def step_over_mujoco(arm: Arm) -> list[Figure]:
     }
     figure = _ratio("RK4 step, elastic arm, over MuJoCo's", calls, bound=0.4)
     if not np.all(np.isfinite(peer.data.qpos)):
-        raise ArithmeticError("MuJoCo's arm left the finite numbers; expected it to swing")
+        raise ArithmeticError("the state of MuJoCo's arm is not finite; expected a free oscillation")
     return [figure]
 
 
 def virtual_machine_over_c() -> list[Figure]:
-    """What compiling brings to the paper's joint."""
+    """Compare CasADi's virtual machine with compiled C for the paper's joint."""
     robot = single_link()
     x, jets = robot.state([0.5], [0.5], [0.0], [0.0]), np.zeros((5, 1))
     laws = {name: TrackingLaw(robot, PAPER_GAINS, compile=name == "C") for name in ("virtual machine", "C")}

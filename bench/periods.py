@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many of the periods of 1 ms come late, plant and controller in real time against a bare timer node."""
+"""Share of late periods at 1 kHz: plant and controller in real time against a bare timer node."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from fjr_msgs_py import names
 
 SECONDS = 60.0
 LATE = 1_500_000  # ns
-MOST = 0.1  # % that may be late however few of the bare node's are
+MOST = 0.1  # %; allowed share regardless of the bare node
 FACTOR = 1.25
 WARM_UP = 2.0  # s
-LONGEST = 60.0  # s until all publish
+LONGEST = 60.0  # s; timeout of the start
 
 
 def late(seconds: float = SECONDS) -> list[Figure]:
-    """Shares of late periods between states and between commands; the bare node's half before, half after."""
+    """Measure the share of late periods of states and commands; the bare node runs half before, half after."""
     before = _bare(seconds / 2)
     states, commands = _ours(seconds)
     theirs = np.concatenate([before, _bare(seconds / 2)])
@@ -48,7 +48,7 @@ def _share(periods: NDArray[np.int64]) -> float:
 
 
 def figure(what: str, ours: NDArray[np.int64], theirs: NDArray[np.int64]) -> Figure:
-    """The share of late ones among our periods [ns], bounded by the bare node's."""
+    """Return the share of late periods [ns], bounded by that of the bare node."""
     bound = max(FACTOR * _share(theirs), MOST)
     parts = {
         "bare [%]": _share(theirs),

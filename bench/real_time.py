@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm over ROS in real time, as `fjr run` runs it: how well it tracks, and how much is answered in time."""
+"""The arm over ROS in real time, as run by `fjr run`: tracking error and share of commands in time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BOUND = 2e-4  # rad, after 2 s
 
 
 def tracking() -> list[Figure]:
-    """Medians of some runs of 5 s; the error is the largest of all joints."""
+    """Return the medians of several runs of 5 s; the error is the largest of all joints."""
     reports = [_report() for _ in range(REPEATS)]
     errors = [report["tracking"]["max_error_after_2s_rad"] for report in reports]
     in_time = [100 * report["counts"]["answered_in_time_fraction"] for report in reports]
@@ -36,7 +36,7 @@ def _report() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         command = ["fjr", "run", "arm7", "--output", folder]
         done = subprocess.run(command, env=environment, capture_output=True)
-        if done.returncode not in (Exit.DONE, Exit.VIOLATED):  # a verdict is not what is measured here
+        if done.returncode not in (Exit.DONE, Exit.VIOLATED):  # the diagnosis is not measured here
             done.check_returncode()
         report: dict[str, Any] = json.loads(Path(folder, "arm7", "report.json").read_text(encoding="utf-8"))
     return report

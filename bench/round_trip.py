@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a state to its effort: the controller node's process against a bare node that sends the same messages."""
+"""Latency from state to effort: controller node against a bare node with the same messages."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from fjr_core.numerics.checks import Array
 ROUNDS = 15
 OURS, BARE = "ours", "bare"
 BOUND = 1.25
-PATIENCE = 10.0  # s that a side waits for its turn, however busy the machine is
-LONGEST = 60.0  # s until both answer
+PATIENCE = 10.0  # s; timeout of a side waiting for its turn
+LONGEST = 60.0  # s; timeout of the start
 
 
 def over_echo(arm: Arm, rounds: int = ROUNDS) -> list[Figure]:
-    """Median and 99th percentile of both, round by round; the arm stands at its reference."""
+    """Compare median and 99th percentile of both, round by round; the arm rests at its reference."""
     n = arm.robot.n
     offset = arm.scenario.reference.jets(0.0)[0]
     still = {"reference.amplitude": [0.0] * n, "reference.offset": offset.tolist(), "state_timeout": PATIENCE}
@@ -41,5 +41,5 @@ def _figure(name: str, percent: int, times: dict[str, list[list[float]]]) -> Fig
 
 
 def percentiles(rounds: list[list[float]], percent: int) -> Array:
-    """A percentile [us] of each round."""
+    """Return a percentile [us] of each round."""
     return np.array([np.percentile(times, percent) for times in rounds])

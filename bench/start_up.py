@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a new process to the first effort: with an empty cache, with a full one, and by the real controller node."""
+"""Start-up time to the first effort: with empty and filled cache, and of the controller node."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from fjr_msgs_py import names
 
 COLD_REPEATS, WARM_REPEATS, NODE_REPEATS = 3, 3, 7
 LONGEST = 60.0  # s
-DOMAIN = "100"  # beyond the ids that the tests lease
+DOMAIN = "100"  # outside the ids used by the tests
 
 
 def library() -> list[Figure]:
-    """The law from nothing, C compiler included, and again from the cache."""
+    """Measure the start of the law, compiled and from the cache."""
     cold, warm = [], []
     for _ in range(COLD_REPEATS):
         with _cache() as folder:
@@ -42,7 +42,7 @@ def library() -> list[Figure]:
 
 
 def node() -> list[Figure]:
-    """The controller node, its law in the cache, until its first command is received; the plant waits already."""
+    """Measure the controller node with a cached law until its first command; the plant is running."""
     os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
     set_ros_environment()
     with _cache() as folder:
@@ -86,7 +86,7 @@ def _node(package: str, name: str, cache: Path) -> Iterator[None]:
 
 
 def _environment(cache: Path, base: dict[str, str] | None = None) -> dict[str, str]:
-    """What a shell gives to a new process: without what the start-up hook of the ROS wheels leaves behind."""
+    """Return the environment of a new process, without variables set by the start-up hook of the ROS wheels."""
     env = {**(base or os.environ), "XDG_CACHE_HOME": str(cache)}
     if env.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
         env.pop("LD_LIBRARY_PATH", None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Looks at topics from outside, in batches, so that it takes little of what it measures."""
+"""Read topics in batches, with little load on the measured nodes."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from sensor_msgs.msg import JointState
 from fjr_msgs_py.messages.joint_states import nanoseconds
 
 DEPTH = 5000
-PAUSE = 0.05  # s between two looks into the queues
+PAUSE = 0.05  # s between two reads of the queues
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A message: its stamp, and when its publisher sent it [ns]."""
+    """A message: stamp and send time [ns]."""
 
     stamp: int
     sent: int
 
 
 class Tap:
-    """A node that takes JointStates off its queues without an executor; a context manager."""
+    """Context manager: a node that reads JointStates from its queues without an executor."""
 
     def __enter__(self) -> Tap:
         self._context = Context()
@@ -45,7 +45,7 @@ class Tap:
         self._context.try_shutdown()
 
     def next(self, topic: str, longest: float) -> Seen:
-        """One message; nothing is subscribed before and after. TimeoutError after so many seconds."""
+        """Return one message, subscribing only for it; raise TimeoutError after `longest` [s]."""
         subscription = self._subscribe(topic)
         try:
             return self._wait(subscription, longest)
@@ -53,7 +53,7 @@ class Tap:
             self._node.destroy_subscription(subscription)
 
     def sent(self, topics: list[str], seconds: float, longest: float) -> list[NDArray[np.int64]]:
-        """When the messages of each topic were sent [ns], for so many seconds from the first message of the last one.
+        """Return the send times [ns] of each topic for `seconds`, from the first message of the last topic on.
 
         TimeoutError when a topic is silent for `longest` seconds at first.
         """

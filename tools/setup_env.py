@@ -2,7 +2,7 @@
 """Set the workspace up from nothing; the Makefile calls `python3 tools/setup_env.py build|test|bench|docs|lint|check`.
 
 Standard library only. This file must also run under a Python that is too old or too new for the workspace: it
-only finds a suitable interpreter and hands over to the package `envsetup` beside it.
+only finds a suitable interpreter and calls the package `envsetup`.
 """
 
 import os
@@ -14,12 +14,12 @@ VERSION_QUERY = "import sys; print('%d.%d' % sys.version_info[:2])"
 
 
 def is_supported(version: tuple) -> bool:
-    """Whether a CPython (major, minor) is one the pinned packages exist for."""
+    """Return whether the pinned packages support CPython (major, minor)."""
     return OLDEST <= tuple(version[:2]) <= NEWEST
 
 
 def find_other_python() -> "str | None":
-    """Name of the newest supported python3.X on PATH that really starts, or None."""
+    """Return the name of the newest supported python3.X on PATH that starts, or None."""
     for minor in range(NEWEST[1], OLDEST[1] - 1, -1):
         name = "python3.%d" % minor  # noqa: UP031 (readable by any Python 3)
         try:
@@ -32,7 +32,7 @@ def find_other_python() -> "str | None":
 
 
 def main() -> int:
-    """Run `envsetup` here, or in another interpreter when this one does not suit."""
+    """Run `envsetup` in this interpreter, or in another one if this one is unsupported."""
     if is_supported(sys.version_info):
         from envsetup.cli import main as run
 

@@ -10,7 +10,7 @@ from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from fjr_bringup.monitor.node import FjrWatch
-from fjr_bringup.monitor.state import Happening, Health, JointLine, Timing, View, Watched
+from fjr_bringup.monitor.state import Event, Health, JointLine, Timing, View, Watched
 from fjr_bringup.monitor.terminal import log_bar, signed_bar, sparkline, text
 from fjr_msgs_py.messages.certificate import labelled
 from nodes.harness import Ros
@@ -40,7 +40,7 @@ FULL = View(
         Health("fjr_controller: certificate", 2, "violated: delay"),
         Health("fjr_plant", 1, "states lost"),
     ),
-    happenings=(Happening(3.25, 1, "holds", "the reference stands still"),),
+    events=(Event(3.25, 1, "holds", "the reference stands still"),),
     missing=("/left/robot_description",),
 )
 
@@ -65,7 +65,7 @@ def test_a_picture_says_everything_at_any_width(width: int) -> None:
         "ok    fjr_controller [tracking]  ok",
         "warn  fjr_plant  states lost",
         "3.2 s ago  holds  the reference stands still",
-        "nobody publishes /left/robot_description",
+        "no publisher of /left/robot_description",
     ):
         assert words in said, words
     assert "…" not in said
@@ -74,7 +74,7 @@ def test_a_picture_says_everything_at_any_width(width: int) -> None:
 
 def test_what_is_not_there_is_said() -> None:
     assert "waiting for joint states" in text(View("t"))
-    assert "no certificate heard" in text(View("t"))
+    assert "no certificate received" in text(View("t"))
     assert "no state for 2.5 s" in text(dataclasses.replace(FULL, silence=2.5))
 
 
@@ -150,7 +150,7 @@ def test_a_node_that_reports_no_more_is_stale() -> None:
     watched = Watched("t")
     watched.health(1.0, Health("fjr_plant", 0, "ok"))
     assert watched.view(2.0).health[0].level == 0
-    assert watched.view(9.0).health[0] == Health("fjr_plant", 3, "no report for 8 s; the last: ok")
+    assert watched.view(9.0).health[0] == Health("fjr_plant", 3, "no diagnostics for 8 s; the last: ok")
 
 
 def array(labels: list[str], data: list[float]) -> Float64MultiArray:

@@ -42,7 +42,7 @@ COLOURED = """[...document.querySelectorAll("canvas")].map((canvas) => {
 
 
 class Browser:
-    """A browser with one tab; `said` and `asked` are what the page wrote to the console and requested."""
+    """A browser with one tab; `said`: console output of the page, `asked`: its requests."""
 
     def __init__(self) -> None:
         name = next((found for name in NAMES if (found := shutil.which(name))), None)
@@ -72,7 +72,7 @@ class Browser:
         return next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Send a command and wait for its answer; what happens meanwhile is noted."""
+        """Send a command and wait for its reply; record events that arrive before it."""
         self._count += 1
         self._socket.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
         while True:

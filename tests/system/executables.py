@@ -20,7 +20,7 @@ TIME_LIMIT = 60.0  # s on a free machine
 
 
 class Executable:
-    """A running executable; `end` returns its exit code and what it said on standard error."""
+    """A running executable; `end` returns its exit code and standard error."""
 
     def __init__(self, package: str, name: str, *arguments: str) -> None:
         path = Path(get_package_prefix(package)) / "lib" / package / name
@@ -52,7 +52,7 @@ def wait_for(condition: Callable[[], bool], what: str) -> None:
 
 
 def fjr(*arguments: str, code: int = 0, codes: Collection[int] = ()) -> str:
-    """Run the `fjr` command to its end, with exit code `code` or one of `codes`; what it said."""
+    """Run the `fjr` command to its end, with exit code `code` or one of `codes`; return its output."""
     command = [Path(get_package_prefix("fjr_bringup")) / "lib" / "fjr_bringup" / "fjr", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=HANG)
     assert done.returncode in (codes or (code,)), done.stdout + done.stderr

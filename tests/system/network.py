@@ -59,7 +59,7 @@ class Network:
         return process
 
     def words(self) -> str:
-        """What all that was started said on standard error."""
+        """Return the standard error of all started processes."""
         return "\n".join(os.pread(said.fileno(), 100_000, 0).decode() for _, said in self._started)
 
     def sent(self, namespace: str) -> int:

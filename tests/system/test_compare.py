@@ -138,7 +138,7 @@ class Failing:
         raise CompareError("no gains")
 
 
-@pytest.mark.parametrize(("kill", "words"), [(False, "^no gains$"), (True, "a process that ran a law has ended")])
+@pytest.mark.parametrize(("kill", "words"), [(False, "^no gains$"), (True, "a worker process died")])
 def test_what_fails_is_said_while_others_are_at_work(
     kill: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -295,7 +295,7 @@ WRONG: list[tuple[Any, str]] = [
     ({**QUICK, "laws": "v_dpbc"}, "'laws' is 'v_dpbc'; expected a list"),
     ({**QUICK, "laws": ["pid"]}, "unknown law 'pid': expected one of v_dpbc, "),
     ({**QUICK, "laws": [{"law": ["v_dpbc"]}]}, r"unknown law '\['v_dpbc'\]': expected one of"),
-    ({**QUICK, "laws": ["v_dpbc", "v_dpbc"]}, "law 'v_dpbc' is there twice"),
+    ({**QUICK, "laws": ["v_dpbc", "v_dpbc"]}, "law 'v_dpbc' is listed twice"),
     ({**QUICK, "laws": [{"law": "lqr", "robust": {"magic": 1.0}}]}, "unknown robust option 'magic'"),
     ({**QUICK, "laws": [{"law": "lqr", "gain": 1.0}]}, "unknown key 'gain'"),
     ({**QUICK, "laws": [{"law": "lqr", "gains": "tuned"}]}, "'gains' of lqr is 'tuned'; expected scenario or tuned"),

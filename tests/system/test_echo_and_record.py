@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr echo` and `fjr record` beside real nodes, and where ros2 is better."""
+"""`fjr echo` and `fjr record` with running nodes, and in comparison with ros2."""
 
 from __future__ import annotations
 
@@ -125,4 +125,4 @@ def test_force_uses_ours_although_ros2_is_there(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize("command", ["echo", "record"])
 @pytest.mark.parametrize("name", ["//bad//", "/joint states", "/1st", "/"])
 def test_a_name_that_no_topic_can_have_is_one_sentence(command: str, name: str) -> None:
-    assert f"'{name}' is no topic's name; expected" in fjr(command, name, code=1)
+    assert f"'{name}' is not a topic name; expected" in fjr(command, name, code=1)

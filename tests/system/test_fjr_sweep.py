@@ -87,7 +87,7 @@ def test_after_a_kill_it_is_taken_up_where_it_was(tmp_path: Path) -> None:
     kept = {path: path.stat().st_mtime_ns for path in parts.glob("*.parquet")}
     assert 3 <= len(kept) < 150
     said = fjr("sweep", name, "--cores", "all", "--output", str(tmp_path / "killed"))
-    assert f"{10 * len(kept)} of 1500 runs are there already" in said
+    assert f"{10 * len(kept)} of 1500 runs are finished already" in said
     fjr("sweep", name, "--cores", "all", "--output", str(tmp_path / "whole"))
     assert table(tmp_path / "killed") == table(tmp_path / "whole")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of any bytes: what is undamaged is read, what is lost is said in a sentence, nothing else is raised."""
+"""Bags of arbitrary bytes: undamaged content is read, each loss is reported, no other error is raised."""
 
 from __future__ import annotations
 

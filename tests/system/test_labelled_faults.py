@@ -13,14 +13,14 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 
-from diagnosis_benchmark.fault_runs import FAULTS, FOUND_ON, HEALTHY, TRIED_ON, WIRING, FaultCase, cases  # noqa: E402
+from diagnosis_benchmark.fault_runs import FAULTS, HEALTHY, TUNING_SEEDS, VALIDATION_SEED, WIRING, FaultCase, cases  # noqa: E402
 from diagnosis_benchmark.fault_table import BEGIN, KINDS, Outcome, outcome, shares, table  # noqa: E402
 from diagnosis_benchmark.faulty_loop import Fault, FaultyLoop  # noqa: E402
 from diagnosis_benchmark.runs import Case  # noqa: E402
 from fjr_core.monitoring.certificate import Balance  # noqa: E402
 
 pytestmark = pytest.mark.system
-SET = cases(TRIED_ON)
+SET = cases(VALIDATION_SEED)
 SEVERAL = [case for case in SET if case.case.scenario == "two_link" and case.kind in FAULTS][2::6]
 MISWIRED = [case for case in SET if case.case.scenario == "two_link" and case.kind in WIRING][2::3]
 
@@ -34,7 +34,7 @@ def test_the_set_has_every_fault_in_three_sizes_and_healthy_runs() -> None:
             assert len(sizes) == 3
             assert sizes == sorted(set(sizes))
     assert sum(case.kind == HEALTHY for case in SET) >= 12
-    assert TRIED_ON not in FOUND_ON
+    assert VALIDATION_SEED not in TUNING_SEEDS
 
 
 @pytest.mark.parametrize("case", SEVERAL, ids=lambda case: case.name)
@@ -49,7 +49,7 @@ def test_wrong_wiring_stops_the_controller_without_effort_and_is_named(case: Fau
     assert loop.state == "stopped"
     assert all(name in loop.reason for name in case.joints.split(" and "))
     assert not record.u[-1].any()
-    assert outcome(case).said == case.kind
+    assert outcome(case).found == case.kind
     if case.kind == "efforts exchanged":
         answered = np.flatnonzero(record.u.any(axis=1))
         assert answered[-1] < 20
@@ -59,7 +59,7 @@ def test_wrong_wiring_stops_the_controller_without_effort_and_is_named(case: Fau
 
 @pytest.mark.parametrize("case", [case for case in SET if case.kind == HEALTHY][1:9:3], ids=lambda case: case.name)
 def test_healthy_runs_have_no_finding(case: FaultCase) -> None:
-    assert outcome(case).said == HEALTHY
+    assert outcome(case).found == HEALTHY
 
 
 WEAK: dict[str, tuple[dict[str, object], dict[str, object], float]] = {  # effort limits that the controller lacks

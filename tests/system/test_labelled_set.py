@@ -12,15 +12,15 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 
 from diagnosis_benchmark.bags import read_record  # noqa: E402
-from diagnosis_benchmark.runs import DEGRADED, FOUND_ON, HOLDING, TRIED_ON, UNDECIDED, VIOLATED, Case, cases  # noqa: E402
-from diagnosis_benchmark.table import BEGIN, NAMES, judged, right, said, table  # noqa: E402
+from diagnosis_benchmark.runs import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, cases  # noqa: E402
+from diagnosis_benchmark.table import BEGIN, NAMES, diagnosed, diagnosed_cause, right, table  # noqa: E402
 from fjr_bringup.cli.exit_codes import Exit  # noqa: E402
 from fjr_core.config.scenario import load_scenario  # noqa: E402
 from fjr_core.monitoring.diagnosis import judge  # noqa: E402
 from system.executables import fjr  # noqa: E402
 
 pytestmark = pytest.mark.system
-SET = cases(TRIED_ON)
+SET = cases(VALIDATION_SEED)
 
 
 def test_the_set_holds_what_it_should() -> None:
@@ -36,12 +36,12 @@ def test_the_set_holds_what_it_should() -> None:
     strengths = {word: words.count(word) for word in words if not word.endswith(("seed", "payload_position"))}
     assert len(strengths) >= 24
     assert min(strengths.values()) >= 2
-    assert TRIED_ON != FOUND_ON
+    assert VALIDATION_SEED != TUNING_SEED
 
 
 @pytest.mark.parametrize("case", SET, ids=lambda case: case.name)
 def test_the_verdict_on_each_bag_is_its_label(case: Case, tmp_path: Path) -> None:
-    label, verdict = judged(case, tmp_path / "bag")
+    label, verdict = diagnosed(case, tmp_path / "bag")
     assert right(label, verdict), (label, verdict)
 
 
@@ -78,4 +78,4 @@ def test_the_verdict_on_bags_of_the_real_nodes(assignments: tuple[str, ...], wan
     folder = tmp_path / "paper_k31"
     scenario = load_scenario(folder / "scenario.yaml")
     verdict = judge(read_record(folder / "bag", scenario), scenario.law)
-    assert said(verdict) == wanted, verdict
+    assert diagnosed_cause(verdict) == wanted, verdict

@@ -47,7 +47,7 @@ def numbers(message) -> bytes:
 
 
 def first(stamps: list[int], data: list[bytes]) -> dict[int, bytes]:
-    """The first of each stamp, of the first samples: how far a run goes on beyond its duration is nobody's business."""
+    """Return the first message of each stamp, of the first samples only: the length of a run may vary."""
     return {stamp: bits for stamp, bits in reversed(list(zip(stamps, data, strict=True))) if stamp < END}
 
 

@@ -61,7 +61,7 @@ def network(monkeypatch) -> Iterator[Network]:
 
 
 def run(network: Network, **plant: Any) -> Seen:
-    """Plant on the left, controller on the right, a watcher beside the plant."""
+    """Plant on the left, controller on the right, a watcher next to the plant."""
     node = {name: [installed(*NODES[name]), "--ros-args", "--params-file", scenario("paper_k31")] for name in NODES}
     given = [word for name, value in plant.items() for word in ("-p", f"{name.replace('__', '.')}:={value}")]
     watch = network.start(network.left, sys.executable, WATCH, str(SECONDS), out=subprocess.PIPE)

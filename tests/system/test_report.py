@@ -23,7 +23,7 @@ MS = 1e-3
 
 
 def recorded(stamps: list[float], answers: list[float]) -> TrackingData:
-    """Five nominal samples of 1 ms: states at `stamps` [ms], sent at once, answered at `answers` [ms]."""
+    """Return five nominal samples of 1 ms: states at `stamps` [ms], sent at once, commands at `answers` [ms]."""
     t = MS * np.array(stamps)
     one, two, V = np.zeros((len(stamps), 1)), np.zeros((len(stamps), 2)), np.zeros(len(stamps))
     return TrackingData(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr watch` in a real terminal, beside real nodes: what a user sees on the screen."""
+"""`fjr watch` in a pseudo-terminal with running nodes: the content of the screen."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_a_running_loop_is_on_the_screen(loop: dict[str, Executable], terminal: 
 
 def test_nothing_there_is_said_and_ends_with_ctrl_c(terminal: Callable[..., Terminal]) -> None:
     watch = terminal("watch", "--remap", "joint_states:=/robot/states")
-    screen = watch.until(lambda text: "waiting for joint states" in text and "nobody publishes" in text)
+    screen = watch.until(lambda text: "waiting for joint states" in text and "no publisher of" in text)
     assert "/robot/states" in screen
     assert watch.interrupt() == 0
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Watch plant and controller for some seconds of stamped time from where this is run; print what was seen as JSON."""
+"""Watch plant and controller for some seconds of stamped time; print the observations as JSON."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LIMIT = 40.0  # s on a free machine
 
 
 def main() -> int:
-    """Arguments: seconds of stamped time after the first answer."""
+    """Arguments: seconds of stamped time after the first command."""
     seconds = float(sys.argv[1])
     watcher = Watcher()
     limit = Limit(LIMIT)
@@ -40,7 +40,7 @@ def _heard(watcher: Watcher, seconds: float) -> bool:
 
 
 def _seen(watcher: Watcher) -> dict[str, object]:
-    """Stamps [s] from the first answer, errors |q_l - q_ld| [rad] there, efforts, and the states' stamps [ns]."""
+    """Return stamps [s] since the first command, errors |q_l - q_ld| [rad] there, efforts, and state stamps [ns]."""
     wanted = {heard.stamp: heard.message().position for heard in watcher.heard[REFERENCE]}
     states = {heard.stamp: heard.message().position for heard in watcher.heard[STATES]}
     stamps = sorted(set(wanted) & set(states))

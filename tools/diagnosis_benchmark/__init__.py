@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The labelled runs that the diagnosis is measured on, and its tables."""
+"""Labelled runs for the diagnosis, and its confusion tables."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of the labelled set as real bags: the topics that the nodes have, in an MCAP file, written and read back."""
+"""Write runs of the labelled set to MCAP bags with the topics of the nodes, and read them back."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ TYPES = {
     REFERENCE: JointState,
     ERROR: JointState,
 }
-ANSWER = 200_000  # ns; from a state to its answer, by the clock of the bag
+LATENCY = 200_000  # ns; from a state to its command
 
 
 class _Topics:
-    """The topics of a bag, each message with its number."""
+    """Topics of a bag with sequence numbers."""
 
     def __init__(self, bag: BagWriter) -> None:
         self._bag = bag
@@ -51,34 +51,34 @@ class _Topics:
 
 
 def write_bag(log: Log, scenario: Scenario, folder: Path) -> None:
-    """The log as a bag in `folder`, with the times of lock-step."""
+    """Write the log as a bag in `folder`, with the times of lock-step."""
     joints = scenario.joints
     writers = {topic: JointStateWriter(joints) for topic in (COMMANDS, REFERENCE, ERROR)}
     states, efforts = JointStateWriter(names.state_names(joints)), EffortWriter(joints)
-    answers = {stamp: (u, jets) for stamp, u, jets in log.answers}
+    commands = {stamp: (u, jets) for stamp, u, jets in log.commands}
     bag = BagWriter(folder)
     topics = _Topics(bag)
     for time, sample in log.states:
         stamp, position, velocity, _ = sample
         topics.write(STATES, time, states.fill(*sample))
-        if stamp not in answers:
+        if stamp not in commands:
             continue
-        u, jets = answers.pop(stamp)
+        u, jets = commands.pop(stamp)
         error, n = position[: len(joints)] - jets[0], len(joints)
-        topics.write(COMMANDS, time + ANSWER, writers[COMMANDS].fill(stamp, effort=u))
-        topics.write(EFFORTS, time + ANSWER, efforts.fill(u))
-        topics.write(REFERENCE, time + ANSWER, writers[REFERENCE].fill(stamp, jets[0], jets[1]))
-        topics.write(ERROR, time + ANSWER, writers[ERROR].fill(stamp, error, velocity[:n] - jets[1]))
+        topics.write(COMMANDS, time + LATENCY, writers[COMMANDS].fill(stamp, effort=u))
+        topics.write(EFFORTS, time + LATENCY, efforts.fill(u))
+        topics.write(REFERENCE, time + LATENCY, writers[REFERENCE].fill(stamp, jets[0], jets[1]))
+        topics.write(ERROR, time + LATENCY, writers[ERROR].fill(stamp, error, velocity[:n] - jets[1]))
     bag.close()
 
 
 def read_record(folder: Path, scenario: Scenario) -> Record:
-    """What the verdict is drawn from, out of the bag and the scenario alone."""
+    """Return the record to diagnose, from bag and scenario alone."""
     return bag_record(read_bag(folder), scenario)
 
 
 def bag_record(bag: Bag, scenario: Scenario) -> Record:
-    """The same of a bag that was read: every state from the first answered one on, once."""
+    """Return the record of a bag: every stamp once, from the first command on."""
     joints, robot = scenario.joints, scenario.robot
     commands = _once(bag.joints(COMMANDS, joints))
     states = _once(bag.joints(STATES, names.state_names(joints)))
@@ -95,7 +95,7 @@ def bag_record(bag: Bag, scenario: Scenario) -> Record:
         jets=np.asarray(scenario.reference.jets(t)),
         u=np.where(answered[:, None], commands.effort[place], np.nan),
         u_applied=np.asarray(np.linalg.solve(robot.B_m, states.effort[rows, robot.n :].T).T),
-        sent=None,  # in lock-step the clock says nothing of when an effort acted
+        sent=None,  # in lock-step send times carry no information
         answered=None,
         sample_period=scenario.sample_period,
         effort_limit=np.asarray(safety(scenario.controller_values, robot).effort),
@@ -103,7 +103,7 @@ def bag_record(bag: Bag, scenario: Scenario) -> Record:
 
 
 def _once(table: JointTable) -> JointTable:
-    """The first message of each stamp, in the order of the stamps."""
+    """Return the first message of each stamp, sorted by stamp."""
     rows = np.unique(table.stamp, return_index=True)[1]
     return JointTable(
         *(getattr(table, name)[rows] for name in ("stamp", "publish_time", "position", "velocity", "effort"))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs with one known fault each, in three sizes, on the paper's joint, the two-link and the seven-joint arm.
 
-Thresholds (in fjr_core.monitoring.fault_isolation) were set on the sets of the seeds FOUND_ON; findings are tried on
-that of TRIED_ON. A seed says which joint and side, how large within 20 %, and where the robot starts.
+Thresholds (fjr_core.monitoring.fault_isolation) are tuned on the sets of TUNING_SEEDS and validated on that of
+VALIDATION_SEED. A seed draws joint, side, size within 20 %, and initial position.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from .faulty_loop import Fault, FaultyLoop
 from .loop import record
 from .runs import JOINTS, Case, _start
 
-FOUND_ON, TRIED_ON = (11, 12, 13), 14
+TUNING_SEEDS, VALIDATION_SEED = (11, 12, 13), 14
 DURATION, STARTING = 3.0, 0.3  # s
 ROBOTS = ("paper_k31", "two_link", "arm7")
 HEALTHY = "healthy"
-TORQUE = {  # N m, of the size that each joint bears
+TORQUE = {  # N m, scaled to each joint
     "paper_k31": (0.8,),
     "two_link": (2.0, 0.8),
     "arm7": (10.0, 35.0, 10.0, 15.0, 4.0, 3.0, 2.0),
 }
 PAYLOAD = {"paper_k31": (0.015, 0.04, 0.1), "two_link": (0.03, 0.08, 0.2), "arm7": (0.1, 0.3, 1.0)}  # kg
-NOISE = {  # standard deviations of every sensor, in all runs that are not "perfect"
+NOISE = {  # standard deviations of all sensors, except in "perfect" runs
     "link_position_noise": 1e-6,
     "motor_position_noise": 1e-6,
     "link_velocity_noise": 5e-4,
     "motor_velocity_noise": 5e-4,
 }
-SPREAD = 0.2  # relative; of the sizes
+SPREAD = 0.2  # relative spread of the sizes
 
 
 @dataclass(frozen=True)
 class FaultCase:
-    """A run: what is wrong (kind, joint as index, -1 for none, side), and how the simulated robot gets it."""
+    """A run: kind of fault, joint (index, -1: none), side, size, and their implementation in the simulation."""
 
     name: str
     kind: str
@@ -55,12 +55,12 @@ class FaultCase:
 
     @property
     def duration(self) -> float:
-        """Seconds to run: faults of the wiring stop at the start."""
+        """Duration [s]; wiring faults stop the robot at the start."""
         return STARTING if self.kind in WIRING else DURATION
 
     @property
     def joints(self) -> str:
-        """Names of the joints as a finding has them."""
+        """Names of the joints as in a finding."""
         names, n = _names(self.case.scenario), JOINTS[self.case.scenario]
         pair = {self.joint, (self.joint + 1) % n} if self.kind.endswith("exchanged") else {self.joint}
         return " and ".join(names[j] for j in sorted(pair)) if self.joint >= 0 else ""
@@ -80,7 +80,7 @@ def _names(scenario: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Draw:
-    """What a case is made of: robot, its data, joint, side, number of joints and size."""
+    """Drawn values of a case: robot, its parameters, joint, side, number of joints and size."""
 
     scenario: str
     values: Mapping[str, Any]
@@ -103,7 +103,7 @@ class _Draw:
         entries[self.j] = change(entries[self.j])
         return {"robot": {name: entries}}
 
-    def imperfection(self, name: str, value: float) -> dict[str, Any]:
+    def nonideality(self, name: str, value: float) -> dict[str, Any]:
         entries = [0.0] * self.n
         entries[self.j] = value
         smooth = {"imperfections.friction_smoothing_velocity": [0.05] * self.n} if self.scenario == "arm7" else {}
@@ -182,7 +182,7 @@ FAULTS: dict[str, tuple[tuple[float, float, float], tuple[str, ...], Maker]] = {
     "Coulomb friction": (
         (0.03, 0.08, 0.2),
         BOTH,
-        lambda d: d.imperfection(f"{d.side}_coulomb_friction", d.torque),
+        lambda d: d.nonideality(f"{d.side}_coulomb_friction", d.torque),
     ),
     "viscous friction": ((0.03, 0.08, 0.2), BOTH, lambda d: d.robot(f"{d.side}_damping", lambda D: D + d.torque)),
     "inertia": ((0.1, 0.3, 0.7), BOTH, lambda d: d.robot(f"{d.side}_inertia", lambda M: M * (1 + d.f))),
@@ -208,7 +208,7 @@ WIRING: dict[str, tuple[tuple[str, ...], Maker]] = {
 PAIRS = ("velocity of another joint", "efforts exchanged", "encoders exchanged")
 
 
-def healthy(seed: int = TRIED_ON) -> list[FaultCase]:
+def healthy(seed: int = VALIDATION_SEED) -> list[FaultCase]:
     """Return runs without a fault: perfect sensors, noise, encoder steps, other rates."""
     rng = np.random.default_rng(seed)
     found = []
@@ -226,8 +226,8 @@ def _noise(n: int) -> dict[str, list[float]]:
     return {f"imperfections.{name}": [value] * n for name, value in NOISE.items()}
 
 
-def cases(seed: int = TRIED_ON, robots: tuple[str, ...] = ROBOTS) -> list[FaultCase]:
-    """Return every fault in three sizes on each robot that can have it, with its wiring faults and healthy runs."""
+def cases(seed: int = VALIDATION_SEED, robots: tuple[str, ...] = ROBOTS) -> list[FaultCase]:
+    """Return every fault in three sizes on each applicable robot, wiring faults and healthy runs."""
     rng = np.random.default_rng(seed)
     loaded = {name: Case("", name, "").loaded() for name in ROBOTS}
     found = [_case(rng, loaded, kind, i, robot) for kind in FAULTS for i in range(3) for robot in ROBOTS]
@@ -247,7 +247,7 @@ def _case(
     if kind == "gravity load":
         f, j = PAYLOAD[scenario][i] * (1 + SPREAD * rng.uniform(-1, 1)), n - 1
     if kind == "inertia" and side == "link":
-        side, j = ("motor", j) if scenario == "arm7" else ("link", n - 1)  # the URDF's links stay as they are
+        side, j = ("motor", j) if scenario == "arm7" else ("link", n - 1)  # the links of the URDF are fixed
     made = maker(_Draw(scenario, values, j, side, n, f))
     name = f"{scenario} {kind} {side} {j + 1} {f:.3g}"
     seeded = {"imperfections.seed": int(rng.integers(1000)), **_noise(n), **made.get("changes", {})}

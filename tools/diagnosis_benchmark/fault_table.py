@@ -15,7 +15,7 @@ from pathlib import Path
 from fjr_core.config.diagnosis import axes
 from fjr_core.monitoring.diagnosis import judge
 
-from .fault_runs import FAULTS, HEALTHY, TRIED_ON, WIRING, FaultCase, cases
+from .fault_runs import FAULTS, HEALTHY, VALIDATION_SEED, WIRING, FaultCase, cases
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "fault_isolation.md"
 BEGIN = "<!-- confusion: written by tools/diagnosis_benchmark/fault_table.py -->"
@@ -26,10 +26,10 @@ SHORT = {kind: chr(ord("a") + i) for i, kind in enumerate(KINDS)}
 
 @dataclass(frozen=True)
 class Outcome:
-    """Injected and found kind of fault of a run, and whether the joint is right."""
+    """Injected and diagnosed kind of fault of a run, and whether the joint is right."""
 
     kind: str
-    said: str
+    found: str
     joint: bool
 
 
@@ -47,14 +47,14 @@ def outcome(case: FaultCase) -> Outcome:
 def table(outcomes: Iterable[Outcome]) -> list[str]:
     """Return Markdown lines: a row a label, a column a finding, last the count of right joints."""
     listed = list(outcomes)
-    counts = Counter((each.kind, each.said) for each in listed)
-    others = sorted({each.said for each in listed} - set(KINDS))
+    counts = Counter((each.kind, each.found) for each in listed)
+    others = sorted({each.found for each in listed} - set(KINDS))
     columns = [*KINDS, *others]
     head = [*(SHORT.get(kind, kind) for kind in columns), "joint right"]
     lines = ["| label | " + " | ".join(head) + " |", "| --- " * (len(head) + 1) + "|"]
     for kind in KINDS:
         mine = [each for each in listed if each.kind == kind]
-        cells = [str(counts[kind, said] or "") for said in columns]
+        cells = [str(counts[kind, found] or "") for found in columns]
         right = f"{sum(each.joint for each in mine)}/{len(mine)}"
         lines.append(f"| {SHORT[kind]} {kind} | " + " | ".join([*cells, right]) + " |")
     return lines
@@ -63,7 +63,7 @@ def table(outcomes: Iterable[Outcome]) -> list[str]:
 def shares(outcomes: Iterable[Outcome]) -> tuple[float, float]:
     """Return the shares of faulty runs with the right kind and with the right joint."""
     faulty = [each for each in outcomes if each.kind != HEALTHY]
-    kinds, joints = (sum(e.kind == e.said for e in faulty), sum(e.joint for e in faulty))
+    kinds, joints = (sum(e.kind == e.found for e in faulty), sum(e.joint for e in faulty))
     return kinds / len(faulty), joints / len(faulty)
 
 
@@ -71,9 +71,9 @@ def confusion(seed: int) -> list[str]:
     """Return the table of the set of a seed; print each wrong finding to stderr."""
     outcomes = []
     for case in cases(seed):
-        outcomes.append(found := outcome(case))
-        if found.kind != found.said or not found.joint:
-            print(f"seed {seed}: {case.name}: {found}", file=sys.stderr, flush=True)
+        outcomes.append(result := outcome(case))
+        if result.kind != result.found or not result.joint:
+            print(f"seed {seed}: {case.name}: {result}", file=sys.stderr, flush=True)
     kind, joint = shares(outcomes)
     faulty = sum(each.kind != HEALTHY for each in outcomes)
     return [
@@ -88,7 +88,7 @@ def main() -> int:
     page = PAGE.read_text(encoding="utf-8")
     before, rest = page.split(BEGIN)
     _, after = rest.split(END)
-    lines = ["", f"Validation set (seed {TRIED_ON}):", "", *confusion(TRIED_ON)]
+    lines = ["", f"Validation set (seed {VALIDATION_SEED}):", "", *confusion(VALIDATION_SEED)]
     PAGE.write_text("\n".join([before + BEGIN, *lines, "", END + after]), encoding="utf-8")
     return 0
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop in lock-step with a fault of a sensor, an effort or a spring that no parameter of the plant has."""
+"""Closed loop in lock-step with a fault of a sensor, effort or spring that is not a plant parameter."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ Change = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Fault:
-    """Changes of position and velocity (2n,) as measured and of the effort (n,) as it acts; spring and link torques.
+    """Changes of measured position and velocity (2n,) and of the acting effort (n,); spring and link torques.
 
-    spring: deflection (n,) -> torque (n,) [N m] on the links beside K zeta, its reaction on the motors. push (n,)
-    [N m]: on the links. delay: samples by which velocities are late.
+    spring: deflection (n,) -> torque (n,) [N m] on the links in addition to K zeta, with its reaction on the motors.
+    push (n,) [N m]: on the links. delay: of the velocities, in samples.
     """
 
     position: Change | None = None
@@ -38,8 +38,8 @@ class Fault:
 
 
 @dataclass
-class _Line:
-    """Velocities that were measured last."""
+class _DelayLine:
+    """The latest measured velocities."""
 
     values: deque[Array] = field(default_factory=deque)
 
@@ -52,10 +52,10 @@ class _Line:
 
 
 class FaultyLoop(LockStepLoop):
-    """A scenario in lock-step with a fault; raises ParameterError for values that do not fit."""
+    """Run a scenario in lock-step with a fault; raise ParameterError for invalid values."""
 
     def __init__(self, scenario: Scenario, fault: Fault) -> None:
-        self._fault, self._line = fault, _Line()
+        self._fault, self._line = fault, _DelayLine()
         super().__init__(scenario)
         self._B_m = scenario.plant.robot.B_m
         self._command: Array = np.zeros(scenario.robot.n)
@@ -71,7 +71,7 @@ class FaultyLoop(LockStepLoop):
 
     @property
     def reason(self) -> str:
-        """Return why the tracker is stopped, one sentence."""
+        """Return the reason of the stop, one sentence."""
         return self._tracker.reason
 
     def _sample(self) -> Sample:
@@ -87,7 +87,7 @@ class FaultyLoop(LockStepLoop):
     def _answer(self, sample: Sample) -> None:
         super()._answer(sample)
         if self._fault.effort is not None:
-            self._robot.u = self._fault.effort(self.log.answers[-1][1])
+            self._robot.u = self._fault.effort(self.log.commands[-1][1])
         self._command = self._robot.u
 
     def _integrate(self, time: int) -> None:

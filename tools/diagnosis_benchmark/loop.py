@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two nodes in lock-step without ROS: simulated robot, its imperfect messages and the tracker, in one process.
+"""Run plant and controller in lock-step without ROS: simulated robot, message channels and tracker in one process.
 
-What runs is what the nodes run (fjr_plant.timing.lock_step, fjr_controller.ros.command_loop), a hundred times faster,
-and it repeats to the bit.
+The code is that of the nodes (fjr_plant.timing.lock_step, fjr_controller.ros.command_loop), about a hundred times
+faster and reproducible to the bit.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from fjr_controller.tracking.tracker import Tracker
 from fjr_core import StateError
-from fjr_core.config import nonidealities as words
+from fjr_core.config import nonidealities
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.monitoring.record import Record
@@ -25,28 +25,28 @@ from fjr_plant.simulated_robot import SimulatedRobot
 from fjr_plant.state_publisher import Sample
 from fjr_plant.timing.lock_step import START
 
-LARGEST = 1e6  # rad; a robot that went there has diverged
+LARGEST = 1e6  # rad; beyond this position the loop has diverged
 
 
 @dataclass
 class Log:
-    """What went over the topics: states as (time they were sent [ns], sample), answers as (stamp, u, jets)."""
+    """Messages of the run: states as (send time [ns], sample), commands as (stamp, u, jets)."""
 
     states: list[tuple[int, Sample]] = field(default_factory=list)
-    answers: list[tuple[int, Array, Array]] = field(default_factory=list)
+    commands: list[tuple[int, Array, Array]] = field(default_factory=list)
 
 
 class LockStepLoop:
-    """A scenario in lock-step. Raises ParameterError for values that do not fit."""
+    """Run a scenario in lock-step; raise ParameterError for invalid values."""
 
     def __init__(self, scenario: Scenario) -> None:
         values, robot = scenario.plant_values, scenario.plant.robot
         inner = round(1e9 / float(values["publish_rate"]) / int(values["inner_steps"]))  # type: ignore[arg-type]
-        motion, sensors = words.imperfections(values, robot), words.sensor_errors(values, robot.n)
-        seed, self._n = words.seed(values), robot.n
+        motion, sensors = nonidealities.imperfections(values, robot), nonidealities.sensor_errors(values, robot.n)
+        seed, self._n = nonidealities.seed(values), robot.n
         self._robot = SimulatedRobot(scenario.plant, scenario.x0, inner, motion, sensors, seed)
         self._transport = Transport(inner * int(values["inner_steps"]), inner, seed)  # type: ignore[arg-type]
-        self._transport.change(*words.channel_errors(values), words.period_jitter(values))
+        self._transport.change(*nonidealities.channel_errors(values), nonidealities.period_jitter(values))
         settings = safety(scenario.controller_values, scenario.robot)
         self._tracker = Tracker(scenario.law, scenario.reference, settings, simulated_time=True)
         self._arrived: deque[Sample] = deque()
@@ -54,16 +54,16 @@ class LockStepLoop:
         self.log = Log()
 
     def run(self, duration: float) -> Log:
-        """The log of so many seconds, or of less where the robot diverges."""
+        """Run for `duration` [s] or until the loop diverges; return the log."""
         end = round(duration * 1e9)
         self._arrived.append(self._sample())
         try:
             while self._robot.time < end and np.abs(self._robot.x).max() < LARGEST:
-                self._answer_arrived()
+                self._process_arrived()
                 self._integrate(self._transport.times.next())
                 self._measure()
         except StateError:
-            pass  # it diverged: the log ends here
+            pass  # diverged
         return self.log
 
     def _sample(self) -> Sample:
@@ -77,7 +77,7 @@ class LockStepLoop:
             channel.push(self._robot.time, self._sample())
             self._arrived.extend(channel.due(self._robot.time))
 
-    def _answer_arrived(self) -> None:
+    def _process_arrived(self) -> None:
         while self._arrived:
             sample = self._arrived.popleft()
             self.log.states.append((START + self._robot.time, sample))
@@ -91,7 +91,7 @@ class LockStepLoop:
         command = self._tracker.command(JointSample(stamp, *sides), stamp)
         if command is None:
             return
-        self.log.answers.append((stamp, command.u.copy(), command.jets.copy()))
+        self.log.commands.append((stamp, command.u.copy(), command.jets.copy()))
         if self._transport.commands is None:
             self._robot.u = command.u.copy()
         else:
@@ -107,19 +107,19 @@ class LockStepLoop:
 
 
 def record(log: Log, scenario: Scenario) -> Record:
-    """The log as the verdict takes it, without the way through a bag."""
+    """Return the record of a log, to be diagnosed without a bag."""
     n, limits = scenario.robot.n, safety(scenario.controller_values, scenario.robot)
     first = {stamp: (position, velocity, effort) for _, (stamp, position, velocity, effort) in reversed(log.states)}
-    answers = {stamp: (u, jets) for stamp, u, jets in reversed(log.answers)}
+    commands = {stamp: (u, jets) for stamp, u, jets in reversed(log.commands)}
     stamps = sorted(first)
     t = (np.array(stamps) - stamps[0]) * 1e-9
-    nothing = np.full(n, np.nan)
+    unknown = np.full(n, np.nan)
     return Record(
         t=t,
         position=np.array([first[stamp][0] for stamp in stamps]),
         velocity=np.array([first[stamp][1] for stamp in stamps]),
         jets=np.array([scenario.reference.jets(instant) for instant in t]),
-        u=np.array([answers[stamp][0] if stamp in answers else nothing for stamp in stamps]),
+        u=np.array([commands[stamp][0] if stamp in commands else unknown for stamp in stamps]),
         u_applied=np.array([np.linalg.solve(scenario.robot.B_m, first[stamp][2][n:]) for stamp in stamps]),
         sent=None,
         answered=None,

@@ -15,7 +15,7 @@ from pathlib import Path
 from fjr_core.monitoring.diagnosis import Verdict, judge
 
 from .bags import read_record, write_bag
-from .runs import DEGRADED, FOUND_ON, HOLDING, TRIED_ON, UNDECIDED, VIOLATED, Case, Label, cases, label, run
+from .runs import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, Label, cases, label, run
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md"
 BEGIN = "<!-- confusion: written by tools/diagnosis_benchmark/table.py -->"
@@ -24,7 +24,7 @@ NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
 OTHER = "several or none"
 
 
-def judged(case: Case, folder: Path) -> tuple[Label, Verdict]:
+def diagnosed(case: Case, folder: Path) -> tuple[Label, Verdict]:
     """Write the bag of a case into `folder` and return the label and the diagnosis of the bag."""
     scenario, log = run(case)
     write_bag(log, scenario, folder)
@@ -32,7 +32,7 @@ def judged(case: Case, folder: Path) -> tuple[Label, Verdict]:
     return label(case, record), judge(record, scenario.tracking_law)
 
 
-def said(verdict: Verdict) -> str:
+def diagnosed_cause(verdict: Verdict) -> str:
     """Return the diagnosis as one word: its only cause, OTHER for several causes or none, else its kind."""
     if verdict.kind not in (DEGRADED, VIOLATED):
         return verdict.kind
@@ -54,10 +54,10 @@ def table(pairs: Iterable[tuple[str, str]], rows: tuple[str, ...] = NAMES) -> li
 def confusion(seed: int) -> list[str]:
     """Return the tables of causes and of grades of the set of a seed; print each wrong diagnosis to stderr."""
     causes, grades = [], []
-    with tempfile.TemporaryDirectory(prefix="fjr-verdicts-") as folder:
+    with tempfile.TemporaryDirectory(prefix="fjr-diagnoses-") as folder:
         for i, case in enumerate(cases(seed)):
-            wanted, verdict = judged(case, Path(folder, str(i)))
-            causes.append((wanted.cause, said(verdict)))
+            wanted, verdict = diagnosed(case, Path(folder, str(i)))
+            causes.append((wanted.cause, diagnosed_cause(verdict)))
             grades.append((wanted.grade, verdict.kind))
             if not right(wanted, verdict):
                 print(f"seed {seed}: {case.name}: {wanted}, not {verdict.sentence}", file=sys.stderr)
@@ -67,12 +67,12 @@ def confusion(seed: int) -> list[str]:
 def right(wanted: Label, verdict: Verdict) -> bool:
     """Return whether the diagnosis agrees with the label."""
     graded = verdict.kind == wanted.grade or (wanted.grade == UNDECIDED and verdict.kind in (DEGRADED, VIOLATED))
-    return graded and said(verdict) == wanted.cause
+    return graded and diagnosed_cause(verdict) == wanted.cause
 
 
 def main() -> int:
     """Rewrite the tables on the page."""
-    headings = {TRIED_ON: "Validation set", FOUND_ON: "Set on which the thresholds were tuned"}
+    headings = {VALIDATION_SEED: "Validation set", TUNING_SEED: "Set on which the thresholds were tuned"}
     parts = [["", f"{heading} (seed {seed}):", "", *confusion(seed)] for seed, heading in headings.items()]
     lines = [line for part in parts for line in part]
     before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Build the pages and the API reference with Sphinx; a warning is an error. The workspace has to be sourced.
+"""Build the pages and the API reference with Sphinx; a warning is an error. Source the workspace first.
 
 . ros2_ws/install/setup.sh && .venv/bin/python tools/docs/build_docs.py [FOLDER]
 """
@@ -19,7 +19,7 @@ from sphinx.cmd.build import main as sphinx
 
 ROOT = Path(__file__).resolve().parents[2]
 LINKED = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs", "examples", "ros2_ws", "bench", "tests", "tools")
-"""What the pages are and what they link to, at the same places beside each other."""
+"""Pages and their link targets, laid out as in the repository."""
 PACKAGES = ("fjr_core", "fjr_msgs_py", "fjr_plant", "fjr_controller")
 CONTENTS = """fjr
 ===
@@ -38,7 +38,7 @@ CONTENTS = """fjr
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write the sources of the API reference beside links to the pages, and build; Sphinx's exit code."""
+    """Write the sources of the API reference, link the pages, build; return Sphinx's exit code."""
     folder = Path(arguments[0]).resolve() if arguments else ROOT / "build" / "docs"
     source = folder / "source"
     lay_out(source)
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def lay_out(source: Path) -> None:
-    """The folder that Sphinx reads."""
+    """Create the source folder of Sphinx."""
     shutil.rmtree(source, ignore_errors=True)
     (source / "api").mkdir(parents=True)
     for name in LINKED:
@@ -64,14 +64,14 @@ def lay_out(source: Path) -> None:
 
 
 def pages_in_order() -> list[str]:
-    """The other pages as docs/README.md lists them."""
+    """Return the pages in the order of docs/README.md."""
     targets = re.findall(r"\]\(([^)]+)\.md\)", (ROOT / "docs" / "README.md").read_text(encoding="utf-8"))
     names = (os.path.normpath(f"docs/{target}") for target in targets)
     return [name for name in dict.fromkeys(names) if name != "README"]
 
 
 def api_pages(package: str) -> Iterator[tuple[str, str]]:
-    """Name and text of a page for a package, with its public names, and of one for each of its modules."""
+    """Yield name and text of the page of a package, with its public names, and of the page of each module."""
     modules = sorted(module_names(package))
     lines = heading(package)
     public = list(public_names(package))
@@ -85,13 +85,13 @@ def api_pages(package: str) -> Iterator[tuple[str, str]]:
 
 
 def heading(name: str) -> list[str]:
-    """A title."""
+    """Return a title."""
     title = name.replace("_", r"\_")
     return [title, "=" * len(title), ""]
 
 
 def module_names(package: str) -> Iterator[str]:
-    """All modules of a package that hold something."""
+    """Yield all non-empty modules of a package."""
     path = importlib.import_module(package).__path__
     for found in pkgutil.walk_packages(path, f"{package}."):
         if not found.ispkg:
@@ -99,7 +99,7 @@ def module_names(package: str) -> Iterator[str]:
 
 
 def public_names(package: str) -> Iterator[str]:
-    """Where each name in the package's `__all__` is defined."""
+    """Yield the qualified name of each name in `__all__` of a package."""
     module = importlib.import_module(package)
     for name in getattr(module, "__all__", ()):
         home = getattr(getattr(module, name), "__module__", None)

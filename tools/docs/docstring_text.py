@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The workspace's docstrings, plain text with `code`, lists and indented displays, as reStructuredText."""
+"""Convert docstrings (plain text with `code`, lists and indented displays) to reStructuredText."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _ENUMERATOR = re.compile(r"^(\(?(?:\w|\d+|[ivxlcdm]+)[.)]\s)")
 
 
 class Kind(Enum):
-    """What a line belongs to."""
+    """Kind of a line."""
 
     BLANK, TEXT, ITEM, DISPLAY = range(4)
 
 
 def as_rst(lines: Sequence[str]) -> list[str]:
-    """Lines of a docstring in which markup means what it shows."""
+    """Return the lines of a docstring as reStructuredText."""
     made: list[str] = []
     for kind, pairs in groupby(zip(_kinds(lines), lines, strict=True), key=lambda pair: pair[0]):
         block = [line for _, line in pairs]
@@ -32,7 +32,7 @@ def as_rst(lines: Sequence[str]) -> list[str]:
 
 
 def _kinds(lines: Sequence[str]) -> Iterator[Kind]:
-    """Lines that start with `- ` begin an item, indented ones go on with it, other indented ones are a display."""
+    """Yield the kind of each line: `- ` starts an item, indented lines continue it or are a display."""
     kind = Kind.BLANK
     for line in lines:
         if not line.strip():
@@ -47,7 +47,7 @@ def _kinds(lines: Sequence[str]) -> Iterator[Kind]:
 
 
 def _escaped(block: Sequence[str]) -> list[str]:
-    """Text whose only markup is code."""
+    """Return a block with all markup but code escaped."""
     parts = _CODE.split("\n".join(block))
     text = "".join(f"``{p.strip('`')}``" if _CODE.fullmatch(p) else _MARKUP.sub(r"\\\1", p) for p in parts)
     return [_ENUMERATOR.sub(r"\\\1", line) for line in text.splitlines()]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interpreter, ROS 2, pinned packages and colcon build from nothing, with the standard library only."""
+"""Set up interpreter, ROS 2, pinned packages and colcon build with the standard library only."""

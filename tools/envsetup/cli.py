@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of the set-up: `setup_env.py build|test|bench|docs|lint|check`."""
+"""Command line of the set-up: `setup_env.py build|test|bench|docs|lint|check`."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ TARGETS = {
     "bench": "environment to measure against peers, and the colcon build",
     "docs": "environment to build the documents, and the colcon build",
     "lint": "environment to test, no build",
-    "check": "say which Python and which ROS 2 would be used, and change nothing",
+    "check": "show which Python and ROS 2 would be used; change nothing",
 }
 LEVELS = {"build": "run", "test": "test", "bench": "bench", "docs": "docs", "lint": "test"}
-"""The level of the environment that a target needs."""
+"""Environment level of each target."""
 
 
 def parser() -> argparse.ArgumentParser:
-    """Command-line arguments."""
+    """Return the parser of the command line."""
     listing = "\n".join(f"  {name:6} {what}" for name, what in TARGETS.items())
     description = f"Set the workspace up from nothing.\n\n{listing}"
     raw = argparse.RawTextHelpFormatter
@@ -42,7 +42,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Set up what a target needs; 0 when all is there, 1 with one sentence on stderr when it cannot be."""
+    """Set up a target; return 0, or 1 with one sentence on stderr on failure."""
     target = parser().parse_args(arguments).target
     try:
         sourced_ros = uses_sourced_ros(Machine.here())
@@ -53,13 +53,13 @@ def main(arguments: Sequence[str]) -> int:
         print(f"{error.details}\n{PREFIX} {error}" if error.details else f"{PREFIX} {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print(f"\n{PREFIX} interrupted; the same command takes it up again.", file=sys.stderr)
+        print(f"\n{PREFIX} interrupted; run the same command again to continue.", file=sys.stderr)
         return 130
     return 0
 
 
 def set_up(target: str, sourced_ros: bool) -> None:
-    """Do the steps of one target, alone in this checkout."""
+    """Run the steps of a target, locked against other set-ups of this checkout."""
     environment = Environment(ROOT, sourced_ros)
     if target == "check":
         source = "the sourced one" if sourced_ros else "wheels"
@@ -75,14 +75,14 @@ def set_up(target: str, sourced_ros: bool) -> None:
 
 
 def extras(environment: Environment, target: str) -> list[Extra]:
-    """What the system may bring: a C compiler, what reading a URDF needs, and for tests C++ and a browser."""
+    """Return the optional system packages: C compiler, URDF parser, and for tests a C++ compiler and a browser."""
     urdf = pinocchio if environment.sourced_ros else openmp
     found = [compiler(environment.env), urdf(environment.python, environment.env)]
     return [*found, cpp_compiler(environment.env), browser(environment.env)] if target == "test" else found
 
 
 def enter_ros_interpreter(arguments: Sequence[str]) -> None:
-    """Go on in the Python of the sourced ROS 2, if that is another one."""
+    """Continue in the Python of the sourced ROS 2 if it is another one."""
     python = ros_interpreter(ros_candidates())
     if python != base_interpreter() and not os.environ.get("FJR_SETUP_ENTERED"):
         sys.stdout.flush()
@@ -91,7 +91,7 @@ def enter_ros_interpreter(arguments: Sequence[str]) -> None:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Hold the checkout's lock, so that two `make` side by side set up once."""
+    """Hold the lock of the checkout, so that parallel `make` calls set up once."""
     folder.mkdir(exist_ok=True)
     (folder / ".gitignore").write_text("*\n", encoding="utf-8")
     with (folder / "lock").open("w") as lock:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the set-up says: one line a step with its time, one sentence for an error, all else in a log."""
+"""Output of the set-up: one line per step with its time, one sentence per error, details in a log."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TAIL_LINES = 25
 
 
 class SetupError(Exception):
-    """Something the user has to know or do; the message is one clear sentence, `details` may follow it."""
+    """An error for the user: one sentence, optionally with `details`."""
 
     def __init__(self, message: str, details: str = "") -> None:
         super().__init__(message)
@@ -108,7 +108,7 @@ def run_logged(
 
 
 def clean_environment(sourced_ros: bool) -> dict[str, str]:
-    """This process's environment without what would mislead pip, colcon or the wheels' start-up hook.
+    """Return the environment without variables that mislead pip, colcon or the start-up hook of the wheels.
 
     The hook of the ROS wheels re-executes Python once with its own LD_LIBRARY_PATH and leaves a guard
     variable behind, which would keep the Python of another environment from finding its libraries.

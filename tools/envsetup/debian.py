@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packages of Debian and Ubuntu, installed by apt-get."""
+"""Install packages of Debian and Ubuntu by apt-get."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from envsetup.console import Step, run_logged
 
 
 def has_apt() -> bool:
-    """Whether this is a Debian or Ubuntu."""
+    """Return whether apt-get is available."""
     return any(Path(folder, "apt-get").exists() for folder in ("/usr/bin", "/bin"))
 
 
 def apt_install(packages: tuple[str, ...], log: Path, env: dict[str, str]) -> None:
-    """Install packages, as root; SetupError when apt-get cannot."""
+    """Install packages as root; raise SetupError if apt-get fails."""
     apt, names = {**env, "DEBIAN_FRONTEND": "noninteractive"}, " ".join(packages)
     with Step("apt-get update") as step:
         run_logged(["apt-get", "update"], log, apt, step, failure="apt-get update failed")

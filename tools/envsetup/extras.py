@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the system may bring beside the pinned packages: useful, not needed."""
+"""Optional system packages in addition to the pinned ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NO_URDF = "robots cannot be read from a URDF"
 
 @dataclass(frozen=True)
 class Extra:
-    """title: what it is. packages: of Debian or Ubuntu that bring it. without: what is so where it is not there."""
+    """title: name. packages: of Debian or Ubuntu that provide it. without: consequence of its absence."""
 
     title: str
     packages: tuple[str, ...]
@@ -27,7 +27,7 @@ class Extra:
     is_there: Callable[[], bool]
 
     def ensure(self, log: Path, env: dict[str, str]) -> None:
-        """See that it is there; where it cannot be, say so in one line and go on."""
+        """Install the package if possible; otherwise print one line and continue."""
         if self.is_there():
             return
         lack = f"{self.title} is missing: {self.without}"
@@ -52,25 +52,25 @@ class Extra:
 
 
 def compiler(env: dict[str, str]) -> Extra:
-    """The C compiler that law and plant are compiled with."""
+    """Return the C compiler for law and plant."""
     slow = "law and plant run in CasADi's virtual machine, many times slower"
     return Extra("a C compiler (cc, gcc or clang)", ("gcc", "libc6-dev"), slow, lambda: has_compiler(env))
 
 
 def cpp_compiler(env: dict[str, str]) -> Extra:
-    """The C++ compiler with which tests call exported C."""
+    """Return the C++ compiler with which tests call exported C."""
     check, code = ["c++", "-fsyntax-only", "-x", "c++", "-"], b"#include <vector>\n"
     fails = "tests of `fjr export-c` that call C from C++ fail"
     return Extra("a C++ compiler (c++)", ("g++",), fails, lambda: _succeeds(check, env, code))
 
 
 def pinocchio(python: Path, env: dict[str, str]) -> Extra:
-    """The Pinocchio of a sourced ROS 2."""
+    """Return the Pinocchio of a sourced ROS 2."""
     return Extra("Pinocchio", ("ros-jazzy-pinocchio",), NO_URDF, lambda: _imports_pinocchio(python, env))
 
 
 def openmp(python: Path, env: dict[str, str]) -> Extra:
-    """The OpenMP library that Pinocchio's wheel needs and does not bring; CasADi's wheel brings one, which serves."""
+    """Return the OpenMP library that Pinocchio's wheel needs; that of CasADi's wheel is used if there is none."""
 
     def is_there() -> bool:
         return _imports_pinocchio(python, env) or (_lend_openmp(python) and _imports_pinocchio(python, env))
@@ -79,7 +79,7 @@ def openmp(python: Path, env: dict[str, str]) -> Extra:
 
 
 def browser(env: dict[str, str]) -> Extra:
-    """The headless browser in which tests look at the pages that `fjr report` writes."""
+    """Return the headless browser in which tests open the pages of `fjr report`."""
 
     def is_there() -> bool:
         return any(_succeeds([name, "--version"], env) for name in BROWSERS)
@@ -104,7 +104,7 @@ def _imports_pinocchio(python: Path, env: dict[str, str]) -> bool:
 
 
 def has_compiler(env: dict[str, str]) -> bool:
-    """Whether $CC, or else one of COMPILERS on the path, finds the headers of the C library."""
+    """Return whether $CC, or one of COMPILERS on the path, finds the headers of the C library."""
     wanted = env.get("CC", "").split()
     commands = [wanted] if wanted else [[name] for name in COMPILERS]
     check, code = ["-fsyntax-only", "-x", "c", "-"], b"#include <math.h>\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which ROS 2 serves this machine: the one that is sourced, or the wheels."""
+"""Choose the ROS 2 for this machine: the sourced installation or the wheels."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ ROS_PYTHON_IMPORTS = (
 
 @dataclass(frozen=True)
 class Machine:
-    """The facts the choice depends on."""
+    """Properties of the machine that determine the choice."""
 
     system: str
     """`platform.system()`, e.g. Linux."""
     architecture: str
     """`platform.machine()`, e.g. x86_64."""
     libc: str
-    """Name of the C library, e.g. glibc; empty where it is not known."""
+    """Name of the C library, e.g. glibc; empty if unknown."""
     libc_version: tuple[int, ...]
     implementation: str
     """`sys.implementation.name`, e.g. cpython."""
     ros_distro: str
-    """ROS_DISTRO of the environment, empty where no ROS is sourced."""
+    """ROS_DISTRO of the environment; empty if no ROS is sourced."""
 
     @classmethod
     def here(cls, environ: Mapping[str, str] = os.environ) -> Machine:
-        """Look at the machine this runs on."""
+        """Return the properties of this machine."""
         name, version = platform.libc_ver()
         numbers = tuple(int(part) for part in version.split(".") if part.isdigit())
         architecture = platform.machine() if sys.maxsize > 2**32 else f"32-bit Python on {platform.machine()}"
@@ -53,7 +53,7 @@ class Machine:
 
 
 def has_wheels(machine: Machine) -> bool:
-    """Whether the ROS 2 wheels exist for this machine (manylinux_2_28, x86-64, CPython)."""
+    """Return whether ROS 2 wheels exist for this machine (manylinux_2_28, x86-64, CPython)."""
     return (
         machine.system == "Linux"
         and machine.architecture.lower() in {"x86_64", "amd64"}
@@ -64,7 +64,7 @@ def has_wheels(machine: Machine) -> bool:
 
 
 def uses_sourced_ros(machine: Machine) -> bool:
-    """True: use the sourced ROS 2 Jazzy; False: use the wheels; SetupError where neither is possible."""
+    """Return True for the sourced ROS 2 Jazzy, False for the wheels; raise SetupError if neither is possible."""
     if machine.ros_distro == DISTRO:
         return True
     if machine.ros_distro:
@@ -82,12 +82,12 @@ def uses_sourced_ros(machine: Machine) -> bool:
 
 
 def base_interpreter() -> str:
-    """The interpreter outside any virtual environment."""
+    """Return the interpreter outside any virtual environment."""
     return os.path.realpath(getattr(sys, "_base_executable", sys.executable) or sys.executable)
 
 
 def ros_interpreter(candidates: Iterable[str]) -> str:
-    """The first interpreter that imports rclpy and the sourced ROS 2's messages; SetupError if none does."""
+    """Return the first interpreter that imports rclpy and the messages of the sourced ROS 2; raise SetupError."""
     seen = []
     for candidate in candidates:
         try:
@@ -106,12 +106,12 @@ def ros_interpreter(candidates: Iterable[str]) -> str:
 
 
 def ros_candidates() -> list[str]:
-    """Interpreters worth trying with a sourced ROS 2, the running one first, each once."""
+    """Return candidate interpreters for a sourced ROS 2, the running one first."""
     found = (shutil.which(name) for name in ("python3", "/usr/bin/python3", "python3.12"))
     return list(dict.fromkeys([base_interpreter(), *(os.path.realpath(path) for path in found if path)]))
 
 
 def debian_venv_package() -> str:
-    """The Debian or Ubuntu package that completes `venv` for the running interpreter, empty elsewhere."""
+    """Return the Debian or Ubuntu package with `venv` for this interpreter; empty on other systems."""
     is_system_python = base_interpreter().startswith("/usr/bin/")
     return f"python{sys.version_info[0]}.{sys.version_info[1]}-venv" if has_apt() and is_system_python else ""

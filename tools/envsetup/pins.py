@@ -21,18 +21,18 @@ FILES_ONLY = "pages.txt"
 
 
 def normalise(name: str) -> str:
-    """The canonical spelling of a distribution's name."""
+    """Return the canonical name of a distribution."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def entries(text: str) -> list[str]:
-    """Lines of a requirements or constraints file without comments."""
+    """Return the lines of a requirements or constraints file without comments."""
     lines = (line.split("#", 1)[0].strip() for line in text.splitlines())
     return [line for line in lines if line]
 
 
 def requirement_name(entry: str) -> str:
-    """`ros-jazzy-rclpy[fastrtps]>=7` -> `ros-jazzy-rclpy`."""
+    """Return the name in an entry: `ros-jazzy-rclpy[fastrtps]>=7` -> `ros-jazzy-rclpy`."""
     found = re.match(r"[A-Za-z0-9][A-Za-z0-9._-]*", entry)
     if found is None:
         raise ValueError(f"not a requirement: {entry!r}")
@@ -40,28 +40,28 @@ def requirement_name(entry: str) -> str:
 
 
 def pins(text: str) -> dict[str, str]:
-    """`name==version` lines of a constraints file."""
+    """Return name -> version of a constraints file."""
     pairs = (entry.split("==", 1) for entry in entries(text))
     return {requirement_name(name): version.split(";")[0].strip() for name, version in pairs}
 
 
 def requirement_files(root: Path, level: str, wheels: bool) -> list[Path]:
-    """The requirement files of a level, with ROS 2 itself where it comes as wheels."""
+    """Return the requirement files of a level, including ROS 2 if it is installed from wheels."""
     ros = ("ros-wheels", "ros-wheels-test") if level == "test" else ("ros-wheels",)
     names = (*LEVELS[level], *ros) if wheels else LEVELS[level]
     return [root / "requirements" / f"{name}.txt" for name in names]
 
 
 def release(version: str) -> tuple[int, ...]:
-    """Leading numbers of a version, for a coarse comparison."""
+    """Return the leading numbers of a version, for a coarse comparison."""
     found = re.match(r"\d+(\.\d+)*", version)
     return tuple(int(part) for part in found.group().split(".")) if found else ()
 
 
 def relaxed(pinned: Mapping[str, str], installed: Mapping[str, str], exact: Collection[str] = ()) -> list[str]:
-    """Constraints beside an installed ROS 2: what it brings is kept where it suffices, all else is pinned.
+    """Return constraints next to an installed ROS 2: sufficient installed versions are kept, all others pinned.
 
-    installed: versions that the ROS 2 installation and its system bring; exact: names to pin nevertheless.
+    installed: versions of the ROS 2 installation and its system; exact: names that are always pinned.
     The message extensions of a ROS 2 installation are built against its NumPy: it is kept, or NumPy 1 taken.
     """
     lines = []
@@ -77,17 +77,17 @@ def relaxed(pinned: Mapping[str, str], installed: Mapping[str, str], exact: Coll
 
 
 def fingerprint(*parts: object) -> str:
-    """Hash of texts and plain values."""
+    """Return a hash of texts and plain values."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def texts(paths: Iterable[Path]) -> dict[str, str]:
-    """Contents of files by name; an absent file reads as empty."""
+    """Return the contents of files by name; a missing file is empty."""
     return {path.name: path.read_text(encoding="utf-8") if path.exists() else "" for path in paths}
 
 
 def read_stamp(path: Path) -> dict[str, object]:
-    """A stamp that an earlier, completed step left, or nothing."""
+    """Return the stamp of an earlier, completed step; empty if there is none."""
     try:
         stamp = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -96,7 +96,7 @@ def read_stamp(path: Path) -> dict[str, object]:
 
 
 def write_stamp(path: Path, stamp: Mapping[str, object]) -> None:
-    """Leave a stamp, whole or not at all."""
+    """Write a stamp atomically."""
     scratch = path.with_suffix(".part")
     scratch.write_text(json.dumps(stamp, indent=1), encoding="utf-8")
     scratch.replace(path)

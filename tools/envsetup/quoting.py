@@ -30,7 +30,7 @@ def quote_paths(install: Path) -> None:
 
 
 def _executables(install: Path) -> list[Path]:
-    """The nodes: what is in <package>/lib/<package>."""
+    """Return the executables in <package>/lib/<package>."""
     found = install.glob("*/lib/*/*")
     return [path for path in found if path.is_file() and path.parent.name == path.parents[2].name]
 
@@ -41,5 +41,5 @@ def _quoted(line: re.Match[str]) -> str:
 
 
 def _by_the_shell(line: re.Match[bytes]) -> bytes:
-    """Two lines that sh reads as `exec python`, and Python as a text."""
+    """Return two lines that sh executes as `exec python` and Python ignores as a string."""
     return b"#!/bin/sh\n'''exec' \"" + line["python"] + b'" "$0" "$@"\n\' \'\'\'\n'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual environment with the pinned packages; made anew unless a stamp proves it complete."""
+"""Create the virtual environment with the pinned packages unless a stamp shows it is complete."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ print(json.dumps({each.metadata["Name"]: each.version for each in reversed(outsi
 
 
 class Environment:
-    """`.venv` (ROS 2 from wheels) or `.venv-ros` (beside a sourced ROS 2) in the root of the checkout."""
+    """`.venv` (ROS 2 from wheels) or `.venv-ros` (with a sourced ROS 2) in the root of the checkout."""
 
     def __init__(self, root: Path, sourced_ros: bool) -> None:
         self.root = root
@@ -37,7 +37,7 @@ class Environment:
         self._stamp = self.path / ".complete.json"
 
     def ensure(self, level: str) -> None:
-        """Make the environment hold everything of a level (see pins.LEVELS); quick when it already does."""
+        """Install the packages of a level (see pins.LEVELS) unless they are complete."""
         wanted = self.wanted(level)
         stamp = pins.read_stamp(self._stamp)
         levels = stamp.get("levels")
@@ -55,12 +55,12 @@ class Environment:
         pins.write_stamp(self._stamp, {"identity": self.identity(), "levels": levels_held})
 
     def identity(self) -> list[str]:
-        """What an environment cannot change after it was made."""
+        """Return the properties that require a new environment when they change."""
         ros = self.env.get("AMENT_PREFIX_PATH", "") if self.sourced_ros else ""
         return [str(self.path), base_interpreter(), sys.version, ros.split(os.pathsep)[-1]]
 
     def wanted(self, level: str) -> str:
-        """Fingerprint of all that decides what a level holds."""
+        """Return the fingerprint of the inputs of a level."""
         files = pins.requirement_files(self.root, level, not self.sourced_ros)
         files += [self._files_only(), self.root / "constraints.txt"]
         return pins.fingerprint(pins.texts(files), pins.texts([Path(__file__), Path(pins.__file__)]))
@@ -95,7 +95,7 @@ class Environment:
         run_logged(command, self.log, self.env, step, failure="pip could not install the pinned packages")
 
     def _constraints(self) -> Path:
-        """constraints.txt, relaxed beside a sourced ROS 2 to keep what that one brings."""
+        """Return constraints.txt, relaxed next to a sourced ROS 2 to keep its versions."""
         pinned = self.root / "constraints.txt"
         if not self.sourced_ros:
             return pinned
@@ -110,7 +110,7 @@ class Environment:
 
 
 def ensure_venv_module(log: Path, env: dict[str, str]) -> None:
-    """See that `python -m venv` works: Debian and Ubuntu keep a part of it in a package of its own."""
+    """Ensure that `python -m venv` works; Debian and Ubuntu ship part of it in a separate package."""
     if _has_venv():
         return
     package = debian_venv_package()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The colcon build of ros2_ws, repeated only when what it depends on has changed.
+"""Build ros2_ws by colcon if its inputs have changed.
 
 Packages are linked, not copied (`--symlink-install`): an edited module or YAML file needs no build. A new,
 removed or renamed file, a changed setup.py, setup.cfg or package.xml, another environment or Python does.
@@ -33,7 +33,7 @@ class Workspace:
         self._stamp = self.install / ".complete.json"
 
     def ensure(self) -> None:
-        """Build unless the last completed build still holds."""
+        """Build unless the last build is up to date."""
         identity, content = self._identity(), self.content()
         stamp = pins.read_stamp(self._stamp)
         complete = self.build.is_dir() and (self.install / "setup.sh").exists()
@@ -49,23 +49,23 @@ class Workspace:
         pins.write_stamp(self._stamp, {"identity": identity, "content": content})
 
     def remove(self) -> None:
-        """Remove all that colcon made."""
+        """Remove all outputs of colcon."""
         for folder in (self.build, self.install, self.path / "log"):
             shutil.rmtree(folder, ignore_errors=True)
 
     def content(self) -> str:
-        """Fingerprint of the packages: the list of their files, and the contents that colcon reads."""
+        """Return the fingerprint of the packages: list of files, and contents that colcon reads."""
         files = source_files(self.path / "src")
         contents = {str(path): path.read_text(encoding="utf-8") for path in files if path.name in COPIED}
         return pins.fingerprint([str(path) for path in files], contents, pins.texts([Path(__file__)]))
 
     def _identity(self) -> list[str]:
-        """What a build from nothing depends on; setup.cfg says where scripts go, and old ones must not stay."""
+        """Return the inputs that require a clean build; setup.cfg sets the location of scripts."""
         places = [file.read_text(encoding="utf-8") for file in sorted((self.path / "src").glob("*/setup.cfg"))]
         return [str(self.path), *self.environment.identity(), pins.fingerprint(places)]
 
     def _colcon(self) -> None:
-        """Run colcon by the environment's Python, which thereby becomes the one in the nodes' first line."""
+        """Run colcon in the Python of the environment, which becomes the interpreter of the nodes."""
         command = [str(self.environment.python), "-c", COLCON, "build", "--symlink-install"]
         command += ["--base-paths", "src", "--event-handlers", *EVENTS]
         log = self.environment.root / ".setup" / "colcon.log"
@@ -76,7 +76,7 @@ class Workspace:
 
 
 def source_files(folder: Path) -> list[Path]:
-    """All files under `folder` that belong to the packages, sorted; no caches, no hidden files."""
+    """Return all package files under `folder`, sorted, without caches and hidden files."""
     found = []
     for base, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if is_source(name)]
@@ -85,12 +85,12 @@ def source_files(folder: Path) -> list[Path]:
 
 
 def is_source(name: str) -> bool:
-    """Whether a file or folder of this name belongs to a package."""
+    """Return whether a file or folder of this name belongs to a package."""
     return not name.startswith((".", "__pycache__")) and not name.endswith((".egg-info", ".pyc", "~"))
 
 
 def remove_dangling_links(folder: Path) -> None:
-    """Remove the links that an incremental build leaves to files that are gone."""
+    """Remove dangling links to deleted files, which an incremental build leaves."""
     for base, _, names in os.walk(folder):
         for name in names:
             path = Path(base, name)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The study of sensors and observers in docs/measurements.md."""
+"""Study of sensors and observers for docs/measurements.md."""

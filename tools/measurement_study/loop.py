@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sampled closed loop of a scenario with imperfect sensors and, where asked for, the velocity observer; no ROS."""
+"""Simulate the sampled closed loop of a scenario with quantised, noisy sensors and the velocity observer; no ROS."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ START = 1_000_000_000  # ns; stamp of the first sample
 
 @dataclass(frozen=True)
 class Sensors:
-    """What is read of q_l and q_m: encoders on both sides, or a torque sensor in place of the motor's.
+    """Sensors of q_l and q_m: encoders on both sides, or a joint torque sensor instead of the motor encoder.
 
-    bits: of the encoders per turn of their shaft, 0: exact. gear_ratio: turns of the motor's shaft for one of q_m.
-    torque_range [N m]: of the torque sensors, 0: there are none; torque_bits over +-range, white noise of
-    torque_noise times the range (standard deviation), seeded.
+    bits: encoder resolution per turn of its shaft, 0: exact. gear_ratio: turns of the motor shaft per turn of q_m.
+    torque_range [N m]: of the torque sensors, 0: none; torque_bits: over +-range; torque_noise: standard deviation
+    relative to the range, seeded.
     """
 
     bits: int = 0
@@ -34,7 +34,7 @@ class Sensors:
     torque_noise: float = 5e-4
 
     def read(self, robot: Robot, q_l: Array, q_m: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """(q_l, q_m) as the controller gets them [rad]."""
+        """Return measured (q_l, q_m) [rad]."""
         encoder = 2 * np.pi / 2**self.bits if self.bits else 0.0
         link = _rounded(q_l, encoder)
         if not self.torque_range:
@@ -46,7 +46,7 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Run:
-    """A run at k samples: t (k,) [s], q_tilde_l (k, n) [rad], u (k, n) [N m], error of the velocities (k, 2n)."""
+    """A run of k samples: t (k,) [s], q_tilde_l (k, n) [rad], u (k, n) [N m], velocity errors (k, 2n) [rad/s]."""
 
     t: Array
     q_tilde_l: Array
@@ -54,20 +54,20 @@ class Run:
     velocity_error: Array
 
     def rms(self, start: float) -> float:
-        """Root mean square of q_tilde_l from `start` [s] on, of the worst joint [rad]."""
+        """Return the RMS of q_tilde_l from `start` [s] on, of the worst joint [rad]."""
         return float(np.sqrt(np.mean(self.q_tilde_l[self.t >= start] ** 2, axis=0)).max())
 
     def largest(self, start: float) -> float:
-        """Largest |q_tilde_l| from `start` [s] on, of any joint [rad]."""
+        """Return the largest |q_tilde_l| from `start` [s] on, of all joints [rad]."""
         return float(np.abs(self.q_tilde_l[self.t >= start]).max())
 
     def ripple(self, start: float) -> float:
-        """Root mean square of the change of u from sample to sample from `start` [s] on, of the worst joint [N m]."""
+        """Return the RMS change of u between samples from `start` [s] on, of the worst joint [N m]."""
         return float(np.sqrt(np.mean(np.diff(self.u[self.t >= start], axis=0) ** 2, axis=0)).max())
 
 
 def scenario(name: str) -> Scenario:
-    """A shipped scenario."""
+    """Load an installed scenario."""
     return load_scenario(SCENARIOS / f"{name}.yaml")
 
 
@@ -79,9 +79,9 @@ def run(
     duration: float = 5.0,
     plant: Plant | None = None,
 ) -> Run:
-    """Measure, observe, answer, hold, step; bandwidth [rad/s] None: velocities are measured exactly.
+    """Simulate the loop. bandwidth [rad/s]: of the observer; None: exact velocities.
 
-    smoothed: the law gets the observer's positions, else those that were read. plant: another than the scenario's.
+    smoothed: feed back the positions of the observer instead of the measured ones. plant: replaces the scenario's.
     """
     robot, plant, n = scenario.robot, plant or scenario.plant, scenario.robot.n
     period = round(scenario.sample_period * 1e9)
@@ -91,20 +91,20 @@ def run(
     u: Array = np.zeros(n)
     t = np.asarray(scenario.sample_period * np.arange(int(duration / scenario.sample_period + 1e-9) + 1), dtype=float)
     jets = scenario.reference.jets(t)
-    error, efforts, wrong = np.empty((len(t), n)), np.empty((len(t), n)), np.zeros((len(t), 2 * n))
+    error, efforts, velocity_error = np.empty((len(t), n)), np.empty((len(t), n)), np.zeros((len(t), 2 * n))
     for k in range(len(t)):
         position: Array = np.concatenate(sensors.read(plant.robot, x[:n], x[n : 2 * n], rng))
-        true = np.concatenate(plant.robot.velocities(x))
-        velocity: Array = true
+        exact = np.concatenate(plant.robot.velocities(x))
+        velocity: Array = exact
         if observer:
             observer.update(START + k * period, position[:n], position[n:], u)
             velocity = observer.state[2 * n :]
             position = observer.state[: 2 * n] if smoothed else position
-        error[k], wrong[k] = x[:n] - jets[k, 0], velocity - true
+        error[k], velocity_error[k] = x[:n] - jets[k, 0], velocity - exact
         u = efforts[k] = scenario.law.measured_command(position, velocity, jets[k])[0]
         for _ in range(steps):
             x = plant.step(x, u, period * 1e-9 / steps)
-    return Run(t, error, efforts, wrong)
+    return Run(t, error, efforts, velocity_error)
 
 
 def _rounded(values: Array, step: float) -> Array:

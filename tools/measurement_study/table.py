@@ -42,9 +42,9 @@ def measured_table(scenarios: Mapping[str, Scenario]) -> list[str]:
         "| --- | --- | --- | --- | --- |",
     ]
     for name, loop in scenarios.items():
-        for words, found in modes(loop, TORQUE_RANGES[name]):
-            figures = (found.rms(SETTLED), found.largest(SETTLED), found.ripple(SETTLED))
-            lines.append(f"| `{name}` | {words} | " + " | ".join(f"{figure:.1e}" for figure in figures) + " |")
+        for sensor_set, found in modes(loop, TORQUE_RANGES[name]):
+            metrics = (found.rms(SETTLED), found.largest(SETTLED), found.ripple(SETTLED))
+            lines.append(f"| `{name}` | {sensor_set} | " + " | ".join(f"{value:.1e}" for value in metrics) + " |")
     return lines
 
 
@@ -62,11 +62,15 @@ def bandwidth_table(scenarios: Mapping[str, Scenario]) -> list[str]:
 def mismatch_table(scenarios: Mapping[str, Scenario]) -> list[str]:
     """Return the table of RMS error [rad] of the paper's joint with a wrong model: by bandwidth."""
     real = single_link(stiffness=32.55, link_inertia=0.0341, gravity_torque=0.88, link_damping=0.15)
-    ways = {"measured": None, **{f"{bandwidth:g}": bandwidth for bandwidth in BANDWIDTHS}}
+    observers = {"measured": None, **{f"{bandwidth:g}": bandwidth for bandwidth in BANDWIDTHS}}
     loop, plant = scenarios["paper_k31"], Plant(real, compile=True)
-    found = [run(loop, Sensors(bits=16), bandwidth, plant=plant).rms(SETTLED) for bandwidth in ways.values()]
-    head = "| bandwidth, rad/s | " + " | ".join(ways) + " |"
-    return [head, "| --- " * (len(ways) + 1) + "|", "| RMS, rad | " + " | ".join(f"{rms:.1e}" for rms in found) + " |"]
+    found = [run(loop, Sensors(bits=16), bandwidth, plant=plant).rms(SETTLED) for bandwidth in observers.values()]
+    head = "| bandwidth, rad/s | " + " | ".join(observers) + " |"
+    return [
+        head,
+        "| --- " * (len(observers) + 1) + "|",
+        "| RMS, rad | " + " | ".join(f"{rms:.1e}" for rms in found) + " |",
+    ]
 
 
 def replaced(page: str, name: str, lines: list[str]) -> str:

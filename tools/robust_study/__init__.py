@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The study of the robust action in docs/robust.md."""
+"""Study of disturbance observer, integral action and Smith predictor for docs/robust.md."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots that are not what their law believes in, and sampled loops of laws with robust action on them."""
+"""Robots that differ from the model of their law, and sampled loops with disturbance compensation on them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PERIOD = 1e-3  # s
 
 
 def pushed(robot: fjr.Robot, torque: Any) -> fjr.Robot:
-    """The robot with a constant torque (n,) [N m] on its links: P_l - torque' q_l."""
+    """Return the robot with a constant torque (n,) [N m] on its links: P_l - torque' q_l."""
     links, q = robot.links, ca.SX.sym("q", robot.n)
     d = ca.DM(np.broadcast_to(np.asarray(torque, dtype=float), robot.n))
     P_l = ca.Function("P_l", [q], [links.P_l(q) - ca.dot(d, q)])
@@ -27,7 +27,7 @@ def pushed(robot: fjr.Robot, torque: Any) -> fjr.Robot:
 
 
 def heavier(robot: fjr.Robot, factor: float, gravity: float = 1.0) -> fjr.Robot:
-    """The robot with its link inertia times a factor, its weight times another."""
+    """Return the robot with scaled link inertia (factor) and gravity torque (gravity)."""
     links, n = robot.links, robot.n
     q, v, w = (ca.SX.sym(name, n) for name in ("q", "v", "w"))
     return replace(
@@ -53,7 +53,10 @@ def errors(
     delay: float = 0.0,
     position: Any = None,
 ) -> Array:
-    """q_l - q_ld (k, n) [rad] in a loop of 1 kHz from rest on the reference, or at a position; 4 steps a sample."""
+    """Return q_l - q_ld (k, n) [rad] of a 1 kHz loop, starting on the reference or at rest at `position` [rad].
+
+    delay [s]: of the command; the plant takes 4 steps per sample.
+    """
     n, jets = robot.n, reference.jets(0.0)
     q_l = jets[0] if position is None else np.broadcast_to(np.asarray(position, dtype=float), n)
     dq_l = jets[1] if position is None else np.zeros(n)
@@ -63,17 +66,19 @@ def errors(
 
 
 def rms(e: Array) -> float:
-    """Root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(e**2)))
 
 
 def radius(law: SampledLaw, robot: fjr.Robot, q_ld: Array, seconds: float) -> tuple[float, float]:
-    """The sampled loop that holds q_ld (n,): the largest |q_l - q_ld| [rad] where it comes to rest after `seconds`,
-    and the spectral radius of the one-sample map of robot and memory there.
+    """Simulate the sampled loop that holds q_ld (n,) for `seconds`.
+
+    Return the largest |q_l - q_ld| [rad] at the end, and the spectral radius of the one-sample map of plant and
+    controller state there.
     """
     n, plant = robot.n, fjr.Plant(robot)
     x, memory, sent = ca.MX.sym("x", 4 * n), ca.MX.sym("memory", len(law.memory)), ca.MX.sym("sent", n)
-    velocity = ca.vertcat(robot.links.M_l(x[:n]), ca.DM(robot.M_m))  # solved below: momenta are the state
+    velocity = ca.vertcat(robot.links.M_l(x[:n]), ca.DM(robot.M_m))  # momentum = M dq, solved below
     dq_l, dq_m = ca.solve(velocity[:n, :], x[2 * n : 3 * n]), ca.solve(velocity[n:, :], x[3 * n :])
     jets = np.vstack([q_ld, np.zeros((4, n))])
     u, _, after = law.step_function(x[: 2 * n], ca.vertcat(dq_l, dq_m), jets.T, law.gain_values, memory, sent, PERIOD)

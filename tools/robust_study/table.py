@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the table of measurements in docs/robust.md, between its markers, and draw its figure.
+"""Regenerate the table of docs/robust.md between its markers, and its figure.
 
 . ros2_ws/install/setup.sh && .venv/bin/python -m tools.robust_study.table
 """
@@ -33,7 +33,7 @@ Case = tuple[str, fjr.TrackingLaw, fjr.Robot, fjr.Reference, float, dict[str, Ro
 
 
 def law_of(scenario: Scenario) -> fjr.TrackingLaw:
-    """As machine code."""
+    """Return the compiled law of a scenario."""
     return fjr.TrackingLaw(scenario.robot, scenario.gains, compile=True)
 
 
@@ -42,14 +42,14 @@ def cases() -> list[Case]:
     joint, planar, arm = (load_scenario(ROOT / f"ros2_ws/src/fjr_bringup/scenarios/{name}.yaml") for name in NAMES)
     load = {"residual": RESIDUAL, "integral": INTEGRAL, "both": BOTH}
     slow = fjr.Sine(0.3, 2 * np.pi * 0.2, offset=arm.reference.jets(0.5)[0])
-    wrong = [
+    disturbed = [
         ("`paper_k31` at standstill, 0.3 N m on the link", joint, pushed(joint.robot, 0.3), fjr.Hold([0.5]), 0.0, load),
         ("`paper_k31` moving, 0.3 N m on the link", joint, pushed(joint.robot, 0.3), joint.reference, 0.0, load),
         ("`two_link` moving, inertia 20 % larger", planar, heavier(planar.robot, 1.2), planar.reference, 0.0, load),
         ("`arm7`, 0.3 rad at 0.2 Hz, inertia 20 % larger", arm, heavier(arm.robot, 1.2), slow, 0.0, load),
         ("the same, weight 20 % larger too", arm, heavier(arm.robot, 1.2, 1.2), slow, 0.0, load),
     ]
-    wrong += [
+    disturbed += [
         (
             f"`{name}` moving, one sample of delay",
             scenario,
@@ -61,8 +61,8 @@ def cases() -> list[Case]:
         for name, scenario in zip(NAMES, (joint, planar, arm), strict=True)
     ]
     return [
-        (words, law_of(scenario), robot, reference, delay, ways)
-        for words, scenario, robot, reference, delay, ways in wrong
+        (text, law_of(scenario), robot, reference, delay, options)
+        for text, scenario, robot, reference, delay, options in disturbed
     ]
 
 
@@ -75,12 +75,12 @@ def measured(found: list[tuple[Case, dict[str, Array]]]) -> list[str]:
         "| disturbance | error without, rad | option | error with, rad | ratio |",
         "| --- | --- | --- | --- | --- |",
     ]
-    for (words, *_), runs in found:
+    for (text, *_), runs in found:
         plain = rms(runs["none"][settled:]) if (settled := round(SETTLED / PERIOD)) else 0.0
         for name, e in runs.items():
             if name != "none":
                 left = rms(e[settled:])
-                lines.append(f"| {words} | {plain:.1e} | {name} | {left:.1e} | {min(plain / left, 1e6):.3g} |")
+                lines.append(f"| {text} | {plain:.1e} | {name} | {left:.1e} | {min(plain / left, 1e6):.3g} |")
     return lines
 
 
@@ -96,11 +96,11 @@ def draw(found: list[tuple[Case, dict[str, Array]]]) -> None:
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 3.8), layout="constrained")
         for ax, i in zip(figure.subplots(1, 3), (1, 3, 5), strict=True):
-            (words, *_), runs = found[i]
+            (text, *_), runs = found[i]
             for name, e in runs.items():
                 t = PERIOD * np.arange(len(e))
                 ax.semilogy(t, np.maximum(np.abs(e).max(axis=1), 1e-9), color=colours[name], label=name, lw=1.0)
-            ax.set_title(words.replace("`", ""), fontsize=9)
+            ax.set_title(text.replace("`", ""), fontsize=9)
             ax.set_xlabel("t [s]")
             ax.set_ylim(bottom=1e-8)
             ax.legend(fontsize=8, loc="upper right")
@@ -110,16 +110,17 @@ def draw(found: list[tuple[Case, dict[str, Array]]]) -> None:
 
 def run(case: Case) -> dict[str, Array]:
     """Return the errors (k, n) [rad] without and with each option."""
-    _, law, robot, reference, delay, ways = case
+    _, law, robot, reference, delay, options = case
     start = 0.5 if law.robot.n == 1 and not isinstance(reference, fjr.Hold) else None
     return {
-        name: errors(law, way, reference, robot, SECONDS, delay, start) for name, way in ({"none": None} | ways).items()
+        name: errors(law, option, reference, robot, SECONDS, delay, start)
+        for name, option in ({"none": None} | options).items()
     }
 
 
 def main() -> None:
     """Run all cases, write the table, draw the figure."""
-    found = [(case, run(case)) for case in tqdm(cases(), desc="robust action")]
+    found = [(case, run(case)) for case in tqdm(cases(), desc="robust")]
     before, rest = PAGE.read_text(encoding="utf-8").split(START)
     after = rest.split(END)[1]
     table = "\n".join(measured(found))

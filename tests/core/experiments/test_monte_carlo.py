@@ -171,7 +171,7 @@ def test_a_store_of_another_study_is_refused(tmp_path: Path, changes: dict[str, 
     with open_store(tmp_path, campaign(), "program"):
         pass
     with (
-        pytest.raises(StoreError, match="holds another campaign") as caught,
+        pytest.raises(StoreError, match="holds another study") as caught,
         open_store(tmp_path, campaign(**changes), "program"),
     ):
         pass
@@ -180,7 +180,7 @@ def test_a_store_of_another_study_is_refused(tmp_path: Path, changes: dict[str, 
 
 
 def test_a_store_of_another_program_or_in_use_or_broken_is_refused(tmp_path: Path) -> None:
-    with open_store(tmp_path, campaign(), "program"), pytest.raises(StoreError, match="filled by another process"):  # noqa: SIM117
+    with open_store(tmp_path, campaign(), "program"), pytest.raises(StoreError, match="in use by another process"):  # noqa: SIM117
         with open_store(tmp_path, campaign(), "program"):
             pass
     with pytest.raises(StoreError, match="another version of this program"), open_store(tmp_path, campaign(), "new"):
@@ -194,7 +194,7 @@ def test_a_store_of_another_program_or_in_use_or_broken_is_refused(tmp_path: Pat
 def test_runs_of_which_nobody_says_what_they_are_are_refused(tmp_path: Path, left: str) -> None:
     (tmp_path / "parts").mkdir()
     (tmp_path / left).write_bytes(b"of another campaign")
-    with pytest.raises(StoreError, match="no campaign.json"), open_store(tmp_path, campaign(), "program"):
+    with pytest.raises(StoreError, match="without their campaign.json"), open_store(tmp_path, campaign(), "program"):
         pass
     assert not (tmp_path / "campaign.json").exists()
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorded run holds, as arrays and metrics."""
+"""Turn a recorded run into arrays and metrics."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands of a bag, each beside the state it answers."""
+"""Match the commands of a bag to the states they respond to."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from fjr_bringup.recording.reader import Array, Bag, Times
 from fjr_msgs_py import names
 
 ANSWERS, EFFORTS = f"/{names.JOINT_COMMANDS}", f"/{names.EFFORT_COMMANDS}"
-AFTERWARDS = 10**9  # ns; the last answers may come after the last state
+AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
 
 
 @dataclass(frozen=True)
 class Commands:
-    """What answered each of k states: u (k, n) [N m], when it was sent (k,) [ns]; NaN and -1 where nothing did."""
+    """Command of each of k states: u (k, n) [N m], send time (k,) [ns]; NaN and -1 without a command."""
 
     u: Array
     sent: Times
@@ -26,7 +26,7 @@ class Commands:
 
 
 def recorded_commands(bag: Bag, states: States, joints: tuple[str, ...]) -> Commands:
-    """By the stamp they carry, else by the time they were sent, else none."""
+    """Return the commands, matched by stamp where they carry one, otherwise by send time."""
     if bag.holds(ANSWERS):
         return _by_stamp(bag, states, joints)
     if bag.holds(EFFORTS):
@@ -35,30 +35,30 @@ def recorded_commands(bag: Bag, states: States, joints: tuple[str, ...]) -> Comm
     return _none(states, len(joints), note)
 
 
-def answers(stamps: Times, others: Times) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Row in the ordered `others` that has each stamp, and whether there is one."""
+def match_stamps(stamps: Times, others: Times) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Find each stamp in the sorted `others`: return row indices, and a mask of the stamps that were found."""
     place = np.minimum(np.searchsorted(others, stamps), len(others) - 1)
     return place, others[place] == stamps
 
 
 def _by_stamp(bag: Bag, states: States, joints: tuple[str, ...]) -> Commands:
     table, time = bag.joints(ANSWERS, joints), states.publish_time
-    meanwhile = np.flatnonzero((table.publish_time >= time[0]) & (table.publish_time <= time[-1] + AFTERWARDS))
-    rows = meanwhile[first_of_each_stamp(table.stamp[meanwhile])]
+    window = np.flatnonzero((table.publish_time >= time[0]) & (table.publish_time <= time[-1] + AFTERWARDS))
+    rows = window[first_of_each_stamp(table.stamp[window])]
     if not len(rows):
         return _none(states, len(joints), f"no state is answered on {ANSWERS}: no effort of the controller, no latency")
-    place, found = answers(states.stamp, table.stamp[rows])
+    place, found = match_stamps(states.stamp, table.stamp[rows])
     sent = np.where(found, table.publish_time[rows][place], -1)
     return Commands(np.where(found[:, None], table.effort[rows][place], np.nan), sent)
 
 
 def _by_time(bag: Bag, states: States, n: int) -> Commands:
-    """Each state is answered by the first command sent after it and before the next state."""
+    """Match each state to the first command sent after it and before the next state."""
     topic = bag.topic(EFFORTS)
-    fits = [(time, m.data) for time, m in zip(topic.publish_time, topic.decoded, strict=True) if len(m.data) == n]
-    if not fits:
+    valid = [(time, m.data) for time, m in zip(topic.publish_time, topic.decoded, strict=True) if len(m.data) == n]
+    if not valid:
         return _none(states, n, f"{EFFORTS} holds no command of {n} joints: no effort of the controller, no latency")
-    time, effort = np.array([moment for moment, _ in fits], dtype=np.int64), np.array([data for _, data in fits])
+    time, effort = np.array([sent for sent, _ in valid], dtype=np.int64), np.array([data for _, data in valid])
     place = np.searchsorted(time, states.publish_time)
     inside = np.minimum(place, len(time) - 1)
     found = (place < len(time)) & (time[inside] < np.append(states.publish_time[1:], np.iinfo(np.int64).max))

@@ -17,7 +17,7 @@ HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The co
 
 @dataclass(frozen=True)
 class ControllerStop:
-    """A stop of the controller. at_s [s]: time of the run; heading: what happened; reason: why, one sentence."""
+    """A stop of the controller. at_s [s]: time since the start of the run; heading: event; reason: one sentence."""
 
     at_s: float
     heading: str
@@ -30,9 +30,9 @@ class ControllerStop:
 
 
 def controller_stop(bag: Bag, sent: Times, t: Array) -> ControllerStop | None:
-    """The first stop in a bag; None where the controller never stopped.
+    """Return the first stop in a bag; None if the controller never stopped.
 
-    sent (k,) [ns]: send times of the states of the run; t (k,) [s]: their times in the run.
+    sent (k,) [ns]: send times of the states; t (k,) [s]: their times since the start of the run.
     """
     if not bag.holds(EVENTS):
         return None

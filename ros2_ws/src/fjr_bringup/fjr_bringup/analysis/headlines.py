@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The largest figures of a run, each with its unit and, where there are several joints, the joint it is of."""
+"""Format the headline metrics of a run with unit and, for several joints, the joint concerned."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ from fjr_bringup.analysis.metrics import Report
 from fjr_bringup.formatting import number, percent
 from fjr_core.robot.joint_units import joined
 
-Writer = Callable[[float, str], str]  # a value and its unit as text
+Formatter = Callable[[float, str], str]  # (value, unit) -> text
 
 
 def _four_digits(value: float, unit: str) -> str:
     return number(value, unit, 4)
 
 
-def peak_effort(report: Report, write: Writer = _four_digits) -> str:
-    """43.1 N m (joint2)."""
+def peak_effort(report: Report, write: Formatter = _four_digits) -> str:
+    """Return the peak effort, e.g. 43.1 N m (joint2)."""
     tracking = report.tracking
     unit = report.of_joint(tracking.peak_effort_joint).effort_unit
     return write(tracking.peak_effort_nm, unit) + _of(report, tracking.peak_effort_joint)
 
 
 def effort_share(report: Report) -> str:
-    """68 % of its limit (joint4); empty where there is no limit."""
+    """Return the largest share of an effort limit, e.g. 68 % of its limit (joint4); empty without limits."""
     share = report.tracking.largest_share_of_effort_limit
     return (
         "" if share is None else f"{percent(share, 0)} of its limit" + _of(report, report.tracking.largest_share_joint)
     )
 
 
-def peak_effort_and_share(report: Report, write: Writer = _four_digits) -> str:
-    """43.1 N m (joint2), 68 % of its limit (joint4)."""
+def peak_effort_and_share(report: Report, write: Formatter = _four_digits) -> str:
+    """Return both, e.g. 43.1 N m (joint2), 68 % of its limit (joint4)."""
     return ", ".join(filter(None, (peak_effort(report, write), effort_share(report))))
 
 
-def steady_error(report: Report, write: Writer = number) -> str:
-    """The largest error after 2 s, as 1.4e-4 rad (joint2)."""
+def steady_error(report: Report, write: Formatter = number) -> str:
+    """Return the largest error after 2 s, e.g. 1.4e-4 rad (joint2)."""
     tracking = report.tracking
     if tracking.max_error_after_2s_rad is None:
         return write(float("nan"), "")
@@ -46,18 +46,18 @@ def steady_error(report: Report, write: Writer = number) -> str:
 
 
 def initial_error(report: Report) -> str:
-    """The largest error at the start, as 0.5 rad (joint2)."""
+    """Return the largest initial error, e.g. 0.5 rad (joint2)."""
     worst = max(report.joints, key=lambda each: each.initial_error_rad)
     return number(worst.initial_error_rad, worst.position_unit) + _of(report, worst.joint)
 
 
 def position_unit(report: Report) -> str:
-    """The unit of all joints' positions: rad, m, or both."""
+    """Return the position unit of the joints: rad, m, or both."""
     return joined(each.position_unit for each in report.joints)
 
 
 def effort_unit(report: Report) -> str:
-    """The unit of all joints' efforts: N m, N, or both."""
+    """Return the effort unit of the joints: N m, N, or both."""
     return joined(each.effort_unit for each in report.joints)
 
 

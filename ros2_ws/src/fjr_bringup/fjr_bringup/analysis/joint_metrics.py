@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of each joint: how it followed, how long it took, what effort it needed."""
+"""Metrics of each joint: tracking error, settling time and effort."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from fjr_bringup.analysis.run_data import TrackingData
 from fjr_bringup.recording.reader import Array
 
-STEADY_AFTER = 2.0  # s; figures "after 2 s" tell the tracking error once the transient is over
+STEADY_AFTER = 2.0  # s; metrics "after 2 s" exclude the transient
 SETTLED = 0.02  # of the initial error
-AT_LIMIT = 1.0 - 1e-6  # of an effort limit: from there on a command is saturated
+AT_LIMIT = 1.0 - 1e-6  # share of an effort limit from which a command counts as saturated
 
 
 @dataclass(frozen=True)
 class JointFigures:
-    """One joint. Errors in rad, efforts in N m, times in s; None: not known, or none is given.
+    """Metrics of one joint. Errors in rad, efforts in N m, times in s; None: unknown or not applicable.
 
-    position_unit, effort_unit: of this joint's errors and efforts; m and N where it slides.
+    position_unit, effort_unit: units of errors and efforts of this joint; m and N for a prismatic joint.
     """
 
     joint: str
@@ -30,20 +30,20 @@ class JointFigures:
     rms_error_rad: float
     peak_error_after_2s_rad: float | None
     rms_error_after_2s_rad: float | None
-    settling_time_2_percent_s: float | None  # from then on within 2 % of the largest initial error of all joints
+    settling_time_2_percent_s: float | None  # to within 2 % of the largest initial error of all joints
     peak_effort_nm: float
     rms_effort_nm: float
     effort_limit_nm: float
-    saturated_fraction: float | None  # of the commands; None: no limit is given
+    saturated_fraction: float | None  # of the commands; None without a limit
 
 
 def joint_figures(data: TrackingData) -> list[JointFigures]:
-    """Those of every joint."""
+    """Return the metrics of every joint."""
     return [_of(data, j) for j in range(len(data.joints))]
 
 
 def settling_time(t: Array, size: Array, band: float) -> float | None:
-    """From when on `size` (k,) stays within the band; None: never, or not known."""
+    """Return the time [s] from which `size` (k,) stays within the band; None if never or unknown."""
     if not (np.isfinite(band) and np.isfinite(size).any()):
         return None
     outside = np.flatnonzero(size > band)
@@ -53,7 +53,7 @@ def settling_time(t: Array, size: Array, band: float) -> float | None:
 
 
 def initial_error(data: TrackingData) -> float:
-    """The largest error of all joints at the start [rad]."""
+    """Return the largest initial error of all joints [rad]."""
     return float(np.abs(data.error[0]).max())
 
 
@@ -78,5 +78,5 @@ def _of(data: TrackingData, j: int) -> JointFigures:
 
 
 def rms(values: Array) -> float:
-    """Root mean square."""
+    """Return the root mean square."""
     return float(np.sqrt((values**2).mean()))

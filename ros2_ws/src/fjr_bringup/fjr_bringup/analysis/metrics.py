@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a run, from its bag and scenario alone: report.json. Absent figures are null, never invented.
+"""Compute the metrics of a run from its bag and scenario: report.json. Unknown metrics are null.
 
-docs/reports.md says what each of them means.
+docs/reports.md defines each metric.
 """
 
 from __future__ import annotations
@@ -34,47 +34,47 @@ from fjr_bringup.atomic_file import write_text
 from fjr_bringup.recording.reader import Array, Bag
 from fjr_core.config.scenario import Scenario
 
-DECAYED = 1e-4  # of V(0): down to there the decay rate is measured
+DECAYED = 1e-4  # of V(0): the decay rate is measured down to this value
 VERSIONS = ("fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """How well the joints followed; errors and efforts are the largest of all joints, each with its joint.
+    """Tracking metrics; errors and efforts are the largest of all joints, each with its joint.
 
-    Of a prismatic joint they are in m and N (JointFigures).
+    Units of prismatic joints are m and N (JointFigures).
     """
 
     peak_effort_nm: float
-    peak_effort_joint: str | None  # null: no effort is known; the next two alike
+    peak_effort_joint: str | None  # null: no effort is known; likewise the next two
     largest_share_joint: str | None
     max_error_after_2s_joint: str | None
     peak_effort_by_joint_nm: dict[str, float]
-    effort_limit_by_joint_nm: dict[str, float]  # null: none is given
-    largest_share_of_effort_limit: float | None  # of all joints that have a limit; null: none has
+    effort_limit_by_joint_nm: dict[str, float]  # null: no limit
+    largest_share_of_effort_limit: float | None  # of all joints with a limit; null: no limit
     initial_error_rad: float
     max_error_after_2s_rad: float | None
     rms_error_after_2s_rad: float | None
-    settling_time_2_percent_s: float | None  # from then on |error| stays within 2 % of the initial one
-    saturated_fraction: float | None  # of the commands, with any joint at its limit; null: no limit is given
-    reference_mismatch_rad: float  # recorded reference against the scenario's: a cross-check, near 0
+    settling_time_2_percent_s: float | None  # |error| stays within 2 % of the initial one
+    saturated_fraction: float | None  # commands with any joint at its limit; null: no limit
+    reference_mismatch_rad: float  # recorded minus planned reference: a cross-check, near 0
 
 
 @dataclass(frozen=True)
 class Storage:
-    """Storage function V against its bound V(0) exp(-2 beta t), which is proven for continuous time.
+    """Lyapunov function V and its bound V(0) exp(-2 beta t), which is proven for continuous time.
 
-    The loop is sampled: a late command lifts V over the bound for a moment, and once V is tiny the hold keeps
-    it on a floor while the bound goes on towards zero.
+    The loop is sampled: a late command raises V above the bound for a moment, and the hold keeps V on a floor
+    while the bound converges to zero.
     """
 
     initial: float
     guaranteed_decay_rate_per_s: float  # 2 beta
-    guarantee_is_proven: bool  # for every configuration; else 2 beta is the least at configurations of the run
+    guarantee_is_proven: bool  # for every configuration; else 2 beta is the minimum over sampled configurations
     measured_decay_rate_per_s: float | None  # mean rate while V falls from V(0) to 1e-4 V(0)
-    leaves_bound_at_s: float | None  # stays above it from then on; null: never
+    leaves_bound_at_s: float | None  # V stays above the bound from here on; null: never
     relative_where_it_leaves: float | None  # V / V(0) there
-    largest_ratio_to_bound_before: float  # 1 or less: V never passed the bound before it left for good
+    largest_ratio_to_bound_before: float  # at most 1: V never exceeded the bound before
     max_relative_after_2s: float | None  # the floor, V / V(0)
 
 
@@ -86,12 +86,12 @@ class Energy:
     dissipated_j: float
     stored_j: float
     residual_j: float
-    rms_residual_of_supplied: float  # of the power left over, relative to the RMS of the power supplied
+    rms_residual_of_supplied: float  # RMS of the residual power, relative to that of the supplied power
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Send times as stamped by the middleware: period of the states; from a state to its command."""
+    """Statistics of the middleware's send times: period of the states, latency from state to command."""
 
     period_p50_us: float
     period_p99_us: float
@@ -103,53 +103,53 @@ class Timing:
 
 @dataclass(frozen=True)
 class Counts:
-    """Every sample is in here: nominal = published + missing; published = answered + unanswered."""
+    """Sample counts: nominal = published + missing; published = answered + unanswered."""
 
     nominal: int  # duration times rate
     published: int  # states recorded
-    missing: int  # nominal samples that are not in the bag (negative: more came than nominal)
+    missing: int  # nominal - published (negative: more states than nominal)
     gaps: int  # steps between stamps longer than 1.5 sample periods
     longest_gap_s: float
-    answered: int | None  # states whose command was recorded; this and the next three null: no command was
-    answered_in_time: int | None  # before the next state was sent
-    late: int | None  # after it
+    answered: int | None  # states with a recorded command; this and the next three null: no command was recorded
+    answered_in_time: int | None  # command sent before the next state
+    late: int | None  # command sent after the next state
     unanswered: int | None
     published_fraction: float  # of nominal
     answered_in_time_fraction: float | None  # of nominal
-    lost_by_recorder: dict[str, int | None]  # topic -> gaps in the publisher's numbering; null: several publish
+    lost_by_recorder: dict[str, int | None]  # topic -> gaps in the sequence numbers; null: several publishers
 
 
 @dataclass(frozen=True)
 class Report:
-    """All figures of one run."""
+    """All metrics of one run."""
 
     scenario: str
     duration_s: float
     sample_period_s: float
     lockstep: bool
     bag: str
-    bag_complete: bool  # it was closed; else the run or its recorder was killed
-    stop: ControllerStop | None  # why and when the controller stopped; null: it never did
+    bag_complete: bool  # closed by the recorder; else run or recorder were killed
+    stop: ControllerStop | None  # first stop of the controller; null: it never stopped
     verdict: Verdict
-    missing: tuple[str, ...]  # what the bag does not hold, and what was taken instead
+    missing: tuple[str, ...]  # missing signals and their substitutes
     tracking: Tracking
     joints: list[JointFigures]
-    storage: Storage | None  # null: V is not known, for want of the motors' side
+    storage: Storage | None  # null: V is unknown without motor positions
     energy: Energy | None
     timing: Timing
     counts: Counts
-    diagnostics: dict[str, dict[str, str]]  # last counters of each node
+    diagnostics: dict[str, dict[str, str]]  # last diagnostics of each node
     versions: dict[str, str]
-    not_recorded: dict[str, str] = field(default_factory=dict)  # topic -> why the recorder left it out
-    failure: str = ""  # why the run ended before its time
-    planned_s: float | None = None  # how long the run was to be; null: not known to the one who reports
+    not_recorded: dict[str, str] = field(default_factory=dict)  # topic -> why it was not recorded
+    failure: str = ""  # why the run ended early
+    planned_s: float | None = None  # planned duration; null: unknown
 
     def of_joint(self, joint: str | None) -> JointFigures:
-        """The figures of a joint; those of the first one for None."""
+        """Return the metrics of a joint, of the first one for None."""
         return next((each for each in self.joints if each.joint == joint), self.joints[0])
 
     def as_json(self) -> dict[str, Any]:
-        """The figures as JSON holds them: finite numbers only."""
+        """Return the metrics as JSON values; non-finite numbers become None."""
         return dict(_finite(asdict(self)))
 
     def write(self, path: Path) -> None:
@@ -205,7 +205,7 @@ def _tracking(data: TrackingData) -> Tracking:
 
 
 def _largest(values: Array, joints: Sequence[str]) -> tuple[float, str | None]:
-    """The largest of values (n,) and its joint; NaN and None where none is known."""
+    """Return the largest of values (n,) and its joint; NaN and None if all are unknown."""
     if np.isnan(values).all():
         return math.nan, None
     j = int(np.nanargmax(values))
@@ -213,7 +213,7 @@ def _largest(values: Array, joints: Sequence[str]) -> tuple[float, str | None]:
 
 
 def _saturated(data: TrackingData) -> float | None:
-    """Of the commands, those with any joint at its limit."""
+    """Return the fraction of commands with any joint at its limit; None without limits."""
     sent = data.u[np.isfinite(data.u).all(axis=1)]
     if not (len(sent) and np.isfinite(data.effort_limit).any()):
         return None
@@ -254,7 +254,7 @@ def _timing(data: TrackingData) -> Timing:
 
 
 def _percentiles(seconds: Array) -> tuple[float, float, float]:
-    """50 %, 99 % and largest, in microseconds."""
+    """Return median, 99th percentile and maximum [us]."""
     values = seconds * 1e6 if seconds.size else np.array([np.nan])
     return float(np.percentile(values, 50)), float(np.percentile(values, 99)), float(values.max())
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The power balance of eq. (36) over each sample: what was supplied and dissipated, and what the energy became.
+"""Power balance of eq. (36) over each sample: supplied, dissipated and stored power.
 
-dH/dt = dq_m' B_m u - dq_l' D_l dq_l - dq_m' D_m dq_m. An effort that is held over a sample supplies exactly
-effort times the motors' way, so that only the dissipation is a quadrature (the trapezoidal rule).
+dH/dt = dq_m' B_m u - dq_l' D_l dq_l - dq_m' D_m dq_m. An effort that is held over a sample does the
+work effort times motor displacement exactly; only the dissipation needs quadrature (trapezoidal rule).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fjr_bringup.recording.reader import Array
 
 @dataclass(frozen=True)
 class Power:
-    """Means over the k - 1 steps between k states [W], each from t [s] on; NaN: not known."""
+    """Mean powers (k - 1,) over the steps between k states [W]; t (k - 1,) [s]: start of each step; NaN: unknown."""
 
     t: Array
     supplied: Array
@@ -27,19 +27,22 @@ class Power:
 
     @property
     def residual(self) -> Array:
-        """What the model's balance leaves over [W]: 0 for the robot that the scenario describes."""
+        """Residual of the power balance [W]; 0 if the plant is the model."""
         return self.stored - self.supplied + self.dissipated
 
 
 def power(data: TrackingData, B_m: Array) -> Power:
-    """The balance between the recorded states; the effort is the motors' own torque where that was measured."""
+    """Return the power balance between the recorded states, with the measured motor torque where available.
+
+    B_m (n, n): input matrix of the motors.
+    """
     n, dt = len(data.joints), np.diff(data.t)
-    way = np.diff(data.position[:, n:], axis=0)
+    displacement = np.diff(data.position[:, n:], axis=0)
     held = _torque(data, B_m)
     with np.errstate(divide="ignore", invalid="ignore"):
         return Power(
             t=data.t[:-1],
-            supplied=(held * way).sum(axis=1) / dt,
+            supplied=(held * displacement).sum(axis=1) / dt,
             dissipated=(data.dissipated[:-1] + data.dissipated[1:]) / 2,
             stored=np.diff(data.H) / dt,
             dt=dt,
@@ -47,7 +50,7 @@ def power(data: TrackingData, B_m: Array) -> Power:
 
 
 def _torque(data: TrackingData, B_m: Array) -> Array:
-    """Mean torque at the motors over each step (k - 1, n) [N m]: a new effort acts from when it came."""
+    """Return the mean motor torque over each step (k - 1, n) [N m]; a new effort acts from its arrival on."""
     after = data.torque if np.isfinite(data.torque).any() else np.vstack([0 * data.u[:1], data.u[:-1] @ B_m.T])
     if data.lockstep:
         return after[1:]

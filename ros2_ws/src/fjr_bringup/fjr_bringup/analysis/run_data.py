@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run as arrays: what the joints did, storage of the law and energy of the robot, when messages went.
+"""A recorded run as arrays: joint motion, storage function of the law, energy of the robot, send times.
 
-Everything but positions, velocities, efforts and times is computed here from the scenario: a bag of any robot
-that follows the interface will do. What was not recorded is NaN, and `notes` say what it means.
+Only positions, velocities, efforts and times are read from the bag; all else is computed from the scenario.
+Unrecorded signals are NaN, and `notes` list them.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from fjr_core.monitoring.record import Record
 from fjr_core.robot.joint_units import REVOLUTE, Units
 
 VISITED = 200  # configurations of a run at which the rate is looked at
-MOMENT = 1.0  # s; a plant outlives its controller by less
-OTHER_RATE = 0.05  # relative; states that come at another period than the scenario's are taken as they come
+TAIL = 1.0  # s; states after the last command that are dropped without a note
+OTHER_RATE = 0.05  # relative; beyond this difference the measured sample period replaces the scenario's
 
 
 class DataError(FjrError):
@@ -107,19 +107,19 @@ class TrackingData(Record):
 
     @property
     def latency(self) -> Array:
-        """From sending a state to sending its command (k,) [s], NaN where none was sent."""
+        """Time from sending a state to sending its command (k,) [s]; NaN without a command."""
         return self.answered - self.sent
 
     @property
     def deadline(self) -> Array:
-        """When the next state was sent (k,) [s]; a period on for the last, which in lock-step is never late."""
+        """Send time of the next state (k,) [s]; one period after the last state, infinite in lock-step."""
         return np.append(self.sent[1:], np.inf if self.lockstep else self.sent[-1] + self.sample_period)
 
 
 def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData:
-    """The `duration` seconds of stamped time from the first answered state; raises DataError or BagError.
+    """Return `duration` [s] of stamped time from the first state with a command; raise DataError or BagError.
 
-    An infinite duration ends with the last answered state.
+    An infinite duration ends with the last state that has a command.
     """
     n = scenario.robot.n
     states, u, answered = _answered_states(bag, scenario, duration)
@@ -157,20 +157,20 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
 
 
 def _answered_states(bag: Bag, scenario: Scenario, duration: float) -> tuple[States, Array, Times]:
-    """The states from the first answered one on, with commands (k, n) [N m] and when they were sent (k,) [ns]."""
+    """Return the states from the first with a command on, commands (k, n) [N m] and their send times (k,) [ns]."""
     states, jumps = without_jumps(recorded_states(bag, scenario))
     if not len(states.stamp):
         raise DataError(f"{bag.path} holds no complete state on {STATES}")
     commands = recorded_commands(bag, states, scenario.joints)
     rows = _from_first_answer(states, commands.sent)
     rows = rows[(states.stamp[rows] - states.stamp[rows[0]]) * 1e-9 < duration - 1e-9]
-    rows, ends = (rows, ()) if np.isfinite(duration) else _to_last_answer(rows, states, commands.sent)
-    notes = (*states.notes, *jumps, *commands.notes, *ends)
+    rows, end_notes = (rows, ()) if np.isfinite(duration) else _to_last_answer(rows, states, commands.sent)
+    notes = (*states.notes, *jumps, *commands.notes, *end_notes)
     return replace(states.rows(rows), notes=notes), commands.u[rows], commands.sent[rows]
 
 
 def _from_first_answer(states: States, sent: Times) -> NDArray[np.intp]:
-    """Rows, one per stamp: without the copies of the first state sent before anyone listened, the last is answered."""
+    """Return the first row of each stamp, from the last copy of the first state with a command on."""
     answered = np.flatnonzero(sent >= 0)
     begin = 0
     if answered.size:
@@ -182,24 +182,24 @@ def _from_first_answer(states: States, sent: Times) -> NDArray[np.intp]:
 
 
 def _to_last_answer(rows: NDArray[np.intp], states: States, sent: Times) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """Without the states after the last answered one, and what is said where these are more than a moment."""
+    """Drop the rows after the last state with a command; return a note if they last longer than TAIL."""
     answered = np.flatnonzero(sent[rows] >= 0)
     last = int(answered[-1]) if answered.size else len(rows) - 1
-    rest = (states.stamp[rows[-1]] - states.stamp[rows[last]]) * 1e-9
+    tail = (states.stamp[rows[-1]] - states.stamp[rows[last]]) * 1e-9
     end = (states.stamp[rows[last]] - states.stamp[rows[0]]) * 1e-9
-    said = (f"no state after {end:.3f} s is answered: the last {rest:.3g} s are not shown",) if rest > MOMENT else ()
-    return rows[: last + 1], said
+    notes = (f"no state after {end:.3f} s is answered: the last {tail:.3g} s are not shown",) if tail > TAIL else ()
+    return rows[: last + 1], notes
 
 
 def _effort_limit(scenario: Scenario) -> Array:
-    """The controller's limits or the robot's own (n,) [N m], whichever is less; infinite where none is given."""
+    """Return the smaller of controller and robot effort limits (n,) [N m]; infinite without a limit."""
     robot = scenario.robot
     own = np.minimum(np.full(robot.n, np.inf), np.asarray(safety(scenario.controller_values, robot).effort))
     return own if robot.limits is None else np.asarray(np.minimum(own, robot.limits.effort))
 
 
 def _sample_period(scenario: Scenario, t: Array) -> tuple[float, tuple[str, ...]]:
-    """The scenario's period [s], or the states' own where that is another, and what is to be said then."""
+    """Return the sample period [s]: the scenario's, or the measured one with a note if it differs."""
     nominal = scenario.sample_period
     seen = float(np.median(np.diff(t))) if len(t) > 1 else nominal
     if abs(seen - nominal) <= OTHER_RATE * nominal:
@@ -217,7 +217,7 @@ def _certificate(scenario: Scenario, states: States, jets: Array, u: Array) -> C
 
 
 def _rate(scenario: Scenario, q_l: Array) -> Rate:
-    """The rate that is proven, else the one at configurations that the links (k, n) went through; of v-dPBC only."""
+    """Return the convergence rate of v-dPBC: proven, else sampled at visited configurations q_l (k, n)."""
     if not isinstance(scenario.law, TrackingLaw):
         return NO_RATE
     rate = scenario.law.rate()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The states of a bag as the scenario's controller reads them: both sides of each joint, velocities, torques."""
+"""Read the states of a bag as the scenario's controller does: link and motor positions, velocities, torques."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from fjr_core.estimation.velocity_observer import VelocityObserver
 from fjr_msgs_py import names
 
 STATES = f"/{names.JOINT_STATES}"
-JUMP = 0.5  # s; stamps that go back by more are another beginning (a reset, a bag that loops)
-LOOKED_AT = 1000  # messages, for the names in them
+JUMP = 0.5  # s; a larger step back in stamps starts a new part (reset, looped bag)
+SCANNED_MESSAGES = 1000  # for joint names
 Rows = slice | NDArray[np.intp] | NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class States:
-    """k states of n joints, one per stamp, in order of time; what was not measured is NaN.
+    """k states of n joints, one per stamp, in order of time; unmeasured values are NaN.
 
     position, velocity (k, 2n): links, then motors [rad], [rad/s]. torque (k, n): measured at the motors [N m].
-    notes: one sentence for each thing that is missing or was made up for.
+    notes: one sentence for each missing or substituted signal.
     """
 
     stamp: Times
@@ -37,21 +37,21 @@ class States:
     notes: tuple[str, ...] = field(default=())
 
     def rows(self, rows: Rows) -> States:
-        """Some of them."""
+        """Return the selected rows."""
         each = ("stamp", "publish_time", "position", "velocity", "torque")
         return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
 
 def recorded_states(bag: Bag, scenario: Scenario) -> States:
-    """What the bag's joint states say of the scenario's joints; raises BagError where there are no joint states."""
+    """Return the states of the scenario's joints; raise BagError if the bag holds no joint states."""
     joints, measured = scenario.joints, measurement(scenario.controller_values, scenario.robot)
     n, table = len(joints), bag.joints(STATES, names.state_names(joints))
-    strangers, said = _names(bag, joints)
-    if strangers:
-        nothing = np.full_like(table.position, np.nan)
-        return _states(table, nothing, nothing, said)
+    foreign, name_notes = _names(bag, joints)
+    if foreign:
+        unknown = np.full_like(table.position, np.nan)
+        return _states(table, unknown, unknown, name_notes)
     rows, left_out = _usable(table, n, needs_motor=not measured.by_torque)
-    notes = (*said, *left_out)
+    notes = (*name_notes, *left_out)
     position, velocity = _positions(table, measured, n), _divided(table.velocity, measured)
     found = _states(table, position, velocity, notes).rows(rows)
     if np.isnan(position[:, n:]).all():
@@ -62,23 +62,23 @@ def recorded_states(bag: Bag, scenario: Scenario) -> States:
 
 
 def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:
-    """Rows, one per stamp in order of time: states may be sent again, a last zero effort repeats a stamp."""
+    """Return the row of the first message of each stamp, in order of time; duplicated messages are dropped."""
     return np.unique(stamp, return_index=True)[1]
 
 
 def without_jumps(states: States) -> tuple[States, tuple[str, ...]]:
-    """The longest part in which time never jumps back, and a sentence where there are several."""
-    back = np.flatnonzero(np.diff(states.stamp) < -JUMP * 1e9) + 1
-    if back.size == 0:
+    """Return the longest part with monotonic time, and a note if there are several parts."""
+    jumps = np.flatnonzero(np.diff(states.stamp) < -JUMP * 1e9) + 1
+    if jumps.size == 0:
         return states, ()
-    edges = np.array([0, *back, len(states.stamp)])
+    edges = np.array([0, *jumps, len(states.stamp)])
     longest = int(np.argmax(np.diff(edges)))
-    note = f"time jumps back {back.size} times: shown is the longest of {back.size + 1} parts"
+    note = f"time jumps back {jumps.size} times: shown is the longest of {jumps.size + 1} parts"
     return states.rows(slice(edges[longest], edges[longest + 1])), (note,)
 
 
 def with_velocities(states: States, u: Array, scenario: Scenario) -> States:
-    """The states with velocities by an observer where none were measured; u (k, n) [N m] acts from each state on."""
+    """Estimate velocities by the observer if none were measured; u (k, n) [N m] acts from each state on."""
     n, wanted = scenario.robot.n, scenario.controller_values["measurement.velocity"] != "measured"
     if not (np.isnan(states.velocity).all() or wanted) or np.isnan(states.position).all(axis=0).any():
         return states
@@ -94,8 +94,8 @@ def with_velocities(states: States, u: Array, scenario: Scenario) -> States:
 
 
 def _names(bag: Bag, joints: tuple[str, ...]) -> tuple[bool, tuple[str, ...]]:
-    """Whether the states are those of another robot, and what is said where they name other joints."""
-    named = {name: None for message in bag.topic(STATES).decoded[:LOOKED_AT] for name in message.name}
+    """Return whether joints of the scenario are missing, and a note if the joint names differ."""
+    named = {name: None for message in bag.topic(STATES).decoded[:SCANNED_MESSAGES] for name in message.name}
     missing = [joint for joint in joints if joint not in named]
     more = [name for name in named if name not in names.state_names(joints)]
     if missing:
@@ -107,7 +107,7 @@ def _names(bag: Bag, joints: tuple[str, ...]) -> tuple[bool, tuple[str, ...]]:
 
 
 def _usable(table: JointTable, n: int, needs_motor: bool) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
-    """The rows that hold a state, and what is said of the others."""
+    """Return a mask of the complete rows, and a note on the others."""
     wanted = table.position if needs_motor and not np.isnan(table.position[:, n:]).all() else table.position[:, :n]
     good = np.asarray(np.isfinite(wanted).all(axis=1))
     if not np.isnan(table.velocity).all():
@@ -117,7 +117,7 @@ def _usable(table: JointTable, n: int, needs_motor: bool) -> tuple[NDArray[np.bo
 
 
 def _positions(table: JointTable, measured: Measurement, n: int) -> Array:
-    """Positions (k, 2n) [rad] of links and motors, the latter from a joint's torque where that is measured."""
+    """Return link and motor positions (k, 2n) [rad]; q_m = q_l + K^-1 tau where the joint torque is measured."""
     if not measured.by_torque:
         return _divided(table.position, measured)
     q_l = table.position[:, :n]
@@ -125,7 +125,7 @@ def _positions(table: JointTable, measured: Measurement, n: int) -> Array:
 
 
 def _divided(values: Array, measured: Measurement) -> Array:
-    """Links as they are, motors divided by the gear's ratio."""
+    """Divide motor values by the gear ratio; links are unchanged."""
     return values / np.concatenate([np.ones(measured.n), np.asarray(measured.gear_ratio)])
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr watch`: a running loop in a terminal, some ten times a second, until Ctrl-C."""
+"""`fjr watch`: display a running control loop in the terminal, ten times a second, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from fjr_bringup.recording.echo import listening
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 
-PERIOD = 0.1  # s between two pictures on a terminal
-PLAIN_PERIOD = 1.0  # s elsewhere
-LOOK = 1.0  # s between looks at the graph
-FIRST = 60.0  # s that a single picture waits for states and reports at most
-PATIENCE = 2.0  # s after which it says that it waits
+PERIOD = 0.1  # s between updates of a terminal
+PLAIN_PERIOD = 1.0  # s between updates of other outputs
+LOOK = 1.0  # s between queries of the ROS graph
+FIRST = 60.0  # s; longest wait of a single view for states and diagnostics
+PATIENCE = 2.0  # s until a notice that it is waiting
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What to watch: namespace, remaps FROM:=TO, the controller's name; once: one picture and end."""
+    """What to watch: namespace, remaps FROM:=TO, name of the controller; once: show one view and exit."""
 
     namespace: str = "/"
     remaps: tuple[str, ...] = ()
@@ -38,24 +38,24 @@ class Wish:
 
     @property
     def arguments(self) -> list[str]:
-        """As after --ros-args."""
+        """Command-line arguments as after --ros-args."""
         rules = [f"__ns:=/{self.namespace.strip('/')}"] if self.namespace.strip("/") else []
         return [part for rule in (*rules, *self.remaps) for part in ("-r", rule)]
 
 
 def effort_limits(scenario: Scenario) -> Mapping[str, float]:
-    """Limits [N m] that the controller of a scenario keeps, by joint."""
+    """Return the effort limits [N m] of the controller of a scenario, by joint."""
     limits = np.asarray(safety(scenario.controller_values, scenario.robot).effort)
     return {joint: float(limit) for joint, limit in zip(scenario.joints, limits, strict=True) if np.isfinite(limit)}
 
 
-def watch(wish: Wish, limits: Mapping[str, float], stop: threading.Event) -> None:
-    """Show the picture until `stop`, or once."""
-    watched = Watched(f"fjr watch {wish.namespace}", limits)
+def watch(options: Wish, limits: Mapping[str, float], stop: threading.Event) -> None:
+    """Show the view until `stop`, or once."""
+    watched = Watched(f"fjr watch {options.namespace}", limits)
     console = Console(highlight=False)
-    with listening("fjr_watch", wish.arguments) as node:
-        listener = FjrWatch(node, watched, wish.controller)
-        if wish.once:
+    with listening("fjr_watch", options.arguments) as node:
+        listener = FjrWatch(node, watched, options.controller)
+        if options.once:
             _once(listener, watched, console, stop)
         elif console.is_terminal:
             with Live(console=console, screen=True, auto_refresh=False) as live:
@@ -68,23 +68,23 @@ def watch(wish: Wish, limits: Mapping[str, float], stop: threading.Event) -> Non
 
 def _views(listener: FjrWatch, watched: Watched, period: float, stop: threading.Event) -> Iterator[View]:
     missing: list[str] = []
-    look = time.monotonic() + LOOK  # by then all is found that is there
+    next_query = time.monotonic() + LOOK  # discovery is complete by then
     while True:
         now = time.monotonic()
         listener.listen(now)
-        if now >= look:
-            missing, look = listener.missing(), now + LOOK
+        if now >= next_query:
+            missing, next_query = listener.missing(), now + LOOK
         yield watched.view(now, missing)
         if stop.wait(period):
             return
 
 
 def _once(listener: FjrWatch, watched: Watched, console: Console, stop: threading.Event) -> None:
-    begin, said = time.monotonic(), False
+    begin, notified = time.monotonic(), False
     for view in _views(listener, watched, PERIOD, stop):
-        if time.monotonic() - begin > PATIENCE and not said:
-            said = True
-            print("fjr: waiting for states and reports", file=sys.stderr, flush=True)
+        if time.monotonic() - begin > PATIENCE and not notified:
+            notified = True
+            print("fjr: waiting for states and diagnostics", file=sys.stderr, flush=True)
         if (view.timing is not None and view.health) or time.monotonic() - begin > FIRST:
             console.print(render(replace(view, missing=tuple(listener.missing())), console.width))
             return

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node behind `fjr watch`: listens to a running loop without disturbing it.
+"""Node of `fjr watch`: subscribe to a running loop without disturbing it.
 
-Like the recorder it has no executor: `listen` empties the queues a few times a second. Of a thousand states a second
-only the times are read, from their bytes, and one message is deserialised. Subscriptions are best effort, so that no
-publisher ever waits for a slow terminal.
+No executor: `listen` empties the queues a few times a second. For most states only the times are read from the
+serialised bytes; one message per call is deserialised. Subscriptions are best effort, so that no publisher waits for a
+slow terminal.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from fjr_bringup.recording.reader import header_stamp
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.certificate import labelled
 
-DEPTH = 4000  # messages between two looks
+DEPTH = 4000  # messages between two calls of `listen`
 CERTIFICATE = "~/certificate"
 Times = list[tuple[int, int]]
 
 
 class FjrWatch:
-    """Subscribes with a node, under its namespace and remaps; what is heard goes into `watched`."""
+    """Subscribe with a node, under its namespace and remaps; pass all messages to `watched`."""
 
     def __init__(self, node: Node, watched: Watched, controller: str = names.CONTROLLER) -> None:
-        """controller: name of the node whose ~/ topics are meant."""
+        """controller: name of the node that owns the ~/ topics."""
         self._node, self._watched = node, watched
         self._now = 0.0
         self._space = f"{node.get_namespace()}/".lstrip("/")
@@ -54,22 +54,22 @@ class FjrWatch:
         self._named_efforts = False
 
     def listen(self, now: float) -> None:
-        """Take in all that has come; `now` [s] is what its age is counted from."""
+        """Process all new messages; `now` [s]: the current time."""
         self._now = now
-        for subscription, tell, handle in self._stamped:
+        for subscription, on_times, on_last in self._stamped:
             data, times = _drained(subscription)
-            tell(times)
+            on_times(times)
             if data:
-                handle(deserialize_message(data, subscription.msg_type))
+                on_last(deserialize_message(data, subscription.msg_type))
         for subscription, on_newest in self._newest:
-            for one in _all(subscription)[-1:]:
-                on_newest(deserialize_message(one, subscription.msg_type))
+            for data in _all(subscription)[-1:]:
+                on_newest(deserialize_message(data, subscription.msg_type))
         for subscription, on_each in self._every:
-            for one in _all(subscription):
-                on_each(deserialize_message(one, subscription.msg_type))
+            for data in _all(subscription):
+                on_each(deserialize_message(data, subscription.msg_type))
 
     def missing(self) -> list[str]:
-        """Topics that nobody publishes; of the two commands one is enough."""
+        """Return the topics without a publisher; one of the two command topics is enough."""
         silent = [topic for topic in self._topics if not self._node.count_publishers(topic)]
         commands = {self._stamped[1][0].topic_name, self._newest[2][0].topic_name}
         return silent if commands <= set(silent) else [topic for topic in silent if topic not in commands]
@@ -95,7 +95,7 @@ class FjrWatch:
         self._watched.effort(dict(zip(message.name, message.effort)))  # noqa: B905
 
     def _on_efforts(self, message: Float64MultiArray) -> None:
-        """Where no stamped and named command comes: by the labels, or in the order of the states' joints."""
+        """Use these efforts without JointState commands: by label, else in the joint order of the states."""
         if not self._named_efforts:
             in_order = dict(zip(self._joints, message.data))  # noqa: B905
             self._watched.effort(labelled(message) or in_order)
@@ -112,7 +112,7 @@ class FjrWatch:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if not status.name.startswith(self._space):
-                continue  # another robot's
+                continue  # of another robot
             values = {pair.key: pair.value for pair in status.values}
             health = Health(status.name, status.level[0], status.message, values.get("state", ""))
             self._watched.health(self._now, health)
@@ -122,7 +122,7 @@ class FjrWatch:
 
 
 def _drained(subscription: Subscription) -> tuple[bytes, Times]:
-    """The newest message, and stamp and send time [ns] of all."""
+    """Empty a queue; return the newest message, and stamp and send time [ns] of all."""
     data, times = b"", []
     take, kind = subscription.handle.take_message, subscription.msg_type
     while (taken := take(kind, True)) is not None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `fjr watch` has heard, and the View that is made of it: no ROS, no clock of its own."""
+"""Collect the data of `fjr watch` and build its View; no ROS, no clock."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ LEVELS = ("ok", "warn", "error", "stale")  # of a diagnostic_msgs/DiagnosticStat
 
 @dataclass(frozen=True)
 class JointLine:
-    """A joint; None where nothing was heard of it.
+    """One joint; None where a value is unknown.
 
-    position, error [rad], velocity [rad/s], deflection q_m - q_l [rad]; effort as commanded, its limit and the largest
-    one seen [N m]. prismatic: the joint slides, in m and N in place of rad and N m.
+    position, error [rad], velocity [rad/s], deflection q_m - q_l [rad]; commanded effort, its limit and its peak
+    [N m]. prismatic: units are m and N instead of rad and N m.
     """
 
     name: str
@@ -36,7 +36,7 @@ class JointLine:
 
 @dataclass(frozen=True)
 class Timing:
-    """Of the last seconds: rate of states [1/s]; 50 %, 99 % and largest period and latency (state to command) [s]."""
+    """Timing over the last 2 s: state rate [1/s]; median, 99th percentile and maximum of period and latency [s]."""
 
     rate: float
     period: tuple[float, float, float]
@@ -46,7 +46,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class Health:
-    """The newest status of a node or of a part of it: level 0 (ok) to 3 (stale)."""
+    """Latest diagnostic status of a node or component: level 0 (ok) to 3 (stale)."""
 
     name: str
     level: int
@@ -55,8 +55,8 @@ class Health:
 
 
 @dataclass(frozen=True)
-class Happening:
-    """An event, `age` [s] ago."""
+class Event:
+    """An event of the controller, `age` [s] ago."""
 
     age: float
     level: int
@@ -66,10 +66,10 @@ class Happening:
 
 @dataclass(frozen=True)
 class View:
-    """Everything at one instant.
+    """Content of the display at one instant.
 
-    silence: seconds since the last state, None before the first. certificate: by label, as published; history: V of
-    the last displays, oldest first. missing: topics that nobody publishes.
+    silence [s]: since the last state, None before the first. certificate: by label, as published; history: latest
+    values of V, oldest first. missing: topics without a publisher.
     """
 
     title: str
@@ -79,24 +79,24 @@ class View:
     certificate: dict[str, float] | None = None
     history: tuple[float, ...] = ()
     health: tuple[Health, ...] = ()
-    happenings: tuple[Happening, ...] = ()
+    events: tuple[Event, ...] = ()
     missing: tuple[str, ...] = ()
 
 
-WINDOW = 2_000_000_000  # ns of stamps and send times that the timing is of
+WINDOW = 2_000_000_000  # ns; window of the timing statistics
 HISTORY = 120  # values of V
-EVENTS = 6
-STALE = 5.0  # s without a report
+EVENTS = 6  # shown
+STALE = 5.0  # s without a diagnostic message
 NANO = 1e-9
 
 Values = Mapping[str, float]
 
 
 class Watched:
-    """Collects; `view` says what to show. Times `now` are seconds of any one clock that only goes forward."""
+    """Collect messages; `view` returns the content to display. Times `now` [s] are of one monotonic clock."""
 
     def __init__(self, title: str, effort_limits: Values | None = None) -> None:
-        """effort_limits [N m] by joint: win over those of the robot's description."""
+        """effort_limits [N m] by joint: take precedence over those of the robot description."""
         self._title = title
         self._given_limits = dict(effort_limits or {})
         self._limits: dict[str, float] = {}
@@ -106,30 +106,30 @@ class Watched:
         self._error: Values = {}
         self._effort: Values = {}
         self._peak: dict[str, float] = {}
-        self._heard: float | None = None
+        self._last_state: float | None = None
         self._sent: deque[tuple[int, int]] = deque()  # stamp, send time [ns] of states
         self._answered: dict[int, int] = {}  # send time [ns] of the command by the stamp of its state
         self._certificate: dict[str, float] | None = None
         self._history: deque[float] = deque(maxlen=HISTORY)
         self._health: dict[str, tuple[float, Health]] = {}
-        self._events: deque[tuple[float, Happening]] = deque(maxlen=EVENTS)
+        self._events: deque[tuple[float, Event]] = deque(maxlen=EVENTS)
 
     def state(self, now: float, position: Values, velocity: Values) -> None:
-        """Positions [rad] and velocities [rad/s] by name, as measured."""
-        self._heard, self._position, self._velocity = now, position, velocity
+        """Store measured positions [rad] and velocities [rad/s] by name."""
+        self._last_state, self._position, self._velocity = now, position, velocity
 
     def error(self, position: Values) -> None:
-        """Tracking errors [rad] by joint."""
+        """Store tracking errors [rad] by joint."""
         self._error = position
 
     def effort(self, effort: Values) -> None:
-        """Commanded efforts [N m] by joint."""
+        """Store commanded efforts [N m] by joint."""
         self._effort = effort
         for joint, value in effort.items():
             self._peak[joint] = max(self._peak.get(joint, 0.0), abs(value))
 
     def sent(self, times: Sequence[tuple[int, int]]) -> None:
-        """Stamp and send time [ns] of states; of a stamp that is sent again the first counts."""
+        """Store stamps and send times [ns] of states; duplicates of a stamp are ignored."""
         for stamp, time in times:
             if self._sent and stamp < self._sent[-1][0]:  # the robot was reset
                 self._sent.clear()
@@ -140,7 +140,7 @@ class Watched:
             self._answered.pop(self._sent.popleft()[0], None)
 
     def answered(self, times: Sequence[tuple[int, int]]) -> None:
-        """Stamp of the state and send time [ns] of commands."""
+        """Store state stamps and send times [ns] of commands."""
         for stamp, time in times:
             self._answered.setdefault(stamp, time)
         oldest = self._sent[0][0] if self._sent else 0
@@ -148,21 +148,21 @@ class Watched:
             del self._answered[stamp]
 
     def certificate(self, values: dict[str, float]) -> None:
-        """The newest certificate, by label."""
+        """Store the latest certificate, by label."""
         self._certificate = values
         if "V" in values:
             self._history.append(values["V"])
 
     def health(self, now: float, status: Health) -> None:
-        """The newest report of a node."""
+        """Store the latest status of a node."""
         self._health[status.name] = now, status
 
     def event(self, now: float, level: int, kind: str, sentence: str) -> None:
-        """Something happened."""
-        self._events.appendleft((now, Happening(0.0, level, kind, sentence)))
+        """Store an event."""
+        self._events.appendleft((now, Event(0.0, level, kind, sentence)))
 
     def description(self, urdf: str) -> None:
-        """The robot's URDF: effort limits and prismatic joints; one that cannot be read has none."""
+        """Read effort limits and prismatic joints from a URDF; an invalid URDF is ignored."""
         try:
             joints = list(ElementTree.fromstring(urdf).iter("joint"))
         except ElementTree.ParseError:
@@ -173,21 +173,21 @@ class Watched:
         self._limits = {name: effort for name, effort in given if effort > 0}
 
     def view(self, now: float, missing: Sequence[str] = ()) -> View:
-        """What to show."""
+        """Return the content to display."""
         return View(
             title=self._title,
             joints=tuple(self._line(name) for name in self._joints()),
-            silence=None if self._heard is None else max(0.0, now - self._heard),
+            silence=None if self._last_state is None else max(0.0, now - self._last_state),
             timing=self._timing(),
             certificate=self._certificate,
             history=tuple(self._history),
             health=tuple(self._aged(now, *self._health[name]) for name in sorted(self._health)),
-            happenings=tuple(Happening(now - then, e.level, e.kind, e.sentence) for then, e in self._events),
+            events=tuple(Event(now - then, e.level, e.kind, e.sentence) for then, e in self._events),
             missing=tuple(missing),
         )
 
     def _joints(self) -> list[str]:
-        """Names of the joints: without the motors of others."""
+        """Return the joint names without the motor names."""
         names = list(self._position) or list(self._effort)
         motors = {motor_name(name) for name in names}
         return [name for name in names if name not in motors]
@@ -210,17 +210,19 @@ class Watched:
         if len(self._sent) < 2:
             return None
         sent = np.array([time for _, time in self._sent], dtype=float) * NANO
-        waits = [self._answered[stamp] - time for stamp, time in self._sent if stamp in self._answered]
-        under_way = self._sent[-1][0] not in self._answered
-        unanswered = len(self._sent) - len(waits) - under_way
-        latency = _percentiles(np.array(waits) * NANO) if waits else None
+        latencies = [self._answered[stamp] - time for stamp, time in self._sent if stamp in self._answered]
+        pending = self._sent[-1][0] not in self._answered
+        unanswered = len(self._sent) - len(latencies) - pending
+        latency = _percentiles(np.array(latencies) * NANO) if latencies else None
         rate = (len(sent) - 1) / max(sent[-1] - sent[0], NANO)
-        return Timing(float(rate), _percentiles(np.diff(sent)), latency, unanswered if waits else 0)
+        return Timing(float(rate), _percentiles(np.diff(sent)), latency, unanswered if latencies else 0)
 
     def _aged(self, now: float, then: float, status: Health) -> Health:
         if now - then <= STALE:
             return status
-        return Health(status.name, 3, f"no report for {now - then:.0f} s; the last: {status.message}", status.state)
+        return Health(
+            status.name, 3, f"no diagnostics for {now - then:.0f} s; the last: {status.message}", status.state
+        )
 
 
 def _percentiles(values: np.ndarray) -> tuple[float, float, float]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A View as text for a terminal: a pure function of the view and the width."""
+"""Render a View for a terminal; pure functions of view and width."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rich.text import Text
 
 from fjr_bringup.monitor.state import LEVELS, Health, JointLine, View
 
-ERROR_DECADES = (-6.0, 0.0)  # log10 of rad: an empty and a full bar
+ERROR_DECADES = (-6.0, 0.0)  # log10 of rad, at an empty and a full bar
 WIDE = 118  # characters
 BLOCKS = " ▏▎▍▌▋▊▉█"
 SPARKS = "▁▂▃▄▅▆▇█"
@@ -37,7 +37,7 @@ COLUMNS = NAME, POSITION, VELOCITY, DEFLECTION, ERROR, ERRORS, EFFORT, EFFORTS, 
 )
 HISTORY = 60  # characters
 LARGE = 1e-2  # rad, of an error
-CERTIFICATE = (  # label, what it is called here, unit
+CERTIFICATE = (  # published label, displayed name, unit
     ("V", "V", "J"),
     ("bound", "bound", "J"),
     ("dV_measured", "dV/dt measured", "W"),
@@ -49,32 +49,32 @@ CERTIFICATE = (  # label, what it is called here, unit
 
 
 def render(view: View, width: int = WIDE) -> RenderableType:
-    """The whole picture; in fewer than WIDE characters without velocities and deflections."""
+    """Render the whole view; below WIDE characters without velocities and deflections."""
     parts: list[RenderableType] = [_header(view), _joints(view.joints, width >= WIDE)]
     parts += [_certificate(view), _health(view)]
-    if view.happenings:
+    if view.events:
         parts.append(_events(view))
     if view.missing:
-        parts.append(Text(f"nobody publishes {', '.join(view.missing)}", style="dim"))
+        parts.append(Text(f"no publisher of {', '.join(view.missing)}", style="dim"))
     return Group(*parts)
 
 
 def text(view: View, width: int = WIDE) -> str:
-    """The same as plain characters."""
+    """Render the view as plain text."""
     stream = io.StringIO()
     Console(file=stream, width=width, no_color=True, force_terminal=False).print(render(view, width))
     return stream.getvalue()
 
 
 def log_bar(value: float, width: int = ERROR_BAR) -> str:
-    """A bar for a magnitude, by its decade."""
+    """Return a logarithmic bar of a magnitude."""
     low, high = ERROR_DECADES
     share = (math.log10(value) - low) / (high - low) if value > 0 else 0.0
     return _bar(share, width)
 
 
 def signed_bar(value: float, largest: float, width: int = EFFORT_BAR) -> str:
-    """A bar from the middle to the left (negative) or to the right, full at +-largest."""
+    """Return a bar from the centre to the left (negative) or right, full at +-largest."""
     half = width // 2
     length = min(half, round(half * min(1.0, abs(value) / largest))) if largest > 0 and math.isfinite(value) else 0
     left = ("█" * length if value < 0 else "").rjust(half)
@@ -83,7 +83,7 @@ def signed_bar(value: float, largest: float, width: int = EFFORT_BAR) -> str:
 
 
 def sparkline(values: tuple[float, ...], width: int) -> str:
-    """Positive values on a logarithmic scale, the newest on the right."""
+    """Return a sparkline of positive values on a logarithmic scale, the newest on the right."""
     logs = [math.log10(v) if v > 0 else -300.0 for v in values[-width:] if math.isfinite(v)]
     if not logs:
         return ""
@@ -135,7 +135,7 @@ def _joints(joints: tuple[JointLine, ...], wide: bool) -> Panel:
 
 
 def _cells(joint: JointLine, error_bar: int, effort_bar: int) -> dict[str, RenderableType]:
-    """What stands in each column, with bars of so many characters."""
+    """Return the cell of each column; error_bar, effort_bar: width in characters."""
     error = None if joint.error is None else abs(joint.error)
     share = None if joint.effort is None or not joint.limit else abs(joint.effort) / joint.limit
     error_style = "yellow" if (error or 0) > LARGE else "green"
@@ -159,22 +159,22 @@ def _signed(value: float | None) -> str:
 
 
 def _certificate(view: View) -> Panel:
-    verdicts = [_status(status) for status in view.health if "certificate" in status.name]
+    diagnoses = [_status(status) for status in view.health if "certificate" in status.name]
     if view.certificate is None:
-        parts: list[RenderableType] = [Text("no certificate heard", style="dim")]
+        parts: list[RenderableType] = [Text("no certificate received", style="dim")]
     else:
         parts = [_numbers(view.certificate), _history(view.history)]
-    return Panel(Group(*parts, *verdicts), title="certificate", title_align="left", border_style="dim")
+    return Panel(Group(*parts, *diagnoses), title="certificate", title_align="left", border_style="dim")
 
 
 def _numbers(values: dict[str, float]) -> Columns:
-    values = {key: value for key, value in values.items() if key != "bound" or value >= 0}  # below: there is none
+    values = {key: value for key, value in values.items() if key != "bound" or value >= 0}  # negative: no bound
     known = (f"{name} {_with_unit(values[key], unit)}" for key, name, unit in CERTIFICATE if key in values)
     return Columns(known, padding=(0, 3))
 
 
 def _history(values: tuple[float, ...]) -> Text:
-    """V as it went, with the ends of its scale."""
+    """Return a sparkline of V with the range of its values."""
     finite = [value for value in values if math.isfinite(value)]
     line = Text("log V  ").append(sparkline(values, HISTORY), style="cyan")
     return line.append(f"  {min(finite):.0e} .. {max(finite):.0e} J", style="dim") if finite else line
@@ -186,7 +186,7 @@ def _with_unit(value: float, unit: str) -> str:
 
 def _health(view: View) -> Panel:
     lines = [_status(status) for status in view.health if "certificate" not in status.name]
-    content = Text("\n").join(lines) if lines else Text("no report heard", style="dim")
+    content = Text("\n").join(lines) if lines else Text("no diagnostics received", style="dim")
     return Panel(content, title="health", title_align="left", border_style="dim")
 
 
@@ -199,7 +199,7 @@ def _status(status: Health) -> Text:
 
 def _events(view: View) -> Panel:
     lines = []
-    for event in view.happenings:
+    for event in view.events:
         level = LEVELS[min(event.level, len(LEVELS) - 1)]
         line = (
             Text().append(f"{event.age:6.1f} s ago  ", style="dim").append(event.kind, style=f"bold {COLOURS[level]}")

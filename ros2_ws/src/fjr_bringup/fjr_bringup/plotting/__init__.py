@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Matplotlib pictures of a run."""
+"""Matplotlib figures of a run."""

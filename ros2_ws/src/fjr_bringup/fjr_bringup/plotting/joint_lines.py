@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joints in pictures: their colours, and their names at the ends of their lines."""
+"""Colours and end labels of joints in Matplotlib figures."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from matplotlib.axes import Axes
 from fjr_bringup.analysis.run_data import TrackingData
 from fjr_bringup.recording.reader import Array
 
-# Okabe and Ito's palette, told apart by colour-blind readers too
+# Okabe and Ito's palette, distinguishable by colour-blind readers
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DRAWABLE = 1e12
 LABEL_GAP = 0.062  # of the height of the axes, between names
 
 
 def colour(joint: int) -> str:
-    """Colour of a joint."""
+    """Return the colour of a joint."""
     return COLOURS[joint % len(COLOURS)]
 
 
 def drawable(values: Array) -> Array:
-    """The values without those of a loop that diverged beyond all axes."""
+    """Replace values of a diverged loop (above DRAWABLE) by NaN."""
     return np.where(np.abs(values) < DRAWABLE, values, np.nan)
 
 
 def name_joints(ax: Axes, data: TrackingData, lines: Array) -> None:
-    """The joints' names at the ends of their lines (k, n), where there are several joints, none over another."""
+    """Label the ends of the lines (k, n) with the joint names, without overlap; a single joint gets no label."""
     if len(data.joints) == 1:
         return
-    ax.get_ylim()  # settles what transData means
+    ax.get_ylim()  # updates transData
     ends = {}
     for j in range(len(data.joints)):
         drawn = lines[np.isfinite(drawable(lines[:, j])), j]
@@ -49,7 +49,7 @@ def name_joints(ax: Axes, data: TrackingData, lines: Array) -> None:
 
 
 def apart(heights: Array) -> list[float]:
-    """The heights moved apart to LABEL_GAP, as little as possible: neighbours too close share their mean."""
+    """Move heights at least LABEL_GAP apart with the least displacement; close neighbours are centred on their mean."""
     order = np.argsort(heights)
     groups: list[list[float]] = []
     for place, height in enumerate(heights[order]):

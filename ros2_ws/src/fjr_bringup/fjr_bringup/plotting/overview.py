@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a run and its panels, drawn from what its bag holds."""
+"""Draw overview.png: six panels of a recorded run."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from fjr_bringup.recording.reader import Array
 from fjr_core.robot.joint_units import joined
 
 GREY = "#666666"
-ENLARGED = 2  # joints; of more the enlarged start would hide the rest
-HEALTHY = 1e-3  # of V(0): a loop that leaves its bound above that is disturbed by more than the hold
+ENLARGED = 2  # joints; with more, an inset would hide the lines
+HEALTHY = 1e-3  # of V(0): leaving the bound above this value is not explained by the sample and hold
 
 
 def tracking(ax: Axes, data: TrackingData) -> None:
-    """q_l on top of q_ld."""
+    """Plot q_l over q_ld."""
     for j in range(len(data.joints)):
         ax.plot(data.t, data.q_ld[:, j], color=GREY, lw=3.2, alpha=0.35, solid_capstyle="round")
         ax.plot(data.t, drawable(data.q_l[:, j]), color=colour(j), lw=1.4)
@@ -37,7 +37,7 @@ def tracking(ax: Axes, data: TrackingData) -> None:
 
 
 def error(ax: Axes, data: TrackingData, report: Report) -> None:
-    """|q_l - q_ld| on a log axis."""
+    """Plot |q_l - q_ld| on a log axis."""
     size = drawable(np.abs(data.error))
     size = np.where(size > 0, size, np.nan)
     for j in range(len(data.joints)):
@@ -54,49 +54,42 @@ def error(ax: Axes, data: TrackingData, report: Report) -> None:
 
 
 def storage(ax: Axes, data: TrackingData, report: Report) -> None:
-    """V against V(0) exp(-2 beta t) on a log axis, with the reason why it leaves the bound; else the energy."""
+    """Plot V/V(0) and exp(-2 beta t) on a log axis, with the instant V leaves the bound; without V plot the energy."""
     if not np.isfinite(data.V).any():
         ax.plot(data.t, drawable(data.H), color=COLOURS[0], lw=1.0)
         ax.set(title="The robot's energy (this law has no certificate)", xlabel="t [s]", ylabel="H [J]")
         return
-    relative, bound = data.relative_storage, data.bound / (data.V[0] or 1.0)
-    relative = drawable(relative)
+    relative, bound = drawable(data.relative_storage), data.bound / (data.V[0] or 1.0)
     shown = relative[relative > 0]
     floor = float(shown.min(initial=1e-3)) / 30.0
     ax.semilogy(data.t, np.where(bound > floor, bound, np.nan), color=GREY, lw=1.4, ls="--")
     ax.semilogy(data.t, relative, color=COLOURS[0], lw=1.0)
     ax.set_ylim(floor, 30.0 * float(shown.max(initial=1.0)))
-    at = int(np.searchsorted(-bound, -(floor ** (1 / 3))))
+    at, height = int(np.searchsorted(-bound, -(floor ** (1 / 3)))), floor ** (1 / 3)
     text = f"bound $e^{{-2\\beta t}}$,\n$\\beta$ = {data.beta:.3g} 1/s"
-    ax.annotate(
-        text,
-        (data.t[min(at, len(data.t) - 1)], floor ** (1 / 3)),
-        (8, 2),
-        textcoords="offset points",
-        color=GREY,
-    )
-    found = report.storage
-    leaves, there = (None, None) if found is None else (found.leaves_bound_at_s, found.relative_where_it_leaves)
-    if leaves is not None and there is not None and there < DRAWABLE:
-        ax.plot([leaves], [there], "o", color=COLOURS[1], ms=5, zorder=5)
-        ax.text(
-            0.98,
-            0.97,
-            _why(data, leaves, there),
-            transform=ax.transAxes,
-            ha="right",
-            va="top",
-            color=COLOURS[1],
-        )
-    rate = None if found is None else found.measured_decay_rate_per_s
+    ax.annotate(text, (data.t[min(at, len(data.t) - 1)], height), (8, 2), textcoords="offset points", color=GREY)
+    _mark_departure(ax, data, report)
+    rate = None if report.storage is None else report.storage.measured_decay_rate_per_s
     basis = "proven" if data.beta_is_proven else "sampled"
     title = f"V falls at {rate:.3g} 1/s; {basis}: at least {2 * data.beta:.3g} 1/s" if rate else "V and its bound"
     ax.set(title=title, xlabel="t [s]", ylabel="$V(t)\\,/\\,V(0)$")
 
 
-def _why(data: TrackingData, leaves: float, there: float) -> str:
-    first = f"leaves the bound at {leaves:.2f} s, {_power(there)} V(0)"
-    if there > HEALTHY:
+def _mark_departure(ax: Axes, data: TrackingData, report: Report) -> None:
+    """Mark where V leaves its bound, with the reason."""
+    if report.storage is None:
+        return
+    leaves, relative = report.storage.leaves_bound_at_s, report.storage.relative_where_it_leaves
+    if leaves is None or relative is None or not relative < DRAWABLE:
+        return
+    ax.plot([leaves], [relative], "o", color=COLOURS[1], ms=5, zorder=5)
+    text = _reason(data, leaves, relative)
+    ax.text(0.98, 0.97, text, transform=ax.transAxes, ha="right", va="top", color=COLOURS[1])
+
+
+def _reason(data: TrackingData, leaves: float, relative: float) -> str:
+    first = f"leaves the bound at {leaves:.2f} s, {_power(relative)} V(0)"
+    if relative > HEALTHY:
         return f"{first}: not healthy.\nCommands were late or missing, or the gains\nare too high for the sample rate."
     return (
         f"{first}: healthy.\n"
@@ -106,7 +99,7 @@ def _why(data: TrackingData, leaves: float, there: float) -> str:
 
 
 def effort(ax: Axes, data: TrackingData, report: Report) -> None:
-    """The commands; of a few joints the first quarter of a second enlarged."""
+    """Plot the commands; for up to ENLARGED joints add an inset of the first 0.25 s."""
     _steps(ax, data)
     name_joints(ax, data, data.u)
     if len(data.joints) <= ENLARGED:
@@ -125,7 +118,7 @@ def _steps(ax: Axes, data: TrackingData) -> None:
 
 
 def period(ax: Axes, data: TrackingData, report: Report) -> None:
-    """How regularly the states were sent."""
+    """Plot the histogram of the periods between states."""
     timing, counts = report.timing, report.counts
     _histogram(ax, np.diff(data.sent) * 1e3, COLOURS[0])
     _marks(ax, (timing.period_p50_us, timing.period_p99_us, timing.period_max_us))
@@ -134,7 +127,7 @@ def period(ax: Axes, data: TrackingData, report: Report) -> None:
 
 
 def latency(ax: Axes, data: TrackingData, report: Report) -> None:
-    """How soon each state was answered."""
+    """Plot the histogram of the latencies from state to command."""
     timing, counts = report.timing, report.counts
     _histogram(ax, data.latency[~np.isnan(data.latency)] * 1e3, COLOURS[2])
     _marks(ax, (timing.latency_p50_us, timing.latency_p99_us, timing.latency_max_us))
@@ -143,7 +136,7 @@ def latency(ax: Axes, data: TrackingData, report: Report) -> None:
 
 
 def _histogram(ax: Axes, milliseconds: Array, face: str) -> None:
-    """Both axes logarithmic, from the smallest to the largest value: nothing is cut off."""
+    """Draw a histogram with logarithmic axes over the full range of values."""
     low, high = float(milliseconds.min(initial=0.5)), float(milliseconds.max(initial=2.0))
     ax.hist(milliseconds, bins=np.geomspace(max(low, 1e-3), high * 1.01, 81).tolist(), color=face, log=True)
     ax.set_xscale("log")
@@ -155,7 +148,7 @@ def _histogram(ax: Axes, milliseconds: Array, face: str) -> None:
 
 
 def _marks(ax: Axes, microseconds: tuple[float, float, float]) -> None:
-    """Percentiles as text: they are often too close to each other for labels at their places."""
+    """Mark the percentiles and list them as text, since they are often too close for labels."""
     for value in microseconds[:2]:
         ax.axvline(value * 1e-3, color=GREY, lw=1.0, ls="--")
     names = ("50 %", "99 %", "max")
@@ -169,7 +162,7 @@ def _power_of(value: float, unit: str) -> str:
 
 
 def _power(value: float) -> str:
-    """1.5e-05 as 1.5 x 10^-5, typeset."""
+    """Typeset 1.5e-05 as 1.5 x 10^-5."""
     mantissa, exponent = f"{value:.1e}".split("e")
     return f"${mantissa}\\times10^{{{int(exponent)}}}$"
 
@@ -191,7 +184,7 @@ STYLE = {
 
 
 def draw_overview(name: str, data: TrackingData, report: Report, folder: Path) -> Path:
-    """Write overview.png into the folder: the whole story in one look, where no browser is."""
+    """Write overview.png into the folder and return its path."""
     with mpl.rc_context(STYLE):
         return _overview(name, data, report, folder)
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recording and reading bags."""
+"""Record and read rosbag2 bags."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr echo`: the messages of a topic as YAML, for machines without ros2cli."""
+"""`fjr echo`: print the messages of a topic as YAML, without ros2cli."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from fjr_core.errors import FjrError
 from fjr_msgs_py.messages.plain import plain
 
 POLL = 0.02  # s between looks at the graph or the queue
-PATIENCE = 2.0  # s of silence before it is said
+PATIENCE = 2.0  # s without a message before a notice is printed
 
 
 class EchoError(FjrError):
-    """A topic without messages."""
+    """No message arrived on a topic."""
 
 
 class TopicError(FjrError):
-    """A name that no topic can have."""
+    """An invalid topic name."""
 
 
 def echo(topic: str, count: int | None, timeout: float, stop: threading.Event) -> int:
-    """Print messages until `count` of them have come or `stop` is set; returns their number.
+    """Print messages until `count` have arrived or `stop` is set; return their number.
 
-    Raises EchoError when none comes for `timeout` [s], SchemaError for a type that is not installed.
+    Raise EchoError after `timeout` [s] without a message, SchemaError if the type is not installed.
     """
     topic = absolute(topic)
     shown = 0
@@ -52,25 +52,25 @@ def echo(topic: str, count: int | None, timeout: float, stop: threading.Event) -
 
 
 def absolute(topic: str) -> str:
-    """A topic's name from the root; raises TopicError where that is none."""
+    """Return the absolute name of a topic; raise TopicError if the name is invalid."""
     name = topic if topic.startswith("/") else f"/{topic}"
     try:
         validate_full_topic_name(name)
     except InvalidTopicNameException:
         raise TopicError(
-            f"'{topic}' is no topic's name; expected letters, digits, _ and single /, e.g. /joint_states"
+            f"'{topic}' is not a topic name; expected letters, digits, _ and single /, e.g. /joint_states"
         ) from None
     return name
 
 
 def text(message: Any) -> str:
-    """A message as a YAML document."""
+    """Format a message as a YAML document."""
     return yaml.safe_dump(plain(message), sort_keys=False, default_flow_style=None, width=math.inf) + "---"
 
 
 @contextmanager
 def listening(name: str = "fjr_echo", arguments: list[str] | None = None) -> Iterator[Node]:
-    """A node of its own that no signal ends; arguments: as after --ros-args."""
+    """Create a node in its own context, without signal handlers; arguments: as after --ros-args."""
     context = rclpy.Context()
     ros = ["--ros-args", *arguments] if arguments else None
     rclpy.init(args=ros, context=context, signal_handler_options=SignalHandlerOptions.NO)
@@ -83,27 +83,27 @@ def listening(name: str = "fjr_echo", arguments: list[str] | None = None) -> Ite
 
 
 def _messages(node: Node, topic: str, timeout: float, stop: threading.Event) -> Iterator[Any]:
-    """Messages as they come, from the first publisher on."""
+    """Yield messages as they arrive, once there is a publisher."""
     subscription = None
-    heard = time.monotonic()
-    said = False
+    received = time.monotonic()
+    notified = False
     while not stop.wait(POLL):
         publishers = node.get_publishers_info_by_topic(topic)
         if subscription is None and publishers:
             kind = message_class(publishers[0].topic_type)
             subscription = node.create_subscription(kind, topic, lambda _: None, adapted_qos(publishers))
         while subscription is not None and (taken := subscription.handle.take_message(kind, False)) is not None:
-            heard = time.monotonic()
+            received = time.monotonic()
             yield taken[0]
-        silent = time.monotonic() - heard
+        silent = time.monotonic() - received
         if silent > timeout:
-            raise EchoError(f"no message of {topic} for {timeout:g} s; {_there(node)}")
-        if silent > PATIENCE and not said:
-            said = True
-            print(f"fjr: waiting for {topic}; {_there(node)}", file=sys.stderr, flush=True)
+            raise EchoError(f"no message of {topic} for {timeout:g} s; {_published(node)}")
+        if silent > PATIENCE and not notified:
+            notified = True
+            print(f"fjr: waiting for {topic}; {_published(node)}", file=sys.stderr, flush=True)
 
 
-def _there(node: Node) -> str:
+def _published(node: Node) -> str:
     topics = [name for name, _ in node.get_topic_names_and_types()]
     published = sorted(name for name in topics if node.count_publishers(name))
     with suppress(ValueError):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a bag: MCAP, SQLite, and what rosbag2 compressed as a whole; each read as far as it can be.
+"""Read the files of a bag (MCAP, SQLite, compressed by rosbag2) as far as they are readable.
 
-An MCAP file is read front to back, so the file of a run that was killed (no index, no metadata.yaml, a torn last
-record) gives everything up to the last flushed chunk, and one that is damaged everything but the damaged chunk. So does
-a SQLite file, without metadata.yaml or not. What is lost is said in Contents.notes.
+An MCAP file is read from front to back: the file of a killed run (no index, no metadata.yaml, an incomplete last
+record) yields everything up to the last flushed chunk, a damaged file everything but the damaged chunks. A SQLite file
+is read in the same way, with or without metadata.yaml. Contents.notes lists the losses.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from fjr_core.errors import FjrError
 
 
 def read_mcap(path: Path, contents: Contents) -> bool:
-    """Add the messages of a file to `contents`; true when the file ends as a closed file does. Raises BagError."""
+    """Add the messages of an MCAP file to `contents`; return whether it was closed. Raise BagError."""
     before = contents.count
     with open(path, "rb") as stream:
         begin = stream.read(len(MAGIC))
@@ -39,36 +39,36 @@ def read_mcap(path: Path, contents: Contents) -> bool:
         reader = _McapReader(file, contents)
         reader.read()
     read = contents.count - before
-    if not read and (file.damage or reader.strange):
+    if not read and (file.damage or reader.invalid):
         raise BagError(f"{path} is not a readable MCAP file: it is damaged at byte {(file.damage or [0])[0]}")
-    contents.notes += _losses(path.name, file, read, reader.strange)
+    contents.notes += _losses(path.name, file, read, reader.invalid)
     return file.closed
 
 
-def _losses(name: str, file: File, read: int, strange: int) -> Iterator[str]:
-    """A sentence for each kind of loss."""
+def _losses(name: str, file: File, read: int, invalid: int) -> Iterator[str]:
+    """Yield one sentence for each kind of loss."""
     places = [str(position) for position in sorted(set(file.damage))]
     if places:
         known = file.count is not None and file.count >= read
         lost = f"{(file.count or 0) - read} of {file.count}" if known else "an unknown number of"
         where = ", ".join(places[:3]) + (f" and {len(places) - 3} more places" if len(places) > 3 else "")
         yield f"{name} is damaged at byte {where}; {lost} messages are lost"
-    if strange:
-        yield f"{name}: {plural(strange, 'message')} of no known topic or with a time beyond 63 bits left out"
+    if invalid:
+        yield f"{name}: {plural(invalid, 'message')} of no known topic or with a time beyond 63 bits left out"
 
 
 class _McapReader:
-    """Sorts the records of a file into topics; `strange`: how many messages fit nowhere."""
+    """Sort the records of a file into topics. invalid: number of messages without a known topic or valid times."""
 
     def __init__(self, file: File, contents: Contents) -> None:
-        self.strange = 0
+        self.invalid = 0
         self._file = file
         self._contents = contents
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, Topic] = {}
 
     def read(self) -> None:
-        """Read all that is whole."""
+        """Read all undamaged records."""
         file, known = self._file, {*self._file.channels}
         for record in file.records(known):
             try:
@@ -89,7 +89,7 @@ class _McapReader:
             if topic is not None and has_times(message):
                 topic.messages.append(message)
             else:
-                self.strange += 1
+                self.invalid += 1
         elif kind == Opcode.SCHEMA:
             schema = Schema.read(ReadDataStream(BytesIO(content)))
             self._schemas[schema.id] = schema
@@ -97,7 +97,7 @@ class _McapReader:
             self._open(Channel.read(ReadDataStream(BytesIO(content))))
 
     def _topic(self, number: int) -> Topic | None:
-        """The topic of a channel; one whose own record is lost is known from the summary."""
+        """Return the topic of a channel; the summary replaces a lost channel record. None if unknown."""
         if number not in self._topics and number in self._file.channels:
             self._open(self._file.channels[number])
         return self._topics.get(number)
@@ -110,13 +110,13 @@ class _McapReader:
 
 
 def read_sqlite(path: Path, contents: Contents) -> bool:
-    """Add the messages of a SQLite file, which knows one time of each message: when it was received."""
+    """Add the messages of a SQLite file, which holds receive times only; return whether it was closed."""
     before = contents.count
-    if _is_cut_off(path):  # refused as it is
+    if _is_cut_off(path):  # SQLite refuses such a file
         with tempfile.TemporaryDirectory() as folder:
             notes = list(contents.notes)
-            read_tables(_mended(path, Path(folder)), contents)
-            contents.notes, whole = notes, False  # its end is missing: that is said as of any bag that was not closed
+            read_tables(_with_actual_page_count(path, Path(folder)), contents)
+            contents.notes, whole = notes, False  # reported as a bag that was not closed
     else:
         whole = read_tables(path, contents)
         if not whole and contents.count == before:
@@ -127,20 +127,20 @@ def read_sqlite(path: Path, contents: Contents) -> bool:
 
 
 def _is_cut_off(path: Path) -> bool:
-    """Whether a SQLite file is shorter than the pages that its header counts."""
+    """Return whether a SQLite file is shorter than the page count in its header."""
     with open(path, "rb") as stream:
         header = stream.read(32)
     return len(header) == 32 and int.from_bytes(header[28:32], "big") * _page(header) > path.stat().st_size
 
 
 def _page(header: bytes) -> int:
-    """Bytes of a page."""
+    """Return the page size [bytes]."""
     size = int.from_bytes(header[16:18], "big")
     return 2**16 if size <= 1 else size
 
 
-def _mended(path: Path, folder: Path) -> Path:
-    """A copy whose header says the number of pages that there are."""
+def _with_actual_page_count(path: Path, folder: Path) -> Path:
+    """Return a copy whose header holds the actual page count."""
     copy = folder / path.name
     shutil.copyfile(path, copy)
     with copy.open("r+b") as stream:
@@ -153,7 +153,7 @@ def _mended(path: Path, folder: Path) -> Path:
 
 
 def read_compressed(folder: Path, contents: Contents) -> bool:
-    """Add the messages of a whole folder that rosbag2 compressed, by the rosbags library."""
+    """Add the messages of a folder compressed by rosbag2, read by the rosbags library; raise BagError."""
     try:
         with AnyReader([folder], default_typestore=typestore()) as reader:
             for connection, time, data in reader.messages():
@@ -161,7 +161,7 @@ def read_compressed(folder: Path, contents: Contents) -> bool:
                 message = Message(connection.id, time, data, time, 0)
                 if has_times(message):
                     topic.messages.append(message)
-    except Exception as error:  # whatever the library stumbles over
+    except Exception as error:  # any error of the library
         raise BagError(f"{folder} is not a readable compressed bag: {error or type(error).__name__}") from error
     return True
 
@@ -170,7 +170,7 @@ READERS: dict[str, Callable[[Path, Contents], bool]] = {".mcap": read_mcap, ".db
 
 
 def files_of(path: Path) -> list[Path]:
-    """The files of a bag, given by its folder, by one of its files or by the folder of a run; raises BagError."""
+    """Return the files of a bag, given its folder or one of its files; raise BagError."""
     if not path.exists():
         raise BagError(f"{path} does not exist; expected the folder of a bag or of a run, or an .mcap or .db3 file")
     if path.is_file():
@@ -186,7 +186,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def _is_compressed(folder: Path) -> bool:
-    """Whether rosbag2 compressed the files of a bag, or each message."""
+    """Return whether rosbag2 compressed the files or messages of a bag."""
     try:
         found = ros_yaml.read(folder / "metadata.yaml", "metadata")
         return bool(found["rosbag2_bagfile_information"].get("compression_mode", ""))
@@ -195,7 +195,7 @@ def _is_compressed(folder: Path) -> bool:
 
 
 def read_file(path: Path, contents: Contents) -> bool:
-    """Add the messages of one of files_of; true when it was closed as it should be."""
+    """Add the messages of one of files_of; return whether it was closed."""
     if path.is_file() and path.stat().st_size == 0:
         return False
     return READERS.get(path.suffix, read_compressed)(path, contents)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records of an MCAP file from front to back, past what is damaged; the checksum of each chunk is verified.
+"""Read the records of an MCAP file from front to back; skip damage and verify the checksum of each chunk.
 
-A record whose length or kind is damaged puts all that follow out of step. Reading goes on at the next place that holds
-a whole chunk, or a message of a known channel before another record.
+A damaged length or kind of a record loses synchronisation. Reading resumes at the next complete chunk, or at the next
+message of a known channel that is followed by another record.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ HEAD, FOOTER, MESSAGE = struct.Struct("<BQ"), struct.Struct("<QQI"), struct.Stru
 CHUNK = struct.Struct("<QQQII")  # begin, end, size, checksum, length of the name of the compression
 COMPRESSIONS = (b"", b"lz4", b"zstd")
 LARGEST_RECORD = 2**30  # bytes
-MOST_EXPANSION, SMALLEST_LIMIT = 200, 2**24  # of a compressed chunk: times its size, bytes that are always allowed
+MOST_EXPANSION, SMALLEST_LIMIT = 200, 2**24  # decompressed over compressed size; bytes always allowed
 INDEXED = (Opcode.CHUNK, Opcode.MESSAGE_INDEX)  # records before an index
 SIZES = {Opcode.FOOTER: FOOTER.size, Opcode.DATA_END: 4}
 CANDIDATE = re.compile(rb"(?=[\x05\x06].{4}\0{4})", re.DOTALL)  # a message or a chunk of less than 4 GiB
@@ -38,7 +38,7 @@ UNREADABLE = (McapError, struct.error, ValueError, RuntimeError, EOFError, Memor
 
 @dataclass(frozen=True)
 class Record:
-    """A record: its first byte in the file, its kind, its content."""
+    """A record: position of its first byte in the file, kind, content."""
 
     position: int
     kind: int
@@ -46,7 +46,7 @@ class Record:
 
 
 class File:
-    """An open MCAP file: whether it was `closed`, at which bytes it has `damage`, and what its summary says."""
+    """An open MCAP file. closed: ends like a closed file; damage: byte positions; channels, schemas, count: summary."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
@@ -55,11 +55,11 @@ class File:
         self.damage: list[int] = []
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
-        self.count: int | None = None  # messages; None: the summary does not say
+        self.count: int | None = None  # messages; None: not in the summary
         self._read_summary()
 
     def records(self, known: Container[int]) -> Iterator[Record]:
-        """Yield all records before the end of the data; known: channels, for messages outside of chunks."""
+        """Yield all records of the data section; known: channel ids, for messages outside chunks."""
         position, last = len(MAGIC), 0
         while position < self.size:
             record = self._record(position)
@@ -79,12 +79,12 @@ class File:
                 return
             position += HEAD.size + len(record.content)
             if last in INDEXED and record.kind == Opcode.MESSAGE and _fits(Opcode.MESSAGE_INDEX, record.content):
-                continue  # an index that one flipped bit calls a message
+                continue  # a message index with a flipped bit in its kind
             yield record
             last = record.kind
 
     def _verify(self, end: Record) -> None:
-        """Note damage outside of all that has a checksum of its own."""
+        """Add damage that only the checksum of the data section reveals."""
         (wanted,) = struct.unpack("<I", end.content)
         if wanted and not self.damage and self._crc(0, end.position) != wanted:
             self.damage.append(end.position)
@@ -96,7 +96,7 @@ class File:
         return checksum
 
     def _record(self, position: int) -> Record | None:
-        """The record at a position; None where there is none that is whole."""
+        """Return the record at a position; None if it is incomplete or invalid."""
         head = self._bytes(position, HEAD.size)
         if len(head) < HEAD.size:
             return None
@@ -104,11 +104,11 @@ class File:
         if length > min(LARGEST_RECORD, self.size - position - HEAD.size):
             return None
         content = self._bytes(position + HEAD.size, length)
-        kind = Opcode.CHUNK if _is_chunk(content) else kind  # whatever a flipped bit has made of it
+        kind = Opcode.CHUNK if _is_chunk(content) else kind  # even with a flipped bit in its kind
         return Record(position, kind, content) if _fits(kind, content) else None
 
     def _is_followed(self, record: Record) -> bool:
-        """Whether another record, or the end, follows: else the length of this one is wrong."""
+        """Return whether a record or the end of the file follows; otherwise the length of this record is wrong."""
         if record.kind in (Opcode.CHUNK, Opcode.DATA_END, Opcode.FOOTER):
             return True
         position = record.position + HEAD.size + len(record.content)
@@ -119,16 +119,16 @@ class File:
         return not self.closed or (kind > 0 and length <= self.size - position - HEAD.size)
 
     def _next(self, position: int, known: Container[int]) -> int | None:
-        """The next position of a record that is beyond doubt."""
+        """Return the next position of a verified record; None if there is none."""
         while position < self.size:
             block = self._bytes(position, BLOCK + HEAD.size)
             for offset in (match.start() for match in CANDIDATE.finditer(block)):
-                if self._is_beyond_doubt(position + offset, block[offset : offset + HEAD.size], known):
+                if self._is_verified(position + offset, block[offset : offset + HEAD.size], known):
                     return position + offset
             position += BLOCK
         return None
 
-    def _is_beyond_doubt(self, position: int, head: bytes, known: Container[int]) -> bool:
+    def _is_verified(self, position: int, head: bytes, known: Container[int]) -> bool:
         if len(head) < HEAD.size:
             return False
         kind, length = HEAD.unpack(head)
@@ -144,7 +144,7 @@ class File:
         return False
 
     def _read_summary(self) -> None:
-        """Read schemas, channels and the count of messages at the end, where they are undamaged."""
+        """Read schemas, channels and message count from an undamaged summary."""
         end = self.size - len(MAGIC) - FOOTER.size
         if end < HEAD.size or self._bytes(end - HEAD.size, HEAD.size) != HEAD.pack(Opcode.FOOTER, FOOTER.size):
             return
@@ -174,21 +174,21 @@ class File:
 
 
 def inner(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield kind and content of the records in a chunk or a summary; raises ValueError where the last is cut off."""
+    """Yield kind and content of the records in a chunk or summary; raise ValueError if the last is incomplete."""
     position = 0
     while position < len(data):
         if len(data) - position < HEAD.size:
-            raise ValueError("half a record")
+            raise ValueError("incomplete record")
         kind, length = HEAD.unpack_from(data, position)
         position += HEAD.size
         if length > len(data) - position:
-            raise ValueError("a record longer than what holds it")
+            raise ValueError("record longer than its container")
         yield kind, data[position : position + length]
         position += length
 
 
 def unpacked(content: bytes) -> bytes:
-    """The records of a chunk; raises one of UNREADABLE where its checksum does not fit or it is much too large."""
+    """Decompress the records of a chunk; raise one of UNREADABLE for a wrong checksum or an implausible size."""
     chunk = Chunk.read(ReadDataStream(BytesIO(content)))
     limit = max(SMALLEST_LIMIT, MOST_EXPANSION * len(chunk.data))
     if chunk.uncompressed_size > limit:
@@ -200,12 +200,12 @@ def unpacked(content: bytes) -> bytes:
     elif chunk.compression == "lz4":
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, chunk.uncompressed_size)
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("another checksum")
+        raise ValueError("wrong checksum")
     return data
 
 
 def _is_chunk(content: bytes, length: int | None = None) -> bool:
-    """Whether the lengths in what may be the content of a chunk, or its beginning, fit each other and the record's."""
+    """Return whether `content` (or its beginning) has the consistent lengths of a chunk of `length` bytes."""
     if len(content) < CHUNK.size + 8:
         return False
     name_length = CHUNK.unpack_from(content)[4]
@@ -216,7 +216,7 @@ def _is_chunk(content: bytes, length: int | None = None) -> bool:
 
 
 def _fits(kind: int, content: bytes) -> bool:
-    """Whether a record of this kind may have such content."""
+    """Return whether the content is valid for a record of this kind."""
     if kind == Opcode.CHUNK:
         return _is_chunk(content)
     if kind == Opcode.MESSAGE_INDEX:

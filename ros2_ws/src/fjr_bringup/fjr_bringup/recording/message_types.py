@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Message classes and full message definitions by type name, for recording and reading bags.
+"""Look up message classes and definitions by type name, for recording and reading bags.
 
-Definitions of the standard interfaces come from rosbags' Jazzy type store. Any other type is read from the
-``.msg`` files its package installs, so custom messages are recorded too where their package is sourced.
+Definitions of the standard interfaces come from rosbags' Jazzy type store; definitions of other types are read
+from the ``.msg`` files of their sourced package.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from fjr_core.errors import FjrError
 
 
 class SchemaError(FjrError):
-    """A message type whose class or definition is not installed."""
+    """The class or definition of a message type is not installed."""
 
 
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
-    """The Jazzy type store, shared by writer and reader; grows by the custom types it meets."""
+    """Return the Jazzy type store, shared by writer and reader; custom types are added on use."""
     return get_typestore(Stores.ROS2_JAZZY)
 
 
 def message_class(type_name: str) -> Any:
-    """Class of ``sensor_msgs/msg/JointState`` and the like, as rclpy's subscriptions want it."""
+    """Return the rclpy message class of a type name such as ``sensor_msgs/msg/JointState``; raise SchemaError."""
     package, _, name = type_name.partition("/msg/")
     try:
         return getattr(import_module(f"{package}.msg"), name)
@@ -39,26 +39,26 @@ def message_class(type_name: str) -> Any:
 
 
 def definition(type_name: str) -> str:
-    """Full text of a definition with all nested types, as an MCAP schema of encoding ``ros2msg`` holds it."""
-    _learn(type_name)
+    """Return the definition with all nested types, as in an MCAP schema of encoding ``ros2msg``; raise SchemaError."""
+    _register(type_name)
     return typestore().generate_msgdef(type_name, ros_version=2)[0]
 
 
 def type_hash(type_name: str) -> str:
-    """REP-2016 hash of a type, ``RIHS01_...``."""
-    _learn(type_name)
+    """Return the REP-2016 hash of a type, ``RIHS01_...``."""
+    _register(type_name)
     return typestore().hash_rihs01(type_name)
 
 
-def _learn(type_name: str) -> None:
-    """Register a type that the store lacks from its installed ``.msg`` file, nested types included."""
+def _register(type_name: str) -> None:
+    """Register a missing type and its nested types from their installed ``.msg`` files."""
     store = typestore()
     if type_name in store.fielddefs:
         return
     types = get_types_from_msg(_installed_definition(type_name), type_name)
     store.register(types)
     for nested in _nested_types(types):
-        _learn(nested)
+        _register(nested)
 
 
 def _installed_definition(type_name: str) -> str:
@@ -70,7 +70,7 @@ def _installed_definition(type_name: str) -> str:
 
 
 def _nested_types(node: Any) -> set[str]:
-    """All type names a parsed definition refers to (strings of the form package/msg/Name)."""
+    """Return all type names (package/msg/Name) that a parsed definition refers to."""
     if isinstance(node, str):
         return {node} if node.count("/") == 2 else set()
     if isinstance(node, dict):

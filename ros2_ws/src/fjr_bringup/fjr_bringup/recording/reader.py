@@ -21,7 +21,7 @@ JOINT_STATE, DIAGNOSTICS = "sensor_msgs/msg/JointState", "/diagnostics"
 
 @dataclass(frozen=True)
 class JointTable:
-    """A JointState topic as arrays: k messages, n joints in the order asked for; absent values are NaN."""
+    """A JointState topic as arrays: k messages, n joints in the requested order; absent values are NaN."""
 
     stamp: Times  # (k,) header stamp [ns]
     publish_time: Times  # (k,) send time [ns]
@@ -32,10 +32,9 @@ class JointTable:
 
 @dataclass(frozen=True)
 class Bag:
-    """All topics of a bag. `complete` tells whether the recorder closed it; namespace: where its nodes were; notes: a
-    sentence for each thing that could not be read.
+    """All topics of a bag. complete: closed by the recorder; namespace: of its nodes; notes: one sentence a loss.
 
-    A topic that is not there under its plain name is looked for in namespaces; one in two of them is not chosen.
+    A topic without an exact match is searched for in all namespaces; an ambiguous match is an error.
     """
 
     path: Path
@@ -45,11 +44,11 @@ class Bag:
     notes: tuple[str, ...] = ()
 
     def holds(self, name: str) -> bool:
-        """Whether there are messages of a topic."""
+        """Return whether a topic has messages."""
         return self._full_name(name) is not None
 
     def topic(self, name: str) -> Topic:
-        """One topic; raises BagError, naming what was recorded, when there is none or it is empty."""
+        """Return a topic; raise BagError, listing the recorded topics, if it is missing or empty."""
         found = self._full_name(name)
         if found is None:
             raise BagError(f"{self.path} holds no message of {self.namespace}{name}; it holds {self._contents()}")
@@ -69,7 +68,7 @@ class Bag:
         return ", ".join(recorded) or ("nothing" if self.complete else "nothing, and was not closed")
 
     def joints(self, name: str, joints: Sequence[str]) -> JointTable:
-        """A JointState topic with columns in the order of `joints`, whatever order the messages have."""
+        """Return a JointState topic as arrays with columns in the order of `joints`; raise BagError."""
         topic = self.topic(name)
         if topic.type_name != JOINT_STATE:
             raise BagError(f"{topic.name} of {self.path} is a {topic.type_name}; expected {JOINT_STATE}")
@@ -79,11 +78,11 @@ class Bag:
         return JointTable(stamps, topic.publish_time, *columns)
 
     def lost(self) -> dict[str, int | None]:
-        """Messages sent but not recorded, by topic; None where it cannot be known."""
+        """Return the number of lost messages by topic; None if unknown."""
         return {name: topic.lost for name, topic in sorted(self.topics.items()) if topic.messages}
 
     def counters(self) -> dict[str, dict[str, str]]:
-        """The last /diagnostics of each part: name -> key -> value, as published."""
+        """Return the last /diagnostics status of each name: name -> key -> value, as published."""
         last: dict[str, dict[str, str]] = {}
         for message in self.topic(DIAGNOSTICS).decoded if self.holds(DIAGNOSTICS) else []:
             for status in message.status:
@@ -92,9 +91,9 @@ class Bag:
 
 
 def read_bag(path: str | Path, namespace: str = "") -> Bag:
-    """Read a bag: its folder, one of its files, or the folder of a run with `bag` in it; raises BagError.
+    """Read a bag, given its folder, one of its files or the folder of a run; raise BagError.
 
-    namespace: of the topics to look at, empty or with a slash before it.
+    namespace: of the topics, empty or with a leading slash.
     """
     path = Path(path)
     path = path / "bag" if (path / "bag").is_dir() else path
@@ -104,7 +103,7 @@ def read_bag(path: str | Path, namespace: str = "") -> Bag:
 
 
 def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array:
-    """Values `what` of the named joints, (k, n)."""
+    """Return the field `what` of the named joints, (k, n)."""
     table = np.full((len(messages), len(joints)), np.nan)
     places: dict[tuple[str, ...], list[int]] = {}
     for row, message in enumerate(messages):
@@ -118,6 +117,6 @@ def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array
 
 
 def header_stamp(data: bytes) -> int:
-    """Stamp [ns] of a serialised message that starts with a std_msgs/Header."""
+    """Return the stamp [ns] of a serialised message that starts with a std_msgs/Header."""
     sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
     return int(sec) * 10**9 + int(nanosec)

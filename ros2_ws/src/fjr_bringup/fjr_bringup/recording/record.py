@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr record`: topics into an MCAP bag until Ctrl-C, for machines without ros2cli."""
+"""`fjr record`: record topics into an MCAP bag until Ctrl-C, without ros2cli."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ POLL = 0.05  # s
 
 
 class RecordError(FjrError):
-    """A recording that could not go on."""
+    """The recorder failed."""
 
 
 def record(topics: Sequence[str], folder: Path | None, duration: float | None, stop: threading.Event) -> str:
-    """Record the named topics, or all, for `duration` [s] or until `stop`; returns what to tell.
+    """Record the named topics, or all, for `duration` [s] or until `stop`; return a summary.
 
-    folder: of the bag, which must not be there yet; None is one named after the time. Raises FjrError.
+    folder: new folder of the bag; None: one named after the time. Raise FjrError.
     """
     wanted = [absolute(topic) for topic in topics]
     folder = folder or Path(f"bag_{datetime.now():%Y_%m_%d-%H_%M_%S}")
@@ -37,7 +37,7 @@ def record(topics: Sequence[str], folder: Path | None, duration: float | None, s
     print(f"fjr: records {what} into {folder}; {end}", file=sys.stderr, flush=True)
     with Recorder(folder, topics=wanted) as recorder:
         _wait(recorder, duration, stop)
-    return _told(recorder, wanted, folder)
+    return _summary(recorder, wanted, folder)
 
 
 def _wait(recorder: Recorder, duration: float | None, stop: threading.Event) -> None:
@@ -47,16 +47,16 @@ def _wait(recorder: Recorder, duration: float | None, stop: threading.Event) -> 
             raise RecordError(f"the recorder failed: {recorder.failure}")
 
 
-def _told(recorder: Recorder, wanted: Sequence[str], folder: Path) -> str:
-    """One line per topic, then what is missing."""
+def _summary(recorder: Recorder, wanted: Sequence[str], folder: Path) -> str:
+    """Return one line per topic, then missing topics and the total."""
     channels = sorted(recorder.writer.channels, key=lambda channel: channel.topic)
     lines = [_line(channel) for channel in channels if channel.count]
-    heard = {channel.topic for channel in channels if channel.count}
-    lines += [f"not recorded: {topic}, {why}" for topic, why in sorted(recorder.skipped.items())]
+    recorded = {channel.topic for channel in channels if channel.count}
+    lines += [f"not recorded: {topic}, {reason}" for topic, reason in sorted(recorder.skipped.items())]
     lines += [f"not complete: {recorder.loss}"] if recorder.loss else []
-    lines += [f"nothing came on {topic}" for topic in wanted if topic not in heard | set(recorder.skipped)]
+    lines += [f"nothing came on {topic}" for topic in wanted if topic not in recorded | set(recorder.skipped)]
     total = sum(channel.count for channel in channels)
-    return "\n".join([*lines, f"{total} messages of {len(heard)} topics in {folder}"])
+    return "\n".join([*lines, f"{total} messages of {len(recorded)} topics in {folder}"])
 
 
 def _line(channel: Channel) -> str:

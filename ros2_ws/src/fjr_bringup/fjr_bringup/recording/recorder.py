@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Record every topic of the ROS graph, or some, into a rosbag2 bag, cheaply enough to sit beside a 1 kHz loop.
+"""Record all or selected topics of the ROS graph into a rosbag2 bag with little load, next to a 1 kHz loop.
 
-No executor: one thread looks at the graph and empties the subscriptions' queues a hundred times a second.
-The middleware stamps each message when it was sent and when it came in, so batching costs no accuracy, and
-waking up once for a batch instead of once per message leaves the processor to the nodes.
+No executor: one thread polls the graph and empties the subscription queues 100 times a second. The middleware
+stamps send and receive times of each message, so that batching costs no accuracy and saves wake-ups.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ from fjr_bringup.recording.writer import BagWriter, Channel
 QUEUE_DEPTH = 5000  # messages per topic between two drains: 5 s at 1 kHz
 DRAIN_PERIOD = 0.01  # s
 DISCOVERY_PERIOD = 0.1  # s
-FLUSH_PERIOD = 0.5  # s; a kill loses at most this much, and the drain in progress
+FLUSH_PERIOD = 0.5  # s; a kill loses at most this much and the batch in progress
 
 
 @dataclass
 class Track:
-    """A topic being recorded: where it comes from, where it goes, the first and the last message seen.
+    """A recorded topic: subscription, channel in the file, publishers, first and last message.
 
-    ends: replaced as a whole, because other threads read it while messages are taken; None before the first message.
+    ends: replaced as a whole, because other threads read it; None before the first message.
     """
 
     subscription: Subscription
@@ -45,10 +44,10 @@ class Track:
 
 
 class Recorder:
-    """Records from `start` to `close`; use as a context manager. Owns its rclpy context and one thread."""
+    """Record from `start` to `close`; a context manager. Owns an rclpy context and one thread."""
 
     def __init__(self, folder: Path, node_name: str = "fjr_recorder", topics: Collection[str] = ()) -> None:
-        """topics: names from the root of those to record; none is all."""
+        """topics: absolute names of the topics to record; empty: all."""
         self.context = rclpy.Context()
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
         self.node: Node = rclpy.create_node(
@@ -57,19 +56,19 @@ class Recorder:
         self.writer = BagWriter(folder)
         self.skipped: dict[str, str] = {}  # topic -> why it is not recorded
         self.failure: Exception | None = None
-        self.loss = ""  # why nothing is written any more; the topics are listened to all the same
+        self.loss = ""  # why writing stopped; subscriptions stay active
         self._wanted = frozenset(topics)
         self._tracks: dict[str, Track] = {}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder")
 
     def start(self) -> Recorder:
-        """Begin to look for topics and record them."""
+        """Start to discover and record topics."""
         self._thread.start()
         return self
 
     def close(self) -> None:
-        """Empty the queues once more and close the bag, so that it is complete and readable."""
+        """Empty the queues a last time and close the bag."""
         if not self._stop.is_set():
             self._stop.set()
             self._thread.join()
@@ -86,22 +85,22 @@ class Recorder:
         self.close()
 
     def ends(self, topic: str) -> tuple[bytes, bytes] | None:
-        """First and latest message of a topic as they came over the wire; None when none has come."""
+        """Return the first and latest serialised message of a topic; None before the first."""
         return self._tracks[topic].ends if topic in self._tracks else None
 
     def last(self, topic: str) -> bytes:
-        """Latest message of a topic as it came over the wire; empty when none has come."""
+        """Return the latest serialised message of a topic; empty before the first."""
         ends = self.ends(topic)
         return ends[1] if ends else b""
 
     def matched(self, topic: str) -> int:
-        """How many publishers of a topic are connected to this recorder."""
+        """Return the number of publishers of a topic that are matched with this recorder."""
         return self._tracks[topic].subscription.get_publisher_count() if topic in self._tracks else 0
 
     def _run(self) -> None:
         try:
             self._record()
-        except Exception as error:  # told to the caller, who stops the run
+        except Exception as error:  # the caller reads it and stops the run
             self.failure = error
 
     def _record(self) -> None:
@@ -120,17 +119,17 @@ class Recorder:
                 flush = now + FLUSH_PERIOD
 
     def _write(self, write: Callable[..., object], *arguments: object) -> None:
-        """Write, unless that has failed before; a disk that is full or gone ends the recording, not the run."""
+        """Write unless an earlier write failed; a full or missing disk ends the recording, not the run."""
         if self.loss:
             return
         try:
             write(*arguments)
         except OSError as error:
             self.loss = f"recording stopped: {error.strerror or error}"
-            print(f"fjr: {self.loss}; all else goes on, {self.writer.path} holds what came before", file=sys.stderr)
+            print(f"fjr: {self.loss}; the run continues, {self.writer.path} holds the messages so far", file=sys.stderr)
 
     def _drain(self, track: Track) -> None:
-        """Write all that waits in one subscription's queue: receive time, send time, wire bytes."""
+        """Write all messages in the queue of a subscription: receive time, send time, serialised bytes."""
         take, kind = track.subscription.handle.take_message, track.subscription.msg_type
         write, keep, channel = self._write, self.writer.write, track.channel
         first = last = b""
@@ -143,7 +142,7 @@ class Recorder:
             track.ends = (track.ends[0] if track.ends else first, last)
 
     def _discover(self) -> None:
-        """Subscribe to topics that have appeared; follow publishers that have come or gone."""
+        """Subscribe to new topics; adapt the QoS to new publishers."""
         for topic, types in self.node.get_topic_names_and_types():
             publishers = self.node.get_publishers_info_by_topic(topic)
             if not publishers or topic in self.skipped or (self._wanted and topic not in self._wanted):
@@ -166,7 +165,7 @@ class Recorder:
         self._tracks[topic] = Track(subscription, channel, publishers)
 
     def _follow(self, track: Track, publishers: list[TopicEndpointInfo]) -> None:
-        """More publishers than before: note what they offer, and ask for less if one would not match."""
+        """Adapt the subscription to additional publishers if their QoS requires it."""
         track.publishers = publishers
         wanted, old = adapted_qos(publishers), track.subscription
         if (wanted.reliability, wanted.durability) != (
@@ -182,7 +181,7 @@ class Recorder:
 
 
 def adapted_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
-    """The strongest QoS that every publisher's offer satisfies, with a deep queue on the reader's side."""
+    """Return the strongest QoS that all publishers offer, with a deep queue on the reader's side."""
     offers = [info.qos_profile for info in publishers]
     reliable = all(offer.reliability == QoSReliabilityPolicy.RELIABLE for offer in offers)
     latched = all(offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
@@ -195,4 +194,4 @@ def adapted_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
 
 
 def _never(_message: bytes) -> None:
-    """Subscriptions are emptied by the recorder's thread; no executor ever calls this."""
+    """Do nothing: the recorder's thread empties the queues, no executor calls this."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folders of a scenario's runs: NAME-001, NAME-002, ..., and the link NAME to the newest."""
+"""Folders of the runs of a scenario: NAME-001, NAME-002, ..., and the link NAME to the newest."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from fjr_core.errors import FjrError
 
 
 class FolderError(FjrError):
-    """A place where no run can be written."""
+    """A folder that cannot be written or must not be replaced."""
 
 
 def is_run(folder: Path) -> bool:
-    """Whether a folder was made by an earlier run."""
+    """Return whether a folder holds an earlier run."""
     return (folder / "report.json").is_file() or any((folder / "bag").glob("*.mcap"))
 
 
 class RunFolder:
-    """A new, empty folder as a context manager; `path` is that folder. No earlier run is replaced.
+    """Context manager that creates a new, empty folder `path`; earlier runs are not replaced.
 
-    link: the name without a number. `keep` points it to the new folder. A block that ends without `keep` leaves
-    neither folder nor link, so that a run that could not start costs nothing.
+    link: the name without a number; `keep` points it to the new folder. Without `keep` the folder is removed at
+    the end of the block.
     """
 
     def __init__(self, link: Path) -> None:
@@ -46,7 +46,7 @@ class RunFolder:
         return self
 
     def _number_the_old(self) -> None:
-        """Give a run without a number one; an empty folder only makes room."""
+        """Number an earlier run without a number; remove the folder if it is empty."""
         if not any(self.link.iterdir()):
             self.link.rmdir()
             return
@@ -68,7 +68,7 @@ class RunFolder:
 
 
 def _new_folder(link: Path) -> Path:
-    """Make the folder with the number after the largest one taken."""
+    """Create the folder with the next free number."""
     numbers = [re.fullmatch(re.escape(link.name) + r"-(\d{3,})", entry.name) for entry in link.parent.iterdir()]
     number = 1 + max((int(found[1]) for found in numbers if found), default=0)
     while True:
@@ -82,7 +82,7 @@ def _new_folder(link: Path) -> Path:
 
 
 def _point(link: Path, target: str) -> None:
-    """Make or move a link in one step."""
+    """Create or move a link atomically."""
     fresh = link.with_name(f".{link.name}.{os.getpid()}")
     fresh.unlink(missing_ok=True)
     fresh.symlink_to(target, target_is_directory=True)

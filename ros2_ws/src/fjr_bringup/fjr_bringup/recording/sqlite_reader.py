@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics and messages of a SQLite bag, past pages that are damaged."""
+"""Read topics and messages of a SQLite bag; skip damaged pages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOST_GAPS = 100
 
 
 def read_tables(path: Path, contents: Contents) -> bool:
-    """Add what can be read; false where something is damaged or missing. Raises BagError for what is no SQLite bag."""
+    """Add all readable messages; return False if some are damaged. Raise BagError if the file is not a SQLite bag."""
     try:
         with closing(_opened(path)) as database:
             reader = _Reader(database, contents)
@@ -33,23 +33,23 @@ def _opened(path: Path) -> sqlite3.Connection:
     database.text_factory = lambda text: text.decode("utf-8", "replace")
     kinds = dict(database.execute("SELECT name, sql FROM sqlite_master WHERE name IN ('topics', 'messages')"))
     for name in ("topics", "messages"):
-        if not str(kinds.get(name)).upper().startswith("CREATE TABLE"):  # a view might never end
+        if not str(kinds.get(name)).upper().startswith("CREATE TABLE"):  # a view could yield rows without end
             database.close()
             raise BagError(f"{path} is not a readable SQLite bag: no such table: {name}")
     return database
 
 
 class _Reader:
-    """Reads one database; counts the messages that fit nowhere and the places that are damaged."""
+    """Read one database; count invalid messages and damaged places."""
 
     def __init__(self, database: sqlite3.Connection, contents: Contents) -> None:
         self._database = database
         self._contents = contents
         self._topics: dict[int, Topic] = {}
-        self._strange = self._gaps = 0
+        self._invalid = self._gaps = 0
 
     def read(self, name: str) -> bool:
-        """Read all that can be; whether that was everything."""
+        """Read all readable messages; return whether nothing was damaged."""
         for number, topic, type_name in self._database.execute("SELECT id, name, type FROM topics"):
             self._topics[number] = self._contents.topic(str(topic), str(type_name), "")
         following: int | None = -(2**63)
@@ -59,14 +59,14 @@ class _Reader:
             self._contents.notes.append(
                 f"{name} is damaged in {plural(self._gaps, 'place')}; the messages there are lost"
             )
-        if self._strange:
+        if self._invalid:
             self._contents.notes.append(
-                f"{name}: {plural(self._strange, 'message')} of no known topic or without a time left out"
+                f"{name}: {plural(self._invalid, 'message')} of no known topic or without a time left out"
             )
         return not self._gaps
 
     def _read_from(self, first: int) -> int | None:
-        """Read messages from a number on; return the number after a damaged page, None where there is no more."""
+        """Read messages from id `first` on; return the id after a damaged page, None at the end."""
         last = first - 1
         try:
             for row in self._database.execute(MESSAGES, (first,)):
@@ -74,14 +74,14 @@ class _Reader:
         except sqlite3.DatabaseError as error:
             if "malformed" not in str(error):
                 raise
-            while (row := self._one(last + 1)) is not None:  # the cursor had looked further than it told
+            while (row := self._one(last + 1)) is not None:  # the cursor reads ahead of the rows it yields
                 last = self._add(*row)
             self._gaps += 1
             return self._next_after(max(last, 0)) if self._gaps < MOST_GAPS else None
         return None
 
     def _next_after(self, last: int) -> int | None:
-        """The least number after `last` from which a message can be read, found by doubling and halving."""
+        """Find the least readable id after `last` by doubling, then bisection; None if there is none."""
         step = 1
         while self._one(last + step) is None:
             step *= 2
@@ -94,7 +94,7 @@ class _Reader:
         return last + high
 
     def _one(self, number: int) -> tuple[int, object, object, object] | None:
-        """The first message from a number on; None where it cannot be read."""
+        """Return the first message from an id on; None if it is unreadable."""
         try:
             row: tuple[int, object, object, object] | None
             row = self._database.execute(f"{MESSAGES} LIMIT 1", (number,)).fetchone()
@@ -103,11 +103,11 @@ class _Reader:
             return None
 
     def _add(self, number: int, topic: object, time: object, data: object) -> int:
-        """Add a message; return its number."""
+        """Add a message; return its id."""
         if isinstance(topic, int) and topic in self._topics and isinstance(time, int) and isinstance(data, bytes):
             message = Message(topic, time, data, time, 0)
             if has_times(message):
                 self._topics[topic].messages.append(message)
                 return number
-        self._strange += 1
+        self._invalid += 1
         return number

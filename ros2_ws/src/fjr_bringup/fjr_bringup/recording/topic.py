@@ -22,12 +22,12 @@ LONGEST_DEFINITION = 2**20  # characters
 
 
 class BagError(FjrError):
-    """What is not a bag, cannot be read, or lacks what is asked of it."""
+    """A bag that is missing, unreadable or without the requested topic."""
 
 
 @dataclass
 class Topic:
-    """The raw messages of one topic in the order they came."""
+    """Raw messages of one topic in the order they were received."""
 
     name: str
     type_name: str
@@ -36,7 +36,7 @@ class Topic:
 
     @cached_property
     def publish_time(self) -> Times:
-        """Middleware's send time of each message [ns], (k,); the receive time where the bag holds no other."""
+        """Send time of each message by the middleware [ns], (k,); receive time if the bag holds no send times."""
         return np.array([message.publish_time for message in self.messages], dtype=np.int64)
 
     @cached_property
@@ -46,18 +46,18 @@ class Topic:
 
     @cached_property
     def sequence(self) -> Times:
-        """Publisher's own count of its messages, (k,); zeros where the recorder did not keep it."""
+        """Sequence number of each message, (k,); zeros if not recorded."""
         return np.array([message.sequence for message in self.messages], dtype=np.int64)
 
     @property
     def lost(self) -> int | None:
-        """Messages sent but not recorded, from gaps in the numbering; None with several publishers or no numbers."""
+        """Number of lost messages from gaps in the sequence numbers; None with several publishers."""
         steps = np.diff(self.sequence)
         return int((steps - 1).sum()) if (steps >= 1).all() else None
 
     @cached_property
     def decoded(self) -> list[Any]:
-        """Every message as an object with the fields of its type; raises BagError for bytes that are none."""
+        """All messages, deserialised; raise BagError for an invalid type, definition or message."""
         if not TYPE_NAME.fullmatch(self.type_name):
             raise BagError(f"{self.name} has the type {self.type_name!r}; expected one like sensor_msgs/msg/JointState")
         if len(self.definition) > LONGEST_DEFINITION:
@@ -67,19 +67,19 @@ class Topic:
             if self.type_name not in store.fielddefs:
                 store.register(get_types_from_msg(self.definition, self.type_name))
             return [store.deserialize_cdr(message.data, self.type_name) for message in self.messages]
-        except Exception as error:  # whatever the decoder stumbles over
-            raise BagError(f"{self.name} holds bytes that are no {self.type_name} ({error})") from error
+        except Exception as error:  # any error of the decoder
+            raise BagError(f"{self.name} holds bytes that are not a {self.type_name} ({error})") from error
 
 
 @dataclass
 class Contents:
-    """What is read from the files of a bag: topics by name, and a sentence for each thing that is lost."""
+    """Content read from the files of a bag: topics by name, and one sentence for each loss."""
 
     topics: dict[str, Topic] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
     def topic(self, name: str, type_name: str, definition: str) -> Topic:
-        """Return the topic of this name, added where it is new."""
+        """Return the topic of this name; add it if it is new."""
         return self.topics.setdefault(name, Topic(name, type_name, definition))
 
     @property
@@ -89,5 +89,5 @@ class Contents:
 
 
 def has_times(message: Message) -> bool:
-    """Whether both times of a message are nanoseconds that a signed 64-bit number holds, as ROS 2 has them."""
+    """Return whether both times of a message fit a signed 64-bit integer [ns]."""
     return 0 <= message.log_time < 2**63 and 0 <= message.publish_time < 2**63

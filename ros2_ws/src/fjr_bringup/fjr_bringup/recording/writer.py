@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rosbag2 bag (MCAP storage, metadata version 9 as Jazzy writes it) that survives a kill.
+"""Write a rosbag2 bag (MCAP storage, metadata version 9 as in Jazzy) that stays readable after a kill.
 
-Messages are grouped in chunks with a message index. `BagWriter.flush` ends the current chunk: whatever was
-flushed is readable even when the process is killed before `BagWriter.close` writes summary and metadata.
+Messages are grouped in chunks with a message index. `BagWriter.flush` ends the current chunk: flushed messages
+are readable even if the process is killed before `BagWriter.close` writes summary and metadata.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ROS_DISTRO = "jazzy"
 
 @dataclass
 class Channel:
-    """One recorded topic: its identity in the file, what its publishers offered, how much was written."""
+    """A recorded topic: id in the file, type, QoS offered by its publishers, number of messages."""
 
     id: int
     topic: str
@@ -38,7 +38,7 @@ class Channel:
 
 
 class BagWriter:
-    """Writes raw CDR messages into ``<folder>/<folder name>_0.mcap`` and, on close, ``metadata.yaml``."""
+    """Write raw CDR messages into ``<folder>/<folder name>_0.mcap`` and, on close, ``metadata.yaml``."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True)
@@ -54,7 +54,7 @@ class BagWriter:
         self._stream.flush()
 
     def add_topic(self, topic: str, type_name: str, offered: Sequence[QoSProfile], type_hash: str) -> Channel:
-        """Register a topic with the QoS its publishers offer; its schema is written once per type."""
+        """Register a topic with the QoS that its publishers offer; write its schema once per type."""
         if type_name not in self._schemas:
             text = message_types.definition(type_name).encode()
             self._schemas[type_name] = self._mcap.register_schema(type_name, "ros2msg", text)
@@ -65,7 +65,7 @@ class BagWriter:
         return self.channels[-1]
 
     def write(self, channel: Channel, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
-        """Add one message; times in ns since the epoch, sequence is the publisher's own count."""
+        """Add one message; times [ns] since the epoch, sequence: number by its publisher."""
         self._mcap.add_message(channel.id, log_time, data, publish_time, sequence & 0xFFFFFFFF)
         channel.count += 1
         if log_time < self._first_time:
@@ -74,7 +74,7 @@ class BagWriter:
             self._last_time = log_time
 
     def flush(self) -> None:
-        """End the chunk in progress and hand everything to the operating system."""
+        """End the current chunk and write it to the file."""
         self._mcap.flush()
 
     def close(self) -> None:
@@ -88,7 +88,7 @@ class BagWriter:
         write_text(self.folder / "metadata.yaml", text)
 
     def abandon(self) -> None:
-        """Leave the file as far as it could be written, as a kill would."""
+        """Close the file without summary and metadata."""
         with suppress(OSError):
             self._stream.close()
 
@@ -120,7 +120,7 @@ class BagWriter:
 
 
 def qos_as_dict(profile: QoSProfile) -> dict[str, Any]:
-    """A QoS profile in the words of rosbag2's metadata version 9."""
+    """Return a QoS profile in the format of rosbag2's metadata version 9."""
     return {
         "history": profile.history.name.lower(),
         "depth": profile.depth,

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies made of many runs, in pools of workers, with their reports."""
+"""Studies of many runs in parallel, with their reports."""

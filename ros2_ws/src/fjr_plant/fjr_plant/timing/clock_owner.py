@@ -27,9 +27,9 @@ class ClockOwner:
     """Publisher of the time, unless another process publishes it.
 
     The topic is checked when the node starts, before the first command is accepted, and twice per second. A new owner
-    (younger than SETTLING, or without a command so far) that receives another time raises ClockError; it listens at every
-    check while another publisher exists, because a busy one may be late. An established owner continues and reports the
-    other one.
+    (younger than SETTLING, or without a command so far) that receives another time raises ClockError; it listens at
+    every check while another publisher exists, because a busy one may be late. An established owner continues and
+    reports the other one.
     """
 
     def __init__(self, node: Node, health: Health) -> None:

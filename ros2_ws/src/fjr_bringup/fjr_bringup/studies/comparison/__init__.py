@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr compare`: all laws on all robots, as a table and a page."""
+"""`fjr compare`: compare control laws on several robots, as a table and an HTML page."""

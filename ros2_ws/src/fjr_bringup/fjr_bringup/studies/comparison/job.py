@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One law on one robot, as far as one process does it: all references and imperfections, and the margins."""
+"""One job of a comparison: one law on one robot, along all references and non-idealities, with its margins."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from fjr_core.numerics.jit import can_compile
 from fjr_core.numerics.jit_cache import program_digest
 from fjr_core.simulation.batch import ClosedLoop
 
-DRAWN = 600  # points of a trace
-SETTLED = 0.02  # of the motion: within that an error has settled
+TRACE_POINTS = 600
+SETTLED = 0.02  # of the motion; band of the settling time
 Result = dict[str, Any]
-Tell = Callable[[float], None]
+OnProgress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a process is told: plain values only. scenarios: (reference, text) each."""
+    """Input of a worker process, plain values only. scenarios: (reference, text) each."""
 
     law: LawChoice
     robot: str
@@ -43,24 +43,24 @@ class Job:
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Name for messages."""
         return f"{self.law.label} on {self.robot}"
 
     @property
     def key(self) -> str:
-        """What the result depends on: this job, fjr_core, CasADi, whether the loop is compiled, and this module."""
+        """Cache key: hash of this job, fjr_core, CasADi, the compiler and this module."""
         return hashlib.sha256((json.dumps(asdict(self)) + _source()).encode()).hexdigest()[:32]
 
 
 def jobs(suite: Suite) -> list[Job]:
-    """Every law on every robot, robot by robot; raises CompareError for a robot that cannot be."""
+    """Return a job for every law on every robot, robot by robot; raise CompareError for an invalid robot."""
     texts = [(robot.label, scenario_texts(robot)) for robot in suite.robots]
     shared = (suite.imperfections, suite.margins, suite.duration, suite.settle_after, suite.tracks)
     return [Job(law, robot, found, *shared) for robot, found in texts for law in suite.laws]
 
 
-def work(job: Job, tell: Tell) -> Result:
-    """Do it all; `tell` gets how much of it is done, 0 to 1. The same numbers every time, in plain values."""
+def work(job: Job, on_progress: OnProgress) -> Result:
+    """Run a job; return reproducible results as plain values. on_progress: called with the share done, 0 to 1."""
     scenarios = {label: parse_scenario(job.robot, text) for label, text in job.scenarios}
     first = next(iter(scenarios.values()))
     wanted = {label: _needs(job, label, scenario) for label, scenario in scenarios.items()}
@@ -77,7 +77,7 @@ def work(job: Job, tell: Tell) -> Result:
         cells[label] = {name: asdict(cell) for name, cell in zip(job.imperfections, each, strict=True)}
         found = found or {**_margins(job, trial), "trace": _trace(trial)}
         runs += len(each) + len(trial.evaluated)
-        tell(done / len(scenarios))
+        on_progress(done / len(scenarios))
     return {
         "robot": _robot(first, wanted),
         "gains": dict(chosen.gains),
@@ -90,7 +90,7 @@ def work(job: Job, tell: Tell) -> Result:
 
 
 def _margins(job: Job, trial: Trial) -> Result:
-    """Margins, and the curves that the search for them has made."""
+    """Return the margins and the RMS errors evaluated in their search."""
     edges = trial.margins(directions(job.margins))
     curves = {}
     for axis in job.margins:
@@ -100,7 +100,7 @@ def _margins(job: Job, trial: Trial) -> Result:
 
 
 def _needs(job: Job, label: str, scenario: Scenario) -> Needs:
-    """Of the reference; first of all, for no law can be tuned along one that stands still."""
+    """Compute the motion demand of a reference; raise CompareError for one that stands still."""
     try:
         return motion_demand(scenario.robot, scenario.reference)
     except CompareError as error:
@@ -123,7 +123,7 @@ def _trial(job: Job, scenario: Scenario, chosen: TunedLaw, wanted: Needs) -> Tri
 
 
 def _robot(first: Scenario, wanted: Mapping[str, Needs]) -> Result:
-    """What is the same for every law."""
+    """Return the data that all laws on a robot share."""
     return {
         "joints": list(first.joints),
         "sample_period_s": first.sample_period,
@@ -134,10 +134,10 @@ def _robot(first: Scenario, wanted: Mapping[str, Needs]) -> Result:
 
 
 def _trace(trial: Trial) -> Result:
-    """The nominal run, to look at."""
+    """Return largest error and effort over time of the nominal run."""
     loop, run = trial.loop, trial.recorded()
     error = run.x[0, :, : loop.robot.n] - loop.reference.jets(run.t)[:, 0]
-    rows = np.unique(np.linspace(0, len(run.t) - 1, DRAWN).astype(int))
+    rows = np.unique(np.linspace(0, len(run.t) - 1, TRACE_POINTS).astype(int))
     return {
         "t": run.t[rows].tolist(),
         "error": _numbers(np.abs(error).max(axis=1)[rows]),

@@ -42,13 +42,13 @@ def markdown(document: dict[str, Any]) -> str:
     """Return the extent of the comparison and one table: a row for each metric of each robot, a column for each law."""
     names = [str(law["title"]) for law in document["laws"]]
     lines = [_line(["", *names]), _line(["---"] * (len(names) + 1))]
-    for robot, told in document["robots"].items():
-        first = next(iter(told["references"]))
+    for robot, data in document["robots"].items():
+        first = next(iter(data["references"]))
         lines.append(_line([f"**{robot}**", *[""] * len(names)]))
         lines += [_row(row) for row in rows(document) if row.robot == robot and _is_shown(row, first)]
     command = f"`fjr compare {document['suite']['name']}`"
-    said = f"*{command}. {DASH}: does not track the nominal robot.*"
-    return "\n".join([extent(document), "", *lines, "", said, ""])
+    legend = f"*{command}. {DASH}: does not track the nominal robot.*"
+    return "\n".join([extent(document), "", *lines, "", legend, ""])
 
 
 def _is_shown(row: Row, reference: str) -> bool:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a comparison: robot by robot small multiples, margins, errors and efforts, then the laws."""
+"""HTML page of a comparison: plots, margins, errors and efforts of each robot, then the laws."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from fjr_bringup.studies.comparison.report_figures import comparison_plots, look
 from fjr_bringup.studies.comparison.results import Row, Value, extent, rows
 
 HOW = (
-    "Drag over a plot to enlarge it, double-click to go back. All figures are in comparison.json beside this page. "
-    "Needs no network."
+    "Drag over a plot to enlarge it, double-click to go back. All results are in comparison.json in the same folder. "
+    "Works offline."
 )
 COLOURED = {"lost": "maybe", "unstable": "no"}
 
@@ -65,19 +65,19 @@ def _tiles(document: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -> dict[str, Any]:
     """Return heading, text, place of the plots and tables of one robot."""
-    about = document["robots"][robot]
+    data = document["robots"][robot]
     references = "; ".join(
         f"{name}: RMS {number(each['motion_rad'], 'rad')}, torque up to {number(max(each['torque_nm']), 'N m')} RMS"
-        for name, each in about["references"].items()
+        for name, each in data["references"].items()
     )
-    joints, period = plural(len(about["joints"]), "joint"), number(about["sample_period_s"] * 1e3, "ms")
-    first = next(iter(about["references"]))
+    joints, period = plural(len(data["joints"]), "joint"), number(data["sample_period_s"] * 1e3, "ms")
+    first = next(iter(data["references"]))
     return {
         "name": robot,
-        "text": f"{joints}, a sample each {period}. Motions: {references}.",
+        "text": f"{joints}, sample period {period}. Motions: {references}.",
         "place": place_of(i),
         "tables": [
-            ("How much a law bears", _groups(found, "margins"), _margins_text(first, document)),
+            ("Robustness margins", _groups(found, "margins"), _margins_text(first, document)),
             ("RMS error [mrad]", _groups(found, "errors"), "Of the links, over time and joints, once settled."),
             ("The nominal run", _groups(found, "metrics"), "Errors in mrad; efforts from the start on."),
         ],
@@ -86,27 +86,27 @@ def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -
 
 def _tunings(law: dict[str, Any], document: dict[str, Any]) -> list[str]:
     options = ", ".join(f"{name} {value:g}" for name, value in law["robust"].items())
-    told = [document["results"][robot][law["label"]]["tuning"] for robot in document["robots"]]
-    return [f"{each}; {options}" if options else each for each in told]
+    tunings = [document["results"][robot][law["label"]]["tuning"] for robot in document["robots"]]
+    return [f"{each}; {options}" if options else each for each in tunings]
 
 
 def _margins_text(reference: str, document: dict[str, Any]) -> str:
     part = f"{100 * document['suite']['tracks']:g} %"
     return (
-        f"The largest error of the model, delay, noise, friction and load with which it still tracks along "
+        f"The largest model error, delay, noise, friction and load with which the law still tracks along "
         f"'{reference}': stable, with an RMS error of at most {part} of the motion. {DASHED}"
     )
 
 
 NO_RANKING = (
     "Rows are facts about one quantity each, not a ranking: the rule of tuning makes bandwidths equal, but not margins "
-    "or peak efforts everywhere, and v-dPBC with the scenario's gains is its yardstick."
+    "or peak efforts everywhere, and v-dPBC with the gains of the scenario is the tuning target."
 )
 TUNED = (
     "All tuned by one rule to equal bandwidth and peak effort (docs/baselines.md); every command is cut at the same "
     "limit. Gains are in comparison.json."
 )
-DASHED = "Green: best, or within 5 % of it. A dash: does not even track the nominal robot."
+DASHED = "Green: best, or within 5 % of it. A dash: does not track the nominal robot."
 
 
 Cell = tuple[str, str]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small multiples of a comparison: all laws in the same axes, one plot of each imperfection, and one run over time."""
+"""Plots of a comparison: error over each non-ideality and the nominal run over time, all laws in the same axes."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from fjr_bringup.recording.reader import Array
 from fjr_bringup.report.figure import Line, Plot
 from fjr_bringup.studies.comparison.results import Row, law_without_additions, rows
 
-AXIS_WORDS = {
+AXIS_LABELS = {
     "stiffness": ("Wrong stiffness", "true stiffness / the model's", 1.0),
     "inertia": ("Wrong masses", "true inertia and weight / the model's", 1.0),
-    "delay": ("Delay of the command", "delay [ms]", 1e3),
+    "delay": ("Command delay", "delay [ms]", 1e3),
     "noise": ("Noise", "noise of the positions [mrad]", 1e3),
     "friction": ("Unknown friction", "friction [% of the motion's torque]", 100.0),
     "load": ("Unknown load", "load [% of the motion's torque]", 100.0),
 }
 Style = tuple[str, str, tuple[int, ...]]
-ROOM = 3.0  # of error above all that tracks: what is worse is not drawn
+HEADROOM = 3.0  # times the largest error that counts as tracking; larger errors are not drawn
 DASHES: tuple[tuple[int, ...], ...] = ((), (6, 4), (2, 3), (8, 3, 2, 3))
 COLOURS = 8  # --c1 .. --c8 of page.css
 
 
 def comparison_plots(document: dict[str, Any]) -> list[Plot]:
-    """All plots, robot by robot."""
+    """Return all plots, robot by robot."""
     plots, found = [], rows(document)
     styles = [(str(law["title"]), *look) for law, look in zip(document["laws"], looks(document["laws"]), strict=True)]
     for number, robot in enumerate(document["robots"]):
@@ -43,12 +43,12 @@ def comparison_plots(document: dict[str, Any]) -> list[Plot]:
 
 
 def place_of(number: int) -> str:
-    """Id of the element for the plots of a robot."""
+    """Return the id of the HTML element for the plots of a robot."""
     return f"robot-{number}"
 
 
 def looks(laws: Sequence[dict[str, Any]]) -> list[tuple[str, tuple[int, ...]]]:
-    """Colour and dashes of each column: a colour for each law, dashes where it is there again in another version."""
+    """Return colour and dash pattern of each column: a colour for each law, a dash pattern for each version of it."""
     names = [law_without_additions(law) for law in laws]
     order = list(dict.fromkeys(names))
     before = [names[:i].count(name) for i, name in enumerate(names)]
@@ -59,30 +59,30 @@ def looks(laws: Sequence[dict[str, Any]]) -> list[tuple[str, tuple[int, ...]]]:
 
 
 def _trace(place: str, laws: Sequence[tuple[Style, Any]], what: str) -> Plot:
-    words = {
+    texts = {
         "error": ("Nominal: error", "The largest |q_l − q_ld|", "error [rad]"),
         "effort": ("Nominal: effort", "The largest |u|", "|u| [N m]"),
     }
-    heading, caption, label = words[what]
+    heading, caption, label = texts[what]
     t = np.array(laws[0][1]["trace"]["t"])
     lines = [_line(style, _floats(law["trace"][what])) for style, law in laws]
     return Plot(f"{place}-{what}", heading, caption, t, lines, y_label=label, y_log=True, place=place, legend=False)
 
 
 def _winners(margins: Sequence[Row], names: Sequence[str]) -> str:
-    """Who bears most of an imperfection."""
-    said = []
+    """Return the largest margins of a non-ideality with the law that reaches them."""
+    largest = []
     for row in margins:
         best = [i for i, best in enumerate(row.best) if best]
         if best:
             first = (min if row.less else max)(best, key=lambda i: row.values[i].number or 0.0)
-            said.append(f"{row.values[first].words} ({'several' if len(best) > 1 else names[first]})")
-    return f"Most: {', '.join(said)}" if said else "No law tracks."
+            largest.append(f"{row.values[first].words} ({'several' if len(best) > 1 else names[first]})")
+    return f"Largest: {', '.join(largest)}" if largest else "No law tracks."
 
 
 def _curve(place: str, laws: Sequence[tuple[Style, Any]], axis: str, tracks: float, caption: str) -> Plot:
-    """RMS error over the size of an imperfection; a line ends where the loop does not hold any more."""
-    heading, label, unit = AXIS_WORDS[axis]
+    """Plot the RMS error over the level of a non-ideality; a line ends at the first level that fails."""
+    heading, label, unit = AXIS_LABELS[axis]
     levels = np.unique(np.concatenate([law["curves"][axis]["levels"] for _, law in laws]))
     levels = levels[levels > 0]
     lines = [_line(style, _sampled(law["curves"][axis], levels, tracks)) for style, law in laws]
@@ -98,16 +98,16 @@ def _curve(place: str, laws: Sequence[tuple[Style, Any]], axis: str, tracks: flo
         x_log=True,
         y_log=True,
         time=False,
-        y_range=(None, 100 * tracks * ROOM),
+        y_range=(None, 100 * tracks * HEADROOM),
         place=place,
         legend=False,
     )
 
 
 def _sampled(curve: dict[str, Any], levels: Array, tracks: float) -> Array:
-    """The error [%] at the levels, from the nominal one to the last before the loop is lost, on either side."""
+    """Return the error [%] at the levels, from the nominal one to the last before failure on either side."""
     known, error = np.array(curve["levels"]), _floats(curve["relative"])
-    good = np.isfinite(error) & (error <= ROOM * tracks)
+    good = np.isfinite(error) & (error <= HEADROOM * tracks)
     start = int(np.searchsorted(known, 1.0)) if known[0] > 0 else 0
     if not good[start]:
         return np.full(len(levels), np.nan)

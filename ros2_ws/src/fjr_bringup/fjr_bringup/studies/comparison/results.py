@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole comparison in plain values: what comparison.json holds, and all pages and tables are made from."""
+"""Results of a comparison as plain values: content of comparison.json, and rows for pages and tables."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ VERSIONS = {"pd_feedforward": "pd_gravity", "torque_feedback_feedforward": "torq
 
 
 def document(suite: Suite, jobs: Sequence[Job], results: Sequence[Result]) -> dict[str, Any]:
-    """Results by robot and law; what belongs to a robot whatever the law stands with the robot."""
+    """Return results by robot and law; data shared by all laws stand with the robot."""
     by_robot: dict[str, dict[str, Result]] = {robot.label: {} for robot in suite.robots}
     robots: dict[str, Any] = {}
     for job, result in zip(jobs, results, strict=True):
         by_robot[job.robot][job.law.label] = {key: value for key, value in result.items() if key != "robot"}
         robots[job.robot] = result["robot"]
-    told = asdict(suite)
+    given = asdict(suite)
     return {
-        "suite": {key: value for key, value in told.items() if key not in ("laws", "robots")},
-        "laws": [{**law, "title": _title(law), **_known(law["law"])} for law in told["laws"]],
+        "suite": {key: value for key, value in given.items() if key not in ("laws", "robots")},
+        "laws": [{**law, "title": _title(law), **_law_data(law["law"])} for law in given["laws"]],
         "robots": robots,
         "runs": sum(result["runs"] for result in results),
         "results": by_robot,
@@ -47,29 +47,29 @@ def extent(document: dict[str, Any]) -> str:
 
 
 def law_without_additions(law: dict[str, Any]) -> str:
-    """Name of the paper's law that a column is, or is a version of."""
+    """Return the name of the published law of a column, without the version."""
     return VERSIONS.get(str(law["law"]), str(law["law"]))
 
 
 def _title(law: dict[str, Any]) -> str:
-    """The column's heading: the label, where the suite gives one."""
+    """Return the heading of a column: the label of the suite, else the title of the law."""
     name = str(law["law"])
     return str(law["label"]) if law["label"] != name else SHORT.get(name, LAWS[name].title)
 
 
-def _known(name: str) -> dict[str, str]:
-    """What there is to know of a law whatever it runs on."""
+def _law_data(name: str) -> dict[str, str]:
+    """Return the data of a law that do not depend on the robot."""
     kind = LAWS[name]
     return {"full_title": kind.title, "paper": kind.paper, "measures": kind.measures, "adds": kind.adds}
 
 
-TIE = 0.05  # what differs by less is as good
+TIE = 0.05  # relative; smaller differences count as equal
 Words = Callable[[float], str]
 
 
 @dataclass(frozen=True)
 class Value:
-    """What a law has in a row. number: None where there is none. state: tracks, lost (not tracking) or unstable."""
+    """Value of a law in a row. number: None if not available. state: tracks, lost (not tracking) or unstable."""
 
     number: float | None
     words: str
@@ -78,7 +78,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Row:
-    """One quantity of one robot. group: under which heading; less: whether less is better."""
+    """One quantity of one robot. group: heading; less: smaller is better."""
 
     robot: str
     group: str
@@ -88,13 +88,13 @@ class Row:
 
     @property
     def best(self) -> tuple[bool, ...]:
-        """Of each law whether none is better by more than TIE; only what tracks can be best."""
+        """For each law, whether no other is better by more than TIE; only laws that track count."""
         costs = self._costs()
         least = min(costs)
         return tuple(cost < math.inf and cost <= least * (1 + TIE) for cost in costs)
 
     def _costs(self) -> list[float]:
-        """Of each law a positive number, less is better; infinite for what does not count."""
+        """Return a positive cost of each law; infinite if it does not count."""
         return [_cost(value, self.less) for value in self.values]
 
 
@@ -107,7 +107,7 @@ def _cost(value: Value, less: bool) -> float:
 
 
 def rows(document: dict[str, Any]) -> list[Row]:
-    """All rows of a comparison (results.document), robot by robot: margins, errors, what else of the nominal plant."""
+    """Return all rows of a comparison (results.document), robot by robot: margins, errors, nominal run."""
     found: list[Row] = []
     for robot in document["robots"]:
         laws = [document["results"][robot][law["label"]] for law in document["laws"]]
@@ -137,7 +137,7 @@ def _level_words(direction: Direction) -> Words:
 
 
 def level_words(axis: str, level: float) -> str:
-    """A level of an imperfection with its unit."""
+    """Format the level of a non-ideality with its unit."""
     if PERTURBATIONS[axis].is_factor:
         return f"× {number(level, digits=3)}"
     if PERTURBATIONS[axis].unit == "s":
@@ -148,7 +148,7 @@ def level_words(axis: str, level: float) -> str:
 
 
 def _errors(robot: str, laws: Sequence[Any], document: dict[str, Any]) -> Iterator[Row]:
-    """RMS errors under every imperfection along every reference."""
+    """Yield the RMS errors under every non-ideality along every reference."""
     for reference in document["robots"][robot]["references"]:
         for name in document["suite"]["imperfections"]:
             cells = [law["cells"][reference][name] for law in laws]
@@ -179,5 +179,5 @@ def _value(cell: dict[str, Any], name: str, words: Words) -> Value:
 
 
 def milliradians(value: float) -> str:
-    """mrad, short."""
+    """Format radians as mrad."""
     return number(value * 1e3, "", 3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A suite: which laws are compared on which robots, along which references, under which imperfections."""
+"""Specification of a comparison: laws, robots, references and non-idealities, read from YAML."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from fjr_core.experiments.monte_carlo.sweep import refuse_what_is_left_out
 REQUIRED = ("laws", "robots")
 KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks")
 NOMINAL = "nominal"
-CHANGED = ("reference.", "initial_")  # what the references of a robot may differ in
+CHANGED = ("reference.", "initial_")  # parameters that references of one robot may change
 GAINS = ("scenario", TUNED := "tuned")  # of v-dPBC
 ROBUST = tuple(each.name for each in fields(Robust) if each.name != "hold")
 
 
 @dataclass(frozen=True)
 class LawChoice:
-    """A column: what it is called, the law, the robust options on it.
+    """A column: label, law, robust options.
 
-    retune: v-dPBC with gains by the rule of docs/baselines.md, as the other laws; else with the scenario's.
+    retune: v-dPBC with gains by the rule of docs/baselines.md; otherwise with the gains of the scenario.
     """
 
     label: str
@@ -44,7 +44,7 @@ class LawChoice:
 
 @dataclass(frozen=True)
 class RobotChoice:
-    """A robot: what it is called, the scenario it comes from, and changes of that scenario for each reference."""
+    """A robot: label, its scenario, and parameter changes of that scenario for each reference."""
 
     label: str
     scenario: str
@@ -53,9 +53,9 @@ class RobotChoice:
 
 @dataclass(frozen=True)
 class Suite:
-    """What `fjr compare` compares. duration, settle_after [s]: of every run, and where its errors begin to count.
+    """Specification of `fjr compare`. duration [s]: of every run; settle_after [s]: start of the error metrics.
 
-    imperfections: levels by axis, by name; margins: the axes on which the largest level is searched for, along the
+    imperfections: name -> axis -> level; margins: axes along which the largest level is searched, with the
     first reference. tracks: see fjr_core.experiments.comparison.Trial.
     """
 
@@ -70,7 +70,7 @@ class Suite:
 
 
 def find(name: str) -> Path:
-    """Path of a suite given by installed name or by file; raises CompareError naming the known ones."""
+    """Return the path of a suite, given its installed name or a file; raise CompareError."""
     suites = known_suites()
     if name in suites:
         return suites[name]
@@ -80,15 +80,15 @@ def find(name: str) -> Path:
 
 
 def known_suites() -> dict[str, Path]:
-    """Installed suites by name."""
-    library.folder()  # says what is wrong where nothing is installed
+    """Return the installed suites by name."""
+    library.folder()  # raises if the package is not installed
     return {
         path.stem: path for path in sorted(Path(get_package_share_directory("fjr_bringup"), "suites").glob("*.yaml"))
     }
 
 
 def load(path: Path) -> Suite:
-    """Read a suite; raises CompareError, naming the file, for anything that does not fit."""
+    """Read a suite from a file; raise CompareError."""
     try:
         return read(path.stem, ros_yaml.read(path, "suite"))
     except CompareError as error:
@@ -96,7 +96,7 @@ def load(path: Path) -> Suite:
 
 
 def read(name: str, document: Any) -> Suite:
-    """A suite from its document; raises CompareError."""
+    """Return the suite of a parsed document; raise CompareError."""
     given = _mapping("a suite", document)
     for key in given:
         if key not in KEYS:
@@ -124,7 +124,7 @@ def _laws(given: Any) -> tuple[LawChoice, ...]:
     labels = [law.label for law in laws]
     twice = next((label for label in labels if labels.count(label) > 1), None)
     if twice is not None:
-        raise CompareError(f"law '{twice}' is there twice; expected it once, or another label")
+        raise CompareError(f"law '{twice}' is listed twice; expected different labels")
     return laws
 
 
@@ -137,7 +137,7 @@ def _law(given: Any) -> LawChoice:
     gains = options.pop("gains", None)
     if gains not in (None, *GAINS) or (gains and law != V_DPBC):
         raise CompareError(
-            f"'gains' of {label} is {gains!r}; expected {' or '.join(GAINS)}, of {V_DPBC} only: others are always tuned"
+            f"'gains' of {label} is {gains!r}; expected {' or '.join(GAINS)}, for {V_DPBC} only, other laws are tuned"
         )
     for key in options:
         raise CompareError(f"law '{label}' has an unknown key '{key}'; expected label, law, robust, gains")
@@ -173,7 +173,7 @@ def _robot(label: str, given: Any) -> RobotChoice:
 
 
 def scenario_texts(robot: RobotChoice) -> tuple[tuple[str, str], ...]:
-    """(reference, scenario's text) for each reference of a robot; raises CompareError or FjrError naming it."""
+    """Return (reference, scenario text) for each reference of a robot; raise CompareError or FjrError."""
     path = library.find(robot.scenario)
     try:
         return tuple((label, _text(path, changes)) for label, changes in robot.references.items())
@@ -183,17 +183,17 @@ def scenario_texts(robot: RobotChoice) -> tuple[tuple[str, str], ...]:
 
 def _text(path: Path, changes: Mapping[str, Any]) -> str:
     text, scenario = library.as_run(path, changes)
-    refuse_what_is_left_out(scenario, "a suite says these itself, use 'imperfections'")
+    refuse_what_is_left_out(scenario, "a suite sets these itself, use 'imperfections'")
     return text
 
 
 def _imperfections(given: Any) -> dict[str, dict[str, float]]:
-    """By name, the nominal plant first."""
+    """Return the levels by name, the nominal plant first."""
     found: dict[str, dict[str, float]] = {NOMINAL: {}}
     for name, levels in _mapping("'imperfections'", given).items():
         if str(name) == NOMINAL:
             raise CompareError(
-                f"an imperfection is called '{NOMINAL}'; expected another name: that is the plant without"
+                f"an imperfection is called '{NOMINAL}'; expected another name: this one is the ideal plant"
             )
         each = _mapping(f"imperfection '{name}'", levels or {})
         numbers = {axis: _number(f"'{axis}' of '{name}'", level, lambda _: True) for axis, level in each.items()}
@@ -215,7 +215,7 @@ def _mapping(what: str, given: Any) -> dict[str, Any]:
     return given
 
 
-def _number(what: str, given: Any, fits: Callable[[float], bool]) -> float:
-    if isinstance(given, bool) or not isinstance(given, (int, float)) or not (math.isfinite(given) and fits(given)):
+def _number(what: str, given: Any, is_valid: Callable[[float], bool]) -> float:
+    if isinstance(given, bool) or not isinstance(given, (int, float)) or not (math.isfinite(given) and is_valid(given)):
         raise CompareError(f"{what} is {given!r}; expected a number in range")
     return float(given)

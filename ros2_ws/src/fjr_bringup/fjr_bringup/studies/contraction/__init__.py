@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr contraction`: distances between virtual solutions, recorded and simulated."""
+"""`fjr contraction`: distances between solutions of the virtual system along a simulated or recorded run."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of `fjr contraction`: solutions that meet, their distances, the differential storage, its rate."""
+"""Figure of `fjr contraction`: converging solutions, distances, differential storage and its rate."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from fjr_bringup.recording.reader import Array
 from fjr_core.stability.contraction import Contraction, Measured
 
 SHOWN = 3  # joints
-FLOOR = 1e-12  # of the start: what double precision leaves of a distance
+FLOOR = 1e-12  # relative to the start; rounding level of a distance
 BOUND = COLOURS[1]
 PALETTE = COLOURS[:6]  # black is the measured trajectory
 
 
 def draw(name: str, joints: Sequence[str], measured: Measured, q_ld: Array, found: Contraction, path: Path) -> None:
-    """Write the picture. joints: names with units; q_ld (k, n): the reference at the measured instants."""
+    """Write the figure. joints: names with units; q_ld (k, n): reference at the measured instants."""
     shown = min(len(joints), SHOWN)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 7.4), layout="constrained")
@@ -64,7 +64,7 @@ def _distances(ax: Axes, found: Contraction) -> None:
     _bound(
         ax, found.t, found.bound, f"$e^{{-\\beta t}}$, $\\beta$ = {found.beta:.3g} 1/s", max(FLOOR, relative.min() / 10)
     )
-    ax.set(title="Distance of each pair, of that at the start, in the metric P", ylabel="$d(t)/d(0)$")
+    ax.set(title="Distance of each pair in the metric P, relative to the start", ylabel="$d(t)/d(0)$")
 
 
 def _storage(ax: Axes, found: Contraction) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr contraction`: virtual solutions along a scenario's run, or a recorded one, as figures and a picture."""
+"""`fjr contraction`: solutions of the virtual system along a simulated or recorded run, as metrics and a figure."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.stability.contraction import Contraction, Measured, contraction, scattered
 from fjr_msgs_py import names
 
-QUIET = 2.0  # s without a progress bar
-MISMATCH = "the plant is not the controller's model: the virtual system is the model's, x(t) jumps between samples\n"
-ROUNDING = 1e-12  # of a distance at the start: below it double precision, not the law, says how far things are
+QUIET = 2.0  # s until the progress bar appears
+MISMATCH = "the plant differs from the model of the controller: x(t) jumps between samples of the virtual system\n"
+ROUNDING = 1e-12  # relative to the start; smaller distances are rounding errors
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What to run: seconds, number of virtual states, how far the links begin from the measured ones [rad], seed."""
+    """duration [s]; starts: number of virtual states; spread [rad]: of their initial link positions; seed."""
 
     duration: float
     starts: int
@@ -37,30 +37,30 @@ class Wish:
     seed: int
 
 
-def run_and_draw(scenario: Scenario, wish: Wish, folder: Path | None, output: Path, stop: threading.Event) -> str:
-    """Run along a simulated or a recorded run (its folder), write <name>.png and .json; returns what to tell.
+def run_and_draw(scenario: Scenario, options: Wish, folder: Path | None, output: Path, stop: threading.Event) -> str:
+    """Run along a simulated or recorded run (its folder), write <name>.png and .json; return a summary.
 
-    Raises FjrError, and Interrupted when `stop` is set.
+    Raise FjrError, and Interrupted when `stop` is set.
     """
-    measured = simulated(scenario, wish.duration) if folder is None else recorded(scenario, folder, wish.duration)
-    found = run(scenario, measured, wish, stop)
+    measured = simulated(scenario, options.duration) if folder is None else recorded(scenario, folder, options.duration)
+    found = run(scenario, measured, options, stop)
     output.mkdir(parents=True, exist_ok=True)
     picture = output / f"{scenario.name}.png"
     labels = [f"{joint} [{units.position}]" for joint, units in zip(scenario.joints, scenario.robot.units, strict=True)]
     draw(scenario.name, labels, measured, scenario.reference.jets(measured.t)[:, 0], found, picture)
-    picture.with_suffix(".json").write_text(json.dumps(figures(found), indent=2) + "\n", encoding="utf-8")
+    picture.with_suffix(".json").write_text(json.dumps(metrics(found), indent=2) + "\n", encoding="utf-8")
     warning = "" if scenario.plant_is_the_model else MISMATCH
-    return f"{told(found, scenario.name)}\n{warning}picture and figures: {picture}, {picture.stem}.json"
+    return f"{summary(found, scenario.name)}\n{warning}picture and figures: {picture}, {picture.stem}.json"
 
 
 def simulated(scenario: Scenario, duration: float) -> Measured:
-    """The run of the scenario as its nodes make it in lock-step."""
+    """Simulate the scenario as its nodes do in lock-step."""
     run = scenario.simulate(duration)
     return Measured(run.t, _as_the_law_sees(scenario, run.x), run.u)
 
 
 def recorded(scenario: Scenario, folder: Path, duration: float) -> Measured:
-    """The first seconds of a recorded run, from its first answered state on; a command that is missing is the last."""
+    """Read `duration` [s] of a recorded run from its first command on; a missing command repeats the last."""
     bag = read_bag(folder / "bag")
     states = bag.joints(STATES, names.state_names(scenario.joints))
     answers = bag.joints(ANSWERS, scenario.joints)
@@ -74,25 +74,25 @@ def recorded(scenario: Scenario, folder: Path, duration: float) -> Measured:
     return Measured((stamp - stamp[0]) * 1e-9, np.array(x), answers.effort[latest])
 
 
-def run(scenario: Scenario, measured: Measured, wish: Wish, stop: threading.Event) -> Contraction:
-    """The virtual solutions, with a bar on stderr when it takes longer than QUIET."""
-    starts = scattered(scenario.tracking_law, measured.x[0], wish.starts, wish.spread, wish.seed)
+def run(scenario: Scenario, measured: Measured, options: Wish, stop: threading.Event) -> Contraction:
+    """Integrate the virtual solutions, with a progress bar after QUIET."""
+    starts = scattered(scenario.tracking_law, measured.x[0], options.starts, options.spread, options.seed)
     inner = scenario.sample_period / int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
     form = "{desc}: {percentage:3.0f}% |{bar}| {n:.2f}/{total:.2f} s"
     total = float(measured.t[-1] - measured.t[0])
     compiled = bool(scenario.controller_values["compile"])
     with tqdm(total=total, desc=scenario.name, bar_format=form, delay=QUIET, file=sys.stderr) as bar:
 
-        def tell(done: float) -> None:
+        def on_progress(done: float) -> None:
             if stop.is_set():
                 raise Interrupted
             bar.update(done - bar.n)
 
-        return contraction(scenario.tracking_law, scenario.reference, measured, starts, compiled, inner, tell)
+        return contraction(scenario.tracking_law, scenario.reference, measured, starts, compiled, inner, on_progress)
 
 
-def figures(found: Contraction) -> dict[str, Any]:
-    """What the picture shows, in numbers."""
+def metrics(found: Contraction) -> dict[str, Any]:
+    """Return the metrics of the figure."""
     relative = found.distance / found.distance[0]
     seen = relative > ROUNDING
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -112,9 +112,9 @@ def figures(found: Contraction) -> dict[str, Any]:
     }
 
 
-def told(found: Contraction, name: str) -> str:
-    """The figures in a few sentences."""
-    f = figures(found)
+def summary(found: Contraction, name: str) -> str:
+    """Return the metrics as a few sentences."""
+    f = metrics(found)
     basis = "proven" if f["beta_is_proven"] else "sampled along the run"
     holds = "stay below" if f["largest_ratio_to_bound"] <= 1 + 1e-6 else "LEAVE"
     return (
@@ -127,7 +127,7 @@ def told(found: Contraction, name: str) -> str:
 
 
 def _as_the_law_sees(scenario: Scenario, x: Array) -> Array:
-    """Plant states (k, 4n) with the momenta of the law's robot."""
+    """Return the plant states (k, 4n) with momenta of the robot model of the law."""
     if scenario.plant_is_the_model:
         return x
     n, plant, law = scenario.robot.n, scenario.plant.robot, scenario.robot

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr sweep`: Monte-Carlo runs in threads or a Dask cluster, kept in a store."""
+"""`fjr sweep`: Monte-Carlo study in threads or on a Dask cluster, stored on disk."""

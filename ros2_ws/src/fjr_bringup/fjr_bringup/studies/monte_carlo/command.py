@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr sweep`: a campaign from a scenario or a sweep's file, carried out, taken up again, and shown."""
+"""`fjr sweep`: run or resume a Monte-Carlo study of a scenario or sweep file, and report it."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from fjr_core.errors import ParameterError
 from fjr_core.experiments.monte_carlo.sensitivity import Summary, summarised
 from fjr_core.experiments.monte_carlo.sweep import Sweep
 
-SLOW = "no C compiler is here: Python runs the campaign, some thousand times slower; expected a compiler, e.g. gcc"
+SLOW = "no C compiler found: the runs are interpreted, about a thousand times slower; expected a compiler, e.g. gcc"
 
 
 @dataclass(frozen=True)
 class Wish:
-    """Where to run (cores, or a Dask scheduler's address), where to write, and what the command line changes."""
+    """Cores, or address of a Dask scheduler; output folder; parameters and numbers set on the command line."""
 
     cores: int
     scheduler: str | None
@@ -43,43 +43,43 @@ class Wish:
     numbers: Mapping[str, Any]
 
 
-def planned(name: str | None, wish: Wish) -> Sweep:
-    """The campaign that is meant; raises FjrError."""
+def planned(name: str | None, options: Wish) -> Sweep:
+    """Return the study to run; raise FjrError."""
     path = _file(name)
     document = ros_yaml.read(path, "sweep")
     if not sweep_file.is_one(document):
-        text, scenario = library.as_run(path, wish.overrides)
-        return _sweep(path.stem, text, sweep_file.usual(path.stem, scenario.sample_period), wish)
+        text, scenario = library.as_run(path, options.overrides)
+        return _sweep(path.stem, text, sweep_file.usual(path.stem, scenario.sample_period), options)
     try:
         file = sweep_file.read(document)
-        text, _ = library.as_run(_scenario(file.scenario, path.parent), {**file.changes, **wish.overrides})
-        return _sweep(path.stem, text, file, wish)
+        text, _ = library.as_run(_scenario(file.scenario, path.parent), {**file.changes, **options.overrides})
+        return _sweep(path.stem, text, file, options)
     except ParameterError as error:
         raise ParameterError(f"sweep {path.stem} {error}") from None
 
 
-def sweep(name: str | None, wish: Wish, stop: threading.Event) -> str:
-    """Carry the campaign out, write table, figures, picture and page; what to tell. Raises FjrError, Interrupted."""
-    plan = planned(name, wish)
+def sweep(name: str | None, options: Wish, stop: threading.Event) -> str:
+    """Run the study, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted."""
+    plan = planned(name, options)
     plan.refuse_stiff_friction()
-    if wish.scheduler is None and not plan.loop.compiled:
+    if options.scheduler is None and not plan.loop.compiled:
         print(f"fjr: {SLOW}", file=sys.stderr)
-    folder = wish.output / plan.name
+    folder = options.output / plan.name
     with open_store(folder, plan, plan.loop.fingerprint) as store:
-        with _workers(wish) as workers:
+        with _workers(options) as workers:
             _carry_out(store, workers, stop)
         store.complete()
         return _shown(store)
 
 
-def _workers(wish: Wish) -> AbstractContextManager[Workers]:
-    return cluster(wish.scheduler) if wish.scheduler else threads(wish.cores)
+def _workers(options: Wish) -> AbstractContextManager[Workers]:
+    return cluster(options.scheduler) if options.scheduler else threads(options.cores)
 
 
 def _carry_out(store: Store, workers: Workers, stop: threading.Event) -> None:
     total, there = store.sweep.runs, store.finished()
     if there:
-        print(f"{store.sweep.name}: {there} of {total} runs are there already", file=sys.stderr, flush=True)
+        print(f"{store.sweep.name}: {there} of {total} runs are finished already", file=sys.stderr, flush=True)
     if there == total:
         return
     terminal = sys.stderr.isatty()
@@ -105,7 +105,7 @@ def _shown(store: Store) -> str:
 
 
 def table(plan: Sweep, summary: Summary) -> str:
-    """What came out, as lines of a table."""
+    """Format the results as a table."""
     share = f"{percent(summary.succeeded / summary.runs)} of {summary.runs} succeed"
     lines = [
         f"{plan.name}: {share} (95 %: {percent(summary.low)} to {percent(summary.high)}), {summary.stable} are stable",
@@ -122,12 +122,12 @@ def table(plan: Sweep, summary: Summary) -> str:
 
 
 ENOUGH = 200
-"""Runs from which on what decides is more than a guess."""
+"""Number of runs from which the sensitivities are significant."""
 UNITS = {"rms": "rad", "peak": "rad", "final": "rad", "settling": "s", "effort_peak": "N m", "power": "W"}
 
 
 def _file(name: str | None) -> Path:
-    """An installed sweep or scenario by its name, or a file."""
+    """Return the path of an installed sweep or scenario, given its name, or of a file."""
     folder = library.folder().parent / "sweeps"
     installed = {path.stem: path for path in sorted(folder.glob("*.yaml"))}
     if name in installed:
@@ -139,10 +139,10 @@ def _file(name: str | None) -> Path:
 
 
 def _scenario(name: str, folder: Path) -> Path:
-    beside = folder / name
-    return beside if os.path.isfile(beside) else library.find(name)
+    neighbour = folder / name
+    return neighbour if os.path.isfile(neighbour) else library.find(name)
 
 
-def _sweep(name: str, text: str, file: SweepFile, wish: Wish) -> Sweep:
-    numbers = {"runs": sweep_file.RUNS, **file.numbers, **wish.numbers}
+def _sweep(name: str, text: str, file: SweepFile, options: Wish) -> Sweep:
+    numbers = {"runs": sweep_file.RUNS, **file.numbers, **options.numbers}
     return Sweep(name, text, vary=file.vary, success=file.success, **numbers)

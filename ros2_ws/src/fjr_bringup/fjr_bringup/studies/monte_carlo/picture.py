@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a campaign: where in its range each drawn number lets the loop fail, and how it moves the error."""
+"""Figure of a Monte-Carlo study: success and error over the range of each drawn parameter."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from fjr_core.experiments.monte_carlo.sensitivity import Effect, Summary
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch.draws import UNITS
 
-SHOWN = 4  # drawn numbers
+SHOWN = 4  # drawn parameters
 DOTS = 4000
 GOOD, BAD = COLOURS[0], COLOURS[1]
 
 
 def draw(store: Store, summary: Summary, path: Path) -> Path:
-    """Write the picture; the drawn numbers that decide most come first."""
+    """Write the figure; the most influential parameters come first."""
     effects = summary.effects[:SHOWN]
     rms, success = np.array(_rms(store)), store.column("success")
     with mpl.rc_context(STYLE):
@@ -51,7 +51,7 @@ def draw(store: Store, summary: Summary, path: Path) -> Path:
 
 
 def _logarithmic(axes: Iterable[Axes], effect: Effect) -> None:
-    """Few ticks, as plain numbers."""
+    """Set logarithmic axes with few plain ticks."""
     ticks = np.geomspace(effect.edges[0], effect.edges[-1], 5)
     for ax in axes:
         ax.set_xscale("log")
@@ -82,7 +82,7 @@ def _share(ax: Axes, effect: Effect) -> None:
 
 
 def _dots(ax: Axes, values: Array, rms: Array, success: NDArray[np.bool_], effect: Effect) -> None:
-    """The first runs one by one; those without an error to show are at the upper edge."""
+    """Plot single runs; unstable runs are marked at the upper edge."""
     values, rms, success = values[:DOTS], rms[:DOTS], success[:DOTS]
     stable = np.isfinite(rms)
     for which, colour in ((success, GOOD), (stable & ~success, BAD)):

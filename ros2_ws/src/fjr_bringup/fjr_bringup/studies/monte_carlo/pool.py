@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who runs the parts of a campaign: threads of this process, or the workers of a Dask cluster; the same numbers."""
+"""Run the parts of a Monte-Carlo study in threads or on a Dask cluster, with equal results."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from fjr_core.errors import FjrError
 from fjr_core.experiments.monte_carlo.sweep import Columns, run_part
 
 AHEAD = 3
-"""Parts that are under way or waiting for each worker."""
-LOOK = 0.2  # s between two looks at whether to stop
+"""Parts submitted per worker."""
+LOOK = 0.2  # s between checks of `stop`
 
 
 class ClusterError(FjrError):
-    """A cluster that cannot be reached, or that failed."""
+    """A cluster is unreachable or failed."""
 
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor with how many it runs at once; remote: on other machines, perhaps."""
+    """Executor and its number of parallel tasks; remote: possibly on other machines."""
 
     executor: Executor
     count: int
@@ -34,14 +34,14 @@ class Workers:
 
 @contextmanager
 def threads(count: int) -> Iterator[Workers]:
-    """So many cores of this machine: compiled runs let other threads go on."""
+    """Yield `count` threads of this process; compiled runs release the GIL."""
     with ThreadPoolExecutor(count, thread_name_prefix="sweep") as executor:
         yield Workers(executor, count)
 
 
 @contextmanager
 def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
-    """The workers of a running Dask scheduler, e.g. tcp://host:8786; raises ClusterError."""
+    """Yield the workers of a running Dask scheduler, e.g. tcp://host:8786; raise ClusterError."""
     if "://" not in address:
         raise ClusterError(f"the scheduler's address is '{address}'; expected e.g. tcp://host:8786")
     try:
@@ -51,7 +51,7 @@ def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
             "dask.distributed is not installed here; expected it for --scheduler: "
             "pip install --constraint constraints.txt --requirement requirements/cluster.txt"
         ) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is said here, in a sentence
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors are reported here, in one sentence
     try:
         client = Client(address, timeout=timeout, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
@@ -65,33 +65,32 @@ def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
         client.close()
 
 
-def carry_out(store: Store, workers: Workers, tell: Callable[[int], object], stop: threading.Event) -> bool:
-    """Run what is missing and keep each part as it is finished; whether all is there (not when `stop` was set).
+def carry_out(store: Store, workers: Workers, on_progress: Callable[[int], object], stop: threading.Event) -> bool:
+    """Run the missing parts and store each when finished; return whether all are stored (not if `stop` was set).
 
-    tell: called with the number of runs of each part that is kept. At no time are more parts in memory than
-    AHEAD for each worker.
+    on_progress: called with the number of runs of each stored part. At most AHEAD parts per worker are in memory.
     """
     missing, text, compiled = store.missing(), store.sweep.text, store.sweep.loop.compiled
-    under_way: dict[Future[Columns], tuple[int, int]] = {}
+    pending: dict[Future[Columns], tuple[int, int]] = {}
     try:
         while not stop.is_set():
-            for part in _next(missing, AHEAD * workers.count - len(under_way)):
-                under_way[workers.executor.submit(run_part, text, *part, compiled)] = part
-            if not under_way:
+            for part in _next(missing, AHEAD * workers.count - len(pending)):
+                pending[workers.executor.submit(run_part, text, *part, compiled)] = part
+            if not pending:
                 return True
-            done, _ = wait(under_way, timeout=LOOK, return_when=FIRST_COMPLETED)
+            done, _ = wait(pending, timeout=LOOK, return_when=FIRST_COMPLETED)
             for future in done:
-                begin, end = under_way.pop(future)
+                begin, end = pending.pop(future)
                 store.keep(begin, end, _result(future, workers.remote))
-                tell(end - begin)
+                on_progress(end - begin)
         return False
     finally:
-        for future in under_way:
+        for future in pending:
             future.cancel()
 
 
 def _result(future: Future[Columns], remote: bool) -> Columns:
-    """What a worker made; what goes wrong elsewhere is a ClusterError."""
+    """Return the result of a worker; raise ClusterError for errors on another machine."""
     try:
         return future.result()
     except FjrError:

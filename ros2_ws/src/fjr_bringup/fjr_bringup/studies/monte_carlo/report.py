@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a campaign: report.html beside its table."""
+"""HTML page of a Monte-Carlo study."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ ROWS = {
     "rms": ("RMS error", "rad"),
     "peak": ("largest error", "rad"),
     "final": ("mean error of the last second", "rad"),
-    "settling": ("settled after", "s"),
+    "settling": ("settling time", "s"),
     "effort_rms": ("RMS effort", "N m"),
     "effort_peak": ("peak effort", "N m"),
     "power": ("mean power", "W"),
 }
 HOW = (
-    "Top row of the picture: share of success over the range of a drawn number, with its 95 % interval. Below: every "
-    "run a dot, blue where it succeeds; crosses at the upper edge are runs that were lost. Right: which part of the "
-    "variance of success and of the logarithm of the RMS error goes with each number alone."
+    "Top row of the figure: success rate over the range of a drawn parameter, with its 95 % interval. Below: one dot "
+    "per run, blue if it succeeds; crosses at the upper edge are unstable runs. Right: share of the variance of "
+    "success and of log RMS error that each parameter explains alone (first-order sensitivity)."
 )
 
 
 def write_page(store: Store, summary: Summary, picture: Path, path: Path) -> Path:
-    """Write the page; it needs nothing beside it."""
+    """Write the page as one self-contained file."""
     sweep = store.sweep
     title = f"{sweep.name}: {percent(summary.succeeded / summary.runs)} of {summary.runs:,} runs succeed"
     image = b64encode(picture.read_bytes()).decode()
@@ -47,7 +47,7 @@ def write_page(store: Store, summary: Summary, picture: Path, path: Path) -> Pat
         tables=[
             ("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], _outcomes(summary)),
             (
-                "What was drawn, and what it decides",
+                "Drawn parameters and their influence",
                 ["", "from", "to", "success", "log RMS error"],
                 _drawn(sweep, summary),
             ),
@@ -62,7 +62,11 @@ def _notes(sweep: Sweep) -> list[str]:
     limits = "".join(f", {ROWS[name][0]} at most {limit:g} {ROWS[name][1]}" for name, limit in sweep.success.items())
     wanted = f"a run succeeds when it is stable{limits}"
     fixed = [f"{name} is {one.as_yaml}" for name, one in sweep.vary.items() if one.kind == FIXED]
-    return [wanted, f"errors count from {sweep.settle_after:g} s on; lost: beyond {sweep.lost:.3g} rad", *fixed]
+    return [
+        wanted,
+        f"errors are evaluated from {sweep.settle_after:g} s on; unstable: beyond {sweep.lost:.3g} rad",
+        *fixed,
+    ]
 
 
 def _tiles(summary: Summary) -> list[tuple[str, str]]:

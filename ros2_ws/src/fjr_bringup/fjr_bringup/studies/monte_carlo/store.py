@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a campaign: finished parts as Parquet files, each whole or not there; at the end one table of all.
+"""Folder of a Monte-Carlo study: finished parts as Parquet files, written atomically, finally merged into one table.
 
-campaign.json      the campaign and the program that runs it
-parts/             <begin>-<end>.parquet while it goes on
-table.parquet      all runs in their order, once all parts are there
+campaign.json      specification of the study and hash of the program
+parts/             <begin>-<end>.parquet of finished parts
+table.parquet      all runs in order, once all parts are finished
 """
 
 from __future__ import annotations
@@ -30,40 +30,40 @@ LARGEST_PART, SMALLEST_PART, PARTS = 1000, 10, 200
 
 
 class StoreError(FjrError):
-    """A folder that holds another campaign, or one that is being filled."""
+    """A folder that holds another study or is in use."""
 
 
 @dataclass(frozen=True)
 class Store:
-    """A campaign's folder; `open_store` makes one."""
+    """Folder of a study; create it by `open_store`."""
 
     folder: Path
     sweep: Sweep
 
     @property
     def table(self) -> Path:
-        """Where the table of all runs is, once it is complete."""
+        """Path of the table of all runs."""
         return self.folder / "table.parquet"
 
     def missing(self) -> Iterator[tuple[int, int]]:
-        """The parts (begin, end) that are not there, in their order."""
+        """Yield the missing parts (begin, end) in order."""
         all_parts = [] if self.table.exists() else parts(self.sweep.runs)
         return (part for part in all_parts if not is_sealed(self._file(*part)))
 
     def finished(self) -> int:
-        """How many runs are there."""
+        """Return the number of finished runs."""
         if self.table.exists():
             return self.sweep.runs
         return sum(end - begin for begin, end in parts(self.sweep.runs) if is_sealed(self._file(begin, end)))
 
     def keep(self, begin: int, end: int, columns: Columns) -> None:
-        """Write a part: after a kill it is there whole or not at all."""
+        """Write a part atomically."""
         path = self._file(begin, end)
         with whole_file(path, sealed=True) as scratch:
             pq.write_table(pa.table(columns), scratch, compression="zstd")
 
     def complete(self) -> Path:
-        """Make the one table of all parts, part by part, and remove them."""
+        """Merge all parts into one table and remove them; return its path."""
         if not self.table.exists():
             files = [self._file(*part) for part in parts(self.sweep.runs)]
             with (
@@ -77,7 +77,7 @@ class Store:
         return self.table
 
     def column(self, name: str) -> NDArray[Any]:
-        """One column of the table (runs,)."""
+        """Return a column of the table (runs,)."""
         return np.asarray(pq.read_table(self.table, columns=[name]).column(0).to_numpy())
 
     @property
@@ -90,16 +90,16 @@ class Store:
 
 @contextmanager
 def open_store(folder: Path, sweep: Sweep, program: str) -> Iterator[Store]:
-    """The store of a campaign, new or taken up again, for this process alone.
+    """Open or create the store of a study, locked for this process.
 
-    program: what tells apart results of different code. Raises StoreError.
+    program: hash of the code that computes the results. Raise StoreError.
     """
     (folder / "parts").mkdir(parents=True, exist_ok=True)
     with (folder / ".lock").open("a") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise StoreError(f"{folder} is being filled by another process; expected one at a time") from None
+            raise StoreError(f"{folder} is in use by another process; expected one at a time") from None
         _check(folder, sweep, program)
         for left in folder.rglob("*.part"):
             left.unlink()
@@ -108,13 +108,13 @@ def open_store(folder: Path, sweep: Sweep, program: str) -> Iterator[Store]:
 
 
 def parts(runs: int) -> list[tuple[int, int]]:
-    """Begin and end of the parts that a campaign of so many runs is done in."""
+    """Return (begin, end) of the parts into which a study is divided."""
     size = min(LARGEST_PART, max(SMALLEST_PART, runs // PARTS))
     return [(begin, min(begin + size, runs)) for begin in range(0, runs, size)]
 
 
 def _check(folder: Path, sweep: Sweep, program: str) -> None:
-    """Write what the folder holds, or see that it is that."""
+    """Write campaign.json, or check that it describes this study; raise StoreError."""
     path = folder / "campaign.json"
     wanted = {**json.loads(sweep.text), "program": program}
     try:
@@ -122,33 +122,33 @@ def _check(folder: Path, sweep: Sweep, program: str) -> None:
     except FileNotFoundError:
         if any(folder.glob("*.parquet")) or any(folder.glob("parts/*.parquet")):
             raise StoreError(
-                f"{folder} holds runs, but no campaign.json that says of what; expected both, or another --output"
+                f"{folder} holds runs without their campaign.json; expected both, or another --output"
             ) from None
         write_text(path, json.dumps(wanted, indent=1))
         return
     except ValueError:
-        raise StoreError(f"{path} cannot be read; expected what `fjr sweep` wrote there") from None
+        raise StoreError(f"{path} cannot be read; expected the file that `fjr sweep` wrote") from None
     different = [name for name in wanted if name != "program" and found.get(name) != wanted[name]]
     if different:
-        said = ", ".join(_said(name, found.get(name), wanted[name]) for name in different)
-        raise StoreError(f"{folder} holds another campaign ({said}); expected the same one, or another --output")
+        differences = ", ".join(_difference(name, found.get(name), wanted[name]) for name in different)
+        raise StoreError(f"{folder} holds another study ({differences}); expected the same one, or another --output")
     if found.get("program") != program:
         raise StoreError(
-            f"{folder} was begun by another version of this program (source, CasADi, with or without a C compiler); "
-            "expected the same, or another --output"
+            f"{folder} was started by another version of this program (source, CasADi, C compiler); "
+            "expected the same version, or another --output"
         )
 
 
 def _check_table(table: Path) -> None:
-    """Raise StoreError for a table that is not as it was written."""
+    """Raise StoreError if the table was changed."""
     if table.exists() and not is_sealed(table):
         raise StoreError(
-            f"{table} is not what `fjr sweep` wrote there (its SHA-256 digest differs); expected it unchanged, or "
-            "removed, then it is computed again"
+            f"{table} is not what `fjr sweep` wrote (its SHA-256 digest differs); expected it unchanged, or "
+            "removed to compute it again"
         )
 
 
-def _said(name: str, there: object, here: object) -> str:
+def _difference(name: str, there: object, here: object) -> str:
     if isinstance(there, (int, float)) and isinstance(here, (int, float)):
         return f"{name} is {there:g}, not {here:g}"
     if isinstance(there, dict) and isinstance(here, dict):

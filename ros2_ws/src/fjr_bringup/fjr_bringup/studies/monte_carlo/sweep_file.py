@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sweep's YAML file: which scenario, what is drawn, what counts as success."""
+"""YAML file of a Monte-Carlo study: scenario, drawn parameters, success criteria."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RUNS = 1000
 
 @dataclass(frozen=True)
 class SweepFile:
-    """scenario: name or path; vary: what is drawn; changes: of the scenario's parameters; numbers: Sweep's others."""
+    """scenario: name or path; vary: distributions; changes: of scenario parameters; numbers: other fields of Sweep."""
 
     scenario: str
     vary: Mapping[str, Distribution]
@@ -32,12 +32,12 @@ class SweepFile:
 
 
 def is_one(document: object) -> bool:
-    """Whether a YAML document is a sweep's, not a scenario's."""
+    """Return whether a YAML document is a sweep, not a scenario."""
     return isinstance(document, Mapping) and "scenario" in document and "/**" not in document
 
 
 def read(document: Mapping[str, Any]) -> SweepFile:
-    """The file of a parsed document; raises ParameterError."""
+    """Return the sweep of a parsed document; raise ParameterError."""
     for key in document:
         if key not in KEYS:
             close = difflib.get_close_matches(str(key), KEYS, n=1)
@@ -56,7 +56,7 @@ def read(document: Mapping[str, Any]) -> SweepFile:
 
 
 def usual(scenario: str, sample_period: float) -> SweepFile:
-    """What is drawn where nobody says what: how far a robot of known make may be from its data sheet."""
+    """Return the default distributions: typical deviations of a robot from its data sheet."""
     document = {
         "stiffness": {"uniform": [0.7, 1.3], "each_joint": True},
         "link_inertia": {"uniform": [0.8, 1.2]},
@@ -82,5 +82,5 @@ def _number(name: str, value: object) -> float:
 
 
 def _is_finite(value: float) -> bool:
-    """Whether a double can hold a number, or a whole number of any size."""
+    """Return whether a number is finite as a double."""
     return abs(value) <= sys.float_info.max
