@@ -39,8 +39,8 @@ def test_the_set_has_every_fault_in_three_sizes_and_healthy_runs() -> None:
 
 @pytest.mark.parametrize("case", SEVERAL, ids=lambda case: case.name)
 def test_kind_and_joint_of_the_largest_faults_are_right(case: FaultCase) -> None:
-    found = outcome(case)
-    assert (found.said, found.joint) == (case.kind, True)
+    result = outcome(case)
+    assert (result.found, result.joint) == (case.kind, True)
 
 
 @pytest.mark.parametrize("case", MISWIRED, ids=lambda case: case.name)
