@@ -14,7 +14,7 @@ from bench.campaign_peers import NAMES, Peer, mujoco_peer, scipy_peer
 from bench.figures import Figure
 from bench.measure import one_core
 from fjr_core import PAPER_GAINS, Sine, TrackingLaw, single_link
-from fjr_core.control.sampled_law import Static
+from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch import ClosedLoop, Draws
 
@@ -37,7 +37,7 @@ def loop() -> ClosedLoop:
     robot = single_link(stiffness=31.0)
     law = TrackingLaw(robot, PAPER_GAINS, compile=True)
     x0 = robot.state([0.5], [0.5], [0.0], [0.0])
-    return ClosedLoop(robot, Static(law), Sine(1.0, 1.0), x0, DURATION, PERIOD, INNER_STEPS)
+    return ClosedLoop(robot, AsSampledLaw(law), Sine(1.0, 1.0), x0, DURATION, PERIOD, INNER_STEPS)
 
 
 def draws(runs: int) -> Draws:

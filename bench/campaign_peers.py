@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from bench.mujoco_arm import MujocoArm
 from fjr_core import TrackingLaw, single_link
-from fjr_core.control.sampled_law import Static
+from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.robot import Robot
 from fjr_core.simulation.batch import ClosedLoop, Draws
@@ -90,7 +90,7 @@ def numbers(robot: Robot, draws: Draws, run: int) -> tuple[float, float, float, 
 
 def _tracked(loop: ClosedLoop, follow: Callable[[Array, float], Array]) -> float:
     """Run the loop; follow: (q_l, q_m, dq_l, dq_m) and held effort -> state one sample later."""
-    assert isinstance(loop.law, Static)
+    assert isinstance(loop.law, AsSampledLaw)
     assert isinstance(loop.law.law, TrackingLaw)
     samples = round(loop.duration / loop.sample_period)
     table = loop.reference.jets(loop.sample_period * np.arange(samples + 1))

@@ -15,7 +15,7 @@ SHORT = "0.5"  # s of stamped time for commands that record
 NOT_RUN = {
     "make": "sets up a whole checkout; `make test` would run this very test",
     "ros2": "ROS's command line is not among the wheels",
-    "source": "the set-up of a ROS 2 installation, or of a build beside one",
+    "source": "the set-up of a ROS 2 installation, or of a build next to one",
     "colcon": "needs a ROS 2 installation",
     "rosdep": "needs a ROS 2 installation, root and a network",
     "pip": "needs a network",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a user does to running nodes from outside: sets their parameters, and publishes efforts beside them."""
+"""What a user does to running nodes from outside: sets their parameters, and publishes efforts in parallel."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIMIT = 120.0  # s
 
 
 class Remote:
-    """A node beside the watched pair."""
+    """A node next to the watched pair."""
 
     def __init__(self) -> None:
         self._context = Context()

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fjr_core import ParameterError
-from fjr_core.config.process import ProcessSettings, cores, process_care, process_parameters
+from fjr_core.config.process import ProcessSettings, cores, process_parameters, process_settings
 from fjr_msgs_py.node import scheduling
 from fjr_msgs_py.node.scheduling import apply_process_settings, prioritised, take_priority
 from msgs.child import run
@@ -186,9 +186,9 @@ def test_an_invalid_core_list_is_rejected(text: str) -> None:
 
 def test_lock_step_has_no_priority_and_defaults_change_nothing() -> None:
     defaults: dict[str, Any] = {parameter.name: parameter.default for parameter in process_parameters()}
-    assert process_care(defaults) == ProcessSettings()
-    assert process_care({**defaults, "realtime_priority": 50}).priority == 50
-    assert process_care({**defaults, "realtime_priority": 50, "lockstep": True}).priority == 0
+    assert process_settings(defaults) == ProcessSettings()
+    assert process_settings({**defaults, "realtime_priority": 50}).priority == 50
+    assert process_settings({**defaults, "realtime_priority": 50, "lockstep": True}).priority == 0
 
 
 def _take_care(care: dict[str, Any], user: int | None = None, memlock: int | None = None) -> dict[str, Any]:

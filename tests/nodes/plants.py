@@ -53,8 +53,8 @@ def ask(ros: Ros, peer: Peer, kind: Any, name: str, **request: Any) -> Any:
     return client.call_async(kind.Request(**request))
 
 
-class Answering:
-    """A peer that answers each state by a function of its numbers, except those that it is told to ignore."""
+class CommandLoop:
+    """A peer that answers each state by a function of its numbers, except those to ignore."""
 
     def __init__(
         self,

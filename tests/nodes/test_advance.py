@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from fjr_core import StateError
 from fjr_plant.timing.lock_step import START, LockStepError
 from nodes.harness import Peer, Ros, nanoseconds
-from nodes.plants import PERIOD, Answering, answer, ask, call, command, integrate, numbers, state_of
+from nodes.plants import PERIOD, CommandLoop, answer, ask, call, command, integrate, numbers, state_of
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
@@ -44,7 +44,7 @@ def advance(ros: Ros, peer: Peer) -> Any:
 
 def test_lockstep_advances_by_exactly_so_many_answers(ros: Ros, peer: Peer) -> None:
     ros.plant(lockstep=True, start_paused=True, advance_samples=7)
-    Answering(peer).listen()
+    CommandLoop(peer).listen()
     response = advance(ros, peer)
     assert response.success
     assert response.message == "advanced by 7 samples: the time is 1.007000000 s"
@@ -57,7 +57,7 @@ def test_lockstep_advances_by_exactly_so_many_answers(ros: Ros, peer: Peer) -> N
 
 def test_lockstep_in_strides_gives_the_states_of_a_run_bit_by_bit(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, start_paused=True, advance_samples=10)
-    Answering(peer).listen()
+    CommandLoop(peer).listen()
     for _ in range(3):
         assert advance(ros, peer).success
     strides = numbers(peer.states)
@@ -82,9 +82,9 @@ def test_real_time_advances_at_once_with_the_held_effort(ros: Ros, peer: Peer) -
     assert advance(ros, peer).success
     assert node._robot.time == time + 25 * PERIOD
     np.testing.assert_array_equal(node._robot.x, integrate(x, 0.3, 100))
-    ros.until(lambda: nanoseconds(peer.states[-1]) == node._pace.stamp)
+    ros.until(lambda: nanoseconds(peer.states[-1]) == node._time_base.stamp)
     stamps = [nanoseconds(state) for state in peer.states[count:]]
-    assert stamps == [node._pace.stamp - (24 - k) * PERIOD for k in range(25)]
+    assert stamps == [node._time_base.stamp - (24 - k) * PERIOD for k in range(25)]
     call(ros, peer, SetBool, "fjr_plant/pause", data=False)
     assert node._robot.time == time + 25 * PERIOD, "the motion goes on from where it is"
     count = len(peer.states)
@@ -101,7 +101,7 @@ def test_real_time_advances_without_effort_before_the_first_command(ros: Ros, pe
 
 def test_lockstep_advances_to_the_same_states_as_real_time(ros: Ros, peer: Peer) -> None:
     ros.plant(lockstep=True, start_paused=True, advance_samples=40)
-    Answering(peer, effort=lambda _: 0.0).listen()
+    CommandLoop(peer, effort=lambda _: 0.0).listen()
     assert advance(ros, peer).success
     ros.until(lambda: nanoseconds(peer.states[-1]) == START + 40 * PERIOD)
     np.testing.assert_array_equal(state_of(peer.states[-1]), FALLEN)
@@ -136,7 +136,7 @@ def test_an_advance_that_is_interrupted_fails_with_a_sentence(ros: Ros, peer: Pe
     assert call(ros, peer, kind, name, **request).success
     ros.until(pending.done, "the answer")
     assert (pending.result().success, pending.result().message) == (False, sentence)
-    assert node._pace.paused == (case != "go")
+    assert node._time_base.paused == (case != "go")
     peer.command_publisher.publish(answer(peer.states[-1], 0.1))
     ros.settle()
     assert node._robot.time == {"reset": 0, "pause": 2 * PERIOD, "go": 3 * PERIOD}[case]
@@ -188,5 +188,5 @@ def test_a_client_that_went_away_harms_nobody(ros: Ros, peer: Peer) -> None:
     peer.destroy_client(client)
     peer.command_publisher.publish(answer(peer.states[-1], 0.1))
     ros.until(lambda: node._robot.time == PERIOD)
-    Answering(peer).listen()
+    CommandLoop(peer).listen()
     assert advance(ros, peer).success

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float64MultiArray
 
 import fjr_core as fjr
-from fjr_core.monitoring.certificate import Balance
+from fjr_core.monitoring.certificate import Certificate
 from fjr_msgs_py.messages.certificate import LABELS, CertificateValues, CertificateWriter, read_certificate
 from fjr_msgs_py.messages.joint_states import MessageError
 from nodes.harness import Listener, Ros, nanoseconds
@@ -62,7 +62,7 @@ def test_each_state_has_its_certificate(ros: Ros) -> None:
     answered = {nanoseconds(command): command.effort[0] for command in hearer.commands}
     states = {nanoseconds(state): state for state in hearer.states}
     seen = dict(read_certificate(message) for message in hearer.certificates)
-    start, balance = min(answered), Balance(LAW)
+    start, balance = min(answered), Certificate(LAW)
     for stamp in sorted(set(seen) & set(states) & set(answered))[:50]:
         state, values = states[stamp], seen[stamp]
         jets = fjr.Sine(1.0, 1.0).jets((stamp - start) * 1e-9)

@@ -16,7 +16,7 @@ from fjr_plant.plant_node import PlantNode
 from fjr_plant.timing import clock_owner
 from fjr_plant.timing.clock_owner import ClockError
 from nodes.harness import Peer, Ros
-from nodes.plants import Answering
+from nodes.plants import CommandLoop
 
 SENTENCE = "node /other publishes on /clock; expected one owner of the time: .* -r /clock:=/NAMESPACE/clock"
 
@@ -59,10 +59,10 @@ def test_a_plant_that_meets_another_clock_with_the_first_answer_ends(ros: Ros, p
     node = ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)
     with other_clock(ros, peer):
-        Answering(peer).listen()
+        CommandLoop(peer).listen()
         ros.until(lambda: node.ended, "the end")
     assert isinstance(node.ended, ClockError)
-    assert node._pace._robot.time == 0, "nothing moved"
+    assert node._time_base._robot.time == 0, "nothing moved"
 
 
 def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, peer: Peer, monkeypatch) -> None:
@@ -70,8 +70,8 @@ def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, peer: Peer, monke
     monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 0.01)
     node = ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)
-    Answering(peer).listen()
-    ros.until(lambda: node._pace._robot.time > 0, "motion")
+    CommandLoop(peer).listen()
+    ros.until(lambda: node._time_base._robot.time > 0, "motion")
     with other_clock(ros, peer):
         ros.until(lambda: node._health.count["other clocks"] == 1, "the report")
     node.stop()

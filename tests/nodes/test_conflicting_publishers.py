@@ -12,9 +12,9 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from fjr_controller.ros.command_loop import TOPICS, RivalError
+from fjr_controller.ros.command_loop import TOPICS, CommandConflictError
 from fjr_msgs_py.names import LATEST
-from fjr_msgs_py.node.conflicting_publishers import Rivals
+from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from nodes.harness import Ros, stamped
 from nodes.managed import Manager
 
@@ -96,7 +96,7 @@ def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appe
     node = ros.controller(autostart=False)
     assert manager.change("configure")
     with other.talking():
-        with pytest.raises(RivalError, match=f"node /other publishes on {topic}; expected nobody else"):
+        with pytest.raises(CommandConflictError, match=f"node /other publishes on {topic}; expected nobody else"):
             ros.controller()
         assert not manager.change("activate")
         assert manager.state() == "inactive"
@@ -113,7 +113,7 @@ def test_a_conflict_found_with_the_first_state_ends_the_node(ros: Ros, manager: 
     with other.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.ended, "the end")
-    assert isinstance(node.ended, RivalError)
+    assert isinstance(node.ended, CommandConflictError)
     assert node.trouble is node.ended
     assert manager.state() == "inactive"
     manager.state_publisher.publish(stamped(0.1))
@@ -164,19 +164,19 @@ def test_a_conflict_that_appears_later_is_reported(ros: Ros, manager: Manager, a
 
 
 def test_a_publisher_that_replaces_another_has_appeared(ros: Ros, manager: Manager, appear: Appear) -> None:
-    rivals = Rivals(manager, TOPICS, LATEST)
-    assert rivals.appeared() == []
+    conflicts = ConflictingPublishers(manager, TOPICS, LATEST)
+    assert conflicts.appeared() == []
     one = appear(EFFORTS)
-    assert rivals.appeared() == [EFFORTS]
-    assert rivals.appeared() == []
+    assert conflicts.appeared() == [EFFORTS]
+    assert conflicts.appeared() == []
     count = manager.count_publishers(EFFORTS)
     one.close()
     ros.until(lambda: manager.count_publishers(EFFORTS) == count - 1, "the end of the first")
     appear(EFFORTS)
     assert manager.count_publishers(EFFORTS) == count
-    assert rivals.appeared() == [EFFORTS]
-    assert rivals.named(EFFORTS) == "node /other"
-    rivals.close()
+    assert conflicts.appeared() == [EFFORTS]
+    assert conflicts.named(EFFORTS) == "node /other"
+    conflicts.close()
 
 
 @topics
@@ -191,8 +191,8 @@ def test_a_publisher_that_appears_together_with_ours_is_not_taken_for_ours(
         return create(kind, name, qos)
 
     monkeypatch.setattr(manager, "create_publisher", create_late)
-    rivals = Rivals(manager, TOPICS, LATEST)
+    conflicts = ConflictingPublishers(manager, TOPICS, LATEST)
     assert not coming
-    assert rivals.appeared() == [topic]
-    rivals.close()
+    assert conflicts.appeared() == [topic]
+    conflicts.close()
     assert manager.count_publishers(topic) == 2, "the manager's own and the other's"

@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 
 from fjr_plant.timing.lock_step import START, LockStepError
 from nodes.harness import PATIENCE, Listener, Peer, Ros, nanoseconds
-from nodes.plants import PERIOD, Answering, answer, call, integrate, numbers, state_of
+from nodes.plants import PERIOD, CommandLoop, answer, call, integrate, numbers, state_of
 
 
 @pytest.mark.parametrize("ignored", [(2,), (3, 4, 5), (2, 4, 7, 11)])
@@ -20,7 +20,7 @@ def test_a_state_without_an_answer_is_sent_again_and_never_skipped(ros: Ros, pee
     node = ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)
     first = len(peer.states)
-    Answering(peer, tuple(first + k for k in ignored)).until(ros, 12)
+    CommandLoop(peer, tuple(first + k for k in ignored)).until(ros, 12)
     stamps = [nanoseconds(state) for state in peer.states]
     assert sorted(set(stamps)) == [START + k * PERIOD for k in range(13)]
     assert stamps == sorted(stamps)
@@ -56,7 +56,7 @@ def test_what_is_not_the_answer_never_advances(ros: Ros, peer: Peer) -> None:
 def test_two_runs_are_bit_identical_whatever_is_lost(ros: Ros, peer: Peer) -> None:
     ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)
-    plain = Answering(peer)
+    plain = CommandLoop(peer)
     plain.until(ros, 200)
     one = numbers(peer.states)
     ros.close()
@@ -66,7 +66,7 @@ def test_two_runs_are_bit_identical_whatever_is_lost(ros: Ros, peer: Peer) -> No
         other_ros.plant(lockstep=True)
         other.meet_plant(lockstep=True)
         first = len(other.states)
-        Answering(other, (first + 3, first + 90)).until(other_ros, 200)
+        CommandLoop(other, (first + 3, first + 90)).until(other_ros, 200)
         assert numbers(other.states) == one
     finally:
         other_ros.close()
@@ -87,7 +87,7 @@ def test_clock_comes_with_every_state_and_never_goes_back(ros: Ros, peer: Peer) 
     peer.meet_plant(lockstep=True)
     ros.until(lambda: shown, "the clock")
     before = len(peer.states) - len(shown)
-    Answering(peer).until(ros, 30)
+    CommandLoop(peer).until(ros, 30)
     ros.settle()
     ros.until(lambda: len(shown) == len(peer.states) - before, "a clock for each state")
     assert shown == [nanoseconds(state) for state in peer.states[before:]]
@@ -97,7 +97,7 @@ def test_clock_comes_with_every_state_and_never_goes_back(ros: Ros, peer: Peer) 
 def test_what_is_lost_on_the_way_still_shows_on_the_clock(ros: Ros, peer: Peer) -> None:
     shown = clocks(peer)
     ros.plant(lockstep=True, start_paused=True, advance_samples=40, imperfections__state_loss=0.5)
-    Answering(peer).listen()
+    CommandLoop(peer).listen()
     assert call(ros, peer, Trigger, "fjr_plant/advance").success
     times = [START + k * PERIOD for k in range(41)]
     ros.until(lambda: shown[-1:] == times[-1:], "the last time")
@@ -110,7 +110,7 @@ def test_an_effort_that_grows_old_while_states_are_lost_acts_no_more(ros: Ros, p
     """The first state comes through, and its answer acts for command_timeout of the robot's time."""
     options = {"start_paused": True, "advance_samples": 30, "command_timeout": 0.02, "imperfections__state_loss": 1.0}
     node = ros.plant(lockstep=True, **options)
-    Answering(peer, effort=lambda _: 0.3).listen()
+    CommandLoop(peer, effort=lambda _: 0.3).listen()
     for _ in range(2):  # and again after a reset
         assert call(ros, peer, Trigger, "fjr_plant/advance").success
         expected = integrate(integrate(np.array([0.5, 0.5, 0.0, 0.0]), 0.3, 80), 0.0, 40)
@@ -149,9 +149,9 @@ def test_a_controller_that_falls_silent_ends_the_plant_with_a_sentence(ros: Ros,
     peer.meet_plant(lockstep=True)
     resent = len(peer.states)
     ros.until(lambda: len(peer.states) > resent + 5, "more than the timeout without a first answer")
-    node._pace._timeout = PATIENCE  # the answers may be late
-    Answering(peer).until(ros, 3)
-    node._pace._timeout = 0.3
+    node._time_base._timeout = PATIENCE  # the answers may be late
+    CommandLoop(peer).until(ros, 3)
+    node._time_base._timeout = 0.3
     ros.until(lambda: node.ended, "the end")
     assert isinstance(node.ended, LockStepError)
     assert str(node.ended).startswith(
@@ -170,21 +170,21 @@ def test_a_controller_that_falls_silent_ends_the_plant_with_a_sentence(ros: Ros,
 def test_a_paused_plant_does_not_count_the_silence(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, lockstep_timeout=PATIENCE)
     peer.meet_plant(lockstep=True)
-    Answering(peer).until(ros, 3)
-    node._pace.pause(True)
-    node._pace._first_sent_at -= 2 * PATIENCE
+    CommandLoop(peer).until(ros, 3)
+    node._time_base.pause(True)
+    node._time_base._first_sent_at -= 2 * PATIENCE
     ros.settle()
-    node._pace.pause(False)
-    Answering(peer).until(ros, 5)
+    node._time_base.pause(False)
+    CommandLoop(peer).until(ros, 5)
 
 
 def test_a_reset_waits_for_a_first_answer_again(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, lockstep_timeout=PATIENCE)
     peer.meet_plant(lockstep=True)
-    Answering(peer).until(ros, 3)
-    node._pace.reset()
+    CommandLoop(peer).until(ros, 3)
+    node._time_base.reset()
     count = len(peer.states)
-    node._pace._first_sent_at -= 2 * PATIENCE
+    node._time_base._first_sent_at -= 2 * PATIENCE
     ros.until(lambda: len(peer.states) > count + 2, "the first state, again and again")
     assert {nanoseconds(state) for state in peer.states[count:]} == {START}
 
@@ -192,5 +192,5 @@ def test_a_reset_waits_for_a_first_answer_again(ros: Ros, peer: Peer) -> None:
 def test_with_use_sim_time_the_plant_follows_its_own_clock(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, use_sim_time=True)
     peer.meet_plant(lockstep=True)
-    Answering(peer).until(ros, 30)
+    CommandLoop(peer).until(ros, 30)
     ros.until(lambda: node.get_clock().now().nanoseconds == START + 30 * PERIOD, "its own clock")

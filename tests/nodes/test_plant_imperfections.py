@@ -17,7 +17,7 @@ import fjr_core as fjr
 from fjr_core.config.nonidealities import imperfection_parameters
 from fjr_plant.timing.lock_step import START
 from nodes.harness import Peer, Ros, nanoseconds
-from nodes.plants import INNER, PERIOD, Answering, call, command, integrate, numbers, state_of
+from nodes.plants import INNER, PERIOD, CommandLoop, call, command, integrate, numbers, state_of
 
 STRIDE = 8  # samples
 TABLE = {parameter.name.removeprefix("imperfections."): parameter for parameter in imperfection_parameters(1)}
@@ -40,7 +40,7 @@ class Run:
     def __init__(self, ros: Ros) -> None:
         self.ros, self.peer = ros, Peer(ros)
         self.node = ros.plant(lockstep=True, start_paused=True, advance_samples=STRIDE, initial_link_velocity=[3.0])
-        Answering(self.peer, effort=lambda s: 0.5 - 0.2 * s.position[0]).listen()
+        CommandLoop(self.peer, effort=lambda s: 0.5 - 0.2 * s.position[0]).listen()
 
     def __call__(self, base: dict[str, Any], later: dict[str, Any]) -> tuple[list, list, int]:
         """Stamps and numbers before and after the change to `later`, and how many states were published."""
@@ -154,7 +154,7 @@ def test_nonsense_is_refused_with_a_sentence_and_the_old_values_stay(run: Run, n
     assert words in result.reason
     assert run.node.values == old
     call(run.ros, run.peer, Trigger, "fjr_plant/reset")
-    assert (run.stride(), run.stride()) == before[:2], "not even the value beside it is taken"
+    assert (run.stride(), run.stride()) == before[:2], "not even the value next to it is taken"
 
 
 def test_a_command_with_delay_acts_later_by_exactly_that(run: Run) -> None:
@@ -215,8 +215,8 @@ def test_real_time_states_come_late_and_complete(ros: Ros, peer: Peer) -> None:
     ages = []
 
     def heard(state: JointState) -> None:
-        node._pace.catch_up()  # the robot's time is the clock's only then
-        ages.append(node._pace.stamp - nanoseconds(state))
+        node._time_base.catch_up()  # the robot's time is the clock's only then
+        ages.append(node._time_base.stamp - nanoseconds(state))
 
     peer.create_subscription(JointState, "joint_states", heard, 1000)
     assert put(node, state_delay=0.05).successful
@@ -224,7 +224,7 @@ def test_real_time_states_come_late_and_complete(ros: Ros, peer: Peer) -> None:
     ros.until(lambda: len(peer.states) > count + 30, "delayed states")
     assert min(ages[-20:]) >= 50 * PERIOD - INNER
     assert put(node, state_delay=0.0).successful
-    ros.until(lambda: node._pace.stamp - nanoseconds(peer.states[-1]) < 50 * PERIOD)
+    ros.until(lambda: node._time_base.stamp - nanoseconds(peer.states[-1]) < 50 * PERIOD)
     stamps = [nanoseconds(state) for state in peer.states]
     assert stamps == sorted(stamps)
 
@@ -237,7 +237,7 @@ def test_real_time_commands_act_late_by_exactly_the_delay(ros: Ros, peer: Peer) 
     ros.until(lambda: node._health.count["commands received"] == 2)
     came_at = node._robot.time
     ros.until(lambda: peer.states[-1].effort[1] == 0.1, "the delayed effort")
-    assert sent_at + 20 * PERIOD <= node._pace._last_command == came_at + 20 * PERIOD
+    assert sent_at + 20 * PERIOD <= node._time_base._last_command == came_at + 20 * PERIOD
 
 
 def test_real_time_losses_and_copies(ros: Ros, peer: Peer) -> None:

@@ -31,7 +31,7 @@ def in_motion(peer: Peer) -> list[JointState]:
 
 def time_in_motion(node: PlantNode, peer: Peer) -> int:
     """Stamped time [ns] since the robot began to move; the last state at rest, stamped then, may be lost."""
-    return nanoseconds(peer.states[-1]) - node._pace.offset
+    return nanoseconds(peer.states[-1]) - node._time_base.offset
 
 
 def test_stands_still_until_the_first_command(ros: Ros, peer: Peer) -> None:
@@ -49,7 +49,7 @@ def test_stamps_the_exact_time_of_the_state(ros: Ros, peer: Peer) -> None:
     peer.meet_plant()
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: len(in_motion(peer)) > 20, "states in motion")
-    x, stamp, steps_seen = state_of(peer.states[0]), node._pace.offset, set()
+    x, stamp, steps_seen = state_of(peer.states[0]), node._time_base.offset, set()
     for state in in_motion(peer):
         steps, rest = divmod(nanoseconds(state) - stamp, INNER)
         assert rest == 0
@@ -165,7 +165,7 @@ def test_reset_while_paused_does_not_hold_the_robot_after_the_resume(ros: Ros, p
     call(ros, peer, Trigger, "fjr_plant/reset")
     assert node._robot.time == 0
     call(ros, peer, SetBool, "fjr_plant/pause", data=False)
-    assert node._pace.origin <= time.monotonic_ns()
+    assert node._time_base.origin <= time.monotonic_ns()
 
 
 def test_a_plant_slower_than_real_time_loses_time_and_says_so(ros: Ros, peer: Peer) -> None:

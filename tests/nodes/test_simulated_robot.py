@@ -13,7 +13,7 @@ from fjr_core.config import builders
 from fjr_core.config import nonidealities as words
 from fjr_core.config.parameter import complete
 from fjr_core.robot.rigid_arm import closed_form
-from fjr_core.simulation.nonideal_parameters import Imperfections, SensorErrors
+from fjr_core.simulation.nonideal_parameters import Nonidealities, SensorErrors
 from fjr_plant.channel import COMMANDS, STATES, Channel, SampleTimes
 from fjr_plant.simulated_robot import SimulatedRobot
 
@@ -22,7 +22,7 @@ START = {"q_l": [0.4], "q_m": [0.5], "dq_l": [0.3], "dq_m": [-0.2]}
 
 
 def simulated(
-    imperfections: Imperfections | None = None, robot: fjr.Robot | None = None, **options: Any
+    imperfections: Nonidealities | None = None, robot: fjr.Robot | None = None, **options: Any
 ) -> SimulatedRobot:
     robot = robot or fjr.single_link()
     x0 = robot.state(*START.values())
@@ -58,13 +58,13 @@ def test_with_everything_off_it_is_the_plant_bit_for_bit() -> None:
 
 
 def test_it_never_goes_past_the_time_asked_for() -> None:
-    robot = simulated(Imperfections(1, coulomb_m=0.1))
+    robot = simulated(Nonidealities(1, coulomb_m=0.1))
     robot.advance_to(INNER * 3 - 1)
     assert robot.time == INNER * 2
 
 
 NOISY = SensorErrors(1, bits_l=14, position_m=1e-4, velocity_l=0.01)
-BAD = Imperfections(1, coulomb_m=0.05, static_m=0.1, smoothing=0.05, cubic=100, ripple=0.1, effort_limit=1.5, lag=2e-3)
+BAD = Nonidealities(1, coulomb_m=0.05, static_m=0.1, smoothing=0.05, cubic=100, ripple=0.1, effort_limit=1.5, lag=2e-3)
 
 
 def test_a_run_repeats_after_a_reset_bit_for_bit() -> None:
@@ -82,7 +82,7 @@ def test_a_run_repeats_after_a_reset_bit_for_bit() -> None:
 
 
 def test_a_reset_with_a_payload_begins_with_the_same_velocities() -> None:
-    robot = simulated(Imperfections(1, payload_mass=0.5, payload_position=(0.2, 0, 0)))
+    robot = simulated(Nonidealities(1, payload_mass=0.5, payload_position=(0.2, 0, 0)))
     for _ in range(2):
         position, velocity, _ = robot.measure()
         np.testing.assert_allclose([*position, *velocity], [0.4, 0.5, 0.3, -0.2], rtol=1e-13)
@@ -97,7 +97,7 @@ def test_a_payload_is_taken_and_let_go_without_a_jump() -> None:
     before = robot.x.copy()
     seen = [np.concatenate(robot.measure())]
     for mass, position in ((0.5, (0.2, 0.0, 0.0)), (0.5, (0.1, 0.1, 0.0)), (0.0, (0.1, 0.1, 0.0))):
-        robot.change(Imperfections(1, payload_mass=mass, payload_position=position))
+        robot.change(Nonidealities(1, payload_mass=mass, payload_position=position))
         seen.append(np.concatenate(robot.measure()))
     np.testing.assert_allclose(seen, np.broadcast_to(seen[0], np.shape(seen)), rtol=1e-12)
     np.testing.assert_allclose(robot.x, before, rtol=1e-12)
@@ -110,16 +110,16 @@ def test_a_change_while_running_goes_on_as_a_robot_that_was_always_so() -> None:
     other.x, other.time, other.u = robot.x.copy(), robot.time, robot.u
     other._output = robot.u
     assert np.array_equal(run(robot, 10), run(other, 10))
-    robot.change(Imperfections(1))
-    other.change(Imperfections(1))
+    robot.change(Nonidealities(1))
+    other.change(Nonidealities(1))
     assert np.array_equal(run(robot, 10), run(other, 10))
 
 
 def test_a_lag_that_is_switched_on_begins_at_the_torque_that_acts() -> None:
-    robot = simulated(Imperfections(1, effort_limit=1.0))
+    robot = simulated(Nonidealities(1, effort_limit=1.0))
     robot.u = np.array([3.0])
     robot.advance_to(4 * INNER)
-    robot.change(Imperfections(1, lag=0.01))
+    robot.change(Nonidealities(1, lag=0.01))
     assert robot.measure()[2][1] == 1.0
     robot.advance_to(8 * INNER)
     assert robot.measure()[2][1] == pytest.approx(3 - 2 * np.exp(-0.1), rel=1e-12)
@@ -128,8 +128,8 @@ def test_a_lag_that_is_switched_on_begins_at_the_torque_that_acts() -> None:
 def test_the_torque_that_acts_is_measured() -> None:
     for imperfections, applied in (
         (None, 2.0),
-        (Imperfections(1, effort_limit=0.7), 0.7),
-        (Imperfections(1, lag=1), 0),
+        (Nonidealities(1, effort_limit=0.7), 0.7),
+        (Nonidealities(1, lag=1), 0),
     ):
         robot = simulated(imperfections)
         robot.u = np.array([2.0])
@@ -157,7 +157,7 @@ def test_a_push_is_felt_as_gravity_of_that_size_would_be() -> None:
 @pytest.mark.parametrize("side", ["l", "m"])
 def test_friction_too_steep_for_the_step_is_refused_and_nothing_changes(side: str) -> None:
     robot = simulated(BAD)
-    steep = Imperfections(1, **{f"coulomb_{side}": 1.0, "smoothing": 1e-4})
+    steep = Nonidealities(1, **{f"coulomb_{side}": 1.0, "smoothing": 1e-4})
     with pytest.raises(fjr.ParameterError, match="friction_smoothing_velocity"):
         robot.change(steep)
     assert np.array_equal(run(robot), run(simulated(BAD)))
@@ -169,7 +169,7 @@ def test_friction_too_steep_for_the_step_is_refused_and_nothing_changes(side: st
 def test_friction_at_its_steepest_brakes_without_a_change_of_sign() -> None:
     """At the steepest slope that is allowed a slow motor loses speed in every step, and never turns back."""
     steepest = 0.5 / 0.004 * INNER * 1e-9 / 1.999
-    robot = simulated(Imperfections(1, coulomb_m=0.5, smoothing=steepest), fjr.single_link(gravity_torque=0.0))
+    robot = simulated(Nonidealities(1, coulomb_m=0.5, smoothing=steepest), fjr.single_link(gravity_torque=0.0))
     robot.x = fjr.single_link().state([0.0], [0.0], [0.0], [0.1 * steepest])
     speeds = [robot.measure()[1][1]]
     for k in range(1, 6):
@@ -184,7 +184,7 @@ def test_a_payload_where_there_is_no_hand_is_refused() -> None:
     robot = fjr.Robot(links, *([[value]] for value in (0.1, 10.0, 0.1, 0.1, 1.0)))
     made = simulated(robot=robot)
     with pytest.raises(fjr.ParameterError, match="payload_mass"):
-        made.change(Imperfections(1, payload_mass=0.1))
+        made.change(Nonidealities(1, payload_mass=0.1))
     with pytest.raises(fjr.ParameterError, match=r"imperfections\.payload_mass"):
         words.imperfections(values(**{"imperfections.payload_mass": 0.1}), robot)
 

@@ -40,7 +40,7 @@ def test_stamps_are_those_of_the_clock_whenever_time_starts_or_resumes(ros: Ros,
         ros.until(lambda count=count: len(peer.states) > count + 5, "states again")
         assert nanoseconds(peer.states[-1]) >= instant
         stamped_after(ros, peer, instant)
-    assert node._pace.origin is None, "after a reset it waits for a command"
+    assert node._time_base.origin is None, "after a reset it waits for a command"
     stamps = [nanoseconds(state) for state in peer.states]
     assert stamps == sorted(stamps)
 

@@ -41,7 +41,7 @@ def test_a_signal_ends_the_controller_with_a_last_zero_effort_and_code_0(ros: Ro
     peer = Peer(ros)
     controller = start("controller")
     peer.meet_controller()
-    while not peer.commands:  # the first state is not answered while the controller listens for rivals
+    while not peer.commands:  # the first state is not answered while the controller listens for other publishers
         peer.state_publisher.publish(stamped(0.0))
         ros.settle(1)
     np.testing.assert_allclose(peer.commands[-1].effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
@@ -158,13 +158,13 @@ def test_a_rival_that_is_met_with_the_first_state_ends_the_controller_with_one_s
     peer = Listener(ros)
     controller = start("controller")
     ros.until(lambda: peer.diagnostics, "its first report: it has looked for others at its start and is active")
-    rival = peer.create_publisher(JointState, "joint_commands", LATEST)
+    conflict = peer.create_publisher(JointState, "joint_commands", LATEST)
     robot = peer.create_publisher(
         JointState, "joint_states", LATEST
-    )  # announced later: with a state, the rival is known
-    ros.until(lambda: robot.get_subscription_count() >= 2 and rival.get_subscription_count() >= 2, "the controller")
+    )  # announced later: with a state, the other publisher is known
+    ros.until(lambda: robot.get_subscription_count() >= 2 and conflict.get_subscription_count() >= 2, "the controller")
     while controller.process.poll() is None:
-        rival.publish(JointState(name=["joint1"], effort=[1.0]))
+        conflict.publish(JointState(name=["joint1"], effort=[1.0]))
         robot.publish(stamped(0.0))
         ros.settle(1)
     code, said = controller.end()

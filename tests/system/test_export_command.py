@@ -19,8 +19,8 @@ pytestmark = pytest.mark.system
 
 def tool(name: str) -> str:
     """CMake's tools are among the packages for tests; where a ROS 2 is sourced, they may be the system's."""
-    beside = Path(sys.executable).with_name(name)
-    return str(beside) if beside.exists() else shutil.which(name) or name
+    neighbour = Path(sys.executable).with_name(name)
+    return str(neighbour) if neighbour.exists() else shutil.which(name) or name
 
 
 def run(*command: str | Path) -> str:

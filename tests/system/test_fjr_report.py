@@ -15,7 +15,7 @@ import pytest
 import yaml
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
-from fjr_bringup.analysis.run_data import TrackingData, tracking_data
+from fjr_bringup.analysis.run_data import RunData, run_data
 from fjr_bringup.recording.reader import header_stamp, read_bag
 from fjr_core.config.scenario import Scenario, load_scenario
 from system.bags import STORE, rewritten
@@ -41,8 +41,8 @@ def model(run: Path) -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def whole(run: Path, model: Scenario) -> TrackingData:
-    return tracking_data(read_bag(run), model, 1.0)
+def whole(run: Path, model: Scenario) -> RunData:
+    return run_data(read_bag(run), model, 1.0)
 
 
 def report(bag: Path, run: Path, tmp_path: Path, *arguments: str) -> dict[str, Any]:
@@ -109,7 +109,7 @@ def test_every_storage_of_rosbag2_gives_the_same_figures(
 
 
 def test_commands_without_stamps_are_paired_with_the_states_before_them(
-    run: Path, tmp_path: Path, model: Scenario, whole: TrackingData
+    run: Path, tmp_path: Path, model: Scenario, whole: RunData
 ) -> None:
     """As a robot's bag has them: states every millisecond, each answered 0.3 ms later, one not at all."""
     states = {header_stamp(raw.data): raw.data for raw in read_bag(run).topic(STATES).messages}
@@ -123,7 +123,7 @@ def test_commands_without_stamps_are_paired_with_the_states_before_them(
             if k != 500:
                 raw = STORE.serialize_cdr(array(layout([], 0), u), "std_msgs/msg/Float64MultiArray")
                 writer.write(answered, k * 1_000_000 + 300_000, raw)
-    data = tracking_data(read_bag(tmp_path / "copy"), model, 1.0)
+    data = run_data(read_bag(tmp_path / "copy"), model, 1.0)
     assert np.isnan(data.u[500]).all()
     data.u[500] = whole.u[500]
     np.testing.assert_array_equal(data.u, whole.u)
@@ -153,22 +153,22 @@ def test_links_alone_still_tell_errors(run: Path, tmp_path: Path) -> None:
 
 
 def test_velocities_are_estimated_where_none_were_measured(
-    run: Path, tmp_path: Path, model: Scenario, whole: TrackingData
+    run: Path, tmp_path: Path, model: Scenario, whole: RunData
 ) -> None:
     bag = rewritten(run / "bag", tmp_path / "copy", change=without(lambda _: True, "velocity"))
-    data = tracking_data(read_bag(bag), model, 1.0)
+    data = run_data(read_bag(bag), model, 1.0)
     assert "observer" in data.notes[0]
     late = data.t > 0.3
     assert np.abs(data.velocity - whole.velocity)[late].max() < 0.02 * np.abs(whole.velocity).max()
 
 
-def test_another_reference_than_the_scenarios_is_differentiated(run: Path, tmp_path: Path, whole: TrackingData) -> None:
+def test_another_reference_than_the_scenarios_is_differentiated(run: Path, tmp_path: Path, whole: RunData) -> None:
     document = yaml.safe_load((run / "scenario.yaml").read_text())
     section = next(part for name, part in document.items() if "reference" in part["ros__parameters"])
     section["ros__parameters"]["reference"]["amplitude"] = [0.123, 0.321]
     other = tmp_path / "other.yaml"
     other.write_text(yaml.safe_dump(document))
-    data = tracking_data(read_bag(run), load_scenario(other), 1.0)
+    data = run_data(read_bag(run), load_scenario(other), 1.0)
     assert "numerical" in data.notes[-1]
     np.testing.assert_allclose(data.q_ld, whole.q_ld, atol=1e-12)
     inside = (data.t > 0.01) & (data.t < 0.99)

@@ -20,7 +20,7 @@ import pytest
 
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.studies.monte_carlo import command as monte_carlo_command
-from fjr_bringup.studies.monte_carlo.pool import ClusterError, carry_out, cluster
+from fjr_bringup.studies.monte_carlo.pool import ClusterError, cluster, run_missing
 from fjr_bringup.studies.monte_carlo.store import open_store
 from patience import Limit
 from system.executables import Executable, fjr
@@ -168,7 +168,7 @@ def test_a_dask_cluster_that_loses_a_worker_makes_the_same_bytes(tmp_path: Path,
 
     with open_store(tmp_path / "cluster", *_planned(name)) as store, cluster(address) as workers:
         assert workers.count == 2
-        assert carry_out(store, workers, lose_one, threading.Event())
+        assert run_missing(store, workers, lose_one, threading.Event())
         assert store.complete().read_bytes() == table(tmp_path)
     assert killed
     assert not Path(f"/proc/{killed[0]}/stat").exists() or "Z" in Path(f"/proc/{killed[0]}/stat").read_text()
@@ -191,7 +191,7 @@ def test_without_dask_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch) 
 
 
 def _planned(name: str) -> tuple[Any, str]:
-    wish = monte_carlo_command.Wish(1, None, Path(), {}, {})
+    wish = monte_carlo_command.Options(1, None, Path(), {}, {})
     plan = monte_carlo_command.planned(name, wish)
     return plan, plan.loop.fingerprint
 

@@ -56,7 +56,7 @@ def read_suite(folder: Path, data: bytes) -> str:
 def read_sweep(folder: Path, data: bytes) -> str:
     path = folder / "sweep.yaml"
     path.write_bytes(data)
-    return answer(lambda: monte_carlo_command.planned(str(path), monte_carlo_command.Wish(1, None, folder, {}, {})))
+    return answer(lambda: monte_carlo_command.planned(str(path), monte_carlo_command.Options(1, None, folder, {}, {})))
 
 
 @fuzzed(25)

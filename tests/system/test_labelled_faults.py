@@ -17,7 +17,7 @@ from diagnosis_benchmark.fault_runs import FAULTS, HEALTHY, TUNING_SEEDS, VALIDA
 from diagnosis_benchmark.fault_table import BEGIN, KINDS, Outcome, outcome, shares, table  # noqa: E402
 from diagnosis_benchmark.faulty_loop import Fault, FaultyLoop  # noqa: E402
 from diagnosis_benchmark.runs import Case  # noqa: E402
-from fjr_core.monitoring.certificate import Balance  # noqa: E402
+from fjr_core.monitoring.certificate import Certificate  # noqa: E402
 
 pytestmark = pytest.mark.system
 SET = cases(VALIDATION_SEED)
@@ -53,7 +53,7 @@ def test_wrong_wiring_stops_the_controller_without_effort_and_is_named(case: Fau
     if case.kind == "efforts exchanged":
         answered = np.flatnonzero(record.u.any(axis=1))
         assert answered[-1] < 20
-        V = Balance(scenario.tracking_law).along(record.position, record.velocity, record.jets).V
+        V = Certificate(scenario.tracking_law).along(record.position, record.velocity, record.jets).V
         assert V[:30].max() < 1e3 * V[0]
 
 

@@ -16,7 +16,7 @@ from diagnosis_benchmark.runs import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, 
 from diagnosis_benchmark.table import BEGIN, NAMES, diagnosed, diagnosed_cause, right, table  # noqa: E402
 from fjr_bringup.cli.exit_codes import Exit  # noqa: E402
 from fjr_core.config.scenario import load_scenario  # noqa: E402
-from fjr_core.monitoring.diagnosis import judge  # noqa: E402
+from fjr_core.monitoring.diagnosis import diagnose  # noqa: E402
 from system.executables import fjr  # noqa: E402
 
 pytestmark = pytest.mark.system
@@ -77,5 +77,5 @@ def test_the_verdict_on_bags_of_the_real_nodes(assignments: tuple[str, ...], wan
     fjr(*arguments, *changes, *force, codes=(Exit.DONE, Exit.VIOLATED))
     folder = tmp_path / "paper_k31"
     scenario = load_scenario(folder / "scenario.yaml")
-    verdict = judge(read_record(folder / "bag", scenario), scenario.law)
+    verdict = diagnose(read_record(folder / "bag", scenario), scenario.law)
     assert diagnosed_cause(verdict) == wanted, verdict

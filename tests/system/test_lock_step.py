@@ -10,7 +10,7 @@ import pytest
 
 from fjr_plant.timing.lock_step import START
 from nodes.harness import Peer, Ros, nanoseconds
-from nodes.plants import PERIOD, Answering
+from nodes.plants import PERIOD, CommandLoop
 from system.executables import NODES, Executable
 from system.recorded import reader, record
 
@@ -72,7 +72,7 @@ def plant() -> Iterator[Executable]:
 def test_a_controller_that_falls_silent_ends_the_plant_with_a_sentence_and_code_1(ros: Ros, plant) -> None:
     peer = Peer(ros)
     peer.meet_plant(lockstep=True)
-    Answering(peer).until(ros, 20)
+    CommandLoop(peer).until(ros, 20)
     code, said = plant.end()
     assert code == 1
     (ended,) = [line for line in said.splitlines() if "lockstep_timeout" in line]

@@ -89,7 +89,7 @@ def test_the_pointer_shows_values_and_enlarges_all_plots_over_time(pages: Path, 
     browser.mouse("mouseMoved", x + 0.5 * width, y + 50)
     browser.settle()
     time = browser.value("document.querySelector('#storage .u-legend .u-value').textContent")
-    assert 0.4 < float(time) < 0.6  # of one second; the plot beside follows
+    assert 0.4 < float(time) < 0.6  # of one second; the plot next to it follows
     browser.mouse("mouseMoved", x + 0.2 * width, y + 50)
     browser.mouse("mousePressed", x + 0.2 * width, y + 50, held=True)
     for part in (0.3, 0.4):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a page is given to draw is what there is: decimated lines keep their extremes, histograms every value."""
+"""A page draws the data: decimated lines keep their minima and maxima, histograms every value."""
 
 from __future__ import annotations
 

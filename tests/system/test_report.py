@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fjr_bringup.analysis.metrics import _counts
-from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.plotting.joint_lines import LABEL_GAP, apart
 from fjr_core.monitoring.certificate import CertificateSeries
@@ -22,11 +22,11 @@ pytestmark = pytest.mark.system
 MS = 1e-3
 
 
-def recorded(stamps: list[float], answers: list[float]) -> TrackingData:
+def recorded(stamps: list[float], answers: list[float]) -> RunData:
     """Return five nominal samples of 1 ms: states at `stamps` [ms], sent at once, commands at `answers` [ms]."""
     t = MS * np.array(stamps)
     one, two, V = np.zeros((len(stamps), 1)), np.zeros((len(stamps), 2)), np.zeros(len(stamps))
-    return TrackingData(
+    return RunData(
         joints=("joint1",),
         sample_period=MS,
         lockstep=False,

@@ -16,11 +16,11 @@ from fjr_bringup.analysis.metrics import _finite
 from fjr_bringup.monitor.state import Health
 from fjr_bringup.monitor.terminal import _status
 from fjr_bringup.report import html, runs_report
-from fjr_core.monitoring.diagnosis import Verdict
+from fjr_core.monitoring.diagnosis import Diagnosis
 from fjr_msgs_py.messages.diagnosis import LEVELS
 
 pytestmark = pytest.mark.system
-DEGRADED = Verdict(
+DEGRADED = Diagnosis(
     "degraded",
     ("delay",),
     "delay makes 0.14 mrad at joint2, within the tolerance: the effort acted late",

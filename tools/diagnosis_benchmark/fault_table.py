@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fjr_core.config.diagnosis import axes
-from fjr_core.monitoring.diagnosis import judge
+from fjr_core.monitoring.diagnosis import diagnose
 
 from .fault_runs import FAULTS, HEALTHY, VALIDATION_SEED, WIRING, FaultCase, cases
 
@@ -37,7 +37,7 @@ def outcome(case: FaultCase) -> Outcome:
     """Simulate a case and compare the first finding with the label."""
     scenario, _, found = case.run()
     joints = axes(scenario.controller_values, scenario.robot)
-    findings = judge(found, scenario.tracking_law, axes=joints).findings
+    findings = diagnose(found, scenario.tracking_law, axes=joints).findings
     if not findings:
         return Outcome(case.kind, HEALTHY, case.kind == HEALTHY)
     first = findings[0]

@@ -19,7 +19,7 @@ from fjr_bringup.scenarios import library
 from fjr_core import check
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import PLANT, Scenario, parse_scenario
-from fjr_core.monitoring.certificate import Balance
+from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.record import Record
 from fjr_core.monitoring.thresholds import TOLERANCE
 from fjr_core.numerics.checks import Array
@@ -147,8 +147,8 @@ def _nonideal(seed: int) -> Iterator[Case]:
             cut = {"effort_limit": [limit] * JOINTS[name]}
             yield _nonideality(name, "saturation", "effort_limit", limit, cut, seed := seed + 1)
         for mass in PAYLOADS[name]:
-            hand = {"payload_mass": mass, "payload_position": [0.2, 0.0, 0.0]}
-            yield _nonideality(name, "model mismatch", "payload_mass", mass, hand, seed := seed + 1)
+            end_effector = {"payload_mass": mass, "payload_position": [0.2, 0.0, 0.0]}
+            yield _nonideality(name, "model mismatch", "payload_mass", mass, end_effector, seed := seed + 1)
 
 
 def _nonideality(scenario: str, kind: str, key: str, strength: float, values: Mapping[str, Any], seed: int) -> Case:
@@ -212,7 +212,7 @@ def _largest_difference(one: Record, other: Record) -> float:
 
 
 def _storage(scenario: Scenario, found: Record) -> Array:
-    return Balance(scenario.tracking_law).along(found.position, found.velocity, found.jets).V
+    return Certificate(scenario.tracking_law).along(found.position, found.velocity, found.jets).V
 
 
 def _means(t: Array, V: Array) -> Array:

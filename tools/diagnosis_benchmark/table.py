@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
-from fjr_core.monitoring.diagnosis import Verdict, judge
+from fjr_core.monitoring.diagnosis import Diagnosis, diagnose
 
 from .bags import read_record, write_bag
 from .runs import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, Label, cases, label, run
@@ -24,15 +24,15 @@ NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
 OTHER = "several or none"
 
 
-def diagnosed(case: Case, folder: Path) -> tuple[Label, Verdict]:
+def diagnosed(case: Case, folder: Path) -> tuple[Label, Diagnosis]:
     """Write the bag of a case into `folder` and return the label and the diagnosis of the bag."""
     scenario, log = run(case)
     write_bag(log, scenario, folder)
     record = read_record(folder, scenario)
-    return label(case, record), judge(record, scenario.tracking_law)
+    return label(case, record), diagnose(record, scenario.tracking_law)
 
 
-def diagnosed_cause(verdict: Verdict) -> str:
+def diagnosed_cause(verdict: Diagnosis) -> str:
     """Return the diagnosis as one word: its only cause, OTHER for several causes or none, else its kind."""
     if verdict.kind not in (DEGRADED, VIOLATED):
         return verdict.kind
@@ -64,7 +64,7 @@ def confusion(seed: int) -> list[str]:
     return [*table(causes), "", *table(grades, (HOLDING, DEGRADED, UNDECIDED, VIOLATED))]
 
 
-def right(wanted: Label, verdict: Verdict) -> bool:
+def right(wanted: Label, verdict: Diagnosis) -> bool:
     """Return whether the diagnosis agrees with the label."""
     graded = verdict.kind == wanted.grade or (wanted.grade == UNDECIDED and verdict.kind in (DEGRADED, VIOLATED))
     return graded and diagnosed_cause(verdict) == wanted.cause

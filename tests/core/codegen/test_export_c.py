@@ -18,7 +18,7 @@ from core.codegen.c_program import C99, CPP, SHIPPED, built, changed, exported, 
 from fjr_core.codegen import Loop, export, loop_of, prefix_of
 from fjr_core.codegen.c_code import casadi_code, checked_prefix, numbers, quoted
 from fjr_core.config.scenario import left_out, parse_scenario
-from fjr_core.control.sampled_law import Static
+from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.numerics.casadi_function import NumericFunction
 from fjr_core.robot.robot import Robot
 
@@ -64,7 +64,7 @@ class WithMemory:
 
 def with_memory(name: str) -> Loop:
     law = loop(name).law
-    assert isinstance(law, Static)
+    assert isinstance(law, AsSampledLaw)
     assert isinstance(law.law, fjr.TrackingLaw)
     return changed(name, law=WithMemory(law.law))
 

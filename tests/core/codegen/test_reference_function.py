@@ -29,8 +29,8 @@ REFERENCES: dict[str, Reference] = {
     "hold": fjr.Hold((0.4, -0.3)),
     "spline": SPLINE,
     "moving end": fjr.Spline([1.0, 2.0], RNG.normal(size=(2, 2)), RNG.normal(size=(2, 2)), moving_end=True),
-    "joined": fjr.join(SPLINE.jets(1.0), 1.0, SINE, 2.0),
-    "shifted": fjr.shifted(SPLINE, 0.3),
+    "joined": fjr.transition(SPLINE.jets(1.0), 1.0, SINE, 2.0),
+    "shifted": fjr.time_shifted(SPLINE, 0.3),
 }
 TIMES = np.sort(np.concatenate([np.linspace(-1.0, 9.0, 301), np.arange(6.0) ** 1.3, [1.6, 1.8, 3.4, 3.6, 1e6]]))
 each = pytest.mark.parametrize("reference", list(REFERENCES.values()), ids=list(REFERENCES))

@@ -16,7 +16,7 @@ from fjr_core.config.parameter import MATRIX, POINT, ROWS, VECTOR, complete, rea
 from fjr_core.control.robust.options import Robust
 from fjr_core.control.safety_settings import Settings
 from fjr_core.numerics.parameter_field import declared, parameter_field
-from fjr_core.simulation.nonideal_parameters import ChannelErrors, Imperfections, SensorErrors
+from fjr_core.simulation.nonideal_parameters import ChannelErrors, Nonidealities, SensorErrors
 
 MODELS: dict[str, dict[str, Any]] = {
     "single_link": {},
@@ -77,7 +77,7 @@ def test_a_wrong_length_is_rejected_by_name(name: str) -> None:
         read(declarations, values, 2)
 
 
-@pytest.mark.parametrize("kind", [Settings, Robust, Imperfections, SensorErrors, ChannelErrors])
+@pytest.mark.parametrize("kind", [Settings, Robust, Nonidealities, SensorErrors, ChannelErrors])
 def test_the_default_of_a_field_is_that_of_its_parameter(kind: type) -> None:
     declarations = declared(kind)
     assert declarations

@@ -18,7 +18,7 @@ from fjr_core.control.baselines.pd_gravity import PdGains
 from fjr_core.control.baselines.singular_perturbation import CompositeGains
 from fjr_core.control.baselines.torque_feedback import TorqueFeedbackGains
 from fjr_core.control.registry import LAWS, law_kind
-from fjr_core.control.sampled_law import Static
+from fjr_core.control.sampled_law import AsSampledLaw
 
 STIFF = tuple(arm for arm in ARMS if arm.name != "planar-3.1")  # whose springs cannot hold the arm upright
 REGULATORS = ("pd_gravity", "torque_feedback")  # proven for standing references, without feedforward
@@ -102,7 +102,7 @@ def test_all_evaluation_functions_agree(name: str) -> None:
     np.testing.assert_array_equal(bound.u, u)
     np.testing.assert_allclose(law.command(p.x, jets), u, rtol=1e-9)
     np.testing.assert_allclose(law.command_and_storage(p.x, jets)[1], V, rtol=1e-9)
-    step = Static(law).step_function(position, velocity, jets.T, law.gain_values, np.zeros(0), np.zeros(2), 1e-3)
+    step = AsSampledLaw(law).step_function(position, velocity, jets.T, law.gain_values, np.zeros(0), np.zeros(2), 1e-3)
     np.testing.assert_allclose(step[0].full().ravel(), u, rtol=1e-12)
 
 

@@ -17,7 +17,7 @@ from fjr_core.control.robust import Robust, RobustLaw, sampled_law
 from fjr_core.control.robust.integral_action import IntegralAction, gain_values
 from fjr_core.control.robust.options import LONGEST_DELAY
 from fjr_core.control.robust.smith_predictor import EffortBuffer
-from fjr_core.control.sampled_law import Static, bound_step
+from fjr_core.control.sampled_law import AsSampledLaw, bound_step
 from fjr_core.errors import GainsError, StateError
 from fjr_core.stability.sampled_loop import spectral_radius
 from robust_study.loops import PERIOD, errors, heavier, pushed, radius, rms
@@ -269,8 +269,8 @@ def test_over_a_gap_a_rate_is_integrated_for_two_holds(dt: float, counts: float)
 
 
 def test_without_options_it_is_the_law_itself() -> None:
-    assert isinstance(sampled_law(JOINT), Static)
-    assert isinstance(sampled_law(JOINT, Robust(hold=0.002)), Static)
+    assert isinstance(sampled_law(JOINT), AsSampledLaw)
+    assert isinstance(sampled_law(JOINT, Robust(hold=0.002)), AsSampledLaw)
     x0 = JOINT.robot.state(0.5, 0.5, 0.0, 0.0)
     plant = fjr.Plant(JOINT.robot)
     one, other = (fjr.simulate(plant, law, SINE, x0, 0.2, PERIOD) for law in (JOINT, sampled_law(JOINT)))

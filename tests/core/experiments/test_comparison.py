@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.control.sampled_law import Static
+from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.errors import CompareError
 from fjr_core.experiments.comparison import PERTURBATIONS, Direction, Trial, directions, motion_demand, search
 from fjr_core.experiments.comparison.robustness_margins import PARTS, ROUNDS, STEPS
@@ -24,7 +24,7 @@ ALL = directions(list(PERTURBATIONS))
 def trial(amplitude: float = 0.5, stiffness: float = 31.0, tracks: float = 0.1, duration: float = 3.0) -> Trial:
     robot = fjr.single_link(stiffness=stiffness)
     reference = fjr.Sine(amplitude=amplitude, frequency=2.0)
-    law = Static(fjr.TrackingLaw(robot, fjr.PAPER_GAINS))
+    law = AsSampledLaw(fjr.TrackingLaw(robot, fjr.PAPER_GAINS))
     loop = ClosedLoop(robot, law, reference, robot.state(0.0, 0.0, 0.0, 0.0), duration, T, settle_after=1.0)
     return Trial(loop, motion_demand(robot, reference), tracks=tracks)
 

@@ -13,7 +13,7 @@ import pytest
 from scipy import stats
 
 from fjr_bringup.studies.monte_carlo import pool, store, sweep_file
-from fjr_bringup.studies.monte_carlo.pool import carry_out, threads
+from fjr_bringup.studies.monte_carlo.pool import run_missing, threads
 from fjr_bringup.studies.monte_carlo.store import StoreError, open_store
 from fjr_core import ParameterError
 from fjr_core.experiments.monte_carlo import distributions, sensitivity, sweep
@@ -45,7 +45,7 @@ def campaign(runs: int = 45, vary: dict[str, Any] = VARY, **changes: Any) -> Swe
 
 def done(folder: Path, plan: Sweep, cores: int = 1, stop: threading.Event | None = None) -> bytes:
     with open_store(folder, plan, "program") as kept, threads(cores) as workers:
-        assert carry_out(kept, workers, lambda runs: None, stop or threading.Event())
+        assert run_missing(kept, workers, lambda runs: None, stop or threading.Event())
         return kept.complete().read_bytes()
 
 
@@ -135,7 +135,7 @@ def test_what_is_finished_is_not_run_again(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(pool, "run_part", counted)
     with open_store(tmp_path / "a", plan, "program") as kept, threads(1) as workers:
-        assert not carry_out(kept, workers, lambda runs: stop.set(), stop)
+        assert not run_missing(kept, workers, lambda runs: stop.set(), stop)
         there = kept.finished()
         assert 0 < there < 45
     first = set(asked)
@@ -220,13 +220,13 @@ def test_few_parts_are_under_way_at_any_time(tmp_path: Path) -> None:
     with open_store(tmp_path, plan, "program") as kept, threads(1) as workers:
         inner: Any = workers.executor
         watched = pool.Workers(Watching(), 1)  # type: ignore[arg-type]
-        assert carry_out(kept, watched, lambda runs: None, threading.Event())
+        assert run_missing(kept, watched, lambda runs: None, threading.Event())
     assert most[0] <= pool.AHEAD
 
 
 def test_a_different_worker_is_refused(tmp_path: Path) -> None:
     plan = campaign()
-    with pytest.raises(sweep.CampaignError, match="expected one .*, as where the study was started"):
+    with pytest.raises(sweep.MonteCarloError, match="expected one .*, as where the study was started"):
         sweep.run_part(plan.text, 0, 5, not plan.loop.compiled)
 
     class Elsewhere:
@@ -240,7 +240,7 @@ def test_a_different_worker_is_refused(tmp_path: Path) -> None:
         open_store(tmp_path, plan, "program") as kept,
         pytest.raises(pool.ClusterError, match="No module named 'fjr_core'.*; expected this version of fjr_core"),
     ):
-        carry_out(kept, workers, lambda runs: None, threading.Event())
+        run_missing(kept, workers, lambda runs: None, threading.Event())
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 import fjr_core as fjr
 from core.monitoring.test_diagnosis import DURATION, LAW, PERIOD, REFERENCE, record
 from fjr_core.monitoring.cause_errors import closed_loop
-from fjr_core.monitoring.diagnosis import judge
+from fjr_core.monitoring.diagnosis import diagnose
 from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
@@ -42,23 +42,23 @@ def test_a_cause_makes_the_error_that_the_run_has_over_the_same_run_without_it(
 ) -> None:
     run = record(**changed)
     made = np.abs(tracking(run) - tracking(record())).max()
-    verdict = judge(run, LAW)
+    verdict = diagnose(run, LAW)
     assert verdict.causes[0] == cause
     assert verdict.errors[cause][0] == pytest.approx(made, rel=EXPLAINED)
     assert f"{1e3 * verdict.errors[cause][0]:.2g} mrad at joint1" in verdict.sentence
 
 
 def test_a_healthy_run_has_no_error_by_any_cause() -> None:
-    verdict = judge(record(), LAW)
+    verdict = diagnose(record(), LAW)
     assert max(error.max() for error in verdict.errors.values()) < 1e-9
 
 
 def test_the_grade_compares_the_error_with_the_tolerance() -> None:
     run = record(stiffness=29.0)
-    error = judge(run, LAW).errors["model mismatch"][0]
+    error = diagnose(run, LAW).errors["model mismatch"][0]
     for factor, kind in ((0.8, "violated"), (1.3, "degraded")):
         axes = Axes(("elbow",), ("m",), np.array([factor * error]))
-        verdict = judge(run, LAW, axes=axes)
+        verdict = diagnose(run, LAW, axes=axes)
         assert verdict.kind == kind
         assert f"{1e3 * error:.2g} mm at elbow" in verdict.detail
 
@@ -75,7 +75,7 @@ def test_an_encoder_offset_of_a_tenth_of_a_milliradian_degrades() -> None:
         x = plant.step(x, u, PERIOD)
     t, position, velocity, jets, u = map(np.array, zip(*rows, strict=True))
     seen = replace(record(), t=t, position=position, velocity=velocity, jets=jets, u=u)
-    verdict = judge(seen, LAW)
+    verdict = diagnose(seen, LAW)
     assert verdict.kind == "degraded"
     assert verdict.errors["model mismatch"][0] == pytest.approx(np.abs(tracking(seen)).max(), rel=EXPLAINED)
 

@@ -10,7 +10,7 @@ import fjr_core as fjr
 from core.oracles.cases import LOOP_NAMES, LOOPS, Arm, Array, GainSet, planar, random_point
 from core.oracles.oracle import jacobian, stencil
 from core.oracles.properties import TOLERANCE, loop_of, residual
-from fjr_core.monitoring.certificate import Balance
+from fjr_core.monitoring.certificate import Certificate
 
 loops = pytest.mark.parametrize(("arm", "gains"), LOOPS, ids=LOOP_NAMES)
 SEEDS = (40, 41, 42)
@@ -38,7 +38,7 @@ def test_rate_of_V_under_any_effort(arm: Arm, gains: GainSet, seed: int) -> None
     """dV/dt = -dissipation + s_m' B_m (u - u_law), u having nothing to do with the law."""
     law = loop_of(arm, gains).law
     p, wanted = along_the_plant(arm, seed, lambda x, jets: law.evaluate(x, x, jets).V)
-    sample = Balance(law).at(*measured(arm, p.x), p.jets, p.u)
+    sample = Certificate(law).at(*measured(arm, p.x), p.jets, p.u)
     e = law.evaluate(p.x, p.x, p.jets)
     pushed = np.linalg.solve(arm.M_m, e.sigma_m) @ arm.B_m @ (p.u - e.u)
     assert abs(sample.dV - wanted) <= TOLERANCE * (abs(e.dissipation) + abs(pushed))
@@ -49,7 +49,7 @@ def test_rate_of_V_under_any_effort(arm: Arm, gains: GainSet, seed: int) -> None
 @pytest.mark.parametrize("seed", SEEDS)
 def test_power_balance_of_H(arm: Arm, gains: GainSet, seed: int) -> None:
     p, wanted = along_the_plant(arm, seed, lambda x, _: arm.robot.hamiltonian(x))
-    sample = Balance(loop_of(arm, gains).law).at(*measured(arm, p.x), p.jets, p.u)
+    sample = Certificate(loop_of(arm, gains).law).at(*measured(arm, p.x), p.jets, p.u)
     assert abs(sample.supplied - sample.dissipated - wanted) <= TOLERANCE * (abs(sample.supplied) + sample.dissipated)
     assert pytest.approx(arm.robot.hamiltonian(p.x), rel=1e-12) == sample.H
     assert sample.dissipated > 0
@@ -58,7 +58,7 @@ def test_power_balance_of_H(arm: Arm, gains: GainSet, seed: int) -> None:
 @loops
 def test_without_an_effort_it_is_the_laws_own(arm: Arm, gains: GainSet) -> None:
     law, p = loop_of(arm, gains).law, random_point(arm, 43)
-    sample, e = Balance(law).at(*measured(arm, p.x), p.jets), law.evaluate(p.x, p.x, p.jets)
+    sample, e = Certificate(law).at(*measured(arm, p.x), p.jets), law.evaluate(p.x, p.x, p.jets)
     assert residual(sample.u_law, e.u) <= 1e-12
     assert pytest.approx(e.V, rel=1e-12) == sample.V
     assert sample.dV == pytest.approx(-e.dissipation, rel=1e-10)
@@ -66,7 +66,7 @@ def test_without_an_effort_it_is_the_laws_own(arm: Arm, gains: GainSet) -> None:
 
 @loops
 def test_slope_of_V_is_its_gradient_in_what_is_measured(arm: Arm, gains: GainSet) -> None:
-    balance, p = Balance(loop_of(arm, gains).law), random_point(arm, 44)
+    balance, p = Certificate(loop_of(arm, gains).law), random_point(arm, 44)
     n, state = arm.n, np.concatenate(measured(arm, p.x))
 
     def V(state: Array) -> Array:
@@ -83,7 +83,7 @@ def test_many_instants_are_each_one() -> None:
     position, velocity = map(np.array, zip(*(measured(arm, p.x) for p in points), strict=True))
     u = np.array([p.u for p in points])
     u[3] = np.nan
-    jets, balance = np.array([p.jets for p in points]), Balance(law)
+    jets, balance = np.array([p.jets for p in points]), Certificate(law)
     series = balance.along(position, velocity, jets, u)
     for k in range(5):
         one = balance.at(position[k], velocity[k], jets[k], None if k == 3 else u[k])
@@ -97,7 +97,7 @@ def test_machine_code_gives_the_same() -> None:
     arm = planar("31", 31.0)
     p = random_point(arm, 45)
     samples = [
-        Balance(fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS, compile=c)).at(*measured(arm, p.x), p.jets, p.u)
+        Certificate(fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS, compile=c)).at(*measured(arm, p.x), p.jets, p.u)
         for c in (False, True)
     ]
     for name in ("V", "dV", "H", "supplied", "dissipated"):
@@ -108,13 +108,13 @@ def test_other_gains_need_no_other_function() -> None:
     arm, p = planar("31", 31.0), random_point(planar("31", 31.0), 46)
     law = fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS)
     other = law.with_gains(fjr.Gains(12.0, 25.0, 0.7, 14.0, 50.0, 0.4))
-    balance = Balance(law).with_law(other)
-    assert balance.function is Balance.with_law(balance, other).function
+    balance = Certificate(law).with_law(other)
+    assert balance.function is Certificate.with_law(balance, other).function
     assert pytest.approx(other.evaluate(p.x, p.x, p.jets).V, rel=1e-12) == balance.at(*measured(arm, p.x), p.jets).V
 
 
 def test_no_instants_and_wrong_shapes() -> None:
-    balance = Balance(fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS))
+    balance = Certificate(fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS))
     assert balance.along(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 5, 1))).V.shape == (0,)
     with pytest.raises(fjr.StateError, match=r"jets has shape \(3, 4, 1\); expected \(3, 5, 1\)"):
         balance.along(np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((3, 4, 1)))

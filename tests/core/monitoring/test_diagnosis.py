@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.certificate import Balance
-from fjr_core.monitoring.delay_estimation import acting, effort_age
-from fjr_core.monitoring.diagnosis import judge
+from fjr_core.monitoring.certificate import Certificate
+from fjr_core.monitoring.delay_estimation import acting, effort_delay
+from fjr_core.monitoring.diagnosis import diagnose
 from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.innovations import innovations, needed
 from fjr_core.monitoring.one_step_prediction import Prediction
@@ -30,14 +30,14 @@ def record(delay: float = 0.0, measured: bool = False, **robot: float) -> Record
     x0 = real.state(0.5, 0.5, 0.0, 0.0)
     run = fjr.simulate(fjr.Plant(real), LAW, REFERENCE, x0, DURATION, PERIOD, delay=delay)
     velocity = np.array([np.concatenate(real.velocities(x)) for x in run.x])
-    shifted = np.vstack([np.zeros((1, 1)), run.u[:-1]])
+    time_shifted = np.vstack([np.zeros((1, 1)), run.u[:-1]])
     return Record(
         t=run.t,
         position=run.x[:, :2],
         velocity=velocity,
         jets=run.jets,
         u=run.u,
-        u_applied=shifted if measured else None,
+        u_applied=time_shifted if measured else None,
         sent=None,
         answered=None,
         sample_period=PERIOD,
@@ -46,20 +46,20 @@ def record(delay: float = 0.0, measured: bool = False, **robot: float) -> Record
 
 
 def test_a_perfect_model_foretells_the_next_state() -> None:
-    found = innovations(record(), Balance(LAW), Prediction(LAW))
+    found = innovations(record(), Certificate(LAW), Prediction(LAW))
     assert np.abs(found.error).max() <= 1e-11
-    assert np.abs(found.V1 - found.foretold).max() <= 1e-11
+    assert np.abs(found.V1 - found.predicted).max() <= 1e-11
     assert np.abs(needed(found, LAW.robot) - found.sent).max() <= 1e-7
 
 
 @pytest.mark.parametrize("measured", [False, True])
 def test_a_healthy_run_holds(measured: bool) -> None:
-    verdict = judge(record(measured=measured), LAW)
+    verdict = diagnose(record(measured=measured), LAW)
     assert (verdict.kind, verdict.causes) == ("holding", ())
     assert verdict.figures["violated share"] == 0.0
     assert verdict.figures["spectral radius"] < 1
     strict = Axes(("joint1",), ("rad",), np.array([1e-9]))
-    assert judge(record(measured=measured), LAW, axes=strict).kind == "holding"
+    assert diagnose(record(measured=measured), LAW, axes=strict).kind == "holding"
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_a_healthy_run_holds(measured: bool) -> None:
     ],
 )
 def test_another_robot_is_a_mismatch(name: str, value: float) -> None:
-    verdict = judge(record(**{name: value}), LAW)
+    verdict = diagnose(record(**{name: value}), LAW)
     assert verdict.kind in ("degraded", "violated")
     assert verdict.causes == ("model mismatch",)
     assert "differs from the model" in verdict.sentence
@@ -84,10 +84,10 @@ def test_another_robot_is_a_mismatch(name: str, value: float) -> None:
 @pytest.mark.parametrize("delay", [0.7e-3, 1e-3, 2.4e-3, 4e-3])
 def test_a_delay_is_found_and_measured_from_the_motion_alone(delay: float) -> None:
     seen = record(delay=delay)
-    found = innovations(seen, Balance(LAW), Prediction(LAW))
-    age = acting(found, effort_age(found, LAW.robot), needed(found, LAW.robot)).age
+    found = innovations(seen, Certificate(LAW), Prediction(LAW))
+    age = acting(found, effort_delay(found, LAW.robot), needed(found, LAW.robot)).age
     assert age * PERIOD == pytest.approx(delay, abs=0.02 * PERIOD)
-    verdict = judge(seen, LAW)
+    verdict = diagnose(seen, LAW)
     assert (verdict.kind, verdict.causes) == ("degraded", ("delay",))
     assert verdict.figures["effort age"] == pytest.approx(delay, abs=0.02 * PERIOD)
 
@@ -98,13 +98,13 @@ def test_answers_within_the_sample_are_as_they_should_be_but_no_delay_beyond(lat
     """In real time the older effort acts until the answer comes; by the times of sending that is foreseen."""
     late = record(delay=latency, measured=measured)
     known = replace(late, sent=late.t, answered=late.t + latency)
-    assert judge(late, LAW).causes == ("delay",)
-    assert judge(known, LAW).kind == "holding"
-    assert judge(replace(known, answered=late.t + latency + 0.1e-3), LAW).kind == "holding"
+    assert diagnose(late, LAW).causes == ("delay",)
+    assert diagnose(known, LAW).kind == "holding"
+    assert diagnose(replace(known, answered=late.t + latency + 0.1e-3), LAW).kind == "holding"
     later = replace(record(delay=latency + 2e-3), sent=late.t, answered=late.t + latency)
-    assert judge(later, LAW).causes == ("delay",)
+    assert diagnose(later, LAW).causes == ("delay",)
     other = replace(record(delay=latency, stiffness=29.0), sent=late.t, answered=late.t + latency)
-    assert judge(other, LAW).causes[0] == "model mismatch"
+    assert diagnose(other, LAW).causes[0] == "model mismatch"
 
 
 def test_states_that_are_missing_are_a_loss() -> None:
@@ -112,7 +112,7 @@ def test_states_that_are_missing_are_a_loss() -> None:
     real = fjr.simulate(fjr.Plant(LAW.robot), LAW, REFERENCE, LAW.robot.state(0.5, 0.5, 0, 0), DURATION, 2 * PERIOD)
     velocity = np.array([np.concatenate(LAW.robot.velocities(x)) for x in real.x])
     seen = replace(record(), t=real.t, position=real.x[:, :2], velocity=velocity, jets=real.jets, u=real.u)
-    verdict = judge(seen, LAW)
+    verdict = diagnose(seen, LAW)
     assert (verdict.kind, verdict.causes) == ("degraded", ("loss",))
     assert verdict.figures["gaps"] == len(real.t) - 1
 
@@ -134,20 +134,20 @@ def looped(noise: float = 0.0, limit: float = np.inf) -> Record:
 
 
 def test_an_effort_at_its_limit_is_saturation() -> None:
-    verdict = judge(looped(limit=0.7), LAW)
+    verdict = diagnose(looped(limit=0.7), LAW)
     assert (verdict.kind, verdict.causes) == ("violated", ("saturation",))
-    assert judge(looped(limit=30.0), LAW).kind == "holding"
+    assert diagnose(looped(limit=30.0), LAW).kind == "holding"
 
 
 def test_a_run_with_other_efforts_is_unknown() -> None:
     """During a ramp or a stop V need not decay."""
     seen = looped(limit=0.7)
-    assert judge(replace(seen, effort_limit=np.array([np.inf])), LAW).kind == "holding"
+    assert diagnose(replace(seen, effort_limit=np.array([np.inf])), LAW).kind == "holding"
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2])
 def test_noise_of_the_sensors_is_no_violation(noise: float) -> None:
-    assert judge(looped(noise=noise), LAW).kind == "holding"
+    assert diagnose(looped(noise=noise), LAW).kind == "holding"
 
 
 def test_sampled_too_slowly() -> None:
@@ -157,7 +157,7 @@ def test_sampled_too_slowly() -> None:
     seen = replace(
         record(), t=run.t, position=run.x[:, :2], velocity=velocity, jets=run.jets, u=run.u, sample_period=0.02
     )
-    verdict = judge(seen, LAW)
+    verdict = diagnose(seen, LAW)
     assert (verdict.kind, verdict.causes) == ("violated", ("sampling",))
     assert verdict.figures["spectral radius"] > 1
 
@@ -165,12 +165,12 @@ def test_sampled_too_slowly() -> None:
 def test_insufficient_data_give_unknown_with_a_reason() -> None:
     whole = record()
     nothing = np.full_like(whole.velocity, np.nan)
-    assert "no velocities" in judge(replace(whole, velocity=nothing), LAW).sentence
-    unanswered = judge(replace(whole, u=np.full_like(whole.u, np.nan)), LAW)
+    assert "no velocities" in diagnose(replace(whole, velocity=nothing), LAW).sentence
+    unanswered = diagnose(replace(whole, u=np.full_like(whole.u, np.nan)), LAW)
     assert (unanswered.kind, unanswered.causes) == ("unknown", ())
     few = {name: getattr(whole, name)[:30] for name in ("t", "position", "velocity", "jets", "u")}
-    assert "29 consecutive states" in judge(replace(whole, **few), LAW).sentence
-    other = judge(replace(whole, u=whole.u + 0.1), LAW)
+    assert "29 consecutive states" in diagnose(replace(whole, **few), LAW).sentence
+    other = diagnose(replace(whole, u=whole.u + 0.1), LAW)
     assert "not those of the law" in other.sentence
 
 

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.diagnosis import Verdict, judge
+from fjr_core.monitoring.diagnosis import Diagnosis, diagnose
 from fjr_core.monitoring.fault_isolation.added_body import SECOND_MOMENTS, body_torques
 from fjr_core.monitoring.fault_isolation.velocity_consistency import velocity_faults
 from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.payload import Loaded
+from fjr_core.robot.payload import PayloadArm
 
 PERIOD, DURATION = 1e-3, 1.5
 MODEL = fjr.planar_two_link()
@@ -47,8 +47,8 @@ def record(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Record:
     return Record(t, position, velocity, jets, u, None, None, None, PERIOD, unlimited)
 
 
-def verdict(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Verdict:
-    return judge(record(robot, offset), law(), axes=AXES)
+def verdict(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Diagnosis:
+    return diagnose(record(robot, offset), law(), axes=AXES)
 
 
 def test_a_healthy_run_has_no_finding() -> None:
@@ -105,16 +105,16 @@ def test_a_velocity_that_contradicts_its_position_is_named_without_a_model(kind:
 def test_a_record_without_velocities_or_too_short_has_no_finding() -> None:
     seen = record()
     few = {name: getattr(seen, name)[:15] for name in ("t", "position", "velocity", "jets", "u")}
-    assert judge(replace(seen, **few), law()).findings == ()
-    assert judge(replace(seen, velocity=np.full_like(seen.velocity, np.nan)), law()).findings == ()
-    assert judge(seen, law(), velocities_measured=False).findings == ()
+    assert diagnose(replace(seen, **few), law()).findings == ()
+    assert diagnose(replace(seen, velocity=np.full_like(seen.velocity, np.nan)), law()).findings == ()
+    assert diagnose(seen, law(), velocities_measured=False).findings == ()
 
 
 def test_body_torques_of_a_point_mass_are_those_of_a_payload() -> None:
     """Oracle: inertia and potential with the payload less those without, on a motion without speed."""
     m, r = 0.3, np.array([0.1, 0.05, 0.2])
     theta = np.array([m, *(m * r), *(m * r[i] * r[j] for i, j in SECOND_MOMENTS)])
-    loaded, q = Loaded(MODEL.links, ca.SX(m), ca.SX(r)), ca.SX.sym("q", 2)
+    loaded, q = PayloadArm(MODEL.links, ca.SX(m), ca.SX(r)), ca.SX.sym("q", 2)
     M = ca.Function("M", [q], [loaded.M_l(q) - MODEL.links.M_l(q)])
     g = ca.Function("g", [q], [loaded.grad_P_l(q) - MODEL.links.grad_P_l(q)])
     rng = np.random.default_rng(1)

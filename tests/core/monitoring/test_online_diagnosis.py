@@ -7,30 +7,32 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.diagnosis import Verdict
+from fjr_core.monitoring.diagnosis import Diagnosis
 from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.latency import WINDOW, Latency
-from fjr_core.monitoring.online_certificate import Forecast
-from fjr_core.monitoring.online_diagnosis import RunningVerdict
+from fjr_core.monitoring.online_certificate import OnlineCertificate
+from fjr_core.monitoring.online_diagnosis import OnlineDiagnosis
 
 PERIOD, BETA = 1e-3, 10.0
 LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
 REFERENCE = fjr.Sine(1.0, 1.0)
 
 
-def run(seconds: float, known: bool = True, late: int = 0, tolerance: float = 1e-3, **robot: float) -> list[Verdict]:
+def run(seconds: float, known: bool = True, late: int = 0, tolerance: float = 1e-3, **robot: float) -> list[Diagnosis]:
     """Diagnose once per second; `known`: latency of each command is known; `late`: additional delay in samples."""
     real = fjr.single_link(**robot)
     plant, x = fjr.Plant(real), real.state(0.5, 0.5, 0.0, 0.0)
-    forecast = Forecast(LAW)
-    running = RunningVerdict(LAW, np.array([np.inf]), forecast, Axes(("joint1",), ("rad",), np.array([tolerance])))
+    online_certificate = OnlineCertificate(LAW)
+    running = OnlineDiagnosis(
+        LAW, np.array([np.inf]), online_certificate, Axes(("joint1",), ("rad",), np.array([tolerance]))
+    )
     latencies = np.random.default_rng(7).uniform(0.15e-3, 0.5e-3, int(seconds / PERIOD))
     efforts, verdicts = [np.zeros(1)] * (late + 2), []
     for k, latency in enumerate(latencies):
         velocity, jets = np.concatenate(real.velocities(x)), REFERENCE.jets(k * PERIOD)
         u, _ = LAW.measured_command(x[:2], velocity, jets)
         efforts.append(u)
-        forecast.take(PERIOD, x[:2], velocity, jets, u, latency if known else 0.0)
+        online_certificate.take(PERIOD, x[:2], velocity, jets, u, latency if known else 0.0)
         if k:
             running.look(BETA)
         x = plant.step(x, efforts[-2 - late], latency)

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 import fjr_core as fjr
 from fjr_core.monitoring.cause_errors import CauseErrors
-from fjr_core.monitoring.certificate import Balance
-from fjr_core.monitoring.diagnosis import conclude, judge
+from fjr_core.monitoring.certificate import Certificate
+from fjr_core.monitoring.diagnosis import conclude, diagnose
 from fjr_core.monitoring.grading import Axes
-from fjr_core.monitoring.online_certificate import Forecast
-from fjr_core.monitoring.online_diagnosis import RunningVerdict
+from fjr_core.monitoring.online_certificate import OnlineCertificate
+from fjr_core.monitoring.online_diagnosis import OnlineDiagnosis
 from fjr_core.monitoring.record import Record
-from fjr_core.monitoring.storage_budget import Supplies
+from fjr_core.monitoring.storage_budget import StorageBudget
 from fjr_core.monitoring.thresholds import DIVERGED, EXCEEDED, FEWEST
 
 PERIOD = 1e-3
@@ -34,7 +34,7 @@ GAINS = fjr.Gains(
     K_md=[0.32, 0.16],
 )
 LAW = fjr.TrackingLaw(ROBOT, GAINS)
-BALANCE = Balance(LAW)
+BALANCE = Certificate(LAW)
 REFERENCE = fjr.Sine([0.5, 0.7], [2.0, 3.0])
 LARGEST = 1e3  # rad; a robot that went there has diverged
 NOMINAL = ((1.0, 0.0), (0.0, 1.0))
@@ -82,12 +82,12 @@ def growth(seen: Record) -> float:
 
 def live(seen: Record) -> list[str]:
     """Return the kinds of the online diagnosis, one every 20 samples."""
-    forecast = Forecast(LAW)
-    running, kinds = RunningVerdict(LAW, seen.effort_limit, forecast), []
+    online_certificate = OnlineCertificate(LAW)
+    running, kinds = OnlineDiagnosis(LAW, seen.effort_limit, online_certificate), []
     for k in range(len(seen.t)):
-        forecast.take(PERIOD, seen.position[k], seen.velocity[k], seen.jets[k], seen.u[k])
-        _ = forecast.dV, forecast.supplied, forecast.dissipated
-        if forecast.count:
+        online_certificate.take(PERIOD, seen.position[k], seen.velocity[k], seen.jets[k], seen.u[k])
+        _ = online_certificate.dV, online_certificate.supplied, online_certificate.dissipated
+        if online_certificate.count:
             running.look(5.0)
         if k % 20 == 19:
             kinds.append(running.verdict().kind)
@@ -103,7 +103,7 @@ def test_efforts_on_the_wrong_joint_or_with_the_wrong_sign_are_never_holding(
     assert growth(seen) > 1e3
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert judge(seen, LAW).kind == "violated"
+        assert diagnose(seen, LAW).kind == "violated"
         assert live(seen)[-1] == "violated"
 
 
@@ -121,7 +121,7 @@ def test_where_v_grows_nothing_holds(
     seen = record(samples, wiring, delay, round(stiffness, 1), round(offset, 1))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        verdict, kinds = judge(seen, LAW), live(seen)
+        verdict, kinds = diagnose(seen, LAW), live(seen)
     if growth(seen) > 2 * EXCEEDED:
         assert verdict.kind in ("violated", "degraded", "unknown")
         assert "holding" not in kinds[-1:]
@@ -132,7 +132,7 @@ def test_where_v_grows_nothing_holds(
 
 def test_a_healthy_run_of_any_length_is_not_violated() -> None:
     for samples in (3, 30, 61, 130):
-        kind = judge(record(samples), LAW).kind
+        kind = diagnose(record(samples), LAW).kind
         assert kind == ("holding" if samples > 20 * FEWEST else "unknown")
 
 
@@ -141,7 +141,7 @@ def concluded(count: int, above: int, grown: float = 1.0, error: float = 0.0) ->
     causes = np.zeros((count, 4))
     causes[:above, 2] = 1.0
     nothing = np.zeros(count)
-    blocks = Supplies(causes, nothing, nothing, nothing, np.ones(count, dtype=bool), np.ones(count))
+    blocks = StorageBudget(causes, nothing, nothing, nothing, np.ones(count, dtype=bool), np.ones(count))
     peaks = np.zeros((count, 4, 2))
     peaks[:above, 2] = error
     return conclude(blocks, CauseErrors(peaks, np.zeros((count, 2))), grown, 0.9, Axes.plain(2), {}).kind
@@ -176,5 +176,5 @@ def test_a_record_that_overflows_is_diagnosed_without_warning(size: float) -> No
     broken = replace(seen, position=seen.position * factor, velocity=seen.velocity * factor, u=seen.u * factor)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert judge(broken, LAW).kind != "holding"
+        assert diagnose(broken, LAW).kind != "holding"
         assert live(broken)[-1] != "holding"

@@ -17,7 +17,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.files import private_folder
-from fjr_core.monitoring.certificate import Balance
+from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics import code_cache
 from fjr_core.numerics import jit as compiling
 
@@ -96,7 +96,7 @@ def test_a_planted_library_of_the_same_name_and_size_is_not_run(cache: Path, tmp
 
 def test_a_planted_library_is_not_loaded_from_the_cache(cache: Path, tmp_path: Path) -> None:
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
-    wanted = Balance(law).at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V
+    wanted = Certificate(law).at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V
     assert wanted > 0
     planted(the_library(cache, "certificate"), tmp_path / "marker")
     assert "True" in in_another_process(BALANCE)

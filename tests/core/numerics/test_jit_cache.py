@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.certificate import Balance
+from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics.code_cache import cache_folder
 
 pytestmark = pytest.mark.skipif(not (shutil.which("cc") or shutil.which("gcc")), reason="no C compiler")
@@ -22,13 +22,13 @@ def derivations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """An empty cache, and what was derived since."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     seen: list[str] = []
-    derive = Balance._derived
-    monkeypatch.setattr(Balance, "_derived", lambda self: seen.append("certificate") or derive(self))
+    derive = Certificate._derived
+    monkeypatch.setattr(Certificate, "_derived", lambda self: seen.append("certificate") or derive(self))
     return seen
 
 
-def balance(gains: fjr.Gains = fjr.PAPER_GAINS, **robot: float) -> Balance:
-    return Balance(fjr.TrackingLaw(fjr.planar_two_link(**robot), gains, compile=True))
+def balance(gains: fjr.Gains = fjr.PAPER_GAINS, **robot: float) -> Certificate:
+    return Certificate(fjr.TrackingLaw(fjr.planar_two_link(**robot), gains, compile=True))
 
 
 def test_a_cached_function_is_not_derived_again(derivations: list[str]) -> None:

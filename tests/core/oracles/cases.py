@@ -70,7 +70,7 @@ class PlanarTwoLink:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A robot of fjr_core beside the numbers it was made from."""
+    """A robot of fjr_core next to the numbers it was made from."""
 
     name: str
     robot: fjr.Robot

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 import fjr_core as fjr
 from core.oracles.cases import Arm, Array, GainSet, gain_set, square
-from fjr_core.robot.rigid_arm import Links
+from fjr_core.robot.rigid_arm import ArmDynamics
 
 ROBOTS = Path(__file__).parents[3] / "ros2_ws/src/fjr_bringup/robots"
 ARM7 = ROBOTS / "arm7.urdf"
@@ -69,7 +69,7 @@ class PinocchioLinks:
 class Chain:
     """The same random chain twice: as Links, and as Pinocchio's model."""
 
-    links: Links
+    links: ArmDynamics
     pinocchio: PinocchioLinks
 
     @property
@@ -188,7 +188,7 @@ STIFF = {
 
 
 def urdf_arm(name: str, urdf: Any, joints: tuple[str, ...], **values: Any) -> Arm:
-    """The robot from the URDF beside Pinocchio's model of the whole of it."""
+    """The robot from the URDF next to Pinocchio's model of the whole of it."""
     robot = fjr.robot_from_urdf(urdf, list(joints), **values)
     model = pin.buildModelFromXML(Path(urdf).read_text() if isinstance(urdf, Path) else urdf)
     keys = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")

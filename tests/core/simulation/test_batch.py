@@ -16,7 +16,7 @@ import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, linear
 from core.oracles.chains import arm7, scaled_gains
 from fjr_core import ParameterError, StateError
-from fjr_core.control.sampled_law import Static
+from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.numerics import jit_cache
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, outcomes, python_loop
 from fjr_core.simulation.batch.program import Program
@@ -34,7 +34,7 @@ def start(robot: fjr.Robot) -> Any:
 
 
 def loop_of(robot: fjr.Robot, gains: fjr.Gains, duration: float = 0.3, **changes: Any) -> ClosedLoop:
-    law = Static(fjr.TrackingLaw(changes.pop("believed", robot), gains))
+    law = AsSampledLaw(fjr.TrackingLaw(changes.pop("believed", robot), gains))
     reference = fjr.Sine(amplitude=np.full(robot.n, 0.4), frequency=3.0)
     values = {"settle_after": 0.1, **changes}
     return ClosedLoop(robot, law, reference, start(robot), duration, PERIOD, **values)
@@ -129,7 +129,7 @@ def test_without_a_compiler_the_numbers_are_the_same(
 
 @with_a_compiler
 def test_noise_is_numpys_philox() -> None:
-    library = Program(ARMS[0].robot, Static(fjr.TrackingLaw(ARMS[0].robot, fjr.PAPER_GAINS))).library
+    library = Program(ARMS[0].robot, AsSampledLaw(fjr.TrackingLaw(ARMS[0].robot, fjr.PAPER_GAINS))).library
     assert library is not None
     for seed, sample, n in ((0, 0, 1), (3, 17, 7), (2**64 - 1, 2**33, 2)):
         z = np.empty((n, 4))

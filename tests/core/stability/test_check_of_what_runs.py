@@ -16,11 +16,11 @@ from core.stability.test_sampled_loop import elastic_modes, scaled
 from fjr_core.config.scenario import load_scenario
 from fjr_core.control.registry import LAWS, law_kind
 from fjr_core.control.robust import Robust, sampled_law
-from fjr_core.control.sampled_law import SampledLaw, Static, bound_step
+from fjr_core.control.sampled_law import AsSampledLaw, SampledLaw, bound_step
 from fjr_core.estimation.observer_stability import error_radii
 from fjr_core.estimation.velocity_observer import VelocityObserver
 from fjr_core.experiments.comparison.tuned_law import tuned_law
-from fjr_core.robot.equilibrium import rest_points
+from fjr_core.robot.equilibrium import equilibria_at
 from fjr_core.stability.integral_bound import refuse_fast_integral
 from fjr_core.stability.linear_controller import Sensing
 from fjr_core.stability.linearization import linearize, loop_as_run
@@ -169,8 +169,8 @@ def test_check_and_simulation_agree_on_60_draws() -> None:
 
 def test_a_static_law_is_the_special_case_without_a_state() -> None:
     for law in (Joint, fjr.TrackingLaw(fjr.planar_two_link(), fjr.Gains(8.0, 20.0, 2.0, 12.0, 40.0, 0.5))):
-        rest = rest_points(law.robot, np.full((1, law.robot.n), 0.4))
-        general = loop_as_run(Static(law), rest, rest, Sensing())
+        rest = equilibria_at(law.robot, np.full((1, law.robot.n), 0.4))
+        general = loop_as_run(AsSampledLaw(law), rest, rest, Sensing())
         for delay in (0.0, 0.7e-3, 2e-3):
             assert general.radii(1e-3, delay) == pytest.approx(linearize(law, rest.q_l).radii(1e-3, delay), rel=1e-9)
 

@@ -16,7 +16,7 @@ import fjr_core as fjr
 from core.oracles.chains import arm7
 from fjr_core.control.vdpbc.linearized import feedback
 from fjr_core.robot.configuration_sampling import loop_configurations, sample_configurations
-from fjr_core.robot.equilibrium import plant_matrices, rest_points
+from fjr_core.robot.equilibrium import equilibria_at, plant_matrices
 from fjr_core.stability.linearization import in_error_coordinates, linearize
 from fjr_core.stability.sampled_loop import check, spectral_radius
 
@@ -154,7 +154,7 @@ def test_jacobian_of_the_law_is_its_closed_form_at_rest() -> None:
     """The check takes the law that runs, synthesis the closed form: they agree."""
     for law in laws():
         loop = linearize(law, sample_configurations(law.robot, 5))
-        rest = rest_points(law.robot, loop.configurations)
+        rest = equilibria_at(law.robot, loop.configurations)
         closed = in_error_coordinates(rest, law.gains, *plant_matrices(rest), feedback(rest, law.gains))
         for name in ("A", "B", "F"):
             expected = getattr(closed, name)
@@ -195,7 +195,7 @@ def test_another_plant_is_what_the_law_drives() -> None:
     own, real = linearize(law, [[0.2]]), linearize(law, [[0.2]], soft)
     assert not np.allclose(own.A, real.A)
     np.testing.assert_array_equal(linearize(law, [[0.2]], fjr.Plant(law.robot)).A, own.A)
-    rest = rest_points(soft.robot, np.array([[0.2]]))
+    rest = equilibria_at(soft.robot, np.array([[0.2]]))
     expected = np.linalg.eigvals(plant_matrices(rest)[0])
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(real.A)), np.sort(expected), rtol=1e-9)
 

@@ -25,8 +25,8 @@ REFERENCES: dict[str, Reference] = {
     "circle": fjr.Circle((0.1, 0.2), 0.5, 3.0, 0.4, 1.5),
     "hold": fjr.Hold((0.4, 0.5)),
     "spline": SPLINE,
-    "joined": fjr.join(RNG.normal(size=(5, 2)), 0.0, SINE, 1.0),
-    "shifted": fjr.shifted(SPLINE, 0.7),
+    "joined": fjr.transition(RNG.normal(size=(5, 2)), 0.0, SINE, 1.0),
+    "shifted": fjr.time_shifted(SPLINE, 0.7),
 }
 references = pytest.mark.parametrize("reference", REFERENCES.values(), ids=REFERENCES)
 WIDE = fjr.MotionLimits((-10.0, -10.0), (10.0, 10.0))
@@ -36,7 +36,7 @@ WIDE = fjr.MotionLimits((-10.0, -10.0), (10.0, 10.0))
 @pytest.mark.parametrize(("t0", "t1"), [(0.0, 10.0), (0.3, 1.1), (1.7, 1.9)])
 def test_motion_bounds_are_those_of_dense_samples(reference: Reference, t0: float, t1: float) -> None:
     samples = reference.jets(np.linspace(t0, t1, 20001))[:, :3]
-    e = reference.extremes(t0, t1)
+    e = reference.motion_bounds(t0, t1)
     below, above = samples.min(axis=0) - e.lower, e.upper - samples.max(axis=0)
     assert min(below.min(), above.min()) > -1e-12
     if reference is not REFERENCES["to and fro"]:  # which is judged by all of its time
@@ -45,7 +45,7 @@ def test_motion_bounds_are_those_of_dense_samples(reference: Reference, t0: floa
 
 @references
 def test_motion_bounds_are_attained_at_their_times(reference: Reference) -> None:
-    e = reference.extremes(0.0, np.inf)
+    e = reference.motion_bounds(0.0, np.inf)
     for values, at in ((e.lower, e.lower_at), (e.upper, e.upper_at)):
         for row, joint in np.ndindex(values.shape):
             assert at[row, joint] >= 0.0
@@ -58,7 +58,7 @@ def test_motion_bounds_of_random_trajectories_are_not_missed(seed: int) -> None:
     times = np.cumsum(10.0 ** rng.uniform(-1.5, 0.7, 8))
     reference = fjr.Spline(times, rng.normal(size=(8, 2)), start=rng.normal(size=(5, 2)) * 10.0 ** rng.integers(0, 3))
     samples = reference.jets(np.linspace(0.0, times[-1], 20001))[:, :3]
-    e = reference.extremes(0.0, np.inf)
+    e = reference.motion_bounds(0.0, np.inf)
     assert np.all(e.lower <= samples.min(axis=0) + 1e-6 * np.ptp(samples, axis=0))
     assert np.all(e.upper >= samples.max(axis=0) - 1e-6 * np.ptp(samples, axis=0))
 
@@ -72,7 +72,7 @@ def test_convex_hulls_contain_the_motion_bounds_closely_for_even_points(seed: in
     even = 0.1 * np.arange(1, 41)
     tame = fjr.Spline(even, np.sin(even[:, None] + rng.uniform(0, 6, 2)), start=fjr.standing(rng.normal(size=2)))
     for reference in (wild, tame):
-        e, (lower, upper) = reference.extremes(t0, t1), reference.hull(t0, t1)
+        e, (lower, upper) = reference.motion_bounds(t0, t1), reference.hull(t0, t1)
         rounding = 1e-9 * (1.0 + np.abs(e.upper) + np.abs(e.lower))
         assert np.all(lower <= e.lower + rounding)
         assert np.all(upper >= e.upper - rounding)
@@ -83,7 +83,7 @@ def test_convex_hulls_contain_the_motion_bounds_closely_for_even_points(seed: in
 def test_bounds_of_sums_of_sines_are_tight() -> None:
     reference = fjr.MultiSine([[0.5], [0.3]], [[1.0], [np.sqrt(7)]], 0.2, (0.1,))
     samples = reference.jets(np.linspace(0.0, 600.0, 100001))[:, :3]
-    e = reference.extremes(0.0, np.inf)
+    e = reference.motion_bounds(0.0, np.inf)
     assert np.all(samples.min(axis=0) >= e.lower)
     assert np.all(samples.max(axis=0) <= e.upper)
     np.testing.assert_allclose(samples.max(axis=0), e.upper, rtol=1e-2)
@@ -91,7 +91,7 @@ def test_bounds_of_sums_of_sines_are_tight() -> None:
 
 @references
 def test_references_within_the_limits_pass(reference: Reference) -> None:
-    e = reference.extremes(0.0, np.inf)
+    e = reference.motion_bounds(0.0, np.inf)
     speed, acceleration = (np.maximum(e.upper[row], -e.lower[row]) for row in (1, 2))
     fjr.check_motion(reference, fjr.MotionLimits(e.lower[0], e.upper[0], speed, acceleration))
     fjr.check_motion(reference, fjr.MotionLimits(-np.inf, np.full(2, np.inf)))
@@ -101,7 +101,7 @@ def test_references_within_the_limits_pass(reference: Reference) -> None:
 @pytest.mark.parametrize("joint", [0, 1])
 @pytest.mark.parametrize("what", ["lower", "upper", "velocity", "acceleration"])
 def test_a_slightly_exceeded_limit_is_detected(reference: Reference, joint: int, what: str) -> None:
-    e = reference.extremes(0.0, np.inf)
+    e = reference.motion_bounds(0.0, np.inf)
     limits = {"lower": e.lower[0], "upper": e.upper[0]}
     limits |= {name: np.maximum(e.upper[row], -e.lower[row]) for row, name in ((1, "velocity"), (2, "acceleration"))}
     margin = (1.0 if what == "lower" else -1.0) * (1e-6 * np.ptp(e.upper) + 1e-9)

@@ -82,7 +82,7 @@ def test_after_its_end_a_reference_is_constant(reference: Reference) -> None:
 
 @references
 def test_configurations_lie_on_the_reference(reference: Reference) -> None:
-    e = reference.extremes(0.0, np.inf)
+    e = reference.motion_bounds(0.0, np.inf)
     q = reference.configurations(200)
     assert np.all((q >= e.lower[0] - 1e-12) & (q <= e.upper[0] + 1e-12))
     reach = np.ptp(q, axis=0)

@@ -13,7 +13,7 @@ import fjr_core as fjr
 from core.oracles.oracle import stencil
 from fjr_core.trajectories import minimum_jerk
 from fjr_core.trajectories.minimum_jerk import MONOTONE, TURNING
-from fjr_core.trajectories.piecewise_polynomial import Pieces
+from fjr_core.trajectories.piecewise_polynomial import PiecewisePolynomial
 
 RNG = np.random.default_rng(4)
 K, N = 7, 3
@@ -97,7 +97,7 @@ def test_one_point_is_enough_with_an_active_reference() -> None:
 
 def test_segments_are_hermite_polynomials_of_degree_nine() -> None:
     knots = RNG.normal(size=(K, 5, 2))
-    pieces, t = Pieces(TIMES, knots), np.linspace(0.3, 5.0, 300)
+    pieces, t = PiecewisePolynomial(TIMES, knots), np.linspace(0.3, 5.0, 300)
     for joint in range(2):
         oracle = BPoly.from_derivatives(TIMES, knots[:, :, joint])
         for order in range(5):
@@ -111,7 +111,7 @@ def test_fourth_derivatives_are_accurate_in_short_segments_far_from_zero() -> No
     """At times and positions of a thousand, and 10 ms between points."""
     t0, f = 1000.0, (np.sin, np.cos, lambda t: -np.sin(t), lambda t: -np.cos(t), np.sin)
     times = t0 + 0.01 * np.arange(4)
-    pieces = Pieces(times, np.stack([g(times - t0) for g in f], axis=1)[:, :, None])
+    pieces = PiecewisePolynomial(times, np.stack([g(times - t0) for g in f], axis=1)[:, :, None])
     t = t0 + np.linspace(0.001, 0.029, 57)
     assert np.abs(pieces.jets(t)[:, 4, 0] - np.sin(t - t0)).max() < 1e-3
 
@@ -161,7 +161,7 @@ def squared_jerk(times: np.ndarray, jets: np.ndarray) -> float:
     edges = np.sort(np.concatenate([times, times[:-1] + np.diff(times) / 2]))
     h = np.diff(edges)[:, None]
     t, w = edges[:-1, None] + h * (nodes + 1) / 2, h * weights / 2
-    return float(w.ravel() @ (Pieces(times, jets).jets(t.ravel())[:, 3] ** 2).sum(axis=1))
+    return float(w.ravel() @ (PiecewisePolynomial(times, jets).jets(t.ravel())[:, 3] ** 2).sum(axis=1))
 
 
 @pytest.mark.parametrize("ratio", [1.0, 30.0])

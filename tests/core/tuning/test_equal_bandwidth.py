@@ -16,14 +16,14 @@ from fjr_core.config.builders import control_law, tuning
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.control.baselines import feedback_linearisation
 from fjr_core.control.registry import LAWS
-from fjr_core.control.sampled_law import Static
+from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.control.static_law import StaticLaw
 from fjr_core.control.vdpbc import two_scale_gains
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.experiments.comparison import Trial, motion_demand
 from fjr_core.simulation.batch import ClosedLoop
 from fjr_core.stability.linearization import rest_position, slope_at_rest
-from fjr_core.tuning.bandwidth import Yardstick
+from fjr_core.tuning.bandwidth import BaselineTarget
 from fjr_core.tuning.equal_bandwidth import Tuning, tune, tuned
 
 OTHERS = tuple(name for name in LAWS if name != "v_dpbc")
@@ -39,16 +39,16 @@ TWO = planar("tuned", (40.0, 25.0), motor_inertia=(0.02, 0.01))
 
 
 @cache
-def joint(stiffness: float = 31.0) -> Yardstick:
+def joint(stiffness: float = 31.0) -> BaselineTarget:
     """The paper's joint and start."""
     robot, start = fjr.single_link(stiffness=stiffness), (np.array([0.5, 0.5]), np.zeros(2))
-    return Yardstick(robot, fjr.Sine(1.0, 1.0), fjr.PAPER_GAINS, start)
+    return BaselineTarget(robot, fjr.Sine(1.0, 1.0), fjr.PAPER_GAINS, start)
 
 
 @cache
-def two_link() -> Yardstick:
+def two_link() -> BaselineTarget:
     reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
-    return Yardstick(TWO.robot, reference, TWO_LINK, (np.zeros(4), np.zeros(4)))
+    return BaselineTarget(TWO.robot, reference, TWO_LINK, (np.zeros(4), np.zeros(4)))
 
 
 CASES = {"k = 31": joint, "two links": two_link}
@@ -168,7 +168,7 @@ def test_all_commands_are_saturated_at_the_target_peak() -> None:
 def test_a_start_without_an_error_leaves_the_limit_above_what_the_reference_needs() -> None:
     robot, reference = fjr.single_link(), fjr.Sine(1.0, 2.0)
     on = (np.zeros(2), np.array([2.0, 2.0]))
-    y = Yardstick(robot, reference, fjr.PAPER_GAINS, on)
+    y = BaselineTarget(robot, reference, fjr.PAPER_GAINS, on)
     law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS)
     run = fjr.simulate(fjr.Plant(robot), law, reference, robot.state(0.0, 0.0, 2.0, 2.0), 5.0, 1e-3)
     assert y.effort_limit[0] >= 1.15 * np.abs(run.u[2000:]).max()
@@ -179,14 +179,14 @@ def test_a_slower_law_is_reported(name: str) -> None:
     """The paper's soft joint: on the motors' side nothing is faster than link and spring."""
     t = tune(name, joint(3.1))
     assert not t.same_bandwidth
-    assert t.bandwidth < 0.9 * t.yardstick_bandwidth
+    assert t.bandwidth < 0.9 * t.target_bandwidth
     assert "the largest possible" in t.sentence
     assert np.linalg.eigvals(joint(3.1).loop(t.law)[0]).real.max() < 0
 
 
 def test_where_the_springs_cannot_hold_the_arm_motor_laws_are_refused() -> None:
     arm: Arm = planar("soft", 3.1)
-    y = Yardstick(arm.robot, fjr.Sine([0.5, 0.5], 1.0), TWO_LINK)
+    y = BaselineTarget(arm.robot, fjr.Sine([0.5, 0.5], 1.0), TWO_LINK)
     with pytest.raises(fjr.GainsError, match="pd_gravity is unstable for all natural frequencies"):
         tune("pd_gravity", y)
     assert tune("feedback_linearisation", y).same_bandwidth
@@ -197,7 +197,7 @@ def test_seven_joints_are_tuned_too() -> None:
     q_0 = np.array([0.3, 0.2, -0.1, -1.5, 0.1, 0.5, 0.1])
     M = arm.robot.M_l(q_0)
     gains = fjr.Gains(14.0, 14.0**2 * M, 14.0 * M, 14.0, np.diag(arm.K), 14 * np.diag(arm.M_m))
-    y = Yardstick(arm.robot, fjr.Sine(np.full(7, 0.2), 2.0, q_0), gains)
+    y = BaselineTarget(arm.robot, fjr.Sine(np.full(7, 0.2), 2.0, q_0), gains)
     for name in ("pd_gravity", "lqr", "backstepping"):
         assert tune(name, y).same_bandwidth
 
@@ -211,17 +211,17 @@ def test_feedback_linearisation_with_two_time_scales_tracks_seven_joints() -> No
     reference = fjr.Sine(np.full(7, 0.3), np.pi, ARM7_OFFSET, np.pi / 2)
     M = arm.robot.M_l(reference.jets(0.0)[0])
     gains = fjr.Gains(rate, rate**2 * M, rate * M, rate, np.diag(arm.K), rate * np.diag(arm.M_m))
-    y = Yardstick(arm.robot, reference, gains)
+    y = BaselineTarget(arm.robot, reference, gains)
     t = tune("feedback_linearisation", y)
     assert t.same_bandwidth
     x0 = arm.robot.state(*np.split(rest_position(arm.robot, y.q_0), 2), np.zeros(7), np.zeros(7))
-    loop = ClosedLoop(arm.robot, Static(t.law), reference, x0, 2.0, 1e-3, settle_after=1.0)
+    loop = ClosedLoop(arm.robot, AsSampledLaw(t.law), reference, x0, 2.0, 1e-3, settle_after=1.0)
     nominal = Trial(loop, motion_demand(arm.robot, reference), y.effort_limit).metrics([{}])[0]
     assert nominal.rms is not None
     assert nominal.rms < 5e-4  # rad
 
 
-def least_damping(y: Yardstick, law: StaticLaw) -> float:
+def least_damping(y: BaselineTarget, law: StaticLaw) -> float:
     """Smallest damping ratio of the closed loop about rest."""
     poles = np.linalg.eigvals(y.loop(law)[0])
     return float((-poles.real / np.abs(poles)).min())
@@ -232,7 +232,7 @@ def test_v_dpbc_can_be_tuned_too_and_then_damps_its_elastic_mode() -> None:
     robot, beta = fjr.single_link(stiffness=3000.0, link_inertia=0.5, motor_inertia=0.2), 14.0
     M_l = robot.M_l(np.zeros(1))
     gains = fjr.Gains(beta, beta**2 * M_l, beta * M_l, beta, robot.K, beta * robot.M_m)
-    y = Yardstick(robot, fjr.Sine(0.3, np.pi), gains)
+    y = BaselineTarget(robot, fjr.Sine(0.3, np.pi), gains)
     t = tune("v_dpbc", y, retune=True)
     assert isinstance(t.law, TrackingLaw)
     assert t.same_bandwidth
@@ -330,7 +330,7 @@ def test_v_dpbc_is_the_default() -> None:
 
 
 def test_a_target_without_effort_causes_no_division_by_zero() -> None:
-    y = Yardstick(fjr.single_link(stiffness=31.0), fjr.Sine(0.0, 1.0), fjr.PAPER_GAINS, (np.zeros(2), np.zeros(2)))
+    y = BaselineTarget(fjr.single_link(stiffness=31.0), fjr.Sine(0.0, 1.0), fjr.PAPER_GAINS, (np.zeros(2), np.zeros(2)))
     assert y.peak == 0
     assert y.same_peak(0.0)
     assert not y.same_peak(1e-3)

@@ -24,8 +24,8 @@ from fjr_msgs_py.messages.events import EventWriter
 from fjr_msgs_py.messages.follow_joint_trajectory import follow_messages
 from fjr_msgs_py.messages.joint_states import StateReader
 
-from .ros.certificate_publisher import Witness
-from .ros.command_loop import Answering, RivalError
+from .ros.certificate_publisher import CertificatePublisher
+from .ros.command_loop import CommandConflictError, CommandLoop
 from .ros.diagnostics import Reports
 from .tracking.tracker import Tracker
 from .trajectory.follow_joint_trajectory import FollowAction
@@ -41,7 +41,11 @@ class Control:
     """
 
     def __init__(
-        self, node: Node, values: dict[str, Any], events: EventWriter, on_conflict: Callable[[RivalError], None]
+        self,
+        node: Node,
+        values: dict[str, Any],
+        events: EventWriter,
+        on_conflict: Callable[[CommandConflictError], None],
     ) -> None:
         self._values, joints = values, values["joints"]
         self._robot = robot = builders.robot(values)
@@ -55,32 +59,33 @@ class Control:
         self.tracker.warm_up()
         # Above nothing is created on the node; below nothing raises.
         self.reports = Reports(node, self.tracker, events, robot_name(values))
-        self._answering = Answering(node, joints, self.tracker, reader, self.reports, on_conflict)
+        self._command_loop = CommandLoop(node, joints, self.tracker, reader, self.reports, on_conflict)
         self._interface = TrajectoryInterface(node, joints, self.tracker, self.reports, self._is_active, self._built_in)
         self._apply_motion_limits()
         self._action = self._create_action(node, allowed)
-        self._witness = self._create_certificate_publisher(node, np.asarray(settings.effort))
+        self._certificate_publisher = self._create_certificate_publisher(node, np.asarray(settings.effort))
 
     def start(self) -> None:
         """Start tracking at the next state, with the reference that the parameters describe.
 
-        Raise ParameterError if the reference violates its limits, RivalError if another process commands the robot.
+        Raise ParameterError if the reference violates its limits.
+        Raise CommandConflictError if another process commands the robot.
         """
         self.tracker.start(self._built_in())
-        self._answering.start(self._values["state_timeout"])
+        self._command_loop.start(self._values["state_timeout"])
 
     def stop(self) -> None:
         """Send the stop effort if a command was sent before, publish the counters, and end the command loop."""
         self._interface.drop()
         self._interface.on_replaced("the controller was deactivated")
-        self._answering.stop()
+        self._command_loop.stop()
         self.reports.publish()
 
     def close(self) -> None:
         """Stop, and destroy everything that was created on the node."""
         self.stop()
         self.withdraw()
-        for part in (self._interface, self._answering, self.reports, self._witness):
+        for part in (self._interface, self._command_loop, self.reports, self._certificate_publisher):
             if part is not None:
                 part.close()
 
@@ -106,12 +111,12 @@ class Control:
         if groups - {"gains", "reference"}:
             self.tracker.apply(settings)
             self._apply_motion_limits()
-        if self._witness is not None and isinstance(self._law, TrackingLaw):
-            self._witness.use(self._law, np.asarray(settings.effort))
+        if self._certificate_publisher is not None and isinstance(self._law, TrackingLaw):
+            self._certificate_publisher.use(self._law, np.asarray(settings.effort))
         self.reports.publish_events()
 
     def _is_active(self) -> bool:
-        return self._answering.active
+        return self._command_loop.active
 
     def _built_in(self) -> Reference:
         """Return the reference that the parameters describe. Raise ParameterError if it violates its limits."""
@@ -125,7 +130,7 @@ class Control:
         limits = motion_limits(values, self._settings, self._robot)
         self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
-    def _create_certificate_publisher(self, node: Node, limit: Array) -> Witness | None:
+    def _create_certificate_publisher(self, node: Node, limit: Array) -> CertificatePublisher | None:
         """Return the certificate publisher, if it is enabled and the law has a certificate."""
         if not self._values["certificate"]:
             return None
@@ -134,10 +139,10 @@ class Control:
             return None
         robust = builders.robust(self._values, self._robot.n)
         joint_axes = axes(self._values, self._robot)
-        witness = Witness(node, self._law, self.tracker, limit, robust, joint_axes)
-        self._answering.add_listener(witness.on_command)
-        self.reports.besides(witness.status)
-        return witness
+        certificate_publisher = CertificatePublisher(node, self._law, self.tracker, limit, robust, joint_axes)
+        self._command_loop.add_listener(certificate_publisher.on_command)
+        self.reports.add_status(certificate_publisher.status)
+        return certificate_publisher
 
     def _create_action(self, node: Node, allowed: Tolerances) -> FollowAction | None:
         """Return the action server, or None if its messages are not installed."""
@@ -146,5 +151,5 @@ class Control:
         if messages is None:
             return None
         action = FollowAction(node, joints, self._interface, allowed, messages)
-        self._answering.add_listener(action.on_command)
+        self._command_loop.add_listener(action.on_command)
         return action

@@ -12,14 +12,14 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from fjr_core import FjrError
 from fjr_core.config import builders
-from fjr_core.config.process import process_care, process_parameters
+from fjr_core.config.process import process_parameters, process_settings
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.events import EventWriter
 from fjr_msgs_py.node import process
 from fjr_msgs_py.node.parameters import ManagedParameterNode
 
 from .components import Control
-from .ros.command_loop import RIVALS, RivalError
+from .ros.command_loop import CONFLICTS, CommandConflictError
 from .tracking.events import Event
 
 SUCCESS, FAILURE, ERROR = (getattr(TransitionCallbackReturn, name) for name in ("SUCCESS", "FAILURE", "ERROR"))
@@ -140,8 +140,8 @@ class ControllerNode(ManagedParameterNode):
     def _configure(self) -> str:
         if not self._starting:
             self.recheck()
-        process_care(self.values)
-        self._control = Control(self, self.values, self._events, self._on_rival)
+        process_settings(self.values)
+        self._control = Control(self, self.values, self._events, self._on_conflict)
         self.built()
         return f"law {self.values['law.type']} for {', '.join(self.values['joints'])}"
 
@@ -161,10 +161,10 @@ class ControllerNode(ManagedParameterNode):
             self._control = None
         return "all parameters may change"
 
-    def _on_rival(self, error: RivalError) -> None:
+    def _on_conflict(self, error: CommandConflictError) -> None:
         """Deactivate because another process commands the robot; end the node with autostart."""
         assert self._control is not None
-        self._control.reports.event(Event("error", RIVALS, str(error)))
+        self._control.reports.event(Event("error", CONFLICTS, str(error)))
         self.trigger_deactivate()
         self.trouble = error
         if self.values["autostart"]:

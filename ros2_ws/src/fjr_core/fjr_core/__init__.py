@@ -10,14 +10,16 @@ Paper: R. Reyes-Baez, A. van der Schaft, B. Jayawardhana, "Virtual Differential 
 Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstrings are its.
 """
 
+import warnings
+
 from .control.vdpbc.convergence_rate import Rate
 from .control.vdpbc.gains import PAPER_GAINS, Gains
 from .control.vdpbc.law import Evaluation, TrackingLaw
 from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError
 from .estimation.measurement_model import Measurement
 from .estimation.velocity_observer import VelocityObserver
-from .monitoring.certificate import Balance
-from .monitoring.diagnosis import Verdict, judge
+from .monitoring.certificate import Certificate
+from .monitoring.diagnosis import Diagnosis, diagnose
 from .monitoring.record import Record
 from .robot.closed_form_arms import planar_two_link, single_link
 from .robot.joint_limits import JointLimits
@@ -35,14 +37,15 @@ from .trajectories.point_to_point import Hold, PointToPoint, standing
 from .trajectories.reference import Reference
 from .trajectories.sine import MultiSine, Sine
 from .trajectories.spline import Spline
-from .trajectories.transition import join, shifted
+from .trajectories.transition import time_shifted, transition
 from .tuning.gain_synthesis import synthesize
 
 __all__ = [
     "PAPER_GAINS",
-    "Balance",
     "Body",
+    "Certificate",
     "Circle",
+    "Diagnosis",
     "Evaluation",
     "FjrError",
     "Gains",
@@ -68,19 +71,35 @@ __all__ = [
     "Trajectory",
     "TrajectoryError",
     "VelocityObserver",
-    "Verdict",
     "VirtualSystem",
     "check",
     "check_motion",
-    "join",
-    "judge",
+    "diagnose",
     "planar_two_link",
     "robot_from_urdf",
     "serial_chain",
-    "shifted",
     "simulate",
     "single_link",
     "spectral_radius",
     "standing",
     "synthesize",
+    "time_shifted",
+    "transition",
 ]
+
+_RENAMED = {
+    "Balance": "Certificate",
+    "Verdict": "Diagnosis",
+    "join": "transition",
+    "judge": "diagnose",
+    "shifted": "time_shifted",
+}
+"""Names before 0.1.0, each with its new one."""
+
+
+def __getattr__(name: str) -> object:
+    """Return a name of before under its new one, with a DeprecationWarning."""
+    if name not in _RENAMED:
+        raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
+    warnings.warn(f"fjr_core.{name} is now fjr_core.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
+    return globals()[_RENAMED[name]]

@@ -26,7 +26,7 @@ from .timing.deferred_service import DeferredReply, DeferredTrigger
 from .timing.lock_step import START as LOCKSTEP_START
 from .timing.lock_step import LockStep
 from .timing.real_time import RealTime
-from .timing.time_base import NodeParts, Pace
+from .timing.time_base import NodeParts, TimeBase
 
 __all__ = ["LOCKSTEP_START", "PlantNode", "main"]
 
@@ -63,7 +63,7 @@ class PlantNode(ParameterNode):
         if self.values["publish_description"]:
             publish_description(self, description(self.values))
         parts = NodeParts(self, self.values, self._robot, self._transport, states, reader, self._health)
-        self._pace: Pace = (LockStep if self.values["lockstep"] else RealTime)(parts)
+        self._time_base: TimeBase = (LockStep if self.values["lockstep"] else RealTime)(parts)
         self.create_subscription(JointState, names.EXTERNAL_TORQUE, self._on_torque, names.LATEST)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.PAUSE, self._on_pause)
@@ -76,7 +76,7 @@ class PlantNode(ParameterNode):
 
     def end(self, error: FjrError) -> None:
         """Stop the robot time, reply to waiting clients, and end the node."""
-        self._pace.end()
+        self._time_base.end()
         super().end(error)
 
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
@@ -87,7 +87,7 @@ class PlantNode(ParameterNode):
                 nonidealities.sensor_errors(values, self._model.n),
             )
             messages, jitter = nonidealities.channel_errors(values), nonidealities.period_jitter(values)
-            self._pace.catch_up()
+            self._time_base.catch_up()
             self._robot.change(motion, sensors)
             self._transport.change(*messages, jitter)
 
@@ -117,23 +117,23 @@ class PlantNode(ParameterNode):
             self._health.refuse("external torque", error)
             return
         self._health.count["external torques received"] += 1
-        self._pace.catch_up()
+        self._time_base.catch_up()
         self._robot.external = torque
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._pace.reset()
+        self._time_base.reset()
         response.success = True
         response.message = "the robot is back at its initial state"
         return response
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._pace.pause(request.data)
+        self._time_base.pause(request.data)
         response.success = True
-        response.message = "paused" if self._pace.paused else "running"
+        response.message = "paused" if self._time_base.paused else "running"
         return response
 
     def _on_advance(self, reply: DeferredReply) -> None:
-        self._pace.advance(self.values["advance_samples"], reply)
+        self._time_base.advance(self.values["advance_samples"], reply)
 
 
 def main(args: list[str] | None = None) -> int:

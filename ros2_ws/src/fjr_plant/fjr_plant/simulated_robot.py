@@ -11,8 +11,8 @@ import numpy as np
 from fjr_core import ParameterError, Plant, Robot, StateError
 from fjr_core.numerics.casadi_function import bind, dense_function, not_converged
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.nonideal_parameters import Imperfections, SensorErrors, friction_rate
-from fjr_core.simulation.nonideal_plant import ImperfectPlant
+from fjr_core.simulation.nonideal_parameters import Nonidealities, SensorErrors, friction_rate
+from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 from .sensors import Sensors
 
@@ -76,7 +76,7 @@ class SimulatedRobot:
         plant: Plant,
         x0: Array,
         inner_step: int,
-        imperfections: Imperfections | None = None,
+        imperfections: Nonidealities | None = None,
         sensor_errors: SensorErrors | None = None,
         seed: int = 0,
     ) -> None:
@@ -85,12 +85,12 @@ class SimulatedRobot:
         seed: of the sensor noise. Raises ParameterError for invalid non-idealities.
         """
         self._plant, self._n = plant, plant.robot.n
-        self._imperfect = ImperfectPlant(plant)
+        self._imperfect = NonidealPlant(plant)
         self._x0 = x0
         self._inner_step = inner_step
         self._velocities = Velocities(plant.robot)
         self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed)
-        self._use(imperfections or Imperfections(self._n))
+        self._use(imperfections or Nonidealities(self._n))
         self.reset()
 
     def reset(self) -> None:
@@ -114,7 +114,7 @@ class SimulatedRobot:
         self.measure()
         self._sensors.reset()
 
-    def change(self, imperfections: Imperfections, sensor_errors: SensorErrors | None = None) -> None:
+    def change(self, imperfections: Nonidealities, sensor_errors: SensorErrors | None = None) -> None:
         """Use other non-idealities from now on; sensor_errors: None keeps the present ones.
 
         Positions and velocities are continuous; a payload is attached and released at the velocity of the end-effector.
@@ -170,13 +170,13 @@ class SimulatedRobot:
     def _imperfect_step(self) -> Stepper:
         return Stepper(self._imperfect.step_function, self._inner_step * 1e-9)
 
-    def _use(self, imperfections: Imperfections) -> None:
+    def _use(self, imperfections: Nonidealities) -> None:
         self._imperfect.check(imperfections)
         self._check_friction(imperfections)
         self._imperfections, self._perfect = imperfections, imperfections.off
         self._parameters = imperfections.vector
 
-    def _check_friction(self, imperfections: Imperfections) -> None:
+    def _check_friction(self, imperfections: Nonidealities) -> None:
         robot, dt = self._plant.robot, self._inner_step * 1e-9
         rate = friction_rate(imperfections, robot.M_l(self._x0[: self._n]), robot.M_m)
         if self._plant.integrator == "rk4" and rate * dt > STIFFEST_FRICTION:
@@ -202,7 +202,7 @@ class SimulatedRobot:
         return self._imperfect.state(self.x[: 2 * self._n], velocity, self._parameters)
 
 
-def _same_load(one: Imperfections, other: Imperfections) -> bool:
+def _same_load(one: Nonidealities, other: Nonidealities) -> bool:
     if not (np.any(one.payload_mass) or np.any(other.payload_mass)):
         return True
     same = (np.array_equal(getattr(one, name), getattr(other, name)) for name in ("payload_mass", "payload_position"))

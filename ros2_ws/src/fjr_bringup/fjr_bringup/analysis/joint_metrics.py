@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.recording.reader import Array
 
 STEADY_AFTER = 2.0  # s; metrics "after 2 s" exclude the transient
@@ -16,7 +16,7 @@ AT_LIMIT = 1.0 - 1e-6  # share of an effort limit from which a command counts as
 
 
 @dataclass(frozen=True)
-class JointFigures:
+class JointMetrics:
     """Metrics of one joint. Errors in rad, efforts in N m, times in s; None: unknown or not applicable.
 
     position_unit, effort_unit: units of errors and efforts of this joint; m and N for a prismatic joint.
@@ -37,7 +37,7 @@ class JointFigures:
     saturated_fraction: float | None  # of the commands; None without a limit
 
 
-def joint_figures(data: TrackingData) -> list[JointFigures]:
+def joint_metrics(data: RunData) -> list[JointMetrics]:
     """Return the metrics of every joint."""
     return [_of(data, j) for j in range(len(data.joints))]
 
@@ -52,15 +52,15 @@ def settling_time(t: Array, size: Array, band: float) -> float | None:
     return float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
 
 
-def initial_error(data: TrackingData) -> float:
+def initial_error(data: RunData) -> float:
     """Return the largest initial error of all joints [rad]."""
     return float(np.abs(data.error[0]).max())
 
 
-def _of(data: TrackingData, j: int) -> JointFigures:
+def _of(data: RunData, j: int) -> JointMetrics:
     size, effort, limit = np.abs(data.error[:, j]), np.abs(data.u[:, j]), float(data.effort_limit[j])
     steady, sent = size[data.t >= STEADY_AFTER], effort[np.isfinite(effort)]
-    return JointFigures(
+    return JointMetrics(
         joint=data.joints[j],
         position_unit=data.units[j].position,
         effort_unit=data.units[j].effort,

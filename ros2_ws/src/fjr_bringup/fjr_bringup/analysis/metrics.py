@@ -21,15 +21,15 @@ from fjr_bringup.analysis.joint_metrics import (
     AT_LIMIT,
     SETTLED,
     STEADY_AFTER,
-    JointFigures,
+    JointMetrics,
     initial_error,
-    joint_figures,
+    joint_metrics,
     rms,
     settling_time,
 )
 from fjr_bringup.analysis.power_balance import Power
-from fjr_bringup.analysis.run_data import TrackingData
-from fjr_bringup.analysis.verdicts import Verdict, verdict
+from fjr_bringup.analysis.run_data import RunData
+from fjr_bringup.analysis.verdicts import Diagnosis, verdict
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.recording.reader import Array, Bag
 from fjr_core.config.scenario import Scenario
@@ -130,10 +130,10 @@ class Report:
     bag: str
     bag_complete: bool  # closed by the recorder; else run or recorder were killed
     stop: ControllerStop | None  # first stop of the controller; null: it never stopped
-    verdict: Verdict
+    verdict: Diagnosis
     missing: tuple[str, ...]  # missing signals and their substitutes
     tracking: Tracking
-    joints: list[JointFigures]
+    joints: list[JointMetrics]
     storage: Storage | None  # null: V is unknown without motor positions
     energy: Energy | None
     timing: Timing
@@ -144,7 +144,7 @@ class Report:
     failure: str = ""  # why the run ended early
     planned_s: float | None = None  # planned duration; null: unknown
 
-    def of_joint(self, joint: str | None) -> JointFigures:
+    def of_joint(self, joint: str | None) -> JointMetrics:
         """Return the metrics of a joint, of the first one for None."""
         return next((each for each in self.joints if each.joint == joint), self.joints[0])
 
@@ -157,7 +157,7 @@ class Report:
         write_text(path, json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n")
 
 
-def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, flow: Power, duration: float) -> Report:
+def make_report(name: str, bag: Bag, scenario: Scenario, data: RunData, flow: Power, duration: float) -> Report:
     """Return the report of a run of `duration` seconds of stamped time with the power balance `flow`."""
     return Report(
         scenario=name,
@@ -170,7 +170,7 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, flo
         verdict=verdict(data, scenario),
         missing=(*bag.notes, *data.notes),
         tracking=_tracking(data),
-        joints=joint_figures(data),
+        joints=joint_metrics(data),
         storage=_storage(data) if np.isfinite(data.V[0]) else None,
         energy=_energy(flow) if np.isfinite(data.H[0]) else None,
         timing=_timing(data),
@@ -180,13 +180,13 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: TrackingData, flo
     )
 
 
-def _tracking(data: TrackingData) -> Tracking:
+def _tracking(data: RunData) -> Tracking:
     size = np.abs(data.error).max(axis=1)
     steady = data.error[data.t >= STEADY_AFTER]
     peak, peak_joint = _largest(data.peak_effort, data.joints)
     share, share_joint = _largest(data.peak_effort / data.effort_limit, data.joints)
     worst, worst_joint = _largest(np.abs(steady).max(axis=0), data.joints) if steady.size else (None, None)
-    joints = joint_figures(data)
+    joints = joint_metrics(data)
     return Tracking(
         peak_effort_nm=peak,
         peak_effort_joint=peak_joint,
@@ -212,7 +212,7 @@ def _largest(values: Array, joints: Sequence[str]) -> tuple[float, str | None]:
     return float(values[j]), joints[j]
 
 
-def _saturated(data: TrackingData) -> float | None:
+def _saturated(data: RunData) -> float | None:
     """Return the fraction of commands with any joint at its limit; None without limits."""
     sent = data.u[np.isfinite(data.u).all(axis=1)]
     if not (len(sent) and np.isfinite(data.effort_limit).any()):
@@ -229,7 +229,7 @@ def _energy(flow: Power) -> Energy:
     return Energy(supplied, dissipated, stored, residual, left)
 
 
-def _storage(data: TrackingData) -> Storage:
+def _storage(data: RunData) -> Storage:
     relative, ratio = data.relative_storage, data.V / data.bound
     within = np.flatnonzero(ratio <= 1.0)  # V(0) itself is on the bound, unless it is 0
     leaves = int(within[-1]) + 1 if within.size else 0
@@ -248,7 +248,7 @@ def _storage(data: TrackingData) -> Storage:
     )
 
 
-def _timing(data: TrackingData) -> Timing:
+def _timing(data: RunData) -> Timing:
     latency = data.latency[~np.isnan(data.latency)]
     return Timing(*_percentiles(np.diff(data.sent)), *_percentiles(latency))
 
@@ -259,7 +259,7 @@ def _percentiles(seconds: Array) -> tuple[float, float, float]:
     return float(np.percentile(values, 50)), float(np.percentile(values, 99)), float(values.max())
 
 
-def _counts(data: TrackingData, duration: float, lost_messages: dict[str, int | None]) -> Counts:
+def _counts(data: RunData, duration: float, lost_messages: dict[str, int | None]) -> Counts:
     nominal, published = round(duration / data.sample_period), len(data.t)
     answered = ~np.isnan(data.answered)
     known, in_time = answered.any(), int((data.answered < data.deadline)[answered].sum())

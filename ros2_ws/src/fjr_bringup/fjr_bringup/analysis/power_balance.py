@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.recording.reader import Array
 
 
@@ -31,7 +31,7 @@ class Power:
         return self.stored - self.supplied + self.dissipated
 
 
-def power(data: TrackingData, B_m: Array) -> Power:
+def power(data: RunData, B_m: Array) -> Power:
     """Return the power balance between the recorded states, with the measured motor torque where available.
 
     B_m (n, n): input matrix of the motors.
@@ -49,7 +49,7 @@ def power(data: TrackingData, B_m: Array) -> Power:
         )
 
 
-def _torque(data: TrackingData, B_m: Array) -> Array:
+def _torque(data: RunData, B_m: Array) -> Array:
     """Return the mean motor torque over each step (k - 1, n) [N m]; a new effort acts from its arrival on."""
     after = data.torque if np.isfinite(data.torque).any() else np.vstack([0 * data.u[:1], data.u[:-1] @ B_m.T])
     if data.lockstep:

@@ -22,7 +22,7 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.convergence_rate import NO_RATE, Rate
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import FjrError
-from fjr_core.monitoring.certificate import Balance, CertificateSeries
+from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.monitoring.record import Record
 from fjr_core.robot.joint_units import REVOLUTE, Units
 
@@ -36,7 +36,7 @@ class DataError(FjrError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackingData(Record):
+class RunData(Record):
     """Record of a run (k states from the first answered one on, n joints) with the certificate along it.
 
     Times in s since the stamp of that state; NaN: not known.
@@ -116,7 +116,7 @@ class TrackingData(Record):
         return np.append(self.sent[1:], np.inf if self.lockstep else self.sent[-1] + self.sample_period)
 
 
-def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData:
+def run_data(bag: Bag, scenario: Scenario, duration: float) -> RunData:
     """Return `duration` [s] of stamped time from the first state with a command; raise DataError or BagError.
 
     An infinite duration ends with the last state that has a command.
@@ -130,7 +130,7 @@ def tracking_data(bag: Bag, scenario: Scenario, duration: float) -> TrackingData
     certificate, known = _certificate(scenario, states, tracked.jets, u), bool(np.isfinite(states.torque).any())
     rate, (period, odd) = _rate(scenario, states.position[:, :n]), _sample_period(scenario, t)
     torn = () if bag.complete else ("the bag was not closed: shown is what was written until then",)
-    return TrackingData(
+    return RunData(
         certificate=certificate,
         dV=certificate.held_rate(u),
         u_applied=states.torque @ np.linalg.inv(scenario.robot.B_m).T if known else None,
@@ -211,8 +211,8 @@ def _certificate(scenario: Scenario, states: States, jets: Array, u: Array) -> C
     """Return the certificate along the states; of another law than v-dPBC only what the robot alone determines."""
     law = scenario.law
     if isinstance(law, TrackingLaw):
-        return Balance(law).along(states.position, states.velocity, jets, u)
-    found = Balance(TrackingLaw(scenario.robot, scenario.gains)).along(states.position, states.velocity, jets, u)
+        return Certificate(law).along(states.position, states.velocity, jets, u)
+    found = Certificate(TrackingLaw(scenario.robot, scenario.gains)).along(states.position, states.velocity, jets, u)
     return replace(found, V=np.nan * found.V, dV=np.nan * found.dV)
 
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.analysis.run_data import RunData
 from fjr_core.config import builders
 from fjr_core.config.diagnosis import axes
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.law import TrackingLaw
-from fjr_core.monitoring.diagnosis import Verdict, judge, unknown
+from fjr_core.monitoring.diagnosis import Diagnosis, diagnose, unknown
 
-__all__ = ["Verdict", "verdict"]
+__all__ = ["Diagnosis", "verdict"]
 
 
-def verdict(data: TrackingData, scenario: Scenario) -> Verdict:
+def verdict(data: RunData, scenario: Scenario) -> Diagnosis:
     """Return whether V decayed as proven, and the causes if it did not."""
     if not isinstance(scenario.law, TrackingLaw):
         return unknown(f"the law {scenario.controller_values['law.type']} has no certificate")
@@ -26,4 +26,4 @@ def verdict(data: TrackingData, scenario: Scenario) -> Verdict:
     if not builders.robust(scenario.controller_values, scenario.robot.n).off:
         return unknown("V does not include the disturbance estimate (robust.* is enabled)")
     judged = axes(scenario.controller_values, scenario.robot)
-    return judge(data, scenario.law, data.beta, judged, data.velocities_measured, data.certificate)
+    return diagnose(data, scenario.law, data.beta, judged, data.velocities_measured, data.certificate)

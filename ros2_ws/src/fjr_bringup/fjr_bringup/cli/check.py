@@ -162,7 +162,7 @@ def _limits(scenario: Scenario) -> dict[str, str]:
     limits, reference = scenario.robot.limits, scenario.reference
     if limits is None:
         return {}
-    reach = reference.extremes(0.0, np.inf)
+    reach = reference.motion_bounds(0.0, np.inf)
     outside = (reach.lower[0] < limits.lower) | (reach.upper[0] > limits.upper)
     too_fast = np.maximum(reach.upper[1], -reach.lower[1]) > limits.velocity
     law = scenario.law

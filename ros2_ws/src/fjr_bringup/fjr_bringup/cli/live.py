@@ -42,7 +42,7 @@ def watch_loop(scenario: str | None, namespace: str, controller: str, once: bool
     """Show a running control loop; scenario: whose effort limits are shown."""
     limits = dict(monitor_app.effort_limits(library.load(scenario))) if scenario else {}
     discover_quickly()
-    wish = monitor_app.Wish(namespace, remaps, controller, once)
+    wish = monitor_app.Options(namespace, remaps, controller, once)
     with stoppable() as stop:
         monitor_app.watch(wish, limits, stop)
 

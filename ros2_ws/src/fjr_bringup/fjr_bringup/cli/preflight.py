@@ -11,7 +11,7 @@ from fjr_core.control.safety_settings import Settings
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import FjrError
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.equilibrium import plant_matrices, rest_points
+from fjr_core.robot.equilibrium import equilibria_at, plant_matrices
 from fjr_core.robot.joint_units import joined
 from fjr_core.stability.sampled_loop import HIGHEST_RATE, SampledCheck, check
 
@@ -45,7 +45,7 @@ def checked_at(scenario: Scenario, where: Array | None) -> SampledCheck:
 def refuse_coarse_steps(scenario: Scenario) -> None:
     """Raise UnstableError if the plant's explicit integrator is unstable for its fastest mode."""
     values, plant = scenario.plant_values, scenario.plant
-    A, _ = plant_matrices(rest_points(plant.robot, scenario.configurations()))
+    A, _ = plant_matrices(equilibria_at(plant.robot, scenario.configurations()))
     fastest = float(np.abs(np.linalg.eigvals(A)).max())
     steps = int(values["inner_steps"])  # type: ignore[arg-type]
     if plant.integrator == "rk4" and fastest * scenario.sample_period / steps > RK4_REACH:

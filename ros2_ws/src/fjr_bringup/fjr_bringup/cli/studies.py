@@ -26,7 +26,7 @@ def contraction(
 ) -> None:
     """Simulate solutions of the virtual system along a run and draw how they converge."""
     loaded = library.load(scenario, assignments)
-    wish = contraction_study.Wish(duration, starts, spread, seed)
+    wish = contraction_study.Options(duration, starts, spread, seed)
     with stoppable() as stop:
         print(contraction_study.run_and_draw(loaded, wish, run_folder, output / "contraction", stop))
 
@@ -47,7 +47,7 @@ def sweep(
     )  # loads pyarrow, which the others do not need
     given = {"runs": runs, "seed": seed, "duration": duration}
     numbers = {name: value for name, value in given.items() if value is not None}
-    wish = monte_carlo.Wish(cores, scheduler, output, library.parse_assignments(assignments), numbers)
+    wish = monte_carlo.Options(cores, scheduler, output, library.parse_assignments(assignments), numbers)
     with stoppable() as stop:
         print(monte_carlo.sweep(scenario, wish, stop))
 

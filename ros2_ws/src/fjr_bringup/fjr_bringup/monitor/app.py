@@ -28,7 +28,7 @@ PATIENCE = 2.0  # s until a notice that it is waiting
 
 
 @dataclass(frozen=True)
-class Wish:
+class Options:
     """What to watch: namespace, remaps FROM:=TO, name of the controller; once: show one view and exit."""
 
     namespace: str = "/"
@@ -49,7 +49,7 @@ def effort_limits(scenario: Scenario) -> Mapping[str, float]:
     return {joint: float(limit) for joint, limit in zip(scenario.joints, limits, strict=True) if np.isfinite(limit)}
 
 
-def watch(options: Wish, limits: Mapping[str, float], stop: threading.Event) -> None:
+def watch(options: Options, limits: Mapping[str, float], stop: threading.Event) -> None:
     """Show the view until `stop`, or once."""
     watched = Watched(f"fjr watch {options.namespace}", limits)
     console = Console(highlight=False)

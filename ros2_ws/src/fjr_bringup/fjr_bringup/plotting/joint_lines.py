@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.recording.reader import Array
 
 # Okabe and Ito's palette, distinguishable by colour-blind readers
@@ -25,7 +25,7 @@ def drawable(values: Array) -> Array:
     return np.where(np.abs(values) < DRAWABLE, values, np.nan)
 
 
-def name_joints(ax: Axes, data: TrackingData, lines: Array) -> None:
+def name_joints(ax: Axes, data: RunData, lines: Array) -> None:
     """Label the ends of the lines (k, n) with the joint names, without overlap; a single joint gets no label."""
     if len(data.joints) == 1:
         return

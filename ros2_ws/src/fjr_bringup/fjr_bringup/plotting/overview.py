@@ -13,7 +13,7 @@ from matplotlib.ticker import NullLocator
 
 from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import STEADY_AFTER, Report
-from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.plotting.joint_lines import COLOURS, DRAWABLE, colour, drawable, name_joints
 from fjr_bringup.recording.reader import Array
 from fjr_core.robot.joint_units import joined
@@ -23,7 +23,7 @@ ENLARGED = 2  # joints; with more, an inset would hide the lines
 HEALTHY = 1e-3  # of V(0): leaving the bound above this value is not explained by the sample and hold
 
 
-def tracking(ax: Axes, data: TrackingData) -> None:
+def tracking(ax: Axes, data: RunData) -> None:
     """Plot q_l over q_ld."""
     for j in range(len(data.joints)):
         ax.plot(data.t, data.q_ld[:, j], color=GREY, lw=3.2, alpha=0.35, solid_capstyle="round")
@@ -36,7 +36,7 @@ def tracking(ax: Axes, data: TrackingData) -> None:
     ax.set(title=title, xlabel="t [s]", ylabel=f"$q_l$, $q_{{ld}}$ [{joined(each.position for each in data.units)}]")
 
 
-def error(ax: Axes, data: TrackingData, report: Report) -> None:
+def error(ax: Axes, data: RunData, report: Report) -> None:
     """Plot |q_l - q_ld| on a log axis."""
     size = drawable(np.abs(data.error))
     size = np.where(size > 0, size, np.nan)
@@ -53,7 +53,7 @@ def error(ax: Axes, data: TrackingData, report: Report) -> None:
     ax.set(title=title, xlabel="t [s]", ylabel=f"$|q_l - q_{{ld}}|$ [{headlines.position_unit(report)}]")
 
 
-def storage(ax: Axes, data: TrackingData, report: Report) -> None:
+def storage(ax: Axes, data: RunData, report: Report) -> None:
     """Plot V/V(0) and exp(-2 beta t) on a log axis, with the instant V leaves the bound; without V plot the energy."""
     if not np.isfinite(data.V).any():
         ax.plot(data.t, drawable(data.H), color=COLOURS[0], lw=1.0)
@@ -75,7 +75,7 @@ def storage(ax: Axes, data: TrackingData, report: Report) -> None:
     ax.set(title=title, xlabel="t [s]", ylabel="$V(t)\\,/\\,V(0)$")
 
 
-def _mark_departure(ax: Axes, data: TrackingData, report: Report) -> None:
+def _mark_departure(ax: Axes, data: RunData, report: Report) -> None:
     """Mark where V leaves its bound, with the reason."""
     if report.storage is None:
         return
@@ -87,7 +87,7 @@ def _mark_departure(ax: Axes, data: TrackingData, report: Report) -> None:
     ax.text(0.98, 0.97, text, transform=ax.transAxes, ha="right", va="top", color=COLOURS[1])
 
 
-def _reason(data: TrackingData, leaves: float, relative: float) -> str:
+def _reason(data: RunData, leaves: float, relative: float) -> str:
     first = f"leaves the bound at {leaves:.2f} s, {_power(relative)} V(0)"
     if relative > HEALTHY:
         return f"{first}: not healthy.\nCommands were late or missing, or the gains\nare too high for the sample rate."
@@ -98,7 +98,7 @@ def _reason(data: TrackingData, leaves: float, relative: float) -> str:
     )
 
 
-def effort(ax: Axes, data: TrackingData, report: Report) -> None:
+def effort(ax: Axes, data: RunData, report: Report) -> None:
     """Plot the commands; for up to ENLARGED joints add an inset of the first 0.25 s."""
     _steps(ax, data)
     name_joints(ax, data, data.u)
@@ -112,12 +112,12 @@ def effort(ax: Axes, data: TrackingData, report: Report) -> None:
     ax.set(title=title, xlabel="t [s]", ylabel=f"u [{headlines.effort_unit(report)}]")
 
 
-def _steps(ax: Axes, data: TrackingData) -> None:
+def _steps(ax: Axes, data: RunData) -> None:
     for j in range(len(data.joints)):
         ax.step(data.t, drawable(data.u[:, j]), where="post", color=colour(j), lw=1.2)
 
 
-def period(ax: Axes, data: TrackingData, report: Report) -> None:
+def period(ax: Axes, data: RunData, report: Report) -> None:
     """Plot the histogram of the periods between states."""
     timing, counts = report.timing, report.counts
     _histogram(ax, np.diff(data.sent) * 1e3, COLOURS[0])
@@ -126,7 +126,7 @@ def period(ax: Axes, data: TrackingData, report: Report) -> None:
     ax.set(title=title, xlabel="time between states [ms]", ylabel="states")
 
 
-def latency(ax: Axes, data: TrackingData, report: Report) -> None:
+def latency(ax: Axes, data: RunData, report: Report) -> None:
     """Plot the histogram of the latencies from state to command."""
     timing, counts = report.timing, report.counts
     _histogram(ax, data.latency[~np.isnan(data.latency)] * 1e3, COLOURS[2])
@@ -183,13 +183,13 @@ STYLE = {
 }
 
 
-def draw_overview(name: str, data: TrackingData, report: Report, folder: Path) -> Path:
+def draw_overview(name: str, data: RunData, report: Report, folder: Path) -> Path:
     """Write overview.png into the folder and return its path."""
     with mpl.rc_context(STYLE):
         return _overview(name, data, report, folder)
 
 
-def _overview(name: str, data: TrackingData, report: Report, folder: Path) -> Path:
+def _overview(name: str, data: RunData, report: Report, folder: Path) -> Path:
     figure = Figure(figsize=(14.0, 7.2), layout="constrained")
     axes = figure.subplots(2, 3)
     tracking(axes[0, 0], data)

@@ -11,7 +11,7 @@ import numpy as np
 from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Report
 from fjr_bringup.analysis.power_balance import Power
-from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.formatting import milliseconds, number, percent, plural
 from fjr_bringup.recording.reader import Array
 from fjr_bringup.report.figure import Line, Plot, colour, drawable
@@ -20,7 +20,7 @@ from fjr_core.robot.joint_units import joined
 FEW = 2  # joints; with more, efforts are shown in percent of their limits first
 
 
-def run_plots(data: TrackingData, report: Report, flow: Power) -> list[Plot]:
+def run_plots(data: RunData, report: Report, flow: Power) -> list[Plot]:
     """Return the plots that are not empty, in the order of the page."""
     drawn = [
         tracking(data),
@@ -36,7 +36,7 @@ def run_plots(data: TrackingData, report: Report, flow: Power) -> list[Plot]:
     return [plot for plot in drawn if not plot.is_empty]
 
 
-def tracking(data: TrackingData) -> Plot:
+def tracking(data: RunData) -> Plot:
     """Plot q_l over q_ld."""
     many = len(data.joints) > 1
     size = np.abs(data.error).max(axis=1)
@@ -55,7 +55,7 @@ def tracking(data: TrackingData) -> Plot:
     )
 
 
-def error(data: TrackingData, report: Report) -> Plot:
+def error(data: RunData, report: Report) -> Plot:
     """Plot |q_l - q_ld| on a log axis."""
     worst, first = report.tracking.max_error_after_2s_rad, report.tracking.initial_error_rad
     title = f"The error begins at {headlines.initial_error(report)}"
@@ -72,7 +72,7 @@ def error(data: TrackingData, report: Report) -> Plot:
     )
 
 
-def effort(data: TrackingData, report: Report) -> Plot:
+def effort(data: RunData, report: Report) -> Plot:
     """Plot the commands and their limits; also in percent of the limits if every joint has one."""
     title, unit = f"The effort peaks at {headlines.peak_effort_and_share(report)}", headlines.effort_unit(report)
     limited = np.isfinite(data.effort_limit)
@@ -92,7 +92,7 @@ def _limits_caption(report: Report) -> str:
     return f"Limits dashed; {percent(saturated) + ' of the commands reach' if saturated else 'no command reaches'} one."
 
 
-def _efforts(data: TrackingData, unit: Array) -> list[Line]:
+def _efforts(data: RunData, unit: Array) -> list[Line]:
     limits = np.where(np.isfinite(data.effort_limit), data.effort_limit, np.nan) / unit
     same = np.allclose(limits, limits[0])
     lines = _per_joint(data, data.u / unit, width=1.3, step=True)
@@ -106,7 +106,7 @@ def _efforts(data: TrackingData, unit: Array) -> list[Line]:
     return lines
 
 
-def storage(data: TrackingData, report: Report) -> Plot:
+def storage(data: RunData, report: Report) -> Plot:
     """Plot V and its bound V(0) exp(-2 beta t) on a log axis; the caption explains why V leaves the bound."""
     found, relative = report.storage, drawable(data.relative_storage, log=True)
     floor = float(np.nanmin(relative, initial=1e-3)) / 30.0
@@ -126,7 +126,7 @@ def storage(data: TrackingData, report: Report) -> Plot:
     return Plot("storage", title, caption, data.t, lines, y_label="V(t) / V(0)", y_log=True, y_range=(floor, None))
 
 
-def _bound_caption(data: TrackingData, report: Report) -> str:
+def _bound_caption(data: RunData, report: Report) -> str:
     found = report.storage
     if found is None or found.leaves_bound_at_s is None or found.relative_where_it_leaves is None:
         return "V stays within its bound throughout."
@@ -140,7 +140,7 @@ def _bound_caption(data: TrackingData, report: Report) -> str:
     return leaves
 
 
-def rate(data: TrackingData) -> Plot:
+def rate(data: RunData) -> Plot:
     """Plot -dV/dt [W]: predicted by the model for the effort sent, measured, and required by the bound."""
     with np.errstate(all="ignore"):
         measured = -np.diff(data.V) / np.diff(data.t)
@@ -193,7 +193,7 @@ def _flows(flow: Power, shown: Callable[[Array], Array]) -> list[Line]:
     ]
 
 
-def _per_joint(data: TrackingData, values: Array, width: float = 1.5, step: bool = False) -> list[Line]:
+def _per_joint(data: RunData, values: Array, width: float = 1.5, step: bool = False) -> list[Line]:
     return [Line(joint, values[:, j], colour(j), width, step=step) for j, joint in enumerate(data.joints)]
 
 
@@ -206,7 +206,7 @@ HALF = 0.5  # states; drawn for an empty bin on the log axis
 SMALLEST = 1e-3  # ms
 
 
-def period(data: TrackingData, report: Report) -> Plot:
+def period(data: RunData, report: Report) -> Plot:
     """Plot the distribution of the time between states."""
     timing, counts = report.timing, report.counts
     title = f"{counts.published} of {counts.nominal} states published"
@@ -214,7 +214,7 @@ def period(data: TrackingData, report: Report) -> Plot:
     return _histogram("period", title, caption, np.diff(data.sent) * 1e3, "time between states [ms]", "c1")
 
 
-def latency(data: TrackingData, report: Report) -> Plot:
+def latency(data: RunData, report: Report) -> Plot:
     """Plot the distribution of the time from state to command."""
     timing, counts = report.timing, report.counts
     title = f"{percent(counts.answered_in_time_fraction)} answered before the next state"
@@ -222,7 +222,7 @@ def latency(data: TrackingData, report: Report) -> Plot:
     return _histogram("latency", title, caption, data.latency * 1e3, "state to command [ms]", "c3")
 
 
-def timeline(data: TrackingData, report: Report) -> Plot:
+def timeline(data: RunData, report: Report) -> Plot:
     """Plot the time between states and from state to command over the run."""
     counts, since = report.counts, np.diff(data.sent, prepend=np.nan) * 1e3
     lines = [

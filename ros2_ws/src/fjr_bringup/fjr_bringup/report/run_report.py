@@ -8,7 +8,7 @@ from pathlib import Path
 from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Report
 from fjr_bringup.analysis.power_balance import Power
-from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.formatting import milliseconds, number, percent
 from fjr_bringup.report import html
 from fjr_bringup.report.run_figures import run_plots
@@ -19,7 +19,7 @@ FOOTER = (
 )
 
 
-def write_run_page(path: Path, data: TrackingData, report: Report, flow: Power) -> None:
+def write_run_page(path: Path, data: RunData, report: Report, flow: Power) -> None:
     """Write the page of a run; raises UPlotError."""
     html.write_page(
         path,

@@ -12,7 +12,7 @@ import numpy as np
 
 from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Energy, Report, Storage
-from fjr_bringup.analysis.run_data import TrackingData
+from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.formatting import milliseconds, number, percent
 from fjr_bringup.recording.reader import Array
 from fjr_bringup.report import html
@@ -97,7 +97,7 @@ class Compared:
     """One of several runs: its unique label, its data and report, and the path of its own page."""
 
     label: str
-    data: TrackingData
+    data: RunData
     report: Report
     page: Path
 

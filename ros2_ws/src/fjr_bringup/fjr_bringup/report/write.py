@@ -15,7 +15,7 @@ import numpy as np
 from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Report, make_report
 from fjr_bringup.analysis.power_balance import power
-from fjr_bringup.analysis.run_data import TrackingData, tracking_data
+from fjr_bringup.analysis.run_data import RunData, run_data
 from fjr_bringup.plotting.overview import draw_overview
 from fjr_bringup.recording.reader import Bag, read_bag
 from fjr_bringup.report.fallback_folder import write_with_fallback
@@ -32,7 +32,7 @@ class RunSummary:
 
     folder: Path
     report: Report
-    data: TrackingData
+    data: RunData
     label: str = ""
 
 
@@ -63,7 +63,7 @@ def report_bag(
 ) -> RunSummary:
     """Write report.json and report.html of any bag into a folder; for the arguments see report_run."""
     with without_warnings():
-        data = tracking_data(bag, scenario, duration or np.inf)
+        data = run_data(bag, scenario, duration or np.inf)
         flow, lasted = power(data, scenario.robot.B_m), duration or float(data.t[-1]) + data.sample_period
         report = replace(
             make_report(name, bag, scenario, data, flow, lasted),

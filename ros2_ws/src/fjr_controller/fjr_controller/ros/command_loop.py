@@ -17,14 +17,14 @@ from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr.readers import SerialisedStates
 from fjr_msgs_py.messages.joint_states import EffortWriter, JointSample, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.node import process
-from fjr_msgs_py.node.conflicting_publishers import Rivals
+from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 
 from ..tracking.events import Event, State
 from ..tracking.tracker import Command, Tracker
 from .diagnostics import ANSWERED, RECEIVED, Reports
 
 TOPICS = {names.EFFORT_COMMANDS: Float64MultiArray, names.JOINT_COMMANDS: JointState}
-RIVALS = "other controllers"
+CONFLICTS = "other controllers"
 ALONE = "expected nobody else to command the robot"
 LOOK_PERIOD = 0.5  # s
 SILENCE_CHECKS = 10  # per state_timeout
@@ -33,11 +33,11 @@ Listener = Callable[[JointSample, Command, int, int], None]
 """Callback with a sample, its command, and the times of arrival and of sending [ns, steady clock]."""
 
 
-class RivalError(FjrError):
+class CommandConflictError(FjrError):
     """Another process publishes on a command topic."""
 
 
-class Answering:
+class CommandLoop:
     """Publish a command on both command topics for each state from `start` to `stop`; otherwise nothing.
 
     Conflicting publishers on either topic are looked for at the start, at the first state and every LOOK_PERIOD. If one
@@ -51,7 +51,7 @@ class Answering:
         tracker: Tracker,
         reader: StateReader,
         reports: Reports,
-        on_conflict: Callable[[RivalError], None],
+        on_conflict: Callable[[CommandConflictError], None],
     ) -> None:
         """Subscribe to the states; create the publishers of reference and tracking error."""
         self._node, self._tracker, self._reports = node, tracker, reports
@@ -72,20 +72,23 @@ class Answering:
         self._listeners.append(listener)
 
     def start(self, state_timeout: float) -> None:
-        """Publish commands from the next state on. Raise RivalError if another process publishes on a command topic."""
-        self._rivals = Rivals(self._node, TOPICS, names.LATEST)
+        """Publish commands from the next state on.
+
+        Raise CommandConflictError if another process publishes on a command topic.
+        """
+        self._conflicts = ConflictingPublishers(self._node, TOPICS, names.LATEST)
         try:
-            self._refuse_rivals()
-        except RivalError:
-            self._rivals.close()
+            self._refuse_conflicts()
+        except CommandConflictError:
+            self._conflicts.close()
             raise
-        self._efforts, self._commands = self._rivals.publishers
+        self._efforts, self._commands = self._conflicts.publishers
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         own_time = self._node.get_clock() if self._simulated else steady
         period = state_timeout / SILENCE_CHECKS
         self._timers = [
             self._node.create_timer(period, self._on_silence, clock=own_time),
-            self._node.create_timer(LOOK_PERIOD, self._look_for_rivals, clock=steady),
+            self._node.create_timer(LOOK_PERIOD, self._look_for_conflicts, clock=steady),
         ]
         self._last_stamp: int | None = None
         self._alone = False
@@ -103,7 +106,7 @@ class Answering:
             self._send(self._last_stamp, self._tracker.stop_effort())
         self._reports.publish_events()
         process.flush(self._efforts, self._commands)
-        self._rivals.close()
+        self._conflicts.close()
 
     def close(self) -> None:
         """Destroy all subscriptions and publishers."""
@@ -177,24 +180,27 @@ class Answering:
         """Look for conflicting publishers before the first command; False if the state is old after that."""
         self._alone = True
         try:
-            listened = self._refuse_rivals()
-        except RivalError as error:
+            listened = self._refuse_conflicts()
+        except CommandConflictError as error:
             self._on_conflict(error)
             return False
-        self._rivals.trust()
+        self._conflicts.trust()
         return not listened
 
-    def _refuse_rivals(self) -> bool:
-        """Return True if other publishers exist but are silent (a killed node). Raise RivalError if one publishes."""
-        appeared = self._rivals.appeared()
-        topic = self._rivals.heard() if appeared else ""
+    def _refuse_conflicts(self) -> bool:
+        """Return True if other publishers exist but are silent (a killed node).
+
+        Raise CommandConflictError if one publishes.
+        """
+        appeared = self._conflicts.appeared()
+        topic = self._conflicts.heard() if appeared else ""
         if topic:
-            raise RivalError(f"{self._rivals.named(topic)} publishes on {topic}; {ALONE}")
+            raise CommandConflictError(f"{self._conflicts.named(topic)} publishes on {topic}; {ALONE}")
         return bool(appeared)
 
-    def _look_for_rivals(self) -> None:
-        topics = self._rivals.appeared() if self._alone else ()
+    def _look_for_conflicts(self) -> None:
+        topics = self._conflicts.appeared() if self._alone else ()
         if topics:
-            named = self._rivals.named(*topics)
+            named = self._conflicts.named(*topics)
             sentence = f"{named} has begun to publish on {' and '.join(topics)}; {ALONE}"
-            self._reports.event(Event("error", RIVALS, sentence, {"nodes": named}))
+            self._reports.event(Event("error", CONFLICTS, sentence, {"nodes": named}))

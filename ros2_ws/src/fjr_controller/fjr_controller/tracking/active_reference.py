@@ -8,7 +8,7 @@ import numpy as np
 from fjr_core import Reference
 from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.point_to_point import Hold
-from fjr_core.trajectories.transition import join
+from fjr_core.trajectories.transition import transition
 
 SHORTEST, LONGEST = 0.2, 2.0  # s; duration of braking
 MATCHED = 1e-6  # difference of two jets, relative to 1 + the largest entry of the same derivative
@@ -56,7 +56,7 @@ class ActiveReference:
     def begin_transition(self, jets0: Array, stamp: int, duration: float) -> None:
         """Begin a transition of duration > 0 [s] from jets0 (5, n) at the stamp [ns] into the requested reference."""
         assert self._zero is not None
-        self._reference = join(jets0, (stamp - self._zero) * 1e-9, self._target, duration)
+        self._reference = transition(jets0, (stamp - self._zero) * 1e-9, self._target, duration)
         self.transition_end = stamp + round(duration * 1e9)
 
     def drop(self) -> None:

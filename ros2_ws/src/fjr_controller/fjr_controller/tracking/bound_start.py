@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Certificate:
+class BoundStatus:
     """V(t) <= V0 exp(-2 beta (t - start)) [J] from the stamp `start` [ns] on; V [J] is the value at the stamp `now`."""
 
     start: int
@@ -35,6 +35,6 @@ class BoundStart:
         self._start = None
 
     @property
-    def certificate(self) -> Certificate | None:
+    def certificate(self) -> BoundStatus | None:
         """Return the certificate, or None if there is no bound."""
-        return None if self._start is None else Certificate(self._start, self._V0, self._now, self._V)
+        return None if self._start is None else BoundStatus(self._start, self._V0, self._now, self._V)

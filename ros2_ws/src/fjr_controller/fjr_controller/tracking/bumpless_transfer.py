@@ -14,7 +14,7 @@ def smoothstep(s: float) -> float:
     return s * s * (3.0 - 2.0 * s)
 
 
-class Fade:
+class BumplessTransfer:
     """Blend efforts with the smoothstep s(t) from 0 to 1.
 
     ramp:  u = (1 - s) u_stop + s u_law, with the stop policy's effort u_stop at the beginning of the ramp

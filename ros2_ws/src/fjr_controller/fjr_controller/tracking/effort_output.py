@@ -16,7 +16,7 @@ from .law_evaluation import LawEvaluation
 from .measured_state import MeasuredState
 from .stamp_order import Order
 from .stop_policy import StopPolicy
-from .supervisor import Course
+from .supervisor import Supervisor
 
 
 class EffortOutput:
@@ -43,41 +43,41 @@ class EffortOutput:
         self.law.use(law)
         self.policy.apply(law, self._settings)
 
-    def select(self, course: Course, jets: Array, order: Order, stamp: int, dt: int) -> tuple[Array, float]:
+    def select(self, supervisor: Supervisor, jets: Array, order: Order, stamp: int, dt: int) -> tuple[Array, float]:
         """Return the effort (n,) [N m] before transfer and limits, with V [J]: nan unless it is the law's.
 
         jets (5, n): reference at the stamp [ns], dt [ns] after the last accepted sample. While stopped it is the stop
         policy's effort; while velocities settle it is the last effort, or at a start the stop policy's.
         """
         state = self._state
-        if not (course.reason or course.settling):
+        if not (supervisor.reason or supervisor.settling):
             lead = self.law.lead
-            ahead = course.reference.jets(stamp + lead) if lead else jets
+            ahead = supervisor.reference.jets(stamp + lead) if lead else jets
             return self.law.evaluate(ahead, order, dt, self.limits.left)
         self.law.reset()
-        if course.reason:
+        if supervisor.reason:
             return self.policy.moving(state.q_l, state.dq_m), math.nan
-        return self.policy.at(state.q_l) if course.starting else self.limits.sent.copy(), math.nan
+        return self.policy.at(state.q_l) if supervisor.starting else self.limits.sent.copy(), math.nan
 
-    def send(self, course: Course, selected: Array, V: float, stamp: int) -> Array:
+    def send(self, supervisor: Supervisor, selected: Array, V: float, stamp: int) -> Array:
         """Return the effort (n,) [N m] that is sent; the bound on V continues only if it is the law's own."""
         limits = self.limits
-        u = limits.send(course.fade.apply(selected, limits.sent, self.policy.standing, stamp), stamp)
+        u = limits.send(supervisor.transfer.apply(selected, limits.sent, self.policy.standing, stamp), stamp)
         if u is selected and math.isfinite(V):
-            course.bound.update(stamp, V)
+            supervisor.bound.update(stamp, V)
         else:
-            course.bound.reset()
+            supervisor.bound.reset()
         return u
 
-    def send_without_law(self, course: Course, stamp: int) -> Array:
+    def send_without_law(self, supervisor: Supervisor, stamp: int) -> Array:
         """Return the stop policy's effort (n,) [N m] for a sample at `stamp` [ns] without a finite effort."""
         self.law.reset()
-        return self.send(course, self.policy.standing(), math.nan, stamp)
+        return self.send(supervisor, self.policy.standing(), math.nan, stamp)
 
-    def send_without_sample(self, course: Course) -> Array:
+    def send_without_sample(self, supervisor: Supervisor) -> Array:
         """Return the stop policy's effort (n,) [N m] within the effort limits; the rate limits do not apply."""
         u = self.limits.saturate(self.policy.standing())
         self.limits.replace(u)
         self.law.reset()
-        course.bound.reset()
+        supervisor.bound.reset()
         return u

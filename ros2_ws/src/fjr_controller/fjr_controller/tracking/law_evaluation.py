@@ -12,7 +12,7 @@ from fjr_core.control.static_law import BoundCommand, StaticLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.reference import JETS
 
-from .law_state import Recollection
+from .law_state import LawState
 from .measured_state import MeasuredState
 from .stamp_order import Order
 
@@ -28,7 +28,7 @@ class LawEvaluation:
         self._state, self._jets = state, np.zeros((JETS, law.robot.n))
         self._sampled = sampled_law(law, robust)
         self._bound: BoundCommand | BoundStep
-        self._law_state: Recollection | None = None
+        self._law_state: LawState | None = None
         self.lead = round(self._sampled.lead * 1e9)
         self.use(law)
 
@@ -47,7 +47,7 @@ class LawEvaluation:
         sampled = self._sampled.with_law(law)
         step = sampled.bound(*arrays)
         self._check_finite(step, "'gains.*' and 'robust.*'")
-        self._law_state = Recollection(step) if self._law_state is None else self._law_state.moved_to(step)
+        self._law_state = LawState(step) if self._law_state is None else self._law_state.moved_to(step)
         self.law, self._sampled, self._bound = law, sampled, step
 
     def evaluate(self, jets: Array, order: Order, dt: int, sent: Array) -> tuple[Array, float]:

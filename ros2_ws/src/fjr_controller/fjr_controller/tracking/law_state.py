@@ -11,7 +11,7 @@ from fjr_core.numerics.checks import Array
 from .stamp_order import Order
 
 
-class Recollection:
+class LawState:
     """Advance the controller state where a sample follows one for which the law acted; reset it everywhere else.
 
     A repeated sample is evaluated again with the same state. The state after a sample counts only after `accept`.
@@ -20,13 +20,13 @@ class Recollection:
     def __init__(self, step: BoundStep) -> None:
         self._step, self._evaluated, self._continues = step, False, False
 
-    def moved_to(self, step: BoundStep) -> Recollection:
+    def moved_to(self, step: BoundStep) -> LawState:
         """Return this controller state for another step with a state of the same layout (other gains)."""
         np.copyto(step.memory, self._step.memory)
         np.copyto(step.next, self._step.next)
         np.copyto(step.sent, self._step.sent)
         np.copyto(step.dt, self._step.dt)
-        moved = Recollection(step)
+        moved = LawState(step)
         moved._evaluated, moved._continues = self._evaluated, self._continues
         return moved
 

@@ -15,7 +15,7 @@ from fjr_core.trajectories.point_to_point import standing
 
 from .active_reference import ActiveReference
 from .bound_start import BoundStart
-from .bumpless_transfer import Fade
+from .bumpless_transfer import BumplessTransfer
 from .events import ERROR, INFO, STARTS_REFUSED, STOPS, WARN, Journal
 from .measured_state import MeasuredState
 from .stamp_order import Order
@@ -24,7 +24,7 @@ from .state_limits import StateLimits
 BLEND = 0.05  # of the transition time: a longer blend has a larger error, and no smaller step of u
 
 
-class Course:
+class Supervisor:
     """The active reference, the bumpless transfer and the stop, advanced sample by sample.
 
     Start: ramp from the stop policy's effort over start.ramp_time; transition from the measured state over
@@ -40,7 +40,7 @@ class Course:
 
     def __init__(self, reference: Reference, settings: Settings, state: MeasuredState, journal: Journal) -> None:
         self.settings, self.reference = settings, ActiveReference(reference)
-        self.fade, self.bound = Fade(), BoundStart()
+        self.transfer, self.bound = BumplessTransfer(), BoundStart()
         self.reason, self.settling, self.starting = "", 0, True
         self._state, self._limits, self._journal = state, StateLimits(settings, state), journal
         self._resuming = self._holding = self._joining = False
@@ -48,7 +48,7 @@ class Course:
     @property
     def joining(self) -> bool:
         """True during a transition of the reference, a transfer of the effort, or while velocities settle."""
-        return self.fade.active or self.settling > 0 or self._joining
+        return self.transfer.active or self.settling > 0 or self._joining
 
     def apply(self, settings: Settings) -> None:
         """Replace the settings; a stop and what is under way remain."""
@@ -81,21 +81,25 @@ class Course:
         requested = self._resuming or self._holding or self.reference.is_due(stamp)
         return order is Order.NEXT and not (settling or self.settling or requested)
 
-    def advanced(self, order: Order, stamp: int, settling: int) -> Course:
+    def advanced(self, order: Order, stamp: int, settling: int) -> Supervisor:
         """Return a copy of the supervisor after the transitions triggered by this sample; self is unchanged.
 
         settling: samples that the velocities need before they are used, because their observer was reset.
         The copy has a journal of its own until `committed`. Raise TrajectoryError if no motion leads back from the
         measured state.
         """
-        course = copy(self)
-        course.reference, course.fade, course.bound = copy(self.reference), copy(self.fade), copy(self.bound)
-        course._journal = Journal()
-        course._handle_order(order, stamp, settling)
-        course._handle_requests(order, stamp)
-        return course
+        supervisor = copy(self)
+        supervisor.reference, supervisor.transfer, supervisor.bound = (
+            copy(self.reference),
+            copy(self.transfer),
+            copy(self.bound),
+        )
+        supervisor._journal = Journal()
+        supervisor._handle_order(order, stamp, settling)
+        supervisor._handle_requests(order, stamp)
+        return supervisor
 
-    def committed(self, journal: Journal) -> Course:
+    def committed(self, journal: Journal) -> Supervisor:
         """Return this supervisor with `journal`, to which everything reported so far is added."""
         journal.merge(self._journal)
         self._journal = journal
@@ -124,7 +128,7 @@ class Course:
             sentence = "the velocity observer was reset: a gap, or a state without an effort"
             self._journal.report(WARN, "observer restarts", sentence)
         if order is not Order.NEXT or settling:
-            self.fade.stop()
+            self.transfer.stop()
             self.settling = 1 + settling
 
     def _begin(self, stamp: int) -> None:
@@ -179,7 +183,7 @@ class Course:
             self._recover(stamp)
 
     def _start(self, stamp: int) -> None:
-        self.fade.ramp(stamp, self.settings.ramp_time)
+        self.transfer.ramp(stamp, self.settings.ramp_time)
         if self.settings.start_join_time > 0:
             jets0 = standing(self._state.q_l, self._state.dq_l)
             self.reference.begin_transition(jets0, stamp, self.settings.start_join_time)
@@ -207,7 +211,7 @@ class Course:
         sentence = "recovery: tracking continues at once"
         if seconds > 0:
             self.reference.begin_transition(standing(self._state.q_l, self._state.dq_l), stamp, seconds)
-            self.fade.blend(stamp, BLEND * seconds)
+            self.transfer.blend(stamp, BLEND * seconds)
             sentence = f"recovery: transition to the reference within {seconds:g} s"
         self._journal.report(INFO, "recoveries", sentence)
 
@@ -220,7 +224,7 @@ class Course:
 
     def _stop(self, kind: str, sentence: str, joint: str, value: float = math.nan, limit: float = math.nan) -> None:
         self.reason = sentence
-        self.fade.stop()
+        self.transfer.stop()
         self.bound.reset()
         numbers = {} if math.isnan(value) else {"value": value, "limit": limit}
         self._journal.report(ERROR, kind, sentence, joint=joint, **numbers)

@@ -19,12 +19,12 @@ from fjr_core.control.safety_settings import Settings
 from fjr_core.control.static_law import StaticLaw
 from fjr_core.numerics.checks import Array
 
-from .bound_start import Certificate
+from .bound_start import BoundStatus
 from .effort_output import EffortOutput
 from .events import ERROR, INFO, WARN, Journal, State
 from .measured_state import MeasuredState, Observer, StateMeasurement
 from .stamp_order import Order, Stamps
-from .supervisor import Course
+from .supervisor import Supervisor
 from .wiring_monitor import WiringMonitor
 
 if TYPE_CHECKING:
@@ -98,23 +98,23 @@ class Tracker:
         self._measurement = StateMeasurement(self._state, observer)
         checks = settings.wiring_check and observer is None
         self._wiring = WiringMonitor(law.robot, settings.joints, self._state, enabled=checks)
-        self._reference, self._course = reference, Course(reference, settings, self._state, journal)
+        self._reference, self._supervisor = reference, Supervisor(reference, settings, self._state, journal)
         self._output = EffortOutput(law, robust, settings, self._state, journal)
         self._stopped = 0  # ns
 
     @property
     def state(self) -> State:
         """Return the state of the tracker."""
-        if self._course.reason:
+        if self._supervisor.reason:
             return State.STOPPED
         if self._stamps.last is None:
             return State.WAITING
-        return State.JOINING if self._course.joining else State.TRACKING
+        return State.JOINING if self._supervisor.joining else State.TRACKING
 
     @property
     def reason(self) -> str:
         """Return the reason of the stop, one sentence; empty if not stopped."""
-        return self._course.reason
+        return self._supervisor.reason
 
     @property
     def last_stamp(self) -> int | None:
@@ -124,12 +124,12 @@ class Tracker:
     @property
     def end(self) -> float:
         """Return the stamp [ns] from which on the reference is constant; inf for never, or before the first sample."""
-        return self._course.reference.end
+        return self._supervisor.reference.end
 
     @property
-    def certificate(self) -> Certificate | None:
+    def certificate(self) -> BoundStatus | None:
         """Return the start of the bound on V and the present V; None unless the effort sent is the law's own."""
-        return self._course.bound.certificate
+        return self._supervisor.bound.certificate
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -139,7 +139,7 @@ class Tracker:
     def warm_up(self) -> None:
         """Evaluate everything once, so that the first sample takes no longer than any other."""
         n = len(self._state.q_l)
-        self._course.reference.jets(0)
+        self._supervisor.reference.jets(0)
         self._output.policy.moving(np.zeros(n), np.zeros(n))
         self._measurement.warm_up()
 
@@ -151,7 +151,7 @@ class Tracker:
         """
         self._reference = self._reference if reference is None else reference
         self._stamps.reset()
-        self._course = Course(self._reference, self._course.settings, self._state, self._journal)
+        self._supervisor = Supervisor(self._reference, self._supervisor.settings, self._state, self._journal)
         self._recheck_wiring()
 
     def command(self, sample: JointSample, arrival: int) -> Command | None:
@@ -167,20 +167,20 @@ class Tracker:
         if not self._measurement.update(sample, order, self._output.limits.left):
             return self._without_effort(stamp)
         self._check_wiring(order, stamp)
-        course, settling = self._course, self._measurement.settling(order)
-        if not course.continues(order, stamp, settling):
+        supervisor, settling = self._supervisor, self._measurement.settling(order)
+        if not supervisor.continues(order, stamp, settling):
             try:
-                course = course.advanced(order, stamp, settling)
+                supervisor = supervisor.advanced(order, stamp, settling)
             except TrajectoryError:  # no motion leads back from a state that far out
                 return self._without_effort(stamp)
-        jets, last = course.jets(stamp), self._stamps.last
-        u, V = self._output.select(course, jets, order, stamp, 0 if last is None else stamp - last)
+        jets, last = supervisor.jets(stamp), self._stamps.last
+        u, V = self._output.select(supervisor, jets, order, stamp, 0 if last is None else stamp - last)
         if not u.dot(u) < np.inf:
             return self._without_effort(stamp)
-        if course is not self._course:
-            self._course = course.committed(self._journal)
+        if supervisor is not self._supervisor:
+            self._supervisor = supervisor.committed(self._journal)
         self._output.policy.remember(self._state.q_l)
-        u = self._output.send(self._course, u, V, stamp)
+        u = self._output.send(self._supervisor, u, V, stamp)
         self._output.law.accept()
         self._wiring.sent(u, order)
         self._accept(stamp, arrival)
@@ -202,12 +202,12 @@ class Tracker:
 
         zero: zeros. gravity_hold: B_m^-1 grad P_l(q_l) at the last valid sample, zeros before the first.
         """
-        return self._output.send_without_sample(self._course)
+        return self._output.send_without_sample(self._supervisor)
 
     def apply(self, settings: Settings) -> None:
         """Replace the settings from the next sample on; a stop and what is under way remain."""
         self._stamps.set_timeout(settings.state_timeout)
-        self._course.apply(settings)
+        self._supervisor.apply(settings)
         self._output.apply(settings)
         self._journal.report(INFO, "settings changed", "limits and stop policy changed")
 
@@ -217,7 +217,7 @@ class Tracker:
         Raise GainsError if its effort is not finite; then the law remains.
         """
         self._output.use(law)
-        self._course.bound.reset()
+        self._supervisor.bound.reset()
         self._journal.report(INFO, "gains changed", "gains changed: the certificate starts again")
 
     def jets_at(self, stamp: int) -> Array | None:
@@ -225,7 +225,7 @@ class Tracker:
 
         A trajectory that is to follow starts from them: Spline(..., start=tracker.jets_at(start)).
         """
-        return self._course.reference.jets(stamp) if self._course.reference.begun else None
+        return self._supervisor.reference.jets(stamp) if self._supervisor.reference.begun else None
 
     def follow(self, reference: Reference, start: int | None = None) -> None:
         """Track a reference whose time 0 is at the stamp `start` [ns]; None: at the next sample.
@@ -236,7 +236,7 @@ class Tracker:
         at once. Before the first sample it replaces the reference, with time 0 at that sample. It replaces a pending
         reference and a pending hold. While stopped it is kept until resume().
         """
-        self._course.follow(reference, start)
+        self._supervisor.follow(reference, start)
 
     def hold(self) -> None:
         """Come to a standstill from the next sample on, C^4 from the active reference.
@@ -244,16 +244,16 @@ class Tracker:
         The speed dq is reduced to 0 within T = max |dq| / hold.deceleration (0.2 s to 2 s), over the distance dq T / 2.
         While stopped, or before the first sample: stand still where the links are at the next sample.
         """
-        self._course.hold()
+        self._supervisor.hold()
 
     def resume(self) -> None:
         """End a stop: track again from the next sample on, as after a recovery; without a stop do nothing.
 
         If recovery.join_time is 0 a refused start is checked again. A sample that violates a limit stops again.
         """
-        if self._course.reason:
+        if self._supervisor.reason:
             self._recheck_wiring()
-        self._course.resume()
+        self._supervisor.resume()
 
     def _recheck_wiring(self) -> None:
         """Check the wiring from the next sample on, and enable the stop policy again."""
@@ -265,11 +265,11 @@ class Tracker:
         fault = self._wiring.check(order, stamp)
         if fault is not None:
             self._output.policy.released = True
-            self._course.refuse_wiring(*fault)
+            self._supervisor.refuse_wiring(*fault)
 
     def _accept(self, stamp: int, arrival: int) -> None:
         elapsed = self._stamps.accept(stamp, arrival)
-        if self._course.reason:
+        if self._supervisor.reason:
             self._stopped += elapsed
         self._journal.episodes.discard(NOT_FINITE)
 
@@ -278,8 +278,8 @@ class Tracker:
         sentence = "the effort is not finite for a state: the stop effort is sent instead"
         self._journal.report_episode(ERROR, NOT_FINITE, sentence)
         self._measurement.reset()
-        u = self._output.send_without_law(self._course, stamp)
-        return self._command(u, self._course.reference.jets(stamp), math.nan, False)
+        u = self._output.send_without_law(self._supervisor, stamp)
+        return self._command(u, self._supervisor.reference.jets(stamp), math.nan, False)
 
     def _command(self, u: Array, jets: Array, V: float, restarted: bool) -> Command:
         return Command(u, jets, V, self._state.velocity, self.state, restarted, self._state.position)

@@ -11,7 +11,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from fjr_core import FjrError, Reference
 from fjr_core.trajectories.motion_limits import MotionLimits, check_motion
-from fjr_core.trajectories.transition import join
+from fjr_core.trajectories.transition import transition
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.messages.trajectories import TrajectoryReader
@@ -146,7 +146,7 @@ class TrajectoryInterface:
             return reference, None
         jets = self._tracker.jets_at(start)
         assert jets is not None
-        joined = join(jets, 0.0, reference, self._join_time)
+        joined = transition(jets, 0.0, reference, self._join_time)
         check_motion(joined.segment, self._limits, 0.0, self._join_time, self._joints)
         return joined, start
 

@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory
 from fjr_core import FjrError, Reference, Spline
 from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.motion_limits import MotionLimits, check_motion
-from fjr_core.trajectories.transition import join, shifted
+from fjr_core.trajectories.transition import time_shifted, transition
 from fjr_msgs_py.messages.joint_states import MessageError, nanoseconds
 from fjr_msgs_py.messages.trajectories import SECOND, TrajectoryReader
 
@@ -104,7 +104,7 @@ class PlanningProblem:
         assert plan.reference is not None
         late = stamp - plan.start
         seconds = (JOIN_TIME + JOIN_FACTOR * late) / SECOND
-        reference = join(jets, 0.0, shifted(plan.reference, -late / SECOND), seconds)
+        reference = transition(jets, 0.0, time_shifted(plan.reference, -late / SECOND), seconds)
         check_motion(reference.segment, self.rules.limits, 0.0, seconds, self.rules.joints)
         return Plan(reference, stamp)
 

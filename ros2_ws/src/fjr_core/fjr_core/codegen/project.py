@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from ..control.sampled_law import SampledLaw, Static
+from ..control.sampled_law import AsSampledLaw, SampledLaw
 from ..control.vdpbc.law import TrackingLaw
 from ..control.vdpbc.symbolic_gains import GainSymbols, GainTerms
 from ..errors import FjrError
@@ -101,7 +101,7 @@ def _values(loop: Loop, prefix: str) -> dict[str, str]:
 
 def _gain_words(law: SampledLaw) -> str:
     """Describe the layout of `gains` of a v-dPBC law; an empty string for other laws."""
-    if not (isinstance(law, Static) and isinstance(law.law, TrackingLaw)):
+    if not (isinstance(law, AsSampledLaw) and isinstance(law.law, TrackingLaw)):
         return ""
     terms = GainSymbols(law.law.gains).terms
     parts = [f"{field.name} ({getattr(terms, field.name).nnz()})" for field in fields(GainTerms)]

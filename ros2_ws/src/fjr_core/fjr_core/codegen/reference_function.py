@@ -16,12 +16,12 @@ from ..numerics.casadi_function import dense_function
 from ..numerics.checks import Array
 from ..numerics.symbolic import directional
 from ..trajectories.circle import Circle
-from ..trajectories.piecewise_polynomial import DEGREE, Pieces
+from ..trajectories.piecewise_polynomial import DEGREE, PiecewisePolynomial
 from ..trajectories.point_to_point import Hold, PointToPoint
 from ..trajectories.reference import JETS, Reference
 from ..trajectories.sine import MultiSine, Sine
 from ..trajectories.spline import Spline
-from ..trajectories.transition import Joined, Shifted
+from ..trajectories.transition import TimeShifted, Transition
 
 FAR = 1e300  # s; larger times are equivalent
 KNOWN = "Sine, MultiSine, PointToPoint, Circle, Hold, Spline, joined or shifted"
@@ -57,7 +57,7 @@ def _(reference: Hold, _t: ca.MX) -> ca.MX:
 
 
 @jets_expression.register
-def _(reference: Pieces, t: ca.MX) -> ca.MX:
+def _(reference: PiecewisePolynomial, t: ca.MX) -> ca.MX:
     edges, origins, rates, coefficients = reference.table
     i = ca.low(ca.DM([-FAR, *edges, FAR]), t, {"lookup_mode": "binary"})
     s = (t - _entry(origins, i)) * _entry(rates, i)
@@ -91,13 +91,13 @@ def _(reference: Spline, t: ca.MX) -> ca.MX:
 
 
 @jets_expression.register
-def _(reference: Joined, t: ca.MX) -> ca.MX:
+def _(reference: Transition, t: ca.MX) -> ca.MX:
     sides = (jets_expression(side, t) for side in (reference.segment, reference.target))
     return ca.if_else(t < reference.transition_end, *sides)
 
 
 @jets_expression.register
-def _(reference: Shifted, t: ca.MX) -> ca.MX:
+def _(reference: TimeShifted, t: ca.MX) -> ca.MX:
     return jets_expression(reference.reference, t - reference.t0)
 
 

@@ -20,7 +20,7 @@ from ..errors import GainsError, ParameterError
 from ..robot.robot import Robot
 from ..stability.integral_bound import refuse_fast_integral
 from ..stability.linearization import rest_position
-from ..tuning.bandwidth import Yardstick
+from ..tuning.bandwidth import BaselineTarget
 from ..tuning.equal_bandwidth import Tuning, tune
 from . import law
 from .controller import controller_parameters
@@ -100,16 +100,16 @@ def tuning(values: Values) -> Tuning:
 @lru_cache(maxsize=8)
 def _tuned(items: tuple[tuple[str, Value], ...]) -> Tuning:
     values = dict(items)
-    return tune(str(values[law.TYPE.name]), yardstick(values, robot(values)))
+    return tune(str(values[law.TYPE.name]), baseline_target(values, robot(values)))
 
 
-def yardstick(values: Values, robot: Robot) -> Yardstick:
+def baseline_target(values: Values, robot: Robot) -> BaselineTarget:
     """Return the tuning target: v-dPBC with gains.* along the reference, starting at rest with law.start_error."""
     motion = reference(values, robot.n)
     error = np.tile(vector(values, law.INITIAL_ERROR.name, robot.n), 2)
     position = rest_position(robot, np.asarray(motion.jets(0.0))[0]) + error
     start = position, np.zeros(2 * robot.n)
-    return Yardstick(robot, motion, gains(values, robot.n), start, _sample_period(values))
+    return BaselineTarget(robot, motion, gains(values, robot.n), start, _sample_period(values))
 
 
 def _baseline_gains(values: Values, robot: Robot) -> Any:

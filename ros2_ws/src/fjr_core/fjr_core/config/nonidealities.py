@@ -8,11 +8,11 @@ from dataclasses import replace
 from ..errors import ParameterError
 from ..numerics.parameter_field import declared
 from ..robot.robot import Robot
-from ..simulation.nonideal_parameters import ChannelErrors, Imperfections, SensorErrors
+from ..simulation.nonideal_parameters import ChannelErrors, Nonidealities, SensorErrors
 from .parameter import Parameter, Values, number, read, table
 
 _GROUP = "imperfections."
-_DYNAMICS = declared(Imperfections, _GROUP)
+_DYNAMICS = declared(Nonidealities, _GROUP)
 _SENSORS = declared(SensorErrors, _GROUP)
 _CHANNEL = declared(ChannelErrors)
 _IN_ORDER = "in_order"  # the field that both channels share
@@ -41,14 +41,14 @@ def imperfection_parameters(n: int) -> list[Parameter]:
     return [*table(_DYNAMICS, n), *table(_SENSORS, n), *table(channels, n), PERIOD_JITTER, SEED]
 
 
-def imperfections(values: Values, robot: Robot) -> Imperfections:
+def imperfections(values: Values, robot: Robot) -> Nonidealities:
     """Return the non-idealities of the robot's dynamics; raises ParameterError."""
     mass = _DYNAMICS["payload_mass"].name
-    if robot.links.hand is None and values[mass]:
+    if robot.links.end_effector is None and values[mass]:
         raise ParameterError(
             f"parameter '{mass}' is {values[mass]} kg; expected 0: the robot model has no end effector"
         )
-    return Imperfections(robot.n, **read(_DYNAMICS, values, robot.n))
+    return Nonidealities(robot.n, **read(_DYNAMICS, values, robot.n))
 
 
 def sensor_errors(values: Values, n: int) -> SensorErrors:

@@ -48,7 +48,7 @@ def process_parameters() -> list[Parameter]:
     return [COMPILE, CPU_AFFINITY, *table(_DECLARED, 0)]
 
 
-def process_care(values: Values) -> ProcessSettings:
+def process_settings(values: Values) -> ProcessSettings:
     """Return the process settings of the values; raises ParameterError.
 
     The priority is 0 in lock-step, which has no deadline.

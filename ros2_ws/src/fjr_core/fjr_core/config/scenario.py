@@ -19,7 +19,7 @@ from ..control.vdpbc.gains import Gains
 from ..control.vdpbc.law import TrackingLaw
 from ..errors import ParameterError
 from ..estimation.measurement_model import OBSERVER, TORQUE
-from ..monitoring.certificate import Balance
+from ..monitoring.certificate import Certificate
 from ..monitoring.one_step_prediction import Prediction
 from ..numerics.checks import Array
 from ..robot.port_hamiltonian import Plant
@@ -127,7 +127,7 @@ class Scenario:
         if isinstance(self.sampled_law, RobustLaw):
             _ = self.sampled_law.ready_step
         if self.controller_values["certificate"] and isinstance(self.law, TrackingLaw):
-            _ = Balance(self.law).function, Prediction(self.law).function
+            _ = Certificate(self.law).function, Prediction(self.law).function
         self.plant.step(self.x0, [0.0] * self.robot.n, self.sample_period)
 
     def simulate(self, duration: float) -> Trajectory:

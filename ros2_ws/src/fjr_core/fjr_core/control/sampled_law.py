@@ -64,7 +64,7 @@ class SampledLaw(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Static:
+class AsSampledLaw:
     """Adapt a static law to the interface SampledLaw."""
 
     law: MeasuredLaw

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..errors import StateError
 from ..numerics.checks import Array
 from ..robot.configuration_sampling import checked_configurations
-from ..robot.equilibrium import rest_points
+from ..robot.equilibrium import equilibria_at
 from ..robot.robot import Robot
 from .velocity_observer import CONFIGURATIONS, LONGEST_CALL, LONGEST_GAP, VelocityObserver, corrections
 
@@ -26,7 +26,7 @@ def error_radii(robot: Robot, bandwidth: float, sample_period: float, configurat
     """
     if not 0 < sample_period <= LONGEST_GAP:
         raise StateError(f"sample_period is {sample_period} s; expected more than 0 and at most {LONGEST_GAP}")
-    points = rest_points(robot, checked_configurations(robot, configurations, CONFIGURATIONS))
+    points = equilibria_at(robot, checked_configurations(robot, configurations, CONFIGURATIONS))
     jacobian_function = _error_jacobian(VelocityObserver(robot, bandwidth).function)
     g, h = corrections(bandwidth, sample_period)
     calls = math.ceil(sample_period / LONGEST_CALL)

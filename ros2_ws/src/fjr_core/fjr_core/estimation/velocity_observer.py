@@ -40,7 +40,7 @@ from ..numerics.checks import Array
 from ..numerics.jit import compiled
 from ..robot.configuration_sampling import checked_configurations
 from ..robot.coordinates import Coordinates
-from ..robot.equilibrium import plant_matrices, rest_points
+from ..robot.equilibrium import equilibria_at, plant_matrices
 from ..robot.port_hamiltonian import Plant
 from ..robot.robot import Robot
 
@@ -178,6 +178,6 @@ def _observer_function(robot: Robot, steps: int) -> ca.Function:
 
 def steps_of(robot: Robot) -> int:
     """Return the number of Runge-Kutta steps in one call, sufficient for the fastest mode of the robot."""
-    points = rest_points(robot, checked_configurations(robot, None, CONFIGURATIONS))
+    points = equilibria_at(robot, checked_configurations(robot, None, CONFIGURATIONS))
     fastest = float(np.abs(np.linalg.eigvals(plant_matrices(points)[0])).max())
     return min(max(math.ceil(LONGEST_CALL * fastest / LARGEST_STEP), FEWEST_STEPS), MOST_STEPS)

@@ -16,12 +16,12 @@ import numpy as np
 from ..control.vdpbc.law import TrackingLaw
 from ..control.vdpbc.linearized import feedback
 from ..numerics.checks import Array
-from ..robot.equilibrium import plant_matrices, rest_points
+from ..robot.equilibrium import equilibria_at, plant_matrices
 from ..robot.robot import Robot
 from ..stability.linear_controller import momentum_matrix
 from ..stability.one_sample_map import SampledLoop
 from .delay_estimation import Acting
-from .innovations import Intervals, foreseen
+from .innovations import Innovations, foreseen
 from .storage_budget import CAUSES, blocks_of, foreign, state_change
 from .thresholds import BLOCK, GAP
 
@@ -40,7 +40,7 @@ class CauseErrors:
 
 def closed_loop(law: TrackingLaw, configurations: Array, period: float) -> Array:
     """Return Phi + Gamma F (k, 4n, 4n) in positions and velocities at k configurations (k, n), held for period [s]."""
-    equilibria = rest_points(law.robot, configurations)
+    equilibria = equilibria_at(law.robot, configurations)
     momenta = momentum_matrix(equilibria)
     A, B = plant_matrices(equilibria)
     F = feedback(equilibria, law.gains)
@@ -49,7 +49,7 @@ def closed_loop(law: TrackingLaw, configurations: Array, period: float) -> Array
 
 
 def cause_errors(
-    found: Intervals,
+    found: Innovations,
     acted: Acting,
     robot: Robot,
     period: float,
@@ -77,7 +77,7 @@ def cause_errors(
     return CauseErrors(_peaks(made), _peaks(own)), e
 
 
-def disturbances(found: Intervals, acted: Acting, robot: Robot, period: float, limit: Array) -> Array:
+def disturbances(found: Innovations, acted: Acting, robot: Robot, period: float, limit: Array) -> Array:
     """Return the change of the state (k, 4n, 4) due to each of CAUSES in each interval."""
     other, answered = found.sent - found.law, found.answered[:, None]
     saturation = other * (answered & ~foreign(found, limit)[:, None]) + acted.cut
@@ -87,7 +87,7 @@ def disturbances(found: Intervals, acted: Acting, robot: Robot, period: float, l
     return np.stack([mismatch, *efforts], axis=2)
 
 
-def _outdated(found: Intervals, period: float) -> Array:
+def _outdated(found: Innovations, period: float) -> Array:
     """Return the mean difference (k, n) between the held effort and that of the law, had it been sampled in a gap."""
     law = np.vstack([found.law[1:], found.law[-1:]])
     samples = np.maximum(1.0, np.round(found.dt / period)) * (found.dt > GAP * period)

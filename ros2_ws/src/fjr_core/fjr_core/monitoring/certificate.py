@@ -77,7 +77,7 @@ class CertificateSeries:
         return np.asarray((self.dV[:-1] + end) / 2)
 
 
-class Balance:
+class Certificate:
     """Certificate of a law as a function of measured positions and velocities.
 
     The functions are built once per law; they are machine code where the law is compiled.
@@ -86,9 +86,9 @@ class Balance:
     def __init__(self, law: TrackingLaw) -> None:
         self.law = law
 
-    def with_law(self, law: TrackingLaw) -> Balance:
+    def with_law(self, law: TrackingLaw) -> Certificate:
         """Return the certificate of a law made by `self.law.with_gains`; the functions are shared."""
-        other = Balance(law)
+        other = Certificate(law)
         other.function = self.function
         return other
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..numerics.checks import Array
 from ..robot.robot import Robot
-from .innovations import Intervals, needed
+from .innovations import Innovations, needed
 from .thresholds import (
     CLIPPED_BY,
     CLIPPED_FOR,
@@ -30,7 +30,7 @@ from .thresholds import (
 
 
 @dataclass(frozen=True)
-class EffortAge:
+class EffortDelay:
     """Input delay: `whole` samples plus a `fraction` of the interval, during which the previous effort acts.
 
     measured: estimated from the measured torque; `whole` is then 0.
@@ -60,7 +60,7 @@ class Acting:
         return Acting(self.cut[-count:], self.late[-count:], self.lost[-count:], self.age)
 
 
-def effort_age(found: Intervals, robot: Robot) -> EffortAge:
+def effort_delay(found: Innovations, robot: Robot) -> EffortDelay:
     """Estimate the input delay that best explains the effort that the motor equation requires.
 
     Only changes from interval to interval are compared, which removes slow disturbances. A delay is accepted if it
@@ -78,13 +78,13 @@ def effort_age(found: Intervals, robot: Robot) -> EffortAge:
         if residual <= max(NO_WORSE * left, EXACT * undelayed) or not accepted:
             unmixed = _squares(required - found.after, regular)
             mixed = residual < (1 - HALF_WAY) * unmixed and unmixed > NEGLIGIBLE * _squares(found.sent, regular)
-            return EffortAge(0, measured if mixed else 0.0, True)
+            return EffortDelay(0, measured if mixed else 0.0, True)
     if not accepted:
-        return EffortAge()
-    return EffortAge(whole + 1) if fraction > 1 - EXACT else EffortAge(whole, fraction)
+        return EffortDelay()
+    return EffortDelay(whole + 1) if fraction > 1 - EXACT else EffortDelay(whole, fraction)
 
 
-def acting(found: Intervals, age: EffortAge, required: Array) -> Acting:
+def acting(found: Innovations, age: EffortDelay, required: Array) -> Acting:
     """Classify the deviations of the acting effort: saturated by the motor, delayed, or held because one was lost.
 
     required (k, n) [N m]: effort that the motor equation requires; used if the torque was not measured.
@@ -113,7 +113,7 @@ def acting(found: Intervals, age: EffortAge, required: Array) -> Acting:
     )
 
 
-def _regular(found: Intervals) -> NDArray[np.bool_]:
+def _regular(found: Innovations) -> NDArray[np.bool_]:
     """Return which changes (k - 1,) are between intervals of usual length; all of them unless latencies are known."""
     if not found.latency.any():
         return np.ones(max(0, len(found) - 1), dtype=bool)

@@ -15,14 +15,14 @@ from ..control.vdpbc.law import TrackingLaw
 from ..numerics.checks import Array
 from ..stability.linearization import linearize
 from .cause_errors import CauseErrors, cause_errors, closed_loop
-from .certificate import Balance, CertificateSeries
-from .delay_estimation import Acting, acting, effort_age
+from .certificate import Certificate, CertificateSeries
+from .delay_estimation import Acting, acting, effort_delay
 from .fault_isolation.isolation import UNKNOWN, Finding, isolate
 from .grading import Axes, Grade, detail, grade
-from .innovations import Intervals, innovations, needed
+from .innovations import Innovations, innovations, needed
 from .one_step_prediction import Prediction
 from .record import Record
-from .storage_budget import CAUSES, Supplies, storage_budget
+from .storage_budget import CAUSES, StorageBudget, storage_budget
 from .storage_growth import floor, growth, rises
 from .thresholds import (
     BLOCK,
@@ -42,11 +42,11 @@ from .thresholds import (
 SAMPLING, SATURATION = "sampling", "saturation"
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
 
-__all__ = ["Axes", "Verdict", "conclude", "judge"]
+__all__ = ["Axes", "Diagnosis", "conclude", "diagnose"]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Diagnosis:
     """Result of comparing V with its guaranteed decay.
 
     kind: "holding": V decayed as proven, down to the floor that hold and noise predict. "degraded": V exceeds the floor
@@ -67,14 +67,14 @@ class Verdict:
     findings: tuple[Finding, ...] = ()
 
 
-def judge(
+def diagnose(
     record: Record,
     law: TrackingLaw,
     beta: float | None = None,
     axes: Axes | None = None,
     velocities_measured: bool = True,
     series: CertificateSeries | None = None,
-) -> Verdict:
+) -> Diagnosis:
     """Diagnose a record and isolate the faults that explain it.
 
     beta [1/s]: guaranteed rate of V; None: the rate of the law at configurations of the record. axes: names, units and
@@ -86,7 +86,7 @@ def judge(
     if not np.isfinite(record.velocity).any():
         return unknown("the states hold no velocities")
     with np.errstate(all="ignore"):  # a diverging run overflows; the comparisons below allow for it
-        found = innovations(record, Balance(law), Prediction(law), series)
+        found = innovations(record, Certificate(law), Prediction(law), series)
         diagnosis = _diagnosis(record, found, law, beta, axes)
         if not velocities_measured or SAMPLING in diagnosis.causes:
             return diagnosis  # the model needs measured velocities and close samples
@@ -97,13 +97,13 @@ def judge(
     return replace(diagnosis, sentence=sentence, findings=findings)
 
 
-def _diagnosis(record: Record, found: Intervals, law: TrackingLaw, beta: float | None, axes: Axes) -> Verdict:
+def _diagnosis(record: Record, found: Innovations, law: TrackingLaw, beta: float | None, axes: Axes) -> Diagnosis:
     """Diagnose a record with velocities, without isolating faults."""
     if not len(found):
         return unknown("no state with a command is followed by another state")
     visited, period = _visited(record.jets[:, 0]), float(np.median(found.dt))
     radius = float(linearize(law, visited).radii(period).max())
-    acted = acting(found, effort_age(found, law.robot), needed(found, law.robot))
+    acted = acting(found, effort_delay(found, law.robot), needed(found, law.robot))
     figures = {**_figures(found, acted, record), "spectral radius": radius}
     if radius >= 1 and not _decayed(found.V1):
         return violated((SAMPLING,), figures)
@@ -117,8 +117,8 @@ def _diagnosis(record: Record, found: Intervals, law: TrackingLaw, beta: float |
 
 
 def conclude(
-    blocks: Supplies, made: CauseErrors, grown: float, decay: float, axes: Axes, figures: dict[str, float]
-) -> Verdict:
+    blocks: StorageBudget, made: CauseErrors, grown: float, decay: float, axes: Axes, figures: dict[str, float]
+) -> Diagnosis:
     """Diagnose the blocks of a loop that is stable at its sample period.
 
     made: tracking errors by cause in the same blocks. grown: growth of V over its lowest value and its floor.
@@ -143,10 +143,10 @@ def conclude(
     if share > SHARE_OF_FEW:
         return unknown(f"V exceeds its floor in {above} of {judged} blocks; expected more blocks", figures)
     sentence = "V decays as proven, down to the floor that hold and noise predict"
-    return Verdict("holding", (), sentence, figures, found.errors)
+    return Diagnosis("holding", (), sentence, figures, found.errors)
 
 
-def _violating(blocks: Supplies) -> tuple[int, float, Array]:
+def _violating(blocks: StorageBudget) -> tuple[int, float, Array]:
     """Return the number of violated blocks, their share, and the share (4,) of them that each cause dominates.
 
     Only blocks with `judged` count.
@@ -159,14 +159,14 @@ def _violating(blocks: Supplies) -> tuple[int, float, Array]:
     return count, count / max(1, len(above)), strongest
 
 
-def _hold(blocks: Supplies) -> tuple[str, ...]:
+def _hold(blocks: StorageBudget) -> tuple[str, ...]:
     """Return the sample period as the cause if the ideal sampled loop added more to V than the decay removed."""
     return (SAMPLING,) if blocks.hold.sum() > blocks.slack.sum() else ()
 
 
-def unknown(reason: str, figures: dict[str, float] | None = None) -> Verdict:
+def unknown(reason: str, figures: dict[str, float] | None = None) -> Diagnosis:
     """Return "unknown" with the reason."""
-    return Verdict("unknown", (), f"no diagnosis: {reason}", figures or {})
+    return Diagnosis("unknown", (), f"no diagnosis: {reason}", figures or {})
 
 
 _EXPLANATIONS = {
@@ -178,32 +178,32 @@ _EXPLANATIONS = {
 }
 
 
-def graded(causes: tuple[str, ...], found: Grade, axes: Axes, figures: dict[str, float]) -> Verdict:
+def graded(causes: tuple[str, ...], found: Grade, axes: Axes, figures: dict[str, float]) -> Diagnosis:
     """Return "degraded" for known causes whose errors are within the tolerance, otherwise "violated"."""
     size, why = detail(causes, found.errors, axes), _why(causes)
     if causes and found.within and SATURATION not in causes:
         sentence = f"{size}, within the tolerance: {why}"
-        return Verdict("degraded", causes, sentence, figures, found.errors, size)
+        return Diagnosis("degraded", causes, sentence, figures, found.errors, size)
     sentence = f"V does not decay as proven: {why}" + (f"; {size}" if size else "")
-    return Verdict("violated", causes, sentence, figures, found.errors, size)
+    return Diagnosis("violated", causes, sentence, figures, found.errors, size)
 
 
-def violated(causes: tuple[str, ...], figures: dict[str, float]) -> Verdict:
+def violated(causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
     """Return "violated" with the causes, the strongest first."""
-    return Verdict("violated", causes, f"V does not decay as proven: {_why(causes)}", figures, {}, ", ".join(causes))
+    return Diagnosis("violated", causes, f"V does not decay as proven: {_why(causes)}", figures, {}, ", ".join(causes))
 
 
-def diverged(causes: tuple[str, ...], figures: dict[str, float]) -> Verdict:
+def diverged(causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
     """Return "violated" for a run in which V grew."""
     sentence = f"V grew to {figures['growth of V']:.2g} times its floor: {_why(causes)}"
-    return Verdict("violated", causes, sentence, figures, {}, ", ".join(causes))
+    return Diagnosis("violated", causes, sentence, figures, {}, ", ".join(causes))
 
 
 def _why(causes: tuple[str, ...]) -> str:
     return "; ".join(_EXPLANATIONS[cause] for cause in causes) or "the cause is unknown"
 
 
-def _figures(found: Intervals, acted: Acting, record: Record) -> dict[str, float]:
+def _figures(found: Innovations, acted: Acting, record: Record) -> dict[str, float]:
     return {
         "intervals": float(len(found)),
         "effort age": acted.age * float(np.median(found.dt)),

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from ..numerics.checks import Array
 from ..robot.robot import Robot
-from .certificate import Balance, CertificateSeries
+from .certificate import Certificate, CertificateSeries
 from .one_step_prediction import Prediction
 from .record import Record
 from .thresholds import LONGEST_GAP
 
 
 @dataclass(frozen=True)
-class Intervals:
+class Innovations:
     """Innovations of k intervals between consecutive states, in order of time.
 
     dt (k,) [s]: lengths. V0, V1, predicted (k,) [J]: storage at the first state, at the second, and predicted for the
@@ -33,7 +33,7 @@ class Intervals:
     dt: Array
     V0: Array
     V1: Array
-    foretold: Array
+    predicted: Array
     sent: Array
     law: Array
     before: Array
@@ -48,17 +48,17 @@ class Intervals:
     def __len__(self) -> int:
         return len(self.dt)
 
-    def rows(self, rows: slice | Array) -> Intervals:
+    def rows(self, rows: slice | Array) -> Innovations:
         """Return the selected intervals."""
-        return Intervals(*(getattr(self, name)[rows] for name in _NAMES))
+        return Innovations(*(getattr(self, name)[rows] for name in _NAMES))
 
 
-_NAMES = tuple(f.name for f in fields(Intervals))
+_NAMES = tuple(f.name for f in fields(Innovations))
 
 
 def innovations(
-    record: Record, balance: Balance, prediction: Prediction, series: CertificateSeries | None = None
-) -> Intervals:
+    record: Record, balance: Certificate, prediction: Prediction, series: CertificateSeries | None = None
+) -> Innovations:
     """Return the innovations of the intervals that `consecutive` selects.
 
     series: certificate along the record; None: it is computed here.
@@ -70,13 +70,13 @@ def innovations(
     before = sent[np.maximum(first - 1, 0)]
     second, q, dq = first + 1, record.position, record.velocity
     q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
-    foretold = balance.along(q_next, dq_next, record.jets[second]).V
+    predicted = balance.along(q_next, dq_next, record.jets[second]).V
     applied = np.full_like(record.u, np.nan) if record.u_applied is None else record.u_applied
-    return Intervals(
+    return Innovations(
         dt=dt[first],
         V0=series.V[first],
         V1=series.V[second],
-        foretold=foretold,
+        predicted=predicted,
         sent=sent[first],
         law=series.u_law[first],
         before=applied[first],
@@ -117,7 +117,7 @@ def held(u: Array) -> Array:
     return np.where((last >= 0)[:, None], u[np.maximum(last, 0)], np.nan)
 
 
-def needed(found: Intervals, robot: Robot) -> Array:
+def needed(found: Innovations, robot: Robot) -> Array:
     """Return the mean effort (k, n) [N m] that the motor equation requires in each interval.
 
     M_m ddq_m + K zeta + D_m dq_m = B_m u, integrated over the interval: measured minus predicted generalised momenta of
@@ -128,7 +128,7 @@ def needed(found: Intervals, robot: Robot) -> Array:
     return found.sent + residual - foreseen(found)
 
 
-def foreseen(found: Intervals) -> Array:
+def foreseen(found: Innovations) -> Array:
     """Return the mean deviation (k, n) [N m] from the sent effort due to the known latency.
 
     The older effort acts until the command arrives.

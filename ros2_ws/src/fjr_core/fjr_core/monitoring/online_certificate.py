@@ -11,14 +11,14 @@ from ..control.vdpbc.law import TrackingLaw
 from ..numerics.casadi_function import bind
 from ..numerics.checks import Array
 from ..trajectories.reference import JETS
-from .certificate import OUTPUTS, Balance
-from .innovations import Intervals
+from .certificate import OUTPUTS, Certificate
+from .innovations import Innovations
 from .one_step_prediction import Prediction
 
 CAPACITY = 640  # intervals; at least the latest half is kept
 
 
-class Forecast:
+class OnlineCertificate:
     """Certificate of the latest state and innovations of the latest intervals; not thread-safe.
 
     position, velocity (2n,) [rad, rad/s], jets (5, n), u (n,) [N m]: latest state, reference and command.
@@ -26,7 +26,7 @@ class Forecast:
 
     def __init__(self, law: TrackingLaw) -> None:
         n = law.robot.n
-        self._robot, self._balance, self._prediction = law.robot, Balance(law), Prediction(law)
+        self._robot, self._balance, self._prediction = law.robot, Certificate(law), Prediction(law)
         self.position, self.velocity = np.zeros(2 * n), np.zeros(2 * n)
         self.jets, self.u = np.zeros((JETS, n)), np.zeros(n)
         sizes = {"u_law": n, "drive": n, "slope": 4 * n}
@@ -43,8 +43,8 @@ class Forecast:
         self._certify = bind(self._balance.function, measured, list(self._found.values()))
         held = (self.position, self.velocity, self.u, self._dt)
         self._predict = bind(self._prediction.function, held, (self._next_position, self._next_velocity))
-        self._foretold = law.bound(self._next_position, self._next_velocity, self.jets)
-        for evaluate in (self._certify, self._predict, self._foretold.evaluate):
+        self._predicted = law.bound(self._next_position, self._next_velocity, self.jets)
+        for evaluate in (self._certify, self._predict, self._predicted.evaluate):
             evaluate()
         self.forget()
 
@@ -70,7 +70,7 @@ class Forecast:
             np.copyto(own, given)
         self._certify()
         if self._follows:
-            self._foretold.evaluate()
+            self._predicted.evaluate()
             self._keep(dt, V, law)
         np.copyto(self._older, self.u if self._follows else u)
         np.copyto(self.u, u)
@@ -105,7 +105,7 @@ class Forecast:
         """Power [W] dissipated by the damping of the robot at the latest state."""
         return float(self._found["dissipated"][0])
 
-    def last(self, count: int) -> Intervals:
+    def last(self, count: int) -> Innovations:
         """Return at most the last `count` intervals, as views that are valid until the next state."""
         return self._kept.rows(slice(max(0, self.count - count), self.count))
 
@@ -113,7 +113,7 @@ class Forecast:
         if self.count == CAPACITY:
             self._drop_oldest()
         kept, i, n = self._kept, self.count, self._robot.n
-        kept.dt[i], kept.V0[i], kept.V1[i], kept.foretold[i] = dt, V, self.V, self._foretold.V[0]
+        kept.dt[i], kept.V0[i], kept.V1[i], kept.predicted[i] = dt, V, self.V, self._predicted.V[0]
         kept.sent[i], kept.law[i], kept.older[i] = self.u, law, self._older
         kept.latency[i] = min(self._latency / dt, 1.0)
         np.subtract(self.position, self._next_position, out=kept.error[i, : 2 * n])
@@ -129,10 +129,10 @@ class Forecast:
         self.count = CAPACITY // 2
 
 
-def _buffers(n: int) -> Intervals:
+def _buffers(n: int) -> Innovations:
     """Return zeroed innovations of CAPACITY intervals without measured efforts, all answered."""
     sizes = dict.fromkeys(("sent", "law", "older", "tracking", "before", "after"), n) | {"error": 4 * n, "slope": 4 * n}
-    shapes = {f.name: (CAPACITY, sizes[f.name]) if f.name in sizes else (CAPACITY,) for f in fields(Intervals)}
+    shapes = {f.name: (CAPACITY, sizes[f.name]) if f.name in sizes else (CAPACITY,) for f in fields(Innovations)}
     values = {name: np.zeros(shape) for name, shape in shapes.items()}
     unmeasured = {name: np.full((CAPACITY, n), np.nan) for name in ("before", "after")}
-    return Intervals(**{**values, **unmeasured, "answered": np.ones(CAPACITY, dtype=bool)})
+    return Innovations(**{**values, **unmeasured, "answered": np.ones(CAPACITY, dtype=bool)})

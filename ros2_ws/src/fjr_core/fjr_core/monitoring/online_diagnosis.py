@@ -13,31 +13,33 @@ import numpy as np
 from ..control.vdpbc.law import TrackingLaw
 from ..numerics.checks import Array
 from .cause_errors import CauseErrors, cause_errors, closed_loop
-from .delay_estimation import EffortAge, acting, effort_age
-from .diagnosis import Verdict, conclude, unknown
+from .delay_estimation import EffortDelay, acting, effort_delay
+from .diagnosis import Diagnosis, conclude, unknown
 from .grading import Axes
 from .innovations import needed
-from .online_certificate import Forecast
-from .storage_budget import Supplies, storage_budget
+from .online_certificate import OnlineCertificate
+from .storage_budget import StorageBudget, storage_budget
 from .storage_growth import floor, growth, rises
 from .thresholds import BLOCK, OLDEST
 
 BLOCKS = 50  # per diagnosis: 1 s at 1 kHz
 DELAY_WINDOW = 200  # intervals from which the input delay is estimated
 IN_REAL_TIME = 3 * BLOCK  # intervals for the delay in real time, where latency varies
-Blocks = TypeVar("Blocks", Supplies, CauseErrors)
+Blocks = TypeVar("Blocks", StorageBudget, CauseErrors)
 FORGETTING = 0.9  # factor per diagnosis on the largest change of effort so far
 
 
-class RunningVerdict:
+class OnlineDiagnosis:
     """Diagnosis of the intervals of an online certificate, one block at a time."""
 
-    def __init__(self, law: TrackingLaw, limit: Array, forecast: Forecast, axes: Axes | None = None) -> None:
+    def __init__(
+        self, law: TrackingLaw, limit: Array, online_certificate: OnlineCertificate, axes: Axes | None = None
+    ) -> None:
         """Start without blocks; limit (n,) [N m]: effort limits, inf for none; axes: joints, None: Axes.plain."""
-        self._law, self._limit, self._forecast = law, limit, forecast
+        self._law, self._limit, self._online_certificate = law, limit, online_certificate
         self._axes = axes or Axes.plain(law.robot.n)
-        self._blocks: deque[tuple[Supplies, CauseErrors, Array]] = deque(maxlen=BLOCKS)
-        self._age = EffortAge()
+        self._blocks: deque[tuple[StorageBudget, CauseErrors, Array]] = deque(maxlen=BLOCKS)
+        self._age = EffortDelay()
         self.beta = np.inf
         self.forget()
 
@@ -63,18 +65,18 @@ class RunningVerdict:
                 self._estimate_delay()
                 self._blocks.append(self._latest_block(beta))
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Diagnosis:
         """Diagnose the last BLOCKS blocks and update the estimate of the input delay for the next ones."""
         if not self._blocks:
             return unknown("too few states with a command of the law")
         with np.errstate(all="ignore"):
             return self._concluded()
 
-    def _concluded(self) -> Verdict:
-        seen = self._forecast.last(DELAY_WINDOW)
+    def _concluded(self) -> Diagnosis:
+        seen = self._online_certificate.last(DELAY_WINDOW)
         self._period, self._change = _usual(seen.dt), FORGETTING * self._change
         if not seen.latency.any():
-            self._age = effort_age(seen, self._law.robot)
+            self._age = effort_delay(seen, self._law.robot)
         self._loop = None  # linearise again at the current reference
         supplied, made, risen = zip(*self._blocks, strict=True)
         blocks = _concatenated(supplied)
@@ -84,21 +86,21 @@ class RunningVerdict:
 
     def _estimate_delay(self) -> None:
         """In real time, estimate the delay where the effort changes most; elsewhere varying latency hides it."""
-        seen = self._forecast.last(IN_REAL_TIME)
+        seen = self._online_certificate.last(IN_REAL_TIME)
         if seen.latency.any():
             change = float((np.diff(seen.sent, 2, axis=0) ** 2).sum())
             if change > self._change:
-                self._age, self._change = effort_age(seen, self._law.robot), change
+                self._age, self._change = effort_delay(seen, self._law.robot), change
 
-    def _latest_block(self, beta: float) -> tuple[Supplies, CauseErrors, Array]:
+    def _latest_block(self, beta: float) -> tuple[StorageBudget, CauseErrors, Array]:
         """Return the storage budget and the errors by cause of the last block, and V with the lowest V before it."""
-        seen = self._forecast.last(BLOCK + OLDEST)
+        seen = self._online_certificate.last(BLOCK + OLDEST)
         acted = acting(seen, self._age, needed(seen, self._law.robot)).last(BLOCK)
         found = seen.rows(slice(-BLOCK, None))
         if not self._period:
             self._period = _usual(found.dt)
         if self._loop is None:
-            self._loop = closed_loop(self._law, self._forecast.jets[None, 0], self._period)
+            self._loop = closed_loop(self._law, self._online_certificate.jets[None, 0], self._period)
         robot, limit = self._law.robot, self._limit
         risen = rises(seen, limit, self._lowest)[:, -BLOCK:]
         self._lowest = float(risen[1, -1])
@@ -106,7 +108,7 @@ class RunningVerdict:
         return storage_budget(found, acted, robot, beta, self._period, limit), made, risen
 
     def _figures(self) -> dict[str, float]:
-        seen = self._forecast.last(DELAY_WINDOW)
+        seen = self._online_certificate.last(DELAY_WINDOW)
         samples = self._age.whole + self._age.fraction
         return {"effort age": samples * float(np.median(seen.dt)), "beta": self.beta, "last V": float(seen.V1[-1])}
 

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from ..numerics.checks import Array
 from ..robot.robot import Robot
 from .delay_estimation import Acting
-from .innovations import Intervals, foreseen
+from .innovations import Innovations, foreseen
 from .thresholds import AT_LIMIT, BLOCK, GAP, SAME_EFFORT, SIGNIFICANT, UNSURE
 
 CAUSES = ("model mismatch", "saturation", "delay", "loss")
 
 
 @dataclass(frozen=True)
-class Supplies:
+class StorageBudget:
     """Contributions to V over b blocks of intervals.
 
     causes (b, 4) [J]: contribution of each of CAUSES. hold (b,) [J]: growth of V in the ideal sampled loop, with the
@@ -41,7 +41,9 @@ class Supplies:
     V: Array
 
 
-def storage_budget(found: Intervals, acted: Acting, robot: Robot, beta: float, period: float, limit: Array) -> Supplies:
+def storage_budget(
+    found: Innovations, acted: Acting, robot: Robot, beta: float, period: float, limit: Array
+) -> StorageBudget:
     """Return the contributions to V in the complete blocks of the intervals.
 
     beta [1/s]: guaranteed rate of V. period [s]: sample period. limit (n,) [N m]: effort limits.
@@ -49,8 +51,8 @@ def storage_budget(found: Intervals, acted: Acting, robot: Robot, beta: float, p
     other = found.sent - found.law
     saturation, unanswered = (_gain(found, other * mask[:, None], robot) for mask in (found.answered, ~found.answered))
     cut, late, lost = (_gain(found, part, robot) for part in (acted.cut, acted.late, acted.lost))
-    residual = found.V1 - found.foretold - cut - late - lost
-    ideal = found.foretold - saturation - unanswered
+    residual = found.V1 - found.predicted - cut - late - lost
+    ideal = found.predicted - saturation - unanswered
     usual = foreseen(found)
     within = _gain(found, usual, robot)
     excess = ideal + within - np.exp(-2 * beta * found.dt) * found.V0
@@ -60,7 +62,7 @@ def storage_budget(found: Intervals, acted: Acting, robot: Robot, beta: float, p
     mismatch, uncertain = _persistent(found, acted, usual, robot)
     unsure = _gain(found, (found.older - found.sent) * (UNSURE * (found.latency > 0))[:, None], robot)
     causes = np.stack([mismatch, _sums(saturation + cut), _sums(late), _sums(lost)], axis=1)
-    return Supplies(
+    return StorageBudget(
         causes=causes,
         hold=_sums(np.maximum(excess, 0.0)),
         slack=_sums(np.maximum(-excess, 0.0)),
@@ -70,7 +72,7 @@ def storage_budget(found: Intervals, acted: Acting, robot: Robot, beta: float, p
     )
 
 
-def foreign(found: Intervals, limit: Array) -> NDArray[np.bool_]:
+def foreign(found: Innovations, limit: Array) -> NDArray[np.bool_]:
     """Return in which intervals (k,) the effort sent is neither that of the law nor at its limit (n,) [N m]."""
     at_limit = np.abs(found.sent) >= AT_LIMIT * limit
     same = SAME_EFFORT * (1.0 + np.abs(found.law).max(axis=1, initial=0.0)[:, None])
@@ -78,7 +80,7 @@ def foreign(found: Intervals, limit: Array) -> NDArray[np.bool_]:
     return np.asarray((differs & ~at_limit).any(axis=1) & found.answered)
 
 
-def state_change(found: Intervals, effort: Array, robot: Robot) -> Array:
+def state_change(found: Innovations, effort: Array, robot: Robot) -> Array:
     """Return the change of positions and velocities (k, 4n) by efforts (k, n) [N m] held over their intervals."""
     dv, n = effort @ _acceleration(robot) * found.dt[:, None], robot.n
     change = np.zeros((len(found), 4 * n))
@@ -87,7 +89,7 @@ def state_change(found: Intervals, effort: Array, robot: Robot) -> Array:
     return change
 
 
-def _gain(found: Intervals, effort: Array, robot: Robot) -> Array:
+def _gain(found: Innovations, effort: Array, robot: Robot) -> Array:
     """Return the change of V (k,) [J] by additional efforts (k, n) [N m] held over their intervals.
 
     They change dq_m by dv = M_m^-1 B_m effort dt and q_m by dv dt / 2; V is quadratic in dq_m with the matrix M_m.
@@ -107,7 +109,7 @@ def _acceleration(robot: Robot) -> Array:
     return np.asarray(np.linalg.solve(robot.M_m, robot.B_m).T)
 
 
-def _persistent(found: Intervals, acted: Acting, usual: Array, robot: Robot) -> tuple[Array, Array]:
+def _persistent(found: Innovations, acted: Acting, usual: Array, robot: Robot) -> tuple[Array, Array]:
     """Return the change of V (b,) by the mean residual of each block and its standard deviation (b,).
 
     The residual excludes the known deviations of the effort.

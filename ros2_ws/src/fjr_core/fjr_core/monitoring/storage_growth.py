@@ -6,14 +6,14 @@ from __future__ import annotations
 import numpy as np
 
 from ..numerics.checks import Array
-from .innovations import Intervals
-from .storage_budget import Supplies, foreign
+from .innovations import Innovations
+from .storage_budget import StorageBudget, foreign
 from .thresholds import PREDICTED
 
 CONTINUOUS = 1e-6  # relative difference of V between the end of an interval and the start of the next
 
 
-def rises(found: Intervals, limit: Array, lowest: float = np.inf) -> Array:
+def rises(found: Innovations, limit: Array, lowest: float = np.inf) -> Array:
     """Return V at the end of each interval and the lowest V before it (2, k) [J].
 
     An interval without the law's effort counts as V = 0; after it, and after a missing interval, the search for the
@@ -26,7 +26,7 @@ def rises(found: Intervals, limit: Array, lowest: float = np.inf) -> Array:
     return np.stack([np.where(other, 0.0, found.V1), found_lowest])
 
 
-def floor(blocks: Supplies, decay: float, tolerated: float) -> float:
+def floor(blocks: StorageBudget, decay: float, tolerated: float) -> float:
     """Return the storage [J] that hold, noise and the tolerated tracking error explain.
 
     decay: guaranteed factor of V in a block. tolerated [J]: storage of the tolerated error. The remainder is the level

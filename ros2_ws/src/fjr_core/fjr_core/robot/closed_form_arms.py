@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import RobotError
 from ..numerics import checks
-from .rigid_arm import Hand, Links, closed_form
+from .rigid_arm import ArmDynamics, EndEffector, closed_form
 from .robot import Robot
 
 STANDARD_GRAVITY = 9.81  # m/s^2, acts on the payload of a model without gravity parameter
@@ -33,8 +33,10 @@ def single_link(
     (inertia,) = _positive("link_inertia", link_inertia, 1)
     (load,) = checks.vector("gravity_torque", gravity_torque, 1, RobotError)
     M_l = np.array([[inertia]])
-    hand = _planar_end_effector((), STANDARD_GRAVITY)
-    links = closed_form(1, lambda q_l: ca.SX(M_l), lambda q_l: load * (1 - ca.cos(q_l)), vertices=(M_l,), hand=hand)
+    end_effector = _planar_end_effector((), STANDARD_GRAVITY)
+    links = closed_form(
+        1, lambda q_l: ca.SX(M_l), lambda q_l: load * (1 - ca.cos(q_l)), vertices=(M_l,), end_effector=end_effector
+    )
     return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
 
@@ -75,12 +77,12 @@ def planar_two_link(
         lambda q_l: constant + coupling * ca.cos(q_l[1]),
         potential,
         vertices=(constant + coupling, constant - coupling),
-        hand=_planar_end_effector((l1,), g),
+        end_effector=_planar_end_effector((l1,), g),
     )
     return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
 
-def _planar_end_effector(lengths: tuple[float, ...], gravity: float) -> Hand:
+def _planar_end_effector(lengths: tuple[float, ...], gravity: float) -> EndEffector:
     """Return the end-effector frame of an arm in a vertical plane: x along the last link, z normal to the plane.
 
     lengths [m]: of the links before the last one.
@@ -92,7 +94,7 @@ def _planar_end_effector(lengths: tuple[float, ...], gravity: float) -> Hand:
         place += length * _along(angles[i])
     across = ca.vertcat(ca.cos(angles[-1]), 0, ca.sin(angles[-1]))
     position = place + r[0] * _along(angles[-1]) + r[1] * across + r[2] * ca.vertcat(0, -1, 0)
-    return Hand(ca.Function("position", [q_l, r], [position]), np.array([0.0, 0.0, -gravity]))
+    return EndEffector(ca.Function("position", [q_l, r], [position]), np.array([0.0, 0.0, -gravity]))
 
 
 def _along(angle: ca.SX) -> ca.SX:
@@ -100,7 +102,7 @@ def _along(angle: ca.SX) -> ca.SX:
     return ca.vertcat(ca.sin(angle), 0, -ca.cos(angle))
 
 
-def _robot(links: Links, **constants: ArrayLike) -> Robot:
+def _robot(links: ArmDynamics, **constants: ArrayLike) -> Robot:
     M_m, K, D_l, D_m, B_m = (
         checks.matrix(name, constants[name], links.n, RobotError) for name in ("M_m", "K", "D_l", "D_m", "B_m")
     )

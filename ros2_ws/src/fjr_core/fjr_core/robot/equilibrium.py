@@ -21,7 +21,7 @@ Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class RestPoints:
+class Equilibria:
     """Equilibria at link positions q_l (k, n) [rad], with the inertia M_l and the Hessian N_l of P_l, (k, n, n)."""
 
     robot: Robot
@@ -45,9 +45,9 @@ class RestPoints:
         q_m = self.q_l + self.weights @ np.linalg.inv(self.robot.K).T
         return np.hstack([self.q_l, q_m, np.zeros_like(q_m), np.zeros_like(q_m)])
 
-    def at(self, indices: Indices) -> RestPoints:
+    def at(self, indices: Indices) -> Equilibria:
         """Return the equilibria with these indices."""
-        return RestPoints(self.robot, self.q_l[indices], self.M_l[indices], self.N_l[indices])
+        return Equilibria(self.robot, self.q_l[indices], self.M_l[indices], self.N_l[indices])
 
     def blocks(self, *rows: Sequence[ArrayLike]) -> Array:
         """Return a stack (k, rows n, columns n) of block matrices; blocks are (n, n), (k, n, n) or 0."""
@@ -56,15 +56,15 @@ class RestPoints:
         return np.concatenate([np.concatenate(row, axis=2) for row in spread], axis=1)
 
 
-def rest_points(robot: Robot, configurations: Array) -> RestPoints:
+def equilibria_at(robot: Robot, configurations: Array) -> Equilibria:
     """Return the equilibria of a robot at configurations (k, n) [rad]."""
     q_l = ca.SX.sym("q_l", robot.n)
     hessian = ca.Function("N_l", [q_l], [ca.densify(ca.jacobian(robot.links.grad_P_l(q_l), q_l))])
     M_l = np.array([robot.M_l(q) for q in configurations])
-    return RestPoints(robot, configurations, M_l, np.array([hessian(q).full() for q in configurations]))
+    return Equilibria(robot, configurations, M_l, np.array([hessian(q).full() for q in configurations]))
 
 
-def plant_matrices(points: RestPoints) -> tuple[Array, Array]:
+def plant_matrices(points: Equilibria) -> tuple[Array, Array]:
     """Return A (k, 4n, 4n) and B (k, 4n, n) of dx = A x + B u, eq. (36) linearised about the equilibria."""
     r, W_l, W_m = points.robot, np.linalg.inv(points.M_l), np.linalg.inv(points.robot.M_m)
     A = points.blocks(

@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike
 from ..errors import RobotError
 from ..numerics import checks
 from ..numerics.checks import Array
-from .rigid_arm import Hand, Links
+from .rigid_arm import ArmDynamics, EndEffector
 from .rigid_body import Body, rotation_to, z_aligned
 
 
-def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81)) -> Links:
+def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81)) -> ArmDynamics:
     """Return the links of a serial chain from base to tip; raise RobotError.
 
     gravity (3,) [m/s^2] in the base frame.
@@ -34,14 +34,14 @@ def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81))
     q, v, w = (ca.SX.sym(name, n) for name in ("q_l", "v", "w"))
     frames = [_frame(body, q[i]) for i, body in enumerate(chain)]
     composites = _composites(chain, frames)
-    return Links(
+    return ArmDynamics(
         n=n,
         M_l=ca.Function("M_l", [q], [_inertia(chain, frames, composites)]),
         P_l=ca.Function("P_l", [q], [_potential(frames, composites, g)]),
         grad_P_l=ca.Function("grad_P_l", [q], [_gravity(chain, frames, composites, g)]),
         C=ca.Function("C", [q, v, w], [_coriolis(chain, frames, v, w)]),
         grad_T=ca.Function("grad_T", [q, v], [_kinetic_gradient(chain, frames, v)]),
-        hand=Hand(_point(q, frames, rotation_to(np.asarray(bodies[-1].axis))), g.full().ravel()),
+        end_effector=EndEffector(_point(q, frames, rotation_to(np.asarray(bodies[-1].axis))), g.full().ravel()),
     )
 
 

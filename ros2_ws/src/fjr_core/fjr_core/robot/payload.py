@@ -9,11 +9,11 @@ from functools import cached_property
 import casadi as ca
 
 from ..errors import RobotError
-from .rigid_arm import Carrier, Hand
+from .rigid_arm import Carrier, EndEffector
 
 
 @dataclass(frozen=True)
-class Loaded:
+class PayloadArm:
     """A rigid arm with a point mass [kg] at `position` (3,) [m] in the end-effector frame, both expressions.
 
     With the point at p(q_l) and J = dp/dq_l, the mass m adds m J'J to M_l and -m g'p to P_l.
@@ -25,7 +25,7 @@ class Loaded:
     position: ca.SX
 
     def __post_init__(self) -> None:
-        if self.links.hand is None:
+        if self.links.end_effector is None:
             raise RobotError("the rigid arm has no end-effector frame; expected one to carry a payload")
 
     def M_l(self, q_l: ca.SX) -> ca.SX:
@@ -46,9 +46,9 @@ class Loaded:
         return self.links.grad_T(q_l, v) + self.mass * self._point_grad_T(q_l, v, self.position)
 
     @property
-    def _hand(self) -> Hand:
-        assert self.links.hand is not None
-        return self.links.hand
+    def _hand(self) -> EndEffector:
+        assert self.links.end_effector is not None
+        return self.links.end_effector
 
     @cached_property
     def _jacobian(self) -> ca.Function:

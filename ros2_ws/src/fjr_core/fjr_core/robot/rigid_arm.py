@@ -38,12 +38,12 @@ class Carrier(RigidArm, Protocol):
         """Number of joints."""
 
     @property
-    def hand(self) -> Hand | None:
+    def end_effector(self) -> EndEffector | None:
         """End-effector frame, or None."""
 
 
 @dataclass(frozen=True)
-class Hand:
+class EndEffector:
     """Forward kinematics of the end-effector frame, which is fixed to the last link.
 
     position: (q_l, r) -> position (3,) [m] in the base frame of the point r (3,) [m] in the end-effector frame.
@@ -55,7 +55,7 @@ class Hand:
 
 
 @dataclass(frozen=True)
-class Links:
+class ArmDynamics:
     """Rigid-arm model of n joints; the fields are CasADi functions of symbols or numbers.
 
     M_l: q_l -> inertia (n, n) [kg m^2];  P_l: q_l -> potential energy [J];  grad_P_l: q_l -> (n,) [N m].
@@ -73,7 +73,7 @@ class Links:
     C: ca.Function
     grad_T: ca.Function
     M_l_vertices: tuple[Array, ...] | None = None
-    hand: Hand | None = None
+    end_effector: EndEffector | None = None
 
     @cached_property
     def dM(self) -> ca.Function:
@@ -91,8 +91,8 @@ def closed_form(
     inertia: Callable[[ca.SX], ca.SX],
     potential: Callable[[ca.SX], ca.SX],
     vertices: tuple[Array, ...] | None = None,
-    hand: Hand | None = None,
-) -> Links:
+    end_effector: EndEffector | None = None,
+) -> ArmDynamics:
     """Return the links of n joints from expressions of M_l(q_l) and P_l(q_l); the other terms by differentiation.
 
     C_ij = sum_k (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) v_k / 2  (Christoffel symbols of the first kind).
@@ -101,7 +101,7 @@ def closed_form(
     M_l, P_l = inertia(q_l), potential(q_l)
     dM_w, dM_v = directional(M_l @ w, q_l, v), directional(M_l @ v, q_l, w)
     C_w = (dM_w + dM_v - ca.gradient(ca.dot(v, M_l @ w), q_l)) / 2
-    return Links(
+    return ArmDynamics(
         n=n,
         M_l=ca.Function("M_l", [q_l], [ca.densify(M_l)]),
         P_l=ca.Function("P_l", [q_l], [P_l]),
@@ -109,5 +109,5 @@ def closed_form(
         C=ca.Function("C", [q_l, v, w], [C_w]),
         grad_T=ca.Function("grad_T", [q_l, v], [ca.gradient(ca.dot(v, M_l @ v) / 2, q_l)]),
         M_l_vertices=vertices,
-        hand=hand,
+        end_effector=end_effector,
     )

@@ -17,7 +17,7 @@ from ..numerics.casadi_function import NumericFunction, numeric
 from ..numerics.checks import Array
 from .joint_limits import JointLimits
 from .joint_units import PRISMATIC, REVOLUTE, Units
-from .rigid_arm import Links, RigidArm
+from .rigid_arm import ArmDynamics, RigidArm
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Robot:
     positive semidefinite, B_m not invertible, or anything is not finite or of the wrong shape.
     """
 
-    links: Links
+    links: ArmDynamics
     M_m: Array
     K: Array
     D_l: Array

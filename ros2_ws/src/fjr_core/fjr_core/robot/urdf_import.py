@@ -17,7 +17,7 @@ from ..errors import RobotError
 from ..numerics import checks
 from .joint_limits import JointLimits
 from .newton_euler import serial_chain
-from .rigid_arm import Hand, Links
+from .rigid_arm import ArmDynamics, EndEffector
 from .rigid_body import Body
 from .robot import Robot
 from .urdf_parser import MOVING, UrdfJoint, UrdfTree, read_urdf
@@ -161,7 +161,7 @@ def _body(model: Any, i: int, joint: UrdfJoint) -> Body:
     )
 
 
-def _check_inertia(links: Links, chain: list[str]) -> None:
+def _check_inertia(links: ArmDynamics, chain: list[str]) -> None:
     """Raise RobotError if the inertia is singular in one of a few configurations, naming the outermost such joint."""
     for q_l in (np.zeros(links.n), np.linspace(0.3, 1.4, links.n), np.linspace(-1.2, 0.7, links.n)):
         M_l = links.M_l(q_l).full()
@@ -181,20 +181,22 @@ def _reflected(J: checks.Array, gear_ratio: ArrayLike) -> checks.Array:
     return np.diag(ratio) @ J @ np.diag(ratio)
 
 
-def _in_order(links: Links, order: list[int]) -> Links:
+def _in_order(links: ArmDynamics, order: list[int]) -> ArmDynamics:
     """Return the links with joint k equal to joint order[k] of the chain."""
     if order == list(range(links.n)):
         return links
     named = [ca.SX.sym(name, links.n) for name in ("q_l", "v", "w")]
     q, v, w = (vector[[order.index(i) for i in range(links.n)]] for vector in named)
-    assert links.hand is not None  # every serial chain has one
+    assert links.end_effector is not None  # every serial chain has one
     r = ca.SX.sym("r", 3)
-    return Links(
+    return ArmDynamics(
         n=links.n,
         M_l=ca.Function("M_l", named[:1], [links.M_l(q)[order, order]]),
         P_l=ca.Function("P_l", named[:1], [links.P_l(q)]),
         grad_P_l=ca.Function("grad_P_l", named[:1], [links.grad_P_l(q)[order]]),
         C=ca.Function("C", named, [links.C(q, v, w)[order]]),
         grad_T=ca.Function("grad_T", named[:2], [links.grad_T(q, v)[order]]),
-        hand=Hand(ca.Function("position", [named[0], r], [links.hand.position(q, r)]), links.hand.gravity),
+        end_effector=EndEffector(
+            ca.Function("position", [named[0], r], [links.end_effector.position(q, r)]), links.end_effector.gravity
+        ),
     )

@@ -33,7 +33,7 @@ def _channel(name: str, unit: str, description: str, maximum: float) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Imperfections:
+class Nonidealities:
     """Non-idealities of n joints; each field except n is a scalar or (n,), stored as (n,). All are off by default.
 
     coulomb_l, static_l [N m], stribeck_l [rad/s]: friction of the links, of level coulomb + (static - coulomb) exp(-(v
@@ -118,7 +118,7 @@ class Imperfections:
         return array
 
 
-NAMES = tuple(field.name for field in fields(Imperfections) if field.name != "n")
+NAMES = tuple(field.name for field in fields(Nonidealities) if field.name != "n")
 SWITCHES = ("coulomb_l", "static_l", "coulomb_m", "static_m", "cubic", "ripple", "lag", "payload_mass")
 """If all of these are 0 and there is no effort_limit, the robot equals eq. (36)."""
 
@@ -130,7 +130,7 @@ def _limit(value: ArrayLike, n: int) -> Array:
     return np.broadcast_to(array, n).copy()
 
 
-def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike) -> float:
+def friction_rate(imperfections: Nonidealities, M_l: ArrayLike, M_m: ArrayLike) -> float:
     """Return the largest damping rate [1/s] of friction, which occurs in creep at zero velocity.
 
     Largest eigenvalue of M^-1 diag(level / smoothing) with the inertias M_l, M_m (n, n) and the levels at rest. A

@@ -24,15 +24,15 @@ from ..numerics.casadi_function import NumericFunction, dense_function, numeric
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
-from ..robot.payload import Loaded
+from ..robot.payload import PayloadArm
 from ..robot.port_hamiltonian import Plant, derivative_expression, gradient_expression, spring_expression
-from ..robot.rigid_arm import Links, RigidArm
-from .nonideal_parameters import NAMES, SIZES, Imperfections
+from ..robot.rigid_arm import ArmDynamics, RigidArm
+from .nonideal_parameters import NAMES, SIZES, Nonidealities
 
 SHORTEST_LAG = 1e-12  # s
 
 
-class ImperfectPlant:
+class NonidealPlant:
     """Plant (36) with non-idealities as parameters, as pure functions that are built once.
 
     The state is (x, a) (5n,): x of eq. (36) with the momenta of the payload in p_l, and the actuator outputs a (n,). A
@@ -43,11 +43,11 @@ class ImperfectPlant:
         self.plant = plant
         self.robot = plant.robot
 
-    def check(self, imperfections: Imperfections) -> None:
+    def check(self, imperfections: Nonidealities) -> None:
         """Raise ParameterError for non-idealities that do not fit this robot."""
         if imperfections.n != self.robot.n:
             raise ParameterError(f"imperfections have {imperfections.n} joints; expected {self.robot.n}")
-        if self.robot.links.hand is None and np.any(imperfections.payload_mass):
+        if self.robot.links.end_effector is None and np.any(imperfections.payload_mass):
             raise ParameterError("payload_mass is not 0 for links without an end-effector frame; expected 0")
 
     def step(self, state: ArrayLike, u: ArrayLike, external: ArrayLike, parameters: ArrayLike, dt: float) -> Array:
@@ -105,9 +105,9 @@ class ImperfectPlant:
         function = dense_function("nonideal_step", symbols, {"next": ca.vertcat(x_next, applied[-1])})
         return compiled(function) if self.plant.compiles else function
 
-    def _links(self, p: SimpleNamespace) -> Links | RigidArm:
+    def _links(self, p: SimpleNamespace) -> ArmDynamics | RigidArm:
         links = self.robot.links
-        return links if links.hand is None else Loaded(links, p.payload_mass, p.payload_position)
+        return links if links.end_effector is None else PayloadArm(links, p.payload_mass, p.payload_position)
 
     @cached_property
     def _actuators(self) -> ca.Function:

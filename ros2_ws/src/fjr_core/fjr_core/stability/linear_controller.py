@@ -18,12 +18,12 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from ..control.sampled_law import ARGUMENTS, SampledLaw, Static
+from ..control.sampled_law import ARGUMENTS, AsSampledLaw, SampledLaw
 from ..control.vdpbc.law import TrackingLaw
 from ..control.vdpbc.linearized import feedback
 from ..estimation.velocity_observer import LONGEST_CALL, corrections, steps_of
 from ..numerics.checks import Array
-from ..robot.equilibrium import Indices, RestPoints, plant_matrices
+from ..robot.equilibrium import Equilibria, Indices, plant_matrices
 from ..robot.robot import Robot
 from ..trajectories.reference import JETS
 
@@ -98,7 +98,7 @@ def static(F: Array) -> Controller:
     return Controller(F, empty, np.zeros((k, n, n)), np.zeros((k, 0, N)), np.zeros((k, 0, 0)), np.zeros((k, 0, n)))
 
 
-def controller(law: SampledLaw, equilibria: RestPoints, sensing: Sensing) -> At:
+def controller(law: SampledLaw, equilibria: Equilibria, sensing: Sensing) -> At:
     """Return the controller of a law, linearised at equilibria of its own robot with the reference at rest there."""
     alone = _law_alone(law, equilibria)
     if sensing.bandwidth is None:
@@ -106,8 +106,8 @@ def controller(law: SampledLaw, equilibria: RestPoints, sensing: Sensing) -> At:
     return lambda T: _behind_observer(alone(T), equilibria, sensing.bandwidth, T)  # type: ignore[arg-type]
 
 
-def _law_alone(law: SampledLaw, equilibria: RestPoints) -> At:
-    if isinstance(law, Static):
+def _law_alone(law: SampledLaw, equilibria: Equilibria) -> At:
+    if isinstance(law, AsSampledLaw):
         if isinstance(law.law, TrackingLaw):
             found = static(feedback(equilibria, law.law.gains) @ momentum_matrix(equilibria))
         else:
@@ -116,20 +116,20 @@ def _law_alone(law: SampledLaw, equilibria: RestPoints) -> At:
     return lru_cache(maxsize=2)(lambda T: _linearised(law, equilibria, T))
 
 
-def momentum_matrix(equilibria: RestPoints) -> Array:
+def momentum_matrix(equilibria: Equilibria) -> Array:
     """Return T (k, 4n, 4n) with dx = T dy at equilibria: from velocities to momenta."""
     one = np.eye(equilibria.robot.n)
     return equilibria.blocks([one, 0, 0, 0], [0, one, 0, 0], [0, 0, equilibria.M_l, 0], [0, 0, 0, equilibria.robot.M_m])
 
 
-def plant_in_velocities(equilibria: RestPoints) -> tuple[Array, Array]:
+def plant_in_velocities(equilibria: Equilibria) -> tuple[Array, Array]:
     """Return A (k, 4n, 4n) and B (k, 4n, n) of a robot at its equilibria, in y = (q_l, q_m, dq_l, dq_m)."""
     A, B = plant_matrices(equilibria)
     T = momentum_matrix(equilibria)
     return np.asarray(np.linalg.solve(T, A @ T)), np.asarray(np.linalg.solve(T, B))
 
 
-def _linearised(law: SampledLaw, equilibria: RestPoints, T: float) -> Controller:
+def _linearised(law: SampledLaw, equilibria: Equilibria, T: float) -> Controller:
     """Linearise the step function of a law at each equilibrium for the sample period T [s]."""
     n, m = equilibria.robot.n, len(law.memory)
     step, blocks = law.step_function, []
@@ -195,7 +195,7 @@ def _jacobian(step: ca.Function, at: list[Array]) -> Array:
     return np.hstack(found)[:, :total]
 
 
-def _behind_observer(law: Controller, equilibria: RestPoints, bandwidth: float, T: float) -> Controller:
+def _behind_observer(law: Controller, equilibria: Equilibria, bandwidth: float, T: float) -> Controller:
     """Return the law with the estimate of the observer as measurement and as part of the controller state.
 
     Equations: see estimation.velocity_observer.
@@ -214,7 +214,7 @@ def _behind_observer(law: Controller, equilibria: RestPoints, bandwidth: float, 
     )
 
 
-def _predicted(equilibria: RestPoints, T: float) -> tuple[Array, Array]:
+def _predicted(equilibria: Equilibria, T: float) -> tuple[Array, Array]:
     """Return Phi (k, 4n, 4n) and Gamma (k, 4n, n) of the observer's Runge-Kutta prediction over T [s], effort held."""
     n = equilibria.robot.n
     A, B = plant_in_velocities(equilibria)

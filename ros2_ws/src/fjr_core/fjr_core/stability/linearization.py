@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.sampled_law import MeasuredLaw, SampledLaw, Static
+from ..control.sampled_law import AsSampledLaw, MeasuredLaw, SampledLaw
 from ..control.static_law import StaticLaw
 from ..control.vdpbc.gains import CheckedGains
 from ..control.vdpbc.law import TrackingLaw
@@ -18,7 +18,7 @@ from ..errors import StateError
 from ..numerics.checks import Array
 from ..numerics.symbolic import directional
 from ..robot.configuration_sampling import checked_configurations
-from ..robot.equilibrium import RestPoints, plant_matrices, rest_points
+from ..robot.equilibrium import Equilibria, equilibria_at, plant_matrices
 from ..robot.port_hamiltonian import Plant
 from ..robot.robot import Robot
 from ..trajectories.reference import JETS
@@ -46,7 +46,7 @@ def linearize(
     if plant.robot.n != law.robot.n:
         raise StateError(f"plant and law have {plant.robot.n} and {law.robot.n} joints; expected equal")
     q_l = loop_configurations(law, configurations)
-    own, real = rest_points(law.robot, q_l), rest_points(plant.robot, q_l)
+    own, real = equilibria_at(law.robot, q_l), equilibria_at(plant.robot, q_l)
     if not isinstance(law, StaticLaw) or not sensing.plain:
         return loop_as_run(law, own, real, sensing)
     A, B, F = _jacobians(law, plant, real)
@@ -54,12 +54,12 @@ def linearize(
     return in_error_coordinates(own, law.gains, A, B, F) if isinstance(law, TrackingLaw) else SampledLoop(q_l, A, B, F)
 
 
-def loop_as_run(law: StaticLaw | SampledLaw, own: RestPoints, real: RestPoints, sensing: Sensing) -> SampledLoop:
+def loop_as_run(law: StaticLaw | SampledLaw, own: Equilibria, real: Equilibria, sensing: Sensing) -> SampledLoop:
     """Return the loop of a law with state and sensing, linearised at its own equilibria, on the real plant."""
     return on_plant(controller(as_sampled(law), own, sensing), own, real, sensing)
 
 
-def on_plant(at: At, own: RestPoints, real: RestPoints, sensing: Sensing) -> SampledLoop:
+def on_plant(at: At, own: Equilibria, real: Equilibria, sensing: Sensing) -> SampledLoop:
     """Return the loop of a linearised controller on the real plant; z is (q_l, q_m, dq_l, dq_m)."""
     A, B = plant_in_velocities(real)
     seen = sensing.measured(own.robot, real.robot.K)
@@ -68,12 +68,12 @@ def on_plant(at: At, own: RestPoints, real: RestPoints, sensing: Sensing) -> Sam
 
 def as_static(law: StaticLaw | SampledLaw) -> StaticLaw | SampledLaw:
     """Return the static law inside a sampled law without state; any other law unchanged."""
-    return law.law if isinstance(law, Static) and isinstance(law.law, StaticLaw) else law
+    return law.law if isinstance(law, AsSampledLaw) and isinstance(law.law, StaticLaw) else law
 
 
 def as_sampled(law: StaticLaw | SampledLaw) -> SampledLaw:
     """Return the law as a sampled law."""
-    return Static(law) if isinstance(law, StaticLaw) else law
+    return AsSampledLaw(law) if isinstance(law, StaticLaw) else law
 
 
 def without_state(law: StaticLaw | SampledLaw) -> MeasuredLaw | SampledLaw:
@@ -92,13 +92,13 @@ def closed_form(law: TrackingLaw, configurations: Array, plant: Plant) -> Sample
 
     Otherwise an approximation: the Jacobian of the law is taken at the equilibrium of its own robot.
     """
-    own = rest_points(law.robot, configurations)
-    real = own if plant.robot is law.robot else rest_points(plant.robot, configurations)
+    own = equilibria_at(law.robot, configurations)
+    real = own if plant.robot is law.robot else equilibria_at(plant.robot, configurations)
     A, B = in_momenta_of(own, real, *plant_matrices(real))
     return in_error_coordinates(own, law.gains, A, B, feedback(own, law.gains))
 
 
-def in_momenta_of(own: RestPoints, real: RestPoints, A: Array, B: Array) -> tuple[Array, Array]:
+def in_momenta_of(own: Equilibria, real: Equilibria, A: Array, B: Array) -> tuple[Array, Array]:
     """Return A and B of a plant in the momenta that its velocities have with the inertia of another robot."""
     T = own.blocks(
         [np.eye(own.robot.n), 0, 0, 0],
@@ -109,14 +109,14 @@ def in_momenta_of(own: RestPoints, real: RestPoints, A: Array, B: Array) -> tupl
     return T @ A @ np.linalg.inv(T), T @ B
 
 
-def in_error_coordinates(equilibria: RestPoints, gains: CheckedGains, A: Array, B: Array, F: Array) -> SampledLoop:
+def in_error_coordinates(equilibria: Equilibria, gains: CheckedGains, A: Array, B: Array, F: Array) -> SampledLoop:
     """Return the loop dx/dt = A x + B u, u = F x at k equilibria in the coordinates z = P^(1/2) e."""
     S = metric_roots(equilibria, gains) @ error_matrices(equilibria, gains)
     S_inverse = np.linalg.inv(S)
     return SampledLoop(equilibria.q_l, S @ A @ S_inverse, S @ B, F @ S_inverse)
 
 
-def _jacobians(law: StaticLaw, plant: Plant, equilibria: RestPoints) -> tuple[Array, Array, Array]:
+def _jacobians(law: StaticLaw, plant: Plant, equilibria: Equilibria) -> tuple[Array, Array, Array]:
     """Return A, B and F in the state x at equilibria of the plant, with the reference at rest there."""
     n = equilibria.robot.n
     plant_slope, law_slope = _plant_slope(plant), _law_slope(law)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..control.sampled_law import SampledLaw
 from ..control.static_law import StaticLaw
 from ..robot.configuration_sampling import checked_configurations
-from ..robot.equilibrium import RestPoints, rest_points
+from ..robot.equilibrium import Equilibria, equilibria_at
 from ..robot.port_hamiltonian import Plant
 from .linear_controller import Sensing, controller
 from .linearization import as_sampled, on_plant
@@ -20,7 +20,7 @@ from .linearization import as_sampled, on_plant
 FACTORS = (0.7, 0.8, 1.2, 1.3)
 """Ratios of a plant parameter to its value in the model."""
 
-QUANTITIES: Mapping[str, Callable[[RestPoints, float], RestPoints]] = {
+QUANTITIES: Mapping[str, Callable[[Equilibria, float], Equilibria]] = {
     "stiffness": lambda equilibria, factor: replace(
         equilibria, robot=replace(equilibria.robot, K=factor * equilibria.robot.K)
     ),
@@ -45,7 +45,7 @@ def radii_with_model_errors(
     The law keeps its model. Arguments as in sampled_loop.check. Raises StateError for wrong shapes.
     """
     sensing, q_l = sensing or Sensing(), checked_configurations(law.robot, configurations)
-    own, real = rest_points(law.robot, q_l), rest_points((plant or Plant(law.robot)).robot, q_l)
+    own, real = equilibria_at(law.robot, q_l), equilibria_at((plant or Plant(law.robot)).robot, q_l)
     at = controller(as_sampled(law), own, sensing)
     return {
         (quantity, factor): float(np.max(on_plant(at, own, change(real, factor), sensing).radii(sample_period, delay)))

@@ -18,7 +18,7 @@ _REFINEMENTS, _NEWTON_STEPS = 2, 8
 
 
 @dataclass(frozen=True, eq=False)
-class Extremes:
+class MotionBounds:
     """Bounds lower, upper (3, n) of q_ld [rad], dq_ld [rad/s] and ddq_ld [rad/s^2] over a time interval.
 
     lower_at, upper_at (3, n) [s]: times of the extrema; nan if the bound is conservative.
@@ -29,22 +29,22 @@ class Extremes:
     lower_at: Array
     upper_at: Array
 
-    def union(self, other: Extremes) -> Extremes:
+    def union(self, other: MotionBounds) -> MotionBounds:
         """Return the bounds of both motions together."""
         less, more = other.lower < self.lower, other.upper > self.upper
-        return Extremes(
+        return MotionBounds(
             np.where(less, other.lower, self.lower),
             np.where(more, other.upper, self.upper),
             np.where(less, other.lower_at, self.lower_at),
             np.where(more, other.upper_at, self.upper_at),
         )
 
-    def delayed(self, t0: float) -> Extremes:
+    def delayed(self, t0: float) -> MotionBounds:
         """Return the bounds with all times shifted by t0 [s]."""
-        return Extremes(self.lower, self.upper, self.lower_at + t0, self.upper_at + t0)
+        return MotionBounds(self.lower, self.upper, self.lower_at + t0, self.upper_at + t0)
 
 
-def extremes_on(jets: Callable[[Array], Array], grid: Array) -> Extremes:
+def motion_bounds_on(jets: Callable[[Array], Array], grid: Array) -> MotionBounds:
     """Return the bounds of jets(t) on an increasing grid (k,) [s] and at the zeros of derivatives between its points.
 
     The grid is refined at the zeros of higher derivatives, so that double zeros between grid points are found.
@@ -53,7 +53,7 @@ def extremes_on(jets: Callable[[Array], Array], grid: Array) -> Extremes:
         grid = _refined(grid, jets(grid))
     samples = jets(grid)
     bounds = [_row(jets, grid, samples, row) for row in range(ROWS)]
-    return Extremes(*(np.array(values) for values in zip(*bounds, strict=True)))
+    return MotionBounds(*(np.array(values) for values in zip(*bounds, strict=True)))
 
 
 def _refined(grid: Array, samples: Array) -> Array:

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
 from ..numerics.checks import Array, freeze, joint_vector, number, positive
-from .bounds import Extremes, extremes_on
-from .piecewise_polynomial import SAMPLES, Pieces
+from .bounds import MotionBounds, motion_bounds_on
+from .piecewise_polynomial import SAMPLES, PiecewisePolynomial
 from .point_to_point import standing
 from .reference import JETS
 from .sine import phases
@@ -54,11 +54,13 @@ class Circle:
         return np.inf
 
     @cached_property
-    def angle(self) -> Pieces:
+    def angle(self) -> PiecewisePolynomial:
         """Angle on the circle [rad], n = 1."""
         speed = self.frequency
         swept = standing([self.phase + speed * self.ramp / 2], [speed])
-        return Pieces(np.array([0.0, self.ramp]), np.stack([standing([self.phase]), swept]), continues=True)
+        return PiecewisePolynomial(
+            np.array([0.0, self.ramp]), np.stack([standing([self.phase]), swept]), continues=True
+        )
 
     def jets(self, t: ArrayLike) -> Array:
         """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
@@ -81,9 +83,9 @@ class Circle:
         q[:, :2] += self.radius * np.column_stack([np.cos(angle), np.sin(angle)])
         return q
 
-    def extremes(self, t0: float, t1: float) -> Extremes:
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
         turn = 2 * np.pi / abs(self.frequency) if self.frequency else 0.0
         stop = min(t1, max(t0, self.ramp) + turn)  # periodic after that
         turns = abs(self.frequency) * (stop - t0) / (2 * np.pi)
-        return extremes_on(self.jets, np.asarray(np.linspace(t0, stop, 4 * SAMPLES * (1 + int(np.ceil(turns))))))
+        return motion_bounds_on(self.jets, np.asarray(np.linspace(t0, stop, 4 * SAMPLES * (1 + int(np.ceil(turns))))))

@@ -13,7 +13,7 @@ from ..errors import TrajectoryError
 from ..numerics.checks import Array, freeze
 from ..robot.joint_limits import JointLimits
 from ..robot.joint_units import REVOLUTE, Units
-from .piecewise_polynomial import Pieces
+from .piecewise_polynomial import PiecewisePolynomial
 from .reference import Reference
 from .spline import Spline
 
@@ -72,7 +72,7 @@ class MotionLimits:
 
 
 def check_motion(
-    reference: Reference | Pieces,
+    reference: Reference | PiecewisePolynomial,
     limits: MotionLimits,
     t0: float = 0.0,
     t1: float = np.inf,
@@ -91,10 +91,10 @@ def check_motion(
         given = (reference.positions, reference.velocities, reference.accelerations)
         q, dq, ddq = (None if rows is None else np.asarray(rows)[first:] for rows in given)
         check_points(limits, np.asarray(q), dq, ddq, joints, first)
-    hull = reference.hull(t0, t1) if isinstance(reference, (Spline, Pieces)) else ()
+    hull = reference.hull(t0, t1) if isinstance(reference, (Spline, PiecewisePolynomial)) else ()
     if hull and not any(_beyond(bounds, limits).any() for bounds in hull):
         return
-    e = reference.extremes(t0, t1)
+    e = reference.motion_bounds(t0, t1)
     for values, at in ((e.lower, e.lower_at), (e.upper, e.upper_at)):
         wrong = np.argwhere(_beyond(values, limits))
         if len(wrong):

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import comb, factorial
 
 from ..numerics.checks import Array
-from .bounds import ROWS, Extremes, extremes_on
+from .bounds import ROWS, MotionBounds, motion_bounds_on
 from .reference import JETS
 
 DEGREE = 2 * JETS - 1
@@ -41,7 +41,7 @@ def taylor(jets: Array, h: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class PiecewisePolynomial:
     """Piecewise polynomial of degree 9 with jets knots (k, 5, n) at increasing times (k,) [s], k >= 2.
 
     It interpolates the jets of the knots exactly. Before the first time it is constant at the first position. After the
@@ -114,7 +114,7 @@ class Pieces:
             value = value * s + self._tables[place, power]
         return value.reshape(len(t), JETS, self.n)
 
-    def extremes(self, t0: float, t1: float) -> Extremes:
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s], t1 may be infinite."""
         t1 = min(t1, max(t0, self.times[-1]))
         coarse = np.concatenate([[t0, t1], self._cut(slice(None), 2, t0, t1)])
@@ -122,7 +122,7 @@ class Pieces:
         lower, upper = self._hulls
         beyond = ((lower < seen.min(axis=0)) | (upper > seen.max(axis=0))).any(axis=(1, 2))
         reached = coarse[np.concatenate([seen.argmin(axis=0), seen.argmax(axis=0)])].ravel()
-        return extremes_on(
+        return motion_bounds_on(
             self.jets, np.unique(np.concatenate([[t0, t1], reached, self._cut(beyond, SAMPLES, t0, t1)]))
         )
 

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze, joint_vector, positive
-from .bounds import ROWS, Extremes
-from .piecewise_polynomial import Pieces
+from .bounds import ROWS, MotionBounds
+from .piecewise_polynomial import PiecewisePolynomial
 from .reference import JETS
 
 
@@ -56,10 +56,10 @@ class Hold:
         """Return q repeated k times, (k, n) [rad]."""
         return np.tile(np.asarray(self.q), (k, 1))
 
-    def extremes(self, t0: float, t1: float) -> Extremes:
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return constant bounds of the position and zero bounds of velocity and acceleration."""
         rows, at = self._jets[:ROWS], np.full((ROWS, self.n), t0)
-        return Extremes(rows, rows, at, at)
+        return MotionBounds(rows, rows, at, at)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,14 +100,14 @@ class PointToPoint:
         return 2 * (self.duration + self.dwell)
 
     @cached_property
-    def pieces(self) -> Pieces:
+    def pieces(self) -> PiecewisePolynomial:
         """The motion as a piecewise polynomial; one period if it returns."""
         times, knots = [0.0, self.duration], [standing(self.q0), standing(self.q1)]
         if self.returns:
             back = self.period / 2
             times, knots = [*times, back, back + self.duration], [*knots, knots[1], knots[0]]
         kept = np.diff(times, prepend=-1.0) > 0
-        return Pieces(np.array(times)[kept], np.array(knots)[kept])
+        return PiecewisePolynomial(np.array(times)[kept], np.array(knots)[kept])
 
     def jets(self, t: ArrayLike) -> Array:
         """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
@@ -117,6 +117,6 @@ class PointToPoint:
         """Return k configurations (k, n) [rad], equally spaced between q0 and q1."""
         return np.linspace(np.asarray(self.q0), np.asarray(self.q1), k)
 
-    def extremes(self, t0: float, t1: float) -> Extremes:
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]; of a period if it returns."""
-        return self.pieces.extremes(0.0, self.period) if self.returns else self.pieces.extremes(t0, t1)
+        return self.pieces.motion_bounds(0.0, self.period) if self.returns else self.pieces.motion_bounds(t0, t1)

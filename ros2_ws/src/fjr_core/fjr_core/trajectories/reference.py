@@ -8,7 +8,7 @@ from typing import Protocol
 from numpy.typing import ArrayLike
 
 from ..numerics.checks import Array
-from .bounds import Extremes
+from .bounds import MotionBounds
 
 REFERENCE_DERIVATIVES = 4  # q_ld .. d4q_ld: the law has relative degree four
 JETS = REFERENCE_DERIVATIVES + 1
@@ -31,5 +31,5 @@ class Reference(Protocol):
     def configurations(self, k: int) -> Array:
         """Return k configurations (k, n) [rad], distributed evenly over the reference."""
 
-    def extremes(self, t0: float, t1: float) -> Extremes:
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]; t1 may be infinite."""

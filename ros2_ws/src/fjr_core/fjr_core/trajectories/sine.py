@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
-from .bounds import ROWS, Extremes
+from .bounds import ROWS, MotionBounds
 from .reference import JETS
 
 _SIDES = np.array([0, 1, 0, 1, 0])  # sine (0) or cosine (1) in each of the five jets
@@ -77,14 +77,14 @@ class Sine:
         angles = phases(k, np.asarray(self.frequency)) + np.asarray(self.phase)
         return np.asarray(self.offset) + np.asarray(self.amplitude) * np.sin(angles)
 
-    def extremes(self, t0: float, t1: float) -> Extremes:
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]; they are exact."""
         a, w = np.asarray(self.amplitude), np.asarray(self.frequency)
         rows = [_sine_bounds(a * w**row, w, np.asarray(self.phase) + row * np.pi / 2, t0, t1) for row in range(ROWS)]
         lower, upper, lower_at, upper_at = (np.array(values) for values in zip(*rows, strict=True))
         lower[0] += self.offset
         upper[0] += self.offset
-        return Extremes(lower, upper, lower_at, upper_at)
+        return MotionBounds(lower, upper, lower_at, upper_at)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,16 +143,16 @@ class MultiSine:
         angles = phases(k, np.asarray(self.frequency)) + np.asarray(self.phase)
         return np.asarray(self.offset) + (np.asarray(self.amplitude) * np.sin(angles)).sum(axis=1)
 
-    def extremes(self, t0: float, t1: float) -> Extremes:
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return the sums of the bounds of the sines from t0 to t1 [s]; exact for one sine, else conservative."""
         rows = zip(np.asarray(self.amplitude), np.asarray(self.frequency), np.asarray(self.phase), strict=True)
-        each = [Sine(a, w, 0.0, p).extremes(t0, t1) for a, w, p in rows]
+        each = [Sine(a, w, 0.0, p).motion_bounds(t0, t1) for a, w, p in rows]
         lower, upper = (np.sum([getattr(e, side) for e in each], axis=0) for side in ("lower", "upper"))
         shift = np.zeros((ROWS, self.n))
         shift[0] = self.offset
         unknown = np.full_like(shift, np.nan)
         at = (each[0].lower_at, each[0].upper_at) if len(each) == 1 else (unknown, unknown)
-        return Extremes(lower + shift, upper + shift, *at)
+        return MotionBounds(lower + shift, upper + shift, *at)
 
 
 def _table(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
-from .bounds import Extremes
+from .bounds import MotionBounds
 from .minimum_jerk import minimum_jerk, without_overshoot
-from .piecewise_polynomial import Pieces
+from .piecewise_polynomial import PiecewisePolynomial
 from .reference import JETS
 
 SHORTEST = 1e-6  # s, smallest interval between points
@@ -40,7 +40,7 @@ class Spline:
     accelerations: ArrayLike | None = None
     start: ArrayLike | None = None
     moving_end: bool = False
-    pieces: Pieces = field(init=False, repr=False)
+    pieces: PiecewisePolynomial = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         positions = _points("positions", self.positions)
@@ -76,9 +76,9 @@ class Spline:
         """Return k configurations (k, n) [rad], equally spaced in time from the first point (or start) to the last."""
         return self.jets(np.linspace(self.pieces.times[0], self.end, k))[:, 0]
 
-    def extremes(self, t0: float, t1: float) -> Extremes:
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
-        return self.pieces.extremes(t0, t1)
+        return self.pieces.motion_bounds(t0, t1)
 
     def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
         """Return conservative bounds lower, upper (3, n) of position, velocity and acceleration from t0 to t1 [s]."""
@@ -91,7 +91,7 @@ class Spline:
         if np.any(last):
             raise TrajectoryError(f"velocities ends with {last.tolist()}; expected zeros at the last point")
 
-    def _interpolated(self) -> Pieces:
+    def _interpolated(self) -> PiecewisePolynomial:
         """Return the piecewise polynomial through the points with the free derivatives chosen."""
         times, (jets, free) = np.asarray(self.times), self._given()
         if self.start is not None:
@@ -101,7 +101,7 @@ class Spline:
         try:
             with np.errstate(all="ignore"):
                 jets = without_overshoot(times, minimum_jerk(times, jets, free), free) if free.any() else jets
-                pieces = Pieces(times, jets)
+                pieces = PiecewisePolynomial(times, jets)
         except np.linalg.LinAlgError:  # the system is not positive definite to rounding
             pieces = None
         if pieces is None or not pieces.finite:

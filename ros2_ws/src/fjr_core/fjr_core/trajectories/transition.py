@@ -11,16 +11,16 @@ from numpy.typing import ArrayLike
 from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, number, positive
-from .bounds import Extremes
-from .piecewise_polynomial import Pieces
+from .bounds import MotionBounds
+from .piecewise_polynomial import PiecewisePolynomial
 from .reference import JETS, Reference
 
 
 @dataclass(frozen=True, eq=False)
-class Joined:
+class Transition:
     """A polynomial of degree 9, `segment`, followed by `target`; created by transition."""
 
-    segment: Pieces
+    segment: PiecewisePolynomial
     target: Reference
 
     @property
@@ -52,15 +52,15 @@ class Joined:
         times = np.linspace(self.segment.times[0], self.transition_end, k // 4)
         return np.vstack([self.segment.jets(times)[:, 0], self.target.configurations(k - k // 4)])
 
-    def extremes(self, t0: float, t1: float) -> Extremes:
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
         if t0 >= self.transition_end:
-            return self.target.extremes(t0, t1)
-        bounds = self.segment.extremes(t0, min(t1, self.transition_end))
-        return bounds if t1 <= self.transition_end else bounds.union(self.target.extremes(self.transition_end, t1))
+            return self.target.motion_bounds(t0, t1)
+        bounds = self.segment.motion_bounds(t0, min(t1, self.transition_end))
+        return bounds if t1 <= self.transition_end else bounds.union(self.target.motion_bounds(self.transition_end, t1))
 
 
-def join(jets0: ArrayLike, t0: float, target: Reference, duration: float) -> Joined:
+def transition(jets0: ArrayLike, t0: float, target: Reference, duration: float) -> Transition:
     """Return the reference with jets0 (5, n) at t0 [s] that equals `target` from t0 + duration [s] on.
 
     The transition is one polynomial of degree 9, so the reference is of class C^4; before t0 it is constant. Raises
@@ -72,16 +72,16 @@ def join(jets0: ArrayLike, t0: float, target: Reference, duration: float) -> Joi
     positive("duration", duration)
     t0 = number("t0", t0)
     t1 = t0 + duration
-    while isinstance(target, Joined) and target.transition_end <= t1:
+    while isinstance(target, Transition) and target.transition_end <= t1:
         target = target.target
-    segment = Pieces(np.array([t0, t1]), np.stack([jets0, target.jets(t1)]))
+    segment = PiecewisePolynomial(np.array([t0, t1]), np.stack([jets0, target.jets(t1)]))
     if not segment.finite:
         raise TrajectoryError(f"duration is {duration} s at {t0} s; expected a longer one")
-    return Joined(segment, target)
+    return Transition(segment, target)
 
 
 @dataclass(frozen=True, eq=False)
-class Shifted:
+class TimeShifted:
     """`reference` with its time 0 at t0 [s]; created by time_shifted."""
 
     reference: Reference
@@ -105,15 +105,15 @@ class Shifted:
         """Return k configurations (k, n) [rad] of the reference."""
         return self.reference.configurations(k)
 
-    def extremes(self, t0: float, t1: float) -> Extremes:
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
-        return self.reference.extremes(t0 - self.t0, t1 - self.t0).delayed(self.t0)
+        return self.reference.motion_bounds(t0 - self.t0, t1 - self.t0).delayed(self.t0)
 
 
-def shifted(reference: Reference, t0: float) -> Reference:
+def time_shifted(reference: Reference, t0: float) -> Reference:
     """Return `reference` with its time 0 at t0 [s]. Raises TrajectoryError if t0 is not finite."""
     t0 = number("t0", t0)
-    while isinstance(reference, Shifted):
+    while isinstance(reference, TimeShifted):
         t0 += reference.t0
         reference = reference.reference
-    return Shifted(reference, t0) if t0 else reference
+    return TimeShifted(reference, t0) if t0 else reference

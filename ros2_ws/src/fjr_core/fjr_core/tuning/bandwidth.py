@@ -33,7 +33,7 @@ START_ERROR = 0.1  # rad; initial error of all joints, at rest, if no start is g
 HORIZON = 10.0  # s of the reference whose effort is evaluated
 
 
-class Yardstick:
+class BaselineTarget:
     """Tuning target: bandwidth and peak effort of v-dPBC with given gains on a robot along a reference.
 
     start: (positions (2n,) [rad], velocities (2n,) [rad/s]) of links and motors; None: at rest with a position error of

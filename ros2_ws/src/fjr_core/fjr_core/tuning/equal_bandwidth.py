@@ -28,7 +28,7 @@ from ..errors import GainsError
 from ..numerics.checks import Array
 from ..robot.robot import Robot
 from ..trajectories.reference import Reference
-from .bandwidth import BANDWIDTH_TOLERANCE, PEAK_TOLERANCE, Yardstick, alike
+from .bandwidth import BANDWIDTH_TOLERANCE, PEAK_TOLERANCE, BaselineTarget, alike
 
 REACH = 0.9  # fraction of the largest bandwidth of a law that is used if it cannot reach the target
 SEARCHED = (0.1, 20.0)  # natural frequencies searched, relative to the target bandwidth
@@ -49,40 +49,40 @@ class Tuning:
     damping: float
     bandwidth: float
     peak: float
-    yardstick_bandwidth: float
-    yardstick_peak: float
+    target_bandwidth: float
+    target_peak: float
     effort_limit: Array
 
     @property
     def same_bandwidth(self) -> bool:
         """Return whether the bandwidth equals the target."""
-        return alike(self.bandwidth, self.yardstick_bandwidth, BANDWIDTH_TOLERANCE)
+        return alike(self.bandwidth, self.target_bandwidth, BANDWIDTH_TOLERANCE)
 
     @property
     def same_peak(self) -> bool:
         """Return whether the peak effort equals the target."""
-        return alike(self.peak, self.yardstick_peak, PEAK_TOLERANCE)
+        return alike(self.peak, self.target_peak, PEAK_TOLERANCE)
 
     @property
     def sentence(self) -> str:
         """Summary of the result of the tuning."""
         if np.isnan(self.omega):
             return "tuning target, with the gains of the scenario"
-        times = f"{self.bandwidth / self.yardstick_bandwidth:.2g} times the target"
+        times = f"{self.bandwidth / self.target_bandwidth:.2g} times the target"
         bandwidth = "the same bandwidth" if self.same_bandwidth else f"bandwidth {times}, the largest possible"
         if self.same_peak:
             return f"{bandwidth}, the same peak effort"
-        saturated = ", saturated" if self.peak > self.yardstick_peak else ""
-        return f"{bandwidth}, peak effort {self.peak / self.yardstick_peak:.2g} times the target{saturated}"
+        saturated = ", saturated" if self.peak > self.target_peak else ""
+        return f"{bandwidth}, peak effort {self.peak / self.target_peak:.2g} times the target{saturated}"
 
 
-def tune(name: str, yardstick: Yardstick, compile: bool = False, retune: bool = False) -> Tuning:
+def tune(name: str, baseline_target: BaselineTarget, compile: bool = False, retune: bool = False) -> Tuning:
     """Tune the law of this name to the target.
 
     compile: build the law as machine code. retune: tune v-dPBC too; false: it keeps the gains of the target. Raises
     ParameterError for an unknown name, GainsError if no gains are stable.
     """
-    kind, y = law_kind(name), yardstick
+    kind, y = law_kind(name), baseline_target
     if kind.name == V_DPBC and not retune:
         law: StaticLaw = TrackingLaw(y.robot, y.gains, compile)
         return Tuning(kind, law, np.nan, np.nan, y.bandwidth, y.peak, y.bandwidth, y.peak, y.effort_limit)
@@ -102,7 +102,7 @@ def tuned(
     compile: bool = False,
 ) -> StaticLaw:
     """Return the law tuned to v-dPBC with the given gains; see `tune`."""
-    return tune(name, Yardstick(robot, reference, gains, start), compile).law
+    return tune(name, BaselineTarget(robot, reference, gains, start), compile).law
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,20 +118,20 @@ class _Candidate:
 class _Family:
     """Laws of one kind as a function of natural frequency and damping ratio."""
 
-    def __init__(self, kind: LawKind, yardstick: Yardstick) -> None:
-        self.kind, self.yardstick = kind, yardstick
+    def __init__(self, kind: LawKind, baseline_target: BaselineTarget) -> None:
+        self.kind, self.baseline_target = kind, baseline_target
         self._first: StaticLaw | None = None
 
     def bandwidth(self, omega: float, damping: float) -> float:
         """Return the bandwidth [rad/s]; 0 if the gains violate the condition of the paper or the loop is unstable."""
         try:
-            return self.yardstick.bandwidth_of(self._law(omega, damping))
+            return self.baseline_target.bandwidth_of(self._law(omega, damping))
         except GainsError:
             return 0.0
 
     def candidate(self, damping: float) -> _Candidate | None:
         """Return the law of this damping ratio with the target bandwidth, or near its largest; None if unstable."""
-        target = self.yardstick.bandwidth
+        target = self.baseline_target.bandwidth
         grid = target * np.geomspace(*SEARCHED, STEPS)
         bandwidths: list[float] = []
         for omega in grid:
@@ -144,24 +144,24 @@ class _Family:
             return None
         i = int(np.flatnonzero(np.array(bandwidths) >= target)[0])
         omega = grid[i] if i == 0 else _root(lambda w: self.bandwidth(w, damping) - target, grid[i - 1], grid[i], 1e-3)
-        law, y = self._law(omega, damping), self.yardstick
+        law, y = self._law(omega, damping), self.baseline_target
         return _Candidate(law, self._gains(omega, damping), omega, damping, y.bandwidth_of(law), y.peak_of(law))
 
     def _law(self, omega: float, damping: float) -> StaticLaw:
         gains = self._gains(omega, damping)
         if self._first is None:
-            self._first = self.kind.make(self.yardstick.robot, gains)
+            self._first = self.kind.make(self.baseline_target.robot, gains)
             return self._first
         return self._first.with_gains(gains)
 
     def _gains(self, omega: float, damping: float) -> Any:
-        y = self.yardstick
+        y = self.baseline_target
         return self.kind.standard(y.robot, y.q_0, omega, damping, y.sample_period)
 
 
 def _chosen(family: _Family) -> _Candidate:
     """Return the law of the usual damping ratio, or of the one with equal peak effort; bandwidth has priority."""
-    kind, y = family.kind, family.yardstick
+    kind, y = family.kind, family.baseline_target
     usual = family.candidate(kind.usual)
     if usual is not None and y.same_bandwidth(usual.bandwidth) and y.same_peak(usual.peak):
         return usual
@@ -189,11 +189,11 @@ def _between(family: _Family, low: _Candidate, high: _Candidate) -> _Candidate:
         if candidate is None:
             return -1.0
         found.append(candidate)
-        return candidate.peak / family.yardstick.peak - 1
+        return candidate.peak / family.baseline_target.peak - 1
 
     _root(excess, low.damping, high.damping, 0.01)
-    equal = [candidate for candidate in found if family.yardstick.same_bandwidth(candidate.bandwidth)]
-    return min(equal, key=lambda candidate: abs(candidate.peak / family.yardstick.peak - 1))
+    equal = [candidate for candidate in found if family.baseline_target.same_bandwidth(candidate.bandwidth)]
+    return min(equal, key=lambda candidate: abs(candidate.peak / family.baseline_target.peak - 1))
 
 
 def _root(f: Callable[[float], float], low: float, high: float, tolerance: float) -> float:

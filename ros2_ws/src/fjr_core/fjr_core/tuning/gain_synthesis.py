@@ -25,7 +25,7 @@ from ..control.vdpbc.linearized import feedback
 from ..errors import GainsError
 from ..numerics.checks import Array
 from ..robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
-from ..robot.equilibrium import Indices, RestPoints, plant_matrices, rest_points
+from ..robot.equilibrium import Equilibria, Indices, equilibria_at, plant_matrices
 from ..robot.robot import Robot
 from ..stability.linearization import in_error_coordinates
 from ..stability.one_sample_map import SampledLoop
@@ -73,7 +73,7 @@ def synthesize(
 class _Task:
     """Equilibria of a robot, its M and s (see the module), and the loop."""
 
-    equilibria: RestPoints
+    equilibria: Equilibria
     M: Array
     s: float
     sample_period: float
@@ -131,7 +131,7 @@ class _Task:
                 K_md=c * beta * self.equilibria.robot.M_m,
             )
 
-    def _loop(self, equilibria: RestPoints, gains: Gains) -> SampledLoop:
+    def _loop(self, equilibria: Equilibria, gains: Gains) -> SampledLoop:
         checked = gains.checked(equilibria.robot.n)
         return in_error_coordinates(equilibria, checked, *plant_matrices(equilibria), feedback(equilibria, checked))
 
@@ -167,7 +167,7 @@ class _Task:
 
 
 def _task(robot: Robot, sample_period: float, delay: float, configurations: ArrayLike | None) -> _Task:
-    equilibria = rest_points(robot, checked_configurations(robot, configurations))
+    equilibria = equilibria_at(robot, checked_configurations(robot, configurations))
     inertias = list(equilibria.M_l)
     M = np.mean(inertias if configurations is not None else inertias[:RATE_CONFIGURATIONS], axis=0)
     if configurations is None:

@@ -28,7 +28,7 @@ class Other:
     node: str
 
 
-class Rivals:
+class ConflictingPublishers:
     """Own publishers on some topics, and the publishers of other processes there, identified by their GIDs.
 
     Publishers of this process's own context do not count as conflicts.

@@ -69,7 +69,7 @@ class Health:
         """Report a value in addition to the counters, from the next report on."""
         self._values[key] = text
 
-    def besides(self, status: Callable[[], DiagnosticStatus]) -> None:
+    def add_status(self, status: Callable[[], DiagnosticStatus]) -> None:
         """Publish another status with each report; `status` is called to make it."""
         self._others.append(status)
 

@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from fjr_core import FjrError
-from fjr_core.config.process import process_care
+from fjr_core.config.process import process_settings
 
 from .log_folder import ensure_log_folder
 from .parameters import CheckedParameters
@@ -90,7 +90,7 @@ class _Host:
     def __init__(self, node: StoppableNode) -> None:
         """Apply the process settings of the node; raises ParameterError."""
         self._node = node
-        self._kind = process_care(node.values).executor
+        self._kind = process_settings(node.values).executor
         self._round: Future = Future()
         self.apply_process_settings(node.values)
         if isinstance(node, CheckedParameters):
@@ -98,7 +98,7 @@ class _Host:
 
     def apply_process_settings(self, values: Mapping[str, Any]) -> None:
         """Apply the process settings of the values and freeze the garbage collector; raises ParameterError."""
-        for refusal in apply_process_settings(process_care(values)):
+        for refusal in apply_process_settings(process_settings(values)):
             self._node.get_logger().warning(refusal)
         freeze_garbage()
 

@@ -11,7 +11,7 @@ from rosgraph_msgs.msg import Clock
 from fjr_core import FjrError
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.clock import ClockWriter
-from fjr_msgs_py.node.conflicting_publishers import Rivals
+from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from fjr_msgs_py.node.diagnostics import Health
 
 OTHERS = "other clocks"
@@ -34,10 +34,10 @@ class ClockOwner:
 
     def __init__(self, node: Node, health: Health) -> None:
         self._health = health
-        self._rivals = Rivals(node, {names.CLOCK: Clock}, names.LATEST)
+        self._conflicts = ConflictingPublishers(node, {names.CLOCK: Clock}, names.LATEST)
         self._topic = node.resolve_topic_name(names.CLOCK)
         self._space = node.get_namespace().rstrip("/")
-        (self._publisher,) = self._rivals.publishers
+        (self._publisher,) = self._conflicts.publishers
         self._writer = ClockWriter()
         self._settled = time.monotonic() + SETTLING
         self._next_look = 0.0
@@ -49,8 +49,8 @@ class ClockOwner:
 
     def refuse_others(self) -> None:
         """Raise ClockError if another process publishes the time now."""
-        self._rivals.appeared()
-        if self._rivals.others and self._rivals.heard():
+        self._conflicts.appeared()
+        if self._conflicts.others and self._conflicts.heard():
             raise ClockError(self._sentence("publishes"))
 
     def look(self, established: bool) -> None:
@@ -61,12 +61,12 @@ class ClockOwner:
         self._next_look = now + LOOK_PERIOD
         if not established or now <= self._settled:
             self.refuse_others()
-        elif self._rivals.appeared():
+        elif self._conflicts.appeared():
             self._health.error(OTHERS, self._sentence("has begun to publish"))
 
     def _sentence(self, acts: str) -> str:
         own = f"{self._space or '/NAMESPACE'}/clock"
         return (
-            f"{self._rivals.named(self._topic)} {acts} on {self._topic}; expected one owner of the time: start this "
+            f"{self._conflicts.named(self._topic)} {acts} on {self._topic}; expected one owner of the time: start this "
             f"plant and its controller with -r {names.CLOCK}:={own}"
         )

@@ -16,7 +16,7 @@ from fjr_msgs_py.messages.joint_states import MessageError
 
 from ..state_publisher import Sample
 from .clock_owner import ClockOwner
-from .time_base import NodeParts, Pace, seconds
+from .time_base import NodeParts, TimeBase, seconds
 
 START = 1_000_000_000  # ns; stamp of the first state, the same in every run
 RESEND_PERIOD = 0.1  # s; a state without a command is sent again
@@ -27,7 +27,7 @@ class LockStepError(FjrError):
     """Controller that stopped sending commands."""
 
 
-class LockStep(Pace):
+class LockStep(TimeBase):
     """Time base that sends a state and /clock and waits for /joint_commands with its stamp and all efforts.
 
     A state without a command is sent again unchanged and never skipped. After the first command since a start or a

@@ -9,7 +9,7 @@ from rclpy.clock import Clock
 from rclpy.node import Node
 
 
-class Alarm:
+class OneShotTimer:
     """Timer that calls back once after it was last set."""
 
     def __init__(self, node: Node, clock: Clock, callback: Callable[[], None]) -> None:

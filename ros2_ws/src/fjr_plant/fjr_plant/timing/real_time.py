@@ -12,14 +12,14 @@ from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import MessageError
 
 from ..state_publisher import Sample
-from .one_shot_timer import Alarm
-from .time_base import NodeParts, Pace
+from .one_shot_timer import OneShotTimer
+from .time_base import NodeParts, TimeBase
 
 LONGEST_BACKLOG = 200_000_000  # ns; longest time integrated at once
 LARGEST_LAG = 1_000_000_000  # ns; largest lag of the stamps behind the clock due to lost time
 
 
-class RealTime(Pace):
+class RealTime(TimeBase):
     """Time base that applies /effort_controller/commands at once and publishes a state at every tick of the clock.
 
     A stamp is the node time at which robot time started or resumed, plus the time integrated since. While waiting for
@@ -37,8 +37,8 @@ class RealTime(Pace):
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._ros_clock = node.get_clock()
         clock = self._ros_clock if self._simulated else Clock(clock_type=ClockType.STEADY_TIME)
-        self._late_timer = Alarm(node, clock, self._on_late)
-        self._arrival_timer = Alarm(node, clock, self._on_arrival)
+        self._late_timer = OneShotTimer(node, clock, self._on_late)
+        self._arrival_timer = OneShotTimer(node, clock, self._on_arrival)
         self.origin: int | None = None  # clock time of robot time 0; None while that stands still
         self._started = self._waiting = False
         self._silence = round(parts.values["restart_silence"] * 1e9)  # ns

@@ -33,7 +33,7 @@ class NodeParts:
     health: Health
 
 
-class Pace(ABC):
+class TimeBase(ABC):
     """Time base that runs, pauses or advances the robot; a sample has the stamp `offset` + robot time.
 
     An effort acts until the next one, at most for command_timeout of robot time; then the effort is zero.

@@ -16,7 +16,7 @@ import numpy as np
 from fjr_bringup.studies.comparison.suite import LawChoice, Suite, scenario_texts
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import CompareError, FjrError
-from fjr_core.experiments.comparison import Needs, Trial, directions, motion_demand
+from fjr_core.experiments.comparison import MotionDemand, Trial, directions, motion_demand
 from fjr_core.experiments.comparison.tuned_law import TunedLaw, tuned_law
 from fjr_core.numerics.jit import can_compile
 from fjr_core.numerics.jit_cache import program_digest
@@ -99,7 +99,7 @@ def _margins(job: Job, trial: Trial) -> Result:
     return {"margins": {name: asdict(edge) for name, edge in edges.items()}, "curves": curves}
 
 
-def _needs(job: Job, label: str, scenario: Scenario) -> Needs:
+def _needs(job: Job, label: str, scenario: Scenario) -> MotionDemand:
     """Compute the motion demand of a reference; raise CompareError for one that stands still."""
     try:
         return motion_demand(scenario.robot, scenario.reference)
@@ -107,7 +107,7 @@ def _needs(job: Job, label: str, scenario: Scenario) -> Needs:
         raise CompareError(f"'{label}' of {job.robot}: {error}") from None
 
 
-def _trial(job: Job, scenario: Scenario, chosen: TunedLaw, wanted: Needs) -> Trial:
+def _trial(job: Job, scenario: Scenario, chosen: TunedLaw, wanted: MotionDemand) -> Trial:
     loop = ClosedLoop(
         scenario.plant.robot,
         chosen.law,
@@ -122,7 +122,7 @@ def _trial(job: Job, scenario: Scenario, chosen: TunedLaw, wanted: Needs) -> Tri
     return Trial(loop, wanted, chosen.effort_limit, job.tracks)
 
 
-def _robot(first: Scenario, wanted: Mapping[str, Needs]) -> Result:
+def _robot(first: Scenario, wanted: Mapping[str, MotionDemand]) -> Result:
     """Return the data that all laws on a robot share."""
     return {
         "joints": list(first.joints),

@@ -28,7 +28,7 @@ ROUNDING = 1e-12  # relative to the start; smaller distances are rounding errors
 
 
 @dataclass(frozen=True)
-class Wish:
+class Options:
     """duration [s]; starts: number of virtual states; spread [rad]: of their initial link positions; seed."""
 
     duration: float
@@ -37,7 +37,7 @@ class Wish:
     seed: int
 
 
-def run_and_draw(scenario: Scenario, options: Wish, folder: Path | None, output: Path, stop: threading.Event) -> str:
+def run_and_draw(scenario: Scenario, options: Options, folder: Path | None, output: Path, stop: threading.Event) -> str:
     """Run along a simulated or recorded run (its folder), write <name>.png and .json; return a summary.
 
     Raise FjrError, and Interrupted when `stop` is set.
@@ -74,7 +74,7 @@ def recorded(scenario: Scenario, folder: Path, duration: float) -> Measured:
     return Measured((stamp - stamp[0]) * 1e-9, np.array(x), answers.effort[latest])
 
 
-def run(scenario: Scenario, measured: Measured, options: Wish, stop: threading.Event) -> Contraction:
+def run(scenario: Scenario, measured: Measured, options: Options, stop: threading.Event) -> Contraction:
     """Integrate the virtual solutions, with a progress bar after QUIET."""
     starts = scattered(scenario.tracking_law, measured.x[0], options.starts, options.spread, options.seed)
     inner = scenario.sample_period / int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]

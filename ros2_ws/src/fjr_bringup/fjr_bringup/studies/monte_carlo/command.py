@@ -20,7 +20,7 @@ from fjr_bringup.interrupt import Interrupted
 from fjr_bringup.scenarios import library
 from fjr_bringup.studies.monte_carlo import sweep_file
 from fjr_bringup.studies.monte_carlo.picture import draw
-from fjr_bringup.studies.monte_carlo.pool import Workers, carry_out, cluster, threads
+from fjr_bringup.studies.monte_carlo.pool import Workers, cluster, run_missing, threads
 from fjr_bringup.studies.monte_carlo.report import write_page
 from fjr_bringup.studies.monte_carlo.store import Store, open_store
 from fjr_bringup.studies.monte_carlo.sweep_file import SweepFile
@@ -33,7 +33,7 @@ SLOW = "no C compiler found: the runs are interpreted, about a thousand times sl
 
 
 @dataclass(frozen=True)
-class Wish:
+class Options:
     """Cores, or address of a Dask scheduler; output folder; parameters and numbers set on the command line."""
 
     cores: int
@@ -43,7 +43,7 @@ class Wish:
     numbers: Mapping[str, Any]
 
 
-def planned(name: str | None, options: Wish) -> Sweep:
+def planned(name: str | None, options: Options) -> Sweep:
     """Return the study to run; raise FjrError."""
     path = _file(name)
     document = ros_yaml.read(path, "sweep")
@@ -58,7 +58,7 @@ def planned(name: str | None, options: Wish) -> Sweep:
         raise ParameterError(f"sweep {path.stem} {error}") from None
 
 
-def sweep(name: str | None, options: Wish, stop: threading.Event) -> str:
+def sweep(name: str | None, options: Options, stop: threading.Event) -> str:
     """Run the study, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted."""
     plan = planned(name, options)
     plan.refuse_stiff_friction()
@@ -72,7 +72,7 @@ def sweep(name: str | None, options: Wish, stop: threading.Event) -> str:
         return _shown(store)
 
 
-def _workers(options: Wish) -> AbstractContextManager[Workers]:
+def _workers(options: Options) -> AbstractContextManager[Workers]:
     return cluster(options.scheduler) if options.scheduler else threads(options.cores)
 
 
@@ -90,7 +90,7 @@ def _carry_out(store: Store, workers: Workers, stop: threading.Event) -> None:
     with tqdm(
         total=total, initial=there, desc=store.sweep.name, bar_format=form, unit=" runs", disable=not terminal
     ) as bar:
-        whole = carry_out(store, workers, bar.update, stop)
+        whole = run_missing(store, workers, bar.update, stop)
     if not whole:
         raise Interrupted(store.folder)
 
@@ -143,6 +143,6 @@ def _scenario(name: str, folder: Path) -> Path:
     return neighbour if os.path.isfile(neighbour) else library.find(name)
 
 
-def _sweep(name: str, text: str, file: SweepFile, options: Wish) -> Sweep:
+def _sweep(name: str, text: str, file: SweepFile, options: Options) -> Sweep:
     numbers = {"runs": sweep_file.RUNS, **file.numbers, **options.numbers}
     return Sweep(name, text, vary=file.vary, success=file.success, **numbers)

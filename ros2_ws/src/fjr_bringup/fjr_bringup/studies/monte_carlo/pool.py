@@ -65,7 +65,7 @@ def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
         client.close()
 
 
-def carry_out(store: Store, workers: Workers, on_progress: Callable[[int], object], stop: threading.Event) -> bool:
+def run_missing(store: Store, workers: Workers, on_progress: Callable[[int], object], stop: threading.Event) -> bool:
     """Run the missing parts and store each when finished; return whether all are stored (not if `stop` was set).
 
     on_progress: called with the number of runs of each stored part. At most AHEAD parts per worker are in memory.

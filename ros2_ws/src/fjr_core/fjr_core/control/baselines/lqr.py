@@ -22,7 +22,7 @@ from scipy.linalg import block_diag, solve_continuous_are
 from ...errors import GainsError
 from ...numerics import checks
 from ...numerics.checks import Array
-from ...robot.equilibrium import RestPoints, plant_matrices, rest_points
+from ...robot.equilibrium import Equilibria, equilibria_at, plant_matrices
 from ...robot.robot import Robot
 from ..inverse_dynamics import motor_motion
 from ..lie_derivative import Flow
@@ -72,13 +72,13 @@ class Lqr(Baseline):
 
 def velocity_matrices(robot: Robot, q_0: Array) -> tuple[Array, Array]:
     """Return A (4n, 4n), B (4n, n) about the equilibrium at q_0 (n,) [rad], in coordinates (q, theta, dq, dtheta)."""
-    points = rest_points(robot, q_0[None])
+    points = equilibria_at(robot, q_0[None])
     A, B = plant_matrices(points)
     T = velocity_transformation(points)
     return (T @ A @ np.linalg.inv(T))[0], (T @ B)[0]
 
 
-def velocity_transformation(points: RestPoints) -> Array:
+def velocity_transformation(points: Equilibria) -> Array:
     """Return T (k, 4n, 4n) with (q, theta, dq, dtheta) = T x, linearised at the equilibria."""
     one = np.eye(points.robot.n)
     inverses = np.linalg.inv(points.M_l), np.linalg.inv(points.robot.M_m)

@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import GainsError
 from ...numerics.checks import Array
 from ...robot.configuration_sampling import checked_configurations
-from ...robot.equilibrium import rest_points
+from ...robot.equilibrium import equilibria_at
 from ...robot.robot import Robot
 from ..lie_derivative import Flow
 
@@ -65,5 +65,5 @@ def storage_hessians(robot: Robot, K_p: Array) -> Array:
 @lru_cache(maxsize=8)
 def gravity_hessians(robot: Robot) -> Array:
     """Return the Hessians N (k, n, n) [N m/rad] of P_l at sampled configurations."""
-    N = rest_points(robot, checked_configurations(robot, None, SAMPLED)).N_l
+    N = equilibria_at(robot, checked_configurations(robot, None, SAMPLED)).N_l
     return np.asarray((N + N.transpose(0, 2, 1)) / 2)

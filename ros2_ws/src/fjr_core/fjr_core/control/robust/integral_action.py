@@ -17,7 +17,7 @@ import numpy as np
 
 from ...numerics.checks import Array
 from ...robot.configuration_sampling import sample_configurations
-from ...robot.equilibrium import RestPoints, rest_points
+from ...robot.equilibrium import Equilibria, equilibria_at
 from ...robot.robot import Robot
 from ..vdpbc.gains import CheckedGains
 from ..vdpbc.linearized import error_dynamics, error_matrices, metric_roots
@@ -76,7 +76,7 @@ def gain_values(robot: Robot, gains: CheckedGains, rates: tuple[Array, Array]) -
     return np.concatenate([K.ravel() for K in parts])
 
 
-def steady_state_ports(points: RestPoints, gains: CheckedGains) -> Array:
+def steady_state_ports(points: Equilibria, gains: CheckedGains) -> Array:
     """Return the gains (k, 2n, 2n) [rad/s per N m] from constant torques on links and motors to steady port outputs.
 
     Torques d enter the errors as de = A e + E d, E = de/d(p_l, p_m), so e = -A^-1 E d in steady state. The port output
@@ -88,8 +88,8 @@ def steady_state_ports(points: RestPoints, gains: CheckedGains) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _sampled_equilibria(robot: Robot) -> RestPoints:
-    return rest_points(robot, sample_configurations(robot, CONFIGURATIONS))
+def _sampled_equilibria(robot: Robot) -> Equilibria:
+    return equilibria_at(robot, sample_configurations(robot, CONFIGURATIONS))
 
 
 def _gain(ports: Array, rate: Array) -> Array:

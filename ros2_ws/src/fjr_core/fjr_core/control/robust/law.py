@@ -14,7 +14,7 @@ from ...numerics.casadi_function import dense_function
 from ...numerics.checks import Array
 from ...robot.robot import Robot
 from ...trajectories.reference import JETS
-from ..sampled_law import ARGUMENTS, BoundStep, MeasuredLaw, SampledLaw, Static, bound_step
+from ..sampled_law import ARGUMENTS, AsSampledLaw, BoundStep, MeasuredLaw, SampledLaw, bound_step
 from ..static_law import StaticLaw
 from ..vdpbc.law import TrackingLaw
 from .disturbance_observer import DisturbanceObserver
@@ -30,7 +30,7 @@ Terms = dict[str, ca.MX]
 def sampled_law(law: MeasuredLaw, robust: Robust | None = None) -> SampledLaw:
     """Return the sampled law with the robust action requested, if any. Raises GainsError."""
     robust = (robust or Robust()).checked(law.robot.n)
-    return Static(law) if robust.off else RobustLaw(law, robust)
+    return AsSampledLaw(law) if robust.off else RobustLaw(law, robust)
 
 
 @dataclass(frozen=True, eq=False)

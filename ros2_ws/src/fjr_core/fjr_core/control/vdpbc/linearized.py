@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from ...numerics.checks import Array
-from ...robot.equilibrium import RestPoints, plant_matrices
+from ...robot.equilibrium import Equilibria, plant_matrices
 from .gains import CheckedGains
 
 
-def error_matrices(points: RestPoints, gains: CheckedGains) -> Array:
+def error_matrices(points: Equilibria, gains: CheckedGains) -> Array:
     """Return Theta (k, 4n, 4n): e = Theta x about the equilibria, e = (q_tilde_l, q_tilde_m, sigma_l, sigma_m)."""
     r, g, M_l, one = points.robot, gains, points.M_l, np.eye(points.robot.n)
     A, _ = plant_matrices(points)
@@ -30,7 +30,7 @@ def error_matrices(points: RestPoints, gains: CheckedGains) -> Array:
     return np.concatenate([q_l, q_tilde_m, sigma_l, sigma_m], axis=1)
 
 
-def error_dynamics(points: RestPoints, gains: CheckedGains) -> Array:
+def error_dynamics(points: Equilibria, gains: CheckedGains) -> Array:
     """Return A_e (k, 4n, 4n) of the continuous-time error dynamics de = A_e e, with E_l = 0."""
     r, g = points.robot, gains
     W_l, W_m = np.linalg.inv(points.M_l), np.linalg.inv(r.M_m)
@@ -42,7 +42,7 @@ def error_dynamics(points: RestPoints, gains: CheckedGains) -> Array:
     )
 
 
-def feedback(points: RestPoints, gains: CheckedGains) -> Array:
+def feedback(points: Equilibria, gains: CheckedGains) -> Array:
     """Return F (k, n, 4n) of the linearised law u = F x, which turns the plant into the error dynamics."""
     A, _ = plant_matrices(points)
     Theta = error_matrices(points, gains)
@@ -50,7 +50,7 @@ def feedback(points: RestPoints, gains: CheckedGains) -> Array:
     return np.linalg.inv(points.robot.B_m) @ (closed - A)[:, 3 * points.robot.n :]
 
 
-def metric_roots(points: RestPoints, gains: CheckedGains) -> Array:
+def metric_roots(points: Equilibria, gains: CheckedGains) -> Array:
     """Return S (k, 4n, 4n) with S' S = P = diag(Pi_l, Pi_m, M_l^-1, M_m^-1): V = |S e|^2 / 2, eq. (43)."""
     root_l, root_m = np.linalg.cholesky(gains.Pi_l).T, np.linalg.cholesky(gains.Pi_m).T
     L_l, L_m = np.linalg.cholesky(points.M_l), np.linalg.cholesky(points.robot.M_m)

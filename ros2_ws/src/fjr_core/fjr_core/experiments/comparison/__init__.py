@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparison of laws on one plant: metrics under perturbations and robustness margins."""
 
-from .motion_demand import Needs, motion_demand
+from .motion_demand import MotionDemand, motion_demand
 from .perturbations import PERTURBATIONS, Direction, Perturbation, directions
 from .robustness_margins import RobustnessMargin, search
 from .trial import RunMetrics, Trial
@@ -10,7 +10,7 @@ __all__ = [
     "PERTURBATIONS",
     "RunMetrics",
     "Direction",
-    "Needs",
+    "MotionDemand",
     "Perturbation",
     "RobustnessMargin",
     "Trial",

@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import CompareError
 from ...numerics.checks import Array
 from ...robot.robot import Robot
-from ...simulation.nonideal_parameters import Imperfections, friction_rate
+from ...simulation.nonideal_parameters import Nonidealities, friction_rate
 from ...trajectories.reference import Reference
 
 INSTANTS = 4096
@@ -21,7 +21,7 @@ STANDING = 1e-9  # rad; RMS of a reference at rest
 
 
 @dataclass(frozen=True)
-class Needs:
+class MotionDemand:
     """Demand of a motion.
 
     motion [rad]: RMS of q_ld about its mean, over time and joints. torque (n,) [N m]: RMS over time of the inverse
@@ -34,7 +34,7 @@ class Needs:
     friction_rate: float
 
 
-def motion_demand(robot: Robot, reference: Reference) -> Needs:
+def motion_demand(robot: Robot, reference: Reference) -> MotionDemand:
     """Return the demand of a reference; raises CompareError for a reference at rest."""
     end = min(HORIZON, reference.end)
     jets = reference.jets(np.linspace(0.0, end, INSTANTS))
@@ -45,9 +45,9 @@ def motion_demand(robot: Robot, reference: Reference) -> Needs:
     inverse = _inverse_dynamics(robot)
     torques = inverse.map(INSTANTS)(*(jets[:, row].T for row in range(3))).full()
     torque = np.sqrt(np.mean(torques**2, axis=1))
-    friction = Imperfections(robot.n, coulomb_l=torque, coulomb_m=torque, smoothing=1.0)
+    friction = Nonidealities(robot.n, coulomb_l=torque, coulomb_m=torque, smoothing=1.0)
     rates = [friction_rate(friction, robot.M_l(q_l), robot.M_m) for q_l in position[:: INSTANTS // CONFIGURATIONS]]
-    return Needs(motion, torque, max(rates))
+    return MotionDemand(motion, torque, max(rates))
 
 
 def _inverse_dynamics(robot: Robot) -> ca.Function:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import CompareError
 from ...numerics.checks import Array
-from .motion_demand import Needs
+from .motion_demand import MotionDemand
 
 NOISE_BANDWIDTH = 100.0  # rad/s; velocity noise equals that of positions differentiated by a filter of this bandwidth
 SMOOTHING = 0.01  # rad/s; friction changes sign within this velocity
@@ -32,7 +32,7 @@ class Perturbation:
     lowest: float
     first: float
     highest: float
-    fields: Callable[[float, Needs, float], Fields]
+    fields: Callable[[float, MotionDemand, float], Fields]
 
     @property
     def is_factor(self) -> bool:
@@ -48,24 +48,24 @@ class Perturbation:
         return float(level)
 
 
-def _stiffness(level: float, _demand: Needs, _step: float) -> Fields:
+def _stiffness(level: float, _demand: MotionDemand, _step: float) -> Fields:
     return {"stiffness": np.array(level)}
 
 
-def _inertia(level: float, _demand: Needs, _step: float) -> Fields:
+def _inertia(level: float, _demand: MotionDemand, _step: float) -> Fields:
     """Scale inertia and weight of the links by one factor."""
     return {name: np.array(level) for name in ("link_inertia", "gravity")}
 
 
-def _delay(level: float, _demand: Needs, _step: float) -> Fields:
+def _delay(level: float, _demand: MotionDemand, _step: float) -> Fields:
     return {"delay": np.array(level)}
 
 
-def _noise(level: float, _demand: Needs, _step: float) -> Fields:
+def _noise(level: float, _demand: MotionDemand, _step: float) -> Fields:
     return {"position_noise": np.array(level), "velocity_noise": np.array(level * NOISE_BANDWIDTH)}
 
 
-def _friction(level: float, demand: Needs, step: float) -> Fields:
+def _friction(level: float, demand: MotionDemand, step: float) -> Fields:
     """Apply Coulomb friction, half on each side of the spring, with the steepest slope that is numerically stable."""
     smoothing = max(SMOOTHING, level / 2 * demand.friction_rate * step / STEEPEST)
     return {
@@ -81,7 +81,7 @@ def numerically_stable(fields: Fields) -> Fields:
     return {**fields, "smoothing": fields["smoothing"] / lightest} if "smoothing" in fields else fields
 
 
-def _load(level: float, demand: Needs, _step: float) -> Fields:
+def _load(level: float, demand: MotionDemand, _step: float) -> Fields:
     """Apply a constant torque to all links."""
     return {"external": level * demand.torque}
 

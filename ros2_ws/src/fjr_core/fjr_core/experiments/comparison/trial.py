@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...numerics.checks import Array
 from ...simulation.batch import ClosedLoop, Draws, Outcomes, Recorded
 from ...simulation.batch.draws import PER_RUN
-from .motion_demand import Needs
+from .motion_demand import MotionDemand
 from .perturbations import Direction, Fields, known, numerically_stable
 from .robustness_margins import Levels, RobustnessMargin, search
 
@@ -52,7 +52,7 @@ class Trial:
     """
 
     loop: ClosedLoop
-    demand: Needs
+    demand: MotionDemand
     effort_limit: ArrayLike = np.inf
     tracks: float = TRACKS
     seed: int = 0

@@ -14,7 +14,7 @@ from ...control.robust import Robust, sampled_law
 from ...control.sampled_law import SampledLaw
 from ...numerics.checks import Array
 from ...stability.sampled_loop import spectral_radius
-from ...tuning.equal_bandwidth import Yardstick, tune
+from ...tuning.equal_bandwidth import BaselineTarget, tune
 
 FEW = 4  # configurations of the reference at which a loop is checked
 
@@ -40,8 +40,8 @@ def tuned_law(name: str, robust: Mapping[str, float], scenario: Scenario, retune
     """
     robot, n = scenario.robot, scenario.robot.n
     start = scenario.x0[: 2 * n], np.hstack(robot.velocities(scenario.x0))
-    yardstick = Yardstick(robot, scenario.reference, scenario.gains, start, scenario.sample_period)
-    found = tune(name, yardstick, retune=retune)
+    baseline_target = BaselineTarget(robot, scenario.reference, scenario.gains, start, scenario.sample_period)
+    found = tune(name, baseline_target, retune=retune)
     law = sampled_law(found.law, Robust(**robust, hold=scenario.sample_period))
     gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}  # type: ignore[attr-defined]
     return TunedLaw(law, found.effort_limit, gains, found.sentence + _unstable(law, scenario))

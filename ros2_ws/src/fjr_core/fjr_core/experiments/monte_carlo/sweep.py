@@ -21,7 +21,7 @@ from ...simulation.batch.closed_loop import ClosedLoop
 from ...simulation.batch.draws import LEVELS, PER_RUN, SMOOTHING, Draws, width
 from ...simulation.batch.outcomes import FIELDS, PER_JOINT, Outcomes
 from ...simulation.batch.uncertain_robot import FRICTION
-from ...simulation.nonideal_parameters import Imperfections, friction_rate
+from ...simulation.nonideal_parameters import Nonidealities, friction_rate
 from . import distributions
 from .distributions import Distribution
 
@@ -33,7 +33,7 @@ REACH = 2.0
 NOISE_SEED = "seed"
 
 
-class CampaignError(FjrError):
+class MonteCarloError(FjrError):
     """Part of a study that a worker cannot run as the others do."""
 
 
@@ -96,7 +96,7 @@ class Sweep:
         least, most = ({name: one.range[side] for name, one in self.vary.items()} for side in (0, 1))
         robot, inertia = self.scenario.plant.robot, [least.get(name, 1.0) for name in ("link_inertia", "motor_inertia")]
         levels = {name: most[name] for name in FRICTION if name in most}
-        steepest = Imperfections(robot.n, **levels, smoothing=least.get("smoothing", SMOOTHING))
+        steepest = Nonidealities(robot.n, **levels, smoothing=least.get("smoothing", SMOOTHING))
         M_l, M_m = inertia[0] * robot.M_l(self.scenario.x0[: robot.n]), inertia[1] * robot.M_m
         rate, dt = friction_rate(steepest, M_l, M_m), self.loop.sample_period / self.loop.inner_steps
         if rate * dt > REACH:
@@ -204,7 +204,7 @@ def run_part(text: str, begin: int, end: int, compiled: bool) -> Columns:
         sweep = _recent(text)
         if sweep.loop.compiled != compiled:
             here, there = ("without", "with") if compiled else ("with", "without")
-            raise CampaignError(
+            raise MonteCarloError(
                 f"a worker is {here} a C compiler; expected one {there}, as where the study was started"
             )
     return sweep.part(begin, end)

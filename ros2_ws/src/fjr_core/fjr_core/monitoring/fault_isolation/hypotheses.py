@@ -88,7 +88,7 @@ def _of_motor(seen: Residuals, j: int) -> Iterator[Hypothesis]:
 def _of_body(seen: Residuals, j: int) -> Iterator[Hypothesis]:
     """Return a point mass on a link and the inertia of a link about its joint."""
     n, links = seen.robot.n, seen.robot.links
-    if links.hand is None:
+    if links.end_effector is None:
         yield Hypothesis("inertia", j, LINK, "kg m^2", _single(seen, j)(-seen.ddq[:, j]))
         return
     torque = -seen.means(body_torques(links, j, seen.q[:, :n], seen.dq[:, :n], seen.ddq[:, :n]))

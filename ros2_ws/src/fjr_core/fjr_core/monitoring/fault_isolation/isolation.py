@@ -10,9 +10,9 @@ import numpy as np
 
 from ...control.vdpbc.law import TrackingLaw
 from ...numerics.checks import Array
-from ..certificate import Balance
-from ..delay_estimation import acting, effort_age
-from ..innovations import Intervals, innovations, needed
+from ..certificate import Certificate
+from ..delay_estimation import acting, effort_delay
+from ..innovations import Innovations, innovations, needed
 from ..one_step_prediction import Prediction
 from ..record import Record
 from ..thresholds import LONGEST_GAP
@@ -54,7 +54,7 @@ class Finding:
 
 
 def isolate(
-    whole: Record, law: TrackingLaw, joints: Sequence[str] = (), found: Intervals | None = None
+    whole: Record, law: TrackingLaw, joints: Sequence[str] = (), found: Innovations | None = None
 ) -> tuple[Finding, ...]:
     """Return the faults of a record, the worst first; empty if none is found or the data do not suffice.
 
@@ -72,10 +72,10 @@ def isolate(
         if contradicted:
             return tuple(_of_velocity(fault, names) for fault in contradicted)
         if found is None or record is not whole:
-            found = innovations(record, Balance(law), Prediction(law))
+            found = innovations(record, Certificate(law), Prediction(law))
         if not len(found):
             return ()
-        acted = acting(found, effort_age(found, law.robot), needed(found, law.robot))
+        acted = acting(found, effort_delay(found, law.robot), needed(found, law.robot))
         seen = residuals(record, law, found, acted)
         return () if seen is None else _named(seen, names)
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from ...control.vdpbc.law import TrackingLaw
 from ...numerics.checks import Array
 from ...robot.robot import Robot
-from ..delay_estimation import Acting, acting, effort_age
-from ..innovations import Intervals, consecutive, foreseen, held, needed
+from ..delay_estimation import Acting, acting, effort_delay
+from ..innovations import Innovations, consecutive, foreseen, held, needed
 from ..one_step_prediction import Prediction
 from ..record import Record
 from ..thresholds import BLOCK
@@ -73,7 +73,7 @@ class Residuals:
         return self.means(torques(self.robot, q, (ahead[0] - ahead[1]) / offset, dt))
 
 
-def residuals(record: Record, law: TrackingLaw, found: Intervals, acted: Acting) -> Residuals | None:
+def residuals(record: Record, law: TrackingLaw, found: Innovations, acted: Acting) -> Residuals | None:
     """Return the residuals of a record; None if it has too few intervals.
 
     found: innovations of the record. acted: deviations of the acting effort, from the measured torque if available.
@@ -119,10 +119,10 @@ def block_means(values: Array, block: int) -> Array:
     return means
 
 
-def _late(found: Intervals, robot: Robot) -> Array:
+def _late(found: Innovations, robot: Robot) -> Array:
     """Return acting minus sent effort (k, n) [N m] from the motion alone, since the measured torque may be faulty."""
     unmeasured = replace(found, before=np.full_like(found.sent, np.nan), after=np.full_like(found.sent, np.nan))
-    age = effort_age(unmeasured, robot)
+    age = effort_delay(unmeasured, robot)
     usual = foreseen(found)
     if not age.late:
         return usual

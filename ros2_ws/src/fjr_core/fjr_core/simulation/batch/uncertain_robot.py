@@ -18,9 +18,9 @@ import numpy as np
 from ...numerics import integrators, symbolic
 from ...numerics.casadi_function import dense_function
 from ...numerics.checks import Array
-from ...robot.payload import Loaded
+from ...robot.payload import PayloadArm
 from ...robot.port_hamiltonian import derivative_expression, gradient_expression
-from ...robot.rigid_arm import Hand, Links, RigidArm
+from ...robot.rigid_arm import ArmDynamics, EndEffector, RigidArm
 from ...robot.robot import Robot
 from ..nonideal_plant import friction
 
@@ -42,7 +42,7 @@ def size(n: int) -> int:
 class ScaledLinks:
     """Links with square roots of factors (n,) on their inertia and factors (n,) on their gravity torques."""
 
-    links: Links
+    links: ArmDynamics
     root: ca.SX
     gravity: ca.SX
 
@@ -52,9 +52,9 @@ class ScaledLinks:
         return self.links.n
 
     @property
-    def hand(self) -> Hand | None:
+    def end_effector(self) -> EndEffector | None:
         """End-effector frame, for a payload."""
-        return self.links.hand
+        return self.links.end_effector
 
     def M_l(self, q_l: ca.SX) -> ca.SX:
         """Inertia S M_l S (n, n)."""
@@ -131,7 +131,7 @@ class UncertainPlant:
 
     def __init__(self, robot: Robot, friction: bool, payload: bool) -> None:
         self.robot = robot
-        self._friction, self._payload = friction, payload and robot.links.hand is not None
+        self._friction, self._payload = friction, payload and robot.links.end_effector is not None
 
     @cached_property
     def dynamics(self) -> ca.Function:
@@ -178,7 +178,7 @@ class UncertainPlant:
     def _drawn(self, parameters: ca.SX) -> tuple[SimpleNamespace, ScaledRobot]:
         p = named(parameters, self.robot.n)
         links = ScaledLinks(self.robot.links, p.link_inertia, p.gravity)
-        loaded = Loaded(links, p.payload_mass, p.payload_position) if self._payload else links
+        loaded = PayloadArm(links, p.payload_mass, p.payload_position) if self._payload else links
         return p, ScaledRobot(self.robot, loaded, p)
 
     @staticmethod
