@@ -69,6 +69,8 @@ def test_fjr_commands_in_the_text_exist() -> None:
     for text in SAID:
         if text.startswith("fjr "):
             name, *rest = words(text)[1:]
+            if name in ("--help", "--version"):
+                continue
             assert name in fjr.commands, text
             known = {option for parameter in fjr.commands[name].params for option in parameter.opts}
             assert {word for word in rest if word.startswith("--")} <= known, text

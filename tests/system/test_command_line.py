@@ -72,9 +72,9 @@ def test_numbers_and_remaps_that_are_not_valid_are_named(
 
 
 def test_options_whose_value_may_be_left_out() -> None:
-    assert str(given("compare", "--readme")["readme"]) == "README.md"
-    assert str(given("compare", "quick", "--readme", "other.md")["readme"]) == "other.md"
-    assert given("compare")["readme"] is None
+    assert str(given("compare", "--document")["document"]) == "docs/compare.md"
+    assert str(given("compare", "quick", "--document", "other.md")["document"]) == "other.md"
+    assert given("compare")["document"] is None
     assert given("compare")["suite"] == "paper"
     assert given("echo", "/t")["count"] is None
     assert given("echo", "/t", "--once")["count"] == 1

@@ -153,7 +153,7 @@ def test_what_fails_is_said_while_others_are_at_work(
 def test_a_reference_that_stands_still_is_one_sentence() -> None:
     still = {"still": {"reference.amplitude": [0.0], "reference.offset": [0.0], **AT_REST}, "slow": {}}
     job = comparison_job.jobs(suite.read("mine", {**QUICK, "robots": {"paper_k31": {"references": still}}}))[0]
-    with pytest.raises(CompareError, match="'still' of paper_k31: the reference stands still"):
+    with pytest.raises(CompareError, match="'still' of paper_k31: the reference is at rest"):
         comparison_job.work(job, lambda _: None)
 
 

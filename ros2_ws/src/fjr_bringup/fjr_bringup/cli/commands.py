@@ -187,8 +187,13 @@ def export_c(**given: Any) -> Any:
     help="Write the table into FILE too. [FILE: docs/compare.md]",
 )
 @click.option(
-    "--readme", type=options.PATH, is_flag=False, flag_value="docs/compare.md", hidden=True
-)  # deprecated in 0.1.0
+    "--readme",
+    type=options.PATH,
+    is_flag=False,
+    flag_value="docs/compare.md",
+    hidden=True,
+    help="Deprecated in 0.1.0: use --document.",
+)
 def compare(**given: Any) -> Any:
     """Compare control laws under non-idealities.
 
