@@ -89,7 +89,7 @@ def plant_killed(rig: Rig) -> tuple[int, int]:
 
 
 def plant_set(seconds: float, **imperfections: Any) -> Act:
-    """Imperfections of the plant, set while it runs, and after a while set back."""
+    """Non-idealities of the plant, set while it runs, and after a while set back."""
     values = {f"imperfections.{name}": value for name, value in imperfections.items()}
 
     def act(rig: Rig) -> tuple[int, int]:

@@ -79,11 +79,11 @@ x = ca.SX.sym("x", 3)
 f = compiled(ca.Function("cubes", [x], [x**3]))
 print(f.class_name(), f([1, 2, 3]).full().ravel().tolist())
 """
-BALANCE = """
+CERTIFICATE = """
 import numpy as np, fjr_core as fjr
-from fjr_core.monitoring.certificate import Balance
-balance = Balance(fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True))
-print(balance.at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V > 0)
+from fjr_core.monitoring.certificate import Certificate
+certificate = Certificate(fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True))
+print(certificate.at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V > 0)
 """
 
 
@@ -99,7 +99,7 @@ def test_a_planted_library_is_not_loaded_from_the_cache(cache: Path, tmp_path: P
     wanted = Certificate(law).at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V
     assert wanted > 0
     planted(the_library(cache, "certificate"), tmp_path / "marker")
-    assert "True" in in_another_process(BALANCE)
+    assert "True" in in_another_process(CERTIFICATE)
     assert not (tmp_path / "marker").exists()
 
 

@@ -67,7 +67,7 @@ class PinocchioLinks:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The same random chain twice: as Links, and as Pinocchio's model."""
+    """The same random chain twice: as ArmDynamics, and as Pinocchio's model."""
 
     links: ArmDynamics
     pinocchio: PinocchioLinks

@@ -42,7 +42,7 @@ VERSIONS = ("fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "cas
 class Tracking:
     """Tracking metrics; errors and efforts are the largest of all joints, each with its joint.
 
-    Units of prismatic joints are m and N (JointFigures).
+    Units of prismatic joints are m and N (JointMetrics).
     """
 
     peak_effort_nm: float

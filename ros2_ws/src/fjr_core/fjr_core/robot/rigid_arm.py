@@ -15,7 +15,7 @@ from ..numerics.symbolic import directional
 
 
 class RigidArm(Protocol):
-    """Terms of the link side in eq. (36) as expressions: Links, or Links with a payload (robot.payload)."""
+    """Terms of the link side in eq. (36) as expressions: ArmDynamics, or ArmDynamics with a payload (robot.payload)."""
 
     def M_l(self, q_l: ca.SX) -> ca.SX:
         """Inertia M_l (n, n) [kg m^2]."""

@@ -198,7 +198,7 @@ _building = threading.Lock()
 def run_part(text: str, begin: int, end: int, compiled: bool) -> Columns:
     """Run a part of a study given as text, in a local or remote worker; see Sweep.part.
 
-    compiled: whether the other workers run machine code. Raises CampaignError if this worker differs.
+    compiled: whether the other workers run machine code. Raises MonteCarloError if this worker differs.
     """
     with _building:  # once for all threads of a process
         sweep = _recent(text)
