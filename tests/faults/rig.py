@@ -136,6 +136,8 @@ class Rig:
             self._step(1)
             self._step(round(self.setting.parameters("controller")["start"]["join_time"] * SECOND / self._period))
         self.anchor_in_reference(0)
+        if self.mode != STEPPED:  # the plant may match the watcher late; until then the robot's time is unknown
+            self.until(lambda: self.now >= self.anchors[-1].begin, "a state of the robot")
 
     def anchor_in_reference(self, sent: int) -> int:
         """Learn the reference's time 0 from one sent from `sent` [ns] on, once joined; the first one's stamp [ns].
