@@ -69,9 +69,8 @@ def simulate(
     jets = reference.jets(t)
     if sample_period is None:
         if not isinstance(law, StaticLaw):
-            raise StateError(
-                f"law is a {type(law).__name__} without a sample_period; expected a StaticLaw or a sample_period"
-            )
+            kind = type(law).__name__
+            raise StateError(f"law is a {kind} without a sample_period; expected a StaticLaw or a sample_period")
         return _continuous(plant, law, reference, x0, t, period)
     segments = _segments(period, delay, inner_step or INNER_STEP)
     if isinstance(law, StaticLaw):
