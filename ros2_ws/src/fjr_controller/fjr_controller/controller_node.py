@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import sys
+import time
 import traceback
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -25,6 +27,9 @@ from .tracking.events import Event
 SUCCESS, FAILURE, ERROR = (getattr(TransitionCallbackReturn, name) for name in ("SUCCESS", "FAILURE", "ERROR"))
 
 
+DISCOVERY_TIME = 0.4  # s in which processes on one machine or network discover each other's publishers
+
+
 class ControllerNode(ManagedParameterNode):
     """Publish efforts on /effort_controller/commands and, with stamp and names, on /joint_commands.
 
@@ -37,7 +42,9 @@ class ControllerNode(ManagedParameterNode):
     trouble: Exception | None = None
     """Error of the last transition, None if it succeeded."""
 
-    def __init__(self, **node_kwargs: Any) -> None:
+    def __init__(self, discovery_time: float = 0.0, **node_kwargs: Any) -> None:
+        """Create the node; discovery_time [s]: wait between configuring and activating with autostart."""
+        self._discovery_time = discovery_time
         self._control: Control | None = None
         self._starting = False  # in the constructor: errors are raised instead of logged
         super().__init__(names.CONTROLLER, builders.controller_parameters, **node_kwargs)
@@ -66,6 +73,8 @@ class ControllerNode(ManagedParameterNode):
             for trigger in (self.trigger_configure, self.trigger_activate):
                 if trigger() != SUCCESS and self.trouble is not None:
                     raise self.trouble
+                if self.state == "inactive":
+                    time.sleep(self._discovery_time)  # a controller that is there already must be known by then
             self._starting = False
 
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
@@ -173,7 +182,7 @@ class ControllerNode(ManagedParameterNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM; return the exit code."""
-    return process.run(ControllerNode, args)
+    return process.run(partial(ControllerNode, DISCOVERY_TIME), args)
 
 
 if __name__ == "__main__":
