@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm of fjr.planar_two_link() as a URDF, with a wrist that may be locked; hanging straight down at zero."""
+"""The arm of fjr.planar_two_link() as a URDF that hangs straight down at zero, with an optional wrist to lock."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def joint(name: str, parent: str, child: str, height: float) -> str:
 
 
 def two_link_urdf(wrist_mass: float = 0.0) -> str:
-    """XML text; with a wrist mass [kg] a third joint, 'wrist', carries it 0.1 m below."""
+    """Return the XML text; a wrist mass [kg] adds a third joint 'wrist' that carries it 0.1 m below."""
     wrist = link("hand", wrist_mass, 0.1, 1e-3) + joint("wrist", "lower", "hand", -0.25) if wrist_mass else ""
     return f"""<?xml version="1.0"?>
 <robot name="two_link">

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exports as programs: C and C++ compiled with every warning an error, run, their output read."""
+"""Compile exported C and C++ with warnings as errors, run the programs and read their output."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ C99, CPP = ("cc", "-std=c99", *STRICT), ("c++", "-std=c++17", *STRICT)
 
 @cache
 def loop(name: str) -> Loop:
-    """The loop of a shipped scenario."""
+    """Return the loop of a shipped scenario."""
     return loop_of(load_scenario(SCENARIOS / f"{name}.yaml"))
 
 
 def changed(scenario: str, **fields: object) -> Loop:
-    """The loop of a shipped scenario with another law, reference, plant, ..."""
+    """Return the loop of a shipped scenario with other fields, e.g. another law, reference or plant."""
     return replace(loop(scenario), **fields)
 
 
 def exported(loop: Loop, folder: Path, samples: int = 100, prefix: str | None = None) -> Path:
-    """The folder with the export of a loop."""
+    """Export a loop to a folder and return the folder."""
     write(export(loop, prefix or prefix_of(loop.name), samples), folder)
     return folder
 
 
 def built(command: Sequence[str], sources: Sequence[Path], program: Path, *options: str) -> Path:
-    """A program or object of the sources; fails on the first warning."""
+    """Compile sources to a program or object file; fail on the first warning."""
     done = subprocess.run(
         [*command, *options, *map(str, sources), "-o", str(program), "-lm"],
         capture_output=True,
@@ -49,16 +49,16 @@ def built(command: Sequence[str], sources: Sequence[Path], program: Path, *optio
     return program
 
 
-def said(program: Path, *arguments: str, code: int = 0) -> str:
-    """What a program says that ends with this code."""
+def program_output(program: Path, *arguments: str, code: int = 0) -> str:
+    """Return the output of a program that must end with this exit code."""
     done = subprocess.run([str(program), *arguments], capture_output=True, text=True, timeout=HANG)
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout + done.stderr
 
 
 def replayed(folder: Path, code: int = 0) -> Mapping[str, float]:
-    """Worst differences that the folder's own replay tells, by what differs."""
+    """Run the replay program of the folder and return the largest difference of each compared quantity."""
     program = built(C99, sorted(folder.glob("*.c")), folder / "replay")
-    lines = said(program, str(folder / "case.csv"), code=code).splitlines()
+    lines = program_output(program, str(folder / "case.csv"), code=code).splitlines()
     found = (re.match(r"  (\w.*?)  +(\S+)  \(", line) for line in lines)
     return {row[1]: float(row[2]) for row in found if row}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exports as C99: the same numbers as Python, no warning, no state, callable from C++, two in a program."""
+"""Export to C99: numbers equal to Python, no warnings, no static state, use from C++, two exports in one program."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.codegen.c_program import C99, CPP, SHIPPED, built, changed, exported, loop, replayed, said
+from core.codegen.c_program import C99, CPP, SHIPPED, built, changed, exported, loop, program_output, replayed
 from fjr_core.codegen import Loop, export, loop_of, prefix_of
 from fjr_core.codegen.c_code import casadi_code, checked_prefix, numbers, quoted
 from fjr_core.config.scenario import left_out, parse_scenario
@@ -28,8 +28,8 @@ LOOP = "closed loop: x, u, memory"
 
 
 @dataclass(frozen=True, eq=False)
-class WithMemory:
-    """The law of a scenario with all that a law without memory leaves unused: an integral, sent, dt, a lead."""
+class WithControllerState:
+    """The law of a scenario with the inputs that a static law ignores: integral, sent effort, dt and lead."""
 
     law: fjr.TrackingLaw
     lead: float = 0.003
@@ -62,15 +62,15 @@ class WithMemory:
         )
 
 
-def with_memory(name: str) -> Loop:
+def with_controller_state(name: str) -> Loop:
     law = loop(name).law
     assert isinstance(law, AsSampledLaw)
     assert isinstance(law.law, fjr.TrackingLaw)
-    return changed(name, law=WithMemory(law.law))
+    return changed(name, law=WithControllerState(law.law))
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_every_shipped_scenario_replays_without_a_warning(name: str, tmp_path: Path) -> None:
+def test_every_shipped_scenario_replays_without_warnings(name: str, tmp_path: Path) -> None:
     worst = replayed(exported(loop(name), tmp_path, samples=200))
     assert set(worst) == {LAW, REFERENCE, MEASURED, LATER, LOOP}
     assert max(worst[part] for part in (LAW, REFERENCE, MEASURED, LATER)) <= EQUAL
@@ -78,8 +78,8 @@ def test_every_shipped_scenario_replays_without_a_warning(name: str, tmp_path: P
 
 
 @pytest.mark.parametrize("name", ["paper_k31", "two_link"])
-def test_a_law_with_memory_lead_and_no_storage_replays(name: str, tmp_path: Path) -> None:
-    worst = replayed(exported(with_memory(name), tmp_path))
+def test_law_with_controller_state_and_lead_but_no_storage_replays(name: str, tmp_path: Path) -> None:
+    worst = replayed(exported(with_controller_state(name), tmp_path))
     assert max(worst.values()) <= EQUAL
     header = (tmp_path / f"{name}.h").read_text()
     assert re.search(r"_MEMORY [23] ", header)
@@ -87,12 +87,12 @@ def test_a_law_with_memory_lead_and_no_storage_replays(name: str, tmp_path: Path
     assert "sent (n): the effort sent for the last sample, after all limits" in header
 
 
-def test_the_implicit_plant_replays(tmp_path: Path) -> None:
+def test_implicit_midpoint_plant_replays(tmp_path: Path) -> None:
     plant = fjr.Plant(loop("two_link").plant.robot, "implicit_midpoint")
     assert max(replayed(exported(changed("two_link", plant=plant), tmp_path)).values()) <= EQUAL
 
 
-def test_a_plant_that_is_another_robot_than_the_laws_replays(tmp_path: Path) -> None:
+def test_plant_that_differs_from_the_model_replays(tmp_path: Path) -> None:
     text = (
         "/**: {ros__parameters: {realtime_priority: 0}}",
         "/**/fjr_plant: {ros__parameters: {robot.link_inertia: [0.04]}}",
@@ -113,7 +113,7 @@ def test_a_plant_that_is_another_robot_than_the_laws_replays(tmp_path: Path) -> 
         ("x[1]", LOOP),
     ],
 )
-def test_the_replay_sees_a_wrong_number(column: str, part: str, tmp_path: Path) -> None:
+def test_replay_detects_a_wrong_number(column: str, part: str, tmp_path: Path) -> None:
     folder = exported(loop("paper_k31"), tmp_path)
     rows = [line.split(",") for line in (folder / "case.csv").read_text().splitlines()]
     k = rows[0].index(column)
@@ -123,12 +123,12 @@ def test_the_replay_sees_a_wrong_number(column: str, part: str, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("text", ["", "t,dt\n", "t,dt\n1,2\n", "t,dt\n" + "x," * 30 + "\n"])
-def test_an_invalid_case_is_reported(text: str, tmp_path: Path) -> None:
+def test_replay_reports_an_invalid_case_file(text: str, tmp_path: Path) -> None:
     folder = exported(loop("paper_k31"), tmp_path)
     program = built(C99, sorted(folder.glob("*.c")), folder / "replay")
     (folder / "case.csv").write_text(text)
-    assert "is not a case of this export" in said(program, str(folder / "case.csv"), code=2)
-    assert "cannot be opened" in said(program, str(folder / "nothing.csv"), code=2)
+    assert "is not a case of this export" in program_output(program, str(folder / "case.csv"), code=2)
+    assert "cannot be opened" in program_output(program, str(folder / "nothing.csv"), code=2)
 
 
 TWO = r"""
@@ -169,7 +169,7 @@ int main()
 """
 
 
-def test_two_exports_in_one_cpp_program_with_threads(tmp_path: Path) -> None:
+def test_two_exports_run_in_one_threaded_cpp_program(tmp_path: Path) -> None:
     other = changed("two_link", reference=fjr.Circle((0.2, -0.1), 0.3, 2.0))
     a, b = exported(loop("two_link"), tmp_path / "a"), exported(other, tmp_path / "b", prefix="other")
     objects = [
@@ -177,7 +177,7 @@ def test_two_exports_in_one_cpp_program_with_threads(tmp_path: Path) -> None:
     ]
     (tmp_path / "main.cpp").write_text(TWO)
     program = built(CPP, [tmp_path / "main.cpp", *objects], tmp_path / "main", f"-I{a}", f"-I{b}", "-pthread")
-    scenario, joint, *values = said(program).split()
+    scenario, joint, *values = program_output(program).split()
     assert (scenario, joint) == ("two_link", "elbow")
     position, velocity = [0.1 + 1e-4, 0.2, 0.15, 0.25], [0.0, 0.1, 0.2, 0.3]
     law = loop("two_link").law.law
@@ -188,8 +188,8 @@ def test_two_exports_in_one_cpp_program_with_threads(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["paper_k31", "two_link"])
-def test_the_library_has_no_data_that_can_be_written(name: str, tmp_path: Path) -> None:
-    folder = exported(with_memory(name), tmp_path)
+def test_exported_library_has_no_writable_data(name: str, tmp_path: Path) -> None:
+    folder = exported(with_controller_state(name), tmp_path)
     for source in folder.glob(f"{name}*.c"):
         made = built(C99, [source], source.with_suffix(".o"), "-c", "-fno-pic")
         symbols = subprocess.run(["nm", str(made)], capture_output=True, text=True, check=True).stdout
@@ -218,18 +218,18 @@ int main(void)
 """
 
 
-def test_gains_may_be_changed_as_the_header_says(tmp_path: Path) -> None:
+def test_gains_can_be_changed_as_the_header_describes(tmp_path: Path) -> None:
     folder = exported(loop("paper_k31"), tmp_path)
     assert "Lambda_l (1), Pi_l (1), K_ld (1)," in (folder / "paper_k31.h").read_text()
     (folder / "replay.c").write_text(GAINS)
-    values = said(built(C99, sorted(folder.glob("*.c")), folder / "main")).split()
+    values = program_output(built(C99, sorted(folder.glob("*.c")), folder / "main")).split()
     gains = fjr.Gains(Lambda_l=10.0, Pi_l=20.0, K_ld=1.2, Lambda_m=15.0, Pi_m=60.0, K_md=0.3)
     jets = np.array([[0.1], [1.0], [0.2], [0.3], [0.4]])
     u, V = fjr.TrackingLaw(fjr.single_link(), gains).measured_command([0.3, 0.4], [0.1, -0.2], jets)
     assert np.array(values, dtype=float) == pytest.approx([u[0], V], rel=EQUAL)
 
 
-def test_numbers_are_the_very_same() -> None:
+def test_constants_in_c_round_trip_exactly() -> None:
     values = np.random.default_rng(3).normal(size=50) * 10.0 ** np.random.default_rng(4).integers(-300, 300, 50)
     assert np.array_equal([float(text) for text in numbers(values).split(",")], values)
     assert numbers([]) == "0.0"
@@ -244,12 +244,12 @@ ODD = ('a"b', "c\\d", "grün", "what??/", "*/ int evil;", "%s")
 """Names of scenario and joint."""
 
 
-def test_any_name_is_a_name_in_c(tmp_path: Path) -> None:
+def test_any_scenario_or_joint_name_compiles(tmp_path: Path) -> None:
     for name in ODD:
         folder = exported(changed("paper_k31", name=name, joints=(name,)), tmp_path / prefix_of(name), samples=3)
-        assert said(built(C99, sorted(folder.glob("*.c")), folder / "replay"), str(folder / "case.csv")).startswith(
-            name
-        )
+        assert program_output(
+            built(C99, sorted(folder.glob("*.c")), folder / "replay"), str(folder / "case.csv")
+        ).startswith(name)
 
 
 @pytest.mark.parametrize(
@@ -266,13 +266,13 @@ def test_any_name_is_a_name_in_c(tmp_path: Path) -> None:
         ("7" * 34 + " b", "loop_" + "7" * 34),
     ],
 )
-def test_prefix_of_a_name(name: str, prefix: str) -> None:
+def test_prefix_is_derived_from_the_name(name: str, prefix: str) -> None:
     assert prefix_of(name) == checked_prefix(prefix) == prefix
     assert quoted("?") == '"\\077"'
 
 
 @pytest.mark.parametrize("prefix", ["", "7a", "a-b", "a b", "ä", "a" * 41, "_a"])
-def test_prefixes_that_no_name_in_c_begins_with(prefix: str) -> None:
+def test_prefixes_that_are_no_c_identifiers_are_refused(prefix: str) -> None:
     with pytest.raises(fjr.ParameterError, match="expected a letter"):
         export(loop("paper_k31"), prefix)
 
@@ -280,12 +280,12 @@ def test_prefixes_that_no_name_in_c_begins_with(prefix: str) -> None:
 @pytest.mark.parametrize(
     "prefix", ["replay", "case", "test", "all", "install", "clean", "math", "STRING", "stdio", "m"]
 )
-def test_prefixes_that_are_in_the_way_of_other_files_and_targets(prefix: str) -> None:
+def test_prefixes_that_collide_with_files_or_targets_are_refused(prefix: str) -> None:
     with pytest.raises(fjr.ParameterError, match=f"prefix is '{prefix}', which .*; expected another one"):
         export(loop("paper_k31"), prefix)
 
 
-def test_what_cannot_be_exported_is_said() -> None:
+def test_unsupported_loops_are_refused_with_the_reason() -> None:
     with pytest.raises(fjr.StateError, match="expected equal numbers"):
         changed("paper_k31", joints=("a", "b"))
     with pytest.raises(fjr.StateError, match="diverged at t = "):
@@ -298,7 +298,7 @@ class Unknown:
     n = 1
 
 
-def test_what_is_left_out_is_named() -> None:
+def test_omitted_parameters_are_listed() -> None:
     plain = parse_scenario("plain", "/**: {ros__parameters: {realtime_priority: 0}}")
     assert left_out(plain) == []
     more = "{measurement.velocity: observer, imperfections.actuator_lag: [0.01], publish_rate: 500.0}"
@@ -308,8 +308,8 @@ def test_what_is_left_out_is_named() -> None:
     ]
 
 
-def test_the_law_of_the_functions_is_that_of_the_node() -> None:
-    """The measured command that the node's tracker evaluates."""
+def test_exported_law_equals_the_law_of_the_node() -> None:
+    """The node's tracker evaluates `measured_command`."""
     made = loop("two_link")
     n, rng = made.n, np.random.default_rng(1)
     sizes = (2 * n,), (2 * n,), (5, n), made.law.gain_values.shape, (0,), (n,), ()

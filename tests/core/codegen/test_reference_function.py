@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""References as CasADi functions: the very jets of the references themselves, at every time, as C too."""
+"""References as CasADi functions and as exported C give the jets of the Python references at every time."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ each = pytest.mark.parametrize("reference", list(REFERENCES.values()), ids=list(
 
 
 @each
-def test_jets_are_those_of_the_reference(reference: Reference) -> None:
+def test_casadi_jets_equal_the_jets_of_the_reference(reference: Reference) -> None:
     function, jets = jets_function(reference), reference.jets(TIMES)
     found = np.array([function(float(t)).full().T for t in TIMES])
     scale = np.maximum(1.0, np.abs(jets).max(axis=(1, 2)))
     assert np.abs(found - jets).max(axis=(1, 2)) == pytest.approx(0.0 * scale, abs=1e-12)
 
 
-def test_rows_are_derivatives_of_the_first() -> None:
-    """By differences: the derivatives of what turns and swings are made by CasADi."""
+def test_each_row_is_the_derivative_of_the_row_above() -> None:
+    """Check by central differences, because CasADi derives the rows of sines and circles."""
     h = 1e-4
     for name in ("sine", "multi-sine", "circle"):
         function = jets_function(REFERENCES[name])
@@ -54,7 +54,7 @@ def test_rows_are_derivatives_of_the_first() -> None:
 
 
 @pytest.mark.parametrize("name", ["to and fro", "circle", "spline", "joined", "multi-sine", "shifted"])
-def test_as_c(name: str, tmp_path: Path) -> None:
+def test_exported_reference_replays_to_rounding(name: str, tmp_path: Path) -> None:
     assert (
         replayed(exported(changed("two_link", reference=REFERENCES[name]), tmp_path, samples=60))["reference: jets"]
         <= 1e-12

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Invalid input raises the right FjrError, which names the value and the expectation."""
+"""Invalid input raises the right FjrError, whose message names the value and what was expected."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LAW = fjr.TrackingLaw(ROBOT, fjr.PAPER_GAINS)
 X, JETS, U = np.zeros(8), np.zeros((5, 2)), np.zeros(2)
 
 
-def test_all_errors_have_one_root() -> None:
+def test_all_errors_derive_from_fjr_error() -> None:
     names = ("RobotError", "GainsError", "TrajectoryError", "StateError", "ParameterError")
     assert all(issubclass(getattr(fjr, name), fjr.FjrError) for name in names)
 
@@ -31,7 +31,7 @@ def refused(error: type[fjr.FjrError], call: Callable[[], object], *words: str) 
 
 
 def labels(rows: list[tuple]) -> list[str]:
-    """Names of the cases: the parameters given, and a number."""
+    """Return the ids of the cases: the given parameters and a number."""
     given = ["-".join(next(part for part in row if isinstance(part, dict))) for row in rows]
     return [f"{name}-{i}" for i, name in enumerate(given)]
 
@@ -89,7 +89,9 @@ GAINS = [
 
 
 @pytest.mark.parametrize(("values", "words"), [(v, w) for v, *w in GAINS], ids=labels(GAINS))
-def test_gains_outside_the_proof_are_rejected(values: dict[str, object], words: list[str]) -> None:
+def test_gains_that_violate_the_conditions_of_the_proof_are_rejected(
+    values: dict[str, object], words: list[str]
+) -> None:
     refused(fjr.GainsError, lambda: fjr.TrackingLaw(ROBOT, fjr.Gains(**{**PAPER, **values})), *words)
 
 
@@ -97,7 +99,7 @@ FULL_PI = [[20.0, 18.0], [18.0, 20.0]]
 
 
 @pytest.mark.parametrize(("side", "equation"), [("l", "(32)"), ("m", "(41)")])
-def test_monotone_phi_is_not_enough_with_a_full_metric(side: str, equation: str) -> None:
+def test_monotone_phi_is_not_sufficient_with_a_full_metric(side: str, equation: str) -> None:
     """Lambda = diag(20, 1) is monotone and passes with Pi = 20; sym(Pi Lambda) is indefinite with FULL_PI."""
     Lambda = {f"Lambda_{side}": [20.0, 1.0]}
     product = np.array(FULL_PI) @ np.diag([20.0, 1.0])
@@ -220,18 +222,18 @@ def test_invalid_simulations_are_rejected(values: dict[str, object], words: list
     refused(fjr.StateError, lambda: run(**values), *words)
 
 
-def test_a_diverging_loop_is_reported_with_its_time() -> None:
-    """Gains far too stiff for the sample period."""
+def test_divergence_is_reported_with_its_time() -> None:
+    """The gains are far too stiff for the sample period."""
     law = fjr.TrackingLaw(ROBOT, fjr.Gains(**{**PAPER, "K_md": 300.0, "Lambda_m": 2000.0}))
     refused(fjr.StateError, lambda: run(law=law, x0=np.full(8, 0.1), duration=1.0), "diverged", "t = ")
 
 
-def test_an_unknown_integrator_names_the_known_ones() -> None:
+def test_unknown_integrator_error_lists_the_known_ones() -> None:
     refused(fjr.ParameterError, lambda: fjr.Plant(ROBOT, "euler"), "euler", "rk4", "implicit_midpoint")
 
 
-def test_an_implicit_step_that_does_not_converge_is_an_fjr_error() -> None:
-    """A million turns away rounding alone is larger than the solver's tolerance."""
+def test_implicit_step_without_convergence_raises_an_fjr_error() -> None:
+    """A million turns from zero, rounding alone exceeds the solver's tolerance."""
     plant = fjr.Plant(ROBOT, "implicit_midpoint")
     x = ROBOT.state(*np.full((4, 2), 1e12))
     refused(fjr.StateError, lambda: plant.step(x, U, 1e-3), "implicit_midpoint", "converge")

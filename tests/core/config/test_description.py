@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots as URDFs: a generated URDF has the inertia and gravity of the closed form."""
+"""Robot descriptions: a generated URDF has the inertia and gravity of the closed form."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def test_every_link_has_a_visual_and_every_joint_is_present(name: str) -> None:
     assert turning <= {link.get("name") for link in robot.iter("link") if link.find("visual") is not None}
 
 
-def test_an_arm_keeps_its_own_urdf() -> None:
+def test_arm_from_a_urdf_keeps_that_urdf() -> None:
     values = load_scenario(SCENARIOS / "arm7.yaml").plant_values
     assert description(values) == Path(values["robot.urdf"]).read_text(encoding="utf-8")
     assert description(inlined(values)) == description(values)
 
 
-def test_a_missing_file_is_one_sentence() -> None:
+def test_missing_file_is_reported_in_one_sentence() -> None:
     with pytest.raises(ParameterError, match="cannot read nowhere.urdf"):
         description({"robot.model": "urdf", "robot.urdf": "nowhere.urdf", "joints": ("a",)})

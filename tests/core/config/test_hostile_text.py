@@ -101,8 +101,8 @@ def test_a_date_is_text_as_in_ros() -> None:
     assert ros_yaml.parse("a: 2024-12-24") == {"a": "2024-12-24"}
 
 
-def test_many_keys_take_linear_time() -> None:
-    keys = {f"key{i}": i for i in range(5000)}  # 25e6 comparisons, if each were compared with each
+def test_parsing_time_is_linear_in_the_number_of_keys() -> None:
+    keys = {f"key{i}": i for i in range(5000)}  # 25e6 pairwise comparisons would take far longer
     assert ros_yaml.parse(yaml.safe_dump(keys)) == keys
 
 
@@ -115,7 +115,7 @@ def test_a_special_file_does_not_block(folder: Path) -> None:
         assert answer(lambda path=path: fjr.robot_from_urdf(Path(path), ["a"], 1.0, 1.0))
 
 
-def test_json_without_an_object_is_a_value_error(folder: Path) -> None:
+def test_json_that_is_no_object_raises_value_error(folder: Path) -> None:
     for text in ("[" * 100_000, "[]", "{", '"a"', "\ud800"):
         path = folder / "some.json"
         path.write_bytes(text.encode("utf-8", "surrogatepass"))
@@ -132,7 +132,7 @@ WORDS = ["0", "-1", "1e308", "nan", "inf", "", "1_0", "0x10", "a", "1 2", "prism
 
 @st.composite
 def urdfs(draw: st.DrawFn) -> str:
-    """The arm with some attributes of another value."""
+    """Return URDFs of the arm in which some attributes have another value."""
     pieces = two_link_urdf().split('"')
     for _ in range(draw(st.integers(1, 3))):
         place = 2 * draw(st.integers(0, len(pieces) // 2 - 1)) + 1

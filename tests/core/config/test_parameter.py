@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Declarations of parameters: one per field, expanded for n joints, read back in the shape that they declare."""
+"""Parameter declarations: one per field, expanded for n joints, read back in the declared shape."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_fields_declare_names_units_and_defaults() -> None:
     assert (found["rate"].unit, found["rate"].minimum, Example(gain=1.0).rate) == ("Hz", 1.0, 2.0)
 
 
-def test_values_are_read_in_their_shapes() -> None:
+def test_values_are_read_in_the_declared_shape() -> None:
     declarations = declared(Example, "", DEFAULTS)
     given = {"own_name": [1.0, 2.0, 3.0, 4.0], "sines": [1.0] * 6, "place": [1.0, 2.0, 3.0]}
     found = read(declarations, complete(table(declarations, 2), given), 2)
@@ -78,7 +78,7 @@ def test_a_wrong_length_is_rejected_by_name(name: str) -> None:
 
 
 @pytest.mark.parametrize("kind", [Settings, Robust, Nonidealities, SensorErrors, ChannelErrors])
-def test_the_default_of_a_field_is_that_of_its_parameter(kind: type) -> None:
+def test_field_and_parameter_have_the_same_default(kind: type) -> None:
     declarations = declared(kind)
     assert declarations
     assert {field.name: field.default for field in fields(kind) if field.name in declarations} == {

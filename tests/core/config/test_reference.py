@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters reference.*: each type builds its reference, each parameter has an effect, errors are one sentence."""
+"""Parameters reference.*: each type builds its reference; each parameter has an effect; each error is one sentence."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ def test_each_type_is_built_from_its_parameters(kind: str, given: dict[str, Any]
 
 
 @types
-def test_each_parameter_of_a_type_changes_it(kind: str, given: dict[str, Any], expected: Reference) -> None:
-    returns = {"point_to_point.returns": True} if kind == "point_to_point" else {}  # where a dwell matters
+def test_each_parameter_of_a_type_changes_the_reference(kind: str, given: dict[str, Any], expected: Reference) -> None:
+    returns = {"point_to_point.returns": True} if kind == "point_to_point" else {}  # a dwell has an effect only then
     whole = made(type=kind, **given | returns)
     for name in given:
         left_out = {key: value for key, value in given.items() if key != name or key in returns}
@@ -84,7 +84,7 @@ def test_every_type_has_defaults_for_any_number_of_joints(kind: str, n: int) -> 
 
 
 @types
-def test_parameters_of_other_types_are_not_used(kind: str, given: dict[str, Any], expected: Reference) -> None:
+def test_parameters_of_other_types_have_no_effect(kind: str, given: dict[str, Any], expected: Reference) -> None:
     wrong = {"amplitude": (1.0,), "multi_sine.phase": (1.0,), "point_to_point.goal": (1.0,)}
     own = {"sine": "amplitude", "multi_sine": "multi_sine.phase", "point_to_point": "point_to_point.goal"}
     others = {name: value for name, value in wrong.items() if name != own.get(kind)}

@@ -30,7 +30,7 @@ ROBOT = f"""
 
 @pytest.fixture
 def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An installed package `my_arm` with a robot file and its URDF."""
+    """Install a package `my_arm` with a robot file and its URDF."""
     share = tmp_path / "install" / "share" / "my_arm"
     (share / "robots" / "arms").mkdir(parents=True)
     (share / "robots" / "two_link.yaml").write_text(ROBOT)
@@ -65,7 +65,7 @@ REFERENCES = {
 
 
 @pytest.mark.parametrize("kind", REFERENCES)
-def test_a_robot_file_and_its_relative_urdf_are_found(workspace: Path, kind: str) -> None:
+def test_robot_file_and_its_relative_urdf_path_are_resolved(workspace: Path, kind: str) -> None:
     path = scenario(workspace, f"      file: {REFERENCES[kind].format(share=workspace)}")
     loaded = load_scenario(path)
     assert loaded.joints == tuple(JOINTS)
@@ -74,7 +74,7 @@ def test_a_robot_file_and_its_relative_urdf_are_found(workspace: Path, kind: str
     assert_same_robot(loaded.plant.robot, the_arm())
 
 
-def test_the_scenario_overrides_the_robot_file(workspace: Path) -> None:
+def test_scenario_overrides_the_robot_file(workspace: Path) -> None:
     changes = "/**/fjr_controller:\n  ros__parameters:\n    robot.joint_stiffness: [30.0, 20.0]\n"
     path = scenario(workspace, "      file: robots/two_link.yaml\n      link_damping: [0.5, 0.6]", changes)
     loaded = load_scenario(path)
@@ -84,7 +84,7 @@ def test_the_scenario_overrides_the_robot_file(workspace: Path) -> None:
         np.testing.assert_array_equal(np.diag(robot.D_l), [0.5, 0.6])
 
 
-def test_without_a_robot_file_both_nodes_have_the_joint_of_the_paper() -> None:
+def test_without_a_robot_file_both_nodes_use_the_joint_of_the_paper() -> None:
     loaded = parse_scenario("nothing", "/**:\n  ros__parameters:\n    joints: [joint1]\n")
     assert_same_robot(loaded.robot, fjr.single_link())
     assert_same_robot(loaded.plant.robot, fjr.single_link())
@@ -104,7 +104,7 @@ def test_a_self_contained_scenario_needs_no_other_file(workspace: Path, monkeypa
     assert alone.warnings == ()
     assert_same_robot(alone.robot, expected.robot)
     assert_same_robot(alone.plant.robot, expected.plant.robot)
-    assert text.count("<robot") == 1, "what the nodes share is written once"
+    assert text.count("<robot") == 1, "shared parameters must be written once"
 
 
 BAD_FILES = {
@@ -181,7 +181,7 @@ def test_an_invalid_urdf_robot_is_one_sentence_with_the_parameter(changes: dict[
     refuse(lambda: urdf_robot(**changes), *words)
 
 
-def test_a_urdf_robot_needs_its_joints_named() -> None:
+def test_urdf_robot_requires_joint_names() -> None:
     given = urdf_values()
     del given["joints"]
     refuse(lambda: builders.all_parameters(builders.controller_parameters, given), "'joints' is not given", "urdf")
@@ -192,14 +192,14 @@ def test_motor_inertia_is_reflected_unless_a_gear_ratio_is_given() -> None:
     np.testing.assert_allclose(np.diag(urdf_robot(gear_ratio=[10.0, 5.0]).M_m), [2.0, 0.25])
 
 
-def test_a_locked_joint_is_at_its_locked_position() -> None:
+def test_locked_joint_stays_at_its_locked_position() -> None:
     bent = urdf_robot(locked_joints=["wrist"], locked_positions=[0.9])
     expected = fjr.robot_from_urdf(two_link_urdf(0.5), JOINTS, STIFFNESS, MOTOR_INERTIA, locked={"wrist": 0.9})
     np.testing.assert_allclose(bent.M_l([0.1, 0.2]), expected.M_l([0.1, 0.2]), rtol=1e-12)
     assert np.max(np.abs(bent.M_l([0.1, 0.2]) - urdf_robot().M_l([0.1, 0.2]))) > 1e-3
 
 
-def test_a_full_matrix_is_given_by_rows() -> None:
+def test_full_matrix_is_read_row_by_row() -> None:
     K = urdf_robot(joint_stiffness=[40.0, 3.0, 3.0, 25.0]).K
     np.testing.assert_array_equal(K, [[40.0, 3.0], [3.0, 25.0]])
 

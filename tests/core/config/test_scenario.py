@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shipped robots and scenarios, and the reading of scenario files."""
+"""Shipped robots and scenarios are valid; scenario files are read as ROS reads them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ARMS = ("two_link", "arm7")
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """package://fjr_bringup is the source folder."""
+    """Resolve package://fjr_bringup to the source folder."""
     (tmp_path / "share").mkdir()
     (tmp_path / "share" / "fjr_bringup").symlink_to(BRINGUP)
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
@@ -62,8 +62,8 @@ def test_robot_files_equal_the_defaults_of_the_closed_forms(name: str) -> None:
 
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("name", ARMS)
-def test_the_arms_are_at_rest_until_the_first_command(name: str) -> None:
-    """The springs carry the weight: the force on the links is below the rounding of the file's numbers."""
+def test_arms_start_in_equilibrium(name: str) -> None:
+    """The springs carry the weight; the remaining force is due to the rounded numbers in the file."""
     scenario = load(name)
     n = scenario.robot.n
     rate = scenario.plant.derivative(scenario.x0, np.zeros(n))
@@ -71,7 +71,7 @@ def test_the_arms_are_at_rest_until_the_first_command(name: str) -> None:
 
 
 @pytest.mark.usefixtures("installed")
-def test_arm7_starts_at_rest_and_every_joint_0p05_rad_off_a_sine_of_0p3_rad_at_half_a_hertz() -> None:
+def test_arm7_starts_at_rest_with_0p05_rad_error_to_a_0p3_rad_half_hertz_sine() -> None:
     scenario = load("arm7")
     jets, n = scenario.reference.jets(0.0), 7
     np.testing.assert_allclose(np.abs(scenario.x0[:n] - jets[0]), 0.05, atol=1e-9)
@@ -81,7 +81,7 @@ def test_arm7_starts_at_rest_and_every_joint_0p05_rad_off_a_sine_of_0p3_rad_at_h
 
 
 @pytest.mark.usefixtures("installed")
-def test_arm7_has_the_limits_of_its_urdf_and_the_reference_keeps_them() -> None:
+def test_arm7_has_the_limits_of_its_urdf_and_the_reference_respects_them() -> None:
     scenario = load("arm7")
     limits, jets = scenario.robot.limits, scenario.reference.jets(np.linspace(0, 2, 201))
     assert limits is not None
@@ -92,7 +92,7 @@ def test_arm7_has_the_limits_of_its_urdf_and_the_reference_keeps_them() -> None:
 
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("name", ARMS)
-def test_the_arms_are_on_the_reference_within_three_seconds_and_within_their_limits(name: str) -> None:
+def test_arms_converge_within_3_s_and_respect_their_limits(name: str) -> None:
     scenario = load(name)
     run = scenario.simulate(3.5)
     error = np.abs(run.x[:, : scenario.robot.n] - run.jets[:, 0]).max(axis=1)
@@ -102,11 +102,11 @@ def test_the_arms_are_on_the_reference_within_three_seconds_and_within_their_lim
 
 
 def blocks(document: Path) -> list[str]:
-    """The YAML blocks of a Markdown document."""
+    """Return the YAML blocks of a Markdown document."""
     return [part.partition("```")[0] for part in document.read_text(encoding="utf-8").split("```yaml\n")[1:]]
 
 
-def test_the_files_of_your_robot_md_fit(tmp_path: Path) -> None:
+def test_files_of_your_robot_md_form_a_valid_scenario(tmp_path: Path) -> None:
     robot, mine, gains, _ros2_control, limits = blocks(BRINGUP.parents[2] / "docs" / "your_robot.md")
     (tmp_path / "my_arm.yaml").write_text(robot)
     scenario, key = yaml.safe_load(mine), "ros__parameters"
@@ -145,7 +145,7 @@ def test_an_exponent_in_quotes_stays_text() -> None:
     assert ros_yaml.parse("'1e-1'") == "1e-1"
 
 
-def test_a_written_document_is_read_back() -> None:
+def test_document_round_trips() -> None:
     document = {
         "/**": {
             "ros__parameters": {
@@ -168,7 +168,7 @@ def test_a_duplicate_section_is_rejected() -> None:
 
 
 def changed(name: str, **parameters: object) -> Scenario:
-    """A shipped scenario with changed values of both nodes, or of one: plant_..., controller_..."""
+    """Return a shipped scenario with changed values of both nodes, or of one by the prefix plant__ or controller__."""
     made = load(name)
     values = {"plant": dict(made.plant_values), "controller": dict(made.controller_values)}
     for key, value in parameters.items():
@@ -178,14 +178,14 @@ def changed(name: str, **parameters: object) -> Scenario:
 
 
 @pytest.mark.usefixtures("installed")
-def test_the_plant_is_the_model_unless_one_of_them_is_changed() -> None:
+def test_plant_equals_the_model_unless_one_of_them_is_changed() -> None:
     assert changed("two_link").plant_is_the_model
     assert not changed("two_link", plant__robot__motor_inertia=(0.06, 0.03)).plant_is_the_model
 
 
 @pytest.mark.usefixtures("installed")
 def test_configurations_cover_the_range_of_every_joint() -> None:
-    """Whatever the frequencies: equal instants of the slowest would see a multiple of it stand still."""
+    """Sampling the slowest sine at equal intervals would alias its multiples to a constant."""
     swing = {"controller__reference__amplitude": (0.5, 3.0), "controller__reference__phase": (0.0, 0.0)}
     for frequency in ((0.125, 4.0), (1.0, 1.0), (4.0, 0.125), (0.0, 2.0)):
         made = changed("two_link", **swing, controller__reference__frequency=frequency)

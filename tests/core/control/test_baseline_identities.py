@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The identity or stability property of each baseline, from its paper, along the arm; also on seven joints."""
+"""Each baseline has the identity or stability property of its paper along the arm, also with seven joints."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def djets(p: Point, still: bool) -> Array:
     return np.zeros_like(p.jets) if still else p.djets
 
 
-# laws on the motor side: the storage of a standing reference
+# motor-side laws: storage for a constant reference
 
 ON_MOTORS = ["pd_gravity", "pd_feedforward", "torque_feedback", "torque_feedback_feedforward"]
 
 
 def on_motors(loop: PlainLoop, gain: str) -> Array:
-    """K_p or K_theta ("K"), K_d or D_theta ("D")."""
+    """Return K_p or K_theta for "K", K_d or D_theta for "D"."""
     arrays = loop.law.arrays  # type: ignore[attr-defined]
     names = {"K": ("K_p", "K_theta"), "D": ("K_d", "D_theta")}[gain]
     return np.asarray(next(arrays[name] for name in names if name in arrays))
@@ -59,8 +59,8 @@ def on_motors(loop: PlainLoop, gain: str) -> Array:
 @pytest.mark.parametrize("name", ON_MOTORS)
 @arms
 @seeds
-def test_the_storage_of_a_constant_reference_decays_by_the_damping_only(name: str, make, seed: int) -> None:
-    """dV/dt = -dq' D_l dq - dtheta' (D_m + D) dtheta, whatever the state."""
+def test_storage_of_a_constant_reference_decays_by_the_damping_alone(name: str, make, seed: int) -> None:
+    """dV/dt = -dq' D_l dq - dtheta' (D_m + D) dtheta in every state."""
     arm = make()
     loop, p = loop_of(name, arm), place(arm, seed)
     D = on_motors(loop, "D")
@@ -72,8 +72,8 @@ def test_the_storage_of_a_constant_reference_decays_by_the_damping_only(name: st
 
 @pytest.mark.parametrize("name", ON_MOTORS)
 @pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
-def test_the_constant_reference_is_the_only_equilibrium_and_is_reached(name: str, arm: Arm) -> None:
-    """Where K_p outweighs gravity: V has one stationary point, and the arm comes to it from far off."""
+def test_constant_reference_is_the_only_equilibrium_and_is_attractive(name: str, arm: Arm) -> None:
+    """If K_p outweighs gravity, V has one stationary point and the arm converges to it from far away."""
     loop = loop_of(name, arm)
     gain = on_motors(loop, "K")
     assert np.linalg.eigvalsh(tomei.storage_hessians(arm.robot, gain)).min() > 0
@@ -82,11 +82,11 @@ def test_the_constant_reference_is_the_only_equilibrium_and_is_reached(name: str
     still = fjr.Sine(np.zeros(arm.n), 1.0, q_d)
     run = fjr.simulate(loop.plant, loop.law, still, x0, 30.0, inner_step=5e-4)
     assert np.abs(run.x[-1] - loop.rest(q_d)).max() < 1e-3
-    assert np.all(np.diff(run.V[::50]) <= 1e-9), "V never grows"
+    assert np.all(np.diff(run.V[::50]) <= 1e-9), "V must not grow"
 
 
 def gravity_at_rest(arm: Arm, theta: Array) -> Array:
-    """Gravity (n,) [N m] where the links rest with the motors held at theta: K (theta - q) = grad P_l(q)."""
+    """Return the gravity torque (n,) [N m] at equilibrium with motors fixed at theta: K (theta - q) = grad P_l(q)."""
     found = root(lambda q: arm.K @ (theta - q) - arm.links.grad_P(q), theta, tol=1e-14)
     return np.asarray(arm.links.grad_P(found.x))
 
@@ -94,7 +94,7 @@ def gravity_at_rest(arm: Arm, theta: Array) -> Array:
 @pytest.mark.parametrize("name", ON_MOTORS[2:])
 @arms
 @seeds
-def test_torque_feedback_makes_the_motors_appear_lighter(name: str, make, seed: int) -> None:
+def test_torque_feedback_shapes_the_motor_inertia(name: str, make, seed: int) -> None:
     """M_theta ddtheta + D_m dtheta + tau = w, with gravity computed from the motor positions."""
     arm = make()
     loop, p = loop_of(name, arm), place(arm, seed)
@@ -110,7 +110,7 @@ def test_torque_feedback_makes_the_motors_appear_lighter(name: str, make, seed: 
 
 @arms
 @seeds
-def test_the_shaped_motors_are_passive(make, seed: int) -> None:
+def test_motors_with_shaped_inertia_are_passive(make, seed: int) -> None:
     """dS/dt = dtheta' (g_bar - tau) - dtheta' (D_m + D_theta) dtheta, S the energy of shaped motors and K_theta."""
     arm = make()
     loop, p = loop_of("torque_feedback", arm), place(arm, seed)
@@ -129,8 +129,8 @@ def test_the_shaped_motors_are_passive(make, seed: int) -> None:
 
 @arms
 @seeds
-def test_gravity_from_the_motors_leaves_one_rest_however_soft_the_controller(make, seed: int) -> None:
-    """Links at rest on motors held anywhere: the motors feel -K_theta (theta - theta_d) alone, 0.01 N m/rad here."""
+def test_gravity_from_motor_positions_gives_one_equilibrium_for_any_stiffness(make, seed: int) -> None:
+    """With the links in equilibrium, only -K_theta (theta - theta_d) acts on the motors; K_theta = 0.01 N m/rad."""
     arm = make()
     kind, K_theta = LAWS["torque_feedback"], 0.01
     gains = TorqueFeedbackGains(0.3 * arm.M_m, K_theta, 1.0)
@@ -146,14 +146,14 @@ def test_gravity_from_the_motors_leaves_one_rest_however_soft_the_controller(mak
     np.testing.assert_allclose(arm.B_m @ at_rest, arm.links.grad_P(q_d), rtol=1e-11, atol=1e-12)
 
 
-def test_gravity_cannot_come_from_the_motors_where_it_outweighs_the_springs() -> None:
+def test_gravity_from_motor_positions_is_refused_if_it_outweighs_the_springs() -> None:
     arm = next(arm for arm in ARMS if arm.name == "planar-3.1")
     with pytest.raises(fjr.GainsError, match="stiffness does not outweigh gravity"):
         LAWS["torque_feedback"].make(arm.robot, TorqueFeedbackGains(arm.M_m / 2, 60.0, 1.0))
 
 
 @pytest.mark.parametrize("sample_period", [1e-2, 1e-3, 1e-4])
-def test_the_apparent_inertia_is_as_small_as_sampling_allows(sample_period: float) -> None:
+def test_shaped_inertia_is_as_small_as_sampling_allows(sample_period: float) -> None:
     for arm in STIFF:
         D = 3.0 * arm.links.M(np.zeros(arm.n))
         M_theta = torque_feedback.shaped_inertia(arm.robot, D, sample_period)
@@ -171,8 +171,8 @@ def test_the_apparent_inertia_is_as_small_as_sampling_allows(sample_period: floa
 
 @arms
 @seeds
-def test_feedback_linearisation_leaves_a_linear_error_of_order_four(make, seed: int) -> None:
-    """d4e + A_3 d3e + A_2 dde + A_1 de + A_0 e = 0 along the arm, the derivatives by nested differences."""
+def test_feedback_linearisation_gives_linear_error_dynamics_of_order_four(make, seed: int) -> None:
+    """d4e + A_3 d3e + A_2 dde + A_1 de + A_0 e = 0 along the arm; derivatives are nested differences."""
     arm = make()
     loop, p = loop_of("feedback_linearisation", arm), place(arm, seed)
     g = loop.law.arrays  # type: ignore[attr-defined]
@@ -190,7 +190,7 @@ def test_feedback_linearisation_leaves_a_linear_error_of_order_four(make, seed: 
 
 @arms
 def test_feedback_linearisation_has_two_time_scales(make) -> None:
-    """Two poles at omega for each joint, a pair at half of each elastic mode; bounded by omega and the sample rate."""
+    """Each joint has two poles at omega and a pair at half its elastic mode, bounded by omega and the sample rate."""
     arm = make()
     n, omega, q_0 = arm.n, 10.0, np.full(arm.n, 0.3)
     inverse = np.linalg.inv(arm.links.M(q_0)) + np.linalg.inv(arm.M_m)
@@ -210,7 +210,7 @@ def test_feedback_linearisation_has_two_time_scales(make) -> None:
 
 
 def motor_errors(loop: PlainLoop, own: bool):
-    """theta - theta_d of state and jets; own: theta_d from q (backstepping), else from q_d (passivity)."""
+    """Return theta - theta_d of state and jets; own: theta_d from q (backstepping), otherwise from q_d (passivity)."""
     arm, g = loop.arm, loop.law.arrays  # type: ignore[attr-defined]
 
     def e_m(x: Array, jets: Array) -> Array:
@@ -264,7 +264,7 @@ def test_backstepping_with_these_weights_is_the_passivity_based_law(arm: Arm, se
 
 
 def slow_torque(loop: PlainLoop):
-    """theta_s(x, jets) of the slow manifold, and v."""
+    """Return theta_s(x, jets) of the slow manifold, and v."""
     arm, g = loop.arm, loop.law.arrays  # type: ignore[attr-defined]
 
     def v(q: Array, dq: Array, jets: Array) -> Array:
@@ -278,7 +278,7 @@ def slow_torque(loop: PlainLoop):
 
 @arms
 @seeds
-def test_the_corrected_slow_manifold_is_invariant_and_on_it_the_links_move_as_if_rigid(make, seed: int) -> None:
+def test_corrected_slow_manifold_is_invariant_and_its_links_move_like_the_rigid_arm(make, seed: int) -> None:
     arm = make()
     loop, p = loop_of("singular_perturbation", arm), place(arm, seed)
     v, theta_s = slow_torque(loop)
@@ -296,8 +296,8 @@ def test_the_corrected_slow_manifold_is_invariant_and_on_it_the_links_move_as_if
     assert residual(loop.ddtheta(x, loop.effort(x, p.jets)), wanted) < 1e-6
 
 
-def test_the_stiffer_the_joint_the_nearer_the_rigid_arm() -> None:
-    """From off the manifold: the link's distance from the rigid arm shrinks as the way to it does, with K^-1/2."""
+def test_distance_to_the_rigid_arm_shrinks_with_stiffness() -> None:
+    """Started off the manifold, the distance of the link from the rigid arm scales with K^-1/2."""
     wrong = []
     for stiffness in (31.0, 310.0, 3100.0, 31000.0):
         robot = fjr.single_link(stiffness=stiffness)
@@ -317,7 +317,7 @@ def test_the_stiffer_the_joint_the_nearer_the_rigid_arm() -> None:
 
 
 def matrices(loop: PlainLoop, q_0: Array) -> tuple[Array, Array]:
-    """A and B about rest in (q, theta, dq, dtheta), by differences through Plant.derivative."""
+    """Return A and B of the linearisation in (q, theta, dq, dtheta), by differences of Plant.derivative."""
     x = loop.rest(q_0)
     u = np.linalg.solve(loop.arm.B_m, loop.arm.links.grad_P(q_0))
     T = np.kron(np.eye(4), np.eye(loop.arm.n))
@@ -330,8 +330,8 @@ def matrices(loop: PlainLoop, q_0: Array) -> tuple[Array, Array]:
 
 
 @arms
-def test_lqr_is_the_optimum_of_its_cost(make) -> None:
-    """Riccati residual, poles to the left, and no feedback near F costs less."""
+def test_lqr_minimises_its_cost(make) -> None:
+    """The Riccati residual vanishes, the poles are stable, and no feedback near F has a lower cost."""
     arm = make()
     loop, q_0 = loop_of("lqr", arm), np.zeros(arm.n)
     A, B = matrices(loop, q_0)
@@ -357,8 +357,8 @@ def test_lqr_is_the_optimum_of_its_cost(make) -> None:
 
 
 @arms
-def test_lqr_loses_its_running_cost_for_small_errors(make) -> None:
-    """dV/dt = -(x' Q x + u' R u) / 2 to second order, about the configuration."""
+def test_lqr_storage_decays_by_the_running_cost_for_small_errors(make) -> None:
+    """dV/dt = -(x' Q x + u' R u) / 2 to second order about the configuration."""
     arm = make()
     loop, q_0 = loop_of("lqr", arm), np.zeros(arm.n)
     gains, g = loop.law.gains, loop.law.arrays  # type: ignore[attr-defined]
@@ -373,7 +373,7 @@ def test_lqr_loses_its_running_cost_for_small_errors(make) -> None:
     assert abs(dV / (-(error @ np.asarray(gains.Q) @ error + u @ np.asarray(gains.R) @ u) / 2) - 1) < 1e-3
 
 
-def test_lqr_matrices_are_those_of_the_robot() -> None:
+def test_lqr_uses_the_linearisation_of_the_robot() -> None:
     for arm in STIFF:
         q_0 = np.full(arm.n, 0.4)
         own = lqr.velocity_matrices(arm.robot, q_0)

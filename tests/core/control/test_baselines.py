@@ -29,21 +29,21 @@ arms = pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
 
 @every_law
 @arms
-def test_at_the_equilibrium_of_a_constant_reference_the_effort_is_the_weight(name: str, arm: Arm) -> None:
+def test_effort_at_the_equilibrium_is_the_gravity_torque(name: str, arm: Arm) -> None:
     loop = PlainLoop(arm, standard_law(name, arm))
     q = np.random.default_rng(1).uniform(-1, 1, arm.n)
     x, jets = loop.rest(q), standing(q)
     weight = np.linalg.solve(arm.B_m, arm.links.grad_P(q))
     np.testing.assert_allclose(loop.effort(x, jets), weight, rtol=1e-11, atol=1e-13)
     V = loop.storage(x, jets)
-    rounding = 1e-14 if name.startswith("torque_feedback") else 1e-25  # J; there V is a difference of potentials
+    rounding = 1e-14 if name.startswith("torque_feedback") else 1e-25  # J; V is a difference of potentials there
     assert abs(V) < rounding if LAWS[name].storage else np.isnan(V)
 
 
 @pytest.mark.parametrize("name", [name for name in LAWS if name not in REGULATORS])
 @arms
-def test_on_a_moving_reference_the_effort_is_the_inverse_dynamics(name: str, arm: Arm) -> None:
-    """All laws that track agree wherever all errors are zero; the oracle differentiates closed forms."""
+def test_effort_on_a_moving_reference_is_the_inverse_dynamics(name: str, arm: Arm) -> None:
+    """All tracking laws agree where all errors are zero; the oracle differentiates closed forms."""
     loop = PlainLoop(arm, standard_law(name, arm))
     for seed in range(3):
         jets = random_point(arm, seed).jets
@@ -54,7 +54,7 @@ def test_on_a_moving_reference_the_effort_is_the_inverse_dynamics(name: str, arm
 
 @names
 @arms
-def test_the_storage_is_positive_off_the_reference_or_absent(name: str, arm: Arm) -> None:
+def test_storage_is_positive_away_from_the_reference_or_absent(name: str, arm: Arm) -> None:
     loop = PlainLoop(arm, standard_law(name, arm))
     for seed in range(20):
         p = random_point(arm, seed, same=True)
@@ -77,7 +77,7 @@ def test_every_gain_changes_the_effort(name: str) -> None:
 
 
 @names
-def test_other_gains_give_the_law_that_is_built_with_them(name: str) -> None:
+def test_replacing_gains_equals_building_the_law_with_them(name: str) -> None:
     arm = ARMS[-1]
     law, kind = standard_law(name, arm), LAWS[name]
     assert kind.standard is not None
@@ -85,12 +85,12 @@ def test_other_gains_give_the_law_that_is_built_with_them(name: str) -> None:
     p = random_point(arm, 7, same=True)
     changed, built = PlainLoop(arm, law.with_gains(gains)), PlainLoop(arm, kind.make(arm.robot, gains))  # type: ignore[arg-type]
     np.testing.assert_array_equal(changed.effort(p.x, p.jets), built.effort(p.x, p.jets))
-    assert changed.law.measured_function is law.measured_function, "nothing was built again"
+    assert changed.law.measured_function is law.measured_function, "the law must not be rebuilt"
 
 
 @names
 def test_all_evaluation_functions_agree(name: str) -> None:
-    """measured_command, bound arrays, command of a state, and the SampledLaw of the same."""
+    """Compare `measured_command`, bound arrays, the command of a state and the SampledLaw of the law."""
     arm = ARMS[2]
     law, loop = standard_law(name, arm), PlainLoop(arm, standard_law(name, arm))
     p = random_point(arm, 3, same=True)
@@ -107,7 +107,7 @@ def test_all_evaluation_functions_agree(name: str) -> None:
 
 
 @names
-def test_machine_code_gives_the_same_numbers(name: str) -> None:
+def test_compiled_law_gives_the_same_numbers(name: str) -> None:
     arm, kind = ARMS[0], LAWS[name]
     plain = standard_law(name, arm)
     compiled = kind.make(arm.robot, plain.gains, compile=True)  # type: ignore[attr-defined]
@@ -117,8 +117,8 @@ def test_machine_code_gives_the_same_numbers(name: str) -> None:
 
 
 @names
-def test_tracks_the_papers_sine_under_a_hold(name: str) -> None:
-    """From half a radian off, at 1 kHz; regulators are left with the error of what they do not know, below 0.1 rad."""
+def test_tracks_the_sine_of_the_paper_at_1_khz(name: str) -> None:
+    """The run starts with an error of 0.5 rad. Regulators lack the feedforward and keep an error below 0.1 rad."""
     arm = ARMS[0]
     law = standard_law(name, arm, 40.0, 0.8)
     x0 = arm.robot.state(0.5, 0.5, 0.0, 0.0)
@@ -148,7 +148,7 @@ BAD_GAINS = [
 @pytest.mark.parametrize(
     ("gains", "words"), BAD_GAINS, ids=lambda value: getattr(value, "__class__", type(value)).__name__
 )
-def test_gains_that_violate_the_papers_condition_are_refused(gains: object, words: str) -> None:
+def test_gains_that_violate_the_condition_of_the_paper_are_refused(gains: object, words: str) -> None:
     with pytest.raises(fjr.GainsError, match=words):
         gains.arrays(ARMS[0].robot)  # type: ignore[attr-defined]
 
@@ -159,14 +159,14 @@ def test_weights_without_a_riccati_solution_are_refused() -> None:
         weights.arrays(ARMS[0].robot)
 
 
-def test_a_full_matrix_is_refused_where_the_law_was_built_for_diagonal_ones() -> None:
+def test_full_gain_matrix_is_refused_by_a_law_built_for_diagonal_ones() -> None:
     arm = ARMS[2]
     law = LAWS["pd_gravity"].make(arm.robot, PdGains(K_p=60.0, K_d=1.0))
     with pytest.raises(fjr.GainsError, match="off the diagonal"):
         law.with_gains(PdGains(K_p=[[60.0, 5.0], [5.0, 60.0]], K_d=1.0))
 
 
-def test_an_unknown_law_is_refused_with_the_known_names() -> None:
+def test_unknown_law_error_lists_the_known_names() -> None:
     with pytest.raises(fjr.ParameterError, match="'pid'; expected one of v_dpbc, pd_gravity"):
         law_kind("pid")
 

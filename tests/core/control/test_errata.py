@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The equations as printed fail the tests that the right ones pass (docs/errata.md).
+"""The equations as printed fail the tests that the corrected ones pass (docs/errata.md).
 
-(49) is in stability/test_contraction.py, next to the right one.
+Eq. (49) is tested in stability/test_contraction.py, next to the corrected one.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from core.oracles.oracle import LiteralLaw, inverse
 from core.oracles.properties import TOLERANCE, Loop, error_dynamics, storage_rate, structure_as_printed
 
 FAILS = 1e-4
-"""A printed equation misses by more than this, where the right one stays below 1e-10."""
+"""Residual that a printed equation exceeds; that of the corrected one is below 1e-10."""
 
 
 def printed_coupling_velocity(Pi_m_inverse: ca.DM, K: np.ndarray, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
-    """The last term of (40) as printed: Pi_m^-1 K' M_l' sigma_l."""
+    """Return the last term of (40) as printed: Pi_m^-1 K' M_l' sigma_l."""
     return Pi_m_inverse @ K.T @ M_l.T @ M_l @ s_l
 
 
 @pytest.fixture(params=["right", "printed"])
 def coupling(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Laws built in the test have the coupling of (40) right, or as printed."""
+    """Build the laws of the test with the coupling of (40) corrected or as printed."""
     if request.param == "printed":
         monkeypatch.setattr(motor, "coupling_velocity", printed_coupling_velocity)
     return request.param
 
 
 def fresh_loop(arm: Arm, gains: GainSet) -> Loop:
-    """With a law that is built now, not one that was built before the patch."""
+    """Return a loop with a newly built law, so that the monkeypatch applies."""
     return Loop(arm, gains, fjr.TrackingLaw(arm.robot, gains.gains))
 
 
@@ -47,10 +47,10 @@ cases = pytest.mark.parametrize(("arm", "gains"), CASES, ids=["single-31", "sing
 
 @cases
 @pytest.mark.parametrize("same", [True, False], ids=["same", "apart"])
-def test_exact_rate_of_the_storage_tells_the_printed_coupling(
+def test_exact_rate_of_the_storage_detects_the_printed_coupling(
     arm: Arm, gains: GainSet, same: bool, coupling: str
 ) -> None:
-    """(40): the same test as in control/test_law.py; x_v = x or not makes no difference."""
+    """Repeat the test of control/test_law.py for (40), with x_v = x and x_v != x."""
     residual = storage_rate(fresh_loop(arm, gains), random_point(arm, 0, same))
     assert residual <= TOLERANCE if coupling == "right" else residual > FAILS
 
@@ -64,15 +64,15 @@ def test_only_the_motor_equation_reveals_the_printed_coupling(arm: Arm, gains: G
 
 
 def along(loop: Loop, run: fjr.Trajectory, i: int) -> Point:
-    """The i-th instant of a closed-loop run."""
+    """Return the i-th instant of a closed-loop run."""
     x, jets = run.x[i], run.jets[i]
     return Point(x, x, jets, np.vstack([jets[1:], -jets[3:4]]), np.zeros(loop.arm.n), run.u[i])
 
 
-def test_worst_decay_along_the_papers_trajectory_tells_but_convergence_does_not(coupling: str) -> None:
-    """dV/(2V) stays below -beta = -10 with the right (40) and breaks it with the print; both converge.
+def test_slowest_decay_of_V_detects_the_printed_coupling_but_convergence_does_not(coupling: str) -> None:
+    """dV/(2V) stays below -beta = -10 with the corrected (40) and exceeds it with the printed one; both converge.
 
-    The figures are the suprema over a fine grid; a coarse one finds milder ones (10 ms: -10.02 and -10.09).
+    The values are suprema on a fine grid; a grid of 10 ms gives -10.02 and -10.09.
     """
     arm, gains = single(31.0), linear(1)
     loop = fresh_loop(arm, gains)
@@ -92,12 +92,12 @@ PRINTED = {
     "spring": "sigma_m",
     "B_m": "sigma_m",
 }
-"""Errors of the print, and the error equation that each one breaks when x_v != x."""
+"""Misprints, and the error equation that each one breaks for x_v != x."""
 
 
 @pytest.mark.parametrize("error", PRINTED)
-def test_each_printed_equation_breaks_its_error_equation(error: str) -> None:
-    """(33), (39), (40), (42) as printed, literally, in the loop with the real plant and virtual system."""
+def test_each_misprint_breaks_its_error_equation(error: str) -> None:
+    """Equations (33), (39), (40), (42) are evaluated as printed, with the correct plant and virtual system."""
     arm, gains = planar("full", **FULL), full()
     p = random_point(arm, 2)
     residuals = error_dynamics(Loop(arm, gains, LiteralLaw(arm, gains, printed=(error,))), p)
@@ -107,7 +107,7 @@ def test_each_printed_equation_breaks_its_error_equation(error: str) -> None:
 
 @pytest.mark.parametrize("same", [True, False], ids=["same", "apart"])
 def test_damping_of_44_as_printed_is_symmetric_for_one_joint_only(same: bool) -> None:
-    """R_v with E_l is not symmetric for n = 2; stability/test_contraction.py has the right split, S_H in J_v."""
+    """R_v with E_l is not symmetric for n = 2; the correct split in stability/test_contraction.py has S_H in J_v."""
     one, two = (single(31.0), linear(1)), (planar("31", 31.0), linear(2))
     for (arm, gains), is_symmetric in ((one, True), (two, False)):
         _, R_v = structure_as_printed(arm, gains, random_point(arm, 4, same), arm.K @ inverse(gains.Pi_m))
@@ -116,8 +116,8 @@ def test_damping_of_44_as_printed_is_symmetric_for_one_joint_only(same: bool) ->
 
 
 @pytest.mark.parametrize(("k", "t", "share"), [(31.0, 1.329, 2.9e-12), (3.1, 1.493, 1.08e-13)])
-def test_a_hold_of_one_millisecond_takes_V_beyond_its_bound(k: float, t: float, share: float) -> None:
-    """From t [s] on V > V(0) exp(-2 beta t), at V = share V(0): sin t from 0.5 rad at rest."""
+def test_hold_of_1_ms_lets_V_exceed_its_bound(k: float, t: float, share: float) -> None:
+    """V exceeds V(0) exp(-2 beta t) from t [s] on, at V = share V(0); the run tracks sin t from rest at 0.5 rad."""
     robot = single(k).robot
     law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS)
     start = robot.state(0.5, 0.5, 0, 0)
@@ -129,8 +129,8 @@ def test_a_hold_of_one_millisecond_takes_V_beyond_its_bound(k: float, t: float, 
 
 
 @pytest.mark.parametrize("error", ["gravity", "q_md", "spring"])
-def test_measured_for_virtual_cannot_be_told_on_the_diagonal(error: str) -> None:
-    """At x_v = x these give the same effort: the controller u(x, x, t) does not feel them."""
+def test_misprints_of_measured_for_virtual_do_not_change_the_effort_on_the_diagonal(error: str) -> None:
+    """At x_v = x these misprints do not change the effort u(x, x, t)."""
     arm, gains = planar("31", 31.0), linear(2)
     p = random_point(arm, 3, same=True)
     printed = LiteralLaw(arm, gains, printed=(error,)).effort(p.x, p.x, p.jets)
@@ -138,8 +138,8 @@ def test_measured_for_virtual_cannot_be_told_on_the_diagonal(error: str) -> None
     assert printed == pytest.approx(right, rel=1e-10)
 
 
-def test_right_column_of_table_1_is_the_motors() -> None:
-    """Lambda_m = 15, K_md = 0.3, Pi_m = 4 Lambda_m = 60; printed with subscript l."""
+def test_right_column_of_table_1_lists_the_motor_gains() -> None:
+    """Lambda_m = 15, K_md = 0.3 and Pi_m = 4 Lambda_m = 60 are printed with subscript l."""
     values = {"Lambda_l": 10, "Pi_l": 20, "K_ld": 0.6, "Lambda_m": 15, "Pi_m": 60, "K_md": 0.3}
     values.update(Gamma_l=0, Gamma_m=0)
     assert {name: getattr(fjr.PAPER_GAINS, name) for name in values} == values

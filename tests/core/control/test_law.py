@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law u(x_v, x, t) against the literal one, its closed-loop error dynamics and its storage."""
+"""The law u(x_v, x, t): agreement with the literal equations, closed-loop error dynamics and storage."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def relative(seen: np.ndarray, wanted: np.ndarray) -> float:
 
 @loops
 @pytest.mark.parametrize("same", [True, False], ids=["same", "apart"])
-def test_law_agrees_with_the_literal_equations(arm: Arm, gains: GainSet, same: bool) -> None:
-    """Every value of eqs. (30)-(43) in 80 digits, the dots by nested differences along the flow."""
+def test_law_matches_80_digit_oracle(arm: Arm, gains: GainSet, same: bool) -> None:
+    """The oracle evaluates (30)-(43) in 80 digits; time derivatives are nested differences along the flow."""
     law, literal = loop_of(arm, gains).law, LiteralLaw(arm, gains)
     for seed in (20, 21):
         p = random_point(arm, seed, same)
@@ -63,7 +63,7 @@ def test_dissipation_and_dV_are_the_terms_of_the_exact_rate(
 
 
 @loops
-def test_storage_is_positive_and_loses_at_least_beta(arm: Arm, gains: GainSet) -> None:
+def test_storage_is_positive_and_decays_at_least_at_rate_beta(arm: Arm, gains: GainSet) -> None:
     """V > 0 and dV <= -2 beta V for omega = 0."""
     law = loop_of(arm, gains).law
     beta = law.rate().beta
@@ -75,8 +75,8 @@ def test_storage_is_positive_and_loses_at_least_beta(arm: Arm, gains: GainSet) -
 
 
 @loops
-def test_storage_vanishes_where_all_errors_do(arm: Arm, gains: GainSet) -> None:
-    """On the reference, with springs and motors as the law wants them, V = 0 and u is finite."""
+def test_storage_vanishes_where_all_errors_vanish(arm: Arm, gains: GainSet) -> None:
+    """V = 0 and u is finite on the reference with zero motor errors."""
     p, x_v = on_reference(arm, gains)
     e = loop_of(arm, gains).law.evaluate(x_v, p.x, p.jets)
     assert e.V <= 1e-20
@@ -84,7 +84,7 @@ def test_storage_vanishes_where_all_errors_do(arm: Arm, gains: GainSet) -> None:
 
 
 def on_reference(arm: Arm, gains: GainSet) -> tuple[Point, np.ndarray]:
-    """A measured state on the reference, and the virtual state with all errors zero, found block by block."""
+    """Return a measured state on the reference and the virtual state with all errors zero, solved block by block."""
     law, p = loop_of(arm, gains).law, random_point(arm, 30)
     M = arm.links.M(p.x[: arm.n])
     q_lv, p_lv, zero = p.jets[0], M @ p.jets[1], np.zeros(arm.n)
@@ -94,7 +94,7 @@ def on_reference(arm: Arm, gains: GainSet) -> tuple[Point, np.ndarray]:
 
 
 @loops
-def test_effort_is_that_of_evaluate_and_omega_enters_through_B_m(arm: Arm, gains: GainSet) -> None:
+def test_effort_agrees_with_evaluate_and_omega_enters_through_B_m(arm: Arm, gains: GainSet) -> None:
     p, law = random_point(arm, 31), loop_of(arm, gains).law
     free, pushed = law.effort(p.x_v, p.x, p.jets), law.effort(p.x_v, p.x, p.jets, p.omega)
     assert np.array_equal(pushed, law.evaluate(p.x_v, p.x, p.jets, p.omega).u)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law with load torques: against 80 digits, and the exact rate of its storage."""
+"""The law with load torques: agreement with an 80-digit oracle, and the exact rate of its storage."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from core.oracles.cases import LOOP_NAMES, LOOPS, Array, random_state
 from core.oracles.loaded_oracle import LiteralLoadedLaw
 from fjr_core.control.robust.loaded_law import OUTPUTS, loaded_expression
 
-CLOSE = 1e-9  # relative to the sum of absolute terms, or to the largest of a vector; soft joints cancel six digits
+CLOSE = 1e-9  # relative to the sum of absolute terms or the largest entry; soft joints lose six digits by cancellation
 
 
 @cache
@@ -26,7 +26,7 @@ def loaded(i: int) -> tuple[fjr.TrackingLaw, ca.Function]:
 
 
 class Case:
-    """A random instant of a loop of LOOPS: state, reference, torques; the law's values by name."""
+    """A random instant of a loop of LOOPS: state, reference, torques, and the values of the law by name."""
 
     def __init__(self, i: int, seed: int, integrating: bool = True) -> None:
         self.arm, self.gains = LOOPS[i]
@@ -50,7 +50,7 @@ def close(found: Array, wanted: Any) -> None:
 
 
 @pytest.mark.parametrize("i", range(len(LOOPS)), ids=LOOP_NAMES)
-def test_effort_storage_and_port_are_those_of_the_equations(i: int) -> None:
+def test_effort_storage_and_port_match_80_digit_oracle(i: int) -> None:
     case = Case(i, 0)
     wanted = case.oracle.at(case.x, case.jets, case.integral)
     close(case.found["u"], wanted.u)
@@ -60,7 +60,7 @@ def test_effort_storage_and_port_are_those_of_the_equations(i: int) -> None:
 
 @pytest.mark.parametrize("i", range(len(LOOPS)), ids=LOOP_NAMES)
 @pytest.mark.parametrize("integrating", [True, False])
-def test_the_rate_of_the_storage_is_exact_under_any_torques(i: int, integrating: bool) -> None:
+def test_exact_rate_of_the_storage_under_any_torques(i: int, integrating: bool) -> None:
     """dV/dt = -dissipation + port_l' (d_l - w - integral) + s_m' (d_m - matched + B_m (u - u_law))."""
     case, n = Case(i, 1, integrating), LOOPS[i][0].n
     u = case.found["u"] + case.excess
@@ -74,18 +74,18 @@ def test_the_rate_of_the_storage_is_exact_under_any_torques(i: int, integrating:
 
 
 @pytest.mark.parametrize("i", range(len(LOOPS)), ids=LOOP_NAMES)
-def test_with_the_integrals_energy_no_constant_torque_counts(i: int) -> None:
-    """V + (integral - d)' gain^-1 (integral - d) / 2 falls by the dissipation alone, d constant and not known."""
+def test_storage_with_integral_energy_decays_under_any_constant_torque(i: int) -> None:
+    """V + (integral - d)' gain^-1 (integral - d) / 2 decays by the dissipation alone for an unknown constant d."""
     case = Case(i, 2)
     torque = np.concatenate([case.known[0] + 0.7, case.matched])
     real = case.oracle.dV(case.x, case.jets, case.integral, case.found["u"], torque)
-    energy = (case.integral - 0.7) @ case.found["port_l"]  # its gain goes out: d(integral)/dt = gain * port
+    energy = (case.integral - 0.7) @ case.found["port_l"]  # the gain cancels: d(integral)/dt = gain * port
     total = np.abs(case.found["dissipation"]).sum() + abs(real) + abs(energy)
     assert abs(real + energy + case.found["dissipation"].sum()) <= CLOSE * total
 
 
 @pytest.mark.parametrize("i", range(len(LOOPS)), ids=LOOP_NAMES)
-def test_without_load_torques_it_is_the_law(i: int) -> None:
+def test_zero_load_torques_give_the_nominal_law(i: int) -> None:
     law, function = loaded(i)
     case, n = Case(i, 3), LOOPS[i][0].n
     velocity = np.concatenate(case.arm.robot.velocities(case.x))

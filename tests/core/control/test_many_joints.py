@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exact identities of the closed loop on arms from URDFs, two and seven joints, with Pinocchio's matrices."""
+"""Exact identities of the closed loop on URDF arms with two and seven joints, with the matrices of Pinocchio."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from core.oracles.properties import (
 from fjr_core.stability.prolonged_system import ProlongedSystem
 
 TOLERANCE = 1e-11
-"""Residuals are relative to the arm's largest torques: at this level the wrist's own terms count to six digits."""
+"""Residuals are relative to the largest torques of the arm; this bound checks the terms of the wrist to six digits."""
 
 
 @cache
 def two_joints() -> Arm:
-    """A two-link arm in a vertical plane with axes askew and full elastic matrices."""
+    """Return a two-link arm with skew axes, gravity and full elastic matrices."""
     m, c, inertia = PLANAR["link_mass"], PLANAR["link_com"], PLANAR["link_inertia"]
     links = "".join(
         f'<link name="link{i}"><inertial><origin xyz="0.02 0.01 {-c[i]}"/><mass value="{m[i]}"/>'
@@ -73,7 +73,7 @@ places = pytest.mark.parametrize(
 
 
 def state(arm: Arm, rng: np.random.Generator) -> Array:
-    """Positions and velocities of order one, springs under 10 N m."""
+    """Return a state with positions and velocities of order one and spring torques up to 10 N m."""
     q_l, dq_l, dq_m = rng.uniform(-1.5, 1.5, (3, arm.n))
     q_m = q_l + np.linalg.solve(arm.K, rng.uniform(-10, 10, arm.n))
     return np.concatenate([q_l, q_m, arm.links.M(q_l) @ dq_l, arm.M_m @ dq_m])
@@ -94,7 +94,7 @@ def loop(make: Callable[[], Arm], cubic: bool) -> Loop:
 
 @arms
 @seeds
-def test_plant_obeys_pinocchios_equation_of_motion(make: Callable[[], Arm], seed: int) -> None:
+def test_plant_satisfies_the_equation_of_motion_of_pinocchio(make: Callable[[], Arm], seed: int) -> None:
     """dp_l = d/dt (M_l dq_l) with M_l ddq_l = K zeta - C dq_l - D_l dq_l - grad P_l."""
     arm = make()
     p = point(arm, seed, same=True, pushed=False)
@@ -123,7 +123,7 @@ def test_power_balance(make: Callable[[], Arm], seed: int) -> None:
 @loops
 @seeds
 def test_exact_rate_of_the_differential_storage(make: Callable[[], Arm], cubic: bool, seed: int) -> None:
-    """Of a variation of the virtual closed loop, whatever u drives the plant."""
+    """The identity holds along a variation of the virtual closed loop for any effort u of the plant."""
     arm, system = make(), ProlongedSystem(loop(make, cubic).law)
     p = point(arm, seed, same=False, pushed=False)
     scales = np.concatenate([np.ones(2 * arm.n), np.diag(arm.links.M(p.x[: arm.n])), np.diag(arm.M_m)])
@@ -140,7 +140,7 @@ def test_exact_rate_of_the_differential_storage(make: Callable[[], Arm], cubic: 
 
 @arms
 @seeds
-def test_virtual_is_actual_on_the_diagonal(make: Callable[[], Arm], seed: int) -> None:
+def test_virtual_system_equals_the_plant_on_the_diagonal(make: Callable[[], Arm], seed: int) -> None:
     arm = make()
     p = point(arm, seed, same=True, pushed=False)
     virtual = fjr.VirtualSystem(arm.robot).derivative(p.x, p.x, p.u)
@@ -173,7 +173,7 @@ def test_dissipation_and_dV_are_the_terms_of_the_exact_rate(
 
 
 @loops
-def test_storage_loses_at_least_beta(make: Callable[[], Arm], cubic: bool) -> None:
+def test_storage_decays_at_least_at_rate_beta(make: Callable[[], Arm], cubic: bool) -> None:
     """dV <= -2 beta V for omega = 0, beta at the measured configuration."""
     for seed in range(20):
         p = point(make(), seed, same=seed % 2 == 0, pushed=False)
@@ -201,8 +201,8 @@ def test_differential_storage_decays_by_the_dissipation(make: Callable[[], Arm],
     assert metric_residual(P, -dissipated, P @ A / 2, A.T @ P / 2, dP / 2) <= TOLERANCE
 
 
-def test_the_identities_notice_one_part_in_a_million() -> None:
-    """A wrist damping that is wrong in the sixth digit breaks them by more than the tolerance."""
+def test_identities_detect_a_relative_error_of_1e_6() -> None:
+    """A relative error of 1e-6 in the damping of the wrist breaks the identities by more than the tolerance."""
     right = loop(arm7, False)
     wrong = replace(right.gains, K_ld=right.gains.K_ld * (1 + 1e-6 * (np.arange(7) == 6)))
     p = point(arm7(), 0, same=True, pushed=False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust action: disturbance observer, integral action, Smith predictor, and their effect on the errors."""
+"""Disturbance observer, integral action and Smith predictor, and their effect on the tracking error."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ INTEGRATE = Robust(integral_gain=5.0, motor_integral_gain=5.0)
 BOTH = replace(ESTIMATE, integral_gain=5.0, motor_integral_gain=5.0)
 
 
-# --- the figures that the issue asks for
+# --- reduction of the tracking error
 
 
 @pytest.mark.parametrize("robust", [ESTIMATE, INTEGRATE, BOTH], ids=["residual", "integral", "both"])
 @pytest.mark.parametrize("reference", [fjr.Hold([0.5]), SINE], ids=["hold", "sine"])
-def test_a_load_leaves_no_steady_error(robust: Robust, reference: fjr.Reference) -> None:
+def test_constant_load_leaves_no_steady_state_error(robust: Robust, reference: fjr.Reference) -> None:
     robot = pushed(JOINT.robot, 0.3)
     plain, better = (rms(errors(JOINT, r, reference, robot, 4.0)[-1000:]) for r in (None, robust))
     assert plain > 0.01
     assert plain > 20 * better
-    assert plain > 1000 * better, "what docs/robust.md says"
+    assert plain > 1000 * better, "docs/robust.md states a factor of 1000"
 
 
 @pytest.mark.parametrize(("gravity", "rate"), [(1.0, 60.0), (1.2, 60.0)])
-def test_an_inertia_error_costs_an_arm_three_times_less(gravity: float, rate: float) -> None:
+def test_residual_reduces_the_effect_of_an_inertia_error_threefold(gravity: float, rate: float) -> None:
     scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
     law = fjr.TrackingLaw(scenario.robot, scenario.gains, compile=True)
     robot = heavier(scenario.robot, 1.2, gravity)
@@ -57,15 +57,15 @@ def test_an_inertia_error_costs_an_arm_three_times_less(gravity: float, rate: fl
 
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("samples", [0.5, 1.0, 2.0])
-def test_prediction_compensates_the_delay(name: str, samples: float) -> None:
+def test_prediction_reduces_the_error_of_a_delay_tenfold(name: str, samples: float) -> None:
     law, delay = LAWS[name], samples * PERIOD
     reference = SINE if name == "joint" else TWO_LINK.reference
     plain, better = (rms(errors(law, r, reference, law.robot, 3.0, delay)[1000:]) for r in (None, Robust(delay=delay)))
     assert plain > 10 * better
 
 
-def test_the_prediction_includes_half_of_the_hold() -> None:
-    """Without it a third of what a sample of delay costs would be left."""
+def test_prediction_includes_half_of_the_hold() -> None:
+    """Without it, a third of the error caused by one sample of delay remains."""
     best, without = (
         rms(errors(JOINT, Robust(delay=PERIOD, hold=hold), SINE, JOINT.robot, 3.0, PERIOD)[1000:])
         for hold in (PERIOD, (1 + 1e-6) * PERIOD / LONGEST_DELAY)
@@ -73,12 +73,12 @@ def test_the_prediction_includes_half_of_the_hold() -> None:
     assert without > 3 * best
 
 
-# --- linear analysis: where the loop comes to rest, and whether it stays
+# --- linear analysis: equilibrium and its stability
 
 
 @pytest.mark.parametrize("robust", [ESTIMATE, INTEGRATE, BOTH], ids=["residual", "integral", "both"])
 @pytest.mark.parametrize("name", LAWS)
-def test_the_loop_with_a_load_rests_on_the_reference_and_is_stable(name: str, robust: Robust) -> None:
+def test_equilibrium_under_load_is_on_the_reference_and_stable(name: str, robust: Robust) -> None:
     law = LAWS[name]
     q_ld = np.linspace(0.5, -0.4, law.robot.n)
     error, largest = radius(sampled_law(law, robust), pushed(law.robot, 0.3), q_ld, 15.0)
@@ -87,8 +87,8 @@ def test_the_loop_with_a_load_rests_on_the_reference_and_is_stable(name: str, ro
 
 
 @pytest.mark.parametrize("stiffness", [310.0, 31.0, 3.1])
-def test_the_integral_takes_up_a_torque_at_its_rate_on_stiff_and_soft_joints(stiffness: float) -> None:
-    """The slowest mode of the sampled loop is the rate, to second order in it; a soft joint amplifies the port."""
+def test_integral_converges_at_its_rate_on_stiff_and_soft_joints(stiffness: float) -> None:
+    """The slowest mode of the sampled loop decays at the rate, to second order; a soft joint amplifies the port."""
     law = fjr.TrackingLaw(fjr.single_link(stiffness=stiffness), fjr.PAPER_GAINS)
     for side in ("integral_gain", "motor_integral_gain"):
         slowest = spectral_radius(sampled_law(law, Robust(**{side: 0.1})), PERIOD, configurations=[[0.5]])[0]
@@ -96,7 +96,7 @@ def test_the_integral_takes_up_a_torque_at_its_rate_on_stiff_and_soft_joints(sti
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_gains_of_the_integral_are_symmetric_and_positive_definite(name: str) -> None:
+def test_integral_gains_are_symmetric_and_positive_definite(name: str) -> None:
     law, n = LAWS[name], LAWS[name].robot.n
     values = gain_values(law.robot, law.gains, (np.full(n, 3.0), np.zeros(n)))
     K_l, K_m, K_l_inverse, _ = (K.reshape(n, n) for K in np.split(values, 4))
@@ -107,7 +107,7 @@ def test_gains_of_the_integral_are_symmetric_and_positive_definite(name: str) ->
 
 
 @pytest.mark.parametrize("rate", [0.5, 1.0, 5.0])
-def test_the_integral_is_stable_on_the_papers_softest_joint(rate: float) -> None:
+def test_integral_is_stable_on_the_softest_joint_of_the_paper(rate: float) -> None:
     law = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
     integrating, robot, reference = sampled_law(law, Robust(integral_gain=rate)), law.robot, fjr.Hold([0.5])
     assert spectral_radius(integrating, PERIOD, configurations=[[0.5]])[0] < 1
@@ -121,7 +121,7 @@ def test_the_integral_is_stable_on_the_papers_softest_joint(rate: float) -> None
 
 
 def residual_run(law: fjr.TrackingLaw, gain: float, period: float, seconds: float) -> tuple[Any, Any]:
-    """Estimates r (k, 2n) and torques fed forward (k, n) while the robot is pushed on links and motors."""
+    """Return residuals r (k, 2n) and feedforward torques w (k, n) [N m] under constant torques on links and motors."""
     n, robot = law.robot.n, pushed(law.robot, 0.3)
     step = RobustLaw(law, Robust(residual_gain=gain, motor_residual_gain=gain))
     plant, parts = fjr.Plant(robot), step._memory
@@ -143,8 +143,8 @@ def residual_run(law: fjr.TrackingLaw, gain: float, period: float, seconds: floa
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_the_residual_follows_a_torque_as_its_filter_says(name: str) -> None:
-    """r = L / (s + L) d exactly, w = (L / (s + L))^3 d, whatever the robot does; to the order of the quadrature."""
+def test_residual_is_the_torque_through_its_filter(name: str) -> None:
+    """r = L / (s + L) d and w = (L / (s + L))^3 d for any motion, up to the error of the quadrature."""
     gain, n = 40.0, LAWS[name].robot.n
     off = []
     for period in (2e-3, 1e-3):
@@ -155,10 +155,10 @@ def test_the_residual_follows_a_torque_as_its_filter_says(name: str) -> None:
         wanted = np.hstack([np.outer(lag, np.full(n, d)) for lag, d in ((first, 0.3), (first, 0.2), (third, 0.3))])
         off.append(np.max(np.abs(np.hstack([r, w]) - wanted)))
     assert off[1] < 0.02
-    assert off[0] > 3 * off[1], "of second order in the period"
+    assert off[0] > 3 * off[1], "the error must be of second order in the period"
 
 
-def test_at_equilibrium_the_residual_is_the_torque() -> None:
+def test_residual_at_equilibrium_is_the_torque() -> None:
     r, w = residual_run(JOINT, 40.0, 1e-3, 1.5)
     np.testing.assert_allclose(r[-1], [0.3, 0.2], atol=1e-9)
     np.testing.assert_allclose(w[-1], 0.3, atol=1e-9)
@@ -167,12 +167,12 @@ def test_at_equilibrium_the_residual_is_the_torque() -> None:
 # --- the prediction
 
 
-def test_the_effort_buffer_returns_the_efforts_that_act() -> None:
-    """Efforts of irregular samples: each acts from its stamp + delay to the next one's, and none is lost."""
+def test_effort_buffer_returns_the_acting_efforts() -> None:
+    """With irregular samples, each effort acts from its stamp + delay until that of the next one; none is lost."""
     rng, delay, hold = np.random.default_rng(4), 2.3e-3, 1e-3
     waiting, kept = EffortBuffer(1, delay, hold), {"efforts": ca.DM.zeros(4), "ages": ca.DM.zeros(4)}
     stamps = np.cumsum(rng.uniform(0.8e-3, 1.2e-3, 12))
-    efforts = np.concatenate([[0.0], rng.uniform(-1, 1, 11)])  # before the first sample nothing was sent
+    efforts = np.concatenate([[0.0], rng.uniform(-1, 1, 11)])  # no effort was sent before the first sample
     for k, dt in enumerate(np.diff(stamps, prepend=stamps[0])):
         kept = waiting.step(kept, ca.DM(efforts[k]), ca.DM(dt))
     now = stamps[-1]
@@ -187,8 +187,8 @@ def test_the_effort_buffer_returns_the_efforts_that_act() -> None:
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_the_state_is_predicted_as_the_robot_moves(name: str) -> None:
-    """The effort is the law's at the state that the robot has a delay later (plus half a hold under the last one)."""
+def test_predicted_state_is_the_state_after_the_delay(name: str) -> None:
+    """The effort is the law at the state after the delay and half a hold under the last effort."""
     law, n, rng = LAWS[name], LAWS[name].robot.n, np.random.default_rng(3)
     step, plant = RobustLaw(law, Robust(delay=PERIOD, hold=PERIOD)), fjr.Plant(law.robot)
     x = law.robot.state(*rng.uniform(-0.3, 0.3, (4, n)))
@@ -210,8 +210,8 @@ def test_the_state_is_predicted_as_the_robot_moves(name: str) -> None:
         sent = rng.uniform(-1, 1, n)
 
 
-def test_an_effort_that_acts_for_many_holds_is_predicted_as_finely() -> None:
-    """The stiff arm's first sample under a long delay, and one after a gap: one step each would be unstable."""
+def test_prediction_over_many_holds_uses_substeps() -> None:
+    """A single step would be unstable on the stiff arm, at the first sample under a long delay and after a gap."""
     scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
     law, n, plant = fjr.TrackingLaw(scenario.robot, scenario.gains), scenario.robot.n, fjr.Plant(scenario.robot)
     step, x = RobustLaw(law, Robust(delay=0.03)), scenario.x0
@@ -231,8 +231,8 @@ def test_an_effort_that_acts_for_many_holds_is_predicted_as_finely() -> None:
 # --- limits
 
 
-def test_the_integral_does_not_wind_up() -> None:
-    """Held at a limit for two seconds by a load it cannot carry, the joint comes back as one without the integral."""
+def test_integral_does_not_wind_up() -> None:
+    """After 2 s in saturation under an excessive load, the overshoot is that of the law without integral action."""
     limit, n = 1.0, 1
     overshoot = []
     for robust in (Robust(residual_gain=1e-9), replace(INTEGRATE, integral_gain=10.0, motor_integral_gain=0.0)):
@@ -258,7 +258,7 @@ def test_the_integral_does_not_wind_up() -> None:
 
 
 @pytest.mark.parametrize(("dt", "counts"), [(PERIOD, PERIOD), (2 * PERIOD, 2 * PERIOD), (0.1, 2 * PERIOD)])
-def test_over_a_gap_a_rate_is_integrated_for_two_holds(dt: float, counts: float) -> None:
+def test_integration_over_a_gap_is_limited_to_two_holds(dt: float, counts: float) -> None:
     integral = IntegralAction(JOINT.robot, PERIOD)
     kept = {"integral": ca.DM([1.0, 2.0]), "rate": ca.DM([30.0, -40.0]), "requested": ca.DM(0.5)}
     after = integral.step(kept, ca.DM(0.5), ca.DM(dt)).full().ravel()
@@ -268,7 +268,7 @@ def test_over_a_gap_a_rate_is_integrated_for_two_holds(dt: float, counts: float)
 # --- options, wiring, malformed input
 
 
-def test_without_options_it_is_the_law_itself() -> None:
+def test_no_options_give_the_nominal_law() -> None:
     assert isinstance(sampled_law(JOINT), AsSampledLaw)
     assert isinstance(sampled_law(JOINT, Robust(hold=0.002)), AsSampledLaw)
     x0 = JOINT.robot.state(0.5, 0.5, 0.0, 0.0)
@@ -291,7 +291,7 @@ def test_without_options_it_is_the_law_itself() -> None:
     ],
 )
 @pytest.mark.parametrize("compiles", [False, True])
-def test_each_option_changes_the_effort_and_machine_code_nothing(values: dict[str, Any], compiles: bool) -> None:
+def test_each_option_changes_the_effort_and_compilation_does_not(values: dict[str, Any], compiles: bool) -> None:
     law = fjr.TrackingLaw(PLANAR.robot, TWO_LINK.gains, compile=compiles)
     robot, x0 = pushed(law.robot, 0.1), TWO_LINK.x0
     run = fjr.simulate(fjr.Plant(robot), sampled_law(law, Robust(**values)), TWO_LINK.reference, x0, 0.2, PERIOD)
@@ -301,7 +301,7 @@ def test_each_option_changes_the_effort_and_machine_code_nothing(values: dict[st
     np.testing.assert_allclose(run.u, slow.u, rtol=1e-7, atol=1e-9)
 
 
-def test_other_gains_of_a_law_need_no_new_function() -> None:
+def test_other_gains_reuse_the_function() -> None:
     step = RobustLaw(JOINT, BOTH)
     gains = replace(fjr.PAPER_GAINS, Pi_l=25.0)
     other = step.with_law(JOINT.with_gains(gains))
@@ -331,14 +331,14 @@ def test_inconsistent_options_are_refused(values: dict[str, Any], sentence: str)
 
 
 class Other:
-    """A measured law that knows of no load."""
+    """A measured law without load torques."""
 
     robot = JOINT.robot
     gain_values = JOINT.gain_values
     measured_expression = JOINT.measured_expression
 
 
-def test_every_law_may_be_predicted_but_only_v_dpbc_compensates_torques() -> None:
+def test_every_law_supports_prediction_but_only_v_dpbc_compensates_torques() -> None:
     one, other = (RobustLaw(law, Robust(delay=1e-3)).step_function for law in (Other(), JOINT))  # type: ignore[arg-type]
     values = [np.full(2, 0.1), np.full(2, 0.1), np.ones((1, 5)), JOINT.gain_values, np.full(4, 0.1), 0.2, 1e-3]
     np.testing.assert_array_equal(one(*values)[0].full(), other(*values)[0].full())
@@ -346,6 +346,6 @@ def test_every_law_may_be_predicted_but_only_v_dpbc_compensates_torques() -> Non
         RobustLaw(Other(), Robust(residual_gain=1.0))  # type: ignore[arg-type]
 
 
-def test_a_law_with_a_controller_state_needs_samples() -> None:
+def test_law_with_a_controller_state_requires_a_sample_period() -> None:
     with pytest.raises(StateError, match="law is a RobustLaw without a sample_period"):
         fjr.simulate(fjr.Plant(JOINT.robot), RobustLaw(JOINT, BOTH), SINE, np.zeros(4), 1.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law of measured velocities, whose gains are numbers that may change while it runs."""
+"""The law of measured velocities with symbolic gains, which may change while it runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def measured(law: fjr.TrackingLaw, x: np.ndarray, jets: np.ndarray) -> tuple[np.
 
 
 @pytest.mark.parametrize(("arm", "gains"), LOOPS, ids=LOOP_NAMES)
-def test_is_the_law_on_the_diagonal_with_its_storage(arm: Arm, gains: GainSet) -> None:
+def test_equals_the_law_and_its_storage_on_the_diagonal(arm: Arm, gains: GainSet) -> None:
     law = loop_of(arm, gains).law
     for seed in range(5):
         p = random_point(arm, seed, True)
@@ -31,7 +31,7 @@ def test_is_the_law_on_the_diagonal_with_its_storage(arm: Arm, gains: GainSet) -
         assert pytest.approx(e.V, rel=1e-10) == V
 
 
-def test_other_gains_give_the_other_law_without_a_new_function() -> None:
+def test_changed_gains_give_the_law_built_with_them_from_the_same_function() -> None:
     robot = fjr.planar_two_link()
     law = fjr.TrackingLaw(robot, DIAGONAL)
     other, wanted = law.with_gains(OTHER), fjr.TrackingLaw(robot, OTHER)
@@ -43,7 +43,7 @@ def test_other_gains_give_the_other_law_without_a_new_function() -> None:
     np.testing.assert_allclose(measured(law, p.x, p.jets)[0], law.command(p.x, p.jets), rtol=1e-10)
 
 
-def test_a_law_built_for_matrices_takes_diagonal_gains() -> None:
+def test_law_built_for_matrices_accepts_diagonal_gains() -> None:
     robot = fjr.planar_two_link()
     law = fjr.TrackingLaw(robot, fjr.Gains(10.0, 10 * FULL, FULL, 15.0, 20 * FULL, 0.1 * FULL)).with_gains(DIAGONAL)
     p = random_point(PLANAR, 4, True)
@@ -52,7 +52,7 @@ def test_a_law_built_for_matrices_takes_diagonal_gains() -> None:
     )
 
 
-def test_a_law_built_for_diagonal_gains_refuses_matrices_and_every_law_bad_gains() -> None:
+def test_law_built_for_diagonal_gains_refuses_matrices_and_every_law_refuses_invalid_gains() -> None:
     law = fjr.TrackingLaw(fjr.planar_two_link(), DIAGONAL)
     with pytest.raises(fjr.GainsError, match="K_ld has entries off the diagonal; expected a diagonal matrix"):
         law.with_gains(fjr.Gains(10.0, 20.0, FULL, 15.0, 60.0, 0.3))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measurement model: the parameters measurement.*, and the combinations that are refused."""
+"""Measurement model: parameters measurement.* and refused combinations."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def values(**given: object) -> Values:
     return {**complete(measurement_parameters(2), own), "compile": False}
 
 
-def test_by_default_everything_is_measured() -> None:
+def test_default_measures_positions_and_velocities() -> None:
     found = measurement(values(), ROBOT)
     assert (found.velocity, found.motor, found.observed, found.by_torque, found.geared) == (
         ("measured", "position", False, False, False)
@@ -72,6 +72,6 @@ def test_unknown_options_are_refused_on_construction(given: dict[str, str]) -> N
         fjr.Measurement(1, **given)
 
 
-def test_torque_needs_a_stiffness() -> None:
+def test_torque_measurement_requires_a_stiffness() -> None:
     with pytest.raises(fjr.ParameterError, match="expected the joint stiffness"):
         fjr.Measurement(1, "observer", "torque")

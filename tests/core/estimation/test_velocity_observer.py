@@ -22,7 +22,7 @@ arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
 
 
 class Moving:
-    """A robot under random held efforts, integrated finely, and its observer."""
+    """A robot under random held efforts, integrated with fine steps, and its observer."""
 
     def __init__(self, arm: Arm, bandwidth: float = BANDWIDTH, seed: int = 0) -> None:
         self.arm, self.n, self.stamp = arm, arm.n, 5 * MS
@@ -42,7 +42,7 @@ class Moving:
 
     @property
     def error(self) -> float:
-        """Largest error of any velocity."""
+        """Largest velocity error [rad/s]."""
         return float(np.abs(self.observer.state[2 * self.n :] - self.dq).max())
 
     def move(self, dt: int = MS) -> None:
@@ -61,7 +61,7 @@ class Moving:
             self.update()
 
     def begun(self, exact: bool = True) -> Moving:
-        """After the first sample, with the right velocities or with 0."""
+        """Process the first sample; exact: set the true velocities, otherwise start at zero."""
         self.update()
         if exact:
             self.observer.state[2 * self.n :] = self.dq
@@ -78,7 +78,7 @@ def test_an_exact_estimate_stays_exact_at_any_sample_period(arm: Arm) -> None:
 
 
 @arms
-def test_from_rest_the_first_sample_is_exact(arm: Arm) -> None:
+def test_first_sample_is_exact_at_rest(arm: Arm) -> None:
     moving = Moving(arm)
     moving.x = arm.robot.state(moving.q[: arm.n], moving.q[arm.n :], 0, 0)
     moving.begun(exact=False).run(50)
@@ -89,15 +89,15 @@ def test_from_rest_the_first_sample_is_exact(arm: Arm) -> None:
 @arms
 def test_a_wrong_estimate_decays_exponentially_at_the_bandwidth(arm: Arm, bandwidth: float) -> None:
     moving = Moving(arm, bandwidth).begun()
-    moving.run(200)  # until the gains are those of the bandwidth
+    moving.run(200)  # until the gains have settled
     moving.observer.state[2 * arm.n :] += 0.1
     moving.run(math.ceil(20e3 / bandwidth))
     assert moving.error < 1e-6
 
 
 @pytest.mark.parametrize("bandwidth", [40.0, 150.0])
-def test_the_rate_of_the_decay_is_the_bandwidth(bandwidth: float) -> None:
-    """A double pole: (1 + c t) exp(-bandwidth t), so that log(error) / t approaches the bandwidth from below."""
+def test_decay_rate_is_the_bandwidth(bandwidth: float) -> None:
+    """The double pole gives (1 + c t) exp(-bandwidth t), so -log(error) / t approaches the bandwidth from below."""
     moving = Moving(ARMS[0], bandwidth).begun()
     moving.run(200)
     moving.observer.state[2:] += 0.1
@@ -109,7 +109,7 @@ def test_the_rate_of_the_decay_is_the_bandwidth(bandwidth: float) -> None:
 
 
 @arms
-def test_for_a_moving_robot_the_velocity_converges_long_before_one_over_the_bandwidth(arm: Arm) -> None:
+def test_start_in_motion_converges_well_before_one_time_constant(arm: Arm) -> None:
     moving = Moving(arm, bandwidth=20.0).begun(exact=False)
     assert moving.error == np.abs(moving.dq).max()
     moving.run(1)
@@ -127,7 +127,7 @@ def test_both_poles_are_at_the_bandwidth(bandwidth: float) -> None:
     np.testing.assert_allclose(np.poly(error), [1, -2 * z, z * z], atol=1e-12)
 
 
-def test_the_first_gains_are_those_of_a_least_squares_line() -> None:
+def test_initial_gains_are_those_of_a_least_squares_line() -> None:
     y = np.random.default_rng(0).standard_normal(12)
     position, slope = y[0], 0.0
     for k in range(1, len(y)):
@@ -156,7 +156,7 @@ BEGINNINGS = {
 
 
 @pytest.mark.parametrize("beginning", BEGINNINGS)
-def test_a_restart_uses_positions_only(beginning: str) -> None:
+def test_restart_uses_positions_only(beginning: str) -> None:
     moving = Moving(ARMS[2]).begun()
     moving.run(5)
     BEGINNINGS[beginning](moving)
@@ -178,7 +178,7 @@ def test_non_finite_input_does_not_persist() -> None:
     assert moving.error < 1e-6
 
 
-def test_a_call_for_each_update_and_more_only_over_gaps() -> None:
+def test_one_integration_call_per_update_and_more_only_over_gaps() -> None:
     moving = Moving(ARMS[2]).begun()
     advance, calls = moving.observer._advance, []
     moving.observer._advance = lambda: calls.append(advance())
@@ -199,7 +199,7 @@ def test_an_update_returns_views_of_one_state() -> None:
     assert moving.observer.state is state
 
 
-def test_machine_code_gives_the_same_numbers() -> None:
+def test_compiled_observer_gives_the_same_numbers() -> None:
     one, other = Moving(ARMS[-1]), Moving(ARMS[-1])
     other.observer = fjr.VelocityObserver(ARMS[-1].robot, BANDWIDTH, compile=True)
     other.observer.warm_up()
@@ -228,7 +228,7 @@ def test_the_linearised_error_of_the_shipped_scenarios_decays_at_the_bandwidth(n
 
 
 @pytest.mark.parametrize(("bandwidth", "inertia"), [(5.0, 1e-2), (150.0, 1e-2), (150.0, 1e-3), (2000.0, 1e-3)])
-def test_the_radius_of_an_undamped_joint_is_that_of_its_modes(bandwidth: float, inertia: float) -> None:
+def test_error_radius_of_an_undamped_joint_is_that_of_its_modes(bandwidth: float, inertia: float) -> None:
     k, m, dt = 2000.0, 0.02, 1e-3
     undamped = {"link_damping": 0.0, "motor_damping": 0.0, "gravity_torque": 1e-9}
     robot = fjr.single_link(stiffness=k, link_inertia=inertia, motor_inertia=m, **undamped)
@@ -240,7 +240,7 @@ def test_the_radius_of_an_undamped_joint_is_that_of_its_modes(bandwidth: float, 
 
 
 def test_an_unstable_equilibrium_requires_a_bandwidth_above_its_rate() -> None:
-    """Upside down the paper's joint falls at about sqrt(m g l / M) = 5 rad/s; its spring and damping slow that."""
+    """Upright, the joint of the paper falls at a rate below sqrt(m g l / M) = 5 1/s because of spring and damping."""
     robot = fjr.single_link(stiffness=31.0, link_damping=0.0, motor_damping=0.0)
     slow, fast = (error_radii(robot, bandwidth, 1e-3, [[np.pi]])[0] for bandwidth in (1.0, 50.0))
     assert slow > 1 > fast
@@ -254,18 +254,18 @@ def test_invalid_sample_periods_are_refused(period: float) -> None:
 
 @pytest.mark.parametrize("smoothed", [True, False])
 @pytest.mark.parametrize("name", SHIPPED)
-def test_tracks_from_positions_of_16_bits_alone(name: str, smoothed: bool) -> None:
+def test_tracks_with_16_bit_positions_only(name: str, smoothed: bool) -> None:
     found = run(shipped(name), Sensors(bits=16), BANDWIDTH, smoothed, duration=3.0)
     assert found.rms(2.0) < 2e-3
 
 
 @pytest.mark.parametrize("name", ["paper_k31", "paper_k3p1"])
-def test_tracks_from_exact_positions_as_with_measured_velocities(name: str) -> None:
+def test_tracks_with_exact_positions_as_with_measured_velocities(name: str) -> None:
     observed, measured = (run(shipped(name), Sensors(), bandwidth, duration=3.0) for bandwidth in (BANDWIDTH, None))
     assert np.abs(observed.velocity_error).max() < 1e-10  # the steps are the plant's
     np.testing.assert_allclose(observed.q_tilde_l, measured.q_tilde_l, atol=1e-8)
 
 
-def test_tracks_by_a_torque_sensor() -> None:
+def test_tracks_with_a_torque_sensor() -> None:
     found = run(shipped("paper_k3p1"), Sensors(bits=16, torque_range=5.0), BANDWIDTH, duration=3.0)
     assert found.rms(2.0) < 2e-3

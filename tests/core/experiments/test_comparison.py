@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons: margins against independent results, independence of runs, demand of a motion."""
+"""Comparisons: margins against independent results, independence of runs, motion demand."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def trial(amplitude: float = 0.5, stiffness: float = 31.0, tracks: float = 0.1, 
 
 
 def resolution(direction: Direction) -> float:
-    """Largest logarithmic ratio of neighbouring levels in the finest scan."""
+    """Return the largest logarithmic ratio of neighbouring levels in the finest scan."""
     ladder = direction.ladder(STEPS)[1:]
     return float(np.max(np.abs(np.log(ladder[1:] / ladder[:-1])))) / (PARTS + 1) ** ROUNDS
 
@@ -78,8 +78,8 @@ def test_all_levels_of_a_scan_are_evaluated_at_once() -> None:
 
 
 @pytest.mark.parametrize("stiffness", [31.0, 10.0])
-def test_the_delay_margin_is_that_of_the_linear_loop(stiffness: float) -> None:
-    """For small motions about rest the loop is SampledLoop's, whose spectral radius gives the margin."""
+def test_delay_margin_is_that_of_the_linearised_loop(stiffness: float) -> None:
+    """For small motions about equilibrium, the spectral radius of the SampledLoop gives the margin."""
     robot = fjr.single_link(stiffness=stiffness)
     known = check(fjr.TrackingLaw(robot, fjr.PAPER_GAINS), T, configurations=np.zeros((1, 1)))
     small = trial(amplitude=1e-3, stiffness=stiffness, tracks=0.9, duration=6.0)
@@ -96,13 +96,13 @@ LEVELS = {"stiffness": 0.7, "inertia": 1.3, "delay": 2e-3, "noise": 1e-3, "frict
 
 
 @pytest.mark.parametrize("name", list(PERTURBATIONS))
-def test_every_perturbation_changes_the_run_and_none_at_its_nominal_level(name: str) -> None:
+def test_every_perturbation_changes_the_run_unless_at_its_nominal_level(name: str) -> None:
     nominal, off = trial().metrics([{}, {name: PERTURBATIONS[name].nominal}])
     assert nominal == off
     assert alone(name)["rms"] > 2 * nominal.rms  # type: ignore[operator]
 
 
-def test_a_cell_is_the_same_alone_and_among_others() -> None:
+def test_cell_does_not_depend_on_other_cells() -> None:
     names = ["nominal", *PERTURBATIONS]
     together = trial().metrics([{} if name == "nominal" else {name: LEVELS[name]} for name in names])
     backwards = trial().metrics([{} if name == "nominal" else {name: LEVELS[name]} for name in reversed(names)])
@@ -110,8 +110,8 @@ def test_a_cell_is_the_same_alone_and_among_others() -> None:
     assert together == backwards[::-1]
 
 
-def test_what_does_not_track_is_not_a_margin() -> None:
-    """A stricter level of tracking can only make margins smaller; one below the nominal error leaves none."""
+def test_margin_requires_tracking() -> None:
+    """A stricter tracking level can only reduce margins; a level below the nominal error leaves none."""
     loose, strict, none = (trial(tracks=level).margins(ALL) for level in (0.1, 0.01, 1e-7))
     for direction in ALL:
         far = [
@@ -143,18 +143,18 @@ def test_motion_demand_of_a_pendulum() -> None:
     assert found.friction_rate == pytest.approx(found.torque[0] / 0.004, rel=1e-9)
 
 
-def test_a_reference_at_rest_is_refused() -> None:
+def test_constant_reference_is_refused() -> None:
     with pytest.raises(CompareError, match="is at rest"):
         motion_demand(fjr.single_link(stiffness=31.0), fjr.Sine(amplitude=0.0, frequency=1.0, offset=0.3))
 
 
 @pytest.mark.parametrize(("name", "level"), [("stiffness", 0.0), ("inertia", -1.0), ("delay", -1e-3), ("load", np.nan)])
-def test_a_level_that_cannot_be_is_refused(name: str, level: float) -> None:
+def test_invalid_level_is_refused(name: str, level: float) -> None:
     with pytest.raises(CompareError, match=f"'{name}' is .*; expected"):
         PERTURBATIONS[name].checked(level)
 
 
-def test_an_unknown_perturbation_is_refused_with_the_known_ones() -> None:
+def test_unknown_perturbation_error_lists_the_known_ones() -> None:
     with pytest.raises(CompareError, match="'wind': expected one of stiffness, inertia, delay, noise, friction, load"):
         directions(["wind"])
 
@@ -167,8 +167,8 @@ def test_commands_are_saturated_at_the_limit() -> None:
 
 
 @pytest.mark.parametrize("inertia", [0.3, 1.0])
-def test_the_heaviest_friction_is_integrated_without_chatter(inertia: float) -> None:
-    """With steps four times as fine the run is the same."""
+def test_strongest_friction_is_integrated_without_chatter(inertia: float) -> None:
+    """Steps four times as fine give the same run."""
     one = trial()
     draws = Draws(1, **one._fields({"friction": PERTURBATIONS["friction"].highest, "inertia": inertia}))
     found, known = one.loop.run(draws), replace(one.loop, inner_steps=16).run(draws)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Monte-Carlo studies: draws, store, resume, independence of the workers."""
+"""Monte-Carlo studies: draws, store, resumption, independence of the workers."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def done(folder: Path, plan: Sweep, cores: int = 1, stop: threading.Event | None
         ({"normal": [1.0, 0.1]}, stats.truncnorm(-4, 4, 1.0, 0.1)),
     ],
 )
-def test_what_is_drawn_has_the_distribution_asked_for(given: dict[str, Any], oracle: Any) -> None:
+def test_draws_have_the_requested_distribution(given: dict[str, Any], oracle: Any) -> None:
     one = distributions.read("stiffness", given)
     values = one.drawn("stiffness", 7, 0, 20_000, 1)
     assert stats.kstest(values, oracle.cdf).pvalue > 1e-3
@@ -67,7 +67,7 @@ def test_what_is_drawn_has_the_distribution_asked_for(given: dict[str, Any], ora
     assert one.share(one.at(shares)) == pytest.approx(shares, abs=1e-9)
 
 
-def test_joints_and_names_and_seeds_are_drawn_apart() -> None:
+def test_draws_are_independent_across_joints_names_and_seeds() -> None:
     one = distributions.read("stiffness", {"uniform": [0.0, 1.0], "each_joint": True})
     drawn = one.drawn("stiffness", 1, 0, 5000, 7)
     others = [one.drawn("gravity", 1, 0, 5000, 7), one.drawn("stiffness", 2, 0, 5000, 7)]
@@ -83,7 +83,7 @@ def test_the_draws_of_a_run_are_independent_of_other_runs(n: int) -> None:
     assert np.array_equal(np.vstack(parts), whole)
 
 
-def test_a_part_of_a_study_is_the_same_bits_alone() -> None:
+def test_part_of_a_study_is_bit_identical_when_run_alone() -> None:
     plan = campaign()
     whole, middle = plan.part(0, 45), plan.part(13, 29)
     for name, column in middle.items():
@@ -94,7 +94,7 @@ def test_a_part_of_a_study_is_the_same_bits_alone() -> None:
     assert "velocity_noise" not in whole
 
 
-def test_a_payload_is_where_it_is_drawn_in_parts_of_any_size() -> None:
+def test_payload_position_does_not_depend_on_the_partition() -> None:
     plan = campaign(vary={"payload_mass": 0.1, "payload_position": {"uniform": [0.0, 0.1]}})
     drawn = plan.draws(0, 6).columns("payload_position", 1)
     assert np.array_equal(plan.draws(3, 6).columns("payload_position", 1), drawn[3:])
@@ -103,7 +103,7 @@ def test_a_payload_is_where_it_is_drawn_in_parts_of_any_size() -> None:
     assert fixed.draws(0, 3).columns("payload_position", 1).tolist() == [[0.1, 0.2, 0.3]] * 3
 
 
-def test_a_study_as_text_is_the_same_study() -> None:
+def test_study_round_trips_through_text() -> None:
     plan = campaign()
     assert from_text(plan.text) == plan
     assert from_text(plan.text).text == plan.text
@@ -116,7 +116,7 @@ def test_success_is_stable_and_within_every_limit() -> None:
     assert 0 < wanted.sum() < columns["stable"].sum()
 
 
-def test_the_table_is_the_same_bytes_on_one_core_and_on_more_and_in_any_order(tmp_path: Path) -> None:
+def test_table_is_byte_identical_for_any_number_of_cores_and_any_order(tmp_path: Path) -> None:
     plan = campaign()
     one = done(tmp_path / "one", plan)
     assert done(tmp_path / "more", plan, cores=4) == one
@@ -126,7 +126,7 @@ def test_the_table_is_the_same_bytes_on_one_core_and_on_more_and_in_any_order(tm
         assert kept.complete().read_bytes() == one
 
 
-def test_what_is_finished_is_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finished_parts_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan, stop, asked = campaign(), threading.Event(), []
 
     def counted(text: str, begin: int, end: int, compiled: bool) -> sweep.Columns:
@@ -145,11 +145,11 @@ def test_what_is_finished_is_not_run_again(tmp_path: Path, monkeypatch: pytest.M
     assert len(first | set(asked)) == 5
     assert table == done(tmp_path / "b", plan)
     asked.clear()
-    assert done(tmp_path / "a", plan) == table  # all is there: the table is only read
+    assert done(tmp_path / "a", plan) == table  # complete: the table is only read
     assert asked == []
 
 
-def test_a_part_that_lost_its_end_does_not_count(tmp_path: Path) -> None:
+def test_truncated_part_is_run_again(tmp_path: Path) -> None:
     plan = campaign()
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "000000000-000000010.parquet.part").write_bytes(b"half")
@@ -167,7 +167,7 @@ def test_a_part_that_lost_its_end_does_not_count(tmp_path: Path) -> None:
         ({"success": {}}, "success differs in rms"),
     ],
 )
-def test_a_store_of_another_study_is_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+def test_store_of_another_study_is_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
     with open_store(tmp_path, campaign(), "program"):
         pass
     with (
@@ -179,7 +179,7 @@ def test_a_store_of_another_study_is_refused(tmp_path: Path, changes: dict[str, 
     assert "another --output" in str(caught.value)
 
 
-def test_a_store_of_another_program_or_in_use_or_broken_is_refused(tmp_path: Path) -> None:
+def test_store_of_another_program_in_use_or_damaged_is_refused(tmp_path: Path) -> None:
     with open_store(tmp_path, campaign(), "program"), pytest.raises(StoreError, match="in use by another process"):  # noqa: SIM117
         with open_store(tmp_path, campaign(), "program"):
             pass
@@ -191,7 +191,7 @@ def test_a_store_of_another_program_or_in_use_or_broken_is_refused(tmp_path: Pat
 
 
 @pytest.mark.parametrize("left", ["table.parquet", "parts/000000000-000000010.parquet"])
-def test_runs_of_which_nobody_says_what_they_are_are_refused(tmp_path: Path, left: str) -> None:
+def test_results_without_their_study_file_are_refused(tmp_path: Path, left: str) -> None:
     (tmp_path / "parts").mkdir()
     (tmp_path / left).write_bytes(b"of another campaign")
     with pytest.raises(StoreError, match="without their campaign.json"), open_store(tmp_path, campaign(), "program"):
@@ -208,7 +208,7 @@ def test_parts_cover_all_runs_and_stay_small() -> None:
         assert max(end - begin for begin, end in cut) <= store.LARGEST_PART
 
 
-def test_few_parts_are_under_way_at_any_time(tmp_path: Path) -> None:
+def test_number_of_pending_parts_is_bounded(tmp_path: Path) -> None:
     plan, most = campaign(runs=300), [0]
 
     class Watching:
@@ -266,7 +266,7 @@ def test_a_different_worker_is_refused(tmp_path: Path) -> None:
         ({"scenario": "a", "vary": {"stiffness": 10**400}}, "expected a list of finite numbers"),
     ],
 )
-def test_a_file_that_is_not_understood_is_refused_in_a_sentence(document: dict[str, Any], words: str) -> None:
+def test_invalid_sweep_file_is_refused_in_one_sentence(document: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError) as caught:
         sweep_file.read(document)
     assert words in str(caught.value)
@@ -288,7 +288,7 @@ def test_a_file_that_is_not_understood_is_refused_in_a_sentence(document: dict[s
         ({"seed": -1}, "'seed' is -1"),
     ],
 )
-def test_an_invalid_study_is_refused_in_a_sentence(changes: dict[str, Any], words: str) -> None:
+def test_invalid_study_is_refused_in_one_sentence(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError) as caught:
         campaign(**changes)
     assert words in str(caught.value)
@@ -302,7 +302,7 @@ def test_an_invalid_study_is_refused_in_a_sentence(changes: dict[str, Any], word
         ("controller", "measurement.velocity: observer", "sets measurement.velocity; .* use 'vary'"),
     ],
 )
-def test_a_scenario_of_which_a_sweep_leaves_something_out_is_refused(node: str, given: str, words: str) -> None:
+def test_scenario_with_features_that_a_sweep_omits_is_refused(node: str, given: str, words: str) -> None:
     text = SCENARIO.replace("plant:", f"{node}:").replace("{initial", f"{{{given}, initial")
     with pytest.raises(ParameterError, match=words):
         Sweep("test", text, 45, {"stiffness": distributions.read("stiffness", {"uniform": [0.5, 1.5]})})
@@ -316,8 +316,8 @@ def test_friction_too_steep_for_the_steps_is_refused() -> None:
         campaign(vary=steep).refuse_stiff_friction()
 
 
-def test_what_decides_is_found() -> None:
-    """The index of a number that decides alone is 1, of one that decides nothing 0, of two that share it a half."""
+def test_sensitivity_index_identifies_the_deciding_parameter() -> None:
+    """The index is 1 for the only influence, 0 for no influence, and 1/2 for each of two equal influences."""
     rng = np.random.default_rng(0)
     x, y = rng.uniform(size=(2, 40_000))
     place = (sensitivity.BINS * x).astype(int)
@@ -326,7 +326,7 @@ def test_what_decides_is_found() -> None:
     assert sensitivity.index(place, x + y) == pytest.approx(0.5, abs=0.01)
 
 
-def test_the_interval_of_a_share_is_wilsons() -> None:
+def test_confidence_interval_is_that_of_wilson() -> None:
     for count, of in ((0, 20), (7, 20), (20, 20), (680, 1000)):
         wanted = stats.binomtest(count, of).proportion_ci(method="wilson")
         assert sensitivity.interval(count, of) == (pytest.approx(wanted.low), pytest.approx(wanted.high))
@@ -338,7 +338,7 @@ def table() -> tuple[Sweep, sweep.Columns]:
     return plan, plan.part(0, 200)
 
 
-def test_the_summary_is_that_of_the_table(table: tuple[Sweep, sweep.Columns]) -> None:
+def test_summary_agrees_with_the_table(table: tuple[Sweep, sweep.Columns]) -> None:
     plan, columns = table
     found = sensitivity.summarised(plan, columns.__getitem__)
     assert (found.runs, found.succeeded, found.stable) == (200, columns["success"].sum(), columns["stable"].sum())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tracking error that each cause makes, against the error of the same run without the cause."""
+"""The tracking error attributed to each cause agrees with the difference to the same run without the cause."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import linearize
 
 SETTLED = 1.5  # s
-EXPLAINED = 0.3  # of the error that a cause makes may be missed
+EXPLAINED = 0.3  # relative tolerance of the attributed error
 
 
 def tracking(seen: Record) -> Array:
@@ -37,9 +37,7 @@ def tracking(seen: Record) -> Array:
         ("model mismatch", {"link_damping": 0.25}),
     ],
 )
-def test_a_cause_makes_the_error_that_the_run_has_over_the_same_run_without_it(
-    cause: str, changed: dict[str, float]
-) -> None:
+def test_attributed_error_is_the_difference_to_the_run_without_the_cause(cause: str, changed: dict[str, float]) -> None:
     run = record(**changed)
     made = np.abs(tracking(run) - tracking(record())).max()
     verdict = diagnose(run, LAW)
@@ -48,7 +46,7 @@ def test_a_cause_makes_the_error_that_the_run_has_over_the_same_run_without_it(
     assert f"{1e3 * verdict.errors[cause][0]:.2g} mrad at joint1" in verdict.sentence
 
 
-def test_a_healthy_run_has_no_error_by_any_cause() -> None:
+def test_healthy_run_attributes_no_error_to_any_cause() -> None:
     verdict = diagnose(record(), LAW)
     assert max(error.max() for error in verdict.errors.values()) < 1e-9
 
@@ -63,8 +61,8 @@ def test_the_grade_compares_the_error_with_the_tolerance() -> None:
         assert f"{1e3 * error:.2g} mm at elbow" in verdict.detail
 
 
-def test_an_encoder_offset_of_a_tenth_of_a_milliradian_degrades() -> None:
-    """An offset is measured by nothing; the error it makes of the measured positions is within the tolerance."""
+def test_encoder_offset_of_0p1_mrad_is_degraded() -> None:
+    """No signal measures the offset; the error that it causes in the measured positions is within the tolerance."""
     plant, offset = fjr.Plant(LAW.robot), np.array([1e-4, 0.0])
     x, rows = LAW.robot.state(0.5, 0.5, 0.0, 0.0), []
     for k in range(round(DURATION / PERIOD)):
@@ -80,7 +78,7 @@ def test_an_encoder_offset_of_a_tenth_of_a_milliradian_degrades() -> None:
     assert verdict.errors["model mismatch"][0] == pytest.approx(np.abs(tracking(seen)).max(), rel=EXPLAINED)
 
 
-def test_the_closed_loop_has_the_spectral_radius_of_the_linearised_one() -> None:
+def test_closed_loop_map_has_the_spectral_radius_of_the_linearisation() -> None:
     q_l = np.array([[0.3]])
     map_of_errors = closed_loop(LAW, q_l, PERIOD)
     radius = np.abs(np.linalg.eigvals(map_of_errors)).max()
@@ -95,6 +93,6 @@ def test_the_closed_loop_has_the_spectral_radius_of_the_linearised_one() -> None
         ([1e-3], ("rad", "m"), "units are"),
     ],
 )
-def test_axes_that_do_not_fit(tolerance: list[float], units: tuple[str, ...], sentence: str) -> None:
+def test_axes_of_the_wrong_shape_are_refused(tolerance: list[float], units: tuple[str, ...], sentence: str) -> None:
     with pytest.raises(fjr.StateError, match=sentence):
         Axes(("joint1",), units, np.array(tolerance))

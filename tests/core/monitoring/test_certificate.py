@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate: V and H with their exact rates under any effort, against differences through public functions."""
+"""The certificate gives V and H with exact rates under any effort; the oracle differentiates public functions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SEEDS = (40, 41, 42)
 
 
 def measured(arm: Arm, x: Array) -> tuple[Array, Array]:
-    """Positions and velocities (2n,), the inertia by the closed form."""
+    """Return positions and velocities (2n,), with the closed-form inertia."""
     q_l, q_m, p_l, p_m = np.split(x, 4)
     return np.concatenate([q_l, q_m]), np.concatenate(
         [np.linalg.solve(arm.links.M(q_l), p_l), np.linalg.solve(arm.M_m, p_m)]
@@ -25,7 +25,7 @@ def measured(arm: Arm, x: Array) -> tuple[Array, Array]:
 
 
 def along_the_plant(arm: Arm, seed: int, f: object) -> tuple[Array, object]:
-    """A random point's x and the rate of f(x, jets) along the plant under the point's own effort."""
+    """Return x of a random point and the rate of f(x, jets) along the plant under the effort of that point."""
     p, plant = random_point(arm, seed), fjr.Plant(arm.robot)
     dx = plant.derivative(p.x, p.u)
     h = 0.006 / max(1.0, float(np.max(np.abs(dx[: 2 * arm.n]))))
@@ -35,7 +35,7 @@ def along_the_plant(arm: Arm, seed: int, f: object) -> tuple[Array, object]:
 @loops
 @pytest.mark.parametrize("seed", SEEDS)
 def test_rate_of_V_under_any_effort(arm: Arm, gains: GainSet, seed: int) -> None:
-    """dV/dt = -dissipation + s_m' B_m (u - u_law), u having nothing to do with the law."""
+    """dV/dt = -dissipation + s_m' B_m (u - u_law) for an arbitrary effort u."""
     law = loop_of(arm, gains).law
     p, wanted = along_the_plant(arm, seed, lambda x, jets: law.evaluate(x, x, jets).V)
     sample = Certificate(law).at(*measured(arm, p.x), p.jets, p.u)
@@ -56,7 +56,7 @@ def test_power_balance_of_H(arm: Arm, gains: GainSet, seed: int) -> None:
 
 
 @loops
-def test_without_an_effort_it_is_the_laws_own(arm: Arm, gains: GainSet) -> None:
+def test_default_effort_is_that_of_the_law(arm: Arm, gains: GainSet) -> None:
     law, p = loop_of(arm, gains).law, random_point(arm, 43)
     sample, e = Certificate(law).at(*measured(arm, p.x), p.jets), law.evaluate(p.x, p.x, p.jets)
     assert residual(sample.u_law, e.u) <= 1e-12
@@ -65,7 +65,7 @@ def test_without_an_effort_it_is_the_laws_own(arm: Arm, gains: GainSet) -> None:
 
 
 @loops
-def test_slope_of_V_is_its_gradient_in_what_is_measured(arm: Arm, gains: GainSet) -> None:
+def test_slope_of_V_is_its_gradient_in_measured_positions_and_velocities(arm: Arm, gains: GainSet) -> None:
     balance, p = Certificate(loop_of(arm, gains).law), random_point(arm, 44)
     n, state = arm.n, np.concatenate(measured(arm, p.x))
 
@@ -76,7 +76,7 @@ def test_slope_of_V_is_its_gradient_in_what_is_measured(arm: Arm, gains: GainSet
     assert residual(seen, jacobian(V, state, np.full(4 * n, 2e-3))) <= 1e-9
 
 
-def test_many_instants_are_each_one() -> None:
+def test_batch_evaluation_equals_single_evaluations() -> None:
     arm = planar("31", 31.0)
     law = fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS)
     points = [random_point(arm, seed) for seed in range(5)]
@@ -93,7 +93,7 @@ def test_many_instants_are_each_one() -> None:
         assert np.array_equal(series.slope[k], one.slope)
 
 
-def test_machine_code_gives_the_same() -> None:
+def test_compiled_certificate_gives_the_same_numbers() -> None:
     arm = planar("31", 31.0)
     p = random_point(arm, 45)
     samples = [
@@ -104,7 +104,7 @@ def test_machine_code_gives_the_same() -> None:
         assert getattr(samples[0], name) == pytest.approx(getattr(samples[1], name), rel=1e-11)
 
 
-def test_other_gains_need_no_other_function() -> None:
+def test_other_gains_reuse_the_function() -> None:
     arm, p = planar("31", 31.0), random_point(planar("31", 31.0), 46)
     law = fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS)
     other = law.with_gains(fjr.Gains(12.0, 25.0, 0.7, 14.0, 50.0, 0.4))
@@ -113,7 +113,7 @@ def test_other_gains_need_no_other_function() -> None:
     assert pytest.approx(other.evaluate(p.x, p.x, p.jets).V, rel=1e-12) == balance.at(*measured(arm, p.x), p.jets).V
 
 
-def test_no_instants_and_wrong_shapes() -> None:
+def test_zero_instants_are_allowed_and_wrong_shapes_refused() -> None:
     balance = Certificate(fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS))
     assert balance.along(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 5, 1))).V.shape == (0,)
     with pytest.raises(fjr.StateError, match=r"jets has shape \(3, 4, 1\); expected \(3, 5, 1\)"):

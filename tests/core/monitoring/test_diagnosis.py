@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnosis of simulated runs: each cause alone, with and without a measured torque, and unknown cases."""
+"""Diagnosis of simulated runs: each cause alone, with and without measured torque, and insufficient data."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ REFERENCE = fjr.Sine(1.0, 1.0)
 
 @cache
 def record(delay: float = 0.0, measured: bool = False, **robot: float) -> Record:
-    """The paper's joint, sampled; `robot`: what the plant is that the law does not know."""
+    """Record a sampled run of the paper's joint; `robot`: parameters of the plant that the law does not know."""
     real = fjr.single_link(**robot)
     x0 = real.state(0.5, 0.5, 0.0, 0.0)
     run = fjr.simulate(fjr.Plant(real), LAW, REFERENCE, x0, DURATION, PERIOD, delay=delay)
@@ -45,7 +45,7 @@ def record(delay: float = 0.0, measured: bool = False, **robot: float) -> Record
     )
 
 
-def test_a_perfect_model_foretells_the_next_state() -> None:
+def test_exact_model_predicts_the_next_state() -> None:
     found = innovations(record(), Certificate(LAW), Prediction(LAW))
     assert np.abs(found.error).max() <= 1e-11
     assert np.abs(found.V1 - found.predicted).max() <= 1e-11
@@ -53,7 +53,7 @@ def test_a_perfect_model_foretells_the_next_state() -> None:
 
 
 @pytest.mark.parametrize("measured", [False, True])
-def test_a_healthy_run_holds(measured: bool) -> None:
+def test_healthy_run_is_holding(measured: bool) -> None:
     verdict = diagnose(record(measured=measured), LAW)
     assert (verdict.kind, verdict.causes) == ("holding", ())
     assert verdict.figures["violated share"] == 0.0
@@ -74,7 +74,7 @@ def test_a_healthy_run_holds(measured: bool) -> None:
         ("link_damping", 0.25),
     ],
 )
-def test_another_robot_is_a_mismatch(name: str, value: float) -> None:
+def test_wrong_plant_parameter_is_a_model_mismatch(name: str, value: float) -> None:
     verdict = diagnose(record(**{name: value}), LAW)
     assert verdict.kind in ("degraded", "violated")
     assert verdict.causes == ("model mismatch",)
@@ -82,7 +82,7 @@ def test_another_robot_is_a_mismatch(name: str, value: float) -> None:
 
 
 @pytest.mark.parametrize("delay", [0.7e-3, 1e-3, 2.4e-3, 4e-3])
-def test_a_delay_is_found_and_measured_from_the_motion_alone(delay: float) -> None:
+def test_delay_is_detected_and_estimated_from_the_motion(delay: float) -> None:
     seen = record(delay=delay)
     found = innovations(seen, Certificate(LAW), Prediction(LAW))
     age = acting(found, effort_delay(found, LAW.robot), needed(found, LAW.robot)).age
@@ -94,8 +94,8 @@ def test_a_delay_is_found_and_measured_from_the_motion_alone(delay: float) -> No
 
 @pytest.mark.parametrize("latency", [0.2e-3, 0.35e-3, 0.6e-3])
 @pytest.mark.parametrize("measured", [False, True])
-def test_answers_within_the_sample_are_as_they_should_be_but_no_delay_beyond(latency: float, measured: bool) -> None:
-    """In real time the older effort acts until the answer comes; by the times of sending that is foreseen."""
+def test_known_latency_within_a_sample_is_holding_and_more_is_a_delay(latency: float, measured: bool) -> None:
+    """In real time the previous effort acts until the new one arrives; known send times account for that."""
     late = record(delay=latency, measured=measured)
     known = replace(late, sent=late.t, answered=late.t + latency)
     assert diagnose(late, LAW).causes == ("delay",)
@@ -107,8 +107,8 @@ def test_answers_within_the_sample_are_as_they_should_be_but_no_delay_beyond(lat
     assert diagnose(other, LAW).causes[0] == "model mismatch"
 
 
-def test_states_that_are_missing_are_a_loss() -> None:
-    """Every second state was never seen, so each effort was held for two periods."""
+def test_missing_states_are_a_loss() -> None:
+    """Every second state is missing, so each effort is held for two periods."""
     real = fjr.simulate(fjr.Plant(LAW.robot), LAW, REFERENCE, LAW.robot.state(0.5, 0.5, 0, 0), DURATION, 2 * PERIOD)
     velocity = np.array([np.concatenate(LAW.robot.velocities(x)) for x in real.x])
     seen = replace(record(), t=real.t, position=real.x[:, :2], velocity=velocity, jets=real.jets, u=real.u)
@@ -118,7 +118,7 @@ def test_states_that_are_missing_are_a_loss() -> None:
 
 
 def looped(noise: float = 0.0, limit: float = np.inf) -> Record:
-    """The loop run on velocities with white noise [rad/s], the effort saturated at the limit [N m]."""
+    """Run the loop with white velocity noise [rad/s] and the effort saturated at the limit [N m]."""
     plant, rng = fjr.Plant(LAW.robot), np.random.default_rng(7)
     x, rows = LAW.robot.state(0.5, 0.5, 0.0, 0.0), []
     for k in range(round(DURATION / PERIOD)):
@@ -133,24 +133,24 @@ def looped(noise: float = 0.0, limit: float = np.inf) -> Record:
     return replace(record(), **given, effort_limit=np.array([limit]))
 
 
-def test_an_effort_at_its_limit_is_saturation() -> None:
+def test_effort_at_its_limit_is_saturation() -> None:
     verdict = diagnose(looped(limit=0.7), LAW)
     assert (verdict.kind, verdict.causes) == ("violated", ("saturation",))
     assert diagnose(looped(limit=30.0), LAW).kind == "holding"
 
 
-def test_a_run_with_other_efforts_is_unknown() -> None:
-    """During a ramp or a stop V need not decay."""
+def test_run_with_efforts_of_another_source_is_holding() -> None:
+    """V need not decay during a ramp or a stop."""
     seen = looped(limit=0.7)
     assert diagnose(replace(seen, effort_limit=np.array([np.inf])), LAW).kind == "holding"
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2])
-def test_noise_of_the_sensors_is_no_violation(noise: float) -> None:
+def test_sensor_noise_is_no_violation(noise: float) -> None:
     assert diagnose(looped(noise=noise), LAW).kind == "holding"
 
 
-def test_sampled_too_slowly() -> None:
+def test_too_slow_sampling_is_violated_by_sampling() -> None:
     real = LAW.robot
     run = fjr.simulate(fjr.Plant(real), LAW, REFERENCE, real.state(0.5, 0.5, 0, 0), 0.4, 0.02)
     velocity = np.array([np.concatenate(real.velocities(x)) for x in run.x])
@@ -174,7 +174,7 @@ def test_insufficient_data_give_unknown_with_a_reason() -> None:
     assert "not those of the law" in other.sentence
 
 
-def test_a_record_says_what_does_not_fit() -> None:
+def test_inconsistent_record_is_refused() -> None:
     with pytest.raises(fjr.StateError, match=r"jets has shape \(3, 5, 1\); expected \(2501, 5, 1\)"):
         replace(record(), jets=np.zeros((3, 5, 1)))
     with pytest.raises(fjr.StateError, match="sample_period is 0"):

@@ -51,7 +51,7 @@ def verdict(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Diagnosis:
     return diagnose(record(robot, offset), law(), axes=AXES)
 
 
-def test_a_healthy_run_has_no_finding() -> None:
+def test_healthy_run_has_no_finding() -> None:
     assert verdict().findings == ()
 
 
@@ -66,7 +66,7 @@ def test_a_healthy_run_has_no_finding() -> None:
         ({"input_gain": (1.0, 0.9)}, "torque constant", "elbow", "motor", -10.0),
     ],
 )
-def test_another_robot_is_named_with_its_size(
+def test_wrong_parameter_is_isolated_with_its_size(
     robot: dict[str, tuple[float, float]], kind: str, joint: str, side: str, size: float
 ) -> None:
     found = verdict(fjr.planar_two_link(**robot))
@@ -77,21 +77,21 @@ def test_another_robot_is_named_with_its_size(
     assert finding.sentence in found.sentence
 
 
-def test_a_wrong_mass_is_a_gravity_load_of_the_link_that_carries_it() -> None:
+def test_wrong_mass_is_a_gravity_load_on_its_link() -> None:
     (finding,) = verdict(fjr.planar_two_link(link_mass=(1.2, 0.9))).findings
     assert (finding.kind, finding.joint, finding.side, finding.unit) == ("gravity load", "elbow", "link", "N m")
     assert finding.size <= 0.1 * 9.81 * 0.12 * 1.01
 
 
 @pytest.mark.parametrize(("channel", "joint", "side"), [(0, "shoulder", "link"), (3, "elbow", "motor")])
-def test_an_offset_of_a_position_sensor_has_its_size_in_radians(channel: int, joint: str, side: str) -> None:
+def test_position_sensor_offset_is_estimated_in_rad(channel: int, joint: str, side: str) -> None:
     (finding,) = verdict(offset=1e-3 * np.eye(8)[channel]).findings
     assert (finding.kind, finding.joint, finding.side, finding.unit) == ("position offset", joint, side, "rad")
     assert finding.size == pytest.approx(1e-3, rel=0.02)
 
 
 @pytest.mark.parametrize(("kind", "size"), [("velocity scale", 5.0), ("velocity delay", 2e-3), ("velocity sign", -1.0)])
-def test_a_velocity_that_contradicts_its_position_is_named_without_a_model(kind: str, size: float) -> None:
+def test_velocity_that_contradicts_the_position_is_isolated_without_a_model(kind: str, size: float) -> None:
     healthy = record()
     velocity = healthy.velocity.copy()
     changed = {"velocity scale": 1.05 * velocity, "velocity sign": -velocity}
@@ -110,8 +110,8 @@ def test_a_record_without_velocities_or_too_short_has_no_finding() -> None:
     assert diagnose(seen, law(), velocities_measured=False).findings == ()
 
 
-def test_body_torques_of_a_point_mass_are_those_of_a_payload() -> None:
-    """Oracle: inertia and potential with the payload less those without, on a motion without speed."""
+def test_body_torques_of_a_point_mass_equal_those_of_a_payload() -> None:
+    """Oracle: inertia and potential with the payload minus those without, at zero velocity."""
     m, r = 0.3, np.array([0.1, 0.05, 0.2])
     theta = np.array([m, *(m * r), *(m * r[i] * r[j] for i, j in SECOND_MOMENTS)])
     loaded, q = PayloadArm(MODEL.links, ca.SX(m), ca.SX(r)), ca.SX.sym("q", 2)

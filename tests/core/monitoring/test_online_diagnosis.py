@@ -42,26 +42,26 @@ def run(seconds: float, known: bool = True, late: int = 0, tolerance: float = 1e
     return verdicts
 
 
-def test_a_loop_that_answers_within_the_sample_holds_where_its_latency_is_known() -> None:
+def test_loop_with_known_latency_within_a_sample_is_holding() -> None:
     assert [verdict.kind for verdict in run(3.0)] == ["holding"] * 3
     assert [verdict.kind for verdict in run(3.0, tolerance=1e-9)] == ["holding"] * 3
     assert "holding" not in [verdict.kind for verdict in run(3.0, known=False)]
 
 
 @pytest.mark.parametrize("late", [1, 2])
-def test_efforts_that_act_samples_late_are_a_delay(late: int) -> None:
+def test_efforts_late_by_whole_samples_are_a_delay(late: int) -> None:
     for verdict in run(2.0, late=late):
         assert (verdict.kind, verdict.causes) == ("degraded", ("delay",))
         assert verdict.figures["effort age"] == pytest.approx(late * PERIOD, abs=0.6 * PERIOD)
 
 
 @pytest.mark.parametrize("robot", [{"stiffness": 22.0}, {"link_inertia": 0.05}, {"motor_inertia": 0.007}])
-def test_another_robot_is_a_mismatch(robot: dict[str, float]) -> None:
+def test_wrong_plant_parameter_is_a_model_mismatch(robot: dict[str, float]) -> None:
     assert [verdict.causes for verdict in run(2.0, **robot)] == [("model mismatch",)] * 2
 
 
 @pytest.mark.parametrize("offset", [0, 5_000_000_000, -5_000_000_000])
-def test_latency_is_the_same_by_any_clock(offset: int) -> None:
+def test_latency_does_not_depend_on_the_clock_offset(offset: int) -> None:
     latency, delays = Latency(), [120_000, 100_000, 250_000, 100_000]
     found = [
         latency.of(k * 1_000_000, k * 1_000_000 + way + offset, k * 1_000_000 + way + offset + 50_000)

@@ -36,7 +36,7 @@ GAINS = fjr.Gains(
 LAW = fjr.TrackingLaw(ROBOT, GAINS)
 BALANCE = Certificate(LAW)
 REFERENCE = fjr.Sine([0.5, 0.7], [2.0, 3.0])
-LARGEST = 1e3  # rad; a robot that went there has diverged
+LARGEST = 1e3  # rad; a robot beyond this position has diverged
 NOMINAL = ((1.0, 0.0), (0.0, 1.0))
 WIRINGS = (NOMINAL, ((0.0, 1.0), (1.0, 0.0)), ((-1.0, 0.0), (0.0, 1.0)), ((1.0, 0.0), (0.0, -1.0)))
 
@@ -51,7 +51,7 @@ def record(
 ) -> Record:
     """Return the two-link arm for some samples, or until it has diverged.
 
-    wiring: from the efforts sent to those that act. delay: in samples. stiffness: of the robot, over the law's.
+    wiring: matrix from sent to acting efforts. delay: in samples. stiffness: ratio of plant to model.
     offset [rad]: of both joints at the start.
     """
     real = replace(ROBOT, K=stiffness * ROBOT.K)
@@ -75,7 +75,7 @@ def record(
 
 
 def growth(seen: Record) -> float:
-    """Return the largest V [J] over the lowest before it, with 1 mJ for hold and tolerated error."""
+    """Return the largest ratio of V to its lowest earlier value, with 1 mJ added for hold and tolerated error."""
     V = BALANCE.along(seen.position, seen.velocity, seen.jets).V
     return float((V / (np.minimum.accumulate(V) + 1e-3)).max())
 
@@ -115,7 +115,7 @@ def test_efforts_on_the_wrong_joint_or_with_the_wrong_sign_are_never_holding(
     stiffness=st.floats(0.2, 5.0),
     offset=st.floats(-1.0, 1.0),
 )
-def test_where_v_grows_nothing_holds(
+def test_growth_of_V_is_never_holding(
     samples: int, wiring: tuple[tuple[float, float], ...], delay: int, stiffness: float, offset: float
 ) -> None:
     seen = record(samples, wiring, delay, round(stiffness, 1), round(offset, 1))
@@ -137,7 +137,7 @@ def test_a_healthy_run_of_any_length_is_not_violated() -> None:
 
 
 def concluded(count: int, above: int, grown: float = 1.0, error: float = 0.0) -> str:
-    """Return the kind for some blocks of which the first ones are violated by a delay that makes an error [rad]."""
+    """Return the kind of diagnosis if the first blocks are violated by a delay that causes an error [rad]."""
     causes = np.zeros((count, 4))
     causes[:above, 2] = 1.0
     nothing = np.zeros(count)
@@ -148,7 +148,9 @@ def concluded(count: int, above: int, grown: float = 1.0, error: float = 0.0) ->
 
 
 @given(count=st.integers(0, 300), share=st.floats(0, 1), grown=st.floats(0, 1e12), error=st.floats(0, 0.1))
-def test_holding_needs_blocks_a_small_share_and_no_growth(count: int, share: float, grown: float, error: float) -> None:
+def test_holding_requires_enough_blocks_a_small_share_and_no_growth(
+    count: int, share: float, grown: float, error: float
+) -> None:
     above = round(share * count)
     kind = concluded(count, above, grown, error)
     if kind == "holding":

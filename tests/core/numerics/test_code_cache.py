@@ -28,7 +28,7 @@ NOBODY = 65534
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """An empty cache, and no temporary one yet."""
+    """Provide an empty cache and no temporary one."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("CC", raising=False)
     compiling._warn_once.cache_clear()
@@ -49,7 +49,7 @@ def assert_compiled(made: ca.Function | None = None) -> None:
 
 
 def planted(library: Path, marker: Path) -> None:
-    """Put a shared object of the same name and size there that leaves a mark where it is loaded."""
+    """Replace the library by one of equal name and size that creates the marker file when loaded."""
     code = library.parent.parent / "planted.c"
     code.write_text(
         f'#include <stdio.h>\n__attribute__((constructor)) static void mark(void) {{ fclose(fopen("{marker}", "w")); }}'
@@ -66,7 +66,7 @@ def the_library(cache: Path, name: str = "cubes") -> Path:
 
 
 def in_another_process(code: str) -> str:
-    """What Python says to this; a process that has loaded nothing yet."""
+    """Run code in a new Python process and return its output."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     return result.stdout + result.stderr
@@ -87,14 +87,14 @@ print(certificate.at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V > 0)
 """
 
 
-def test_a_planted_library_of_the_same_name_and_size_is_not_run(cache: Path, tmp_path: Path) -> None:
+def test_planted_library_of_equal_name_and_size_is_not_run(cache: Path, tmp_path: Path) -> None:
     assert_compiled()
     planted(the_library(cache), tmp_path / "marker")
     assert "External [1.0, 8.0, 27.0]" in in_another_process(COMPILE)
     assert not (tmp_path / "marker").exists()
 
 
-def test_a_planted_library_is_not_loaded_from_the_cache(cache: Path, tmp_path: Path) -> None:
+def test_planted_library_is_not_loaded_from_the_cache(cache: Path, tmp_path: Path) -> None:
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
     wanted = Certificate(law).at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V
     assert wanted > 0
@@ -129,10 +129,10 @@ SPOILT = [writable_by_others, writable_by_the_group, a_link, pytest.param(of_ano
 
 
 @pytest.mark.parametrize("spoil", SPOILT)
-def test_a_folder_that_is_not_private_gives_nothing(
+def test_nothing_is_loaded_from_a_folder_that_is_not_private(
     spoil: Callable[[Path], None], cache: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Not even with a digest that fits: who can write the library can write that."""
+    """A matching digest does not help, because whoever can write the library can write the digest."""
     assert_compiled()
     library, marker = the_library(cache), tmp_path / "marker"
     planted(library, marker)
@@ -150,7 +150,7 @@ def test_a_folder_that_is_not_private_gives_nothing(
     assert the_library(temporary / "fjr").exists()
 
 
-def test_a_file_that_is_a_link_or_another_users_is_not_read(cache: Path, tmp_path: Path) -> None:
+def test_links_and_files_of_other_users_are_not_read(cache: Path, tmp_path: Path) -> None:
     folder = private_folder.open_private(cache)
     folder.write("mine", b"content")
     assert folder.read("mine") == b"content"
@@ -166,7 +166,7 @@ def test_a_file_that_is_a_link_or_another_users_is_not_read(cache: Path, tmp_pat
         assert folder.read(name) is None
 
 
-def test_the_folder_is_made_for_this_user_alone(cache: Path) -> None:
+def test_cache_folder_is_private_to_the_user(cache: Path) -> None:
     before = os.umask(0)
     try:
         assert_compiled()
@@ -176,8 +176,8 @@ def test_the_folder_is_made_for_this_user_alone(cache: Path) -> None:
     assert all(path.stat().st_mode & 0o077 == 0 for path in cache.iterdir())
 
 
-def test_another_folder_put_in_its_place_is_not_read(cache: Path, tmp_path: Path) -> None:
-    """Between the check and the use, by someone who can write the folder above."""
+def test_folder_replaced_after_the_check_is_not_read(cache: Path, tmp_path: Path) -> None:
+    """The replacement happens between check and use, by a user who can write the parent folder."""
     folder = private_folder.open_private(cache)
     folder.write("name", b"right")
     cache.rename(tmp_path / "moved")
@@ -188,8 +188,8 @@ def test_another_folder_put_in_its_place_is_not_read(cache: Path, tmp_path: Path
 
 
 @as_root
-def test_a_folder_that_cannot_be_written_gives_what_it_holds(cache: Path, tmp_path: Path) -> None:
-    """As a user to whom modes apply: what is compiled is loaded, anything else goes into a temporary folder."""
+def test_read_only_folder_is_read_and_new_code_goes_to_a_temporary_folder(cache: Path, tmp_path: Path) -> None:
+    """The code runs as an unprivileged user, to whom file modes apply."""
     said = as_nobody(tmp_path, cache, COMPILE + "import os\nos.chmod(os.environ['XDG_CACHE_HOME'] + '/fjr', 0o500)")
     assert said == "External [1.0, 8.0, 27.0]\n"
     assert as_nobody(tmp_path, cache, COMPILE) == "External [1.0, 8.0, 27.0]\n"
@@ -208,7 +208,7 @@ def test_without_a_home_a_temporary_folder_is_used(variables: dict[str, str], ca
 
 
 def as_nobody(tmp_path: Path, cache: Path, code: str, variables: dict[str, str] | None = None) -> str:
-    """What Python says to this when another user runs it, whose are cache and temporary folder."""
+    """Run code in Python as another user, who owns cache and temporary folder; return its output."""
     for folder in (cache.parent, tmp_path / "tmp"):
         if not folder.exists():
             folder.mkdir()
@@ -216,7 +216,7 @@ def as_nobody(tmp_path: Path, cache: Path, code: str, variables: dict[str, str] 
     tmp_path.chmod(0o755)
     for folder in tmp_path.parents:
         if folder.stat().st_uid == os.geteuid() and not folder.stat().st_mode & 0o001:
-            folder.chmod(folder.stat().st_mode | 0o011)  # pytest makes its own folders for one user alone
+            folder.chmod(folder.stat().st_mode | 0o011)  # the folders of pytest are private to its user
     environment = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}
     environment |= {"XDG_CACHE_HOME": str(cache.parent), "TMPDIR": str(tmp_path / "tmp"), **(variables or {})}
     environment["PYTHONPATH"] = os.pathsep.join(sys.path)

@@ -16,7 +16,7 @@ DURATION = 0.2
 
 
 def linear_joint() -> tuple[fjr.Robot, np.ndarray]:
-    """The paper's joint without gravity, and the matrix of its linear dynamics."""
+    """Return the paper's joint without gravity and the matrix of its linear dynamics."""
     M, m, D, d, k = 0.031, 0.004, 0.2, 0.007, 31.0
     rows = [[0, 0, 1 / M, 0], [0, 0, 0, 1 / m], [-k, k, -D / M, 0], [k, -k, 0, -d / m]]
     return fjr.single_link(stiffness=k, gravity_torque=0.0), np.array(rows)
@@ -38,7 +38,7 @@ def measured_order(plant: fjr.Plant, x: np.ndarray, u: np.ndarray, exact: np.nda
 def test_order_of_convergence_against_the_closed_form_of_a_linear_joint(integrator: str) -> None:
     robot, A = linear_joint()
     x, u = robot.state(0.5, 0.7, -1, 2), np.array([0.4])
-    augmented = np.zeros((5, 5))  # A is singular (the joint turns freely): the constant u as a fifth state
+    augmented = np.zeros((5, 5))  # A is singular (the joint rotates freely), so the constant u is a fifth state
     augmented[:4, :4], augmented[3, 4] = A, u[0]
     exact = (expm(augmented * DURATION) @ np.append(x, 1.0))[:4]
     orders = measured_order(fjr.Plant(robot, integrator), x, u, exact)
@@ -55,7 +55,7 @@ def test_order_of_convergence_against_a_high_precision_solution(robot: fjr.Robot
 
 
 def free_robots() -> dict[str, tuple[fjr.Robot, np.ndarray]]:
-    """Undamped robots that fall from rest with unloaded springs."""
+    """Return undamped robots that fall from rest with unloaded springs."""
     single = fjr.single_link(link_damping=0.0, motor_damping=0.0)
     planar = fjr.planar_two_link(**PLANAR, link_damping=0.0, motor_damping=0.0)
     return {
@@ -65,8 +65,8 @@ def free_robots() -> dict[str, tuple[fjr.Robot, np.ndarray]]:
 
 
 @pytest.mark.parametrize("name", ["single", "planar"])
-def test_implicit_midpoint_keeps_the_energy_of_a_free_robot(name: str) -> None:
-    """30 s at 1 ms: within 1e-6 of its start, and no drift (last against first seconds, and slope)."""
+def test_implicit_midpoint_conserves_the_energy_of_a_free_robot(name: str) -> None:
+    """Over 30 s at 1 ms the energy stays within 1e-6 of its initial value and does not drift."""
     robot, x = free_robots()[name]
     plant, u, H = fjr.Plant(robot, "implicit_midpoint"), np.zeros(robot.n), []
     for _ in range(30_000):
@@ -87,7 +87,7 @@ def test_implicit_midpoint_is_symmetric_in_time() -> None:
 
 @pytest.mark.parametrize("integrator", ORDERS)
 def test_steps_far_from_the_origin(integrator: str) -> None:
-    """A joint that has turned many times, under a large effort, steps like one that has not."""
+    """Whole turns of the joint do not change a step, even under a large effort."""
     robot = fjr.single_link()
     plant, turns = fjr.Plant(robot, integrator), 2 * np.pi * 1000
     near, far = (robot.state(0.3 + q, 0.5 + q, 5, -3) for q in (0.0, turns))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Machine code: the same numbers as CasADi's virtual machine, cached by content, safe for concurrent processes."""
+"""Compiled code agrees with CasADi's virtual machine, is cached by content and safe for concurrent processes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ with_a_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C co
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty cache for every test, and no warning logged yet."""
+    """Provide an empty cache and reset the warning for every test."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     compiling._warn_once.cache_clear()
@@ -40,7 +40,7 @@ def function() -> ca.Function:
 
 
 def logging_compiler(folder: Path) -> Path:
-    """A C compiler that writes a line for every library it builds."""
+    """Install a C compiler that logs a line for every library it builds."""
     script = folder / "logging-cc"
     script.write_text(
         f'#!/bin/sh\ncase "$*" in *--version*) ;; *) echo built >> "{folder}/builds" ;; esac\nexec cc "$@"\n'
@@ -57,7 +57,7 @@ SEVEN = (arm7(), scaled_gains(arm7()))
 
 
 @pytest.mark.parametrize(("arm", "gains"), [*LOOPS[::4], SEVEN], ids=lambda case: case.name)
-def test_law_and_plant_are_the_same_numbers_as_machine_code(arm: Arm, gains: GainSet) -> None:
+def test_compiled_law_and_plant_give_the_same_numbers(arm: Arm, gains: GainSet) -> None:
     as_c, in_vm = (fjr.TrackingLaw(arm.robot, gains.gains, compile=flag) for flag in (True, False))
     fast, slow = (fjr.Plant(arm.robot, compile=flag) for flag in (True, False))
     for seed in range(5):
@@ -75,7 +75,7 @@ def test_law_and_plant_are_the_same_numbers_as_machine_code(arm: Arm, gains: Gai
 @with_a_compiler
 def test_compiled_code_is_loaded_from_the_cache_folder(cache: Path) -> None:
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
-    assert not cache.exists()  # nothing is compiled before it is used
+    assert not cache.exists()  # compilation waits for the first use
     assert law.command_function.class_name() == "External"
     assert [path.name.partition("-")[0] for path in libraries(cache)] == ["command"]
 
@@ -117,7 +117,7 @@ def test_concurrent_processes_build_once(tmp_path: Path) -> None:
 
 
 def said_once(caplog: pytest.LogCaptureFixture, function: ca.Function) -> str:
-    """Compile twice; the one warning. The function stays usable."""
+    """Compile twice and return the only warning; check that the function is still usable."""
     with caplog.at_level(logging.WARNING, "fjr_core.numerics.jit"):
         for _ in range(2):
             assert compiling.compiled(function) is function

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Machine code is found in the cache for the same robot and gain pattern, and for no other."""
+"""Compiled code is reused for the same robot and gain pattern only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ POINT = ([0.3, -0.2, 0.4, 0.1], [1.0, 0.5, -0.3, 0.2], np.arange(10.0).reshape(5
 
 @pytest.fixture
 def derivations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """An empty cache, and what was derived since."""
+    """Provide an empty cache and return the list of functions derived since."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     seen: list[str] = []
     derive = Certificate._derived

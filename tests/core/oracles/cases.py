@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robots, gains and random points that the tests run on.
 
-Every robot comes with its own closed form, written by hand for plain numbers and for mpmath numbers alike,
-and with its matrices, so that nothing which is compared with fjr_core is computed by it.
+Every robot comes with its matrices and a hand-written closed form for floats and mpmath numbers, so that reference
+values are never computed by fjr_core.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[Any]
 
 
 class SingleLink:
-    """The paper's joint (Table 1): M_l constant, P_l = load (1 - cos q)."""
+    """The paper's joint (Table 1): constant M_l, P_l = load (1 - cos q)."""
 
     n = 1
 
@@ -45,7 +45,7 @@ class PlanarTwoLink:
     n = 2
 
     def __init__(self, m: Any, l1: float, c: Any, inertia: Any, g: float = 9.81) -> None:
-        """Masses, length of the first link, centres of mass, and inertias about these."""
+        """Set masses, length of the first link, centres of mass and the inertias about them."""
         (m1, m2), (c1, c2), (I1, I2) = m, c, inertia
         self.M22 = I2 + m2 * c2**2
         self.M11 = I1 + m1 * c1**2 + m2 * l1**2 + self.M22
@@ -70,7 +70,7 @@ class PlanarTwoLink:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A robot of fjr_core next to the numbers it was made from."""
+    """A robot of fjr_core with the numbers from which it was built."""
 
     name: str
     robot: fjr.Robot
@@ -115,7 +115,7 @@ class GainSet:
 
 
 def square(value: Any, n: int) -> Array:
-    """A scalar or a vector as a diagonal matrix; a matrix as it is."""
+    """Return a scalar or vector as a diagonal matrix, a matrix unchanged."""
     value = np.asarray(value, dtype=float)
     return value if value.ndim == 2 else np.diag(np.broadcast_to(value, (n,)))
 
@@ -181,7 +181,7 @@ def cubic(n: int) -> GainSet:
 
 
 def full() -> GainSet:
-    """No matrix diagonal; Gamma = Pi^-1 diag(..) is what conditions (32) and (41) leave of a full Pi."""
+    """Return gains without diagonal matrices; for full Pi, conditions (32) and (41) require Gamma = Pi^-1 diag(..)."""
     Pi_l, Pi_m = np.array([[20.0, 5.0], [5.0, 12.0]]), np.array([[60.0, -10.0], [-10.0, 40.0]])
     return gain_set(
         "full",
@@ -204,7 +204,7 @@ LOOP_NAMES = tuple(f"{arm.name}-{gains.name}" for arm, gains in LOOPS)
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """An instant: virtual and measured state, reference and its rates, external input, the plant's own u."""
+    """An instant: virtual and measured state, reference and its rates, external input, and effort u of the plant."""
 
     x_v: Array
     x: Array
@@ -215,7 +215,7 @@ class Point:
 
 
 def random_state(arm: Arm, rng: np.random.Generator, spread: float = 1.5) -> Array:
-    """Positions and velocities of order one; momenta by the closed form of M_l."""
+    """Return a state with positions and velocities of order one; momenta use the closed form of M_l."""
     q_l = rng.uniform(-spread, spread, arm.n)
     q_m = q_l + rng.uniform(-0.3, 0.3, arm.n)
     dq_l, dq_m = rng.uniform(-2, 2, (2, arm.n))
@@ -223,7 +223,7 @@ def random_state(arm: Arm, rng: np.random.Generator, spread: float = 1.5) -> Arr
 
 
 def random_point(arm: Arm, seed: int, same: bool = False, pushed: bool = True) -> Point:
-    """A point with x_v = x or not, omega zero or not; the plant's u has nothing to do with the law's."""
+    """Return a random point, with x_v = x if `same` and omega = 0 unless `pushed`; u of the plant is arbitrary."""
     rng = np.random.default_rng(seed)
     x, x_v = random_state(arm, rng), random_state(arm, rng)
     jets = rng.uniform(-1, 1, (6, arm.n))

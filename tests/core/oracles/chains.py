@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random serial chains and URDFs, and Pinocchio's view of them: the oracle for arms of any number of joints."""
+"""Random serial chains and URDFs with their Pinocchio models, the oracle for arms with any number of joints."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ ARM7_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 
 
 class PinocchioLinks:
-    """M, C, P and grad_P of the named joints of a Pinocchio model, the others at rest in the given positions.
+    """M, C, P and grad_P of the named joints of a Pinocchio model, with the others locked at the given positions.
 
-    Takes plain numbers only. `f` is there because the closed forms of oracles/cases.py have it.
+    It accepts floats only. The argument `f` exists because the closed forms of oracles/cases.py have it.
     """
 
     def __init__(self, model: Any, names: Any, locked: dict[str, float] | None = None) -> None:
@@ -35,7 +35,7 @@ class PinocchioLinks:
             self._place(self.rest, model.joints[model.getJointId(name)], position)
 
     def _place(self, q: Array, joint: Any, position: float) -> None:
-        """Pinocchio has continuous joints as (cos, sin)."""
+        """Write a joint position to the configuration; Pinocchio stores continuous joints as (cos, sin)."""
         values = [position] if joint.nq == 1 else [np.cos(position), np.sin(position)]
         q[joint.idx_q : joint.idx_q + joint.nq] = values
 
@@ -67,7 +67,7 @@ class PinocchioLinks:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The same random chain twice: as ArmDynamics, and as Pinocchio's model."""
+    """A random chain as ArmDynamics and as a Pinocchio model."""
 
     links: ArmDynamics
     pinocchio: PinocchioLinks
@@ -79,7 +79,7 @@ class Chain:
 
 @cache
 def random_chain(n: int, seed: int) -> Chain:
-    """A chain of n joints: axes along coordinates or not, turning or sliding, gravity in any direction."""
+    """Return a chain of n revolute or prismatic joints with random axes and gravity in a random direction."""
     rng = np.random.default_rng((n, seed))
     gravity = rng.normal(size=3) * 5
     model, bodies, parent = pin.Model(), [], 0
@@ -96,7 +96,7 @@ def random_chain(n: int, seed: int) -> Chain:
 
 
 def random_axis(rng: np.random.Generator) -> Array:
-    """A coordinate axis, one of them reversed, or any direction: a unit vector."""
+    """Return a unit vector: a coordinate axis, a reversed one, or a random direction."""
     axis = rng.normal(size=3) if rng.random() < 0.5 else rng.choice([-1, 1]) * np.eye(3)[rng.integers(3)]
     return axis / np.linalg.norm(axis)
 
@@ -106,7 +106,7 @@ def random_rotation(rng: np.random.Generator) -> Array:
 
 
 def random_inertia(rng: np.random.Generator) -> tuple[float, Array, Array]:
-    """Mass, centre of mass and inertia about it of a box in any posture."""
+    """Return mass, centre of mass and inertia about it of a randomly oriented box."""
     mass, turn = rng.uniform(0.5, 4.0), random_rotation(rng)
     squares = rng.uniform(0.05, 0.4, 3) ** 2
     inertia = turn @ np.diag(mass / 12 * (np.sum(squares) - squares)) @ turn.T
@@ -115,7 +115,7 @@ def random_inertia(rng: np.random.Generator) -> tuple[float, Array, Array]:
 
 @dataclass(frozen=True)
 class UrdfCase:
-    """A random URDF, the joints to be named in an order that is not the chain's, and where the others are locked."""
+    """A random URDF, joint names in an order other than that of the chain, and positions of the locked joints."""
 
     xml: str
     joints: tuple[str, ...]
@@ -124,14 +124,14 @@ class UrdfCase:
 
     @property
     def pinocchio(self) -> PinocchioLinks:
-        """The whole arm, read by Pinocchio from the same text."""
+        """Return the Pinocchio model of the whole arm, read from the same text."""
         model = pin.buildModelFromXML(self.xml)
         model.gravity.linear = self.gravity
         return PinocchioLinks(model, self.joints, self.locked)
 
 
 def random_urdf(n: int, seed: int) -> UrdfCase:
-    """n named joints in a chain with fixed and locked joints between them, and a branch at every link."""
+    """Return a chain of n named joints with fixed and locked joints in between and a branch at every link."""
     rng = np.random.default_rng((n, seed))
     parts, tip = [link_xml("base", rng)], "base"
     named: list[str] = []
@@ -188,7 +188,7 @@ STIFF = {
 
 
 def urdf_arm(name: str, urdf: Any, joints: tuple[str, ...], **values: Any) -> Arm:
-    """The robot from the URDF next to Pinocchio's model of the whole of it."""
+    """Return the robot from the URDF with the Pinocchio model of the whole URDF."""
     robot = fjr.robot_from_urdf(urdf, list(joints), **values)
     model = pin.buildModelFromXML(Path(urdf).read_text() if isinstance(urdf, Path) else urdf)
     keys = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
@@ -198,12 +198,12 @@ def urdf_arm(name: str, urdf: Any, joints: tuple[str, ...], **values: Any) -> Ar
 
 @cache
 def arm7() -> Arm:
-    """The seven-joint arm with a stiff drive train."""
+    """Return the seven-joint arm with a stiff drive train."""
     return urdf_arm("arm7", ARM7, ARM7_JOINTS, **STIFF)
 
 
 def scaled_gains(arm: Arm, beta: float = 10.0, cubic: bool = False) -> GainSet:
-    """Gains of the robot's own scale: Pi_l and K_ld go with diag M_l, Pi_m with K, K_md with M_m."""
+    """Return gains scaled to the robot: Pi_l and K_ld with diag M_l, Pi_m with K, K_md with M_m."""
     M = np.diag(arm.links.M(np.full(arm.n, 0.5)))
     Pi_l, Pi_m = beta**2 * M, np.diag(arm.K)
     return gain_set(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law that counts on a torque on the links, with integral action, in 80 digits: each slope a difference."""
+"""The law with known link torques and integral action in 80 digits; each derivative is a difference."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from core.oracles.oracle import STEP, Instant, LiteralLaw, exact, inverse, mp
 
 
 class LiteralLoadedLaw(LiteralLaw):
-    """At x_v = x; z = (x, integral, s). known (3, n): the torque counted on as a Taylor polynomial."""
+    """The law at x_v = x with z = (x, integral, s); known (3, n): Taylor coefficients of the known link torque."""
 
     def __init__(self, arm: Arm, gains: GainSet, known: Array, gain: Array, matched: Array) -> None:
         super().__init__(arm, gains)
         self.known, self.gain, self.omega = exact(known), exact(gain), -exact(matched)
 
     def at(self, x: Array, jets: Array, integral: Array) -> Instant:
-        """The law's values at the state, where the reference's jets are these and the integral stands so."""
+        """Return the values of the law for state, jets of the reference and value of the integral."""
         law = copy.copy(self)
         law.jets = exact(jets)
         return Instant(law, np.concatenate([exact(x), exact(integral), [mp.mpf(0)]]))
@@ -34,7 +34,7 @@ class LiteralLoadedLaw(LiteralLaw):
         return np.asarray(w + z[4 * self.n : 5 * self.n])
 
     def d(self, e: Callable[[Array], Array], z: Array, port: Array | None = None) -> Array:
-        """Along the flow that the law believes in; the integral moves by gain * port."""
+        """Differentiate along the model of the law; the rate of the integral is gain * port."""
         dx = self.plant.derivative(z[: 4 * self.n], exact(np.arange(self.n) - 0.7))
         dx[2 * self.n : 3 * self.n] += self.external(z)
         rate = exact(np.zeros(self.n)) if port is None else self.gain @ port
@@ -44,7 +44,7 @@ class LiteralLoadedLaw(LiteralLaw):
         return (e(z + STEP * dz) - e(z - STEP * dz)) / (2 * STEP)
 
     def by_momentum(self, e: Callable[[Array], Array], z: Array) -> Array:
-        """de/dp_l (n, n) of a vector, (n,) of a number."""
+        """Return de/dp_l, (n, n) for a vector e and (n,) for a number."""
         units = [exact(np.eye(5 * self.n + 1)[2 * self.n + i]) for i in range(self.n)]
         return np.stack([self.along(e, z, unit) for unit in units], axis=-1)
 
@@ -52,7 +52,7 @@ class LiteralLoadedLaw(LiteralLaw):
         return super().u_l(z) - self.external(z)
 
     def first_port(self, z: Array) -> Array:
-        """What the stage of q_md knows of dV/dp_l."""
+        """Return the part of dV/dp_l that is available for q_md."""
         return inverse(self.M(z)) @ self.sigma_l(z) - self.by_momentum(self.q_md, z).T @ self.Pi_m @ self.q_tilde_m(z)
 
     def v_mr(self, z: Array) -> Array:
@@ -60,7 +60,7 @@ class LiteralLoadedLaw(LiteralLaw):
         return self.d(self.q_md, z, self.first_port(z)) - self.Lambda_m @ e - self.Gamma_m @ e**3 - coupling
 
     def port(self, z: Array) -> Array:
-        """dV/dp_l, of the storage itself."""
+        """Return dV/dp_l of the storage."""
         return self.by_momentum(self.V, z)
 
     def u(self, z: Array) -> Array:
@@ -74,9 +74,9 @@ class LiteralLoadedLaw(LiteralLaw):
         return inverse(self.plant.B_m) @ (u_mff + u_mfb)
 
     def dV(self, x: Array, jets: Array, integral: Array, u: Array, torque: Array) -> float:
-        """dV/dt where the robot really goes, under the effort u and torques (2n,); its integral moves by gain * port.
+        """Return dV/dt along the actual motion under u and torques (2n,); the rate of the integral is gain * port.
 
-        jets (6, n): the reference with its fifth derivative; the torque counted on moves as its polynomial.
+        jets (6, n): the reference with its fifth derivative. The known torque follows its polynomial.
         """
         law = copy.copy(self)
         law.jets = exact(jets)

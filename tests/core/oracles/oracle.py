@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two oracles that share nothing with the law's own dots.
+"""Two oracles that are independent of the time derivatives in the law.
 
-`stencil`: derivatives of any function of one variable in double precision, through public methods only.
-`LiteralLaw`: equations (30)-(43) written as printed (with the errata, or without), on closed-form robots, in
-80-digit arithmetic; each dot is a central difference along the flow, nested three deep.
+`stencil`: derivative of a function of one variable in double precision, through public methods only.
+`LiteralLaw`: equations (30)-(43) as printed, with or without the errata, on closed-form robots in 80-digit
+arithmetic; each time derivative is a central difference along the flow, nested three deep.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ import numpy as np
 from core.oracles.cases import Arm, Array, GainSet
 
 WEIGHTS = np.array([5 / 6, -5 / 21, 5 / 84, -5 / 504, 1 / 1260])
-"""Central first derivative of order ten, at the offsets 1 .. 5 steps."""
+"""Weights of the central first derivative of order ten at offsets of 1 to 5 steps."""
 
 
 def stencil(f: Callable[[float], Any], h: float) -> Any:
-    """f'(0) to order h^10; f returns a number or an array."""
+    """Return f'(0) to order h^10; f returns a number or an array."""
     return sum(w * (np.asarray(f(k * h)) - np.asarray(f(-k * h))) for k, w in enumerate(WEIGHTS, 1)) / h
 
 
 def jacobian(f: Callable[[Array], Array], x: Array, steps: Array) -> Array:
-    """df/dx by the stencil, column by column; `steps` (as x) scales each coordinate's step."""
+    """Return df/dx by the stencil, column by column; `steps`, shaped like x, are the steps of the coordinates."""
     columns = [stencil(lambda s, e=e: f(x + s * e), h) for e, h in zip(np.eye(len(x)), steps, strict=True)]
     return np.stack(columns, axis=-1)
 
@@ -38,12 +38,12 @@ STEP = mp.mpf(10) ** -12  # nested three or four deep: truncation 1e-24, roundin
 
 
 def exact(value: Any) -> Array:
-    """Doubles as exact 80-digit numbers."""
+    """Convert doubles to 80-digit numbers without rounding."""
     return np.vectorize(mp.mpf, otypes=[object])(np.asarray(value, dtype=float))
 
 
 def inverse(A: Array) -> Array:
-    """Inverse of a matrix of floats, or of a 1x1 or 2x2 matrix of any numbers, by cofactors."""
+    """Return the inverse of a matrix of floats, or by cofactors of a 1x1 or 2x2 matrix of other numbers."""
     if A.dtype != object:
         return np.linalg.inv(A)
     if A.shape == (1, 1):
@@ -72,7 +72,7 @@ class LiteralPlant:
         return kinetic / 2 + self.links.P(q_l, mp) + zeta @ self.K @ zeta / 2
 
     def E(self, x: Array) -> Array:
-        """E_l = S_H - dM_l/2 = -C' with the Christoffel matrix C."""
+        """Return E_l = S_H - dM_l/2 = -C' with the Christoffel matrix C."""
         q_l, _, p_l, _ = self.split(x)
         return -self.links.C(q_l, inverse(self.M_l(q_l)) @ p_l, mp).T
 
@@ -103,9 +103,8 @@ class Instant:
 class LiteralLaw:
     """The law with the public methods `effort` and `evaluate` of fjr.TrackingLaw.
 
-    printed: which errors of the print to keep: "gravity" (33) and "spring" (42) at the measured state,
-    "coupling" (40) with M_l', "phi_m" (40) with the link's error, "q_md" with the measured q_l, "B_m" (42)
-    without its inverse.
+    printed: misprints to keep: "gravity" (33) and "spring" (42) at the measured state, "coupling" (40) with M_l',
+    "phi_m" (40) with the error of the links, "q_md" with the measured q_l, "B_m" (42) without its inverse.
     """
 
     def __init__(self, arm: Arm, gains: GainSet, printed: tuple[str, ...] = ()) -> None:
@@ -117,7 +116,7 @@ class LiteralLaw:
         return self.evaluate(x_v, x, jets, omega).u
 
     def evaluate(self, x_v: Array, x: Array, jets: Array, omega: Any = 0.0) -> Instant:
-        """The law's values at z = (x_v, x, s) with s the time that has passed, computed when asked for."""
+        """Return the lazily computed values of the law at z = (x_v, x, s), s being the elapsed time."""
         law = copy.copy(self)
         law.jets, law.omega = exact(jets), exact(np.broadcast_to(omega, (self.n,)))
         return Instant(law, np.concatenate([exact(x_v), exact(x), [mp.mpf(0)]]))
@@ -126,11 +125,11 @@ class LiteralLaw:
         return z[: 4 * self.n], z[4 * self.n : 8 * self.n], z[-1]
 
     def q_ld(self, s: Any, k: int) -> Array:
-        """The k-th derivative of the Taylor polynomial of the reference, at time s."""
+        """Return the k-th derivative of the Taylor polynomial of the reference at time s."""
         return sum(self.jets[i] * s ** (i - k) / mp.factorial(i - k) for i in range(k, 5))
 
     def d(self, e: Callable[[Array], Array], z: Array) -> Array:
-        """Total time derivative of e along the flow; the input of the plant does not matter, so any."""
+        """Return the total time derivative of e along the flow, which does not depend on the input of the plant."""
         x_v, x, _ = self.states(z)
         u = exact(np.arange(self.n) - 0.7)
         dz = np.concatenate([self.plant.virtual(x_v, x, u), self.plant.derivative(x, -u), [mp.mpf(1)]])
@@ -192,7 +191,7 @@ class LiteralLaw:
         return u_mff + u_mfb if "B_m" in self.printed else inverse(self.plant.B_m) @ (u_mff + u_mfb)
 
     def V(self, z: Array) -> Any:
-        """Storage (43) of the errors themselves."""
+        """Return the storage (43)."""
         e_l, e_m, s_l, s_m = self.q_tilde_l(z), self.q_tilde_m(z), self.sigma_l(z), self.sigma_m(z)
         position = e_l @ self.Pi_l @ e_l + e_m @ self.Pi_m @ e_m
         return (position + s_l @ inverse(self.M(z)) @ s_l + s_m @ inverse(self.plant.M_m) @ s_m) / 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A law u(x, x, t) on its robot, and what shows what it does: closed forms, and differences along the flow."""
+"""A law u(x, x, t) on its robot, with closed forms of the arm and differences along the flow."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from fjr_core.control.registry import LAWS
 from fjr_core.control.static_law import StaticLaw
 
 Function = Callable[[Array, Array], Any]
-"""Of a state x (4n,) and jets (5, n)."""
+"""A function of a state x (4n,) and jets (5, n)."""
 
 OTHERS = tuple(name for name in LAWS if name != "v_dpbc")
 
 
 def standard_law(name: str, arm: Arm, omega: float = 20.0, zeta: float = 0.8) -> StaticLaw:
-    """The law called so with its usual gains, v-dPBC with the paper's."""
+    """Return the law of this name with its standard gains, v-dPBC with those of the paper."""
     kind = LAWS[name]
     if kind.standard is None:
         return fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS)
@@ -33,7 +33,7 @@ def standard_law(name: str, arm: Arm, omega: float = 20.0, zeta: float = 0.8) ->
 
 @dataclass(frozen=True, eq=False)
 class PlainLoop:
-    """An arm under a law; what it says of the arm is written with the matrices of cases.py."""
+    """An arm under a law; the equations of the arm use the matrices of cases.py."""
 
     arm: Arm
     law: StaticLaw
@@ -43,7 +43,7 @@ class PlainLoop:
         return fjr.Plant(self.arm.robot)
 
     def parts(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """q, theta, dq, dtheta."""
+        """Return q, theta, dq and dtheta."""
         q, theta, p_l, p_m = np.split(x, 4)
         return q, theta, np.linalg.solve(self.arm.links.M(q), p_l), np.linalg.solve(self.arm.M_m, p_m)
 
@@ -59,40 +59,40 @@ class PlainLoop:
         return self.law.measured_command(np.r_[q, theta], np.r_[dq, dtheta], jets)[1]
 
     def rate_of(self, f: Function, x: Array, jets: Array, djets: Array | None = None) -> Any:
-        """Time derivative of f(x, jets) along the arm under the law."""
+        """Return the time derivative of f(x, jets) along the arm under the law."""
         dx = self.plant.derivative(x, self.effort(x, jets))
         if djets is None:
-            djets = np.vstack([jets[1:], np.linspace(0.7, -0.4, self.arm.n)])  # nothing depends on the last row
+            djets = np.vstack([jets[1:], np.linspace(0.7, -0.4, self.arm.n)])  # the last row has no effect
         h = 0.004 / max(1.0, float(np.max(np.abs(dx[: 2 * self.arm.n]))))
         return stencil(lambda s: f(x + s * dx, jets + s * djets), h)
 
     def along(self, f: Function) -> Function:
-        """The same as a function, which may be derived again."""
+        """Return the time derivative of f as a function, which can be differentiated again."""
         return lambda x, jets: self.rate_of(f, x, jets)
 
     def ddq(self, x: Array, jets: Array | None = None) -> Array:
-        """Acceleration of the links, from the arm's equation alone."""
+        """Return the acceleration of the links [rad/s^2] from the equation of motion."""
         q, theta, dq, _ = self.parts(x)
         return np.linalg.solve(self.arm.links.M(q), self.arm.K @ (theta - q) - self.bias(q, dq))
 
     def bias(self, q: Array, dq: Array) -> Array:
-        """C dq + D_l dq + grad P_l."""
+        """Return C dq + D_l dq + grad P_l."""
         links = self.arm.links
         return links.C(q, dq) @ dq + self.arm.D_l @ dq + links.grad_P(q)
 
     def ddtheta(self, x: Array, u: Array) -> Array:
-        """Acceleration of the motors under u."""
+        """Return the acceleration of the motors [rad/s^2] under u."""
         q, theta, _, dtheta = self.parts(x)
         force = self.arm.B_m @ u - self.arm.D_m @ dtheta - self.arm.K @ (theta - q)
         return np.linalg.solve(self.arm.M_m, force)
 
     def rest(self, q: Array) -> Array:
-        """The state at rest with the links at q."""
+        """Return the equilibrium state with the links at q."""
         still = np.zeros(self.arm.n)
         return self.state(q, q + np.linalg.solve(self.arm.K, self.arm.links.grad_P(q)), still, still)
 
     def on_reference(self, jets: Array) -> tuple[Array, Array]:
-        """State and effort with which the links move as the reference: its polynomial, by differences."""
+        """Return state and effort with which the links follow the polynomial of the reference, by differences."""
         arm = self.arm
 
         def q(s: float, k: int = 0) -> Array:
@@ -112,7 +112,7 @@ class PlainLoop:
 
 
 def standing(q: Array) -> Array:
-    """Jets (5, n) of a reference that stands at q."""
+    """Return the jets (5, n) of a constant reference q."""
     jets = np.zeros((5, len(q)))
     jets[0] = q
     return jets

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exact identities of the closed loop, as residuals: |left - right| over the sum of the absolute terms.
+"""Exact identities of the closed loop as residuals: |left - right| over the sum of the absolute terms.
 
 The left sides are differences along the flow through `effort`, `evaluate`, `Plant.derivative` and
-`VirtualSystem.derivative`; the right sides are written with the matrices of cases.py. Any law will do
-that has `effort` and `evaluate`: the wrong ones of the print are judged by the same functions.
+`VirtualSystem.derivative`; the right sides use the matrices of cases.py. The functions accept any law with `effort`
+and `evaluate`, also the misprinted ones.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ TOLERANCE = 1e-10
 
 
 def residual(left: Array, *terms: Array) -> float:
-    """Largest |left - sum of terms| over the sum of the absolute terms, norms taken over the components."""
+    """Return the largest |left - sum of terms| over the sum of the absolute terms, by norms over the components."""
     scale = sum(np.max(np.abs(term)) for term in (left, *terms))
     return float(np.max(np.abs(left - sum(terms))) / scale) if scale else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A robot under a law: whatever has `effort` and `evaluate`."""
+    """A robot under a law, any object with `effort` and `evaluate`."""
 
     arm: Arm
     gains: GainSet
@@ -44,7 +44,7 @@ class Loop:
         return fjr.VirtualSystem(self.arm.robot)
 
     def errors(self, x_v: Array, x: Array, jets: Array) -> Array:
-        """(q_tilde_l, q_tilde_m, sigma_l, sigma_m), (4n,)."""
+        """Return (q_tilde_l, q_tilde_m, sigma_l, sigma_m), (4n,)."""
         e = self.law.evaluate(x_v, x, jets)
         return np.concatenate([e.q_tilde_l, e.q_tilde_m, e.sigma_l, e.sigma_m])
 
@@ -52,11 +52,11 @@ class Loop:
         return float(self.law.evaluate(x_v, x, jets).V)
 
     def field(self, x_v: Array, p: Point) -> Array:
-        """The closed-loop virtual field at x_v."""
+        """Return the closed-loop virtual vector field at x_v."""
         return self.virtual.derivative(x_v, p.x, self.law.effort(x_v, p.x, p.jets, p.omega))
 
     def rate_of(self, f: Any, p: Point) -> Any:
-        """Time derivative of f(x_v, x, jets) along the closed-loop virtual field and the plant under p.u."""
+        """Return the time derivative of f(x_v, x, jets) along the closed-loop virtual field and the plant under p.u."""
         dx_v, dx = self.field(p.x_v, p), self.plant.derivative(p.x, p.u)
         n = self.arm.n
         fastest = np.max(np.abs([dx[:n], dx_v[:n], dx[n : 2 * n], dx_v[n : 2 * n]]))
@@ -66,12 +66,12 @@ class Loop:
 
 @cache
 def loop_of(arm: Arm, gains: GainSet) -> Loop:
-    """The robot under fjr_core's law, built once."""
+    """Return the robot under the law of fjr_core, built once."""
     return Loop(arm, gains, fjr.TrackingLaw(arm.robot, gains.gains))
 
 
 def closed_form(loop: Loop, p: Point) -> tuple[Array, Array, Array]:
-    """M_l(q_l), C(q_l, dq_l) and E_l = -C' by the closed forms of cases.py."""
+    """Return M_l(q_l), C(q_l, dq_l) and E_l = -C' by the closed forms of cases.py."""
     q_l, _, p_l, _ = np.split(p.x, 4)
     M = loop.arm.links.M(q_l)
     C = loop.arm.links.C(q_l, np.linalg.solve(M, p_l))
@@ -79,7 +79,7 @@ def closed_form(loop: Loop, p: Point) -> tuple[Array, Array, Array]:
 
 
 def error_dynamics(loop: Loop, p: Point) -> dict[str, float]:
-    """Residuals of the four equations of the closed-loop errors, one name for each."""
+    """Return the residuals of the four closed-loop error equations by name."""
     a, g = loop.arm, loop.gains
     e_l, e_m, sigma_l, sigma_m = np.split(loop.errors(p.x_v, p.x, p.jets), 4)
     de_l, de_m, dsigma_l, dsigma_m = np.split(loop.rate_of(loop.errors, p), 4)
@@ -94,7 +94,7 @@ def error_dynamics(loop: Loop, p: Point) -> dict[str, float]:
 
 
 def storage_terms(loop: Loop, p: Point) -> tuple[float, ...]:
-    """The five terms that make dV/dt."""
+    """Return the five terms of dV/dt."""
     a, g = loop.arm, loop.gains
     e_l, e_m, sigma_l, sigma_m = np.split(loop.errors(p.x_v, p.x, p.jets), 4)
     s_l, s_m = inverse(closed_form(loop, p)[0]) @ sigma_l, inverse(a.M_m) @ sigma_m
@@ -108,19 +108,19 @@ def storage_terms(loop: Loop, p: Point) -> tuple[float, ...]:
 
 
 def storage_rate(loop: Loop, p: Point) -> float:
-    """Residual of the exact dV/dt."""
+    """Return the residual of the exact dV/dt."""
     return residual(loop.rate_of(loop.storage, p), *storage_terms(loop, p))
 
 
 def coordinate_steps(loop: Loop, p: Point) -> Array:
-    """Steps of the stencil in x: 0.05 rad, and inertia times 5 rad/s (the law is quadratic in momenta)."""
+    """Return steps of the stencil in x: 0.05 rad, and inertia times 5 rad/s (the law is quadratic in momenta)."""
     M = closed_form(loop, p)[0]
     angle = np.full(loop.arm.n, 0.05)
     return np.concatenate([angle, angle, np.diag(M) * 5, np.diag(loop.arm.M_m) * 5])
 
 
 def generator(loop: Loop, p: Point) -> Array:
-    """A = (Theta J + dTheta) Theta^-1 in the coordinates (q_tilde_l, q_tilde_m, sigma_l, sigma_m)."""
+    """Return A = (Theta J + dTheta) Theta^-1 in the coordinates (q_tilde_l, q_tilde_m, sigma_l, sigma_m)."""
     steps = coordinate_steps(loop, p)
 
     def theta(x_v: Array, x: Array, jets: Array) -> Array:
@@ -140,7 +140,7 @@ def block_diagonal(*blocks: Array) -> Array:
 
 
 def metric(loop: Loop, p: Point) -> tuple[Array, Array]:
-    """P = diag(Pi_l, Pi_m, M_l^-1, M_m^-1) and its time derivative (dM_l = C + C')."""
+    """Return P = diag(Pi_l, Pi_m, M_l^-1, M_m^-1) and its time derivative (dM_l = C + C')."""
     M, C, _ = closed_form(loop, p)
     zero = np.zeros_like(M)
     P = block_diagonal(loop.gains.Pi_l, loop.gains.Pi_m, inverse(M), inverse(loop.arm.M_m))
@@ -148,7 +148,7 @@ def metric(loop: Loop, p: Point) -> tuple[Array, Array]:
 
 
 def interconnection(arm: Arm, coupling: Array) -> Array:
-    """J_v as eq. (44) prints it, with the blocks of eq. (49): `coupling` and minus its transpose."""
+    """Return J_v as printed in eq. (44), with the blocks of eq. (49): `coupling` and minus its transpose."""
     zero, one = np.zeros((arm.n, arm.n)), np.eye(arm.n)
     return np.block([
         [zero, zero, one, zero],
@@ -159,7 +159,7 @@ def interconnection(arm: Arm, coupling: Array) -> Array:
 
 
 def structure_as_printed(arm: Arm, gains: GainSet, p: Point, coupling: Array) -> tuple[Array, Array]:
-    """J_v and R_v as eq. (44) prints them, with E_l in R_v."""
+    """Return J_v and R_v as printed in eq. (44), with E_l in R_v."""
     loop = loop_of(arm, gains)
     e_l, e_m, *_ = np.split(loop.errors(p.x_v, p.x, p.jets), 4)
     R_v = block_diagonal(
@@ -176,6 +176,6 @@ def sym(A: Array) -> Array:
 
 
 def metric_residual(P: Array, left: Array, *terms: Array) -> float:
-    """residual() of quadratic forms, in coordinates where the metric P is the identity."""
+    """Return the residual of quadratic forms in coordinates where the metric P is the identity."""
     W = np.linalg.inv(np.linalg.cholesky(P))
     return residual(*(W @ term @ W.T for term in (left, *terms)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The oracles against closed forms and against themselves, before anything is judged by them."""
+"""The oracles agree with closed forms and are self-consistent."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_jacobian_of_a_map() -> None:
 
 
 def numerical_christoffel(arm: Arm, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """C_ij = sum_k (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) v_k / 2."""
+    """Return C_ij = sum_k (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) v_k / 2."""
     dM = jacobian(lambda y: arm.links.M(y).ravel(), q, np.full(arm.n, 0.05)).reshape(arm.n, arm.n, arm.n)
     return np.einsum("ijk,k->ij", dM + dM.swapaxes(1, 2) - dM.transpose(2, 1, 0), v) / 2
 
@@ -43,7 +43,7 @@ def test_hand_written_arms_are_consistent(arm: Arm) -> None:
 
 
 @pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
-def test_literal_plant_from_its_hamiltonian_is_the_literal_virtual_system_on_the_diagonal(arm: Arm) -> None:
+def test_literal_plant_equals_the_literal_virtual_system_on_the_diagonal(arm: Arm) -> None:
     plant, x = LiteralPlant(arm), exact(random_state(arm, np.random.default_rng(6)))
     u = exact(np.arange(1, arm.n + 1))
     difference = plant.derivative(x, u) - plant.virtual(x, x, u)
@@ -51,15 +51,15 @@ def test_literal_plant_from_its_hamiltonian_is_the_literal_virtual_system_on_the
 
 
 @pytest.mark.parametrize(("arm", "gains"), LOOPS[-1:], ids=["planar-full-full"])
-def test_literal_law_does_not_depend_on_its_step(arm: Arm, gains: GainSet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_literal_law_is_independent_of_its_step(arm: Arm, gains: GainSet, monkeypatch: pytest.MonkeyPatch) -> None:
     p = random_point(arm, 7)
     before = LiteralLaw(arm, gains).effort(p.x_v, p.x, p.jets)
     monkeypatch.setattr(oracle, "STEP", oracle.STEP * 1000)
     assert LiteralLaw(arm, gains).effort(p.x_v, p.x, p.jets) == pytest.approx(before, rel=1e-14)
 
 
-def test_literal_law_in_closed_form_at_rest_on_the_reference() -> None:
-    """Everything at rest on a constant reference: all errors vanish and u holds the gravity torque."""
+def test_literal_law_at_equilibrium_has_its_closed_form() -> None:
+    """At equilibrium on a constant reference, all errors vanish and u balances the gravity torque."""
     arm = ARMS[2]
     q_ld = np.array([0.4, -0.9])
     g = arm.links.grad_P(q_ld)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots: inertia, energy and Coriolis terms against closed forms, and their structure."""
+"""Robots: inertia, energy and Coriolis terms agree with closed forms and have the required structure."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_dM_minus_2C_is_skew(arm: Arm, seed: int) -> None:
 @arms
 @seeds
 def test_E_plus_its_transpose_is_minus_dM(arm: Arm, seed: int) -> None:
-    """E_l is read from the plant: d/dq (p' M^-1 p / 2) = E dq, quadratic in dq, polarised."""
+    """E_l is obtained from the plant by polarising d/dq (p' M^-1 p / 2) = E dq, which is quadratic in dq."""
     q, v, _ = configuration(arm, seed)
     M = arm.robot.M_l(q)
     E = workless_matrix(arm, q, v)
@@ -63,7 +63,7 @@ def test_E_plus_its_transpose_is_minus_dM(arm: Arm, seed: int) -> None:
 
 
 def workless_matrix(arm: Arm, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
-    """E_l(q, dq) of eq. (37), column by column, from the virtual system (38)."""
+    """Return E_l(q, dq) of eq. (37), column by column, from the virtual system (38)."""
     n, zero = arm.n, np.zeros(arm.n)
     x = np.concatenate([q, q, arm.links.M(q) @ dq, zero])
     system = fjr.VirtualSystem(arm.robot)
@@ -85,7 +85,7 @@ def test_gradient_of_the_potential(arm: Arm, seed: int) -> None:
 
 @arms
 @seeds
-def test_state_and_velocities_are_inverse_and_momenta_are_M_times_velocity(arm: Arm, seed: int) -> None:
+def test_state_and_velocities_are_inverse_maps_and_momenta_are_M_times_velocity(arm: Arm, seed: int) -> None:
     q_l, dq_l, dq_m = configuration(arm, seed)
     x = arm.robot.state(q_l, q_l + 0.1, dq_l, dq_m)
     wanted = np.concatenate([q_l, q_l + 0.1, arm.links.M(q_l) @ dq_l, arm.M_m @ dq_m])
@@ -119,7 +119,7 @@ def test_planar_two_link_hangs_straight_down_at_zero_with_zero_energy() -> None:
     assert robot.P_l([0.3, 0]) > 0 < robot.P_l([0, -0.3])
 
 
-def test_a_robot_is_frozen() -> None:
+def test_robot_is_immutable() -> None:
     robot = fjr.single_link()
     with pytest.raises(AttributeError):
         robot.K = np.eye(1)  # type: ignore[misc]

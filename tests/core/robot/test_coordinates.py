@@ -38,7 +38,7 @@ def test_the_maps_are_inverse(arm: Arm) -> None:
     np.testing.assert_array_equal(found, velocity_function(arm.robot)(x).full().ravel())
 
 
-def test_a_law_with_another_inertia_sees_the_velocities_of_the_plant() -> None:
+def test_law_with_another_inertia_receives_the_velocities_of_the_plant() -> None:
     plant, law = fjr.planar_two_link(link_mass=(1.3, 0.7)), fjr.planar_two_link()
     x = plant.state((0.4, -1.1), (0.5, -1.0), (1.2, 0.3), (-0.7, 2.0))
     view = law_view(plant, law)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The symbolic recursion against Pinocchio on random chains, and the identities of its own matrices."""
+"""The symbolic recursion agrees with Pinocchio on random chains, and its matrices satisfy their identities."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ def value(result: ca.DM) -> Array:
 
 
 def relative(left: Array, right: Array, scale: float = 0.0) -> float:
-    """Largest difference over the largest entry, or over the scale where that is larger."""
+    """Return the largest difference relative to the largest entry, or to `scale` if that is larger."""
     left, right = np.asarray(left).reshape(np.shape(right)), np.asarray(right)
     return float(np.max(np.abs(left - right)) / max(np.max(np.abs(right)), scale, 1e-3))
 
 
 def columns(product: Any, n: int) -> Array:
-    """The matrix behind a product with w."""
+    """Return the matrix of a product that is linear in w."""
     return np.column_stack([product(e).full().ravel() for e in np.eye(n)])
 
 
 @all_chains
-def test_inertia_is_pinocchios(chain: tuple[int, int]) -> None:
+def test_inertia_agrees_with_pinocchio(chain: tuple[int, int]) -> None:
     c = random_chain(*chain)
     (q,) = numbers(c, 1)
     M = c.links.M_l(q).full()
@@ -48,14 +48,14 @@ def test_inertia_is_pinocchios(chain: tuple[int, int]) -> None:
 
 
 @all_chains
-def test_coriolis_product_is_pinocchios(chain: tuple[int, int]) -> None:
+def test_coriolis_product_agrees_with_pinocchio(chain: tuple[int, int]) -> None:
     c = random_chain(*chain)
     q, v, w = numbers(c, 3)
     assert relative(c.links.C(q, v, w), c.pinocchio.C(q, v) @ w) < 1e-10
 
 
 @all_chains
-def test_gravity_and_potential_are_pinocchios(chain: tuple[int, int]) -> None:
+def test_gravity_and_potential_agree_with_pinocchio(chain: tuple[int, int]) -> None:
     c = random_chain(*chain)
     q, other = numbers(c, 2)
     assert relative(c.links.grad_P_l(q), c.pinocchio.grad_P(q)) < 1e-10
@@ -64,7 +64,7 @@ def test_gravity_and_potential_are_pinocchios(chain: tuple[int, int]) -> None:
 
 
 @all_chains
-def test_forward_dynamics_is_the_articulated_body_algorithm(chain: tuple[int, int]) -> None:
+def test_forward_dynamics_agrees_with_the_articulated_body_algorithm(chain: tuple[int, int]) -> None:
     c = random_chain(*chain)
     q, dq, tau = numbers(c, 3)
     M, bias = c.links.M_l(q).full(), value(c.links.C(q, dq, dq) + c.links.grad_P_l(q))
@@ -110,12 +110,12 @@ def test_coriolis_product_is_bilinear_and_symmetric_in_both_velocities(n: int) -
 
 
 def planar_bodies(m: Any, l1: float, c: Any, inertia: Any) -> list[fjr.Body]:
-    """Two links that hang along -z and turn about y."""
+    """Return two links that hang along -z and rotate about y."""
     places, thin = ((0, 0, 0), (0, 0, -l1)), np.diag([0.0, 1.0, 0.0])
     return [fjr.Body(np.eye(3), places[i], (0, 1, 0), m[i], (0, 0, -c[i]), inertia[i] * thin) for i in range(2)]
 
 
-def test_two_bodies_in_a_plane_are_the_closed_form() -> None:
+def test_two_bodies_in_a_plane_match_the_closed_form() -> None:
     closed = fjr.planar_two_link(**PLANAR).links
     bodies = planar_bodies(PLANAR["link_mass"], 0.3, PLANAR["link_com"], PLANAR["link_inertia"])
     chain = fjr.serial_chain(bodies)
@@ -128,7 +128,7 @@ def test_two_bodies_in_a_plane_are_the_closed_form() -> None:
     assert relative(chain.P_l(q) - chain.P_l(0 * q), (closed.P_l(q) - closed.P_l(0 * q)).full()) < 1e-13
 
 
-def test_a_point_mass_on_a_slide_weighs_along_it() -> None:
+def test_point_mass_on_a_prismatic_joint_loads_it_along_its_axis() -> None:
     slide = fjr.Body(np.eye(3), (0, 0, 1), (0, 0, -2), 3.0, (0.1, 0.2, 0.3), np.zeros((3, 3)), prismatic=True)
     links = fjr.serial_chain([slide], (0, 0, -10))
     assert float(links.M_l(0.4)) == pytest.approx(3.0)
@@ -163,12 +163,12 @@ GOOD: dict[str, Any] = {
         ("inertia", [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]], "inertia is not symmetric"),
     ],
 )
-def test_impossible_bodies_are_refused(name: str, wrong: Any, sentence: str) -> None:
+def test_invalid_bodies_are_refused(name: str, wrong: Any, sentence: str) -> None:
     with pytest.raises(fjr.RobotError, match=sentence):
         fjr.Body(**{**GOOD, name: wrong})
 
 
-def test_a_chain_needs_bodies_and_a_gravity_vector() -> None:
+def test_chain_requires_bodies_and_a_gravity_vector() -> None:
     with pytest.raises(fjr.RobotError, match="expected at least one"):
         fjr.serial_chain([])
     with pytest.raises(fjr.RobotError, match=r"gravity has shape \(2,\)"):

@@ -16,14 +16,14 @@ seeds = pytest.mark.parametrize("seed", range(4))
 
 
 def energy_scale(arm: Arm, x: np.ndarray) -> np.ndarray:
-    """Steps of the stencil in x: 0.02 rad, and inertia times 0.2 rad/s."""
+    """Return steps of the stencil in x: 0.02 rad, and inertia times 0.2 rad/s."""
     angle = np.full(arm.n, 0.02)
     return np.concatenate([angle, angle, 0.2 * np.diag(arm.links.M(x[: arm.n])), 0.2 * np.diag(arm.M_m)])
 
 
 @arms
 @seeds
-def test_gradient_is_that_of_the_hamiltonian(arm: Arm, seed: int) -> None:
+def test_gradient_is_the_gradient_of_the_hamiltonian(arm: Arm, seed: int) -> None:
     x = random_point(arm, seed).x
     wanted = jacobian(lambda y: np.array([arm.robot.hamiltonian(y)]), x, energy_scale(arm, x))[0]
     for seen, block in zip(np.split(fjr.Plant(arm.robot).gradient(x), 4), np.split(wanted, 4), strict=True):
@@ -72,7 +72,7 @@ def test_power_balance(arm: Arm, seed: int) -> None:
 
 @arms
 def test_equilibrium_under_gravity_is_at_rest(arm: Arm) -> None:
-    """Springs that carry the gravity torque and motors that hold the springs: nothing moves."""
+    """The springs balance gravity and the motors balance the springs, so the derivative vanishes."""
     q_l = np.linspace(0.4, -0.7, arm.n)
     torque = arm.links.grad_P(q_l)
     x = arm.robot.state(q_l, q_l + np.linalg.solve(arm.K, torque), np.zeros(arm.n), np.zeros(arm.n))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""robot_from_urdf against Pinocchio's own model of the same text, its limits, elastic data and refusals."""
+"""robot_from_urdf agrees with Pinocchio's model of the same text; limits, elastic data and refused input."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def robot_of(case: tuple[int, int]) -> tuple[fjr.Robot, PinocchioLinks]:
 
 
 def agreement(robot: fjr.Robot, oracle: PinocchioLinks, seed: int) -> float:
-    """Largest relative difference of M, C w, gravity and potential differences."""
+    """Return the largest relative difference of M, C w, gravity and potential differences."""
     q, other, v, w = np.random.default_rng(seed).uniform(-2, 2, (4, robot.n))
     drop = np.array([robot.P_l(q) - robot.P_l(other)]), np.array([oracle.P(q) - oracle.P(other)])
     return max(
@@ -44,7 +44,7 @@ def agreement(robot: fjr.Robot, oracle: PinocchioLinks, seed: int) -> float:
 
 
 @all_cases
-def test_named_joints_in_named_order_with_the_others_locked_are_pinocchios(case: tuple[int, int]) -> None:
+def test_named_joints_in_any_order_with_others_locked_agree_with_pinocchio(case: tuple[int, int]) -> None:
     assert agreement(*robot_of(case), seed=case[1]) < 1e-10
 
 
@@ -57,20 +57,20 @@ def test_forward_dynamics_of_the_named_joints_obeys_the_inverse_dynamics_of_all(
     assert relative(torques[oracle.rows], tau) < 1e-10
 
 
-def test_kinetic_gradient_keeps_the_named_order() -> None:
+def test_kinetic_gradient_has_the_named_order() -> None:
     robot, oracle = robot_of((5, 1))
     q, v = np.random.default_rng(3).uniform(-2, 2, (2, 5))
     assert relative(robot.links.grad_T(q, v).full().ravel(), oracle.C(q, v).T @ v) < 1e-10
 
 
-def test_a_byte_order_mark_is_no_part_of_a_urdf(tmp_path: Path) -> None:
+def test_byte_order_mark_of_a_urdf_is_ignored(tmp_path: Path) -> None:
     path, marked = tmp_path / "arm.urdf", "\ufeff" + ARM7.read_text(encoding="utf-8")
     path.write_text(marked, encoding="utf-8")
     for source in (path, marked):
         assert fjr.robot_from_urdf(source, ARM7_JOINTS, 100.0, 0.1).n == 7
 
 
-def test_links_may_have_the_names_of_joints() -> None:
+def test_links_and_joints_may_share_names() -> None:
     text = ARM7.read_text(encoding="utf-8")
     named = text
     for i in range(1, 8):
@@ -81,7 +81,7 @@ def test_links_may_have_the_names_of_joints() -> None:
     assert np.array_equal(here.M_l(q), there.M_l(q))
 
 
-def test_a_file_a_path_and_the_text_are_the_same_robot(tmp_path: Path) -> None:
+def test_file_path_and_text_give_the_same_robot(tmp_path: Path) -> None:
     urdf = random_urdf(3, 0)
     file = tmp_path / "arm.urdf"
     file.write_text('<?xml version="1.0" encoding="utf-8"?>\n' + urdf.xml, encoding="utf-8")
@@ -92,7 +92,7 @@ def test_a_file_a_path_and_the_text_are_the_same_robot(tmp_path: Path) -> None:
     assert all(np.array_equal(robot.M_l(q), robots[0].M_l(q)) for robot in robots)
 
 
-# A planar arm by hand: what the tests below bend and break.
+# A hand-written planar arm, which the tests below modify.
 
 ZERO = 'ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"'
 
@@ -120,7 +120,7 @@ def read(xml: str, joints: Any = ("shoulder", "elbow"), stiffness: Any = 50.0, *
     return fjr.robot_from_urdf(xml, joints, stiffness, values.pop("motor_inertia", 0.1), **values)
 
 
-def test_a_planar_urdf_is_the_closed_form() -> None:
+def test_planar_urdf_matches_the_closed_form() -> None:
     (m1, m2), (c1, c2), (I1, I2) = PLANAR["link_mass"], PLANAR["link_com"], PLANAR["link_inertia"]
     links = [
         link(n, m, c, ZERO.replace('iyy="0"', f'iyy="{i}"'))
@@ -136,7 +136,7 @@ def test_a_planar_urdf_is_the_closed_form() -> None:
 # Elastic data.
 
 
-def test_elastic_data_are_in_the_named_order() -> None:
+def test_elastic_data_have_the_named_order() -> None:
     K, M_m = np.array([[50.0, 4.0], [4.0, 30.0]]), np.array([[0.2, 0.03], [0.03, 0.1]])
     arm = read(
         TWO, ["elbow", "shoulder"], K, motor_inertia=M_m, link_damping=(1, 2), motor_damping=3, input_gain=(2, 4)
@@ -186,7 +186,7 @@ def test_zero_or_absent_limits_are_no_limits(inner: str, kind: str, expected: li
     assert values_of(limited(inner, kind)) == expected
 
 
-def test_limits_are_in_the_named_order() -> None:
+def test_limits_have_the_named_order() -> None:
     limits = fjr.robot_from_urdf(ARM7, ARM7_JOINTS[::-1], 1e4, 0.5).limits
     assert limits is not None
     assert limits.effort.tolist() == [40, 40, 110, 110, 110, 176, 176]
@@ -203,7 +203,7 @@ def test_limits_are_in_the_named_order() -> None:
         ({"upper": "high"}, "upper limit is 'high'; expected numbers"),
     ],
 )
-def test_impossible_limits_are_refused(change: dict[str, Any], sentence: str) -> None:
+def test_invalid_limits_are_refused(change: dict[str, Any], sentence: str) -> None:
     good = {"lower": [-1.0, -1.0], "upper": [0.5, 0.5], "velocity": [1.0, 1.0], "effort": [1.0, 1.0]}
     with pytest.raises(fjr.RobotError, match=sentence):
         fjr.JointLimits(**{**good, **change})  # type: ignore[arg-type]
@@ -234,11 +234,11 @@ def test_a_mimicking_joint_is_locked_at_the_position_of_its_leader() -> None:
 
 
 def with_limits(xml: str) -> str:
-    """Pinocchio, unlike robot_from_urdf, wants a <limit> in every joint."""
+    """Add a <limit> to every joint, which Pinocchio requires but robot_from_urdf does not."""
     return xml.replace("</joint>", '<limit lower="0" upper="0" effort="0" velocity="0"/></joint>')
 
 
-# What is refused, in one sentence and with nothing printed.
+# Invalid input: one sentence, nothing printed.
 
 POINT = link("lower", 1.0, 0.0, ZERO)
 SIDE = TWO.replace("</robot>", link("other") + joint("wing", "upper", "other") + "</robot>")
@@ -352,20 +352,20 @@ def test_inconsistent_requests_are_refused_in_one_sentence(what: str, capfd: pyt
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_file_that_is_not_there_or_a_folder_is_named(tmp_path: Path) -> None:
+def test_missing_file_or_folder_is_named(tmp_path: Path) -> None:
     for path in (tmp_path / "none.urdf", tmp_path):
         with pytest.raises(fjr.RobotError, match=f"URDF {path} cannot be read .*; expected a file or XML text"):
             fjr.robot_from_urdf(path, ["a"], 1.0, 1.0)
 
 
-def test_a_file_that_is_not_text_is_named(tmp_path: Path) -> None:
+def test_binary_file_is_named(tmp_path: Path) -> None:
     file = tmp_path / "arm.urdf"
     file.write_bytes(b"\x00\xff\x7fELF")
     with pytest.raises(fjr.RobotError, match="arm.urdf does not parse as XML"):
         fjr.robot_from_urdf(file, ["a"], 1.0, 1.0)
 
 
-def test_without_pinocchio_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_pinocchio_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pinocchio", None)
     with pytest.raises(fjr.RobotError, match="pip install pin, or ros-jazzy-pinocchio"):
         read(TWO)
@@ -390,7 +390,7 @@ def attribute(element: ET.Element, path: str, name: str) -> Array:
 
 
 @pytest.mark.parametrize("name", ["base_link", *(f"link{i}" for i in range(1, 8)), "tool"])
-def test_every_link_of_arm7_has_the_inertia_of_the_cylinder_it_shows(name: str) -> None:
+def test_every_link_of_arm7_has_the_inertia_of_its_visual_cylinder(name: str) -> None:
     element = arm7_links()[name]
     (m,), (r,) = attribute(element, "inertial/mass", "value"), attribute(element, "visual/geometry/cylinder", "radius")
     (h,) = attribute(element, "visual/geometry/cylinder", "length")
@@ -402,8 +402,8 @@ def test_every_link_of_arm7_has_the_inertia_of_the_cylinder_it_shows(name: str) 
     assert np.array_equal(attribute(element, "inertial/origin", "xyz"), attribute(element, "visual/origin", "xyz"))
 
 
-def test_arm7_is_of_its_class() -> None:
-    """18 to 20 kg moving, limits of every kind, and a wrist that a 1 kHz loop can hold."""
+def test_arm7_has_the_data_of_a_light_seven_joint_arm() -> None:
+    """The moving mass is 18 to 20 kg, all limits exist, and a 1 kHz loop can control the wrist."""
     arm = fjr.robot_from_urdf(ARM7, ARM7_JOINTS, 1e4, 0.5)
     masses = {name: float(attribute(link, "inertial/mass", "value")[0]) for name, link in arm7_links().items()}
     assert 18 < sum(masses.values()) - masses["base_link"] < 20
@@ -414,6 +414,6 @@ def test_arm7_is_of_its_class() -> None:
     assert np.all(np.max([np.abs(arm.grad_P_l(q)) for q in points], axis=0) < arm.limits.effort / 2)
 
 
-def test_arm7_is_pinocchios() -> None:
+def test_arm7_agrees_with_pinocchio() -> None:
     arm = fjr.robot_from_urdf(ARM7, ARM7_JOINTS, 1e4, 0.5)
     assert agreement(arm, PinocchioLinks(pin.buildModelFromUrdf(str(ARM7)), ARM7_JOINTS), seed=0) < 1e-10

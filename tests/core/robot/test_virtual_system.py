@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual system (38): equal to the plant on the diagonal, its variation, and Theorem 2."""
+"""The virtual system (38): equality with the plant on the diagonal, variational system, and Theorem 2."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ seeds = pytest.mark.parametrize("seed", range(4))
 
 @arms
 @seeds
-def test_virtual_is_actual_on_the_diagonal_for_any_input(arm: Arm, seed: int) -> None:
+def test_virtual_system_equals_the_plant_on_the_diagonal_for_any_input(arm: Arm, seed: int) -> None:
     p = random_point(arm, seed)
     virtual = fjr.VirtualSystem(arm.robot).derivative(p.x, p.x, p.u)
     assert residual(virtual, fjr.Plant(arm.robot).derivative(p.x, p.u)) <= 1e-14
@@ -44,10 +44,10 @@ def test_variational_system_is_the_derivative_in_x_v_and_u(arm: Arm, seed: int) 
     assert residual(system.variational(p.x_v, p.x, delta_x_v, delta_u), wanted) <= TOLERANCE
 
 
-def spread_of_virtual_solutions(arm: Arm, gains: GainSet, duration: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """|x_v - x| at start and end for three x_v(0), and |q_l - q_ld| at the end, under a persistent omega(t).
+def errors_of_virtual_solutions(arm: Arm, gains: GainSet, duration: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return |x_v - x| at start and end for three x_v(0), and |q_l - q_ld| at the end, under a persistent omega(t).
 
-    omega keeps x(t) off the reference, so that meeting x is not the same as meeting the reference.
+    omega keeps x(t) away from the reference, so that converging to x differs from converging to the reference.
     """
     law, plant, system = (
         fjr.TrackingLaw(arm.robot, gains.gains),
@@ -71,9 +71,9 @@ def spread_of_virtual_solutions(arm: Arm, gains: GainSet, duration: float) -> tu
 
 @pytest.mark.parametrize("arm", [single(31.0), single(3.1), planar("31", 31.0)], ids=lambda arm: arm.name)
 @pytest.mark.parametrize("gains", [linear, cubic])
-def test_every_virtual_solution_meets_the_actual_one(arm: Arm, gains: Callable[[int], GainSet]) -> None:
+def test_every_virtual_solution_converges_to_the_actual_one(arm: Arm, gains: Callable[[int], GainSet]) -> None:
     """Theorem 2."""
-    at_start, at_end, error = spread_of_virtual_solutions(arm, gains(arm.n), 4.0)
+    at_start, at_end, error = errors_of_virtual_solutions(arm, gains(arm.n), 4.0)
     assert np.min(at_start) > 0.1
     assert np.max(at_end) < 1e-6
     assert error > 1e-3

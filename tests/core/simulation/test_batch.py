@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled closed loop of many runs: same numbers as `simulate`, independent of the other runs."""
+"""The compiled closed loop of many runs gives the numbers of `simulate` for each run, independently of the others."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def every_row(result: Outcomes) -> np.ndarray[Any, Any]:
 
 @pytest.mark.parametrize(("arm", "gains"), ROBOTS)
 @pytest.mark.parametrize("delay", [0.0, 0.3e-3, 1e-3, 2.6e-3])
-def test_nominal_draws_are_simulate(arm: Arm, gains: fjr.Gains, delay: float) -> None:
+def test_nominal_draws_agree_with_simulate(arm: Arm, gains: fjr.Gains, delay: float) -> None:
     loop = loop_of(arm.robot, gains, duration=0.15)
     result, recorded = loop.recorded(Draws(1, delay=delay))
     run = simulated(loop, delay)
@@ -71,7 +71,7 @@ def test_nominal_draws_are_simulate(arm: Arm, gains: fjr.Gains, delay: float) ->
     assert result.stable[0]
 
 
-def test_the_last_second_and_the_settling_time_are_what_they_say() -> None:
+def test_final_error_settling_time_and_power_match_their_definitions() -> None:
     loop = paper_loop(duration=1.6, band=0.02)
     result, recorded = loop.recorded(Draws(1, external=0.1))
     error = np.abs(recorded.x[0, :, 0] - loop.reference.jets(recorded.t)[:, 0, 0])
@@ -91,7 +91,7 @@ MANY = {
 }
 
 
-def test_a_run_is_the_same_bits_alone_and_among_others() -> None:
+def test_run_is_bit_identical_alone_and_among_others() -> None:
     loop = paper_loop()
     together = loop.run(Draws(7, **MANY))
     apart = [loop.run(Draws(7, **MANY).taken(part)) for part in (slice(0, 3), [3], [6, 5, 4])]
@@ -100,7 +100,7 @@ def test_a_run_is_the_same_bits_alone_and_among_others() -> None:
 
 
 def everything(n: int) -> dict[str, Any]:
-    """Two runs in which nothing is nominal."""
+    """Return draws of two runs in which no parameter is nominal."""
     rng = np.random.default_rng(5)
     factors = ("stiffness", "link_inertia", "gravity", "motor_inertia", "link_damping", "motor_damping")
     drawn: dict[str, Any] = {name: rng.uniform(0.8, 1.2, (2, n)) for name in factors}
@@ -114,7 +114,7 @@ def everything(n: int) -> dict[str, Any]:
 
 @with_a_compiler
 @pytest.mark.parametrize(("arm", "gains"), ROBOTS[:2])
-def test_without_a_compiler_the_numbers_are_the_same(
+def test_python_fallback_gives_the_compiled_numbers(
     arm: Arm, gains: fjr.Gains, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draws = Draws(2, **everything(arm.n))
@@ -128,7 +128,7 @@ def test_without_a_compiler_the_numbers_are_the_same(
 
 
 @with_a_compiler
-def test_noise_is_numpys_philox() -> None:
+def test_noise_is_the_philox_generator_of_numpy() -> None:
     library = Program(ARMS[0].robot, AsSampledLaw(fjr.TrackingLaw(ARMS[0].robot, fjr.PAPER_GAINS))).library
     assert library is not None
     for seed, sample, n in ((0, 0, 1), (3, 17, 7), (2**64 - 1, 2**33, 2)):
@@ -138,15 +138,15 @@ def test_noise_is_numpys_philox() -> None:
         assert z == pytest.approx(python_loop.normals(seed, sample, n), rel=1e-12, abs=1e-15)
 
 
-def test_noise_is_white_and_of_the_level_asked_for() -> None:
+def test_noise_is_white_with_unit_variance() -> None:
     z = np.array([python_loop.normals(5, k, 2) for k in range(2000)]).reshape(2000, 8)
     assert z.mean(axis=0) == pytest.approx(0, abs=0.1)
     assert np.cov(z.T) == pytest.approx(np.eye(8), abs=0.1)
     assert np.mean(z[1:] * z[:-1], axis=0) == pytest.approx(0, abs=0.1)
 
 
-def test_a_model_that_is_wrong_is_what_simulate_has_with_another_plant() -> None:
-    """Drawn factors against a plant that is built with the multiplied numbers."""
+def test_parameter_factors_equal_simulate_with_another_plant() -> None:
+    """The oracle is a plant built with the multiplied parameters."""
     believed = fjr.single_link(stiffness=31.0)
     plant = fjr.single_link(31.0 * 0.8, link_inertia=0.031 * 1.3, gravity_torque=0.8 * 1.1, motor_inertia=0.004 * 0.9,
                             link_damping=0.2 * 0.5, motor_damping=0.007 * 2.0)  # fmt: skip
@@ -168,12 +168,12 @@ FIELDS = {
 
 
 @pytest.mark.parametrize("name", FIELDS)
-def test_every_number_that_is_drawn_is_felt(name: str) -> None:
+def test_every_drawn_parameter_changes_the_run(name: str) -> None:
     result = paper_loop().run(Draws(2, **{name: [Draws(1).columns(name, 1)[0, 0], FIELDS[name]]}))
     assert result.rms[0] != result.rms[1]
 
 
-def test_payload_and_smoothing_and_seed_are_felt() -> None:
+def test_payload_position_smoothing_and_seed_change_the_run() -> None:
     loop = paper_loop()
     base = {"payload_mass": 0.1, "payload_position": [0.2, 0, 0], "coulomb_l": 0.05, "position_noise": 1e-4}
     changes = [{}, {"payload_position": [0.3, 0, 0]}, {"smoothing": 0.05}, {"seed": 3}]
@@ -181,7 +181,7 @@ def test_payload_and_smoothing_and_seed_are_felt() -> None:
     assert len(set(found)) == len(changes)
 
 
-def test_a_diverging_run_ends_and_the_others_continue() -> None:
+def test_diverging_run_ends_and_the_others_continue() -> None:
     result = paper_loop().run(Draws(3, delay=[0.0, 0.02, 0.0]))
     assert result.stable.tolist() == [True, False, True]
     assert result.lost_at[1] < 0.3
@@ -190,13 +190,13 @@ def test_a_diverging_run_ends_and_the_others_continue() -> None:
 
 
 def test_the_law_receives_the_sent_effort() -> None:
-    """The effort beyond the limit never reaches the plant."""
+    """An effort beyond the limit never reaches the plant."""
     _, recorded = paper_loop().recorded(Draws(1, effort_limit=3.0))
     assert np.abs(recorded.u).max() == 3.0
 
 
 @pytest.mark.parametrize("runs", [1, 2, 3, 4])
-def test_one_place_of_the_payload_is_that_of_all_runs(runs: int) -> None:
+def test_single_payload_position_applies_to_all_runs(runs: int) -> None:
     found = Draws(runs, payload_position=(0.1, 0.2, 0.3)).columns("payload_position", 1)
     assert np.array_equal(found, np.tile([0.1, 0.2, 0.3], (runs, 1)))
 
@@ -214,7 +214,7 @@ def test_one_place_of_the_payload_is_that_of_all_runs(runs: int) -> None:
         ({"seed": [0.5, 1, 2]}, "seed is of float64"),
     ],
 )
-def test_draws_that_cannot_be_are_refused_in_a_sentence(values: dict[str, Any], words: str) -> None:
+def test_invalid_draws_are_refused_in_one_sentence(values: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError) as caught:
         paper_loop().run(Draws(3, **values))
     assert words in str(caught.value)
@@ -230,15 +230,13 @@ def test_draws_that_cannot_be_are_refused_in_a_sentence(values: dict[str, Any], 
         ({"believed": ARMS[-1].robot}, "1, 2 and 1 joints; expected equal"),
     ],
 )
-def test_a_loop_that_cannot_be_is_refused_in_a_sentence(changes: dict[str, Any], words: str) -> None:
+def test_invalid_loop_is_refused_in_one_sentence(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(StateError, match=words):
         paper_loop(**changes)
 
 
 @with_a_compiler
-def test_the_fingerprint_holds_source_casadi_and_whether_it_is_compiled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fingerprint_covers_source_casadi_and_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = [paper_loop().fingerprint, paper_loop().fingerprint]
     with monkeypatch.context() as patch:
         patch.setenv("PATH", "")
@@ -257,7 +255,7 @@ def test_the_fingerprint_holds_source_casadi_and_whether_it_is_compiled(
 
 
 @with_a_compiler
-def test_it_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loop_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
         assert paper_loop().compiled

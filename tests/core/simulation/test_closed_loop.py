@@ -33,14 +33,14 @@ def paper_run(k: float, sample_period: float | None = None) -> fjr.Trajectory:
 
 @stiffnesses
 def test_peak_effort_of_the_papers_example(k: float) -> None:
-    """After the same transient, a much larger effort for the softer joint; the peak is at t = 0."""
+    """The softer joint needs a much larger effort for the same transient; the peak is at t = 0."""
     u = np.abs(paper_run(k).u[:, 0])
     assert np.max(u) == pytest.approx(PEAK_EFFORT[k], rel=1e-3)
     assert np.argmax(u) == 0
 
 
 @stiffnesses
-def test_link_is_on_the_reference_after_one_second(k: float) -> None:
+def test_link_reaches_the_reference_within_1_s(k: float) -> None:
     run = paper_run(k)
     assert np.max(np.abs(run.x[:, 0] - np.sin(run.t))[run.t >= 1]) < 1e-8
 
@@ -52,7 +52,7 @@ def test_storage_stays_below_its_exponential_bound_in_continuous_time(k: float) 
 
 
 @stiffnesses
-def test_under_a_hold_of_one_millisecond_the_link_tracks_to_ten_microradians(k: float) -> None:
+def test_link_tracks_to_10_microradians_at_1_khz(k: float) -> None:
     run = paper_run(k, 1e-3)
     assert np.max(np.abs(run.x[:, 0] - np.sin(run.t))[run.t >= 2]) <= 1e-5
     assert np.max(np.abs(run.u)) == pytest.approx(PEAK_EFFORT[k], rel=1e-3)
@@ -74,7 +74,7 @@ def test_continuous_run_agrees_with_an_independent_integrator(k: float) -> None:
 
 @stiffnesses
 def test_continuous_run_agrees_with_the_closed_form_of_the_errors(k: float) -> None:
-    """One joint and linear phi: the errors obey a constant matrix, e(t) = exp(A t) e(0)."""
+    """For one joint and linear phi, the errors satisfy e(t) = exp(A t) e(0) with constant A."""
     M, m, Pi_m = 0.031, 0.004, 60.0
     A = np.array([
         [-10, 0, 1 / M, 0],
@@ -119,8 +119,8 @@ def test_a_run_never_exceeds_its_duration() -> None:
     assert fjr.simulate(plant, law, REFERENCE, x0, 0.3, 1e-3).t[-1] == pytest.approx(0.3, abs=1e-15)
 
 
-def test_finer_inner_steps_change_a_run_little_and_coarser_ones_more() -> None:
-    """inner_step is used: the error against a fine run falls with the fourth power."""
+def test_error_of_a_run_is_of_order_four_in_the_inner_step() -> None:
+    """The error with respect to a fine run decreases with the fourth power of inner_step."""
     plant, law, x0 = joint(31.0)
     ends = [fjr.simulate(plant, law, REFERENCE, x0, 0.2, 4e-3, h).x[-1] for h in (4e-3, 2e-3, 1e-4)]
     errors = [np.max(np.abs(end - ends[-1])) for end in ends[:2]]
@@ -152,7 +152,7 @@ def test_planar_arm_tracks_in_continuous_time_within_its_bound() -> None:
     assert np.max(np.abs(run.x[-1, :2] - run.jets[-1, 0])) < 1e-8
 
 
-def test_planar_arm_tracks_under_a_hold_of_one_millisecond() -> None:
+def test_planar_arm_tracks_at_1_khz() -> None:
     robot, gains, reference = planar_arm()
     law, x0 = fjr.TrackingLaw(robot, gains), robot.state([0.5, 0], [0.5, 0], [0, 0], [0, 0])
     run = fjr.simulate(fjr.Plant(robot), law, reference, x0, 4.0, 1e-3)
@@ -160,15 +160,15 @@ def test_planar_arm_tracks_under_a_hold_of_one_millisecond() -> None:
     assert np.max(np.abs(run.x[late, :2] - run.jets[late, 0])) < 1e-4
 
 
-def test_model_mismatch_is_allowed_and_disturbs() -> None:
+def test_model_mismatch_is_allowed_and_causes_an_error() -> None:
     plant, (_, law, x0) = fjr.Plant(fjr.single_link(link_inertia=0.033)), joint(31.0)
     run = fjr.simulate(plant, law, REFERENCE, x0, 3.0, 1e-3)
     assert 1e-6 < np.max(np.abs(run.x[-1000:, 0] - run.jets[-1000:, 0, 0])) < 0.05
 
 
 @pytest.mark.parametrize("samples", [0.25, 1.0, 2.6])
-def test_a_delayed_effort_acts_that_much_later(samples: float) -> None:
-    """Against an independent integrator that switches efforts at t_k + delay; no effort before the first."""
+def test_delayed_effort_acts_after_the_delay(samples: float) -> None:
+    """The oracle is an independent integrator that switches efforts at t_k + delay, from zero effort."""
     period, steps = 2e-3, 12
     plant, law, x = joint(3.1)
     run = fjr.simulate(plant, law, REFERENCE, x, period * steps, period, delay=samples * period)
@@ -188,14 +188,14 @@ def test_a_delayed_effort_acts_that_much_later(samples: float) -> None:
         assert u == pytest.approx(law.effort(state, state, jets), rel=1e-12)
 
 
-def test_no_delay_is_a_delay_of_nothing() -> None:
+def test_zero_delay_equals_no_delay() -> None:
     plant, law, x0 = joint(31.0)
     runs = [fjr.simulate(plant, law, REFERENCE, x0, 0.1, 1e-3, delay=delay) for delay in (0.0, 1e-12)]
     assert runs[0].x == pytest.approx(runs[1].x, abs=1e-8)
 
 
 @pytest.mark.parametrize("compile", [False, True])
-def test_a_compiled_run_is_the_same_run(compile: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_run_gives_the_same_numbers(compile: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     plant, law, x0 = joint(31.0)
     here = fjr.Plant(plant.robot, compile=compile), fjr.TrackingLaw(law.robot, fjr.PAPER_GAINS, compile=compile)
@@ -206,7 +206,7 @@ def test_a_compiled_run_is_the_same_run(compile: bool, tmp_path: Path, monkeypat
 
 
 @pytest.mark.parametrize("sample_period", [1e-3, None])
-def test_the_law_of_another_inertia_gets_the_plants_velocities(sample_period: float | None) -> None:
+def test_law_with_another_inertia_receives_the_velocities_of_the_plant(sample_period: float | None) -> None:
     robot, gains, reference = planar_arm()
     heavy = fjr.planar_two_link(**{**PLANAR, "link_mass": (2.0, 0.5), "motor_inertia": (0.06, 0.03)})
     law, x0 = fjr.TrackingLaw(robot, gains), heavy.state([0.5, 0.1], [0.5, 0.2], [0.3, -0.2], [0.1, 0.4])
@@ -233,7 +233,7 @@ def test_continuous_run_of_a_law_with_another_inertia_agrees_with_an_independent
     assert run.x[-1] == pytest.approx(wanted, rel=1e-7, abs=1e-9)
 
 
-def test_an_equal_robot_is_the_same_robot_and_a_view_of_it_changes_nothing() -> None:
+def test_equal_robots_share_the_state_without_conversion() -> None:
     (robot, gains, reference), (twin, _, _) = planar_arm(), planar_arm()
     law, x0 = fjr.TrackingLaw(robot, gains), robot.state([0.5, 0.1], [0.5, 0.2], 0, 0)
     runs = [fjr.simulate(fjr.Plant(r), law, reference, x0, 0.1, 1e-3) for r in (robot, twin)]

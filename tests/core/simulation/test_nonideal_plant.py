@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Non-ideal plant: exact power balance with each non-ideality, payloads equal to real links, exact actuators."""
+"""Non-ideal plant: exact power balance with each non-ideality, payloads equal to heavier links, exact actuators."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def plant_of(robot: fjr.Robot, **options: Any) -> NonidealPlant:
 
 
 def everything(n: int) -> Nonidealities:
-    """All departures at once, other numbers for every joint."""
+    """Return all non-idealities at once, with different values for every joint."""
     k = 1 + 0.3 * np.arange(n)
     return Nonidealities(
         n,
@@ -54,12 +54,12 @@ def everything(n: int) -> Nonidealities:
 
 
 def friction(v: Array, coulomb: Array, static: Array, stribeck: Array, smoothing: Array) -> Array:
-    """Hand-written model."""
+    """Return the friction torque of the hand-written model."""
     level = coulomb + np.maximum(static - coulomb, 0) * np.exp(-((v / stribeck) ** 2))
     return level * np.tanh(v / smoothing)
 
 
-def test_everything_is_off_by_default() -> None:
+def test_all_nonidealities_are_off_by_default() -> None:
     assert Nonidealities(3).off
     assert all(Nonidealities(1, **{name: value}).off for name, value in SETTINGS.items())
 
@@ -68,18 +68,18 @@ SETTINGS = {"stribeck_l": 1.0, "stribeck_m": 1.0, "smoothing": 1.0, "ripple_peri
 
 
 @pytest.mark.parametrize("name", [*SWITCHES, "effort_limit"])
-def test_each_switch_turns_it_on(name: str) -> None:
+def test_each_parameter_enables_the_nonideal_plant(name: str) -> None:
     assert not Nonidealities(2, **{name: 0.5}).off
 
 
-def test_the_vector_holds_every_field() -> None:
+def test_parameter_vector_contains_every_field() -> None:
     assert set(NAMES) == {field.name for field in fields(Nonidealities)} - {"n"}
     assert everything(3).vector.shape == (13 * 3 + 4,)
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "implicit_midpoint"])
 @arms
-def test_with_everything_off_a_step_is_the_plants(arm: Arm, integrator: str) -> None:
+def test_step_without_nonidealities_is_that_of_the_plant(arm: Arm, integrator: str) -> None:
     p, n = random_point(arm, 1), arm.n
     plant = fjr.Plant(arm.robot, integrator)
     seen = NonidealPlant(plant).step(np.r_[p.x, np.zeros(n)], p.u, np.zeros(n), Nonidealities(n).vector, DT)
@@ -89,7 +89,7 @@ def test_with_everything_off_a_step_is_the_plants(arm: Arm, integrator: str) -> 
 
 @arms
 @seeds
-def test_power_balance_with_all_departures(arm: Arm, seed: int) -> None:
+def test_power_balance_with_all_nonidealities(arm: Arm, seed: int) -> None:
     """dH/dt = power of actuators, external torques and ripple - viscous damping - friction."""
     p, n, i = random_point(arm, seed), arm.n, everything(arm.n)
     plant, push = plant_of(arm.robot), np.random.default_rng(seed).uniform(-2, 2, n)
@@ -106,7 +106,7 @@ def test_power_balance_with_all_departures(arm: Arm, seed: int) -> None:
 
 
 @seeds
-def test_friction_takes_power_at_every_speed(seed: int) -> None:
+def test_friction_dissipates_at_every_speed(seed: int) -> None:
     n, i, rng = 2, everything(2), np.random.default_rng(seed)
     plant, without = plant_of(ARMS[-1].robot), replaced(everything(2), coulomb_l=0, static_l=0, coulomb_m=0, static_m=0)
     for scale in (1e-4, 1e-2, 1.0, 30.0):
@@ -124,7 +124,7 @@ def replaced(i: Nonidealities, **values: Any) -> Nonidealities:
 
 @pytest.mark.parametrize("side", ["l", "m"])
 def test_friction_goes_from_the_static_to_the_coulomb_level(side: str) -> None:
-    """Far from rest the Coulomb level, between smoothing and Stribeck velocity nearly the static one; odd in v."""
+    """Friction is odd in v: nearly static between smoothing and Stribeck velocity, Coulomb far above them."""
     values = {f"coulomb_{side}": 0.2, f"static_{side}": 0.3, f"stribeck_{side}": 1.0, "smoothing": 1e-3}
     on, off, plant = Nonidealities(1, **values).vector, Nonidealities(1).vector, plant_of(fjr.single_link())
 
@@ -140,14 +140,14 @@ def test_friction_goes_from_the_static_to_the_coulomb_level(side: str) -> None:
     assert torque(0.0) == 0.0
 
 
-def test_a_static_level_below_coulombs_counts_as_that() -> None:
+def test_static_level_below_the_coulomb_level_is_ignored() -> None:
     plant, x = plant_of(fjr.single_link()), fjr.single_link().state([0.1], [0.2], [0.3], [-0.4])
     low, equal = (Nonidealities(1, coulomb_m=0.2, static_m=static).vector for static in (0.1, 0.2))
     assert np.array_equal(plant.derivative(x, [0], [0], low), plant.derivative(x, [0], [0], equal))
 
 
-def test_friction_rate_is_the_slope_about_rest() -> None:
-    """The most negative eigenvalue of what friction adds to d(dp)/dp, over all configurations' own inertia."""
+def test_friction_rate_is_the_slope_at_rest() -> None:
+    """The rate is the most negative eigenvalue of the part of d(dp)/dp that is due to friction."""
     robot, i = ARMS[-1].robot, replaced(Nonidealities(2), coulomb_l=[0.2, 0.1], static_m=[0.1, 0.3])
     q_l, plant = np.array([0.4, -0.9]), plant_of(ARMS[-1].robot)
     x = robot.state(q_l, q_l, [0, 0], [0, 0])
@@ -176,7 +176,7 @@ def test_cubic_springs_store_a_quarter_of_the_fourth_power(arm: Arm) -> None:
 
 
 def test_cubic_springs_and_payload_conserve_energy_without_damping() -> None:
-    """Runge-Kutta's drift falls with the fourth power of the step or faster: the flow itself keeps H."""
+    """The drift of Runge-Kutta decreases with the fourth power of the step or faster, so the flow conserves H."""
     robot = fjr.planar_two_link(link_damping=0.0, motor_damping=0.0)
     i = Nonidealities(2, cubic=(300.0, 200.0), payload_mass=0.5, payload_position=(0.25, 0.05, 0.0)).vector
     plant = plant_of(robot)
@@ -209,7 +209,7 @@ def test_ripple_has_its_amplitude_periods_and_phase() -> None:
 
 
 def field_of(robot: fjr.Robot, links: Any, q: Array, dq: Array) -> Array:
-    """dx of eq. (36) without effort, with M, C and grad P of an oracle; dp_l by d/dt p_l = C' dq + forces."""
+    """Return dx of eq. (36) without effort, with M, C and grad P of an oracle and dp_l/dt = C' dq + forces."""
     n = robot.n
     q_l, q_m, dq_l, dq_m = q[:n], q[n:], dq[:n], dq[n:]
     spring = robot.K @ (q_m - q_l)
@@ -218,7 +218,7 @@ def field_of(robot: fjr.Robot, links: Any, q: Array, dq: Array) -> Array:
 
 
 def assert_carries(robot: fjr.Robot, links: Any, i: Nonidealities, seed: int) -> None:
-    """The robot with the payload of i is the robot whose links are the oracle's."""
+    """Check that the robot with the payload of i equals the robot whose links are those of the oracle."""
     n, rng = robot.n, np.random.default_rng(seed)
     q, dq = rng.uniform(-1.5, 1.5, 2 * n), rng.uniform(-2, 2, 2 * n)
     plant, off = plant_of(robot), Nonidealities(n).vector
@@ -238,7 +238,7 @@ def assert_carries(robot: fjr.Robot, links: Any, i: Nonidealities, seed: int) ->
 
 
 @seeds
-def test_payload_on_the_single_link_is_a_heavier_link(seed: int) -> None:
+def test_payload_on_the_single_link_equals_a_heavier_link(seed: int) -> None:
     m, d = 0.3, 0.25
     heavier = fjr.single_link(link_inertia=0.031 + m * d**2, gravity_torque=0.8 + 9.81 * m * d)
     i = Nonidealities(1, payload_mass=m, payload_position=(d, 0.0, 0.4)).vector
@@ -254,7 +254,7 @@ def test_payload_on_the_single_link_is_a_heavier_link(seed: int) -> None:
 
 
 @seeds
-def test_payload_on_the_planar_arm_is_a_heavier_second_link(seed: int) -> None:
+def test_payload_on_the_planar_arm_equals_a_heavier_second_link(seed: int) -> None:
     (m1, m2), (_, l2), (c1, c2), (I1, I2) = (PLANAR[f"link_{name}"] for name in ("mass", "length", "com", "inertia"))
     m = 0.7
     total = m2 + m
@@ -266,7 +266,7 @@ def test_payload_on_the_planar_arm_is_a_heavier_second_link(seed: int) -> None:
 
 
 def loaded(links: PinocchioLinks, joint: str, mass: float, position: Array) -> PinocchioLinks:
-    """The oracle with the point mass as part of the body that the joint moves."""
+    """Return the oracle with the point mass added to the body that the joint moves."""
     point = pin.Inertia(mass, position, np.zeros((3, 3)))
     links.model.appendBodyToJoint(links.model.getJointId(joint), point, pin.SE3.Identity())
     links.data = links.model.createData()
@@ -275,8 +275,8 @@ def loaded(links: PinocchioLinks, joint: str, mass: float, position: Array) -> P
 
 @pytest.mark.parametrize("n", [1, 3, 7])
 @pytest.mark.parametrize("seed", range(2))
-def test_payload_on_any_urdf_is_pinocchios_added_body(n: int, seed: int) -> None:
-    """Named joints in any order, turning or sliding, others locked: it is on the link of the outermost named one."""
+def test_payload_on_any_urdf_equals_an_added_body_in_pinocchio(n: int, seed: int) -> None:
+    """The payload is on the link of the outermost named joint, for any order and type of joints, with others locked."""
     case = random_urdf(n, seed)
     robot = fjr.robot_from_urdf(case.xml, case.joints, 100.0, 0.1, 0.3, 0.05, gravity=case.gravity, locked=case.locked)
     position = np.random.default_rng(seed).uniform(-0.4, 0.4, 3)
@@ -285,7 +285,7 @@ def test_payload_on_any_urdf_is_pinocchios_added_body(n: int, seed: int) -> None
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_payload_on_any_serial_chain_is_pinocchios_added_body(seed: int) -> None:
+def test_payload_on_any_serial_chain_equals_an_added_body_in_pinocchio(seed: int) -> None:
     chain = random_chain(4, seed)
     robot = fjr.Robot(chain.links, *(np.eye(4) * value for value in (0.1, 80.0, 0.2, 0.03, 1.0)))
     i = Nonidealities(4, payload_mass=0.8, payload_position=(0.1, 0.2, -0.3))
@@ -293,7 +293,7 @@ def test_payload_on_any_serial_chain_is_pinocchios_added_body(seed: int) -> None
     assert_carries(robot, loaded(links, "joint3", 0.8, np.array([0.1, 0.2, -0.3])), i, seed)
 
 
-def test_a_robot_without_a_hand_carries_nothing() -> None:
+def test_payload_is_refused_without_an_end_effector_frame() -> None:
     links = closed_form(1, lambda q: 0.1 + 0 * q, lambda q: -q[0])
     plant = plant_of(fjr.Robot(links, *([[value]] for value in (0.1, 10.0, 0.1, 0.1, 1.0))))
     plant.check(Nonidealities(1, coulomb_l=0.1))
@@ -303,11 +303,11 @@ def test_a_robot_without_a_hand_carries_nothing() -> None:
     assert np.isfinite(state).all()
 
 
-# Pushes.
+# External torques.
 
 
 @arms
-def test_a_push_acts_on_the_links_and_does_its_work(arm: Arm) -> None:
+def test_external_torque_acts_on_the_links_and_does_work(arm: Arm) -> None:
     n, x = arm.n, random_state(arm, np.random.default_rng(0))
     plant, i, push = plant_of(arm.robot), everything(arm.n).vector, 1.0 + np.arange(arm.n)
     added = plant.derivative(x, np.zeros(n), push, i) - plant.derivative(x, np.zeros(n), np.zeros(n), i)
@@ -317,7 +317,7 @@ def test_a_push_acts_on_the_links_and_does_its_work(arm: Arm) -> None:
 # Actuators.
 
 
-def test_the_lag_follows_one_minus_the_exponential() -> None:
+def test_actuator_lag_has_the_exact_step_response() -> None:
     T, plant = np.array([0.003, 0.02]), plant_of(fjr.planar_two_link())
     i, u = Nonidealities(2, lag=T).vector, np.array([2.0, -1.0])
     state = np.zeros(10)
@@ -328,8 +328,8 @@ def test_the_lag_follows_one_minus_the_exponential() -> None:
 
 
 @pytest.mark.parametrize(("integrator", "order"), [("rk4", 4), ("implicit_midpoint", 2)])
-def test_a_lagging_effort_keeps_the_integrators_order(integrator: str, order: int) -> None:
-    """The motion under a(t) = u (1 - exp(-t/T)): the error falls with the step's order."""
+def test_actuator_lag_preserves_the_order_of_the_integrator(integrator: str, order: int) -> None:
+    """The error of the motion under a(t) = u (1 - exp(-t/T)) has the order of the integrator."""
     plant = plant_of(fjr.single_link(), integrator=integrator)
     i, start = Nonidealities(1, lag=0.02).vector, np.r_[fjr.single_link().state([0.3], [0.2], [0.5], [1.0]), 0.0]
 
@@ -345,7 +345,7 @@ def test_a_lagging_effort_keeps_the_integrators_order(integrator: str, order: in
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.01])
-def test_the_command_is_cut_exactly_and_before_the_lag(lag: float) -> None:
+def test_command_is_saturated_exactly_and_before_the_lag(lag: float) -> None:
     plant, i = plant_of(fjr.planar_two_link()), Nonidealities(2, effort_limit=(1.5, np.inf), lag=lag).vector
     inside, beyond = (plant.step(np.zeros(10), u, [0, 0], i, DT) for u in ([-1.5, 7.0], [-99.0, 7.0]))
     assert np.array_equal(inside, beyond)
@@ -354,11 +354,11 @@ def test_the_command_is_cut_exactly_and_before_the_lag(lag: float) -> None:
     )
 
 
-# Numbers that change, machine code, and bad ones.
+# Changed parameters, compiled code, invalid parameters.
 
 
-def test_one_function_serves_all_numbers() -> None:
-    """Changing the numbers builds nothing: the function does not depend on them."""
+def test_one_function_serves_all_parameters() -> None:
+    """Parameters are arguments of the function, so changing them builds nothing."""
     plant = plant_of(fjr.planar_two_link())
     step = plant.step_function
     x = np.r_[fjr.planar_two_link().state([0.1, 0.2], [0.1, 0.3], [0.4, 0.5], [0.6, 0.7]), 0, 0]
@@ -367,7 +367,7 @@ def test_one_function_serves_all_numbers() -> None:
     assert plant.step_function is step
 
 
-def test_machine_code_gives_the_same_numbers() -> None:
+def test_compiled_plant_gives_the_same_numbers() -> None:
     robot = fjr.robot_from_urdf(ARM7, list(ARM7_JOINTS), **STIFF)
     rng, i = np.random.default_rng(0), everything(7)
     compiled, interpreted = plant_of(robot, compile=True), plant_of(robot)
@@ -392,12 +392,12 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_numbers_are_named_in_one_sentence(name: str) -> None:
+def test_invalid_parameters_are_named_in_one_sentence(name: str) -> None:
     with pytest.raises(fjr.ParameterError, match=f"^{name} .*; expected"):
         Nonidealities(2, **{name: BAD[name]})
 
 
-def test_an_effort_limit_may_be_infinite_but_not_unknown() -> None:
+def test_effort_limit_may_be_infinite_but_not_nan() -> None:
     assert Nonidealities(2, effort_limit=np.inf).off
     for bad in (np.nan, [1.0, 2.0, 3.0]):
         with pytest.raises(fjr.ParameterError, match="effort_limit"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The check of the sampled loop with everything that runs, against the simulated nonlinear loop."""
+"""The check of the complete sampled loop agrees with the simulated nonlinear loop."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from fjr_core.stability.sampled_loop import check, spectral_radius
 
 DRAWS = 60
 BASELINES = [name for name, kind in LAWS.items() if kind.standard is not None]
-HAIR = 3e-3  # draws whose radius is nearer to 1 are drawn again: a short run cannot tell them
-START, FAR, NOTHING = 1e-7, 1e-3, 1e-12  # rad: error at the start, of a loop that diverges, and rounding
+MARGIN = 3e-3  # draws with a radius this close to 1 are repeated: a short run cannot decide them
+START, FAR, NOTHING = 1e-7, 1e-3, 1e-12  # rad: initial error, error of a diverging loop, rounding
 Joint = fjr.TrackingLaw(fjr.single_link(stiffness=31.0), fjr.PAPER_GAINS)
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Everything that runs: the law with its state, the plant, the configuration, times [s] and sensing."""
+    """The complete loop: the law with its state, the plant, the configuration, times [s] and sensing."""
 
     law: SampledLaw
     plant: fjr.Robot
@@ -47,13 +47,13 @@ class Loop:
 
     @property
     def radius(self) -> float:
-        """Spectral radius by the check."""
+        """Return the spectral radius by the check."""
         plant = fjr.Plant(self.plant)
         return float(spectral_radius(self.law, self.period, self.delay, [self.q_l], plant, self.sensing)[0])
 
 
-def drawn(rng: np.random.Generator) -> Loop:
-    """A robot, a law on it with robust options, an observer or none, a rate and a delay."""
+def random_loop(rng: np.random.Generator) -> Loop:
+    """Draw a robot, a law with robust options, an optional observer, a sample rate and a delay."""
     robot, plant = drawn_robot(rng)
     q_l = rng.uniform(-1, 1, robot.n)
     fastest = np.median(elastic_modes(robot, q_l))
@@ -65,7 +65,7 @@ def drawn(rng: np.random.Generator) -> Loop:
 
 
 def drawn_robot(rng: np.random.Generator) -> tuple[fjr.Robot, fjr.Robot]:
-    """The law's robot, and the plant: the same, or without weight one whose stiffness or inertia is off."""
+    """Draw the robot of the law and the plant: equal, or without gravity and with another stiffness or inertia."""
     if rng.random() < 0.2:
         robot = fjr.planar_two_link(tuple(40 * 10 ** rng.uniform(-0.5, 0.5, 2)))
         return robot, robot
@@ -76,7 +76,7 @@ def drawn_robot(rng: np.random.Generator) -> tuple[fjr.Robot, fjr.Robot]:
 
 
 def drawn_law(rng: np.random.Generator, robot: fjr.Robot, q_l: np.ndarray, period: float, delay: float) -> SampledLaw:
-    """A baseline, or v-dPBC with some of the robust options; some of it predicts over the delay."""
+    """Draw a baseline, or v-dPBC with some of the robust options, possibly with prediction over the delay."""
     predicted = Robust(delay=delay, hold=period) if rng.random() < 0.4 else Robust(hold=period)
     if rng.random() < 0.3:
         kind = law_kind(rng.choice(BASELINES))
@@ -90,7 +90,7 @@ def drawn_law(rng: np.random.Generator, robot: fjr.Robot, q_l: np.ndarray, perio
 
 
 def dies_out(loop: Loop, samples: int) -> bool:
-    """Whether the nonlinear loop returns to rest that starts START off, its positions measured without errors."""
+    """Return whether the nonlinear loop converges from an error of START, with exactly measured positions."""
     plant, n, T = loop.plant, loop.plant.n, loop.period
     q_m = loop.q_l + np.linalg.solve(plant.K, plant.grad_P_l(loop.q_l))
     rest = np.concatenate([loop.q_l, q_m])
@@ -99,7 +99,7 @@ def dies_out(loop: Loop, samples: int) -> bool:
     jets[0] = loop.q_l
     step, measure = bound_step(loop.law, position, velocity, jets), measuring(loop, position, velocity)
     advance = advancing(loop)
-    held = np.linalg.solve(plant.B_m, plant.grad_P_l(loop.q_l))  # before the first answer
+    held = np.linalg.solve(plant.B_m, plant.grad_P_l(loop.q_l))  # before the first command
     efforts, off = [held] * (int(loop.delay / T) + 2), np.zeros(samples)
     step.sent[...] = held
     for k in range(samples):
@@ -118,7 +118,7 @@ def dies_out(loop: Loop, samples: int) -> bool:
 
 
 def measuring(loop: Loop, position: np.ndarray, velocity: np.ndarray) -> Callable[[int, np.ndarray, np.ndarray], None]:
-    """What fills position and velocity for the law from sample k of the plant's state."""
+    """Return the function that writes position and velocity for the law from the plant's state at sample k."""
     own, plant, n = loop.law.robot, loop.plant, loop.plant.n
     observer = None if loop.sensing.bandwidth is None else VelocityObserver(own, loop.sensing.bandwidth)
 
@@ -136,7 +136,7 @@ def measuring(loop: Loop, position: np.ndarray, velocity: np.ndarray) -> Callabl
 
 
 def advancing(loop: Loop) -> Callable[[np.ndarray, list[np.ndarray]], np.ndarray]:
-    """The plant's motion over a sample period under the efforts of the last samples, the newest first."""
+    """Return the map of the plant over a sample period under the latest efforts, newest first."""
     step, (whole, late) = fjr.Plant(loop.plant).step_function, divmod(round(loop.delay * 1e6), round(loop.period * 1e6))
     longest = 0.3 / elastic_modes(loop.plant, loop.q_l).max() / 3
     parts = []
@@ -154,12 +154,12 @@ def advancing(loop: Loop) -> Callable[[np.ndarray, list[np.ndarray]], np.ndarray
 
 
 def test_check_and_simulation_agree_on_60_draws() -> None:
-    """Draws within HAIR of the boundary, where a short run cannot tell, are drawn again."""
+    """Draws within MARGIN of the boundary, which a short run cannot decide, are repeated."""
     rng, stable, unstable = np.random.default_rng(12), 0, 0
     while stable + unstable < DRAWS:
-        loop = drawn(rng)
+        loop = random_loop(rng)
         radius = loop.radius
-        if abs(radius - 1) < HAIR:
+        if abs(radius - 1) < MARGIN:
             continue
         samples = int(np.clip(8 / abs(np.log(radius)), 100, 3000))
         assert dies_out(loop, samples) == (radius < 1), (radius, loop)
@@ -167,7 +167,7 @@ def test_check_and_simulation_agree_on_60_draws() -> None:
     assert min(stable, unstable) >= 20, (stable, unstable)
 
 
-def test_a_static_law_is_the_special_case_without_a_state() -> None:
+def test_static_law_is_the_special_case_without_a_controller_state() -> None:
     for law in (Joint, fjr.TrackingLaw(fjr.planar_two_link(), fjr.Gains(8.0, 20.0, 2.0, 12.0, 40.0, 0.5))):
         rest = equilibria_at(law.robot, np.full((1, law.robot.n), 0.4))
         general = loop_as_run(AsSampledLaw(law), rest, rest, Sensing())
@@ -176,8 +176,8 @@ def test_a_static_law_is_the_special_case_without_a_state() -> None:
 
 
 @pytest.mark.parametrize("by_torque", [False, True])
-def test_without_model_error_poles_are_those_of_the_loop_and_of_the_observer(by_torque: bool) -> None:
-    """The separation principle; error_radii takes the Jacobian of the observer's function, integrator included."""
+def test_separation_principle_holds_without_model_error(by_torque: bool) -> None:
+    """The oracle error_radii differentiates the update of the observer, including its integrator."""
     q_l, period = np.array([[0.5]]), 1e-3
     for bandwidth in (20.0, 150.0):
         (radius,) = linearize(Joint, q_l, sensing=Sensing(bandwidth, by_torque)).radii(period)
@@ -185,7 +185,7 @@ def test_without_model_error_poles_are_those_of_the_loop_and_of_the_observer(by_
         assert radius == pytest.approx(max(loop, observer), abs=1e-6)
 
 
-def test_too_fast_an_integral_is_unstable_for_the_check_as_in_simulation() -> None:
+def test_too_fast_integral_action_is_unstable_in_check_and_simulation() -> None:
     law = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
     for rate, stable in ((15.0, True), (40.0, False)):
         sampled = sampled_law(law, Robust(integral_gain=rate))
@@ -195,7 +195,7 @@ def test_too_fast_an_integral_is_unstable_for_the_check_as_in_simulation() -> No
     assert check(law, 1e-3, configurations=[[0.5]]).stable
 
 
-def test_radii_with_model_errors_are_those_of_a_plant_that_is_off() -> None:
+def test_radii_with_model_errors_are_those_of_the_changed_plant() -> None:
     rough = Joint.robot
     plants = {"stiffness": replace(rough, K=1.3 * rough.K), "motor inertia": replace(rough, M_m=1.3 * rough.M_m)}
     plants["link inertia"] = fjr.single_link(link_inertia=1.3 * 0.031)
@@ -212,7 +212,7 @@ ROWS = re.findall(
 
 
 @pytest.mark.parametrize(("name", "row"), ROWS)
-def test_rates_of_the_integral_in_the_docs_are_where_the_loop_becomes_unstable(name: str, row: str) -> None:
+def test_documented_integral_rates_are_the_stability_limits(name: str, row: str) -> None:
     scenario = load_scenario(f"ros2_ws/src/fjr_bringup/scenarios/{name}.yaml")
     law, where = fjr.TrackingLaw(scenario.robot, scenario.gains), scenario.configurations(2)
     for hertz, rate in zip((250, 500, 1000, 2000, 10000), row.split("|"), strict=False):
@@ -225,14 +225,14 @@ def test_the_docs_have_a_row_for_each_paper_joint_and_the_two_link_arm() -> None
     assert [name for name, _ in ROWS] == ["paper_k3p1", "paper_k31", "two_link"]
 
 
-def test_an_integral_above_its_bound_is_refused_with_the_bound() -> None:
+def test_integral_gain_above_its_bound_is_refused_with_the_bound() -> None:
     law = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
     refuse_fast_integral(law, Robust(integral_gain=20.0).checked(1))
     with pytest.raises(fjr.GainsError, match=r"integral_gain is \[40\] 1/s, .* expected at most \[2\d\] 1/s"):
         refuse_fast_integral(law, Robust(integral_gain=40.0).checked(1))
 
 
-def test_a_law_that_is_unstable_as_sampled_says_so_in_a_comparison() -> None:
+def test_comparison_reports_a_law_that_is_unstable_as_sampled() -> None:
     scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/paper_k3p1.yaml")
     sentences = [tuned_law("v_dpbc", {"integral_gain": rate}, scenario).tuning for rate in (5.0, 40.0)]
     assert ["unstable as sampled" in sentence for sentence in sentences] == [False, True]

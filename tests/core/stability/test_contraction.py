@@ -59,13 +59,13 @@ def test_differential_storage_decays_by_the_dissipation(arm: Arm, gains: GainSet
 
 
 def structure(arm: Arm, gains: GainSet, p: Point, coupling: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """J_v and R_v with the skew part of the printed R_v in J_v: S_H of E_l = S_H - dM_l/2, as in eq. (26)."""
+    """Return J_v and R_v with the skew part of the printed R_v in J_v: S_H of E_l = S_H - dM_l/2, as in eq. (26)."""
     J_v, R_v = structure_as_printed(arm, gains, p, coupling)
     return J_v - (R_v - R_v.T) / 2, sym(R_v)
 
 
 def structure_residual(arm: Arm, gains: GainSet, p: Point, coupling: np.ndarray) -> float:
-    """A = (J_v - R_v) P, eq. (44), in metric coordinates."""
+    """Return the residual of A = (J_v - R_v) P, eq. (44), in metric coordinates."""
     loop, (J_v, R_v) = loop_of(arm, gains), structure(arm, gains, p, coupling)
     P = metric(loop, p)[0]
     return metric_residual(P, P @ generator(loop, p), P @ J_v @ P, -P @ R_v @ P)
@@ -74,14 +74,14 @@ def structure_residual(arm: Arm, gains: GainSet, p: Point, coupling: np.ndarray)
 @loops
 @places
 def test_variational_error_dynamics_have_the_skew_structure(arm: Arm, gains: GainSet, place: tuple[int, bool]) -> None:
-    """(44), and (49) with K Pi_m^-1."""
+    """Equation (44), and (49) with K Pi_m^-1."""
     coupling = arm.K @ inverse(gains.Pi_m)
     assert structure_residual(arm, gains, random_point(arm, *place), coupling) <= TOLERANCE
 
 
 @loops
-def test_interconnection_as_printed_is_not_that_of_the_loop(arm: Arm, gains: GainSet) -> None:
-    """(49) prints K Pi_m; it is as skew as the right one, so only the Jacobian tells."""
+def test_interconnection_as_printed_differs_from_that_of_the_loop(arm: Arm, gains: GainSet) -> None:
+    """The printed K Pi_m in (49) is as skew as the correct term, so only the Jacobian reveals it."""
     assert structure_residual(arm, gains, random_point(arm, 2), arm.K @ gains.Pi_m) > 1e-3
 
 
@@ -139,7 +139,7 @@ def test_rates_of_table_1() -> None:
 
 
 @pytest.mark.parametrize(("inertia", "beta"), [(0.031, 10.0), (0.5, 0.307 / 0.5)])
-def test_the_heavier_side_sets_the_mixed_rate(inertia: float, beta: float) -> None:
+def test_larger_inertia_sets_the_mixed_rate(inertia: float, beta: float) -> None:
     """lambda_min(M^-1) of eq. (50) is taken over links and motors."""
     rate = fjr.TrackingLaw(fjr.single_link(motor_inertia=inertia), fjr.PAPER_GAINS).rate()
     assert rate.beta_paper == pytest.approx(0.307 / max(inertia, 0.031), rel=1e-12)
@@ -147,7 +147,7 @@ def test_the_heavier_side_sets_the_mixed_rate(inertia: float, beta: float) -> No
 
 
 def sampled_rates(arm: Arm, gains: GainSet, configurations: np.ndarray) -> tuple[float, float]:
-    """beta block by block and beta of eq. (50), least over the configurations."""
+    """Return the blockwise beta and beta of eq. (50), minima over the configurations."""
     position = min(eigh(sym(g[0] @ g[1]), g[0], eigvals_only=True)[0] for g in position_gains(gains))
     D_l, D_m = arm.D_l + gains.K_ld, arm.D_m + gains.K_md
     inertias = [arm.links.M(q) for q in configurations]
@@ -178,8 +178,8 @@ def test_rates_block_by_block_and_of_eq_50(arm: Arm, gains: GainSet) -> None:
 
 
 @loops
-def test_rate_is_what_the_differential_storage_decays_with(arm: Arm, gains: GainSet) -> None:
-    """The least decay of the variation in the metric is at least beta, at any point."""
+def test_differential_storage_decays_at_least_at_the_rate(arm: Arm, gains: GainSet) -> None:
+    """The slowest decay of the variation in the metric is at least beta at any point."""
     beta = loop_of(arm, gains).law.rate().beta
     for seed in range(4):
         loop, p = loop_of(arm, gains), random_point(arm, seed)
@@ -189,7 +189,7 @@ def test_rate_is_what_the_differential_storage_decays_with(arm: Arm, gains: Gain
 
 @pytest.mark.parametrize("arm", [single(31.0), planar("31", 31.0)], ids=lambda arm: arm.name)
 def test_virtual_solutions_contract_at_rate_beta_along_any_curve(arm: Arm) -> None:
-    """Two virtual solutions along an x(t) driven by an unrelated u: the storage of their gap decays."""
+    """The storage of the difference of two virtual solutions decays along any x(t), here driven by an unrelated u."""
     gains = linear(arm.n)
     loop, reference = loop_of(arm, gains), fjr.Sine(np.full(arm.n, 0.8), 1.3)
     beta, duration = loop.law.rate().beta, 0.5

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The prolonged system and its differential storage, and virtual solutions that meet."""
+"""The prolonged system, its differential storage, and convergence of virtual solutions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def direction(arm: Arm, seed: int) -> np.ndarray:
 @loops
 @seeds
 def test_the_prolonged_system_is_the_closed_loop_and_its_derivative(arm: Arm, gains: GainSet, seed: int) -> None:
-    """(38) and (28) under the law, against differences through VirtualSystem.derivative and TrackingLaw.effort."""
+    """Equations (38) and (28) agree with differences of VirtualSystem.derivative and TrackingLaw.effort."""
     loop, p, delta = loop_of(arm, gains), random_point(arm, seed), direction(arm, seed)
 
     def field(x_v: np.ndarray) -> np.ndarray:
@@ -39,7 +39,7 @@ def test_the_prolonged_system_is_the_closed_loop_and_its_derivative(arm: Arm, ga
 
 
 def storage_by_hand(arm: Arm, gains: GainSet, p: Point, delta: np.ndarray) -> float:
-    """delta_e' P delta_e / 2 with Theta by differences."""
+    """Return delta_e' P delta_e / 2 with Theta by differences."""
     loop = loop_of(arm, gains)
     Theta = jacobian(lambda y: loop.errors(y, p.x, p.jets), p.x_v, coordinate_steps(loop, p))
     delta_e = Theta @ delta
@@ -48,7 +48,7 @@ def storage_by_hand(arm: Arm, gains: GainSet, p: Point, delta: np.ndarray) -> fl
 
 @loops
 @seeds
-def test_differential_storage_is_that_of_the_varied_errors(arm: Arm, gains: GainSet, seed: int) -> None:
+def test_differential_storage_is_that_of_the_error_variation(arm: Arm, gains: GainSet, seed: int) -> None:
     p, delta = random_point(arm, seed), direction(arm, seed)
     W = ProlongedSystem(loop_of(arm, gains).law).storage(p.x_v, p.x, delta, p.jets)[0]
     assert pytest.approx(storage_by_hand(arm, gains, p, delta), rel=1e-8) == W
@@ -74,7 +74,7 @@ def test_rate_of_the_differential_storage_is_exact(arm: Arm, gains: GainSet, see
 
 
 @loops
-def test_metric_coordinates_measure_as_P_does(arm: Arm, gains: GainSet) -> None:
+def test_norm_in_metric_coordinates_is_that_of_P(arm: Arm, gains: GainSet) -> None:
     loop, p = loop_of(arm, gains), random_point(arm, 1)
     system, e = ProlongedSystem(loop.law), loop.errors(p.x_v, p.x, p.jets)
     M = closed_form(loop, p)[0]
@@ -84,7 +84,7 @@ def test_metric_coordinates_measure_as_P_does(arm: Arm, gains: GainSet) -> None:
 
 
 def along_a_run(arm: Arm, gains: fjr.Gains, duration: float = 1.5, m: int = 5) -> Contraction:
-    """Virtual solutions along the run of the law at 1 kHz."""
+    """Return virtual solutions along a run of the law at 1 kHz."""
     law = fjr.TrackingLaw(arm.robot, gains)
     reference = fjr.Sine(np.linspace(1.0, 0.6, arm.n), np.linspace(1.0, 1.7, arm.n))
     x0 = arm.robot.state(*(np.full(arm.n, value) for value in (0.5, 0.5, 0.0, 0.0)))
@@ -117,7 +117,7 @@ def test_integrated_storage_agrees_with_its_exact_rate() -> None:
     assert along_a_run(single(31.0), fjr.PAPER_GAINS, duration=0.3).balance < 5e-3
 
 
-def test_virtual_solutions_meet_the_measured_one_down_to_what_the_hold_leaves() -> None:
+def test_virtual_solutions_converge_to_the_measured_one_up_to_the_hold() -> None:
     found = along_a_run(single(31.0), fjr.PAPER_GAINS)
     assert np.all(found.to_measured[0] > 0.1)
     assert np.all(found.to_measured[-1] < 1e-2)
@@ -132,7 +132,7 @@ def test_progress_is_reported() -> None:
     np.testing.assert_allclose(progress, run.t[1:])
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_inconsistent_input_is_refused() -> None:
     law, reference = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS), fjr.Sine(1.0, 1.0)
     with pytest.raises(StateError, match="two increasing instants"):
         Measured(np.zeros(2), np.zeros((2, 4)), np.zeros((2, 1)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The check of the sampled loop: against hand-written linear loops, and against the simulated nonlinear loop."""
+"""The check of the sampled loop agrees with hand-written linear loops and with the simulated nonlinear loop."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SAMPLES = 400  # of a simulated run: 0.98^400 = 3e-4, 1.02^400 = 3e3
 
 
 def chain3(rng: np.random.Generator) -> fjr.Robot:
-    """Three joints about random axes."""
+    """Return a chain of three joints with random axes."""
 
     def rotation() -> np.ndarray:
         R = polar(rng.normal(size=(3, 3)))[0]
@@ -46,19 +46,19 @@ def chain3(rng: np.random.Generator) -> fjr.Robot:
 
 
 def scaled(robot: fjr.Robot, q_l: np.ndarray, rng: np.random.Generator) -> fjr.Gains:
-    """Gains of random size in the shape of the robot's inertia and stiffness."""
+    """Return gains of random size, proportional to inertia and stiffness of the robot."""
     c_1, c_2, c_3, c_4 = rng.uniform(8, 25, 4)
     M_l, g = robot.M_l(q_l), rng.uniform(0.9, 1.4)
     return fjr.Gains(c_1, c_1**2 * M_l, c_2 * M_l, c_3, g * robot.K, c_4 * robot.M_m)
 
 
 def elastic_modes(robot: fjr.Robot, q_l: np.ndarray) -> np.ndarray:
-    """[rad/s] of the links against held motors."""
+    """Return the natural frequencies of the links with fixed motors [rad/s]."""
     return np.sqrt(np.linalg.eigvals(np.linalg.solve(robot.M_l(q_l), robot.K)).real)
 
 
 def rest_run(law: fjr.TrackingLaw, q_l: np.ndarray, period: float, delay: float = 0.0, samples: int = SAMPLES) -> bool:
-    """Whether the simulated loop dies out that starts 1e-5 rad off rest at q_l, with the reference there."""
+    """Return whether the simulated loop converges from an error of 1e-5 rad to the constant reference q_l."""
     robot, n = law.robot, law.robot.n
     off = 1e-5 * np.cos(np.arange(2 * n))
     q_m = q_l + np.linalg.solve(robot.K, robot.grad_P_l(q_l))
@@ -73,11 +73,11 @@ def rest_run(law: fjr.TrackingLaw, q_l: np.ndarray, period: float, delay: float 
     return bool(run.V[-part:].max() < run.V[part : 2 * part].max())
 
 
-# A linear plant, where every number can be had another way.
+# A linear plant, for which all numbers have an independent computation.
 
 
 def hand_written_law(z: np.ndarray, M: float, Mm: float, K: float, D: float, Dm: float) -> float:
-    """u of Table 1 at z = (q_l, q_m, dq_l, dq_m) without gravity, q_ld = 0: eqs. (30)-(42) with scalars."""
+    """Return u of Table 1 at z = (q_l, q_m, dq_l, dq_m) without gravity for q_ld = 0: eqs. (30)-(42) with scalars."""
     q, q_m, dq, dq_m = z
     ddq = (K * (q_m - q) - D * dq) / M
     d3q = (K * (dq_m - dq) - D * ddq) / M
@@ -92,12 +92,12 @@ def hand_written_law(z: np.ndarray, M: float, Mm: float, K: float, D: float, Dm:
 
 
 def hand_written_radius(values: tuple[float, ...], period: float, parts: int, late: int) -> float:
-    """Spectral radius by stepping every unit vector through one period of `parts` steps, u delayed by `late` steps."""
+    """Return the spectral radius by stepping each unit vector over `parts` steps, with u delayed by `late` steps."""
     M, Mm, K, D, Dm = values
     A = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-K / M, K / M, -D / M, 0], [K / Mm, -K / Mm, 0, -Dm / Mm]])
     B = np.array([[0], [0], [0], [1 / Mm]])
     Phi, Gamma, *_ = cont2discrete((A, B, np.eye(4), np.zeros((4, 1))), period / parts, "zoh")
-    waiting = -(-late // parts)  # efforts on their way
+    waiting = -(-late // parts)  # efforts that do not act yet
 
     def one_period(state: np.ndarray) -> np.ndarray:
         z, efforts = state[:4], [hand_written_law(state[:4], *values), *state[4:]]  # the newest first
@@ -118,24 +118,24 @@ def linear_joint(stiffness: float) -> tuple[fjr.TrackingLaw, tuple[float, ...]]:
 @pytest.mark.parametrize("stiffness", [31.0, 3.1, 300.0])
 @pytest.mark.parametrize("period", [1e-3, 0.02])
 @pytest.mark.parametrize("tenths", [0, 3, 10, 15, 20, 37])
-def test_radius_of_a_linear_loop_is_that_of_the_hand_written_one(stiffness: float, period: float, tenths: int) -> None:
+def test_radius_of_a_linear_loop_matches_the_hand_written_loop(stiffness: float, period: float, tenths: int) -> None:
     law, values = linear_joint(stiffness)
     (radius,) = spectral_radius(law, period, tenths / 10 * period, [[0.3]])
     assert radius == pytest.approx(hand_written_radius(values, period, 10, tenths), rel=1e-8)
 
 
 @pytest.mark.parametrize(("period", "delay"), [(0.02, 0.0), (0.016, 0.004), (0.01, 0.012), (0.004, 0.02)])
-def test_radius_of_a_linear_loop_is_the_growth_of_its_simulation(period: float, delay: float) -> None:
+def test_radius_of_a_linear_loop_is_the_growth_rate_of_its_simulation(period: float, delay: float) -> None:
     law, _ = linear_joint(31.0)
     (radius,) = spectral_radius(law, period, delay, [[0.0]])
     start, reference = [1e-3, 0, 0, 0], fjr.Sine(0.0, 1.0)
     run = fjr.simulate(fjr.Plant(law.robot), law, reference, start, 200 * period, period, 2e-4, delay)
-    q_l = run.x[120:, 0]  # only the slowest pair of modes is left: q_l(k+2) = a q_l(k+1) + b q_l(k)
+    q_l = run.x[120:, 0]  # only the slowest pair of modes remains: q_l(k+2) = a q_l(k+1) + b q_l(k)
     a, b = np.linalg.lstsq(np.stack([q_l[1:-1], q_l[:-2]], axis=1), q_l[2:])[0]
     assert np.abs(np.roots([1, -a, -b])).max() == pytest.approx(radius, rel=1e-4)
 
 
-# Any robot: what is linearised, and in which coordinates.
+# Any robot: linearisation and coordinates.
 
 
 @cache
@@ -150,8 +150,8 @@ def laws() -> tuple[fjr.TrackingLaw, ...]:
     return (*small_laws(), fjr.TrackingLaw(robot, scaled(robot, np.full(7, 0.4), np.random.default_rng(2))))
 
 
-def test_jacobian_of_the_law_is_its_closed_form_at_rest() -> None:
-    """The check takes the law that runs, synthesis the closed form: they agree."""
+def test_jacobian_of_the_law_is_its_closed_form_at_equilibrium() -> None:
+    """The check linearises the law that runs; synthesis uses the closed form."""
     for law in laws():
         loop = linearize(law, sample_configurations(law.robot, 5))
         rest = equilibria_at(law.robot, loop.configurations)
@@ -179,7 +179,7 @@ def test_radius_tends_to_the_continuous_loop() -> None:
             np.testing.assert_allclose(np.log(loop.radii(period)) / period, continuous, rtol=4e3 * period)
 
 
-def test_delay_of_whole_samples_is_the_limit_of_fractions() -> None:
+def test_delay_of_whole_samples_is_the_limit_of_fractional_delays() -> None:
     for law in small_laws():
         loop = linearize(law, sample_configurations(law.robot, 3))
         for whole in (1, 2):
@@ -189,7 +189,7 @@ def test_delay_of_whole_samples_is_the_limit_of_fractions() -> None:
                 )
 
 
-def test_another_plant_is_what_the_law_drives() -> None:
+def test_loop_with_another_plant_uses_that_plant() -> None:
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
     soft = fjr.Plant(fjr.single_link(stiffness=10.0))
     own, real = linearize(law, [[0.2]]), linearize(law, [[0.2]], soft)
@@ -209,7 +209,7 @@ MISTAKEN = {
 
 
 def simulated_radius(law: fjr.TrackingLaw, plant: fjr.Robot, q_l: np.ndarray, period: float, late: float) -> float:
-    """Of the map z(k) -> z(k + 1) of runs that start 1e-6 off rest, z = (x, u one sample ago, u two ago)."""
+    """Return the radius of z(k) -> z(k + 1) from runs that start 1e-6 off equilibrium; z = (x, last two efforts)."""
     rest, reference, befores, afters = np.hstack([q_l, q_l, 0 * q_l, 0 * q_l]), fjr.Sine(0 * q_l, 1.0, q_l), [], []
     for off in 1e-6 * np.eye(4 * plant.n):
         x0 = plant.state(*np.split(rest + off, 4))
@@ -228,7 +228,7 @@ def simulated_radius(law: fjr.TrackingLaw, plant: fjr.Robot, q_l: np.ndarray, pe
 @pytest.mark.parametrize("period", [1e-3, 6e-3])
 @pytest.mark.parametrize("name", MISTAKEN)
 def test_radius_of_a_law_with_another_inertia_is_that_of_its_simulation(name: str, period: float, late: float) -> None:
-    """The law sees velocities, and makes momenta by its own inertia. Without weight both robots rest alike."""
+    """The law computes momenta with its own inertia. Without gravity both robots have the same equilibria."""
     own, plant = (fjr.planar_two_link(gravity=0.0, **values) for values in ({}, MISTAKEN[name]))
     law, q_l = fjr.TrackingLaw(own, fjr.Gains(8.0, 20.0, 2.0, 12.0, 40.0, 0.5)), np.array([0.3, 0.7])
     (radius,) = spectral_radius(law, period, late * period, [q_l], fjr.Plant(plant))
@@ -251,7 +251,7 @@ class Draw:
 
 
 def drawn(seed: int) -> Draw:
-    """A robot of some kind, gains of some size, a sample period of the order of its elastic modes, a delay."""
+    """Draw a robot, gains, a sample period of the order of its elastic modes, and a delay."""
     rng = np.random.default_rng(100 + seed)
     c = rng.uniform(0.5, 2, 4)
     robot = (
@@ -267,7 +267,7 @@ def drawn(seed: int) -> Draw:
     return Draw(fjr.TrackingLaw(robot, gains), q_l, period, period * rng.choice([0, 1, rng.uniform(0, 2)]))
 
 
-def test_prediction_and_simulated_sampled_loop_agree() -> None:
+def test_check_and_simulation_agree_on_stability() -> None:
     draws = [drawn(seed) for seed in range(30)]
     judged = [(draw, draw.radius) for draw in draws if abs(draw.radius - 1) >= 0.02]
     stable = sum(radius < 1 for _, radius in judged)
@@ -279,8 +279,8 @@ def test_prediction_and_simulated_sampled_loop_agree() -> None:
 
 
 @pytest.mark.parametrize("stiffness", [31.0, 3.1])
-def test_margins_of_the_paper_scenarios_are_those_of_the_simulation(stiffness: float) -> None:
-    """10 % inside both margins the loop dies out, 10 % outside it does not."""
+def test_margins_of_the_paper_scenarios_agree_with_simulation(stiffness: float) -> None:
+    """The loop converges 10 % inside both margins and does not 10 % outside."""
     law, q_l = fjr.TrackingLaw(fjr.single_link(stiffness), fjr.PAPER_GAINS), np.array([0.4])
     found = check(law, 1e-3, configurations=[q_l])
     assert found.stable
@@ -309,7 +309,7 @@ def test_a_loop_that_overflows_is_unstable() -> None:
     assert np.isinf(spectral_radius(law, 1e5, configurations=[[np.pi]])[0])
 
 
-def test_the_check_of_an_unstable_loop_reports_a_stable_rate() -> None:
+def test_check_of_an_unstable_loop_reports_a_stable_rate() -> None:
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
     slow = check(law, 0.02)
     assert not slow.stable
@@ -326,13 +326,13 @@ def test_table_1_recipe_on_a_stiff_arm_is_unstable_as_sampled_and_in_simulation(
     found = check(law, 1e-3)
     assert not found.stable
     assert found.spectral_radius > 2
-    assert law.rate().beta > 0  # in continuous time nothing is wrong with it
+    assert law.rate().beta > 0  # the continuous-time loop is stable
     assert not rest_run(law, np.full(7, 0.4), 1e-3, samples=100)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.3e-3])
-def test_of_many_configurations_the_worst_decide(delay: float) -> None:
-    """What is picked by the closed form gives the figures of all."""
+def test_margins_are_those_of_the_worst_configurations(delay: float) -> None:
+    """The configurations preselected by the closed form give the margins of all configurations."""
     for law in small_laws():
         q_l = sample_configurations(law.robot, 150)
         found, radii = check(law, 1e-3, delay, q_l), spectral_radius(law, 1e-3, delay, q_l)
@@ -347,7 +347,7 @@ def test_of_many_configurations_the_worst_decide(delay: float) -> None:
 
 @dataclass(frozen=True)
 class Limited:
-    """What sample_configurations needs of a robot."""
+    """The attributes of a robot that sample_configurations reads."""
 
     n: int
     limits: fjr.JointLimits | None
@@ -366,7 +366,7 @@ def test_configurations_fill_the_limits_and_begin_with_zero() -> None:
     np.testing.assert_allclose(q_l[1:].max(axis=0), [-0.5, np.pi, 4 + np.pi], atol=0.05)
 
 
-def test_configurations_of_loops_are_those_of_rates_and_as_many_with_axes_in_line() -> None:
+def test_loop_configurations_extend_those_of_rates_by_aligned_axes() -> None:
     infinite = np.full(3, np.inf)
     limits = fjr.JointLimits(np.array([-2.0, -1.0, 4.0]), np.array([-0.5, 2.0, 5.0]), infinite, infinite)
     arm = Limited(3, limits)
@@ -398,7 +398,7 @@ def test_configurations_without_limits_are_the_halton_sequence_and_nested() -> N
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
-def test_impossible_requests(arguments: dict[str, object], words: tuple[str, ...]) -> None:
+def test_invalid_arguments_are_refused(arguments: dict[str, object], words: tuple[str, ...]) -> None:
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
     for call in (check, spectral_radius):
         with pytest.raises(fjr.StateError) as caught:

@@ -34,12 +34,12 @@ WIDE = fjr.MotionLimits((-10.0, -10.0), (10.0, 10.0))
 
 @references
 @pytest.mark.parametrize(("t0", "t1"), [(0.0, 10.0), (0.3, 1.1), (1.7, 1.9)])
-def test_motion_bounds_are_those_of_dense_samples(reference: Reference, t0: float, t1: float) -> None:
+def test_motion_bounds_agree_with_dense_samples(reference: Reference, t0: float, t1: float) -> None:
     samples = reference.jets(np.linspace(t0, t1, 20001))[:, :3]
     e = reference.motion_bounds(t0, t1)
     below, above = samples.min(axis=0) - e.lower, e.upper - samples.max(axis=0)
     assert min(below.min(), above.min()) > -1e-12
-    if reference is not REFERENCES["to and fro"]:  # which is judged by all of its time
+    if reference is not REFERENCES["to and fro"]:  # its bounds hold for all times
         assert np.all(np.maximum(below, above) < 1e-4 * (1.0 + np.abs(samples).max(axis=0)))
 
 
@@ -53,7 +53,7 @@ def test_motion_bounds_are_attained_at_their_times(reference: Reference) -> None
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_motion_bounds_of_random_trajectories_are_not_missed(seed: int) -> None:
+def test_motion_bounds_enclose_random_trajectories(seed: int) -> None:
     rng = np.random.default_rng(seed)
     times = np.cumsum(10.0 ** rng.uniform(-1.5, 0.7, 8))
     reference = fjr.Spline(times, rng.normal(size=(8, 2)), start=rng.normal(size=(5, 2)) * 10.0 ** rng.integers(0, 3))
@@ -108,7 +108,7 @@ def test_a_slightly_exceeded_limit_is_detected(reference: Reference, joint: int,
     limits[what] = limits[what].copy()
     limits[what][joint] += margin
     if limits[what][joint] < 0 and what not in ("lower", "upper"):
-        return  # that joint does not move
+        return  # this joint does not move
     if not np.all(limits["lower"] <= limits["upper"]):
         other = "lower" if what == "upper" else "upper"
         limits[other] = np.where(np.arange(2) == joint, limits[what], limits[other])
@@ -161,7 +161,7 @@ def test_bounds_of_sums_of_sines_have_no_time() -> None:
     assert sentence(reference, fjr.MotionLimits((-1.0,), 0.7)) == expected
 
 
-def test_a_barely_exceeded_limit_is_printed_with_enough_digits() -> None:
+def test_barely_exceeded_limit_is_printed_with_enough_digits() -> None:
     words = sentence(fjr.Hold((1.0 + 1e-8,)), fjr.MotionLimits((-1.0,), 1.0))
     assert words == "joint 0 would reach 1.00000001 rad at 0 s; its limit is 1 rad"
     fjr.check_motion(fjr.Hold((1.0 + 1e-12,)), fjr.MotionLimits((-1.0,), 1.0))
@@ -200,7 +200,7 @@ BAD: dict[str, tuple[tuple[Any, ...], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize(("arguments", "words"), BAD.values(), ids=BAD)
-def test_impossible_limits_are_refused(arguments: tuple[Any, ...], words: tuple[str, ...]) -> None:
+def test_invalid_limits_are_refused(arguments: tuple[Any, ...], words: tuple[str, ...]) -> None:
     with pytest.raises(fjr.TrajectoryError) as caught:
         fjr.MotionLimits(*arguments)
     assert all(word in str(caught.value) for word in words), caught.value

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Built-in references: class C^4 with four exact derivatives, shapes, motion and configurations."""
+"""Built-in references: C^4 with four exact derivatives; shapes, motion and configurations."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_each_row_is_the_derivative_of_the_one_above(reference: Reference, t: fl
 @pytest.mark.parametrize("t", [0.0, 1.6, 1.7, 1.9, 2.2, 3.4, 4.1, 4.4, 8.8])
 def test_derivatives_are_continuous_at_the_ends_of_a_transition(reference: Reference, t: float) -> None:
     if t == 0.0 and isinstance(reference, (fjr.Sine, fjr.MultiSine)):
-        return  # they have always been moving
+        return  # no transition at the start
     before, after = reference.jets(np.nextafter(t, -np.inf)), reference.jets(np.nextafter(t, np.inf))
     np.testing.assert_allclose(before, after, atol=1e-11)
 
@@ -118,7 +118,7 @@ def test_one_row_of_sines_is_the_sine() -> None:
 
 
 def test_point_to_point_is_the_smoothstep_of_degree_nine() -> None:
-    """The regularised incomplete beta function I_s(5, 5) is the one such polynomial."""
+    """The only such polynomial is the regularised incomplete beta function I_s(5, 5)."""
     t = np.linspace(0.0, 1.9, 40)
     share = (OTHERS["one way"].jets(t)[:, 0] - (0.1, -0.5)) / (0.9, 1.0)
     np.testing.assert_allclose(share, betainc(5, 5, t / 1.9)[:, None].repeat(2, axis=1), atol=1e-14)
@@ -133,7 +133,7 @@ def test_a_returning_motion_dwells_and_returns() -> None:
     np.testing.assert_allclose(way.jets(0.7), way.jets(0.7 + 44.0), atol=1e-9)
 
 
-def test_circle_is_round_from_rest_to_its_frequency() -> None:
+def test_circle_is_exact_from_rest_to_its_frequency() -> None:
     circle = OTHERS["circle"]
     jets = circle.jets(np.linspace(-0.5, 12.0, 301))
     np.testing.assert_allclose(np.hypot(*(jets[:, 0, :2] - (0.4, -0.2)).T), 0.5, rtol=1e-13)
@@ -143,7 +143,7 @@ def test_circle_is_round_from_rest_to_its_frequency() -> None:
     np.testing.assert_allclose(np.hypot(*jets[-1, 1, :2]), 0.5 * 2.0)
     np.testing.assert_allclose(circle.jets(9.0), circle.jets(9.0 + np.pi), atol=1e-12)
     (x, y), (dx, dy) = circle.jets(5.0)[:2, :2] - [[0.4, -0.2], [0.0, 0.0]]
-    assert x * dy - y * dx == pytest.approx(-2.0 * 0.5**2)  # a negative frequency goes clockwise
+    assert x * dy - y * dx == pytest.approx(-2.0 * 0.5**2)  # a negative frequency is clockwise
 
 
 BAD = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Splines: class C^4, interpolation of all given values, order of convergence for smooth data, bounded overshoot."""
+"""Splines: C^4, interpolation of all given values, order of convergence for smooth data, bounded overshoot."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_given_values_are_interpolated(derivatives: dict[str, Any], start: dict[
 
 @given
 @begin
-def test_it_is_c4_at_every_point_and_between(derivatives: dict[str, Any], start: dict[str, Any]) -> None:
+def test_spline_is_c4_at_and_between_its_points(derivatives: dict[str, Any], start: dict[str, Any]) -> None:
     reference = fjr.Spline(TIMES, POSITIONS, **derivatives, **start)
     points = TIMES if start else TIMES[1:]
     middles = points[:-1] + np.diff(points) / 2
@@ -86,7 +86,7 @@ def test_a_moving_end_is_interpolated_and_constant_after() -> None:
     np.testing.assert_array_equal(reference.jets(5.1), fjr.standing(POSITIONS[-1]))
 
 
-def test_one_point_is_enough_with_an_active_reference() -> None:
+def test_one_point_suffices_with_an_active_reference() -> None:
     reference = fjr.Spline([2.0], [[1.0, 2.0]], start=fjr.standing((0.0, 0.0), (0.3, -0.3)))
     oracle = BPoly.from_derivatives([0.0, 2.0], [[0, 0.3, 0, 0, 0], [1, 0, 0, 0, 0]])
     for order in range(5):
@@ -108,7 +108,7 @@ def test_segments_are_hermite_polynomials_of_degree_nine() -> None:
 
 
 def test_fourth_derivatives_are_accurate_in_short_segments_far_from_zero() -> None:
-    """At times and positions of a thousand, and 10 ms between points."""
+    """Times and positions are of order 1000, with 10 ms between points."""
     t0, f = 1000.0, (np.sin, np.cos, lambda t: -np.sin(t), lambda t: -np.cos(t), np.sin)
     times = t0 + 0.01 * np.arange(4)
     pieces = PiecewisePolynomial(times, np.stack([g(times - t0) for g in f], axis=1)[:, :, None])
@@ -117,7 +117,7 @@ def test_fourth_derivatives_are_accurate_in_short_segments_far_from_zero() -> No
 
 
 def bump(t: np.ndarray) -> np.ndarray:
-    """Smooth, and at rest with four zero derivatives at 0 and 2."""
+    """Return a smooth bump with four zero derivatives at 0 and 2."""
     return np.sin(np.pi * t / 2) ** 6 * np.exp(-t / 3)
 
 
@@ -156,7 +156,7 @@ def test_positions_alone_give_the_quintic_spline_inside() -> None:
 
 
 def squared_jerk(times: np.ndarray, jets: np.ndarray) -> float:
-    """Its integral, by Gauss' rule in each half piece, from what the reference says."""
+    """Return the integral of the squared jerk of the reference, by Gauss quadrature on half segments."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     edges = np.sort(np.concatenate([times, times[:-1] + np.diff(times) / 2]))
     h = np.diff(edges)[:, None]
@@ -166,7 +166,7 @@ def squared_jerk(times: np.ndarray, jets: np.ndarray) -> float:
 
 @pytest.mark.parametrize("ratio", [1.0, 30.0])
 @pytest.mark.parametrize("known", [1, 2, 3])
-def test_no_other_choice_of_the_free_derivatives_has_less_jerk(known: int, ratio: float) -> None:
+def test_free_derivatives_minimise_the_squared_jerk(known: int, ratio: float) -> None:
     times = np.cumsum([0.0, 1.0, 1.0 / ratio, 1.0, 0.7, 1.2])
     jets, free = np.zeros((6, 5, 2)), np.zeros((6, 5), dtype=bool)
     jets[:, :known] = RNG.normal(size=(6, known, 2))
@@ -183,7 +183,7 @@ def test_no_other_choice_of_the_free_derivatives_has_less_jerk(known: int, ratio
 
 
 def beyond(times: np.ndarray, q: np.ndarray, **derivatives: Any) -> tuple[np.ndarray, np.ndarray]:
-    """How far each piece leaves the range of its two points, and the range of the nearest four."""
+    """Return the overshoot of each segment beyond its two points, and the range of the nearest four points."""
     reference = fjr.Spline(times, q[:, None], **derivatives)
     past, around = [], []
     for i in range(len(q) - 1):
@@ -195,7 +195,7 @@ def beyond(times: np.ndarray, q: np.ndarray, **derivatives: Any) -> tuple[np.nda
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_monotone_positions_are_hardly_overshot(seed: int) -> None:
+def test_overshoot_of_monotone_positions_is_small(seed: int) -> None:
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.choice([0.02, 0.1, 1.0, 5.0], 8) * rng.uniform(0.5, 1.0, 8))
     q = np.cumsum(rng.choice([0.0, 0.001, 0.1, 1.0], 8))
@@ -228,11 +228,11 @@ def test_smooth_data_are_unchanged_by_the_overshoot_limit() -> None:
     jets, free = np.zeros((41, 5, 1)), np.zeros((41, 5), dtype=bool)
     jets[:, 0, 0], free[1:-1, 1:] = bump(times), True
     chosen = minimum_jerk.minimum_jerk(times, jets, free)
-    inside = slice(3, -3)  # next to the ends, where the bump is flat to rounding, it may
+    inside = slice(3, -3)  # near the ends the bump is flat to rounding and may change
     np.testing.assert_array_equal(minimum_jerk.without_overshoot(times, chosen, free)[inside], chosen[inside])
 
 
-def test_joints_do_not_see_each_other() -> None:
+def test_joints_are_interpolated_independently() -> None:
     whole = fjr.Spline(TIMES, POSITIONS, VELOCITIES)
     for joint in range(N):
         alone = fjr.Spline(TIMES, POSITIONS[:, [joint]], VELOCITIES[:, [joint]])
@@ -245,7 +245,7 @@ def test_splines_are_invariant_to_the_unit_of_time() -> None:
     np.testing.assert_allclose(slow.jets(3600 * t)[:, 0], quick.jets(t / 1e3)[:, 0], atol=1e-9)
 
 
-def test_configurations_go_from_the_first_to_the_last() -> None:
+def test_configurations_span_the_first_to_the_last_point() -> None:
     q = fjr.Spline(TIMES, POSITIONS, start=START).configurations(11)
     assert q.shape == (11, N)
     np.testing.assert_allclose(q[[0, -1]], [START[0], POSITIONS[-1]])

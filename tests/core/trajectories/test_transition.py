@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transitions: from any jets to any reference, class C^4 at both ends, continuous effort of the law."""
+"""Transitions from any jets to any reference are C^4 at both ends and keep the effort of the law continuous."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ X = LAW.robot.state((0.2, -0.1), (0.25, -0.12), (0.3, 0.1), (0.2, 0.15))
 
 
 def nearly(t: float) -> float:
-    """The last time before t."""
+    """Return the largest float below t."""
     return float(np.nextafter(t, -np.inf))
 
 
@@ -67,7 +67,7 @@ def test_the_effort_is_continuous_when_the_reference_is_replaced(target: Referen
 
 
 def test_without_a_transition_the_effort_jumps() -> None:
-    """What the tests above would see."""
+    """This jump is what the tests above would detect."""
     u = [LAW.command(X, reference.jets(T0)) for reference in (RUNNING, TARGETS["circle"])]
     assert np.abs(u[0] - u[1]).max() > 1.0
 

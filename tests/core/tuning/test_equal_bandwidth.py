@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one rule that tunes all laws: what it measures is what it says, and what it promises holds."""
+"""Tuning of all laws to equal bandwidth: measured quantities agree with closed forms, and the rule is met."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ TWO = planar("tuned", (40.0, 25.0), motor_inertia=(0.02, 0.01))
 
 @cache
 def joint(stiffness: float = 31.0) -> BaselineTarget:
-    """The paper's joint and start."""
+    """Return the target of the paper's joint and initial state."""
     robot, start = fjr.single_link(stiffness=stiffness), (np.array([0.5, 0.5]), np.zeros(2))
     return BaselineTarget(robot, fjr.Sine(1.0, 1.0), fjr.PAPER_GAINS, start)
 
@@ -69,7 +69,7 @@ def found(case: str, name: str) -> Tuning:
 
 @cases
 @names
-def test_bandwidths_are_equal_and_peak_efforts_where_the_rule_says_so(case: str, name: str) -> None:
+def test_bandwidths_are_equal_and_peak_efforts_equal_where_reachable(case: str, name: str) -> None:
     t, y = found(case, name), CASES[case]()
     assert t.same_bandwidth
     assert "the same bandwidth" in t.sentence
@@ -84,7 +84,7 @@ def test_bandwidths_are_equal_and_peak_efforts_where_the_rule_says_so(case: str,
 
 @cases
 @names
-def test_the_first_effort_is_the_peak_of_the_run(case: str, name: str) -> None:
+def test_peak_effort_of_the_run_is_the_first_effort(case: str, name: str) -> None:
     t, y = found(case, name), CASES[case]()
     reference = fjr.Sine(1.0, 1.0) if case == "k = 31" else fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
     robot = y.robot
@@ -94,13 +94,13 @@ def test_the_first_effort_is_the_peak_of_the_run(case: str, name: str) -> None:
 
 
 def half_the_elastic_mode(robot: fjr.Robot) -> float:
-    """Of one joint whose link and motor are free [rad/s]."""
+    """Return half the elastic mode of one joint with free link and motor [rad/s]."""
     inertia = 1 / (1 / robot.M_l(np.zeros(1))[0, 0] + 1 / robot.M_m[0, 0])
     return float(np.sqrt(robot.K[0, 0] / inertia) / 2)
 
 
 @pytest.mark.parametrize("omega_zeta", [(20.0, 0.7), (35.0, 1.0), (50.0, 0.5)])
-def test_the_bandwidth_is_that_of_the_closed_form(omega_zeta: tuple[float, float]) -> None:
+def test_bandwidth_agrees_with_the_closed_form(omega_zeta: tuple[float, float]) -> None:
     """Feedback linearisation: T(s) = A_0 / (s^4 + A_3 s^3 + A_2 s^2 + A_1 s + A_0), in two quadratic factors."""
     y, kind = joint(), LAWS["feedback_linearisation"]
     law = kind.make(y.robot, kind.standard(y.robot, y.q_0, *omega_zeta))
@@ -115,8 +115,8 @@ def test_the_bandwidth_is_that_of_the_closed_form(omega_zeta: tuple[float, float
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_at_the_bandwidth_the_gain_is_0_7(name: str) -> None:
-    """The nonlinear loop, integrated by SciPy, with q_ld = a sin(w t) and no derivatives."""
+def test_closed_loop_gain_at_the_bandwidth_is_0p7(name: str) -> None:
+    """SciPy integrates the nonlinear loop with q_ld = a sin(w t) and zero derivatives."""
     y = joint()
     law, w, a = found("k = 31", name).law if name != "v_dpbc" else y.law, y.bandwidth, 1e-3
     plant = fjr.Plant(y.robot)
@@ -126,13 +126,13 @@ def test_at_the_bandwidth_the_gain_is_0_7(name: str) -> None:
         jets[0] = a * np.sin(w * t)
         return plant.derivative(x, law.command(x, jets))
 
-    turns = 2 * np.pi / w * np.linspace(12, 16, 400)  # slower motions are over: the least damped has 4 1/s
+    turns = 2 * np.pi / w * np.linspace(12, 16, 400)  # transients have decayed: the slowest rate is 4 1/s
     solution = solve_ivp(field, (0.0, turns[-1]), np.zeros(4), t_eval=turns, rtol=1e-7, atol=1e-10, method="Radau")
     amplitude = np.abs(np.ptp(solution.y[0])) / 2
     assert amplitude / a == pytest.approx(2**-0.5, rel=0.03)
 
 
-def test_slopes_are_those_of_the_effort() -> None:
+def test_slopes_are_derivatives_of_the_effort() -> None:
     y = two_link()
     law = found("two links", "backstepping").law
     F, G = slope_at_rest(law, y.q_0)
@@ -165,7 +165,7 @@ def test_all_commands_are_saturated_at_the_target_peak() -> None:
     assert found("k = 31", "lqr").effort_limit == pytest.approx([26.203], abs=1e-3)
 
 
-def test_a_start_without_an_error_leaves_the_limit_above_what_the_reference_needs() -> None:
+def test_effort_limit_without_initial_error_exceeds_the_demand_of_the_reference() -> None:
     robot, reference = fjr.single_link(), fjr.Sine(1.0, 2.0)
     on = (np.zeros(2), np.array([2.0, 2.0]))
     y = BaselineTarget(robot, reference, fjr.PAPER_GAINS, on)
@@ -175,8 +175,8 @@ def test_a_start_without_an_error_leaves_the_limit_above_what_the_reference_need
 
 
 @pytest.mark.parametrize("name", ["pd_gravity", "torque_feedback", "singular_perturbation"])
-def test_a_slower_law_is_reported(name: str) -> None:
-    """The paper's soft joint: on the motors' side nothing is faster than link and spring."""
+def test_law_slower_than_the_target_is_reported(name: str) -> None:
+    """On the soft joint of the paper, link and spring limit the bandwidth of motor-side laws."""
     t = tune(name, joint(3.1))
     assert not t.same_bandwidth
     assert t.bandwidth < 0.9 * t.target_bandwidth
@@ -184,7 +184,7 @@ def test_a_slower_law_is_reported(name: str) -> None:
     assert np.linalg.eigvals(joint(3.1).loop(t.law)[0]).real.max() < 0
 
 
-def test_where_the_springs_cannot_hold_the_arm_motor_laws_are_refused() -> None:
+def test_motor_side_laws_are_refused_if_springs_cannot_balance_gravity() -> None:
     arm: Arm = planar("soft", 3.1)
     y = BaselineTarget(arm.robot, fjr.Sine([0.5, 0.5], 1.0), TWO_LINK)
     with pytest.raises(fjr.GainsError, match="pd_gravity is unstable for all natural frequencies"):
@@ -192,7 +192,7 @@ def test_where_the_springs_cannot_hold_the_arm_motor_laws_are_refused() -> None:
     assert tune("feedback_linearisation", y).same_bandwidth
 
 
-def test_seven_joints_are_tuned_too() -> None:
+def test_seven_joint_arm_is_tuned() -> None:
     arm = arm7()
     q_0 = np.array([0.3, 0.2, -0.1, -1.5, 0.1, 0.5, 0.1])
     M = arm.robot.M_l(q_0)
@@ -206,7 +206,7 @@ ARM7_OFFSET = np.array([0.0, 0.5, 0.2, -1.2, -0.2, 0.8, 0.4])
 
 
 def test_feedback_linearisation_with_two_time_scales_tracks_seven_joints() -> None:
-    """2 s at 1 kHz at v-dPBC's bandwidth; with four equal poles the hold alone leaves tens of mrad."""
+    """The run takes 2 s at 1 kHz with the bandwidth of v-dPBC; four equal poles would leave tens of mrad."""
     arm, rate = arm7(), 14.0
     reference = fjr.Sine(np.full(7, 0.3), np.pi, ARM7_OFFSET, np.pi / 2)
     M = arm.robot.M_l(reference.jets(0.0)[0])
@@ -222,13 +222,13 @@ def test_feedback_linearisation_with_two_time_scales_tracks_seven_joints() -> No
 
 
 def least_damping(y: BaselineTarget, law: StaticLaw) -> float:
-    """Smallest damping ratio of the closed loop about rest."""
+    """Return the smallest damping ratio of the linearised closed loop."""
     poles = np.linalg.eigvals(y.loop(law)[0])
     return float((-poles.real / np.abs(poles)).min())
 
 
-def test_v_dpbc_can_be_tuned_too_and_then_damps_its_elastic_mode() -> None:
-    """A stiff joint under the recipe K_md = beta M_m; at equal bandwidth the rule damps it at least twice as well."""
+def test_tuned_v_dpbc_doubles_the_damping_of_the_elastic_mode() -> None:
+    """The reference is a stiff joint with K_md = beta M_m at equal bandwidth."""
     robot, beta = fjr.single_link(stiffness=3000.0, link_inertia=0.5, motor_inertia=0.2), 14.0
     M_l = robot.M_l(np.zeros(1))
     gains = fjr.Gains(beta, beta**2 * M_l, beta * M_l, beta, robot.K, beta * robot.M_m)
@@ -241,7 +241,7 @@ def test_v_dpbc_can_be_tuned_too_and_then_damps_its_elastic_mode() -> None:
     assert tune("v_dpbc", y).law is not t.law
 
 
-def test_the_sample_rate_bounds_the_damping_of_v_dpbcs_motors() -> None:
+def test_sample_rate_bounds_the_motor_damping_of_v_dpbc() -> None:
     robot = fjr.single_link(stiffness=3000.0, motor_inertia=0.2, motor_damping=0.01)
     for sample_period in (1e-3, 1e-2):
         gains = two_scale_gains.standard(robot, np.zeros(1), 10.0, 0.3, sample_period)
@@ -249,19 +249,19 @@ def test_the_sample_rate_bounds_the_damping_of_v_dpbcs_motors() -> None:
         assert rate == pytest.approx(min(0.6 * np.sqrt(3000.0 / 0.2), two_scale_gains.FASTEST_RATE / sample_period))
 
 
-def test_tuned_gives_the_law_alone() -> None:
+def test_tuned_returns_the_law() -> None:
     law = tuned("lqr", fjr.single_link(), fjr.Sine(1.0, 1.0), fjr.PAPER_GAINS)
     assert isinstance(law, StaticLaw)
     u, V = law.measured_command([0.1, 0.1], [0.0, 0.0], np.zeros((5, 1)))
     assert np.isfinite([*u, V]).all()
 
 
-def test_an_unknown_name_is_refused() -> None:
+def test_unknown_law_is_refused() -> None:
     with pytest.raises(fjr.ParameterError, match="'pid'"):
         tune("pid", joint())
 
 
-# as parameters
+# --- parameters
 
 
 def scenario(law: str) -> Scenario:
@@ -269,7 +269,7 @@ def scenario(law: str) -> Scenario:
 
 
 @names
-def test_law_type_chooses_the_law(name: str) -> None:
+def test_law_type_selects_the_law(name: str) -> None:
     made = scenario(f"{{type: {name}, start_error: [0.5]}}")
     assert isinstance(made.law, StaticLaw)
     assert type(made.law) is type(LAWS[name].make(made.robot, made.law.gains))  # type: ignore[attr-defined]
@@ -280,7 +280,7 @@ def test_law_type_chooses_the_law(name: str) -> None:
         _ = made.tracking_law
 
 
-def test_the_two_numbers_give_the_gains_where_not_tuned() -> None:
+def test_frequency_and_damping_set_the_gains_if_not_tuned() -> None:
     made = scenario("{type: feedback_linearisation, tuned: false, natural_frequency: 30.0, damping_ratio: 0.5}")
     arrays = made.law.arrays  # type: ignore[attr-defined]
     fast = half_the_elastic_mode(made.robot)
@@ -288,7 +288,7 @@ def test_the_two_numbers_give_the_gains_where_not_tuned() -> None:
     assert arrays["A_3"] == pytest.approx(2 * 0.5 * 30.0 + 2 * feedback_linearisation.FAST_DAMPING * fast)
 
 
-def test_the_sample_rate_bounds_the_fast_poles() -> None:
+def test_sample_rate_bounds_the_fast_poles() -> None:
     arrays = [
         scenario(f"{{type: feedback_linearisation, tuned: false, sample_rate: {rate}}}").law.arrays  # type: ignore[attr-defined]
         for rate in (100.0, 1e3)
@@ -299,7 +299,7 @@ def test_the_sample_rate_bounds_the_fast_poles() -> None:
     assert arrays[0]["A_0"] < arrays[1]["A_0"]
 
 
-def test_the_start_error_moves_what_the_rule_does() -> None:
+def test_start_error_changes_the_tuning() -> None:
     dampings = [
         tuning(scenario(f"{{type: lqr, start_error: [{error}]}}").controller_values).damping for error in (0.1, 0.5)
     ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Synthesised gains: the wanted rate, a sampled loop that keeps it, and one sentence where there are none."""
+"""Synthesised gains: required rate, stable sampled loop, and one sentence if no gains exist."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def robot(name: str) -> fjr.Robot:
 
 
 def workspace(k: int = 40) -> np.ndarray:
-    """Where arm7 moves: 0.4 rad about a reach forward and down."""
+    """Return configurations of arm7 within 0.4 rad of a forward and downward reach."""
     return HOME + np.random.default_rng(0).uniform(-0.4, 0.4, (k, 7))
 
 
 def elsewhere(arm: fjr.Robot, k: int = 1500) -> np.ndarray:
-    """Random configurations that neither check nor synthesis looks at, a half of them with axes in line."""
+    """Return random configurations that neither check nor synthesis uses, half of them with aligned axes."""
     rng, limits = np.random.default_rng(11), arm.limits
     lower, upper = (limits.lower, limits.upper) if limits else (-np.pi, np.pi)
     q_l = rng.uniform(lower, upper, (k, arm.n))
@@ -49,7 +49,7 @@ def elsewhere(arm: fjr.Robot, k: int = 1500) -> np.ndarray:
     return q_l
 
 
-BETWEEN = 3e-3  # by which a radius between the looked-at configurations may be larger
+BETWEEN = 3e-3  # allowed excess of the radius between the sampled configurations
 
 
 @pytest.mark.parametrize(
@@ -80,8 +80,8 @@ def test_synthesised_gains_have_the_rate_and_half_a_sample_of_margin(
 
 
 @pytest.mark.parametrize("name", ["planar", "full", "chain", "arm7"])
-def test_margins_hold_where_the_check_has_not_looked(name: str) -> None:
-    """Gains for one configuration, checked at a larger, different set."""
+def test_margins_hold_at_configurations_outside_the_check(name: str) -> None:
+    """The gains are for one configuration and the check uses a larger, different set."""
     arm, q_l = robot(name), workspace() if name == "arm7" else np.zeros((1, robot(name).n))
     law = fjr.TrackingLaw(arm, synthesize(arm, 6.0, 1e-3, configurations=q_l))
     found, loop = check(law, 1e-3), closed_form(law, elsewhere(arm), fjr.Plant(arm))
@@ -94,8 +94,8 @@ def test_margins_hold_where_the_check_has_not_looked(name: str) -> None:
     assert loop.radii(1 / (0.95 * found.lowest_stable_rate)).max() > 1
 
 
-def test_gains_for_where_the_robot_moves_reach_a_higher_rate() -> None:
-    """Away from the singular configurations M_l varies less, and a sample of delay more is no harm."""
+def test_gains_for_a_workspace_reach_a_higher_rate() -> None:
+    """M_l varies less away from singular configurations, so one more sample of delay is tolerated."""
     q_l = workspace()
     gains = synthesize(robot("arm7"), 6.0, 1e-3, configurations=q_l)
     law = fjr.TrackingLaw(robot("arm7"), gains)
@@ -125,7 +125,7 @@ def test_stiff_arm_tracks_sines_from_an_offset_within_its_torques() -> None:
     assert np.all(np.abs(run.u).max(axis=0) < TORQUE_LIMITS)
 
 
-def test_what_is_said_to_be_within_reach_is() -> None:
+def test_rate_named_in_the_error_is_reachable() -> None:
     paper = robot("paper")
     with pytest.raises(fjr.GainsError) as caught:
         synthesize(paper, 500.0, 0.005, 0.005)
@@ -138,13 +138,13 @@ def test_what_is_said_to_be_within_reach_is() -> None:
         synthesize(paper, 1.2 * reached, 0.005, 0.005)
 
 
-def test_hopeless_loops_are_named() -> None:
+def test_loop_without_any_reachable_rate_is_reported() -> None:
     with pytest.raises(fjr.GainsError, match="so are all rates down to"):
         synthesize(robot("chain"), 1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize("beta", [1e300, 1e160, 1e7])
-def test_absurd_rates_are_out_of_reach(beta: float) -> None:
+def test_huge_rates_are_out_of_reach(beta: float) -> None:
     with pytest.raises(fjr.GainsError, match=r"out of reach at 1000 Hz .* expected at most [\d.]+ 1/s") as caught:
         synthesize(robot("planar"), beta, 1e-3)
     (reached,) = (float(number) for number in re.findall(r"at most ([\d.]+) 1/s", str(caught.value)))
@@ -152,12 +152,12 @@ def test_absurd_rates_are_out_of_reach(beta: float) -> None:
 
 
 @pytest.mark.parametrize("beta", [0.0, -1.0, float("nan"), float("inf")])
-def test_impossible_rates(beta: float) -> None:
+def test_invalid_rates_are_refused(beta: float) -> None:
     with pytest.raises(fjr.GainsError, match=r"^beta is .*; expected a positive finite number$"):
         synthesize(robot("paper"), beta, 1e-3)
 
 
 @pytest.mark.parametrize(("period", "delay"), [(0.0, 0.0), (1e-3, -1.0), (float("inf"), 0.0)])
-def test_impossible_times(period: float, delay: float) -> None:
+def test_invalid_times_are_refused(period: float, delay: float) -> None:
     with pytest.raises(fjr.StateError, match="; expected "):
         synthesize(robot("paper"), 5.0, period, delay)
