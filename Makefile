@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-# Every target sets up what it needs from nothing and does nothing twice. Needs make and Python 3.10 to 3.13.
-# Where ROS 2 Jazzy is sourced, it is used; elsewhere it comes as wheels into .venv (see tools/setup_env.py).
+# Every target sets up what it needs; a step that is up to date is skipped. Needs make and Python 3.10 to 3.13.
+# A sourced ROS 2 Jazzy is used; otherwise ROS 2 is installed as wheels into .venv (see tools/setup_env.py).
 
 PYTHON ?= python3
 DEMO_ARGS ?=
@@ -18,7 +18,7 @@ SETUP = @command -v "$(PYTHON)" >/dev/null || { echo "[setup] $(PYTHON) is not t
 ENTER = . "$(CURDIR)/ros2_ws/install/setup.sh"
 PLUGINS = -p xdist -p timeout -p hypothesispytest
 
-# The start-up hook of the ROS wheels leaves these behind in the children of another environment's Python.
+# The start-up hook of the ROS wheels sets these variables, which break the Python of another environment.
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif

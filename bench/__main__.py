@@ -84,7 +84,7 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         start_up.node,
         real_time.tracking,
         lambda: round_trip.over_echo(arm, *((3,) if quick else ())),
-        lambda: certificate.over_none(arm, *((3,) if quick else ())),
+        lambda: certificate.with_and_without(arm, *((3,) if quick else ())),
         lambda: periods.late(*((10.0,) if quick else ())),
         lambda: lock_step.over_ping_pong(*((2, 3.0) if quick else ())),
         lambda: campaign.against_peers(*((500, 2) if quick else ())),

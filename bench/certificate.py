@@ -17,7 +17,7 @@ WITH, WITHOUT = "certified", "plain"
 BOUND = 1.10
 
 
-def over_none(arm: Arm, rounds: int = ROUNDS) -> list[Figure]:
+def with_and_without(arm: Arm, rounds: int = ROUNDS) -> list[Figure]:
     """Compare median and 99th percentile of both, round by round; the arm rests at its reference."""
     n = arm.robot.n
     offset = arm.scenario.reference.jets(0.0)[0]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hostile input for readers: what may be wrong in a document or in bytes, and what a reader may answer.
+"""Generate hostile documents and bytes, and check how readers respond.
 
-Sixty examples, the same every time; FJR_FUZZ_EXAMPLES=5000 tries that many, others every time.
+The default is 60 deterministic examples; FJR_FUZZ_EXAMPLES=5000 tries 5000 random ones.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _GIVEN = os.environ.get("FJR_FUZZ_EXAMPLES", "")
 
 
 def fuzzed(examples: int) -> settings:
-    """Settings of a test that needs so many examples."""
+    """Return the settings of a test with this number of examples."""
     return settings(
         max_examples=int(_GIVEN or examples),
         derandomize=not _GIVEN,
@@ -32,7 +32,7 @@ def fuzzed(examples: int) -> settings:
 
 
 def answer(read: Callable[[], object]) -> str:
-    """The sentence with which input is refused; empty where it is read. Any other exception is the test's failure."""
+    """Return the sentence of the FjrError, or an empty string if the input is read; other exceptions fail the test."""
     sentence = ""
     try:
         read()
@@ -73,7 +73,7 @@ VALUES = st.sampled_from([None, True, *NUMBERS, *WORDS, *LISTS])
 
 
 def places(document: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """The keys that lead to each value of a document."""
+    """Return the path of keys to each value of a document."""
     found = [path] if path else []
     entries = dict(enumerate(document)) if isinstance(document, list) else document
     for key, value in entries.items() if isinstance(entries, dict) else ():
@@ -82,7 +82,7 @@ def places(document: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 
 def changed(document: Any, path: tuple[Any, ...], value: Any) -> Any:
-    """A document with another value in one place."""
+    """Return the document with another value at a path."""
     if not path:
         return value
     entries = dict(document) if isinstance(document, dict) else list(document)
@@ -92,7 +92,7 @@ def changed(document: Any, path: tuple[Any, ...], value: Any) -> Any:
 
 @st.composite
 def documents(draw: st.DrawFn, document: Any) -> str:
-    """YAML of a document with up to three values that do not belong there."""
+    """Generate YAML of the document with up to three invalid values."""
     for _ in range(draw(st.integers(1, 3))):
         path = draw(st.sampled_from(places(document) or [()]))
         document = changed(document, path, draw(VALUES))
@@ -121,7 +121,7 @@ FRAGMENTS = (
 
 @st.composite
 def texts(draw: st.DrawFn, text: str) -> bytes:
-    """A text with up to three fragments put in, cut out or replaced; sometimes bytes that are no UTF-8."""
+    """Generate the text with up to three fragments inserted, deleted or replaced, sometimes as invalid UTF-8."""
     for _ in range(draw(st.integers(1, 3))):
         begin = draw(st.integers(0, len(text)))
         end = min(len(text), begin + draw(st.sampled_from([0, 0, 1, 5, 200])))
@@ -131,7 +131,7 @@ def texts(draw: st.DrawFn, text: str) -> bytes:
 
 
 def damaged(draw: st.DrawFn, data: bytes) -> bytes:
-    """Bytes with one flipped, or cut off, or some put in."""
+    """Return the bytes with a flipped bit, truncated, or with some bytes inserted."""
     place = draw(st.integers(0, max(0, len(data) - 1)))
     kind = draw(st.sampled_from(["flip", "cut", "insert"]))
     if kind == "flip" and data:
@@ -141,7 +141,7 @@ def damaged(draw: st.DrawFn, data: bytes) -> bytes:
 
 @st.composite
 def bytes_of(draw: st.DrawFn, data: bytes) -> bytes:
-    """Bytes with damage in one to four places."""
+    """Generate the bytes with damage in one to four places."""
     for _ in range(draw(st.integers(1, 4))):
         data = damaged(draw, data)
     return data

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `make bench` compares is the same arm, and a missed bound is not passed over."""
+"""`make bench` compares models of the same arm and reports missed bounds."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def arm() -> Arm:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_pinocchio_and_ours_are_the_same_rigid_arm(arm: Arm, seed: int) -> None:
+def test_rigid_arm_agrees_with_pinocchio(arm: Arm, seed: int) -> None:
     q, dq, tau = random_motion(arm.robot.n, seed)
     expected = pin.aba(arm.model, arm.model.createData(), q, dq, tau)
     found = arm.forward_dynamics(q, dq, tau).full().ravel()
@@ -39,7 +39,7 @@ def test_pinocchio_and_ours_are_the_same_rigid_arm(arm: Arm, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_mujoco_and_ours_are_the_same_elastic_arm(arm: Arm, seed: int) -> None:
+def test_elastic_arm_agrees_with_mujoco(arm: Arm, seed: int) -> None:
     state, u = _state(arm, seed)
     peer = MujocoArm(arm.model, arm.robot, 1e-3)
     peer.set(*state, u)
@@ -47,8 +47,8 @@ def test_mujoco_and_ours_are_the_same_elastic_arm(arm: Arm, seed: int) -> None:
     np.testing.assert_allclose(peer.acceleration(), expected, rtol=1e-8, atol=1e-10 * np.max(np.abs(expected)))
 
 
-def test_a_step_of_mujoco_is_a_step_of_ours(arm: Arm) -> None:
-    dt = 1e-5  # the same order of error, in other coordinates: at 10 us both are exact to rounding
+def test_integration_step_agrees_with_mujoco(arm: Arm) -> None:
+    dt = 1e-5  # both integrators are exact to rounding at 10 us
     state, u = _state(arm, seed=9)
     peer = MujocoArm(arm.model, arm.robot, dt)
     peer.set(*state, u)
@@ -66,25 +66,25 @@ def test_blocks_of_calls_alternate() -> None:
     assert all(seconds.shape == (3,) for seconds in times.values())
 
 
-def test_a_ratio_is_taken_between_neighbours() -> None:
+def test_ratio_compares_neighbouring_blocks() -> None:
     assert ratio(np.array([1.0, 10.0, 3.0]), np.array([2.0, 20.0, 1.0])) == 0.5
 
 
 @pytest.mark.parametrize(("value", "verdict"), [(1.0, "yes"), (1.8, "yes, not the aim"), (2.1, "NO")])
-def test_the_table_says_whether_bound_and_aim_hold(value: float, verdict: str) -> None:
+def test_table_shows_whether_bound_and_aim_are_met(value: float, verdict: str) -> None:
     figure = Figure("law", value, "", bound=2.0, aim=1.5, parts={"law [us]": 2.5})
     assert figure.row()[4] == verdict
     assert "law [us] 2.5" in table([figure])
 
 
-def test_more_is_better_where_at_least_is_asked_for() -> None:
+def test_at_least_bounds_are_met_by_larger_values() -> None:
     assert Figure("loop", 61.0, "x real time", bound=60.0, at_least=True).holds
     assert not Figure("loop", 59.0, "x real time", bound=60.0, at_least=True).holds
     assert Figure("free", 1e9, "s").holds
 
 
 @pytest.mark.parametrize(("value", "code"), [(1.0, 0), (3.0, 1)])
-def test_a_missed_bound_is_said_after_all_and_fails_the_command(
+def test_missed_bound_is_reported_last_and_fails_the_command(
     value: float, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one, two = Figure("one", value, "", bound=2.0), Figure("two", 1.0, "s")
@@ -97,12 +97,12 @@ def test_a_missed_bound_is_said_after_all_and_fails_the_command(
     assert document["versions"]["mujoco"] == mujoco.__version__
 
 
-def test_every_measurement_has_its_name() -> None:
+def test_measurements_have_the_listed_names() -> None:
     assert tuple(command.measurements(quick=True)) == command.NAMES
 
 
 @pytest.mark.parametrize(("late_bare", "bound"), [(0, 0.1), (1, 1.25), (40, 50.0)])
-def test_late_periods_are_counted_against_the_bare_node_or_a_tenth_of_a_per_cent(late_bare: int, bound: float) -> None:
+def test_late_periods_are_bounded_by_the_bare_node_or_0p1_percent(late_bare: int, bound: float) -> None:
     ours = np.array([1_500_000] * 199 + [1_500_001])
     bare = np.array([3_000_000] * late_bare + [1_000_000] * (100 - late_bare))
     found = periods.figure("states", ours, bare)
@@ -111,7 +111,7 @@ def test_late_periods_are_counted_against_the_bare_node_or_a_tenth_of_a_per_cent
     assert found.holds == (bound > 0.5)
 
 
-def test_sides_take_turns_by_blocks_and_the_first_round_is_not_counted() -> None:
+def test_sides_alternate_by_blocks_and_the_first_round_is_discarded() -> None:
     blocks = [[float(i)] for i in range(3 * 2 * driver.BLOCKS)]
     found = driver.rounds(blocks, ["ours", "bare"], 3)
     assert found["ours"] == [[8.0, 10.0, 12.0, 14.0], [16.0, 18.0, 20.0, 22.0]]
@@ -122,7 +122,7 @@ def test_samples_are_counted_by_their_stamps() -> None:
     assert lock_step.samples_per_second(Seen(5_000_000, 100), Seen(2_005_000_000, 500_000_100)) == pytest.approx(4000)
 
 
-def test_growth_is_a_slope_after_the_first_minute() -> None:
+def test_memory_growth_is_the_slope_after_the_first_minute() -> None:
     seconds = np.arange(0.0, 300.0)
     kilobytes = np.where(seconds < 60, 50_000 + 100 * seconds, 56_000 + 0.5 * seconds)
     found = memory.figure("plant", seconds, kilobytes)
@@ -130,13 +130,13 @@ def test_growth_is_a_slope_after_the_first_minute() -> None:
     assert found.holds
 
 
-def test_the_memory_of_a_process_is_read() -> None:
+def test_resident_memory_of_a_process_is_read() -> None:
     before = memory.resident(os.getpid())
     held = np.ones(8 << 20)
     assert memory.resident(os.getpid()) - before == pytest.approx(held.nbytes / 1024, rel=0.2)
 
 
-def test_a_node_that_ended_is_said() -> None:
+def test_ended_node_is_reported() -> None:
     with subprocess.Popen([sys.executable, "-S", "-c", ""]) as process:
         process.wait()
     with pytest.raises(RuntimeError, match="has ended"):
@@ -152,7 +152,7 @@ def _state(arm: Arm, seed: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
 def _acceleration(
     arm: Arm, q_l: np.ndarray, q_m: np.ndarray, dq_l: np.ndarray, dq_m: np.ndarray, u: np.ndarray
 ) -> np.ndarray:
-    """From the plant's derivative: ddq_l = M_l^-1 (dp_l - dM_l dq_l), ddq_m = M_m^-1 dp_m."""
+    """Return accelerations by the plant: ddq_l = M_l^-1 (dp_l - dM_l dq_l), ddq_m = M_m^-1 dp_m."""
     robot, n = arm.robot, arm.robot.n
     dx = Plant(robot).derivative(robot.state(q_l, q_m, dq_l, dq_m), u)
     dM_dq = robot.links.dM(q_l, dq_l, dq_l).full().ravel()
@@ -160,7 +160,7 @@ def _acceleration(
     return np.concatenate([ddq_l, np.linalg.solve(robot.M_m, dx[3 * n :])])
 
 
-def test_scipy_and_mujoco_run_the_same_campaign() -> None:
+def test_study_agrees_with_scipy_and_mujoco() -> None:
     loop, drawn = replace(campaign.loop(), duration=0.4, settle_after=0.1), campaign.draws(3)
     ours = loop.run(drawn).rms[:, 0]
     for peer, agrees in ((campaign_peers.scipy_peer, 1e-8), (campaign_peers.mujoco_peer, 1e-11)):
@@ -168,7 +168,7 @@ def test_scipy_and_mujoco_run_the_same_campaign() -> None:
         assert theirs == pytest.approx(ours.tolist(), rel=agrees)
 
 
-def test_figures_of_a_campaign_are_a_wall_time_and_two_ratios() -> None:
+def test_study_measures_wall_time_and_two_ratios() -> None:
     wall, scipy, mujoco_figure = campaign.against_peers(runs=20, rounds=1)
     assert (wall.unit, scipy.unit, mujoco_figure.unit) == ("s", "x", "x")
     assert scipy.value > 1

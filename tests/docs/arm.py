@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""my_arm.urdf, the reader's own arm in the documents: three joints, a gripper, a wall of a base."""
+"""my_arm.urdf, the example arm of the documents: three joints, a gripper and a fixed base."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ LINKS = (("upper", 3.0, 0.15, 0.05), ("lower", 2.0, 0.12, 0.03), ("hand", 1.0, 0
 
 
 def my_arm_urdf() -> str:
-    """XML text."""
+    """Return the XML text."""
     parents = ["world", *(name for name, *_ in LINKS)]
     joints = [
         f"""<joint name="{name}" type="revolute"><parent link="{parents[k]}"/><child link="{parents[k + 1]}"/>

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The documents and what is in them: blocks of code, links, headings, words set as code."""
+"""Read code blocks, links, headings and inline code from the documents."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from markdown_it.token import Token
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")))
 LANGUAGES = ("python", "sh", "yaml", "xml", "cpp", "cmake", "text")
-"""`text` is for what no machine reads (diagrams, formulas), or, marked so, for what the block before it prints."""
+"""`text` is for diagrams and formulas or, if marked `shown`, for the output of the previous block."""
 MARKS = ("file", "exit", "shown", "for")
-"""file: what the reader calls it; exit: the exit code that is right; shown: lines of output; for: who else reads it."""
+"""file: name of the file; exit: expected exit code; shown: lines of output; for: the program that reads the block."""
 
 _MARK = re.compile(r"<!-- block: (.*) -->")
 
 
 @dataclass(frozen=True)
 class Block:
-    """A block of code; marks are what a comment `<!-- block: name=value ... -->` before it says."""
+    """A code block; marks are the values of a preceding comment `<!-- block: name=value ... -->`."""
 
     page: Path
     line: int
@@ -38,12 +38,12 @@ class Block:
 
 @cache
 def tokens(page: Path) -> list[Token]:
-    """The page as CommonMark with GitHub's tables."""
+    """Return the tokens of the page, CommonMark with GitHub tables."""
     return MarkdownIt("commonmark").enable("table").parse(page.read_text(encoding="utf-8"))
 
 
 def blocks(page: Path) -> Iterator[Block]:
-    """All blocks of code of a page, fenced and indented ones (these have no language)."""
+    """Yield all code blocks of a page, fenced and indented; indented blocks have no language."""
     marks: dict[str, str] = {}
     for token in tokens(page):
         if token.type in ("fence", "code_block"):
@@ -54,13 +54,13 @@ def blocks(page: Path) -> Iterator[Block]:
 
 
 def inline(page: Path, kind: str) -> Iterator[Token]:
-    """The parts of a page's text of one kind: code_inline, link_open, image."""
+    """Yield the inline tokens of one kind: code_inline, link_open or image."""
     for token in tokens(page):
         yield from (child for child in token.children or () if child.type == kind)
 
 
 def links(page: Path) -> list[str]:
-    """Targets of links and pictures."""
+    """Return the targets of links and images."""
     targets = [link.attrGet("href") for link in inline(page, "link_open")]
     targets += [picture.attrGet("src") for picture in inline(page, "image")]
     return [str(target) for target in targets]
@@ -68,7 +68,7 @@ def links(page: Path) -> list[str]:
 
 @cache
 def anchors(page: Path) -> frozenset[str]:
-    """What GitHub makes of the headings."""
+    """Return the anchors that GitHub generates for the headings."""
     found = tokens(page)
     texts = [found[k + 1].content for k, token in enumerate(found) if token.type == "heading_open"]
     return frozenset(re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in texts)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 ...` lines against nodes that really run: executables, files, parameters, topics, services, types, values."""
+"""Check `ros2 ...` lines against running nodes: executables, files, parameters, topics, services, types, values."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from fjr_core.config import ros_yaml
 
 TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 ALONE = {"bag": ("record", "play", "info"), "lifecycle": ("get", "list"), "node": ("list", "info")}
-"""Verbs that hold no name of ours."""
+"""Verbs without project names in their arguments."""
 OPTIONS = ("--all", "--once", "--storage", "mcap", "--output")
 
 
 @dataclass(frozen=True)
 class Graph:
-    """The nodes by their full name, and the types of all topics and services of theirs."""
+    """The nodes by full name, with the types of all their topics and services."""
 
     nodes: Mapping[str, Node]
     topics: Mapping[str, str]
@@ -43,7 +43,7 @@ class Graph:
         return cls(named, topics, services)
 
     def check(self, words: list[str]) -> None:
-        """One line that starts with `ros2`; fails where a name in it does not exist or a value does not fit."""
+        """Check a line that starts with `ros2`; fail if a name does not exist or a value has the wrong type."""
         _, verb, *rest = words
         checks: dict[str, Callable[..., None]] = {
             "run": self._run,
@@ -66,7 +66,9 @@ class Graph:
         for option, value in zip(arguments, arguments[1:], strict=False):
             if option == "-p":
                 self._set(node, *value.split(":=", 1))
-            assert option != "--params-file" or "-p" not in arguments[: arguments.index(value)], "-p before the file"
+            assert option != "--params-file" or "-p" not in arguments[: arguments.index(value)], (
+                "-p must not come before the file"
+            )
             if option == "--params-file" and value.startswith("$(ros2 pkg"):
                 assert Path(expanded(value)).is_file()
 
@@ -101,19 +103,19 @@ class Graph:
 
 
 def expanded(text: str) -> str:
-    """`$(ros2 pkg prefix --share NAME)` as the folder it stands for."""
+    """Replace `$(ros2 pkg prefix --share NAME)` by its folder."""
     pattern = r"\$\(ros2 pkg prefix --share (\w+)\)"
     return re.sub(pattern, lambda found: get_package_share_directory(found[1]), text)
 
 
 def imported(kind: str) -> Any:
-    """The class of a type such as std_srvs/srv/Trigger."""
+    """Return the class of a type such as std_srvs/srv/Trigger."""
     package, kind_of, name = kind.split("/")
     return getattr(import_module(f"{package}.{kind_of}"), name)
 
 
 def fill(message: Any, values: Mapping[str, Any]) -> None:
-    """Set the fields that a YAML mapping names, as `ros2` does; the message's own setters check types."""
+    """Set the fields named in a YAML mapping, as `ros2` does; the setters of the message check types."""
     kinds = message.get_fields_and_field_types()
     for field, value in values.items():
         kind = re.sub(r"sequence<(.*)>", r"\1", kinds[field])
@@ -125,7 +127,7 @@ def fill(message: Any, values: Mapping[str, Any]) -> None:
 
 
 def filled(kind: str, values: Mapping[str, Any]) -> Any:
-    """A message of a kind such as builtin_interfaces/Duration."""
+    """Return a message of a type such as builtin_interfaces/Duration, filled from YAML."""
     package, name = kind.split("/")
     message = imported(f"{package}/msg/{name}")()
     fill(message, values)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks of shell commands: which run for real, and, in one place, which do not and why."""
+"""Run shell blocks; NOT_RUN lists the commands that are not run, with the reason."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from collections.abc import Iterator
 
 from fjr_bringup.cli.exit_codes import Exit
 
-SHORT = "0.5"  # s of stamped time for commands that record
+SHORT = "0.5"  # s of stamped time for recording commands
 
 NOT_RUN = {
-    "make": "sets up a whole checkout; `make test` would run this very test",
-    "ros2": "ROS's command line is not among the wheels",
-    "source": "the set-up of a ROS 2 installation, or of a build next to one",
+    "make": "sets up a whole checkout; `make test` would run this test again",
+    "ros2": "the ROS command line is not among the wheels",
+    "source": "needs a ROS 2 installation, or a build next to one",
     "colcon": "needs a ROS 2 installation",
     "rosdep": "needs a ROS 2 installation, root and a network",
     "pip": "needs a network",
-    "cd": "only leads to commands that do not run",
+    "cd": "precedes commands that are not run",
     ".venv/bin/python": "takes minutes and writes into docs/",
     "python": "takes minutes and writes into docs/",
 }
@@ -27,7 +27,7 @@ NOT_RUN = {
 
 
 def commands(text: str) -> Iterator[str]:
-    """The commands of a block, one each, without comments."""
+    """Yield the commands of a block without comments."""
     for line in text.replace("\\\n", " ").splitlines():
         for command in line.split(" && "):
             if shlex.split(command, comments=True):
@@ -35,7 +35,7 @@ def commands(text: str) -> Iterator[str]:
 
 
 def words(command: str) -> list[str]:
-    """The words of a command; a substitution `$(...)` is one."""
+    """Return the words of a command; a substitution `$(...)` is one word."""
     kept: list[str] = []
 
     def keep(found: re.Match[str]) -> str:
@@ -47,17 +47,17 @@ def words(command: str) -> list[str]:
 
 
 def is_run(command: str) -> bool:
-    """Whether a command is done for real."""
+    """Return whether a command is run."""
     return words(command)[0] not in NOT_RUN
 
 
 def script(text: str) -> str:
-    """What is run of a block: the commands in their order, recordings short."""
+    """Return the commands of a block that are run, in order, with short recordings."""
     return "\n".join(["set -e", *(_shortened(command) for command in commands(text) if is_run(command))])
 
 
 def _shortened(command: str) -> str:
-    """A recording made short. It may end with the verdict `violated`: in real time that depends on the machine."""
+    """Return a recording command with a short duration; it may end `violated`, depending on the machine."""
     parts = words(command)
     if parts[:2] not in (["fjr", "run"], ["fjr", "demo"]) or parts[-1] == "&":
         return command
@@ -66,5 +66,5 @@ def _shortened(command: str) -> str:
 
 
 def syntax_error(text: str) -> str:
-    """What bash finds wrong with a text, empty where nothing is."""
+    """Return the syntax error that bash reports for a text, or an empty string."""
     return subprocess.run(["bash", "-n"], input=text, capture_output=True, text=True, check=False).stderr

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every page is done from top to bottom in one folder, as its reader would do it."""
+"""Run the blocks of every page from top to bottom in one folder, as a reader would."""
 
 from __future__ import annotations
 
@@ -24,36 +24,39 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
 from patience import HANG
 
-LINKED = ("ros2_ws", "examples")  # what commands name relative to the checkout
-ENVIRONMENT = {**os.environ, "PATH": f"{os.environ['PATH']}:{Path(sys.executable).parent}"}  # with CMake from a wheel
-STARTED: list[subprocess.Popen[bytes]] = []
+LINKED = ("ros2_ws", "examples")  # folders that commands name relative to the checkout
+ENVIRONMENT = {
+    **os.environ,
+    "PATH": f"{os.environ['PATH']}:{Path(sys.executable).parent}",
+}  # includes CMake from its wheel
+BACKGROUND: list[subprocess.Popen[bytes]] = []
 ALL = [block for page in PAGES for block in blocks(page)]
 WITH_BLOCKS = [page for page in PAGES if any(block.language in ("python", "sh", "yaml") for block in blocks(page))]
 
 
 @pytest.mark.parametrize("block", ALL, ids=str)
-def test_every_block_says_what_it_is(block: Block) -> None:
+def test_every_block_names_its_language(block: Block) -> None:
     assert block.language in LANGUAGES, f"{block}: '{block.language}'; indented blocks have no language"
     assert set(block.marks) <= set(MARKS)
 
 
 @pytest.mark.parametrize("block", [block for block in ALL if block.language == "sh"], ids=str)
-def test_every_shell_block_is_one_for_bash(block: Block) -> None:
+def test_every_shell_block_is_valid_bash(block: Block) -> None:
     assert syntax_error(block.text) == ""
 
 
 @pytest.mark.system
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.usefixtures("nothing_left")
+@pytest.mark.usefixtures("background_processes_ended")
 @pytest.mark.parametrize("page", WITH_BLOCKS, ids=lambda page: page.stem)
-def test_the_blocks_of_a_page_work_one_after_the_other(page: Path, tmp_path: Path) -> None:
+def test_blocks_of_a_page_run_in_order(page: Path, tmp_path: Path) -> None:
     for name in LINKED:
         (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / "my_arm.urdf").write_text(my_arm_urdf(), encoding="utf-8")
     said = ""
     for block in blocks(page):
-        said = DOING[block.language](block, tmp_path, said)
+        said = RUNNERS[block.language](block, tmp_path, said)
 
 
 def do_python(block: Block, folder: Path, _said: str) -> str:
@@ -65,13 +68,13 @@ def do_sh(block: Block, folder: Path, _said: str) -> str:
 
 
 def do_cpp(block: Block, folder: Path, said: str) -> str:
-    """Write the file, for a build that comes later."""
+    """Write the file for a later build."""
     (folder / block.marks["file"]).write_text(block.text, encoding="utf-8")
     return said
 
 
 def do_cmake(block: Block, folder: Path, said: str) -> str:
-    """Write the file and build what it describes, against stand-ins for ROS 2's packages in C++."""
+    """Write the CMake file and build it against stubs of the C++ packages of ROS 2."""
     file = folder / block.marks["file"]
     file.write_text(block.text, encoding="utf-8")
     build, found = file.parent / ".build", f"-DCMAKE_PREFIX_PATH={Path(__file__).with_name('ros2_control')}"
@@ -81,15 +84,15 @@ def do_cmake(block: Block, folder: Path, said: str) -> str:
 
 
 def run(block: Block, command: list[str], folder: Path) -> str:
-    """Output and errors of a command that ends as the page says; what it leaves in the background goes on."""
+    """Run a command, check its exit code and return its output; background processes keep running."""
     with (folder / ".said").open("w+") as file:
         process = subprocess.Popen(
             command, cwd=folder, stdout=file, stderr=file, start_new_session=True, env=ENVIRONMENT
         )
-        STARTED.append(process)
+        BACKGROUND.append(process)
         code = process.wait(timeout=HANG)
         if not is_alive(process.pid):
-            STARTED.remove(process)
+            BACKGROUND.remove(process)
         file.seek(0)
         said = file.read()
     assert code == int(block.marks.get("exit", 0)), f"{block}\n{command[-1]}\n{said}"
@@ -98,16 +101,16 @@ def run(block: Block, command: list[str], folder: Path) -> str:
 
 
 @pytest.fixture
-def nothing_left() -> Iterator[None]:
-    """Ends what the blocks of a page left in the background."""
+def background_processes_ended() -> Iterator[None]:
+    """End the background processes that the blocks of a page left."""
     yield
-    while STARTED:
+    while BACKGROUND:
         with suppress(ProcessLookupError):
-            end_group(STARTED.pop())
+            end_group(BACKGROUND.pop())
 
 
 def is_alive(group: int) -> bool:
-    """Whether a group has processes, so that its number is not yet another's."""
+    """Return whether a process group has processes, so that its id cannot belong to another group yet."""
     with suppress(ProcessLookupError):
         os.killpg(group, 0)
         return True
@@ -115,7 +118,7 @@ def is_alive(group: int) -> bool:
 
 
 def end_group(leader: subprocess.Popen[bytes]) -> None:
-    """Ask the processes of a group to end, and see that they do; ProcessLookupError once there are none."""
+    """Terminate the processes of a group; raise ProcessLookupError when none is left."""
     os.killpg(leader.pid, signal.SIGTERM)
     for _ in range(300):
         time.sleep(0.1)
@@ -126,8 +129,8 @@ def end_group(leader: subprocess.Popen[bytes]) -> None:
 
 
 def do_yaml(block: Block, folder: Path, said: str) -> str:
-    """Write the file, or add to it, and read it as the nodes and `fjr` do."""
-    if block.marks.get("for") == "ros2_control":  # its nodes are not here; it is a parameter file at least
+    """Write or extend the file and read it as the nodes and `fjr` do."""
+    if block.marks.get("for") == "ros2_control":  # its nodes are not installed; check that it is a parameter file
         for node in ros_yaml.parse(block.text):
             assert ros_yaml.values_for(node, ros_yaml.parse(block.text))
         return said
@@ -147,7 +150,7 @@ def do_yaml(block: Block, folder: Path, said: str) -> str:
 
 
 def merged(below: dict, above: dict) -> dict:
-    """Two mappings as one, the second over the first."""
+    """Return the first mapping updated recursively by the second."""
     both = {key: merged(below[key], value) for key, value in above.items() if isinstance(below.get(key), dict)}
     return {**below, **above, **both}
 
@@ -158,7 +161,7 @@ def do_xml(block: Block, folder: Path, said: str) -> str:
 
 
 def do_text(block: Block, _folder: Path, said: str) -> str:
-    """What is shown was said by the block before, line by line; `...` stands for anything."""
+    """Check that each shown line is in the output of the previous block; `...` matches any text."""
     lines = [" ".join(line.split()) for line in said.splitlines()]
     for shown in block.text.splitlines() if "shown" in block.marks else ():
         pattern = ".*".join(re.escape(" ".join(part.split())) for part in shown.split("..."))
@@ -166,7 +169,7 @@ def do_text(block: Block, _folder: Path, said: str) -> str:
     return said
 
 
-DOING = {
+RUNNERS = {
     "python": do_python,
     "sh": do_sh,
     "yaml": do_yaml,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make docs` builds without a warning, and the API reference holds what it is to hold."""
+"""`make docs` builds without warnings, and the API reference is complete."""
 
 from __future__ import annotations
 

@@ -17,14 +17,14 @@ from docs.pages import ROOT, tokens
 PACKAGES = ROOT / "ros2_ws" / "src"
 CORE = PACKAGES / "fjr_core" / "fjr_core"
 FOLDERS = (CORE, *sorted(PACKAGES.iterdir()), ROOT / "tests" / "core", ROOT)
-"""Folders that the paths on a page are relative to, in the order of the search."""
+"""Folders to which the paths on a page are relative, in search order."""
 PAGES = tuple(ROOT / "docs" / f"{name}.md" for name in ("paper_map", "errata", "notation"))
 PATH = re.compile(r"([\w*/]+(?:\.(?:py|c|md)|/))(?:::([\w.]+))?")
 NAME = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*")
 
 
 def cells(page: Path) -> Iterator[list[str]]:
-    """The words set as code of each cell of a table."""
+    """Return the inline code of each cell of a table."""
     found = tokens(page)
     for before, token in zip(found, found[1:], strict=False):
         if before.type == "td_open":
@@ -32,13 +32,13 @@ def cells(page: Path) -> Iterator[list[str]]:
 
 
 def files(path: str, last: list[Path]) -> list[Path]:
-    """The files or folder of a path, which may hold `*`: relative to the last file, or to one of FOLDERS."""
+    """Return the files or folder of a path, which may contain `*`, relative to the last file or to one of FOLDERS."""
     folders = [file.parent for file in last[:1]]
     return next((found for folder in (*FOLDERS, *folders) if (found := sorted(folder.glob(path.rstrip("/"))))), [])
 
 
 def definitions(body: list[ast.stmt], prefix: str = "") -> Iterator[str]:
-    """Names of functions, classes and constants, and `Class.name` of what a class defines."""
+    """Return the names of functions, classes and constants, and `Class.name` of class members."""
     for node in body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             yield prefix + node.name
@@ -59,7 +59,7 @@ def names_of_tests() -> frozenset[str]:
 
 
 def missing(cell: list[str]) -> list[str]:
-    """Files of a cell that are not there, and names that the last file before them does not define."""
+    """Return missing files of a cell, and names that the last file before them does not define."""
     last: list[Path] = []
     absent = []
     for text in cell:
@@ -78,14 +78,14 @@ def missing(cell: list[str]) -> list[str]:
 
 @cache
 def symbols() -> frozenset[str]:
-    """All identifiers in the mathematics."""
+    """Return all identifiers in the mathematics."""
     nodes = [node for file in CORE.rglob("*.py") for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))]
     names = {getattr(node, key) for node in nodes for key in ("id", "attr", "arg", "name") if hasattr(node, key)}
     return frozenset(name for name in names if isinstance(name, str))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_files_functions_and_tests_that_a_map_names_exist(page: Path) -> None:
+def test_files_functions_and_tests_named_in_a_map_exist(page: Path) -> None:
     found = [name for cell in cells(page) for name in missing(cell)]
     assert found == []
 
@@ -115,5 +115,5 @@ def first_column(page: Path) -> Iterator[list[str]]:
     ],
     ids=lambda cell: cell[-1],
 )
-def test_a_name_that_does_not_exist_is_found(cell: list[str]) -> None:
+def test_missing_name_is_detected(cell: list[str]) -> None:
     assert missing(cell) == [cell[-1]]

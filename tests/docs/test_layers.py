@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imports run one way: between the packages, and within each from the higher layer to the lower one."""
+"""Imports run one way: between the packages, and within each package from the higher to the lower layer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from docs.pages import ROOT
 
 SOURCES = ROOT / "ros2_ws" / "src"
 PACKAGES = ("fjr_core", "fjr_msgs_py", "fjr_plant fjr_controller", "fjr_bringup")
-"""From the bottom up; what stands in one entry does not import each other."""
+"""Packages from the bottom up; packages in one entry do not import each other."""
 LAYERS = {
     "fjr_core": (
         "errors files",
@@ -40,7 +40,7 @@ LAYERS = {
         "cli",
     ),
 }
-"""Zones and files of each package from the bottom up: a layer imports what is below it, no other zone of its own."""
+"""Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""
 
 
 def level(layers: tuple[str, ...], name: str) -> int | None:
@@ -48,14 +48,14 @@ def level(layers: tuple[str, ...], name: str) -> int | None:
 
 
 def modules(package: str) -> Iterator[tuple[str, Path]]:
-    """Dotted name and file of each module of a package."""
+    """Yield dotted name and file of each module of a package."""
     for file in sorted((SOURCES / package / package).rglob("*.py")):
         parts = file.relative_to(SOURCES / package).with_suffix("").parts
         yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), file
 
 
 def imported(name: str, file: Path) -> Iterator[str]:
-    """Dotted names that a module imports, those from a package with the name that is taken."""
+    """Yield the dotted names that a module imports, including names imported from a package."""
     package = name.split(".") if file.stem == "__init__" else name.split(".")[:-1]
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -67,7 +67,7 @@ def imported(name: str, file: Path) -> Iterator[str]:
 
 
 def upwards(layers: tuple[str, ...], importer: str, name: str) -> str | None:
-    """The sentence about an import that does not run downwards, where both names have a layer."""
+    """Return a sentence if both names have a layer and the import does not run downwards."""
     here, there = level(layers, importer), level(layers, name)
     if here is None or there is None or importer == name or there < here:
         return None
@@ -75,7 +75,7 @@ def upwards(layers: tuple[str, ...], importer: str, name: str) -> str | None:
 
 
 def violations(package: str) -> list[str]:
-    """Imports of a package that do not run downwards, one sentence each."""
+    """Return one sentence for each import of a package that does not run downwards."""
     found = []
     for module, file in modules(package):
         for target in imported(module, file):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every link leads somewhere, every page is in the index, and what pages call by name in the code is there."""
+"""Every link has a target, every page is in the index, and every code name on a page exists."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 
 
 @by_page
-def test_links_lead_to_files_and_headings(page: Path) -> None:
+def test_link_targets_are_existing_files_and_headings(page: Path) -> None:
     for target in links(page):
         if "://" in target or target.startswith("mailto:"):
             continue
@@ -29,14 +29,14 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
             assert anchor in anchors(file), f"{target}: {sorted(anchors(file))}"
 
 
-def test_the_index_leads_to_every_page() -> None:
+def test_index_links_to_every_page() -> None:
     index = ROOT / "docs" / "README.md"
     found = {(index.parent / target.partition("#")[0]).resolve() for target in links(index)}
     assert {page for page in PAGES if page != index} <= found
 
 
 @by_page
-def test_code_that_a_page_names_is_there(page: Path) -> None:
+def test_code_named_on_a_page_exists(page: Path) -> None:
     for token in inline(page, "code_inline"):
         found = re.fullmatch(r"([\w/]+\.py)::([\w.]+)", token.content)
         if found:
@@ -46,7 +46,7 @@ def test_code_that_a_page_names_is_there(page: Path) -> None:
 
 
 @by_page
-def test_tests_that_a_page_names_are_there(page: Path) -> None:
+def test_tests_named_on_a_page_exist(page: Path) -> None:
     tests = "\n".join(path.read_text("utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
     for token in inline(page, "code_inline"):
         name = token.content.partition("::")[2] or token.content

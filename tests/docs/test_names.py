@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of the documents that no test runs (shell.NOT_RUN): every name in them exists."""
+"""Every name in the documented commands that no test runs (shell.NOT_RUN) exists."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PATHS = {"cd", "source", "colcon", "rosdep", ".venv/bin/python"}
 
 
 def starting(word: str) -> list[list[str]]:
-    """Words of all commands that start with a word, in blocks and, if they name something, in the text."""
+    """Return the words of all commands that start with a word, in blocks and, if they have arguments, in the text."""
     said = [text for text in SAID if text.startswith(f"{word} ")]
     return [words(command) for command in (*HELD, *said) if words(command)[0] == word]
 
@@ -35,11 +35,11 @@ def graph(ros: Ros) -> Iterator[Graph]:
     return Graph.of([plant, controller])
 
 
-def test_what_does_not_run_is_what_is_listed() -> None:
+def test_commands_not_run_are_those_listed() -> None:
     assert {words(command)[0] for command in HELD} <= set(NOT_RUN)
 
 
-def test_ros2_lines_name_what_exists(graph: Graph) -> None:
+def test_names_in_ros2_lines_exist(graph: Graph) -> None:
     lines = [line for line in starting("ros2") if len(line) > 3]
     assert len(lines) > 10
     for line in lines:
@@ -60,7 +60,7 @@ def test_ros2_lines_name_what_exists(graph: Graph) -> None:
         "ros2 no_verb at all",
     ],
 )
-def test_a_line_that_names_what_does_not_exist_is_found(graph: Graph, line: str) -> None:
+def test_line_with_a_missing_name_is_detected(graph: Graph, line: str) -> None:
     with pytest.raises((AssertionError, LookupError, OSError)):
         graph.check(words(line))
 
@@ -95,7 +95,7 @@ def test_files_and_folders_of_the_checkout_exist() -> None:
                 assert (ROOT / word).exists(), command
 
 
-def test_modules_that_are_started_exist() -> None:
+def test_started_modules_exist() -> None:
     for first, *rest in (words(command) for command in HELD):
         if first == "python":
             assert rest[0] == "-m"
