@@ -226,7 +226,7 @@ def test_number_of_pending_parts_is_bounded(tmp_path: Path) -> None:
 
 def test_a_different_worker_is_refused(tmp_path: Path) -> None:
     plan = campaign()
-    with pytest.raises(sweep.MonteCarloError, match="expected one .*, as where the study was started"):
+    with pytest.raises(sweep.MonteCarloError, match="expected one .* it, as at the start of the study"):
         sweep.run_part(plan.text, 0, 5, not plan.loop.compiled)
 
     class Elsewhere:
@@ -276,9 +276,9 @@ def test_invalid_sweep_file_is_refused_in_one_sentence(document: dict[str, Any],
     ("changes", "words"),
     [
         ({"vary": {"stifness": {"uniform": [1, 2]}}}, "'vary' has 'stifness'"),
-        ({"vary": {"stiffness": {"normal": [1.0, 0.3]}}}, "stiffness is -0.2 at least"),
-        ({"vary": {"delay": {"uniform": [-1e-3, 1e-3]}}}, "delay is -0.001 at least"),
-        ({"vary": {"delay": {"uniform": [0, 1e-3], "each_joint": True}}}, "it is one for all joints"),
+        ({"vary": {"stiffness": {"normal": [1.0, 0.3]}}}, "the minimum of stiffness is -0.2"),
+        ({"vary": {"delay": {"uniform": [-1e-3, 1e-3]}}}, "the minimum of delay is -0.001"),
+        ({"vary": {"delay": {"uniform": [0, 1e-3], "each_joint": True}}}, "expected one value for all joints"),
         ({"vary": {**VARY, "gravity": [1.0, 1.1]}}, "'vary': gravity has 2 numbers; expected a single one"),
         ({"vary": {**VARY, "payload_position": [0.1, 0.2]}}, "payload_position has 2 numbers; expected 1 or 3"),
         ({"vary": {**VARY, "velocity_noise": [0.1, 0.2]}}, "velocity_noise has 2 numbers; expected a single one"),

@@ -204,10 +204,10 @@ def test_single_payload_position_applies_to_all_runs(runs: int) -> None:
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"stiffness": 0.0}, "stiffness is 0 at least; expected positive"),
+        ({"stiffness": 0.0}, "the minimum of stiffness is 0; expected positive"),
         ({"stiffness": [1.0, 1.0]}, "stiffness has shape (2,)"),
         ({"stiffness": np.ones((3, 2))}, "stiffness has shape (3, 2)"),
-        ({"delay": -1e-3}, "delay is -0.001 at least; expected 0 or more"),
+        ({"delay": -1e-3}, "the minimum of delay is -0.001; expected 0 or more"),
         ({"delay": np.ones((3, 1))}, "delay has shape (3, 1)"),
         ({"external": np.nan}, "external has entries that are not finite"),
         ({"gravity": "much"}, "gravity is 'much'; expected numbers"),

@@ -74,7 +74,7 @@ class ControllerNode(ManagedParameterNode):
                 if trigger() != SUCCESS and self.trouble is not None:
                     raise self.trouble
                 if self.state == "inactive":
-                    time.sleep(self._discovery_time)  # a controller that is there already must be known by then
+                    time.sleep(self._discovery_time)  # an existing controller must be discovered by then
             self._starting = False
 
     def changed(self, values: dict[str, Any], names: set[str]) -> None:

@@ -98,7 +98,7 @@ _RENAMED = {
 
 
 def __getattr__(name: str) -> object:
-    """Return a name of before under its new one, with a DeprecationWarning."""
+    """Return the object of a renamed public name, with a DeprecationWarning."""
     if name not in _RENAMED:
         raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
     warnings.warn(f"fjr_core.{name} is now fjr_core.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)

@@ -26,7 +26,7 @@ from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.monitoring.record import Record
 from fjr_core.robot.joint_units import REVOLUTE, Units
 
-VISITED = 200  # configurations of a run at which the rate is looked at
+VISITED = 200  # configurations of a run at which the rate is evaluated
 TAIL = 1.0  # s; states after the last command that are dropped without a note
 OTHER_RATE = 0.05  # relative; beyond this difference the measured sample period replaces the scenario's
 
@@ -51,7 +51,7 @@ class RunData(Record):
     torque: Array  # (k, n) N m, measured at the motors
     dV: Array  # (k - 1,) W, mean rate of V over each step by the model, the sent effort held
     reference_mismatch: float  # rad, recorded reference against the one computed here
-    notes: tuple[str, ...] = field(default=())  # what is missing or made up for, a sentence each
+    notes: tuple[str, ...] = field(default=())  # one sentence for each missing or substituted signal
     velocities_measured: bool = True  # False: estimated by an observer
     stop: ControllerStop | None = None  # the controller's first stop, None: it never stopped
     units: tuple[Units, ...] = ()  # of each joint; revolute ones by default. Prismatic joints have m and N below

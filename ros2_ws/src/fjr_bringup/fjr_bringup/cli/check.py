@@ -93,7 +93,7 @@ def _other_law(scenario: Scenario) -> dict[str, str]:
 
 
 def _basis(rate: Rate, scenario: Scenario) -> str:
-    """Return on what a rate is based: a proof or samples."""
+    """Return the basis of a rate: a proof or samples."""
     if not rate.proven:
         return "in continuous time; minimum over sampled configurations, not proven"
     if not scenario.plant_is_the_model:
@@ -121,7 +121,7 @@ def _on_the_reference(scenario: Scenario, law: TrackingLaw) -> str:
 
 
 def _in_the_loop(scenario: Scenario) -> dict[str, str]:
-    """Return which parts are checked in addition to plant, law and hold; no row if there are none."""
+    """List the parts that are checked in addition to plant, law and hold; return no row if there are none."""
     robust, sensing, delay = getattr(scenario.sampled_law, "robust", Robust()), scenario.sensing, scenario.loop_delay
     parts = {
         "momentum residual": robust.estimates,

@@ -14,7 +14,7 @@ from fjr_bringup.cli.options import duration_option, output_option, scenario_arg
 
 
 def implementation(name: str) -> ModuleType:
-    """Import the module of a command, then report that all is loaded (see app.main)."""
+    """Import the module of a command, then call `loaded` (see app.main)."""
     module = import_module(f"fjr_bringup.cli.{name}")
     click.get_current_context().obj()
     return module
@@ -244,7 +244,7 @@ def record(**given: Any) -> Any:
 def watch(**given: Any) -> Any:
     """Watch a running control loop in the terminal.
 
-    SCENARIO is the scenario whose effort limits are shown; without one those of the URDF are.
+    The displayed effort limits are those of SCENARIO, by default those of the URDF.
     """
     return implementation("live").watch_loop(**given)
 

@@ -16,7 +16,7 @@ INVALID_INPUT = (ScenarioError, ParameterError, CompareError)
 
 
 def exit_code(error: Exception) -> Exit:
-    """Print the error on stderr and return its exit code; raise an error that no user can cause."""
+    """Print a user error on stderr and return its exit code; re-raise any other error."""
     if isinstance(error, Interrupted):
         kept = f"what was recorded is in {error.kept}" if error.kept else "nothing was recorded"
         _print(f"stopped; {kept}")

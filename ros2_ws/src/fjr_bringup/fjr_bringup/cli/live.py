@@ -39,7 +39,7 @@ def record_topics(topics: Sequence[str], output: Path | None, duration: float | 
 
 
 def watch_loop(scenario: str | None, namespace: str, controller: str, once: bool, remaps: tuple[str, ...]) -> None:
-    """Show a running control loop; scenario: whose effort limits are shown."""
+    """Display a running control loop; scenario: source of the displayed effort limits."""
     limits = dict(monitor_app.effort_limits(library.load(scenario))) if scenario else {}
     discover_quickly()
     wish = monitor_app.Options(namespace, remaps, controller, once)
@@ -50,4 +50,4 @@ def watch_loop(scenario: str | None, namespace: str, controller: str, once: bool
 def _refuse_over_ros2(command: str, advantage: str, force: bool) -> None:
     """Raise BetterToolError, naming the `command` of ros2 to use, if ros2 is on the PATH, unless forced."""
     if not force and (found := shutil.which("ros2")):
-        raise BetterToolError(f"{found} is there and does this better: use `{command}` ({advantage}), or add --force")
+        raise BetterToolError(f"{found} does this better: use `{command}` ({advantage}), or add --force")

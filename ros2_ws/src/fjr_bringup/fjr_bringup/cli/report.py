@@ -99,7 +99,7 @@ def _report(source: Source, namespace: str) -> RunSummary:
 
 
 def _source(path: Path, scenario: str | None, output: Path | None) -> Source:
-    """Return where all files of a bag are; raises ScenarioError if no scenario is known."""
+    """Return bag, name, scenario file and report folder; raises ScenarioError if no scenario is known."""
     path = _unlinked(path)
     run = _run_folder(path)
     if scenario is not None:
@@ -126,13 +126,13 @@ def _unique(source: Source, taken: Sequence[Path]) -> Source:
 
 
 def _run_folder(path: Path) -> Path | None:
-    """Return the folder of the run that the bag belongs to: the one with the scenario in it."""
+    """Return the run folder of a bag, which contains the scenario; None if there is no such folder."""
     above = [path, *path.resolve().parents[:2]]
     return next((folder for folder in above if (folder / SCENARIO).is_file()), None)
 
 
 def _unlinked(path: Path) -> Path:
-    """Resolve a link, such as that to the newest run, so that the report names a folder that does not change."""
+    """Resolve the link to the newest run, so that the report names a permanent folder."""
     return path.parent / path.readlink() if path.is_symlink() else path
 
 
@@ -147,7 +147,7 @@ def _inner(path: Path) -> Path:
 
 
 def _known(path: Path) -> Mapping[str, Any]:
-    """Return from the run's own report what its bag does not hold: name, planned duration, losses, failure."""
+    """Return the entries of an earlier report that the bag lacks: name, planned duration, losses, failure."""
     try:
         found = read_json(path)
     except (OSError, ValueError):

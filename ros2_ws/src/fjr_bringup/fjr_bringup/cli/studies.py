@@ -41,10 +41,10 @@ def sweep(
     scheduler: str | None,
     output: Path,
 ) -> None:
-    """Run a Monte-Carlo study; a number that is None is the study's own."""
+    """Run a Monte-Carlo study; None keeps the number of the study."""
     monte_carlo = import_module(
         "fjr_bringup.studies.monte_carlo.command"
-    )  # loads pyarrow, which the others do not need
+    )  # loads pyarrow, which other commands do not need
     given = {"runs": runs, "seed": seed, "duration": duration}
     numbers = {name: value for name, value in given.items() if value is not None}
     wish = monte_carlo.Options(cores, scheduler, output, library.parse_assignments(assignments), numbers)
@@ -53,7 +53,7 @@ def sweep(
 
 
 def compare(suite: str, output: Path, cores: int | None, document: Path | None, readme: Path | None) -> None:
-    """Compare control laws; document: a page that receives the table too; readme: its deprecated name."""
+    """Compare control laws; document: page to which the table is written; readme: deprecated name of document."""
     if readme is not None:
         print("fjr: --readme is deprecated; use --document", file=sys.stderr)
     with stoppable() as stop:

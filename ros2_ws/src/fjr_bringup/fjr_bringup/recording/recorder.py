@@ -194,4 +194,4 @@ def adapted_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
 
 
 def _never(_message: bytes) -> None:
-    """Do nothing: the recorder's thread empties the queues, no executor calls this."""
+    """Do nothing: no executor calls this, because the thread of the recorder empties the queues."""

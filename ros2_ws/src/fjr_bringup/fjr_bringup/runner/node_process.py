@@ -30,7 +30,7 @@ os.execv(sys.argv[2], sys.argv[2:])
 
 
 class NodeError(FjrError):
-    """A node cannot be started or ended by itself."""
+    """A node could not be started, or ended unexpectedly."""
 
 
 def executable(package: str, name: str) -> Path:

@@ -62,9 +62,9 @@ class CertificatePublisher:
         self._start, self._beta = -1, self._rate()
 
     def on_command(self, sample: JointSample, command: Command, arrival: int, sent: int) -> None:
-        """Publish the certificate of a sample that arrived, and whose command was sent, at these times [ns].
+        """Publish the certificate of a sample.
 
-        With simulated time arrival and sent are not used.
+        arrival, sent [ns]: times of its state and of its command; not used with simulated time.
         """
         dt = (sample.stamp - self._stamp) * 1e-9
         if command.restarted or not 0 < dt < LONGEST:

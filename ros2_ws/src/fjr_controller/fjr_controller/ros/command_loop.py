@@ -40,8 +40,8 @@ class CommandConflictError(FjrError):
 class CommandLoop:
     """Publish a command on both command topics for each state from `start` to `stop`; otherwise nothing.
 
-    Conflicting publishers on either topic are looked for at the start, at the first state and every LOOK_PERIOD. If one
-    publishes before the first command, `on_conflict` is called; one that appears later is reported.
+    Conflicting publishers on either topic are detected at the start, at the first state and every LOOK_PERIOD. One that
+    publishes before the first command triggers `on_conflict`; a later one is reported.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class CommandLoop:
             return
         if not (self._alone or self._is_alone()):
             return
-        if self._simulated:  # the command must not depend on which comes first, the clock or the state
+        if self._simulated:  # the command must not depend on the order of clock and state
             self._check_silence(sample.stamp)
         command = self._tracker.command(sample, arrival)
         if command is not None:
@@ -171,13 +171,13 @@ class CommandLoop:
         self._reports.publish_events()
 
     def _check_silence(self, now: int) -> None:
-        """Send the stop effort once per silence; now [ns]: of the stamps with simulated time, else steady."""
+        """Send the stop effort once per silence; now [ns]: by the stamps in simulated time, else steady."""
         u = self._tracker.silence(now)
         if u is not None and self._last_stamp is not None:
             self._send(self._last_stamp, u)
 
     def _is_alone(self) -> bool:
-        """Look for conflicting publishers before the first command; False if the state is old after that."""
+        """Detect conflicting publishers before the first command; return False if the state is too old after that."""
         self._alone = True
         try:
             listened = self._refuse_conflicts()

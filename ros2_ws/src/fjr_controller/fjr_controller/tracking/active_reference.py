@@ -68,9 +68,9 @@ class ActiveReference:
         self._next = (reference, start)
 
     def advance(self, stamp: int, join_time: float) -> None:
-        """Begin a requested reference whose start has come, with a transition over join_time [s] if it does not match.
+        """Begin a requested reference at its start, with a transition over join_time [s] unless it matches.
 
-        It matches if its jets at time 0 are those of the running reference to MATCHED.
+        It matches if its jets at time 0 equal those of the active reference to MATCHED.
         """
         if self._next is None or not self.is_due(stamp):
             return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tracker reports: its state, events for the log, counters for the diagnostics."""
+"""Reports of the tracker: its state, events for the log, counters for the diagnostics."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ STOPS, STARTS_REFUSED = "stops", "starts refused"  # kinds of the events that en
 
 
 class State(str, Enum):
-    """What the tracker does with a sample."""
+    """Operating state of the tracker."""
 
     WAITING = "waiting"  # for the first sample
     JOINING = "joining"  # transition from the measured state to the reference, or bumpless transfer of the effort
@@ -32,7 +32,7 @@ class Event:
 
 
 class Journal:
-    """Counters, and the newest hundred events that have not been taken out.
+    """Counters, and the newest hundred unread events.
 
     episodes: kinds whose episode has been reported and has not ended; remove one to end its episode.
     """

@@ -20,7 +20,7 @@ from .stamp_order import Order
 class LawEvaluation:
     """A static law, or with robust action a law with a controller state (docs/robust.md), bound to the measured state.
 
-    lead [ns]: the reference is to be evaluated this much later than the sample, where the law predicts the state to.
+    lead [ns]: prediction horizon of the law; the reference is evaluated this long after the sample.
     Raises GainsError for a law whose effort is not finite.
     """
 

@@ -12,7 +12,7 @@ from .stamp_order import Order
 
 
 class LawState:
-    """Advance the controller state where a sample follows one for which the law acted; reset it everywhere else.
+    """Advance the controller state if the law acted at the previous sample; reset it otherwise.
 
     A repeated sample is evaluated again with the same state. The state after a sample counts only after `accept`.
     """
@@ -48,7 +48,7 @@ class LawState:
         return bool(self._step.next.dot(self._step.next) < np.inf)
 
     def accept(self) -> None:
-        """An effort was sent: the law's, if it was evaluated."""
+        """Record that the effort was sent; it is the law's if the law was evaluated."""
         self._continues = self._evaluated
 
     def reset(self) -> None:

@@ -43,7 +43,7 @@ class Stamps:
         self.timeout = round(timeout * 1e9)
 
     def classify(self, stamp: int, arrival: int) -> Order:
-        """Return the order of a sample by its stamp and arrival [ns]; keep nothing of it but an unconfirmed jump."""
+        """Return the order of a sample by its stamp and arrival [ns]; only an unconfirmed jump is stored."""
         before, self._unconfirmed = self._unconfirmed, None
         if self.last is None:
             return Order.FIRST

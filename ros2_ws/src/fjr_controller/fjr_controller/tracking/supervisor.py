@@ -51,7 +51,7 @@ class Supervisor:
         return self.transfer.active or self.settling > 0 or self._joining
 
     def apply(self, settings: Settings) -> None:
-        """Replace the settings; a stop and what is under way remain."""
+        """Replace the settings; a stop and transitions in progress remain."""
         self.settings = settings
         self._limits.apply(settings)
 
@@ -85,8 +85,8 @@ class Supervisor:
         """Return a copy of the supervisor after the transitions triggered by this sample; self is unchanged.
 
         settling: samples that the velocities need before they are used, because their observer was reset.
-        The copy has a journal of its own until `committed`. Raise TrajectoryError if no motion leads back from the
-        measured state.
+        The copy has a journal of its own until `committed`. Raise TrajectoryError if there is no transition from the
+        measured state to the reference.
         """
         supervisor = copy(self)
         supervisor.reference, supervisor.transfer, supervisor.bound = (

@@ -171,7 +171,7 @@ class Tracker:
         if not supervisor.continues(order, stamp, settling):
             try:
                 supervisor = supervisor.advanced(order, stamp, settling)
-            except TrajectoryError:  # no motion leads back from a state that far out
+            except TrajectoryError:  # there is no transition from a state that far away
                 return self._without_effort(stamp)
         jets, last = supervisor.jets(stamp), self._stamps.last
         u, V = self._output.select(supervisor, jets, order, stamp, 0 if last is None else stamp - last)
@@ -205,7 +205,7 @@ class Tracker:
         return self._output.send_without_sample(self._supervisor)
 
     def apply(self, settings: Settings) -> None:
-        """Replace the settings from the next sample on; a stop and what is under way remain."""
+        """Replace the settings from the next sample on; a stop and transitions in progress remain."""
         self._stamps.set_timeout(settings.state_timeout)
         self._supervisor.apply(settings)
         self._output.apply(settings)
@@ -223,7 +223,7 @@ class Tracker:
     def jets_at(self, stamp: int) -> Array | None:
         """Return the jets (5, n) of the active reference at `stamp` [ns]; None before the first sample.
 
-        A trajectory that is to follow starts from them: Spline(..., start=tracker.jets_at(start)).
+        The next trajectory starts from them: Spline(..., start=tracker.jets_at(start)).
         """
         return self._supervisor.reference.jets(stamp) if self._supervisor.reference.begun else None
 
@@ -231,10 +231,10 @@ class Tracker:
         """Track a reference whose time 0 is at the stamp `start` [ns]; None: at the next sample.
 
         Until `start` the active reference continues; a law that predicts the state takes the new one over `lead`
-        earlier. If the jets of the new one at time 0 equal those of the active one at `start` (to 1e-6) it takes over
-        without a step of u. Otherwise it is reached by a transition over recovery.join_time; with 0 it takes over
-        at once. Before the first sample it replaces the reference, with time 0 at that sample. It replaces a pending
-        reference and a pending hold. While stopped it is kept until resume().
+        earlier. If the jets of the new one at time 0 equal those of the active one at `start` (to 1e-6), the switch is
+        immediate and without a step of u. Otherwise a transition over recovery.join_time leads to it (0: at once).
+        Before the first sample it replaces the reference, with time 0 at that sample. It replaces a pending reference
+        and a pending hold. While stopped it is kept until resume().
         """
         self._supervisor.follow(reference, start)
 
@@ -242,7 +242,7 @@ class Tracker:
         """Come to a standstill from the next sample on, C^4 from the active reference.
 
         The speed dq is reduced to 0 within T = max |dq| / hold.deceleration (0.2 s to 2 s), over the distance dq T / 2.
-        While stopped, or before the first sample: stand still where the links are at the next sample.
+        While stopped, or before the first sample, hold the link positions of the next sample.
         """
         self._supervisor.hold()
 

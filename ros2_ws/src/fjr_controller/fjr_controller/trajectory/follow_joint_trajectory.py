@@ -2,8 +2,8 @@
 """The action ~/follow_joint_trajectory, by the rules of ros2_control's joint_trajectory_controller.
 
 A goal that cannot be tracked is rejected. An accepted goal ends when it is reached, a tolerance is violated, the
-controller stops, another motion replaces it, or it is cancelled. Unless another motion replaces it, the motion is then
-held; after a stop from ~/resume on.
+controller stops, another motion replaces it, or it is cancelled. Unless another motion replaces it, the arm then
+holds its position; after a stop it does so from ~/resume on.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ class Goal:
         return None
 
     def _violation(self, q_tilde_l: Array, dq_tilde_l: Array, position: Array, velocity: Array) -> str:
-        """Return what violates a tolerance of position, else of velocity (n,); "" if nothing does."""
+        """Describe the violated tolerance (n,), of position before velocity; return "" if none is violated."""
         for quantity, errors, largest in (("position", q_tilde_l, position), ("velocity", dq_tilde_l, velocity)):
             over = np.flatnonzero((largest > 0) & ~(np.abs(errors) <= largest))
             if over.size:

@@ -164,7 +164,7 @@ class Planner:
                 "stopped", f"the controller has stopped ({self._tracker.reason}); expected ~/resume first"
             )
         if self._tracker.last_stamp is None:
-            raise MessageError("no state", "there was no state yet; expected one to begin from")
+            raise MessageError("no state", "no state has arrived yet; expected one as the start")
         return self._tracker.last_stamp
 
     def _attempt(self, request: Request, newest: int, number: int) -> None:
@@ -206,10 +206,10 @@ class Planner:
             self._end(error)
         except Exception as error:
             self._log(error)
-            self._end(MessageError("failed", f"planning failed with {error!r}; expected a plan or a reason"))
+            self._end(MessageError("failed", f"planning failed with an unexpected error, {error!r}"))
 
     def _checked(self, problem: PlanningProblem, outcome: Plan | Exception, newest: int) -> Plan | None:
-        """Return the plan as it can be tracked now, or None to plan again; raise the error that prevents it."""
+        """Return the plan that can be tracked now, or None to plan again; raise the error of planning."""
         if isinstance(outcome, MessageError) or not isinstance(outcome, (Plan, FjrError)):
             raise outcome
         if newest < problem.request.now:
@@ -229,7 +229,7 @@ class Planner:
             return
         try:
             request.on_done(outcome)
-        except Exception as error:  # the request has ended all the same
+        except Exception as error:  # the request has ended regardless
             self._log(error)
 
     def _log(self, error: Exception) -> None:

@@ -56,7 +56,7 @@ def all_parameters(own: OwnParameters, given: Mapping[str, object]) -> list[Para
 
 @cache
 def names_of_others(own: OwnParameters) -> frozenset[str]:
-    """Return the names that only parameters of other nodes have: a parameter file of all nodes may hold them."""
+    """Return the parameter names that only other nodes declare, which a shared parameter file may contain."""
     others = {parameter.name for node in (plant_parameters, controller_parameters) for parameter in node(1)}
     return frozenset(others - {parameter.name for parameter in own(1)})
 

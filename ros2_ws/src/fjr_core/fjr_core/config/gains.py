@@ -25,7 +25,7 @@ def gains(values: Values, n: int) -> Gains:
 
 
 def gain_values(gains: Gains, n: int) -> dict[str, list[float]]:
-    """Return the parameters that give these gains: n entries where diagonal, else n*n by rows; zeros left out."""
+    """Return the parameters of these gains: n entries if diagonal, else n*n by rows; zero gains are omitted."""
     checked, values = gains.checked(n), {}
     for field, parameter in _DECLARED.items():
         array = getattr(checked, field)

@@ -38,7 +38,7 @@ def complete(parameters: Sequence[Parameter], given: Mapping[str, object]) -> di
 
 
 def unknown(parameters: Sequence[Parameter], given: Iterable[str]) -> list[str]:
-    """Return one sentence for each given name that no parameter has."""
+    """Return one sentence for each given name of no parameter."""
     known = [p.name for p in parameters]
     sentences = []
     for name in sorted(set(given) - set(known)):

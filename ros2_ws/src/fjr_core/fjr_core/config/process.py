@@ -60,7 +60,7 @@ def process_settings(values: Values) -> ProcessSettings:
 
 
 def cores(text: str) -> frozenset[int]:
-    """Return the cores that a text like ``0,2-3`` lists, none for an empty one; raises ParameterError."""
+    """Parse a list of cores such as ``0,2-3``; an empty text gives none. Raises ParameterError."""
     found: set[int] = set()
     for part in text.split(",") if text.strip() else ():
         match = _CORES.fullmatch(part.strip())

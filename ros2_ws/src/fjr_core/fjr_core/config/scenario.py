@@ -172,12 +172,12 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
         raise ParameterError(
             f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
         )
-    _ = scenario.sampled_law, scenario.reference, scenario.plant, scenario.x0  # raises for what cannot be built
+    _ = scenario.sampled_law, scenario.reference, scenario.plant, scenario.x0  # raises if an object cannot be built
     return scenario
 
 
 def _for_other_nodes(node: str, own: builders.OwnParameters, document: Any) -> set[str]:
-    """Return the names that the document gives to all nodes and only other nodes have."""
+    """Return the names in the section for all nodes that only other nodes declare."""
     private = {section: content for section, content in document.items() if section != ros_yaml.SHARED}
     return set(builders.names_of_others(own)) - set(ros_yaml.values_for(node, private))
 

@@ -161,7 +161,7 @@ class Flow:
         return self._rates_with(ca.SX.zeros(self.robot.n))
 
     def _rates_with(self, integral: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """All symbols z and their rates dz; integral (n,) [N m/s]: rate of the load's integral."""
+        """Return all symbols z and their rates dz; integral (n,) [N m/s]: rate of the integral of the load."""
         first = self._rates_up_to_accelerations(integral)
         jerks = [self._jerk(motion, first) for motion in self._motions]
         z, dz = first

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder whose files nobody but this user can write, so that what is read there can be trusted.
+"""A folder whose files only this user can write, so that their content can be trusted.
 
 The folder is opened once, without following a link in its last component, and checked: it belongs to this user and
-others have no permission to write. All files are reached from the open folder. Whoever can rename folders above it
-can therefore not slip another one in between a check and a use.
+others have no permission to write. All files are reached from the open folder. Renaming a
+parent folder between check and use therefore has no effect.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ _opened: dict[tuple[int, int], int] = {}
 
 
 class NotPrivateError(Exception):
-    """A folder that is a link, belongs to somebody else or can be written by others."""
+    """A folder that is a link, belongs to another user or can be written by others."""
 
 
 @dataclass(frozen=True)
 class PrivateFolder:
-    """An open folder; `open_private` makes one. path: its name, for people."""
+    """An open folder, created by `open_private`. path: its name in messages."""
 
     path: Path
     descriptor: int
 
     def read(self, name: str) -> bytes | None:
-        """Return the content of a file of this user's; None where there is no such file."""
+        """Return the content of a file that belongs to this user; None if there is no such file."""
         try:
             descriptor = os.open(name, os.O_RDONLY | _FILE, dir_fd=self.descriptor)
         except (OSError, ValueError):
@@ -45,7 +45,7 @@ class PrivateFolder:
             return stream.read() if _is_ours(status) and stat.S_ISREG(status.st_mode) else None
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file that is there whole or not at all. Raises OSError."""
+        """Write a file atomically. Raises OSError."""
         scratch = f".{name}.{secrets.token_hex(8)}"
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FILE
         try:
@@ -68,15 +68,15 @@ class PrivateFolder:
             yield
 
     def within(self, name: str) -> str:
-        """A path for the dynamic linker, which leads through the open folder where the system can do that."""
+        """Return a path for the dynamic linker, through the open descriptor if the system supports it."""
         through = f"/proc/self/fd/{self.descriptor}"
         return f"{through if os.path.isdir(through) else self.path}/{name}"
 
 
 def open_private(path: Path) -> PrivateFolder:
-    """Open a folder, made where it is missing; raises NotPrivateError, OSError.
+    """Open a folder, created if missing; raises NotPrivateError, OSError.
 
-    The descriptor stays open, one for each folder: the dynamic linker takes two files of one name for the same.
+    One descriptor per folder stays open, because the dynamic linker treats files of equal path as the same file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with suppress(FileExistsError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read files of bounded size, and JSON objects in them, with errors of two kinds only."""
+"""Read text files and JSON objects of bounded size; all failures are OSError or ValueError."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _OPEN = os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0)  # a named pip
 def read_bytes(path: str | os.PathLike[str], largest: int = LARGEST) -> bytes:
     """Return the content of a regular file of at most `largest` bytes.
 
-    Raises OSError, with a reason in words as `strerror`, also for a path that no file can have, for what is no regular
-    file and for what is too large.
+    Raises OSError with the reason as `strerror`, also for an invalid path, a file that is not regular and a file that
+    is too large.
     """
     try:
         descriptor = os.open(path, _OPEN)
@@ -39,7 +39,7 @@ def read_text(path: str | os.PathLike[str], largest: int = LARGEST) -> str:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file. Raises OSError, and ValueError for everything that is no JSON object."""
+    """Return the JSON object in a file. Raises OSError, and ValueError for any other content."""
     try:
         found = json.loads(read_text(path))
     except RecursionError:

@@ -91,7 +91,7 @@ def innovations(
 
 
 def consecutive(record: Record, known: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:
-    """Return the rows whose state and whose next state were measured, without a gap, under a known effort.
+    """Return the rows with two measured consecutive states, without a gap and with a known effort.
 
     known (k,): further condition on each state. A gap is longer than LONGEST_GAP sample periods.
     """

@@ -85,7 +85,7 @@ class OnlineDiagnosis:
         return conclude(blocks, _concatenated(made), grown, decay, self._axes, self._figures())
 
     def _estimate_delay(self) -> None:
-        """In real time, estimate the delay where the effort changes most; elsewhere varying latency hides it."""
+        """Estimate the delay; in real time only from the largest changes of the effort, since latency varies."""
         seen = self._online_certificate.last(IN_REAL_TIME)
         if seen.latency.any():
             change = float((np.diff(seen.sent, 2, axis=0) ** 2).sum())

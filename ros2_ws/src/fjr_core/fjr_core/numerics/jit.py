@@ -68,7 +68,7 @@ def loaded(name: str, functions: Sequence[ca.Function], around: Callable[[str], 
 
 
 def machine() -> list[str]:
-    """Return what the machine code depends on besides the C code: compiler, options, processor. Raises CompileError."""
+    """Return what machine code depends on apart from the C code: compiler, options, processor. Raises CompileError."""
     compiler = _compiler()
     return [*compiler, _version(compiler), *OPTIONS, _processor()]
 

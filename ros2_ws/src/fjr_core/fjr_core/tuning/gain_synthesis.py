@@ -82,7 +82,7 @@ class _Task:
     def best(self, beta: float) -> Gains | None:
         """Return the fastest gains with the required decay and the coupling of the longest delay; None if none exist.
 
-        Gains are compared at a few of the worst configurations and then checked at all; those that fail are added to
+        Gains are compared at a few of the worst configurations and then checked at all; failing configurations join
         the few.
         """
         few = self.critical(beta)

@@ -35,7 +35,7 @@ class EndingNode(Node):
     """The error that ended the node."""
 
     def end(self, error: FjrError) -> None:
-        """End the node; without a process of its own it logs the error."""
+        """End the node: its process exits with the error, or the error is logged if the node has no process."""
         self.ended = error
         if self.host is None:
             self.get_logger().error(f"ended: {error}")

@@ -59,7 +59,7 @@ class RealTime(TimeBase):
             self.origin += lost
             self._lag += lost
             elapsed -= lost
-            self._health.warn("time lost", "too far behind the clock: part of it is skipped, stamps are late by that")
+            self._health.warn("time lost", "too far behind the clock: the backlog is skipped and stamps lag by it")
         self._integrate(elapsed)
         if self._lag > LARGEST_LAG:
             self._stamp_from_now()
@@ -89,7 +89,7 @@ class RealTime(TimeBase):
         self._restart_ticks(now)
         if self.origin is not None:
             self.origin = self.offset
-        self._health.warn("clock jumps back", "the clock jumped back: stamps go on from its new time")
+        self._health.warn("clock jumps back", "the clock jumped back: stamps continue from its new time")
 
     def _restart_ticks(self, now: int) -> None:
         self._first_tick, self._ticks = now, 0
@@ -160,8 +160,8 @@ class RealTime(TimeBase):
         self._answered = True
         if self._waiting:  # the last published state is that of the present robot time
             self._waiting, self.origin = False, now - self._robot.time
-            self._take(effort)  # acts from the first instant of motion, whatever logging takes
-            self._log_once("moving: the first command has come")
+            self._take(effort)  # acts from the first instant of motion, before the log costs time
+            self._log_once("moving: the first command has arrived")
             return
         self.catch_up()
         self._take(effort)

@@ -34,7 +34,7 @@ NOISE_SEED = "seed"
 
 
 class MonteCarloError(FjrError):
-    """Part of a study that a worker cannot run as the others do."""
+    """A worker cannot run its part of a study like the other workers."""
 
 
 Columns = dict[str, NDArray[Any]]
@@ -165,14 +165,14 @@ class Sweep:
         if name not in LEVELS:
             raise ParameterError(f"'vary' has '{name}'; expected some of {', '.join(LEVELS)}")
         if one.each_joint and (name in PER_RUN or name == "payload_position"):
-            raise ParameterError(f"'{name}' has each_joint; it is one for all joints")
+            raise ParameterError(f"'{name}' has each_joint; expected one value for all joints")
         if one.kind == distributions.FIXED:
             self._check_fixed(name, len(one.numbers))
             return
         try:
             Draws(2, **{name: np.array(one.range)})
         except ParameterError as error:
-            raise ParameterError(f"'vary': {error}, whatever is drawn") from None
+            raise ParameterError(f"'vary': {error}, for every draw") from None
 
     def _check_fixed(self, name: str, given: int) -> None:
         most = 1 if name in PER_RUN else width(name, self.scenario.robot.n)
@@ -205,7 +205,7 @@ def run_part(text: str, begin: int, end: int, compiled: bool) -> Columns:
         if sweep.loop.compiled != compiled:
             here, there = ("without", "with") if compiled else ("with", "without")
             raise MonteCarloError(
-                f"a worker is {here} a C compiler; expected one {there}, as where the study was started"
+                f"a worker runs {here} a C compiler; expected one {there} it, as at the start of the study"
             )
     return sweep.part(begin, end)
 
@@ -214,14 +214,14 @@ INTEGRATOR = "rk4"
 
 
 def refuse_what_is_left_out(scenario: Scenario, instead: str) -> None:
-    """Raise ParameterError where the scenario's plant or measurement do what a campaign would leave out in silence.
+    """Raise ParameterError if plant or measurement of the scenario have features that a study does not simulate.
 
-    instead: the sentence's end, where to say such things.
+    instead: end of the sentence, which names the alternative.
     """
     integrator = scenario.plant_values["integrator"]
     if integrator != INTEGRATOR:
         raise ParameterError(
-            f"parameter 'integrator' is '{integrator}'; expected '{INTEGRATOR}', which is what runs here"
+            f"parameter 'integrator' is '{integrator}'; expected '{INTEGRATOR}', the integrator of a study"
         )
     names = left_out(scenario)
     if names:

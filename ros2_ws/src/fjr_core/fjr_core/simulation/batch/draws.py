@@ -104,9 +104,9 @@ class Draws:
                 f"{name} has shape {array.shape}; expected a scalar or one entry for each of {self.runs} runs"
             )
         if name in POSITIVE and not np.all(array > 0):
-            raise ParameterError(f"{name} is {array.min():g} at least; expected positive numbers")
+            raise ParameterError(f"the minimum of {name} is {array.min():g}; expected positive numbers")
         if name not in (*POSITIVE, *SIGNED) and not np.all(array >= 0):
-            raise ParameterError(f"{name} is {array.min():g} at least; expected 0 or more")
+            raise ParameterError(f"the minimum of {name} is {array.min():g}; expected 0 or more")
         return array
 
     def _seeds(self) -> NDArray[np.uint64]:
