@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every test process has a ROS domain of its own, leased for as long as the process lives."""
+"""Lease a separate ROS domain for each test process until it ends."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: more threads only wait on small matrices
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: more threads only add delay for small matrices
 
 LEASE_PORTS = range(47001, 47100)  # one TCP port on 127.0.0.1 per domain id 1..99; the kernel frees it on any death
 
@@ -42,7 +42,7 @@ os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="fjr-test-log-")
 atexit.register(shutil.rmtree, os.environ["ROS_LOG_DIR"], ignore_errors=True)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
-settings.register_profile("any machine", settings(), deadline=None)  # no example is too slow: others may use the cores
+settings.register_profile("any machine", settings(), deadline=None)  # no deadline: other processes may use the cores
 settings.load_profile("any machine")
 
 TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
@@ -50,10 +50,10 @@ TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Tests whose nodes must keep up with the clock have the machine for themselves, among all test processes.
+    """Run tests with the marker real_time alone among all test processes.
 
-    Where real-time scheduling is allowed their nodes leave little to others, and wait for locks of Fast DDS that others
-    hold. Waiting for the turn is not part of a test's timeout.
+    With real-time scheduling their nodes would starve other processes and wait for locks of Fast DDS that those hold.
+    Waiting for the lock does not count for the timeout of a test.
     """
     with TURN.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX if item.get_closest_marker("real_time") else fcntl.LOCK_SH)
@@ -62,14 +62,14 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """Leave what a finished module has built out of later garbage collections, which else stop a peer for seconds."""
+    """Exempt the objects of a finished module from garbage collection, which would stop a peer for seconds."""
     if nextitem is None or nextitem.path != item.path:
         gc.freeze()
 
 
 @pytest.fixture
 def ros() -> Iterator[Any]:
-    """A ROS context, an executor and the nodes of one test."""
+    """Provide a ROS context, an executor and the nodes of one test."""
     from nodes.harness import Ros  # rclpy reads the environment set above
 
     made = Ros()

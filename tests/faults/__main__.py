@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inject all faults and regenerate the table of docs/faults.md: `python -m tests.faults [WORD ...]`.
 
-The workspace must be sourced. With words, only rows whose name contains one of them run; the table is printed only.
+The workspace must be sourced. With words, only rows whose name contains one of them run, and the table is only printed.
 """
 
 from __future__ import annotations

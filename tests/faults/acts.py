@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is done to the running pair: each act waits for full motion, disturbs, and says when the fault was."""
+"""Fault injection into the running nodes: each act waits for full motion and returns begin and end of the fault."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from faults.rig import SECOND, Rig
 from faults.watcher import EVENTS
 
 Act = Callable[[Rig], tuple[int, int]]
-"""Disturbs; the true stamps [ns] at which the fault began and ended."""
+"""Inject a fault; return the true stamps [ns] of its begin and end."""
 
 
 def nothing(rig: Rig) -> tuple[int, int]:
@@ -23,7 +23,7 @@ def nothing(rig: Rig) -> tuple[int, int]:
 
 
 def tampered(seconds: float, how: Callable[[], Tamper]) -> Act:
-    """The relay tampers with the states for so long."""
+    """Modify the states in the relay for `seconds`."""
 
     def act(rig: Rig) -> tuple[int, int]:
         begin = rig.full_motion
@@ -57,7 +57,7 @@ def aged(seconds: float, samples: int) -> Act:
 
 
 def clock_jumped(seconds: float, jump: int) -> Act:
-    """The stamps jump by whole seconds, and after a while back: then the reference begins again."""
+    """Shift the stamps by whole seconds for a while; the reference restarts when they jump back."""
 
     def act(rig: Rig) -> tuple[int, int]:
         begin, zero = rig.full_motion, rig.anchors[-1].zero
@@ -71,7 +71,7 @@ def clock_jumped(seconds: float, jump: int) -> Act:
 
 
 def controller_killed(rig: Rig) -> tuple[int, int]:
-    """The fault ends with the first answer of a new one."""
+    """Kill and restart the controller; the fault ends with the first command of the new one."""
     begin = rig.until_full_motion()
     rig.kill("controller")
     restarted = time.time_ns()
@@ -80,7 +80,7 @@ def controller_killed(rig: Rig) -> tuple[int, int]:
 
 
 def plant_killed(rig: Rig) -> tuple[int, int]:
-    """The fault ends with the first state of a new one, whose stamps begin with the time of its start."""
+    """Kill and restart the plant; the fault ends with the first state of the new one, stamped by its own start time."""
     begin = rig.until_full_motion()
     rig.kill("plant")
     restarted = time.time_ns()
@@ -89,7 +89,7 @@ def plant_killed(rig: Rig) -> tuple[int, int]:
 
 
 def plant_set(seconds: float, **imperfections: Any) -> Act:
-    """Non-idealities of the plant, set while it runs, and after a while set back."""
+    """Set non-idealities of the running plant for a while, then reset them."""
     values = {f"imperfections.{name}": value for name, value in imperfections.items()}
 
     def act(rig: Rig) -> tuple[int, int]:
@@ -117,17 +117,17 @@ NONSENSE = {
 
 
 def nonsense(rig: Rig) -> tuple[int, int]:
-    """Each is refused with a reason, and the old value stays."""
+    """Set invalid parameters; each is refused with a reason and the old value remains."""
     begin = rig.until_full_motion()
     for name, value in NONSENSE.items():
         known = rig.remote.get("fjr_controller", name)
-        assert rig.remote.set("fjr_controller", {name: value}), f"{name} = {value} was taken"
+        assert rig.remote.set("fjr_controller", {name: value}), f"{name} = {value} was accepted"
         assert rig.remote.get("fjr_controller", name) == known
     return begin, rig.now
 
 
 def second_controller(rig: Rig) -> tuple[int, int]:
-    """A second controller starts, is refused and ends."""
+    """Start a second controller, which is refused and ends."""
     begin = rig.until_full_motion()
     code, said = rig.ended(rig.start("controller", "-r", "__node:=second", key="second"))
     assert code == 1, said
@@ -137,7 +137,7 @@ def second_controller(rig: Rig) -> tuple[int, int]:
 
 
 def intruder(seconds: float) -> Act:
-    """Another node sends zero efforts on the controller's topic for a while, and until the controller has seen it."""
+    """Send zero efforts from another node for a while, until the controller has reported it."""
 
     def act(rig: Rig) -> tuple[int, int]:
         begin = rig.until_full_motion()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured of a motion under a fault, from what the watcher heard alone."""
+"""Metrics of a motion under a fault, computed from the messages of the watcher only."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ class Sine:
     phase: np.ndarray
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """q_ld (k, n) at the times t (k,) [s]."""
+        """Return q_ld (k, n) at the times t (k,) [s]."""
         return self.offset + self.amplitude * np.sin(np.outer(t, self.frequency) + self.phase)
 
     def holds(self, position: float, velocity: float) -> bool:
-        """Whether the first joint can be there with this velocity."""
+        """Return whether the first joint passes this position with this velocity."""
         radius = math.hypot(position - self.offset[0], velocity / self.frequency[0])
         return math.isclose(radius, self.amplitude[0], rel_tol=1e-9)
 
     def time(self, position: float, velocity: float) -> int:
-        """When in its first period the first joint is there with this velocity [ns]."""
+        """Return the time in the first period at which the first joint passes there with this velocity [ns]."""
         w = self.frequency[0]
         phase = math.atan2((position - self.offset[0]) * w, velocity) - self.phase[0]
         return round(phase % (2 * math.pi) / w * SECOND)
@@ -40,7 +40,7 @@ class Sine:
 
 @dataclass(frozen=True)
 class Anchor:
-    """From the stamp `begin` on, the reference's time is stamp - zero [ns]."""
+    """From the stamp `begin` on, reference time is stamp - zero [ns]."""
 
     begin: int
     zero: int
@@ -48,7 +48,7 @@ class Anchor:
 
 @dataclass(frozen=True)
 class Motion:
-    """Stamps (k,) [ns] and links' positions (k, n) [rad] that the plant sent, and the wanted motion."""
+    """Stamps (k,) [ns] and link positions (k, n) [rad] sent by the plant, with the desired motion."""
 
     stamps: np.ndarray
     q_l: np.ndarray
@@ -57,18 +57,18 @@ class Motion:
 
     @property
     def error(self) -> np.ndarray:
-        """max |q_l - q_ld| over the joints (k,) [rad]; nan before the first answered state."""
+        """Return max |q_l - q_ld| over the joints (k,) [rad]; nan before the first answered state."""
         zero = np.full(len(self.stamps), np.nan)
         for anchor in self.anchors:
             zero[self.stamps >= anchor.begin] = anchor.zero
         return np.abs(self.q_l - self.reference.at((self.stamps - zero) / SECOND)).max(axis=1)
 
     def peak(self, begin: int) -> float:
-        """Largest error [rad] from the stamp `begin` on."""
+        """Return the largest error [rad] from the stamp `begin` on."""
         return float(np.max(self.error[self.stamps >= begin]))
 
     def recovery(self, end: int) -> float:
-        """Seconds from the stamp `end` until the error stays below THRESHOLD; inf where it does not."""
+        """Return the seconds from the stamp `end` until the error stays below THRESHOLD; inf if it does not."""
         above = self.stamps[(self.stamps >= end) & ~(self.error < THRESHOLD)]
         if not len(above):
             return 0.0
@@ -78,5 +78,5 @@ class Motion:
 
 
 def fits(effort: Sequence[float], limit: Sequence[float]) -> bool:
-    """Whether an effort (n,) is finite and within its limit (n,) [N m]."""
+    """Return whether an effort (n,) is finite and within its limit (n,) [N m]."""
     return len(effort) == len(limit) and all(abs(u) <= bound for u, bound in zip(effort, limit, strict=True))

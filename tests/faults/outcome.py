@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A row of the table, done and judged."""
+"""Run a row of the fault table and measure its outcome."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from faults.rig import SECOND, STEPPED, Rig
 from faults.rows import Row
 from faults.watcher import STATES
 
-STALL = SECOND // 20  # half of the rows' state_timeout: longer ones are faults that no row did
+STALL = SECOND // 20  # half of state_timeout: a longer silence is a fault that no row injected
 TRIES = 3
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Peak |q_tilde_l| [rad], seconds to recover, efforts seen, how many of them bad, the largest [N m], counters."""
+    """Peak |q_tilde_l| [rad], recovery time [s], number of efforts and of bad ones, largest effort [N m], counters."""
 
     peak: float
     recovery: float
@@ -30,7 +30,7 @@ class Outcome:
 
 
 def outcome(row: Row) -> Outcome:
-    """Do what the row says and measure; again, at most TRIES times, where the machine stood still meanwhile."""
+    """Run a row and measure; repeat it, at most TRIES times, if the machine stalled during the run."""
     for _ in range(TRIES):
         seen, stalled = _tried(row)
         if not stalled:
@@ -52,7 +52,7 @@ def _tried(row: Row) -> tuple[Outcome, bool]:
 
 
 def _stalled(rig: Rig, begin: int, end: int) -> bool:
-    """Whether plant or relay sent nothing for STALL, though no fault was done to them; begin, end: true stamps."""
+    """Return whether plant or relay were silent for STALL outside the fault; begin, end: its true stamps."""
     if rig.mode == STEPPED:
         return False
     true = rig.watcher.heard[rig.truth]
@@ -66,6 +66,6 @@ def _stalled(rig: Rig, begin: int, end: int) -> bool:
 
 
 def _longest_gap(sent: np.ndarray, first: int, last: int) -> int:
-    """The longest time [ns] without a message, but for those that touch first to last."""
+    """Return the longest time [ns] without a message outside the interval from first to last."""
     apart = (sent[1:] < first) | (sent[:-1] > last)
     return int(np.max(np.diff(sent)[apart], initial=0))

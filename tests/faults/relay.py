@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A relay between plant and controller that passes messages on and, between two stamps, tampers with them."""
+"""A relay between plant and controller that forwards messages and modifies those between two stamps."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ try:
 except ImportError:  # an older rclpy
     EventsExecutor = SingleThreadedExecutor
 
-APART = 3e-4  # s between messages sent in place of one: the newest alone is kept for a reader that has not looked yet
+APART = 3e-4  # s between replacement messages: the queue of a slow reader keeps only the newest
 Tamper = Callable[[JointState], Iterable[JointState]]
-"""What is sent in place of a message."""
+"""Return the messages that replace a message."""
 
 
 class Relay:
-    """Passes JointStates from one topic to another in a thread of its own."""
+    """Forward JointStates from one topic to another in a separate thread."""
 
     def __init__(self, source: str, target: str) -> None:
         self._context = Context()
@@ -49,14 +49,14 @@ class Relay:
         self._tampering = (begin, end, how)
 
     def connected(self) -> bool:
-        """Whether somebody reads what is passed on."""
+        """Return whether the forwarded topic has its subscribers."""
         return bool(self._publisher.get_subscription_count() >= 2)  # the watcher and the controller
 
     def close(self) -> None:
         self._executor.create_task(lambda: self._stop.set_result(None))
         self._thread.join()
         self._executor.remove_node(self._node)
-        self._executor.shutdown()  # else it keeps the node's publisher in the graph until garbage is collected
+        self._executor.shutdown()  # otherwise the publisher stays in the graph until garbage collection
         self._node.destroy_node()
         self._context.try_shutdown()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a user does to running nodes from outside: sets their parameters, and publishes efforts in parallel."""
+"""Act on running nodes like a user: set parameters, advance the plant, publish conflicting efforts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIMIT = 120.0  # s
 
 
 class Remote:
-    """A node next to the watched pair."""
+    """A node in addition to the watched pair."""
 
     def __init__(self) -> None:
         self._context = Context()
@@ -36,18 +36,18 @@ class Remote:
         self._clients: dict[str, AsyncParameterClient] = {}
 
     def set(self, node: str, values: Mapping[str, Any]) -> str:
-        """Set parameters of a node together; why it refuses, empty where it does not."""
+        """Set parameters of a node together; return the reason of a refusal, or ""."""
         parameters = [Parameter(name, value=value) for name, value in values.items()]
         result = self._done(self._client(node).set_parameters_atomically(parameters)).result
         return "" if result.successful else str(result.reason)
 
     def get(self, node: str, name: str) -> Any:
-        """A parameter of a node."""
+        """Return a parameter of a node."""
         answer = self._done(self._client(node).get_parameters([name]))
         return rclpy.parameter.parameter_value_to_python(answer.values[0])
 
     def advance(self, samples: int) -> Future:
-        """Let a paused plant's time go on by so many samples; the answer comes when they are done."""
+        """Advance a paused plant by a number of samples; the response arrives when they are done."""
         assert self.set(PLANT, {"advance_samples": samples}) == ""
         if self._advance is None:
             self._advance = self._node.create_client(Trigger, f"{PLANT}/advance")
@@ -55,19 +55,19 @@ class Remote:
         return self._advance.call_async(Trigger.Request())
 
     def intrude(self, period: float, joints: int) -> None:
-        """From now on publish zero efforts every `period` seconds, while `work` is called."""
+        """Start to publish zero efforts every `period` seconds while `work` is called."""
         publisher = self._node.create_publisher(Float64MultiArray, EFFORTS, LATEST)
         zero = Float64MultiArray(data=[0.0] * joints)
         self._intruder = (self._node.create_timer(period, lambda: publisher.publish(zero)), publisher)
 
     def retreat(self) -> None:
-        """Publish no efforts any more."""
+        """Stop publishing efforts."""
         timer, publisher = self._intruder
         self._node.destroy_timer(timer)
         self._node.destroy_publisher(publisher)
 
     def work(self) -> None:
-        """Do what waits."""
+        """Process pending events."""
         self._executor.spin_once(timeout_sec=0.0)
 
     def close(self) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plant and controller as real processes under an independent watcher, to be disturbed while the arm moves."""
+"""Run plant and controller as processes under an independent watcher, for faults to be injected during the motion."""
 
 from __future__ import annotations
 
@@ -30,31 +30,31 @@ from fjr_plant.plant_node import LOCKSTEP_START
 from patience import Limit
 from system.executables import NODES, Executable, scenario
 
-LIMIT = 40.0  # s on a free machine; longer waits for an event are failures
-LOOK = 0.002  # s between looks at the queues
+LIMIT = 40.0  # s on an idle machine; a longer wait for an event is a failure
+LOOK = 0.002  # s between polls of the queues
 SECOND = 10**9  # ns
-PRIORITY = 10  # of the watcher and the relay, where the system allows it: below the nodes, above all others
-CALM = 3 * SECOND // 10  # the error stays small for so long before a motion counts as recovered
+PRIORITY = 10  # of watcher and relay, if the system allows it: below the nodes, above all others
+CALM = 3 * SECOND // 10  # ns of small error until a motion counts as recovered
 LOOK_AHEAD = SECOND // 10
 PROFILE = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
 WITHOUT_SHARED_MEMORY = {
     "FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("fastdds.xml")),
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
 }
-"""What the nodes get, that they do not wait for a process that joins: see the profile."""
+"""Environment of the nodes, which keeps them from waiting for a process that joins; see the profile."""
 
 
 DIRECT, RELAYED, STEPPED = "direct", "relayed", "stepped"
-"""How the pair runs: in real time; in real time with a relay in between; sample by sample, as long as that takes."""
+"""Modes of the pair: real time, real time with a relay in between, or lock-step."""
 NOTHING: Mapping[str, Mapping[str, Any]] = {}
 STEPS = {"plant": {"lockstep": True, "start_paused": True}, "controller": {"use_sim_time": True}}
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A scenario and what is set besides in each node, by dotted names.
+    """A scenario with additional parameters of each node, by dotted names.
 
-    limit (n,): of the efforts that this allows [N m]. full_motion [s]: a reference's time of great speed.
+    limit (n,): effort limits [N m]. full_motion [s]: reference time of high speed.
     """
 
     scenario: str
@@ -64,7 +64,7 @@ class Setting:
     controller: Mapping[str, Any] = field(default_factory=dict)
 
     def document(self, more: Mapping[str, Mapping[str, Any]] = NOTHING) -> dict[str, Any]:
-        """The parameter file of the scenario with what is set here and `more` for each node."""
+        """Return the parameter file of the scenario with these parameters and `more` for each node."""
         document: dict[str, Any] = yaml.safe_load(Path(scenario(self.scenario)).read_text())
         for node in NODES:
             parameters: dict[str, Any] = {}
@@ -74,7 +74,7 @@ class Setting:
         return document
 
     def parameters(self, node: str) -> dict[str, Any]:
-        """The parameters of a node and those of all nodes, by groups."""
+        """Return the parameters of a node and of all nodes, nested by group."""
         parameters: dict[str, Any] = yaml.safe_load(Path(scenario(self.scenario)).read_text())["/**"]["ros__parameters"]
         for name, value in getattr(self, node).items():
             _set(parameters, name, value)
@@ -87,10 +87,10 @@ class Setting:
 
 
 class Process(Executable):
-    """An executable that can be listened to while it runs."""
+    """An executable whose output can be read while it runs."""
 
     def said(self) -> str:
-        return os.pread(self._said.fileno(), 1_000_000, 0).decode()  # leaves the place where the child writes alone
+        return os.pread(self._said.fileno(), 1_000_000, 0).decode()  # does not move the write position of the child
 
 
 class Rig:
@@ -112,13 +112,13 @@ class Rig:
         self._steps = 0
         self._cleanup = ExitStack()
         self._cleanup.callback(gc.enable)
-        gc.disable()  # a collection in a big test process would stop the relay for longer than state_timeout
+        gc.disable()  # a collection in a large test process would stop the relay beyond state_timeout
         self._period = round(SECOND / setting.parameters("plant")["publish_rate"])
         self._running: dict[str, Process] = {}
         self._ended: list[Process] = []
 
     def start(self, node: str, *arguments: str, key: str = "") -> str:
-        """Start "plant" or "controller"; `key` names another process of the same kind. Its key."""
+        """Start "plant" or "controller" and return its key; `key` names another process of the same kind."""
         remaps = ["-r", f"joint_states:={TRUE_STATES}"] if self.relay and node == "plant" else []
         words = ("--ros-args", "--params-file", str(self._file), *remaps, *arguments)
         with mock.patch.dict(os.environ, WITHOUT_SHARED_MEMORY):
@@ -126,7 +126,7 @@ class Rig:
         return key or node
 
     def start_both(self) -> None:
-        """Start both; return when the arm is on its way into the reference."""
+        """Start both nodes; return when the arm is moving to the reference."""
         self.start("controller")
         self.until(lambda: all(map(self.watcher.senders, (EFFORTS, COMMANDS, REFERENCE))), "the controller")
         self.start("plant")
@@ -136,13 +136,13 @@ class Rig:
             self._step(1)
             self._step(round(self.setting.parameters("controller")["start"]["join_time"] * SECOND / self._period))
         self.anchor_in_reference(0)
-        if self.mode != STEPPED:  # the plant may match the watcher late; until then the robot's time is unknown
+        if self.mode != STEPPED:  # robot time is unknown until the plant is connected to the watcher
             self.until(lambda: self.now >= self.anchors[-1].begin, "a state of the robot")
 
     def anchor_in_reference(self, sent: int) -> int:
-        """Learn the reference's time 0 from one sent from `sent` [ns] on, once joined; the first one's stamp [ns].
+        """Determine time 0 of the reference from messages sent after `sent` [ns]; return the first stamp [ns].
 
-        The very first may be missed: whoever publishes it may not know the watcher yet.
+        The very first message may be missed, because its publisher may not be connected to the watcher yet.
         """
         sine = self.setting.reference
         first = self.first(REFERENCE, lambda heard: heard.sent >= sent, "the first answer").stamp
@@ -153,14 +153,14 @@ class Rig:
         return first
 
     def kill(self, node: str) -> None:
-        """kill -9."""
+        """Kill a node by SIGKILL."""
         executable = self._running.pop(node)
         executable.signal(signal.SIGKILL)
         executable.process.wait()
         self._ended.append(executable)
 
     def ended(self, key: str) -> tuple[int, str]:
-        """Wait until a process has ended of itself; its exit code and what it said."""
+        """Wait until a process ends by itself; return exit code and output."""
         executable = self._running.pop(key)
         self._ended.append(executable)
         self.until(lambda: executable.process.poll() is not None, f"the end of {key}")
@@ -168,17 +168,17 @@ class Rig:
 
     @property
     def now(self) -> int:
-        """The newest stamp of the robot itself [ns], 0 before the first."""
+        """Return the newest true stamp of the robot [ns], 0 before the first."""
         self.watcher.look()
         heard = self.watcher.heard[self.truth]
         return heard[-1].stamp if heard else 0
 
     def anchor(self, zero: int, begin: int) -> None:
-        """From the true stamp `begin` on the wanted motion is the reference of stamp - zero [ns]."""
+        """Set the desired motion from the true stamp `begin` on to the reference at stamp - zero [ns]."""
         self.anchors.append(Anchor(begin, zero))
 
     def until(self, happened: Callable[[], Any], what: str) -> None:
-        """Look until `happened()` is true; an ended node or a long wait is a failure."""
+        """Poll until `happened()` is true; fail if a node ends or the wait is too long."""
         limit = Limit(LIMIT)
         pause = threading.Event()
         self.watcher.look()
@@ -192,23 +192,23 @@ class Rig:
 
     @property
     def full_motion(self) -> int:
-        """The true stamp [ns] of the reference's next time of great speed."""
+        """Return the true stamp [ns] of the next time of high reference speed."""
         period = round(2 * math.pi / self.setting.reference.frequency[0] * SECOND)
         first = self.anchors[-1].zero + round(self.setting.full_motion * SECOND)
         return first + max(0, math.ceil((self.robot_time - first) / period)) * period
 
     def until_full_motion(self) -> int:
-        """Wait until full motion; that stamp [ns]."""
+        """Wait until full motion; return its stamp [ns]."""
         stamp = self.full_motion
         self.until_stamp(stamp)
         return stamp
 
     def first_stamp_from(self, stamp: int) -> int:
-        """The first true stamp at or after another [ns]."""
+        """Return the first true stamp at or after another [ns]."""
         return self.first(self.truth, lambda heard: heard.stamp >= stamp, f"a state stamped {stamp}").stamp
 
     def until_stamp(self, stamp: int) -> None:
-        """Wait until the robot's time is `stamp` [ns]; make it pass where it is ours."""
+        """Wait until robot time is `stamp` [ns]; advance it in lock-step."""
         if self.mode == STEPPED:
             self._step(math.ceil((stamp - self.robot_time) / self._period))
         else:
@@ -216,13 +216,13 @@ class Rig:
 
     @property
     def robot_time(self) -> int:
-        """The stamp of the robot's time [ns]; states that tell of it may still be on their way."""
+        """Return robot time as a stamp [ns]; its states may still be in transit."""
         if self.mode != STEPPED:
             return self.now
         return LOCKSTEP_START + self._steps * self._period
 
     def until_calm(self, limit: float) -> None:
-        """Let the time go on until the error has been small for CALM seconds, at most `limit` seconds."""
+        """Wait until the error has been small for CALM, at most `limit` seconds of robot time."""
         end = self.robot_time + round(limit * SECOND)
         while not self._is_calm() and self.robot_time < end:
             self.until_stamp(self.robot_time + LOOK_AHEAD)
@@ -234,7 +234,7 @@ class Rig:
         return newest - int(motion.stamps[0]) > 0.9 * CALM and bool(np.all(motion.error < THRESHOLD))
 
     def _step(self, samples: int) -> None:
-        """Let the robot's time go on by so many samples."""
+        """Advance robot time by a number of samples."""
         if samples > 0:
             future = self.remote.advance(samples)
             self.until(future.done, f"{samples} samples")
@@ -242,7 +242,7 @@ class Rig:
             self._steps += samples
 
     def tamper(self, begin: int, seconds: float, how: Tamper) -> int:
-        """Let the relay tamper from the stamp `begin` [ns] on and wait until it is over; the end's stamp [ns]."""
+        """Modify messages in the relay from the stamp `begin` [ns] on, wait for the end, and return its stamp [ns]."""
         assert self.relay
         end = begin + round(seconds * SECOND)
         self.relay.tamper(begin, end, how)
@@ -250,7 +250,7 @@ class Rig:
         return end
 
     def first(self, topic: str, fits: Callable[[Heard], bool], what: str) -> Heard:
-        """Wait for the first message of a topic that fits."""
+        """Wait for the first message of a topic that satisfies `fits`."""
         found: list[Heard] = []
         seen = 0
 
@@ -265,20 +265,20 @@ class Rig:
         return found[0]
 
     def last_report(self, node: str) -> Mapping[str, int]:
-        """The counters in a report that the node makes from now on."""
+        """Return the counters in the next report of the node."""
         sent = time.time_ns()
         name = f"fjr_{node}"
-        if self.mode == STEPPED:  # there, reports go by the stamps
+        if self.mode == STEPPED:  # reports follow the stamps in lock-step
             self.until_stamp(self.robot_time + SECOND)
         self.first(DIAGNOSTICS, lambda h: h.sent >= sent and h.message().status[0].name.endswith(name), "a report")
         return self.watcher.counters(name)
 
     def words(self) -> str:
-        """What the nodes said."""
+        """Return the output of the nodes."""
         return "\n".join(f"{name} says:\n{executable.said()}" for name, executable in self._running.items())
 
     def motion(self) -> Motion:
-        """What the arm did so far."""
+        """Return the motion of the arm so far."""
         self.watcher.look()
         return self._motion(self.watcher.heard[self.truth])
 
@@ -289,7 +289,7 @@ class Rig:
         return Motion(stamps, q_l, tuple(self.anchors), self.setting.reference)
 
     def efforts(self) -> list[list[float]]:
-        """All efforts that were sent, on both topics."""
+        """Return all efforts sent on both topics."""
         self.watcher.look()
         plain = [list(message.data) for message in self.watcher.messages(EFFORTS)]
         return plain + [list(message.effort) for message in self.watcher.messages(COMMANDS)]

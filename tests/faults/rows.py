@@ -17,14 +17,14 @@ JOINT = Setting(
     "paper_k31",
     controller={**SAFE, "reference.frequency": [3.0], "limits.effort": [5.0]},
     limit=(5.0,),
-    full_motion=math.pi / 3,  # sin(3 t) passes through the middle with 3 rad/s
+    full_motion=math.pi / 3,  # sin(3 t) passes zero with 3 rad/s
 )
 ARM = Setting(
     "arm7",
     plant={"command_timeout": 0.5},
     controller={**SAFE, "recovery.join_time": 1.0, "limits.from_robot": True, "on_stop": "gravity_hold"},
     limit=(176.0, 176.0, 110.0, 110.0, 110.0, 40.0, 40.0),  # of arm7.urdf
-    full_motion=1.5,  # all joints pass through the middle with 0.94 rad/s
+    full_motion=1.5,  # all joints pass their offset with 0.94 rad/s
 )
 
 

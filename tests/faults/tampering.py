@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a relay may do to the states that pass through it."""
+"""Modifications of states in the relay."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def dropped(message: JointState) -> Iterable[JointState]:
 
 
 def not_a_number(message: JointState) -> Iterable[JointState]:
-    """Positions and velocities that are NaN and infinite by turns."""
+    """Make a position and a velocity alternately NaN and infinite."""
     bad = math.nan if message.header.stamp.nanosec // 1_000_000 % 2 else math.inf
     message.position[0] = bad
     message.velocity[-1] = -bad
@@ -34,7 +34,7 @@ def twice(message: JointState) -> Iterable[JointState]:
 
 
 def frozen() -> Tamper:
-    """The first message again and again."""
+    """Repeat the first message."""
     first: list[JointState] = []
 
     def tamper(message: JointState) -> Iterable[JointState]:
@@ -46,7 +46,7 @@ def frozen() -> Tamper:
 
 
 def aged(samples: int) -> Tamper:
-    """Before each message one that is `samples` older."""
+    """Send a message that is `samples` older before each message."""
     past: deque[JointState] = deque(maxlen=samples + 1)
 
     def tamper(message: JointState) -> Iterable[JointState]:
@@ -58,7 +58,7 @@ def aged(samples: int) -> Tamper:
 
 
 def jumped(seconds: int) -> Tamper:
-    """Stamps moved by whole seconds."""
+    """Shift the stamps by whole seconds."""
 
     def tamper(message: JointState) -> Iterable[JointState]:
         message.header.stamp.sec += seconds

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each row of docs/faults.md: real processes, disturbed in full motion, judged by an independent watcher."""
+"""Each fault of docs/faults.md, injected into real processes in full motion and measured by an independent watcher."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
-def test_a_fault_is_survived(row: Row) -> None:
+def test_fault_causes_no_bad_effort_and_tracking_recovers(row: Row) -> None:
     seen = outcome(row)
     assert seen.bad == 0, f"{seen.bad} of {seen.efforts} efforts are not finite or over the limit"
     assert all(seen.counters[kind] for kind in row.counted), dict(seen.counters)

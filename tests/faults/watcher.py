@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An independent watcher of plant and controller: hears every topic, publishes nothing, keeps every message."""
+"""An independent watcher of plant and controller: subscribe to every topic, store every message, publish nothing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from std_msgs.msg import Float64MultiArray
 EFFORTS, COMMANDS = "effort_controller/commands", "joint_commands"
 REFERENCE, ERROR = "fjr_controller/reference", "fjr_controller/tracking_error"
 STATES, DIAGNOSTICS, EVENTS = "joint_states", "/diagnostics", "fjr_controller/events"
-TRUE_STATES = "true_states"  # the plant's, where a relay stands between it and the controller
+TRUE_STATES = "true_states"  # of the plant, if a relay is between plant and controller
 
 KINDS: dict[str, Any] = {
     STATES: JointState,
@@ -32,12 +32,12 @@ KINDS: dict[str, Any] = {
     DIAGNOSTICS: DiagnosticArray,
     EVENTS: DiagnosticStatus,
 }
-DEPTH = 5000  # messages of a topic between two looks: 5 s at 1 kHz
+DEPTH = 5000  # messages of a topic between two polls: 5 s at 1 kHz
 
 
 @dataclass(frozen=True)
 class Heard:
-    """A message as it came over the wire, and when it was sent [ns, system clock]."""
+    """A serialised message and its send time [ns, system clock]."""
 
     topic: str
     sent: int
@@ -45,7 +45,7 @@ class Heard:
 
     @property
     def stamp(self) -> int:
-        """Stamp of the header that the message begins with [ns]."""
+        """Return the stamp of the leading header of the message [ns]."""
         sec, nanosec = struct.unpack_from("<iI", self.raw, 4)
         return int(sec) * 10**9 + int(nanosec)
 
@@ -54,7 +54,7 @@ class Heard:
 
 
 class Watcher:
-    """Keeps all messages in order of arrival; `look` empties the queues."""
+    """Store all messages in the order of arrival; `look` empties the queues."""
 
     def __init__(self) -> None:
         self._context = Context()
@@ -67,7 +67,7 @@ class Watcher:
         self.heard: dict[str, list[Heard]] = {topic: [] for topic in KINDS}
 
     def look(self) -> None:
-        """Take all that waits."""
+        """Take all queued messages."""
         for topic, subscription in self._subscriptions.items():
             take, kind, keep = subscription.handle.take_message, KINDS[topic], self.heard[topic]
             while (taken := take(kind, True)) is not None:
@@ -75,14 +75,14 @@ class Watcher:
                 keep.append(Heard(topic, info["source_timestamp"], raw))
 
     def senders(self, topic: str) -> int:
-        """How many publishers of a topic this watcher is connected to."""
+        """Return the number of publishers of a topic that are connected to this watcher."""
         return int(self._subscriptions[topic].get_publisher_count())
 
     def messages(self, topic: str) -> list[Any]:
         return [heard.message() for heard in self.heard[topic]]
 
     def counters(self, node: str) -> Counter[str]:
-        """The newest counters that a node reported."""
+        """Return the latest counters that a node reported."""
         for message in reversed(self.messages(DIAGNOSTICS)):
             for status in message.status:
                 if status.name.endswith(node):

@@ -9,7 +9,7 @@ import pytest
 
 from msgs.child import run
 
-# A node whose callback number 5 does what argument 2 says, through process.run with the executor of argument 1.
+# Run a node by process.run with the executor of argument 1; its fifth callback does what argument 2 selects.
 FALLING = """
 import sys
 from fjr_core import FjrError
@@ -51,7 +51,7 @@ class Falling(ParameterNode):
 sys.exit(process.run(Falling))
 """
 
-# A node that asks for other care once it is built again, and then ends.
+# A node that changes its process settings after a rebuild, then ends.
 REBUILT = """
 import gc, os, sys
 from fjr_core import FjrError
@@ -85,7 +85,7 @@ executors = pytest.mark.parametrize("executor", ["events", "single"])
 def test_an_fjr_error_ends_the_process_with_one_sentence(executor: str, where: str) -> None:
     done = run(FALLING, executor, where)
     assert done.stderr == "ended: it fell\n"
-    assert done.stdout == "last words True fell\n", "and no callback after it"
+    assert done.stdout == "last words True fell\n", "no callback may run after it"
     assert done.returncode == 1
 
 

@@ -48,7 +48,7 @@ print(json.dumps({
 }))
 """
 
-# A node that interrupts itself from the fifth call of its timer, through process.run.
+# Run a node by process.run that interrupts itself at the fifth call of its timer.
 INTERRUPTED = """
 import os, signal, sys
 from rclpy.node import Node

@@ -126,7 +126,7 @@ def big_endian(stamp: int, numbers: list[float]) -> bytes:
         text = name.encode() + b"\0"
         pattern, values = f"{pattern}I{len(text) + -len(text) % 4}s", [*values, len(text), text]
     for _ in FIELDS:
-        gap = -(struct.calcsize(pattern)) % 8  # the header of 4 bytes counts here, the length of 4 comes
+        gap = -(struct.calcsize(pattern)) % 8  # offsets include the 4-byte header; a length of 4 follows
         pattern, values = f"{pattern}I{gap}x{len(numbers)}d", [*values, len(numbers), *numbers]
     data = struct.pack(pattern, *values)
     return b"\x00\x00" + data[2:]

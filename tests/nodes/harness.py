@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes spun in the test's own process: real rclpy, a context of their own, events instead of sleeps."""
+"""Spin nodes in the test process, with a separate rclpy context, waiting for events instead of sleeping."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from fjr_msgs_py.names import LATEST
 from fjr_plant.plant_node import PlantNode
 from patience import Limit
 
-TIME_LIMIT = 30.0  # s on a free machine; a test that waits longer for an event has failed
-PATIENCE = 60.0  # s; a state_timeout that passes in no test, however busy the machine is
+TIME_LIMIT = 30.0  # s on an idle machine; a longer wait for an event fails the test
+PATIENCE = 60.0  # s; a state_timeout that never expires in a test, even on a busy machine
 
 
 class Ros:
@@ -41,7 +41,7 @@ class Ros:
         return node
 
     def start(self, kind: type[Node], arguments: list[str] | None = None, **parameters: Any) -> Any:
-        """A node of ours; parameters by name, `__` for a dot."""
+        """Create a node; parameters by name, with `__` for a dot."""
         overrides = [Parameter(name.replace("__", "."), value=value) for name, value in parameters.items()]
         return self.add(kind(context=self.context, parameter_overrides=overrides, cli_args=arguments))
 
@@ -52,14 +52,14 @@ class Ros:
         return self.start(ControllerNode, **{"compile": False, "state_timeout": PATIENCE, **parameters})
 
     def until(self, happened: Callable[[], Any], what: str = "the event") -> None:
-        """Spin until `happened()` is true."""
+        """Spin until `happened()` is true; fail after the time limit."""
         limit = Limit(TIME_LIMIT)
         while not happened():
             assert not limit.passed(), f"{what} did not come within {TIME_LIMIT} s of a free machine"
             self.executor.spin_once(timeout_sec=0.05)
 
     def settle(self, rounds: int = 50) -> None:
-        """Spin until nothing is left to do: `rounds` waits in a row, each of which may handle one event."""
+        """Spin until no event is pending: `rounds` consecutive waits, each of which may handle one event."""
         for _ in range(rounds):
             self.executor.spin_once(timeout_sec=0.002)
 
@@ -71,10 +71,10 @@ class Ros:
 
 
 class Listener(Node):
-    """Keeps what it hears from the nodes under test, and publishes nothing."""
+    """Store the messages of the nodes under test; publish nothing."""
 
     def __init__(self, ros: Ros, prefix: str = "", only: Collection[str] | None = None) -> None:
-        """only: the topics to hear, without the prefix; all by default. Each one costs the test's processor time."""
+        """only: topics to subscribe to, without the prefix; all by default. Each topic costs processor time."""
         super().__init__("peer", context=ros.context)
         self._ros = ros
         self.states: list[JointState] = []
@@ -102,11 +102,11 @@ class Listener(Node):
         ros.add(self)
 
     def heard(self, topic: str) -> int:
-        """How many publishers of a topic this listener is connected to."""
+        """Return the number of publishers of a topic that are connected to this listener."""
         return int(self.subscriptions_by_topic[topic].get_publisher_count())
 
     def count(self, key: str, node: str) -> int:
-        """The newest counter `key` of a node, 0 where it has none yet."""
+        """Return the latest counter `key` of a node, 0 if it has none yet."""
         for message in reversed(self.diagnostics):
             if message.status[0].name == node:
                 return int({value.key: value.value for value in message.status[0].values}.get(key, 0))
@@ -114,7 +114,7 @@ class Listener(Node):
 
 
 class Peer(Listener):
-    """The other side of a node under test: publishes what a test says, keeps what it hears."""
+    """The peer of a node under test: publish messages for a test and store those received."""
 
     def __init__(self, ros: Ros, prefix: str = "") -> None:
         super().__init__(ros, prefix)
@@ -123,7 +123,7 @@ class Peer(Listener):
         self.command_publisher = self.create_publisher(JointState, prefix + "joint_commands", LATEST)
 
     def meet_controller(self) -> None:
-        """Wait until the controller hears this peer and is heard."""
+        """Wait until controller and peer are connected in both directions."""
         heard = ("effort_controller/commands", "joint_commands", "fjr_controller/reference", "diagnostics")
         self._ros.until(
             lambda: self.state_publisher.get_subscription_count() >= 2 and all(self.heard(topic) for topic in heard),
@@ -131,14 +131,14 @@ class Peer(Listener):
         )
 
     def meet_plant(self, lockstep: bool = False) -> None:
-        """Wait until the plant hears this peer and is heard."""
+        """Wait until plant and peer are connected in both directions."""
         publisher = self.command_publisher if lockstep else self.effort_publisher
         self._ros.until(
             lambda: publisher.get_subscription_count() >= 2 and self.states and self.heard("diagnostics"), "the plant"
         )
 
     def ask(self, state: JointState, answered: bool = True) -> JointState | None:
-        """Publish a state; the command that answers it, or None once it is sure that none comes."""
+        """Publish a state; return the command for it, or None once it is certain that none follows."""
         before = len(self.commands)
         self.state_publisher.publish(state)
         if answered:
@@ -149,7 +149,7 @@ class Peer(Listener):
         return None
 
     def answer(self, state: JointState) -> JointState:
-        """Publish a state; the command with its stamp, also where others came meanwhile (a stop, the last one)."""
+        """Publish a state; return the command with its stamp, even if others arrive in between, e.g. a stop."""
         self.state_publisher.publish(state)
         heard = (self.commands, self.references, self.errors)
         self._ros.until(lambda: all(each and each[-1].header == state.header for each in heard), "the answer")
@@ -157,7 +157,7 @@ class Peer(Listener):
 
 
 def stamped(t: float, q: Any = 0.5, dq: Any = 0.0, names: list[str] | None = None) -> JointState:
-    """A JointState of the paper's joint (or of `names`), stamped 100 s + t."""
+    """Return a JointState of the paper's joint, or of `names`, stamped 100 s + t."""
     names = names or ["joint1", "joint1_motor"]
     message = JointState(name=names)
     nanoseconds = round((100 + t) * 1e9)
@@ -168,10 +168,10 @@ def stamped(t: float, q: Any = 0.5, dq: Any = 0.0, names: list[str] | None = Non
 
 
 def seconds(message: JointState) -> float:
-    """Stamp of a message [s]."""
+    """Return the stamp of a message [s]."""
     return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
 
 
 def nanoseconds(message: JointState) -> int:
-    """Stamp of a message [ns]."""
+    """Return the stamp of a message [ns]."""
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec

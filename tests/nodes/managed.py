@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A peer that also manages the controller: lifecycle, parameters and services, as the ROS 2 tools do it."""
+"""A peer that also manages the controller like the ROS 2 tools: lifecycle, parameters and services."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Manager(Peer):
         self._clients_by_name: dict[str, Any] = {}
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        """A service's answer."""
+        """Call a service and return its response."""
         client = self._clients_by_name.get(name) or self.create_client(kind, f"{CONTROLLER}/{name}")
         self._clients_by_name[name] = client
         self._ros.until(client.service_is_ready, f"the service {name}")
@@ -47,7 +47,7 @@ class Manager(Peer):
         return str(self.call(GetState, "get_state", GetState.Request()).current_state.label)
 
     def change(self, transition: str) -> bool:
-        """Whether a transition by its id succeeds."""
+        """Request a transition by its id; return whether it succeeds."""
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
         return bool(self.call(ChangeState, "change_state", request).success)
 
@@ -61,7 +61,7 @@ class Manager(Peer):
         return {description.transition.label for description in answer.available_transitions}
 
     def set(self, **values: Any) -> tuple[bool, str]:
-        """Set parameters together; `__` stands for a dot. Success and reason."""
+        """Set parameters together, with `__` for a dot; return success and reason."""
         parameters = [Parameter(name.replace("__", "."), value=v).to_parameter_msg() for name, v in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
         result = self.call(SetParametersAtomically, "set_parameters_atomically", request).result
@@ -79,7 +79,7 @@ class Manager(Peer):
         return answer.success, answer.message
 
     def send(self, message: JointTrajectory) -> DiagnosticStatus:
-        """Publish a trajectory; the event with which it is met."""
+        """Publish a trajectory; return the event that reports its outcome."""
         self._ros.until(lambda: self.trajectories.get_subscription_count(), "the trajectory's subscription")
         before = len(self.answers())
         self.trajectories.publish(message)
@@ -87,7 +87,7 @@ class Manager(Peer):
         return self.answers()[-1]
 
     def answers(self) -> list[DiagnosticStatus]:
-        """The events that no transition of the node and no course of time brings."""
+        """Return the events that are not caused by a lifecycle transition or by elapsed time."""
         return [event for event in self.events if event.name not in BY_ITSELF]
 
     def kinds(self) -> list[str]:
@@ -97,7 +97,7 @@ class Manager(Peer):
 def trajectory(
     *points: tuple[float, Any], joints: tuple[str, ...] = ("joint1",), start: int = 0, **fields: Any
 ) -> JointTrajectory:
-    """A trajectory of (time [s], positions) from the stamp `start` [ns]; velocities=.. and the like: a row a point."""
+    """Return a trajectory of (time [s], positions) from the stamp `start` [ns]; fields: one row per point."""
     message = JointTrajectory(joint_names=list(joints))
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(start, 10**9)
     for i, (t, q) in enumerate(points):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tests of the plant node share: the paper's joint integrated by fjr_core, its messages, its services."""
+"""Helpers for tests of the plant node: the paper's joint integrated by fjr_core, its messages, its services."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def call(ros: Ros, peer: Peer, kind: Any, name: str, **request: Any) -> Any:
 
 
 def ask(ros: Ros, peer: Peer, kind: Any, name: str, **request: Any) -> Any:
-    """Call a service without waiting for its answer."""
+    """Call a service without waiting for its response."""
     client = peer.create_client(kind, name)
     ros.until(client.service_is_ready, f"service {name}")
     return client.call_async(kind.Request(**request))
 
 
 class CommandLoop:
-    """A peer that answers each state by a function of its numbers, except those to ignore."""
+    """A peer that commands an effort for each state, a function of the state, except for ignored ones."""
 
     def __init__(
         self,
@@ -62,18 +62,18 @@ class CommandLoop:
         ignores: tuple[int, ...] = (),
         effort: Callable[[JointState], float] = lambda s: -0.2 * s.position[0] - 0.01 * s.velocity[1],
     ) -> None:
-        """ignores: numbers of states, the first that the peer hears is 1."""
+        """ignores: numbers of states; the first state received is 1."""
         self._peer = peer
         self._ignored = ignores
         self._effort = effort
         self._seen = 0
 
     def listen(self) -> None:
-        """Answer whatever comes, as it comes."""
+        """Answer each state on arrival."""
         self._peer.create_subscription(JointState, "joint_states", self._answer, LATEST)
 
     def until(self, ros: Ros, samples: int) -> None:
-        """Answer all states before that of so many samples after the start, and wait for this one."""
+        """Answer all states before the given sample after the start, and wait for its state."""
         end = START + samples * PERIOD
 
         def done() -> bool:
@@ -90,6 +90,6 @@ class CommandLoop:
 
 
 def numbers(states: list[JointState]) -> list[tuple[int, bytes]]:
-    """Stamps and all numbers, bit by bit, of the states without those that were sent again."""
+    """Return stamps and bytes of all numbers of the states, without repeated ones."""
     fields = ("position", "velocity", "effort")
     return list({nanoseconds(s): b"".join(getattr(s, f).tobytes() for f in fields) for s in states}.items())

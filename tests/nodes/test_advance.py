@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""~/advance: so many samples and no more, the same states as when the robot runs; on both executors."""
+"""~/advance: the exact number of samples, with the states of a continuous run; on both executors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ except ImportError:
 
 @pytest.fixture(params=["single-threaded", "events"])
 def ros(request, ros: Ros) -> Ros:
-    """As the nodes' tests have it, on each executor."""
+    """Provide the fixture `ros` with each executor."""
     if request.param == "events":
         if EventsExecutor is None:
             pytest.skip("this rclpy has no events executor")
@@ -42,7 +42,7 @@ def advance(ros: Ros, peer: Peer) -> Any:
     return call(ros, peer, Trigger, "fjr_plant/advance")
 
 
-def test_lockstep_advances_by_exactly_so_many_answers(ros: Ros, peer: Peer) -> None:
+def test_lockstep_advances_by_the_exact_number_of_samples(ros: Ros, peer: Peer) -> None:
     ros.plant(lockstep=True, start_paused=True, advance_samples=7)
     CommandLoop(peer).listen()
     response = advance(ros, peer)
@@ -55,7 +55,7 @@ def test_lockstep_advances_by_exactly_so_many_answers(ros: Ros, peer: Peer) -> N
     assert sorted({nanoseconds(state) for state in peer.states}) == [START + k * PERIOD for k in range(15)]
 
 
-def test_lockstep_in_strides_gives_the_states_of_a_run_bit_by_bit(ros: Ros, peer: Peer) -> None:
+def test_lockstep_in_steps_is_bit_identical_to_a_run(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, start_paused=True, advance_samples=10)
     CommandLoop(peer).listen()
     for _ in range(3):
@@ -63,7 +63,7 @@ def test_lockstep_in_strides_gives_the_states_of_a_run_bit_by_bit(ros: Ros, peer
     strides = numbers(peer.states)
     del peer.states[:]
     call(ros, peer, Trigger, "fjr_plant/reset")
-    assert not peer.states, "a paused robot sends nothing"
+    assert not peer.states, "a paused robot must send nothing"
     call(ros, peer, SetBool, "fjr_plant/pause", data=False)
     ros.until(lambda: node._robot.time > 30 * PERIOD)
     run = dict(numbers(peer.states))
@@ -86,7 +86,7 @@ def test_real_time_advances_at_once_with_the_held_effort(ros: Ros, peer: Peer) -
     stamps = [nanoseconds(state) for state in peer.states[count:]]
     assert stamps == [node._time_base.stamp - (24 - k) * PERIOD for k in range(25)]
     call(ros, peer, SetBool, "fjr_plant/pause", data=False)
-    assert node._robot.time == time + 25 * PERIOD, "the motion goes on from where it is"
+    assert node._robot.time == time + 25 * PERIOD, "the motion must continue from its state"
     count = len(peer.states)
     ros.until(lambda: len(peer.states) > count)
     assert nanoseconds(peer.states[count]) > stamps[-1]
@@ -108,7 +108,7 @@ def test_lockstep_advances_to_the_same_states_as_real_time(ros: Ros, peer: Peer)
 
 
 @pytest.mark.parametrize("lockstep", [True, False])
-def test_a_running_robot_is_not_advanced(ros: Ros, peer: Peer, lockstep: bool) -> None:
+def test_advance_is_refused_while_running(ros: Ros, peer: Peer, lockstep: bool) -> None:
     ros.plant(lockstep=lockstep)
     response = advance(ros, peer)
     assert not response.success
@@ -123,7 +123,7 @@ INTERRUPTIONS = {
 
 
 @pytest.mark.parametrize("case", INTERRUPTIONS)
-def test_an_advance_that_is_interrupted_fails_with_a_sentence(ros: Ros, peer: Peer, case: str) -> None:
+def test_interrupted_advance_fails_with_a_sentence(ros: Ros, peer: Peer, case: str) -> None:
     kind, name, request, sentence = INTERRUPTIONS[case]
     node = ros.plant(lockstep=True, start_paused=True, advance_samples=5)
     pending = ask(ros, peer, Trigger, "fjr_plant/advance")
@@ -142,7 +142,7 @@ def test_an_advance_that_is_interrupted_fails_with_a_sentence(ros: Ros, peer: Pe
     assert node._robot.time == {"reset": 0, "pause": 2 * PERIOD, "go": 3 * PERIOD}[case]
 
 
-def test_an_advance_that_the_end_of_the_node_interrupts_fails_with_a_sentence(ros: Ros, peer: Peer) -> None:
+def test_advance_fails_with_a_sentence_when_the_node_ends(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, lockstep_timeout=0.2, start_paused=True, advance_samples=5)
     pending = ask(ros, peer, Trigger, "fjr_plant/advance")
     ros.until(lambda: peer.states, "a state")
@@ -153,7 +153,7 @@ def test_an_advance_that_the_end_of_the_node_interrupts_fails_with_a_sentence(ro
     assert pending.result().message == "ended after 1 of 5 samples: the time is 1.001000000 s"
 
 
-def test_a_motion_that_diverges_in_an_advance_ends_the_node_and_tells(ros: Ros, peer: Peer) -> None:
+def test_divergence_during_an_advance_ends_the_node_with_a_response(ros: Ros, peer: Peer) -> None:
     node = ros.plant(advance_samples=100, command_timeout=100.0)
     peer.meet_plant()
     call(ros, peer, SetBool, "fjr_plant/pause", data=True)
@@ -165,7 +165,7 @@ def test_a_motion_that_diverges_in_an_advance_ends_the_node_and_tells(ros: Ros, 
     count = len(peer.states)
     call(ros, peer, SetBool, "fjr_plant/pause", data=False)
     ros.settle()
-    assert len(peer.states) == count, "it does nothing more"
+    assert len(peer.states) == count, "it must do nothing more"
 
 
 def test_advance_samples_changes_while_the_node_runs(ros: Ros, peer: Peer) -> None:
@@ -179,7 +179,7 @@ def test_advance_samples_changes_while_the_node_runs(ros: Ros, peer: Peer) -> No
     assert node.values["advance_samples"] == 9
 
 
-def test_a_client_that_went_away_harms_nobody(ros: Ros, peer: Peer) -> None:
+def test_vanished_client_does_not_disturb_others(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, start_paused=True)
     client = peer.create_client(Trigger, "fjr_plant/advance")
     ros.until(client.service_is_ready)

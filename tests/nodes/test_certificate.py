@@ -81,7 +81,7 @@ def test_each_state_has_its_certificate(ros: Ros) -> None:
     assert seen[other].dV_measured == pytest.approx(rate, rel=1e-9)
 
 
-def test_a_healthy_loop_holds(ros: Ros) -> None:
+def test_healthy_loop_is_holding(ros: Ros) -> None:
     hearer = running(ros, 3, {}, {})
     assert hearer.verdicts()[1:] == [("holding", "")] * len(hearer.verdicts()[1:])
     assert hearer.levels()["holding"] == DiagnosticStatus.OK
@@ -115,7 +115,7 @@ def test_saturation_is_diagnosed_while_it_lasts(ros: Ros) -> None:
 
 
 def test_a_sample_period_that_is_too_long_is_diagnosed(ros: Ros) -> None:
-    """At 65 Hz an error grows by an eighth per sample; the initial error is zero."""
+    """At 65 Hz an error grows by 1/8 per sample; the initial error is zero."""
     hearer = Hearer(ros)
     ros.controller(use_sim_time=True, compile=True)
     moving = {"initial_link_velocity": [1.0], "initial_motor_velocity": [1.0]}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""/clock has one owner: a second one is refused before its first answer, and reported when it comes later."""
+"""/clock has one owner: a second publisher is refused before the first command and reported if it appears later."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SENTENCE = "node /other publishes on /clock; expected one owner of the time: .* 
 
 @contextmanager
 def other_clock(ros: Ros, peer: Peer) -> Iterator[None]:
-    """Another process, for all that the middleware tells, publishes the time; it is discovered when this begins."""
+    """Publish the time like another process; yield once the publisher is discovered."""
     other, quiet = Ros(), threading.Event()
     publisher = other.add(Node("other", context=other.context)).create_publisher(Clock, "/clock", LATEST)
 
@@ -45,7 +45,7 @@ def other_clock(ros: Ros, peer: Peer) -> Iterator[None]:
         other.close()
 
 
-def test_a_plant_does_not_start_next_to_another_clock(ros: Ros, peer: Peer) -> None:
+def test_plant_refuses_to_start_with_another_clock(ros: Ros, peer: Peer) -> None:
     with other_clock(ros, peer):
         with pytest.raises(ClockError, match=SENTENCE):
             ros.plant(lockstep=True)
@@ -54,7 +54,7 @@ def test_a_plant_does_not_start_next_to_another_clock(ros: Ros, peer: Peer) -> N
     assert peer.count_publishers("/left/clock") == 1
 
 
-def test_a_plant_that_meets_another_clock_with_the_first_answer_ends(ros: Ros, peer: Peer, monkeypatch) -> None:
+def test_plant_ends_if_another_clock_appears_with_the_first_command(ros: Ros, peer: Peer, monkeypatch) -> None:
     monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 1000.0)
     node = ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)
@@ -62,7 +62,7 @@ def test_a_plant_that_meets_another_clock_with_the_first_answer_ends(ros: Ros, p
         CommandLoop(peer).listen()
         ros.until(lambda: node.ended, "the end")
     assert isinstance(node.ended, ClockError)
-    assert node._time_base._robot.time == 0, "nothing moved"
+    assert node._time_base._robot.time == 0, "nothing must have moved"
 
 
 def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, peer: Peer, monkeypatch) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A parameter on the command line has its effect, next to any parameter file, or the node refuses to start."""
+"""A parameter on the command line takes effect with any parameter file, or the node refuses to start."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_a_parameter_before_the_file_that_sets_it_is_refused(ros: Ros) -> None:
 
 @pytest.mark.parametrize("section", SECTIONS)
 @pytest.mark.parametrize("after", [True, False])
-def test_a_section_of_the_node_is_obeyed_and_a_bare_parameter_against_it_refused(
+def test_node_section_applies_and_a_conflicting_bare_parameter_is_refused(
     ros: Ros, tmp_path: Path, section: str, after: bool
 ) -> None:
     path = tmp_path / "own.yaml"
@@ -59,20 +59,20 @@ def test_a_parameter_that_names_the_node_wins_over_its_section(ros: Ros, tmp_pat
     assert node.get_parameter("reference.type").value == "hold"
 
 
-def test_of_two_parameters_the_last_counts_and_those_of_another_node_do_not(ros: Ros) -> None:
+def test_last_of_two_parameters_applies_and_those_of_other_nodes_are_ignored(ros: Ros) -> None:
     node = controller(ros, "-p", "reference.type:=sine", *HOLD, "-p", "fjr_plant:reference.type:=sine")
     assert node.get_parameter("reference.type").value == "hold"
 
 
 @pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
-def test_a_node_has_of_a_shared_file_only_its_own_parameters(ros: Ros, kind: type, capfd) -> None:
+def test_node_reads_only_its_own_parameters_of_a_shared_file(ros: Ros, kind: type, capfd) -> None:
     node = ros.start(kind, ["--ros-args", "--params-file", scenario("paper_k31"), "-p", "compile:=false"])
     assert node.has_parameter("publish_rate") == (kind is PlantNode)
     assert node.has_parameter("gains.K_ld") == (kind is ControllerNode)
     assert "unknown parameter" not in capfd.readouterr().err
 
 
-def test_rules_are_read_between_ros_args_and_its_end_only() -> None:
+def test_rules_are_read_only_between_ros_args_and_its_end() -> None:
     words = ["-p", "a:=1", "--ros-args", "--param", "b:=[1.0]", "-r", "x:=y", "-p", "n:c:=on", "--", "-p", "d:=1"]
     found = [(rule.node, rule.name, rule.value) for rule in parameter_rules(words)]
     assert found == [("", "b", [1.0]), ("n", "c", True)]

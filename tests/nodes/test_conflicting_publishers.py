@@ -27,7 +27,7 @@ MANAGER_AND_CONTROLLER = 2  # subscriptions to a command topic, before the first
 
 
 class OtherController:
-    """A publisher with a context of its own, which the middleware takes for another process."""
+    """A publisher with a separate context, which the middleware treats as another process."""
 
     def __init__(self, topic: str) -> None:
         self._ros = Ros()
@@ -118,7 +118,7 @@ def test_a_conflict_found_with_the_first_state_ends_the_node(ros: Ros, manager: 
     assert manager.state() == "inactive"
     manager.state_publisher.publish(stamped(0.1))
     ros.settle()
-    assert not manager.references, "nothing was sent"
+    assert not manager.references, "nothing must be sent"
 
 
 def test_a_conflict_found_with_the_first_state_leaves_a_managed_node_inactive(
@@ -163,7 +163,7 @@ def test_a_conflict_that_appears_later_is_reported(ros: Ros, manager: Manager, a
     assert status.level == status.ERROR
 
 
-def test_a_publisher_that_replaces_another_has_appeared(ros: Ros, manager: Manager, appear: Appear) -> None:
+def test_publisher_that_replaces_another_is_detected(ros: Ros, manager: Manager, appear: Appear) -> None:
     conflicts = ConflictingPublishers(manager, TOPICS, LATEST)
     assert conflicts.appeared() == []
     one = appear(EFFORTS)
@@ -180,7 +180,7 @@ def test_a_publisher_that_replaces_another_has_appeared(ros: Ros, manager: Manag
 
 
 @topics
-def test_a_publisher_that_appears_together_with_ours_is_not_taken_for_ours(
+def test_publisher_created_together_with_ours_is_detected(
     ros: Ros, manager: Manager, appear: Appear, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     create, coming = manager.create_publisher, [topic]
@@ -195,4 +195,4 @@ def test_a_publisher_that_appears_together_with_ours_is_not_taken_for_ours(
     assert not coming
     assert conflicts.appeared() == [topic]
     conflicts.close()
-    assert manager.count_publishers(topic) == 2, "the manager's own and the other's"
+    assert manager.count_publishers(topic) == 2, "those of the manager and of the other node"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller node against a peer that plays the driver."""
+"""The controller node with a peer in the role of the robot driver."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_publishes_reference_and_tracking_error_with_the_stamp_of_the_state(ros:
     np.testing.assert_allclose([error.position[0], error.velocity[0]], [0.4 - np.sin(0.25), 0.3 - np.cos(0.25)])
 
 
-def test_maps_shuffled_and_additional_joints_by_name(ros: Ros, peer: Peer) -> None:
+def test_shuffled_and_additional_joints_are_mapped_by_name(ros: Ros, peer: Peer) -> None:
     ros.controller()
     peer.meet_controller()
     plain = peer.ask(stamped(0.0, [0.4, 0.6], [0.1, 0.2]))
@@ -209,11 +209,11 @@ class Host:
         raise AssertionError(error)
 
 
-def test_the_process_prepares_what_configure_builds(ros: Ros) -> None:
+def test_process_settings_are_applied_after_configure(ros: Ros) -> None:
     manager = Manager(ros)
     node = ros.controller(autostart=False, cpu_affinity="both")
     node.host = Host()
-    assert not manager.change("configure"), "cores that are none"
+    assert not manager.change("configure"), "invalid cores"
     assert not node.host.cared_for
     assert manager.set(cpu_affinity="0", realtime_priority=3) == (True, "")
     assert manager.change("configure")
@@ -248,5 +248,5 @@ def answers_across_a_silence(clock_first: bool) -> list[float]:
 def test_in_simulated_time_the_command_after_a_silence_does_not_depend_on_the_clock() -> None:
     efforts = answers_across_a_silence(clock_first=True)
     assert len(efforts) == 5
-    assert efforts[:2] == [0.0, 0.0], "the stop effort of the silence, and on from there"
+    assert efforts[:2] == [0.0, 0.0], "the stop effort of the silence, then a continuous effort"
     assert answers_across_a_silence(clock_first=False) == efforts

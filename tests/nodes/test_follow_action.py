@@ -91,7 +91,7 @@ def test_a_goal_that_cannot_be_tracked_is_rejected(ros: Ros, manager: Manager) -
     assert not client.send(1000).accepted
 
 
-def test_off_the_path_a_goal_is_aborted_and_the_motion_held(ros: Ros, manager: Manager) -> None:
+def test_path_tolerance_violation_aborts_the_goal_and_holds(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager, constraints__trajectory=[0.5])
     handle = client.send(1000)
     manager.ask(stamped(0.3, 2.0))
@@ -107,7 +107,7 @@ def test_a_goal_that_is_not_reached_in_time_is_aborted(ros: Ros, manager: Manage
     assert client.result(handle) == (GoalStatus.STATUS_ABORTED, Code.GOAL_TOLERANCE_VIOLATED)
 
 
-def test_a_cancelled_goal_comes_to_a_standstill(ros: Ros, manager: Manager) -> None:
+def test_cancelled_goal_comes_to_a_standstill(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager)
     handle = client.send(1000)
     manager.ask(stamped(0.1, 0.0))
@@ -120,7 +120,7 @@ def test_a_cancelled_goal_comes_to_a_standstill(ros: Ros, manager: Manager) -> N
     np.testing.assert_allclose(manager.references[-1].velocity, [0.0], atol=1e-9)
 
 
-def test_another_goal_a_trajectory_or_a_service_replaces_a_goal(ros: Ros, manager: Manager) -> None:
+def test_goal_is_replaced_by_another_goal_a_trajectory_or_a_service(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager)
     first = client.send(1000)
     second = client.send(900)
@@ -143,7 +143,7 @@ def test_a_stop_ends_a_goal(ros: Ros, manager: Manager) -> None:
     assert client.result(handle) == (GoalStatus.STATUS_ABORTED, Code.PATH_TOLERANCE_VIOLATED)
 
 
-def test_after_a_stop_the_trajectory_of_an_aborted_goal_does_not_continue(ros: Ros, manager: Manager) -> None:
+def test_trajectory_of_an_aborted_goal_does_not_continue_after_a_stop(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager, limits__tracking_error=[0.5], recovery__join_time=0.1)
     handle = client.send(1000)
     manager.ask(stamped(0.1, 0.6))

@@ -48,11 +48,11 @@ def test_a_goal_ends_by_its_tolerances(t, q, dq, code) -> None:
     assert code_of(t, q, dq) == code
 
 
-def test_without_a_goal_time_the_goal_stays_active() -> None:
+def test_goal_without_a_goal_time_stays_active() -> None:
     assert code_of(100.0, (0.03, 0.0), **{"constraints.goal_time": 0.0}) is None
 
 
-def test_the_sentence_names_joint_error_and_tolerance() -> None:
+def test_message_names_joint_error_and_tolerance() -> None:
     outcome = Goal(JOINTS, SECOND, tolerances(VALUES, UNITS)).check(0, np.array([0.25, 0.0]), np.zeros(2))
     assert outcome is not None
     assert outcome.sentence == "on the path, a is off by 0.25 rad; expected at most 0.1"

@@ -30,14 +30,14 @@ def effort(t: float, gains: fjr.Gains = fjr.PAPER_GAINS) -> float:
     return float(fjr.TrackingLaw(robot, gains).effort(x, x, fjr.Sine(1.0, 1.0).jets(t))[0])
 
 
-def test_by_default_the_node_starts_active(ros: Ros, manager: Manager) -> None:
+def test_node_is_active_by_default(ros: Ros, manager: Manager) -> None:
     ros.controller()
     assert manager.state() == "active"
     manager.meet_controller()
     manager.ask(stamped(0.0))
 
 
-def test_the_lifecycle_is_that_of_a_managed_node(ros: Ros, manager: Manager) -> None:
+def test_lifecycle_transitions_are_those_of_a_managed_node(ros: Ros, manager: Manager) -> None:
     ros.controller(autostart=False)
     for transition, state in (
         (None, "unconfigured"),
@@ -87,7 +87,7 @@ def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager, m
 
 @pytest.mark.parametrize("transition", ["deactivate", "shutdown", "stop"])
 @pytest.mark.parametrize(("on_stop", "last"), [("zero", 0.0), ("gravity_hold", GRAVITY)])
-def test_the_last_command_is_that_of_on_stop(ros: Ros, manager: Manager, transition: str, on_stop: str, last) -> None:
+def test_last_command_is_the_stop_effort(ros: Ros, manager: Manager, transition: str, on_stop: str, last) -> None:
     node = ros.controller(on_stop=on_stop)
     manager.meet_controller()
     manager.ask(stamped(0.0))
@@ -97,12 +97,12 @@ def test_the_last_command_is_that_of_on_stop(ros: Ros, manager: Manager, transit
     assert list(manager.efforts[-1].data) == list(manager.commands[-1].effort)
     np.testing.assert_allclose(manager.commands[-1].effort, [last], atol=1e-12)
     assert nanoseconds(manager.commands[-1]) == nanoseconds(manager.commands[0])
-    node.stop()  # once more does nothing
+    node.stop()  # a second call does nothing
     ros.settle()
     assert len(manager.efforts) == 2
 
 
-def test_without_a_command_before_there_is_no_last_command(ros: Ros, manager: Manager) -> None:
+def test_no_last_command_without_an_earlier_command(ros: Ros, manager: Manager) -> None:
     node = ros.controller()
     manager.meet_controller()
     node.stop()
@@ -130,7 +130,7 @@ def test_activation_discards_pending_requests(ros: Ros, manager: Manager) -> Non
     first = manager.ask(stamped(0.0))
     assert manager.send(trajectory((0.5, 0.3))).name == "references changed"
     manager.ask(stamped(0.1))
-    manager.send(trajectory((0.5, 0.3), start=104 * 10**9))  # to come
+    manager.send(trajectory((0.5, 0.3), start=104 * 10**9))  # still pending
     manager.ask(stamped(0.2, 2.0))
     ros.until(lambda: "stops" in manager.kinds(), "the stop")
     assert activated_again(manager, 5.0).effort == first.effort
@@ -170,7 +170,7 @@ def test_configure_refuses_a_reference_that_violates_its_limits(ros: Ros) -> Non
         ros.controller(limits__link_velocity=[0.5])
 
 
-def test_a_refused_configure_leaves_nothing_on_the_node(ros: Ros, manager: Manager) -> None:
+def test_refused_configure_leaves_no_objects_on_the_node(ros: Ros, manager: Manager) -> None:
     node = ros.controller(autostart=False)
 
     def parts() -> list[int]:
@@ -178,7 +178,7 @@ def test_a_refused_configure_leaves_nothing_on_the_node(ros: Ros, manager: Manag
 
     before = parts()
     for name, bad, good in (
-        ("constraints.goal", [0.1, 0.1], [0.1]),  # also without control_msgs
+        ("constraints.goal", [0.1, 0.1], [0.1]),  # exists without control_msgs, too
         ("constraints.trajectory", [0.1, 0.1], [0.1]),
         ("limits.acceleration", [1.0, 1.0], [9.0]),
         ("limits.link_position_upper", [0.5], [2.0]),
@@ -213,7 +213,7 @@ def test_parameters_of_a_wrong_type_can_be_corrected_while_unconfigured(ros: Ros
     assert manager.change("configure")
 
 
-def test_a_robot_may_change_only_while_unconfigured(ros: Ros, manager: Manager) -> None:
+def test_robot_can_change_only_while_unconfigured(ros: Ros, manager: Manager) -> None:
     ros.controller()
     for transition in (None, "deactivate"):
         assert transition is None or manager.change(transition)
@@ -275,7 +275,7 @@ def test_limits_change_between_two_states(ros: Ros, manager: Manager) -> None:
     np.testing.assert_allclose(manager.ask(stamped(0.002)).effort, [effort(0.002)], rtol=1e-9)
 
 
-def test_gains_changed_while_inactive_act_when_active(ros: Ros, manager: Manager) -> None:
+def test_gains_changed_while_inactive_apply_when_active(ros: Ros, manager: Manager) -> None:
     ros.controller()
     assert manager.change("deactivate")
     assert manager.set(gains__K_ld=[0.9])[0]
@@ -295,7 +295,7 @@ def test_a_silence_sends_the_stop_effort_once(ros: Ros, manager: Manager) -> Non
     np.testing.assert_allclose(manager.efforts[-1].data, [GRAVITY], atol=1e-12)
 
 
-def test_with_simulated_time_a_silence_is_measured_by_it(ros: Ros, manager: Manager) -> None:
+def test_silence_is_measured_in_simulated_time(ros: Ros, manager: Manager) -> None:
     ros.controller(state_timeout=0.5, use_sim_time=True)
     clock = manager.create_publisher(Clock, "/clock", 1)
     manager.meet_controller()

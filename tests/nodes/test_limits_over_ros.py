@@ -15,7 +15,7 @@ from nodes.managed import Manager
 
 ROBOT = fjr.single_link()
 PLACE = ([0.5, 0.52], [0.3, -0.2])  # positions and velocities of link and motor
-STOPS = [  # parameter, a value that PLACE breaks, one that it keeps, kind
+STOPS = [  # parameter, a value violated at PLACE, one that is not, kind
     ("link_position_lower", 0.51, 0.49, "link position"),
     ("link_position_upper", 0.49, 0.51, "link position"),
     ("motor_position_lower", 0.53, 0.51, "motor position"),
@@ -63,9 +63,9 @@ def test_a_violated_limit_of_the_state_stops(ros: Ros, name: str, broken: float,
     assert float(manager.ask(at(0.001)).effort[0]) == pytest.approx(held)
     ros.until(lambda: any(event.name == "stops" and kind in event.message for event in manager.events), "the event")
     assert manager.set(**{f"limits__{name}": [kept], "on_stop": "zero"})[0]
-    assert float(manager.ask(at(0.002)).effort[0]) == 0.0, "a stop is latched"
+    assert float(manager.ask(at(0.002)).effort[0]) == 0.0, "a stop must be latched"
     assert manager.trigger("resume")[0]
-    assert float(manager.ask(at(0.003)).effort[0]) == 0.0, "the first effort is the last one sent"
+    assert float(manager.ask(at(0.003)).effort[0]) == 0.0, "the first effort must be the last one sent"
     assert float(manager.ask(at(0.05)).effort[0]) != 0.0
 
 
@@ -103,7 +103,9 @@ def test_a_start_begins_with_a_transition_from_the_measured_state(ros: Ros, peer
 
 @pytest.mark.parametrize("join_time", [0.0, 1.0])
 def test_a_recovery_reaches_the_reference_within_its_time(ros: Ros, peer: Peer, join_time: float) -> None:
-    effort(ros, peer, recovery__join_time=join_time, state_timeout=0.2, use_sim_time=True)  # a jump counts at once
+    effort(
+        ros, peer, recovery__join_time=join_time, state_timeout=0.2, use_sim_time=True
+    )  # a jump is confirmed at once
     peer.answer(at(1.0))
     wanted = fjr.Sine(1.0, 1.0).jets(1.0)[0, 0]
     assert peer.references[-1].position[0] == pytest.approx(0.5 if join_time else wanted)

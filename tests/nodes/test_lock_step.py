@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lock-step against a peer that plays the controller: nothing is skipped, nothing advances by mistake, runs repeat."""
+"""Lock-step with a peer as the controller: no sample is skipped, only valid commands advance, runs are repeatable."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nodes.plants import PERIOD, CommandLoop, answer, call, integrate, numbers, 
 
 
 @pytest.mark.parametrize("ignored", [(2,), (3, 4, 5), (2, 4, 7, 11)])
-def test_a_state_without_an_answer_is_sent_again_and_never_skipped(ros: Ros, peer: Peer, ignored) -> None:
+def test_unanswered_state_is_sent_again_and_never_skipped(ros: Ros, peer: Peer, ignored) -> None:
     node = ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)
     first = len(peer.states)
@@ -24,7 +24,9 @@ def test_a_state_without_an_answer_is_sent_again_and_never_skipped(ros: Ros, pee
     stamps = [nanoseconds(state) for state in peer.states]
     assert sorted(set(stamps)) == [START + k * PERIOD for k in range(13)]
     assert stamps == sorted(stamps)
-    assert len({bits for state in peer.states for bits in numbers([state])}) == 13, "sent again with the same numbers"
+    assert len({bits for state in peer.states for bits in numbers([state])}) == 13, (
+        "repeated states must have the same numbers"
+    )
     count = node._health.count
     assert count["states published"] == 13
     assert count["states sent again"] == len(stamps) - 13 >= len(ignored)
@@ -32,7 +34,7 @@ def test_a_state_without_an_answer_is_sent_again_and_never_skipped(ros: Ros, pee
     assert count["states unanswered"] == 0
 
 
-def test_what_is_not_the_answer_never_advances(ros: Ros, peer: Peer) -> None:
+def test_only_the_command_for_the_state_advances(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)
     first = peer.states[-1]
@@ -53,7 +55,7 @@ def test_what_is_not_the_answer_never_advances(ros: Ros, peer: Peer) -> None:
     np.testing.assert_allclose(state_of(peer.states[-1]), integrate(state_of(first), 0.25, 4), rtol=1e-12)
 
 
-def test_two_runs_are_bit_identical_whatever_is_lost(ros: Ros, peer: Peer) -> None:
+def test_runs_are_bit_identical_despite_lost_commands(ros: Ros, peer: Peer) -> None:
     ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)
     plain = CommandLoop(peer)
@@ -73,7 +75,7 @@ def test_two_runs_are_bit_identical_whatever_is_lost(ros: Ros, peer: Peer) -> No
 
 
 def clocks(peer: Peer) -> list[int]:
-    """What comes on /clock [ns]."""
+    """Return the list of times received on /clock [ns]."""
     times: list[int] = []
     peer.create_subscription(
         Clock, "/clock", lambda m: times.append(m.clock.sec * 10**9 + m.clock.nanosec), QoSProfile(depth=1000)
@@ -81,7 +83,7 @@ def clocks(peer: Peer) -> list[int]:
     return times
 
 
-def test_clock_comes_with_every_state_and_never_goes_back(ros: Ros, peer: Peer) -> None:
+def test_clock_is_published_with_every_state_and_never_decreases(ros: Ros, peer: Peer) -> None:
     shown = clocks(peer)
     ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)
@@ -94,7 +96,7 @@ def test_clock_comes_with_every_state_and_never_goes_back(ros: Ros, peer: Peer) 
     assert shown == sorted(shown)
 
 
-def test_what_is_lost_on_the_way_still_shows_on_the_clock(ros: Ros, peer: Peer) -> None:
+def test_clock_shows_the_times_of_lost_states(ros: Ros, peer: Peer) -> None:
     shown = clocks(peer)
     ros.plant(lockstep=True, start_paused=True, advance_samples=40, imperfections__state_loss=0.5)
     CommandLoop(peer).listen()
@@ -103,15 +105,15 @@ def test_what_is_lost_on_the_way_still_shows_on_the_clock(ros: Ros, peer: Peer) 
     ros.until(lambda: shown[-1:] == times[-1:], "the last time")
     assert sorted(set(shown)) == times
     assert shown == sorted(shown)
-    assert len({nanoseconds(state) for state in peer.states}) < 35, "as many states are lost"
+    assert len({nanoseconds(state) for state in peer.states}) < 35, "many states must be lost"
 
 
-def test_an_effort_that_grows_old_while_states_are_lost_acts_no_more(ros: Ros, peer: Peer) -> None:
-    """The first state comes through, and its answer acts for command_timeout of the robot's time."""
+def test_effort_expires_after_command_timeout_while_states_are_lost(ros: Ros, peer: Peer) -> None:
+    """The first state arrives, and its command acts for command_timeout of robot time."""
     options = {"start_paused": True, "advance_samples": 30, "command_timeout": 0.02, "imperfections__state_loss": 1.0}
     node = ros.plant(lockstep=True, **options)
     CommandLoop(peer, effort=lambda _: 0.3).listen()
-    for _ in range(2):  # and again after a reset
+    for _ in range(2):  # twice: before and after a reset
         assert call(ros, peer, Trigger, "fjr_plant/advance").success
         expected = integrate(integrate(np.array([0.5, 0.5, 0.0, 0.0]), 0.3, 80), 0.0, 40)
         np.testing.assert_array_equal(node._robot.x, expected)
@@ -120,7 +122,7 @@ def test_an_effort_that_grows_old_while_states_are_lost_acts_no_more(ros: Ros, p
 
 
 def run_with_losses() -> tuple[list[tuple[int, bytes]], int]:
-    """The states of 600 samples that the controller answers, most of them lost; and how many silences it saw."""
+    """Return the states of 600 samples, most of them lost, and the number of silences that the controller detected."""
     ros = Ros()
     try:
         listener = Listener(ros)
@@ -144,12 +146,12 @@ def test_two_runs_with_silences_in_simulated_time_are_bit_identical() -> None:
     assert one[1] > 3
 
 
-def test_a_controller_that_falls_silent_ends_the_plant_with_a_sentence(ros: Ros, peer: Peer, capfd) -> None:
+def test_silent_controller_ends_the_plant_with_a_sentence(ros: Ros, peer: Peer, capfd) -> None:
     node = ros.plant(lockstep=True, lockstep_timeout=0.3)
     peer.meet_plant(lockstep=True)
     resent = len(peer.states)
     ros.until(lambda: len(peer.states) > resent + 5, "more than the timeout without a first answer")
-    node._time_base._timeout = PATIENCE  # the answers may be late
+    node._time_base._timeout = PATIENCE  # commands may be late
     CommandLoop(peer).until(ros, 3)
     node._time_base._timeout = 0.3
     ros.until(lambda: node.ended, "the end")
@@ -158,7 +160,7 @@ def test_a_controller_that_falls_silent_ends_the_plant_with_a_sentence(ros: Ros,
         "the state of 1.003000000 s was not answered for 0.3 s (lockstep_timeout); expected a message on "
         "/joint_commands with that stamp and an effort for every joint, "
     )
-    assert f"ended: {node.ended}" in capfd.readouterr().err, "nobody else tells it here"
+    assert f"ended: {node.ended}" in capfd.readouterr().err, "only standard error reports it here"
     ros.settle()
     count = len(peer.states)
     peer.command_publisher.publish(answer(peer.states[-1], 1.0))
@@ -167,7 +169,7 @@ def test_a_controller_that_falls_silent_ends_the_plant_with_a_sentence(ros: Ros,
     assert node._robot.time == 3 * PERIOD
 
 
-def test_a_paused_plant_does_not_count_the_silence(ros: Ros, peer: Peer) -> None:
+def test_silence_is_not_counted_while_paused(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, lockstep_timeout=PATIENCE)
     peer.meet_plant(lockstep=True)
     CommandLoop(peer).until(ros, 3)
@@ -178,7 +180,7 @@ def test_a_paused_plant_does_not_count_the_silence(ros: Ros, peer: Peer) -> None
     CommandLoop(peer).until(ros, 5)
 
 
-def test_a_reset_waits_for_a_first_answer_again(ros: Ros, peer: Peer) -> None:
+def test_reset_waits_for_a_first_command_again(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, lockstep_timeout=PATIENCE)
     peer.meet_plant(lockstep=True)
     CommandLoop(peer).until(ros, 3)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A thousand malformed messages of each kind: no exception, nothing said that is not finite or over a limit.
+"""A thousand malformed messages of each kind cause no exception and no output that is not finite or exceeds a limit.
 
-Messages take the form that they have on the wire and are then given to the node's own subscription callback, as an
-executor would: all thousand are handled, one by one and in order, where a queue of depth one would lose most of them.
-What the node answers goes over the middleware, and each example ends with a good message that is answered.
+Messages are serialised and passed to the subscription callback of the node, as an executor would do: all are handled
+in order, whereas a queue of depth one would lose most of them. Replies of the node use the middleware, and each
+example ends with a valid message that is answered.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ stamp = st.one_of(
 
 
 def column(size: int, entry: st.SearchStrategy[float] = number) -> st.SearchStrategy[list[float]]:
-    """A list of this size, mostly."""
+    """Generate a list, usually of this size."""
     right = st.lists(entry, min_size=size, max_size=size)
     return st.one_of(right, right, st.just([]), st.lists(entry, max_size=2 * size + 1))
 
@@ -85,7 +85,7 @@ def points(draw: st.DrawFn, size: int) -> JointTrajectoryPoint:
 
 @st.composite
 def good_trajectories(draw: st.DrawFn) -> JointTrajectory:
-    """Points with positions only, from now on."""
+    """Generate points with positions only that start now."""
     rows = draw(st.lists(st.lists(plain, min_size=2, max_size=2), min_size=1, max_size=4))
     message = JointTrajectory(joint_names=list(draw(st.permutations(JOINTS))))
     for second, row in enumerate(rows, start=1):
@@ -107,7 +107,7 @@ efforts = st.builds(lambda data: Float64MultiArray(data=data), column(2))
 
 @st.composite
 def answers(draw: st.DrawFn) -> JointState:
-    """Commands with names; the first stamps of a run among theirs."""
+    """Generate named commands, some with the first stamps of a run."""
     names = draw(st.one_of(st.just(JOINTS), st.permutations(JOINTS), st.lists(name, max_size=4)))
     message = JointState(name=list(names), effort=draw(column(len(names))))
     first = st.integers(0, 100).map(lambda k: Time(sec=LOCKSTEP_START // 10**9, nanosec=k * 10**6))
@@ -123,7 +123,7 @@ def finite(*arrays: Any) -> bool:
 
 
 def read(reader: Callable[[Any], Any], message: Any) -> Any:
-    """What is read, or None where it is refused."""
+    """Return the result of a reader, or None if the message is refused."""
     try:
         return reader(message)
     except MessageError as error:
@@ -166,7 +166,7 @@ def test_efforts_and_torques_are_read_as_finite_numbers_or_refused(plain: Float6
 
 
 def deliver(node: Node, topic: str, message: Any) -> None:
-    """Let the node's subscription have the message as it comes off the wire."""
+    """Pass the serialised message to the subscription callback of the node."""
     subscription = next(s for s in node.subscriptions if s.topic_name == topic)
     wire = serialize_message(message)
     subscription.callback(wire if subscription.raw else deserialize_message(wire, type(message)))
@@ -197,7 +197,7 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
 
 
 class Answered:
-    """A controller in process, what it says, and good states for it."""
+    """A controller in this process, its output, and valid states for it."""
 
     def __init__(self, ros: Ros, parameters: dict[str, Any]) -> None:
         self.ros = ros
@@ -211,7 +211,7 @@ class Answered:
         deliver(self.node, "/joint_states", message)
 
     def plan(self, message: JointTrajectory) -> None:
-        """Ask for a trajectory; return when it is known what becomes of it."""
+        """Request a trajectory; return when its outcome is known."""
         known = self._planned
         deliver(self.node, "/fjr_controller/joint_trajectory", message)
         self.ros.until(lambda: self._planned > known, "the trajectory's fate")
@@ -222,10 +222,10 @@ class Answered:
         return sum(number for kind, number in counted.items() if kind.startswith("traject"))
 
     def answer(self, later: float) -> None:
-        """Send a good state so many seconds later; wait for its answer and judge what came till then."""
+        """Send a valid state `later` seconds after the last, wait for its command and check all commands until then."""
         self._seconds += later
         good = stamped(self._seconds, 0.1, 0.0, NAMES)
-        for _ in range(2):  # stamps that jumped count from the second state on
+        for _ in range(2):  # a jump of the stamps is confirmed by the second state
             self.state(good)
         commands, wanted = self.heard.commands, good.header.stamp
         self.ros.until(lambda: commands and commands[-1].header.stamp == wanted, "the answer to a good state")
@@ -244,15 +244,15 @@ def answered(ros: Ros, request) -> Answered:
 
 @THOUSAND
 @given(messages=st.lists(states(), min_size=EACH, max_size=EACH))
-def test_malformed_states_get_no_bad_effort(answered: Answered, messages: list[JointState]) -> None:
+def test_malformed_states_cause_no_invalid_effort(answered: Answered, messages: list[JointState]) -> None:
     for message in messages:
         answered.state(message)
-    answered.answer(1.0)  # further than state_timeout: no stamp before makes it an old one
+    answered.answer(1.0)  # beyond state_timeout, so that no earlier stamp makes it old
 
 
 @THOUSAND
 @given(messages=st.lists(trajectories, min_size=EACH, max_size=EACH))
-def test_malformed_trajectories_get_no_bad_effort(answered: Answered, messages: list[JointTrajectory]) -> None:
+def test_malformed_trajectories_cause_no_invalid_effort(answered: Answered, messages: list[JointTrajectory]) -> None:
     answered.answer(0.01)
     for message in messages:
         answered.plan(message)
@@ -260,9 +260,9 @@ def test_malformed_trajectories_get_no_bad_effort(answered: Answered, messages: 
 
 
 class Commanded:
-    """A plant in process whose motors have a limit, what it says, and good commands for it.
+    """A plant in this process with an effort limit, its output, and valid commands for it.
 
-    Without that limit a finite effort of 1e308 N m may well end a simulation.
+    Without the limit a finite effort of 1e308 N m could make the simulation diverge.
     """
 
     def __init__(self, ros: Ros, lockstep: bool) -> None:
@@ -275,7 +275,7 @@ class Commanded:
         ros.until(lambda: self.heard.states, "a state")
 
     def answer(self) -> None:
-        """Give the newest state a good answer and judge the states till the next."""
+        """Send a valid command for the newest state and check the states until the next one."""
         last = self.heard.states[-1]
         if self.topic == "/joint_commands":
             good: Any = JointState(header=last.header, name=list(JOINTS), effort=[0.0, 0.0])

@@ -38,7 +38,7 @@ def test_a_controller_logs_each_transition(ros: Ros, capfd: pytest.CaptureFixtur
     ]
 
 
-def test_a_transition_that_fails_is_an_event(ros: Ros) -> None:
+def test_failed_transition_is_an_event(ros: Ros) -> None:
     manager = Manager(ros)
     node = ros.controller(autostart=False)
     ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
@@ -50,7 +50,7 @@ def test_a_transition_that_fails_is_an_event(ros: Ros) -> None:
 
 
 @pytest.mark.parametrize("lockstep", [True, False])
-def test_a_plant_logs_what_it_waits_for_and_when_it_moves(ros: Ros, lockstep: bool, capfd) -> None:
+def test_plant_logs_waiting_and_start_of_motion(ros: Ros, lockstep: bool, capfd) -> None:
     manager = Manager(ros)
     node = ros.plant(lockstep=lockstep)
     ros.controller(use_sim_time=lockstep)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller node with each law: the effort is the law's own, and features of v-dPBC alone are off."""
+"""The controller node with each law sends the effort of that law; features specific to v-dPBC are off."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_tracks_on_two_nodes_in_lock_step(ros: Ros, name: str) -> None:
 
 
 def test_a_state_without_a_finite_effort_gets_the_stop_effort(ros: Ros, peer: Peer) -> None:
-    """A law without a storage (nan) does not stop; a non-finite effort does."""
+    """A non-finite effort stops the arm; a law without a storage (nan) does not."""
     ros.controller(law__type="singular_perturbation")
     peer.meet_controller()
     assert peer.ask(stamped(0.0)).effort[0] != 0.0
@@ -85,7 +85,7 @@ def test_natural_frequency_and_damping_ratio_are_those_of_the_parameters(ros: Ro
     np.testing.assert_allclose(peer.ask(stamped(0.0)).effort, expected, rtol=1e-9)
 
 
-def test_gravity_hold_damps_the_motors_by_the_laws_own_damping(ros: Ros, peer: Peer) -> None:
+def test_gravity_hold_uses_the_motor_damping_of_the_law(ros: Ros, peer: Peer) -> None:
     node = ros.controller(
         law__type="pd_gravity", on_stop="gravity_hold", limits__tracking_error=[0.1], recovery__join_time=0.0
     )

@@ -29,7 +29,7 @@ def dump(ros: Ros, peer: Peer, node: str) -> list[Parameter]:
 
 
 def load(ros: Ros, peer: Peer, node: str, parameters: list[Parameter]) -> list[str]:
-    """Why parameters are refused."""
+    """Set parameters as `ros2 param load` does; return the reasons of refusals."""
     results = call(ros, peer, SetParameters, f"{node}/set_parameters", parameters=parameters).results
     return [result.reason for result in results if not result.successful]
 
@@ -50,7 +50,7 @@ def test_a_plant_loads_its_own_dump(ros: Ros, peer: Peer, lockstep: bool) -> Non
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_a_controller_loads_its_own_dump_and_nothing_changes(ros: Ros, state: str) -> None:
+def test_controller_loads_its_own_dump_without_any_change(ros: Ros, state: str) -> None:
     manager = Manager(ros)
     ros.controller(autostart=False)
     for transition in STATES[state]:
@@ -66,7 +66,7 @@ def test_a_controller_loads_its_own_dump_and_nothing_changes(ros: Ros, state: st
 
 
 @pytest.mark.parametrize("node", ["fjr_plant", "fjr_controller"])
-def test_the_description_of_each_parameter_says_when_it_may_change(ros: Ros, peer: Peer, node: str) -> None:
+def test_parameter_descriptions_state_when_a_value_can_change(ros: Ros, peer: Peer, node: str) -> None:
     managed = node == "fjr_controller"
     (ros.controller if managed else ros.plant)()
     own = builders.controller_parameters if managed else builders.plant_parameters

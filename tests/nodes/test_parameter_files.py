@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What fjr_core reads from a parameter file, and writes into one, is what rcl gives to a node."""
+"""fjr_core reads and writes parameter files as rcl does for a node."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ HAND_WRITTEN = """
 
 
 class Probe(Node):
-    """A node that takes every parameter that it is given."""
+    """A node that accepts every given parameter."""
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("probe", automatically_declare_parameters_from_overrides=True, **node_kwargs)
@@ -65,18 +65,18 @@ def seen_by_rcl(ros: Ros, text: str, path: Path) -> dict[str, Any]:
     return ros.start(Probe, ["--ros-args", "--params-file", str(path)]).values()
 
 
-def test_what_is_written_is_what_rcl_reads(ros: Ros, tmp_path: Path) -> None:
+def test_written_files_are_read_equally_by_rcl(ros: Ros, tmp_path: Path) -> None:
     text = ros_yaml.dump({"/**/probe": {"ros__parameters": ros_yaml.tree_of(VALUES)}})
     assert seen_by_rcl(ros, text, tmp_path / "written.yaml") == VALUES
 
 
-def test_what_is_read_is_what_rcl_reads(ros: Ros, tmp_path: Path) -> None:
+def test_files_are_read_as_by_rcl(ros: Ros, tmp_path: Path) -> None:
     values = ros_yaml.values_for("probe", ros_yaml.parse(HAND_WRITTEN))
     assert seen_by_rcl(ros, HAND_WRITTEN, tmp_path / "hand.yaml") == values
 
 
 @pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
-def test_a_node_starts_from_a_self_contained_scenario_with_its_urdf_inside(
+def test_node_starts_from_a_self_contained_scenario_with_embedded_urdf(
     ros: Ros, tmp_path: Path, kind: type[Node]
 ) -> None:
     (tmp_path / "arm.urdf").write_text(two_link_urdf())

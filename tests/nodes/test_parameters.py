@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that do not fit are refused in one sentence before the node exists."""
+"""Invalid parameters are refused in one sentence before the node is created."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("kind", "parameters", "sentence"), BAD)
-def test_bad_parameters_are_refused(ros: Ros, kind: str, parameters: dict[str, Any], sentence: str) -> None:
+def test_invalid_parameters_are_refused(ros: Ros, kind: str, parameters: dict[str, Any], sentence: str) -> None:
     with pytest.raises(fjr.FjrError, match=sentence) as caught:
         getattr(ros, kind)(**parameters)
     assert "\n" not in str(caught.value)
@@ -76,7 +76,7 @@ def test_an_unknown_parameter_is_reported_with_a_suggestion(ros: Ros, capfd) -> 
     assert "unknown parameter 'publish_rat' is ignored; did you mean 'publish_rate'?" in capfd.readouterr().err
 
 
-def test_a_running_node_refuses_to_become_another_robot(ros: Ros) -> None:
+def test_running_node_refuses_another_robot(ros: Ros) -> None:
     from rclpy.parameter import Parameter
 
     node = ros.controller()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant's imperfections as a node has them: each changes while it runs, nonsense is refused, runs repeat."""
+"""Non-idealities of the plant node: each can change while it runs, invalid values are refused, runs are repeatable."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ DEFAULTS = {
 
 
 def put(node: Any, **imperfections: Any) -> Any:
-    """Set imperfections while the node runs; the result that a client of the parameter service gets."""
+    """Set imperfections of the running node; return the result of the parameter service."""
     named = [Parameter(f"imperfections.{name}", value=value) for name, value in imperfections.items()]
     return node.set_parameters_atomically(named)
 
 
 class Run:
-    """A plant in lock-step and a peer that answers it; every run begins with a perfect robot and a reset."""
+    """A plant in lock-step and a peer that answers it; every run begins with an ideal robot and a reset."""
 
     def __init__(self, ros: Ros) -> None:
         self.ros, self.peer = ros, Peer(ros)
@@ -43,7 +43,7 @@ class Run:
         CommandLoop(self.peer, effort=lambda s: 0.5 - 0.2 * s.position[0]).listen()
 
     def __call__(self, base: dict[str, Any], later: dict[str, Any]) -> tuple[list, list, int]:
-        """Stamps and numbers before and after the change to `later`, and how many states were published."""
+        """Return stamps and numbers before and after the change to `later`, and the number of published states."""
         defaults = {
             name.removeprefix("imperfections."): value for name, value in DEFAULTS.items() if "seed" not in name
         }
@@ -73,7 +73,7 @@ def run() -> Iterator[Run]:
 FRICTION = {"friction_smoothing_velocity": [0.1]}
 RIPPLE = {"torque_ripple": [0.05]}
 PAYLOAD = {"payload_mass": 0.2}
-CASES: dict[str, tuple[dict[str, Any], Any]] = {  # parameter: what is on before it, its new value
+CASES: dict[str, tuple[dict[str, Any], Any]] = {  # parameter: values set before it, its new value
     "link_coulomb_friction": (FRICTION, [0.02]),
     "link_static_friction": ({**FRICTION, "link_stribeck_velocity": [5.0]}, [0.02]),
     "link_stribeck_velocity": ({**FRICTION, "link_static_friction": [0.02]}, [5.0]),
@@ -110,18 +110,18 @@ CASES: dict[str, tuple[dict[str, Any], Any]] = {  # parameter: what is on before
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_an_imperfection_shows_from_its_change_on(run: Run, name: str) -> None:
+def test_nonideality_takes_effect_at_its_change(run: Run, name: str) -> None:
     base, value = CASES[name]
     unchanged, changed = run(base, {}), run(base, {name: value})
-    assert changed[0] == unchanged[0], "a run repeats bit by bit until then"
+    assert changed[0] == unchanged[0], "runs must be bit-identical until then"
     assert changed[1:] != unchanged[1:]
 
 
-def test_every_imperfection_is_in_a_test() -> None:
+def test_every_nonideality_is_tested() -> None:
     assert set(CASES) | {"seed"} == set(TABLE)
 
 
-def test_the_seed_chooses_the_noise(ros: Ros, peer: Peer) -> None:
+def test_seed_determines_the_noise(ros: Ros, peer: Peer) -> None:
     seen = []
     for seed in (0, 0, 1):
         node = ros.plant(start_paused=True, imperfections__seed=seed, imperfections__link_position_noise=[1e-3])
@@ -145,7 +145,7 @@ NONSENSE = {
 
 
 @pytest.mark.parametrize("name", NONSENSE)
-def test_nonsense_is_refused_with_a_sentence_and_the_old_values_stay(run: Run, name: str) -> None:
+def test_invalid_values_are_refused_with_a_sentence_and_change_nothing(run: Run, name: str) -> None:
     value, words = NONSENSE[name]
     before = run({}, {})
     old = dict(run.node.values)
@@ -154,11 +154,11 @@ def test_nonsense_is_refused_with_a_sentence_and_the_old_values_stay(run: Run, n
     assert words in result.reason
     assert run.node.values == old
     call(run.ros, run.peer, Trigger, "fjr_plant/reset")
-    assert (run.stride(), run.stride()) == before[:2], "not even the value next to it is taken"
+    assert (run.stride(), run.stride()) == before[:2], "valid values set together with it must be refused, too"
 
 
-def test_a_command_with_delay_acts_later_by_exactly_that(run: Run) -> None:
-    """Two and a half samples: the effort on u_k begins in the middle of a sample."""
+def test_delayed_command_acts_exactly_after_the_delay(run: Run) -> None:
+    """With a delay of 2.5 samples, u_k takes effect in the middle of a sample."""
     later, x = [], fjr.single_link().state([0.5], [0.5], [3.0], [0.0])
     before, after, _ = run({"command_delay": 0.0025}, {})
     states = dict(before + after)
@@ -173,14 +173,14 @@ def test_a_command_with_delay_acts_later_by_exactly_that(run: Run) -> None:
     np.testing.assert_allclose(position, [x[:2] for x in later], rtol=1e-13)
 
 
-def test_a_state_on_its_way_is_answered_when_it_arrives(run: Run) -> None:
-    """Each state comes, two samples late; the robot does not wait for it meanwhile."""
+def test_delayed_state_is_answered_on_arrival(run: Run) -> None:
+    """Each state arrives two samples late; the robot does not wait for it."""
     before, after, _ = run({"state_delay": 0.002}, {})
     assert list(dict(before + after)) == [START + k * PERIOD for k in range(2 * STRIDE - 1)]
     assert run.node._robot.time == 2 * STRIDE * PERIOD
 
 
-def test_a_lost_state_is_not_waited_for_and_a_run_with_losses_repeats(run: Run) -> None:
+def test_lost_state_is_not_waited_for_and_runs_with_losses_are_repeatable(run: Run) -> None:
     losses = {"state_loss": 0.4, "command_loss": 0.2, "state_jitter": 0.002, "link_position_noise": [1e-3]}
     one, other = run(losses, {}), run(losses, {})
     assert one == other
@@ -188,7 +188,7 @@ def test_a_lost_state_is_not_waited_for_and_a_run_with_losses_repeats(run: Run) 
     assert run.node._robot.time == 2 * STRIDE * PERIOD
 
 
-def test_a_plant_that_loses_everything_can_still_be_stopped(run: Run) -> None:
+def test_plant_that_loses_all_messages_can_be_stopped(run: Run) -> None:
     run({}, {"state_loss": 1.0})
     call(run.ros, run.peer, SetBool, "fjr_plant/pause", data=False)
     time = run.node._robot.time
@@ -210,12 +210,12 @@ def start_moving(ros: Ros, peer: Peer, **parameters: Any) -> Any:
     return node
 
 
-def test_real_time_states_come_late_and_complete(ros: Ros, peer: Peer) -> None:
+def test_real_time_states_are_delayed_and_complete(ros: Ros, peer: Peer) -> None:
     node = start_moving(ros, peer)
     ages = []
 
     def heard(state: JointState) -> None:
-        node._time_base.catch_up()  # the robot's time is the clock's only then
+        node._time_base.catch_up()  # robot time equals clock time only then
         ages.append(node._time_base.stamp - nanoseconds(state))
 
     peer.create_subscription(JointState, "joint_states", heard, 1000)
@@ -229,7 +229,7 @@ def test_real_time_states_come_late_and_complete(ros: Ros, peer: Peer) -> None:
     assert stamps == sorted(stamps)
 
 
-def test_real_time_commands_act_late_by_exactly_the_delay(ros: Ros, peer: Peer) -> None:
+def test_real_time_commands_act_exactly_after_the_delay(ros: Ros, peer: Peer) -> None:
     node = start_moving(ros, peer)
     assert put(node, command_delay=0.02).successful
     sent_at = node._robot.time
@@ -240,7 +240,7 @@ def test_real_time_commands_act_late_by_exactly_the_delay(ros: Ros, peer: Peer) 
     assert sent_at + 20 * PERIOD <= node._time_base._last_command == came_at + 20 * PERIOD
 
 
-def test_real_time_losses_and_copies(ros: Ros, peer: Peer) -> None:
+def test_real_time_losses_and_duplicates(ros: Ros, peer: Peer) -> None:
     node = start_moving(ros, peer)
     assert put(node, state_loss=1.0, command_loss=1.0).successful
     ros.settle()
@@ -253,21 +253,21 @@ def test_real_time_losses_and_copies(ros: Ros, peer: Peer) -> None:
     ros.until(lambda: len(peer.states) > count + 20, "states again")
     stamps = [nanoseconds(state) for state in peer.states[count:]]
     assert stamps[0:20:2] == stamps[1:20:2]
-    assert peer.states[-1].effort[1] == 0.3, "the second command was lost"
+    assert peer.states[-1].effort[1] == 0.3, "the second command must be lost"
 
 
-# Torques from outside.
+# External torques.
 
 
 def pushed(x: np.ndarray, torque: float, seconds: float) -> np.ndarray:
-    """Eq. (36) with a torque on the link, by SciPy."""
+    """Integrate eq. (36) with a torque on the link by SciPy."""
     plant = fjr.Plant(fjr.single_link())
     push = np.array([0.0, 0.0, torque, 0.0])
     solved = solve_ivp(lambda _, x: plant.derivative(x, [0.0]) + push, (0, seconds), x, rtol=1e-11, atol=1e-13)
     return solved.y[:, -1]
 
 
-def test_a_torque_from_outside_moves_the_link_until_the_next_message_or_a_reset(ros: Ros, peer: Peer) -> None:
+def test_external_torque_acts_until_the_next_message_or_a_reset(ros: Ros, peer: Peer) -> None:
     node = ros.plant(start_paused=True, advance_samples=100)
     publisher = peer.create_publisher(JointState, "fjr_plant/external_torque", 1)
     ros.until(publisher.get_subscription_count)

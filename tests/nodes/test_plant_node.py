@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant node against a peer that plays the controller; exact in time whatever the machine's load."""
+"""The plant node with a peer as the controller; results are exact in time under any load of the machine."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ TWO = {f"initial_{side}_{what}": [0.1, 0.2] for side in ("link", "motor") for wh
 
 
 def in_motion(peer: Peer) -> list[JointState]:
-    """The states of a robot that was at rest, from the first one in motion on."""
+    """Return the states from the first one in motion on."""
     moving = [i for i, state in enumerate(peer.states) if list(state.position) != list(peer.states[0].position)]
     return peer.states[moving[0] :] if moving else []
 
 
 def time_in_motion(node: PlantNode, peer: Peer) -> int:
-    """Stamped time [ns] since the robot began to move; the last state at rest, stamped then, may be lost."""
+    """Return the stamped time [ns] since the start of the motion; the last state at rest may be lost."""
     return nanoseconds(peer.states[-1]) - node._time_base.offset
 
 
-def test_stands_still_until_the_first_command(ros: Ros, peer: Peer) -> None:
+def test_robot_is_at_rest_until_the_first_command(ros: Ros, peer: Peer) -> None:
     ros.plant()
     peer.meet_plant()
     ros.until(lambda: len(peer.states) > 30)
@@ -43,8 +43,8 @@ def test_stands_still_until_the_first_command(ros: Ros, peer: Peer) -> None:
     ros.until(lambda: in_motion(peer), "motion")
 
 
-def test_stamps_the_exact_time_of_the_state(ros: Ros, peer: Peer) -> None:
-    """Between two states lie whole inner steps of the held effort, as many as the stamps say."""
+def test_stamps_are_the_exact_times_of_the_states(ros: Ros, peer: Peer) -> None:
+    """Two states are separated by whole inner steps with the held effort, according to their stamps."""
     node = ros.plant(command_timeout=100.0)
     peer.meet_plant()
     peer.effort_publisher.publish(command(0.3))
@@ -69,8 +69,8 @@ def test_publishes_efforts_of_spring_and_motor(ros: Ros, peer: Peer) -> None:
     ros.until(lambda: peer.states[-1].effort[1] == 0.25, "the applied effort")
 
 
-def test_holds_the_last_command_then_lets_go_after_command_timeout(ros: Ros, peer: Peer) -> None:
-    """The effort is on for exactly the timeout from the command on, then zero."""
+def test_last_command_is_held_until_command_timeout(ros: Ros, peer: Peer) -> None:
+    """The effort acts for exactly the timeout after the command, then it is zero."""
     node = ros.plant(command_timeout=0.05)
     peer.meet_plant()
     peer.effort_publisher.publish(command(0.3))
@@ -93,7 +93,7 @@ BAD_COMMANDS = {
 
 
 @pytest.mark.parametrize("case", BAD_COMMANDS)
-def test_refuses_a_malformed_command_and_says_so_once(ros: Ros, peer: Peer, case: str, capfd) -> None:
+def test_malformed_command_is_refused_and_logged_once(ros: Ros, peer: Peer, case: str, capfd) -> None:
     message, kind = BAD_COMMANDS[case]
     node = ros.plant()
     peer.meet_plant()
@@ -103,20 +103,20 @@ def test_refuses_a_malformed_command_and_says_so_once(ros: Ros, peer: Peer, case
         ros.until(lambda k=k, key=key: node._health.count[key] == k + 1, "the refusal")
     count = len(peer.states)
     ros.until(lambda: len(peer.states) > count)
-    assert not in_motion(peer), "it must not have started"
+    assert not in_motion(peer), "the motion must not have started"
     node.stop()
     ros.until(lambda: peer.count(f"command refused: {kind}", "fjr_plant") == 3, "the counter")
     assert capfd.readouterr().err.count("command refused") == 1
 
 
-def test_counts_skipped_ticks_and_keeps_the_time(ros: Ros, peer: Peer) -> None:
+def test_skipped_ticks_are_counted_and_time_is_kept(ros: Ros, peer: Peer) -> None:
     node = ros.plant(command_timeout=100.0)
     peer.meet_plant()
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: in_motion(peer))
     start = peer.states[0]
     skipped, end = node._health.count["ticks skipped"], time.monotonic() + 0.05
-    while time.monotonic() < end:  # nobody spins: the node is late by 50 ticks
+    while time.monotonic() < end:  # without spinning the node is late by 50 ticks
         pass
     ros.until(lambda: node._health.count["ticks skipped"] >= skipped + 45, "the counter")
     ros.settle()
@@ -156,7 +156,7 @@ def test_pause_stops_publication_and_the_motion(ros: Ros, peer: Peer) -> None:
     assert nanoseconds(peer.states[count]) >= stopped + 0.2e9
 
 
-def test_reset_while_paused_does_not_hold_the_robot_after_the_resume(ros: Ros, peer: Peer) -> None:
+def test_reset_while_paused_does_not_block_the_motion_after_resume(ros: Ros, peer: Peer) -> None:
     node = ros.plant(wait_for_command=False, restart_silence=0.0)
     ros.until(lambda: len(peer.states) > 10)
     call(ros, peer, SetBool, "fjr_plant/pause", data=True)
@@ -168,11 +168,11 @@ def test_reset_while_paused_does_not_hold_the_robot_after_the_resume(ros: Ros, p
     assert node._time_base.origin <= time.monotonic_ns()
 
 
-def test_a_plant_slower_than_real_time_loses_time_and_says_so(ros: Ros, peer: Peer) -> None:
+def test_plant_slower_than_real_time_skips_time_and_reports_it(ros: Ros, peer: Peer) -> None:
     node = ros.plant(wait_for_command=False)
     ros.until(lambda: peer.states)
     end = time.monotonic() + 0.4
-    while time.monotonic() < end:  # nobody spins
+    while time.monotonic() < end:  # no spinning
         pass
     ros.until(lambda: node._health.count["time lost"] >= 1, "the counter")
 
@@ -190,13 +190,13 @@ def test_lockstep_advances_one_sample_per_answer(ros: Ros, peer: Peer) -> None:
         np.testing.assert_allclose(state_of(peer.states[-1]), x, rtol=1e-12, atol=1e-15)
 
 
-def test_lockstep_ignores_answers_to_other_states_and_obeys_only_stamped_commands(ros: Ros, peer: Peer) -> None:
+def test_lockstep_applies_only_stamped_commands_for_its_state(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True)
     peer.meet_plant(lockstep=True)
     first = peer.states[-1]
     peer.command_publisher.publish(answer(first, 0.1))
     ros.until(lambda: nanoseconds(peer.states[-1]) == LOCKSTEP_START + PERIOD)
-    assert peer.effort_publisher.get_subscription_count() == 1, "only this peer listens to the unstamped topic"
+    assert peer.effort_publisher.get_subscription_count() == 1, "only this peer subscribes to the unstamped topic"
     for wrong in (answer(first, 5.0), answer(peer.states[-1], float("nan")), answer(peer.states[-1], 1.0, ("other",))):
         peer.command_publisher.publish(wrong)
         ros.settle()
@@ -214,7 +214,7 @@ def test_lockstep_sends_an_unanswered_state_again(ros: Ros, peer: Peer) -> None:
 
 
 @pytest.mark.parametrize("simulated", [False, True])
-def test_the_clock_that_it_follows_does_not_change_while_it_runs(ros: Ros, peer: Peer, simulated: bool) -> None:
+def test_use_sim_time_cannot_change_while_running(ros: Ros, peer: Peer, simulated: bool) -> None:
     node = ros.plant(use_sim_time=simulated)
     (result,) = node.set_parameters([Parameter("use_sim_time", value=not simulated)])
     assert (result.successful, result.reason) == (
@@ -230,8 +230,8 @@ def test_the_clock_that_it_follows_does_not_change_while_it_runs(ros: Ros, peer:
     assert node.values["advance_samples"] == 1
 
 
-def test_whoever_comes_later_gets_the_robot_as_a_urdf(ros: Ros) -> None:
-    """Names of its joints are those of /joint_states, so that viewers and robot_state_publisher move it."""
+def test_late_subscribers_receive_the_urdf(ros: Ros) -> None:
+    """Its joint names are those of /joint_states, as viewers and robot_state_publisher require."""
     node = ros.plant(robot__model="planar_two_link", joints=["shoulder", "elbow"], **TWO)
     heard: list[String] = []
     late = ros.add(Node("viewer", context=ros.context))
@@ -242,6 +242,6 @@ def test_whoever_comes_later_gets_the_robot_as_a_urdf(ros: Ros) -> None:
     assert joints == {"shoulder", "elbow"}
 
 
-def test_a_plant_may_keep_its_description_to_itself(ros: Ros) -> None:
+def test_publication_of_the_description_can_be_disabled(ros: Ros) -> None:
     node = ros.plant(publish_description=False)
     assert node.count_publishers("robot_description") == 0

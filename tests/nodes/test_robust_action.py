@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust action in the node: its effect on the loop, and what the diagnostics report of it."""
+"""Robust action in the node: its effect on the loop and its entries in the diagnostics."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_two_runs_are_bit_identical() -> None:
     assert [runs[0][stamp] for stamp in both] == [runs[1][stamp] for stamp in both]
 
 
-def test_with_an_estimate_there_is_no_diagnosis(ros: Ros) -> None:
+def test_no_diagnosis_with_a_disturbance_estimate(ros: Ros) -> None:
     hearer = heard(ros, {"robot__gravity_torque": [1.4]}, {"robust__residual_gain": [60.0]})
     ros.until(lambda: len(hearer.verdicts()) > 1, "a verdict")
     assert {verdict for verdict, _ in hearer.verdicts()} == {"unknown"}
@@ -93,7 +93,7 @@ def test_with_an_estimate_there_is_no_diagnosis(ros: Ros) -> None:
     assert values.bound == -1
 
 
-def test_with_prediction_there_is_no_diagnosis_but_a_storage_with_rates(ros: Ros) -> None:
+def test_prediction_has_no_diagnosis_but_a_storage_with_rates(ros: Ros) -> None:
     hearer = heard(ros, {}, {"robust__delay": 0.001})
     ros.until(lambda: len(hearer.verdicts()) > 1, "a verdict")
     assert {verdict for verdict, _ in hearer.verdicts()} == {"unknown"}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What sensors and messages do to a run, without ROS: seeded, the same every time, each error by itself."""
+"""Sensor and channel errors without ROS: seeded, repeatable, each error separately."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from fjr_plant.sensors import Sensors, sensors
 
 MS = 1_000_000  # ns
 N = 20_000
-CHANCE = 1e-9  # that a fair sequence fails a statistical test; the seeds are fixed, so it does not
+CHANCE = 1e-9  # probability that a fair sequence fails a test; the seeds are fixed, so none does
 
 
 def arrivals(link: Channel[int], pushes: int = 200, period: int = MS) -> list[tuple[int, int]]:
-    """(time, item) of all that arrives, item k pushed at k periods and everything taken as it becomes due."""
+    """Return (time, item) of all arrivals if item k is pushed at k periods and items are taken when due."""
     seen = []
     for k in range(pushes):
         while (due := link.next_due) is not None and due <= k * period:
@@ -40,7 +40,7 @@ def within(count: int, probability: float, trials: int = N) -> bool:
 # Channels.
 
 
-def test_a_perfect_channel_is_none() -> None:
+def test_channel_without_errors_is_none() -> None:
     assert channel(ChannelErrors(), 0, STATES) is None
     assert channel(None, 0, STATES) is None
     assert ChannelErrors(in_order=False).off
@@ -53,7 +53,7 @@ def test_a_delay_is_exact() -> None:
     assert arrivals(Channel(ChannelErrors(delay=3.25e-3))) == [(k * MS + 3_250_000, k) for k in range(200)]
 
 
-def test_what_is_due_is_given_once_and_not_before() -> None:
+def test_items_are_delivered_once_and_not_before_they_are_due() -> None:
     link: Channel[str] = Channel(ChannelErrors(delay=2e-3))
     assert link.next_due is None
     link.push(0, "a")
@@ -68,7 +68,7 @@ def test_what_is_due_is_given_once_and_not_before() -> None:
 
 
 @pytest.mark.parametrize("probability", [0.01, 0.1, 0.5])
-def test_so_many_are_lost_and_repeated_as_the_probability_says(probability: float) -> None:
+def test_loss_and_duplication_have_their_probabilities(probability: float) -> None:
     lost = N - len(arrivals(Channel(ChannelErrors(loss=probability), seed=3), N))
     assert within(lost, probability)
     more = len(arrivals(Channel(ChannelErrors(repetition=probability), seed=3), N)) - N
@@ -76,13 +76,13 @@ def test_so_many_are_lost_and_repeated_as_the_probability_says(probability: floa
 
 
 @pytest.mark.parametrize("probability", [0.0, 1.0])
-def test_never_and_always_are_exact(probability: float) -> None:
+def test_probabilities_0_and_1_are_exact(probability: float) -> None:
     assert len(arrivals(Channel(ChannelErrors(delay=1e-3, loss=probability)))) == (0 if probability else 200)
     assert len(arrivals(Channel(ChannelErrors(delay=1e-3, repetition=probability)))) == (400 if probability else 200)
 
 
-def test_losses_do_not_come_in_groups() -> None:
-    """The fates of neighbours are independent: both lost as often as the product says."""
+def test_losses_are_independent() -> None:
+    """Two consecutive items are both lost with the product of their probabilities."""
     kept = {item for _, item in arrivals(Channel(ChannelErrors(loss=0.3), seed=5), N)}
     pairs = sum(k not in kept and k + 1 not in kept for k in range(0, N, 2))
     assert within(pairs, 0.09, N // 2)
@@ -95,7 +95,7 @@ def test_jitter_is_uniform() -> None:
     assert stats.kstest(late, stats.uniform(0, 900_000).cdf).pvalue > 1e-6
 
 
-def test_jitter_keeps_the_order_unless_it_may_not() -> None:
+def test_jitter_preserves_the_order_unless_reordering_is_allowed() -> None:
     errors = ChannelErrors(delay=1e-3, jitter=5e-3, repetition=0.2)
     kept = [item for _, item in arrivals(Channel(errors, seed=2))]
     assert kept == sorted(kept)
@@ -109,7 +109,7 @@ def test_jitter_keeps_the_order_unless_it_may_not() -> None:
 EVERYTHING = ChannelErrors(delay=2e-3, jitter=4e-3, loss=0.2, repetition=0.3, in_order=False)
 
 
-def test_a_run_repeats_and_another_seed_or_stream_does_not() -> None:
+def test_sequence_is_repeatable_and_differs_for_another_seed_or_stream() -> None:
     link: Channel[int] = Channel(EVERYTHING, seed=7, stream=COMMANDS)
     first = arrivals(link)
     link.push(0, 99)
@@ -125,7 +125,7 @@ def test_streams_of_a_seed_differ() -> None:
     assert len({generator(0, stream).random() for stream in (STATES, COMMANDS, SENSORS, PERIOD)}) == 4
 
 
-def test_each_error_leaves_the_fate_by_the_others_alone() -> None:
+def test_each_error_does_not_affect_the_others() -> None:
     lost = set(range(200)) - {item for _, item in arrivals(Channel(ChannelErrors(loss=0.2)))}
     late = {item: due - item * MS for due, item in arrivals(Channel(ChannelErrors(jitter=1e-3)))}
     both = arrivals(Channel(ChannelErrors(delay=5e-3, jitter=1e-3, loss=0.2)))
@@ -137,7 +137,7 @@ def test_each_error_leaves_the_fate_by_the_others_alone() -> None:
     assert {item for item in all_of_it if all_of_it.count(item) == 2} == repeated - lost
 
 
-def test_a_change_while_running_meets_only_what_is_pushed_later() -> None:
+def test_change_applies_only_to_items_pushed_later() -> None:
     link: Channel[str] = Channel(ChannelErrors(delay=3e-3))
     link.push(0, "slow")
     link.change(ChannelErrors())
@@ -152,7 +152,7 @@ def test_a_change_while_running_meets_only_what_is_pushed_later() -> None:
 @pytest.mark.parametrize(
     "bad", [{"delay": -1e-3}, {"jitter": float("nan")}, {"loss": 1.5}, {"repetition": -0.1}, {"delay": float("inf")}]
 )
-def test_bad_errors_of_a_channel_are_named(bad: dict[str, float]) -> None:
+def test_invalid_channel_errors_are_named(bad: dict[str, float]) -> None:
     with pytest.raises(ParameterError, match=f"^{next(iter(bad))} is .*; expected"):
         ChannelErrors(**bad)
 
@@ -165,7 +165,7 @@ def test_sample_times_without_jitter_are_the_periods() -> None:
     assert [times.next() for _ in range(5)] == [k * MS for k in range(1, 6)]
 
 
-def test_late_samples_are_whole_inner_steps_in_order_and_lateness_does_not_add_up() -> None:
+def test_sample_delays_are_whole_inner_steps_and_do_not_accumulate() -> None:
     times = SampleTimes(MS, 50_000, 0.9e-3, seed=1)
     instants = np.array([0] + [times.next() for _ in range(N)])
     late = instants[1:] - MS * np.arange(1, N + 1)
@@ -192,18 +192,18 @@ POSITION, VELOCITY = np.array([0.3, -1.2, 0.31, -1.19]), np.array([0.5, -0.25, 0
 
 
 def measured(sensor: Sensors, instants: int = N) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities (k, 4) at so many instants."""
+    """Return positions and velocities (k, 4) at k instants."""
     pairs = [sensor.measured(k, POSITION, VELOCITY) for k in range(instants)]
     return np.array([q for q, _ in pairs]), np.array([dq for _, dq in pairs])
 
 
-def test_perfect_sensors_are_none() -> None:
+def test_sensors_without_errors_are_none() -> None:
     assert sensors(SensorErrors(2), 0) is None
     assert sensors(None, 0) is None
     assert sensors(SensorErrors(2, velocities=False), 0) is not None
 
 
-def test_the_encoder_gives_the_nearest_step_of_its_turn() -> None:
+def test_encoder_rounds_to_its_nearest_step() -> None:
     sensor = Sensors(SensorErrors(2, bits_l=(12, 0), bits_m=(16.5, 8)))
     turn, q = 2 * np.pi, np.linspace(-4, 4, 501)
     for value in q:
@@ -216,7 +216,7 @@ def test_the_encoder_gives_the_nearest_step_of_its_turn() -> None:
         assert np.array_equal(velocity, VELOCITY)
 
 
-def test_the_noise_has_its_deviations_and_no_mean() -> None:
+def test_noise_has_zero_mean_and_its_standard_deviation() -> None:
     deviations = {"position_l": (1e-3, 0.0), "position_m": 2e-3, "velocity_l": 0.1, "velocity_m": (0.0, 0.3)}
     q, dq = measured(Sensors(SensorErrors(2, **deviations), seed=2))
     wanted = np.array([1e-3, 0, 2e-3, 2e-3, 0.1, 0.1, 0, 0.3])
@@ -228,14 +228,14 @@ def test_the_noise_has_its_deviations_and_no_mean() -> None:
     assert np.max(np.abs(correlation)) < 6 / np.sqrt(N)
 
 
-def test_the_encoder_comes_after_the_noise() -> None:
+def test_noise_is_added_before_quantisation() -> None:
     q, _ = measured(Sensors(SensorErrors(2, bits_l=10, bits_m=10, position_l=0.01, position_m=0.01)), 100)
     counts = q / (2 * np.pi / 2**10)
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
     assert len(np.unique(counts[:, 0])) > 3
 
 
-def test_one_instant_is_measured_once_however_often_it_is_asked_for() -> None:
+def test_repeated_reads_of_an_instant_are_equal() -> None:
     errors = SensorErrors(2, position_l=0.01, velocity_m=0.1)
     often, once = Sensors(errors), Sensors(errors)
     for time in range(0, 50):
@@ -254,7 +254,7 @@ def test_noise_repeats_after_a_reset_and_with_the_same_seed_only() -> None:
     assert not np.array_equal(measured(Sensors(errors, seed=5), 50)[0], first)
 
 
-def test_without_velocities_the_field_is_empty_and_positions_are_as_before() -> None:
+def test_omitting_velocities_leaves_positions_unchanged() -> None:
     errors = SensorErrors(2, position_m=0.01)
     position, velocity = Sensors(replace(errors, velocities=False)).measured(0, POSITION, VELOCITY)
     assert velocity.shape == (0,)
@@ -264,8 +264,8 @@ def test_without_velocities_the_field_is_empty_and_positions_are_as_before() -> 
 @pytest.mark.parametrize(
     "name", ["bits_l", "bits_m", "position_l", "position_m", "velocity_l", "velocity_m", "velocities"]
 )
-def test_each_error_of_a_sensor_touches_its_own_numbers_only(name: str) -> None:
-    """Among other errors that stay, and with the same random numbers as without it."""
+def test_each_sensor_error_affects_only_its_own_signal(name: str) -> None:
+    """The other errors remain, with the same random numbers as without it."""
     base = SensorErrors(2, **dict.fromkeys(("position_l", "position_m", "velocity_l", "velocity_m"), 0.01))
     value: Any = {"bits_l": 8, "bits_m": 8, "velocities": False}.get(name, 0.02)
     q, dq = measured(Sensors(base), 20)
@@ -283,6 +283,6 @@ def blocks(q: np.ndarray, dq: np.ndarray) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("bad", [{"bits_l": -1}, {"bits_m": 60}, {"position_l": [1.0] * 3}, {"velocity_m": np.nan}])
-def test_bad_errors_of_sensors_are_named(bad: dict[str, Any]) -> None:
+def test_invalid_sensor_errors_are_named(bad: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=f"^{next(iter(bad))} .*; expected"):
         SensorErrors(2, **bad)

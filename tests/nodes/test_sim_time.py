@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""With use_sim_time, not in lock-step, the robot's time is that of a /clock that somebody else plays."""
+"""With use_sim_time and without lock-step, robot time follows a /clock from another publisher."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SECOND = 1_000_000_000
 
 
 class Player:
-    """Plays /clock to a plant, one message at a time."""
+    """Publish /clock to a plant, one message at a time."""
 
     def __init__(self, ros: Ros, peer: Peer, **parameters: object) -> None:
         self._ros, self._peer = ros, peer
@@ -26,7 +26,7 @@ class Player:
         ros.until(lambda: self._publisher.get_subscription_count() and peer.effort_publisher.get_subscription_count())
 
     def play(self, time: int) -> None:
-        """Show a time [ns], and wait until the plant has done what it does about it."""
+        """Publish a time [ns] and wait until the plant has processed it."""
         message = Clock()
         message.clock.sec, message.clock.nanosec = divmod(time, SECOND)
         self._publisher.publish(message)
@@ -34,7 +34,7 @@ class Player:
         self._ros.settle(5)
 
     def run(self, start: int, samples: int) -> list[int]:
-        """Play so many periods from `start` on; the stamps of the states that came meanwhile."""
+        """Publish a number of periods from `start` on; return the stamps of the states received."""
         before = len(self._peer.states)
         for k in range(samples + 1):
             self.play(start + k * PERIOD)
@@ -42,7 +42,7 @@ class Player:
 
 
 def assert_one_motion(states: list, effort: float = 0.0) -> None:
-    """Between two states lies as much motion as between their stamps."""
+    """Check that the motion between two states agrees with their stamps."""
     x, stamp = state_of(states[0]), nanoseconds(states[0])
     for state in states[1:]:
         steps, rest = divmod(nanoseconds(state) - stamp, INNER)
@@ -51,7 +51,7 @@ def assert_one_motion(states: list, effort: float = 0.0) -> None:
         np.testing.assert_allclose(state_of(state), x, rtol=1e-12, atol=1e-15)
 
 
-def test_nothing_is_sent_until_the_clock_shows_a_time(ros: Ros, peer: Peer) -> None:
+def test_nothing_is_sent_before_the_first_clock_message(ros: Ros, peer: Peer) -> None:
     player = Player(ros, peer)
     ros.settle(100)
     player.play(0)
@@ -59,7 +59,9 @@ def test_nothing_is_sent_until_the_clock_shows_a_time(ros: Ros, peer: Peer) -> N
     assert player.node._health.count["states published"] == 0
     player.run(50 * SECOND, 3)
     assert [nanoseconds(state) for state in peer.states[-3:]] == [50 * SECOND + k * PERIOD for k in (1, 2, 3)]
-    assert {tuple(state.position) for state in peer.states} == {(0.5, 0.5)}, "it stands still until the first command"
+    assert {tuple(state.position) for state in peer.states} == {(0.5, 0.5)}, (
+        "the robot must be at rest until the first command"
+    )
 
 
 def test_stamps_follow_the_clock_and_stop_with_it(ros: Ros, peer: Peer) -> None:
@@ -84,14 +86,14 @@ def test_commands_act_and_end_by_the_clock(ros: Ros, peer: Peer) -> None:
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: player.node._health.count["commands received"] == 1)
     ros.settle(200)
-    assert nanoseconds(peer.states[-1]) == 50 * SECOND + 2 * PERIOD, "the clock has not moved"
+    assert nanoseconds(peer.states[-1]) == 50 * SECOND + 2 * PERIOD, "the clock must not have advanced"
     player.run(50 * SECOND + 2 * PERIOD, 20)
     expected = integrate(integrate(start, 0.3, 20), 0.0, 60)
     np.testing.assert_allclose(state_of(peer.states[-1]), expected, rtol=1e-12)
     assert player.node._health.count["command timeouts"] == 1
 
 
-def test_a_jump_forward_is_integrated_in_part_and_counted(ros: Ros, peer: Peer) -> None:
+def test_forward_jump_is_integrated_partly_and_counted(ros: Ros, peer: Peer) -> None:
     player = Player(ros, peer, wait_for_command=False)
     player.play(50 * SECOND)
     player.run(50 * SECOND, 5)
@@ -115,14 +117,14 @@ def test_stamps_catch_up_with_a_clock_that_is_far_ahead(ros: Ros, peer: Peer) ->
     assert_one_motion(peer.states[count:])
 
 
-def test_after_a_jump_back_the_stamps_go_on_from_the_new_time(ros: Ros, peer: Peer, capfd) -> None:
+def test_stamps_continue_from_the_new_time_after_a_backward_jump(ros: Ros, peer: Peer, capfd) -> None:
     player = Player(ros, peer, wait_for_command=False)
     player.play(50 * SECOND)
     player.run(50 * SECOND, 5)
     for start in (20 * SECOND, 10 * SECOND):
         count, x = len(peer.states), state_of(peer.states[-1])
         stamps = player.run(start, 10)
-        assert start < stamps[0] <= start + 2 * PERIOD, "by the first tick after the jump"
+        assert start < stamps[0] <= start + 2 * PERIOD, "at the first tick after the jump"
         np.testing.assert_array_equal(state_of(peer.states[count]), x)
         assert stamps[-1] == start + 10 * PERIOD
         assert_one_motion(peer.states[count:])
@@ -130,7 +132,7 @@ def test_after_a_jump_back_the_stamps_go_on_from_the_new_time(ros: Ros, peer: Pe
     assert capfd.readouterr().err.count("jumped back") == 1
 
 
-def test_a_clock_that_shows_zero_again_stands_still(ros: Ros, peer: Peer) -> None:
+def test_clock_reset_to_zero_stops_the_time(ros: Ros, peer: Peer) -> None:
     player = Player(ros, peer, wait_for_command=False)
     player.play(50 * SECOND)
     player.run(50 * SECOND, 5)
@@ -169,7 +171,7 @@ def test_a_pause_outlasts_a_jump_of_the_clock(ros: Ros, peer: Peer, jump: int) -
     np.testing.assert_allclose(state_of(peer.states[-1]), integrate(x, 0.0, 24), rtol=1e-12)
 
 
-def test_the_robot_is_not_advanced_before_the_clock_shows_a_time(ros: Ros, peer: Peer) -> None:
+def test_advance_is_refused_before_the_first_clock_message(ros: Ros, peer: Peer) -> None:
     player = Player(ros, peer, start_paused=True, advance_samples=3)
     response = call(ros, peer, Trigger, "fjr_plant/advance")
     assert (response.success, response.message) == (False, "no time has been received on /clock; expected one first")
@@ -178,8 +180,8 @@ def test_the_robot_is_not_advanced_before_the_clock_shows_a_time(ros: Ros, peer:
     assert (response.success, response.message) == (True, "advanced by 3 samples: the time is 1.003000000 s")
 
 
-def test_samples_are_late_by_the_jitter_of_the_period_while_it_is_on(ros: Ros, peer: Peer) -> None:
-    """Ticks every 20 ms, shown to the millisecond; the lateness of a sample rounds up to what the clock shows next."""
+def test_samples_are_delayed_by_the_period_jitter_while_enabled(ros: Ros, peer: Peer) -> None:
+    """Ticks are 20 ms apart and the clock has steps of 1 ms, to which the delay of a sample is rounded up."""
     player = Player(ros, peer, wait_for_command=False, publish_rate=50.0, inner_steps=80)
     player.play(50 * SECOND)
     assert set(np.diff(player.run(50 * SECOND, 60))) == {20 * PERIOD}

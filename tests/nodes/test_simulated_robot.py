@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot in motion: exactly the plant while all is well, and each parameter imperfections.* by itself."""
+"""The simulated robot equals the plant without non-idealities; each parameter imperfections.* acts separately."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def simulated(
 
 
 def run(robot: SimulatedRobot, milliseconds: int = 40) -> np.ndarray:
-    """Everything measured, once a millisecond, under an effort that changes."""
+    """Return all measurements, every millisecond, under a varying effort."""
     rows = []
     for k in range(robot.time // 1_000_000 + 1, robot.time // 1_000_000 + milliseconds + 1):
         robot.u = np.array([2.0 * np.sin(0.3 * k)])
@@ -42,7 +42,7 @@ def run(robot: SimulatedRobot, milliseconds: int = 40) -> np.ndarray:
     return np.array(rows)
 
 
-def test_with_everything_off_it_is_the_plant_bit_for_bit() -> None:
+def test_ideal_robot_is_bit_identical_to_the_plant() -> None:
     robot, plant = simulated(), fjr.Plant(fjr.single_link())
     x = fjr.single_link().state(*START.values())
     for k in range(1, 41):
@@ -57,7 +57,7 @@ def test_with_everything_off_it_is_the_plant_bit_for_bit() -> None:
     assert np.array_equal(effort, [(31.0 * np.diff(x[:2]))[0], 0.3 * 40])
 
 
-def test_it_never_goes_past_the_time_asked_for() -> None:
+def test_integration_never_exceeds_the_requested_time() -> None:
     robot = simulated(Nonidealities(1, coulomb_m=0.1))
     robot.advance_to(INNER * 3 - 1)
     assert robot.time == INNER * 2
@@ -67,7 +67,7 @@ NOISY = SensorErrors(1, bits_l=14, position_m=1e-4, velocity_l=0.01)
 BAD = Nonidealities(1, coulomb_m=0.05, static_m=0.1, smoothing=0.05, cubic=100, ripple=0.1, effort_limit=1.5, lag=2e-3)
 
 
-def test_a_run_repeats_after_a_reset_bit_for_bit() -> None:
+def test_run_after_a_reset_is_bit_identical() -> None:
     robot = simulated(BAD, sensor_errors=NOISY, seed=3)
     first = run(robot)
     robot.external = np.array([0.4])
@@ -91,7 +91,7 @@ def test_a_reset_with_a_payload_begins_with_the_same_velocities() -> None:
         robot.reset()
 
 
-def test_a_payload_is_taken_and_let_go_without_a_jump() -> None:
+def test_payload_changes_without_a_jump_of_the_motion() -> None:
     robot = simulated()
     run(robot, 10)
     before = robot.x.copy()
@@ -103,7 +103,7 @@ def test_a_payload_is_taken_and_let_go_without_a_jump() -> None:
     np.testing.assert_allclose(robot.x, before, rtol=1e-12)
 
 
-def test_a_change_while_running_goes_on_as_a_robot_that_was_always_so() -> None:
+def test_changed_robot_continues_like_one_built_with_the_new_values() -> None:
     robot, other = simulated(), simulated(BAD)
     run(robot, 10)
     robot.change(BAD)
@@ -115,7 +115,7 @@ def test_a_change_while_running_goes_on_as_a_robot_that_was_always_so() -> None:
     assert np.array_equal(run(robot, 10), run(other, 10))
 
 
-def test_a_lag_that_is_switched_on_begins_at_the_torque_that_acts() -> None:
+def test_enabled_lag_starts_from_the_acting_torque() -> None:
     robot = simulated(Nonidealities(1, effort_limit=1.0))
     robot.u = np.array([3.0])
     robot.advance_to(4 * INNER)
@@ -125,7 +125,7 @@ def test_a_lag_that_is_switched_on_begins_at_the_torque_that_acts() -> None:
     assert robot.measure()[2][1] == pytest.approx(3 - 2 * np.exp(-0.1), rel=1e-12)
 
 
-def test_the_torque_that_acts_is_measured() -> None:
+def test_acting_torque_is_measured() -> None:
     for imperfections, applied in (
         (None, 2.0),
         (Nonidealities(1, effort_limit=0.7), 0.7),
@@ -136,7 +136,7 @@ def test_the_torque_that_acts_is_measured() -> None:
         assert robot.measure()[2][1] == applied
 
 
-def test_a_push_works_without_any_imperfection_and_ends_exactly() -> None:
+def test_external_torque_acts_on_an_ideal_robot_and_ends_exactly() -> None:
     pushed, plain = simulated(), simulated()
     pushed.external = np.array([0.5])
     assert not np.allclose(run(pushed, 1), run(plain, 1))
@@ -145,9 +145,9 @@ def test_a_push_works_without_any_imperfection_and_ends_exactly() -> None:
     assert np.array_equal(run(pushed), run(plain))
 
 
-def test_a_push_is_felt_as_gravity_of_that_size_would_be() -> None:
+def test_external_torque_balances_gravity_of_equal_size() -> None:
     robot = simulated()
-    robot.external = np.array([0.8 * np.sin(0.4)])  # holds the link's weight where it is
+    robot.external = np.array([0.8 * np.sin(0.4)])  # balances gravity at this position
     robot._x0 = fjr.single_link().state([0.4], [0.4], [0.0], [0.0])
     robot.x = robot._x0.copy()
     robot.advance_to(10_000_000)
@@ -155,7 +155,7 @@ def test_a_push_is_felt_as_gravity_of_that_size_would_be() -> None:
 
 
 @pytest.mark.parametrize("side", ["l", "m"])
-def test_friction_too_steep_for_the_step_is_refused_and_nothing_changes(side: str) -> None:
+def test_friction_too_stiff_for_the_step_is_refused_without_any_change(side: str) -> None:
     robot = simulated(BAD)
     steep = Nonidealities(1, **{f"coulomb_{side}": 1.0, "smoothing": 1e-4})
     with pytest.raises(fjr.ParameterError, match="friction_smoothing_velocity"):
@@ -166,8 +166,8 @@ def test_friction_too_steep_for_the_step_is_refused_and_nothing_changes(side: st
     simulated(steep, integrator="implicit_midpoint")
 
 
-def test_friction_at_its_steepest_brakes_without_a_change_of_sign() -> None:
-    """At the steepest slope that is allowed a slow motor loses speed in every step, and never turns back."""
+def test_stiffest_friction_brakes_without_changing_the_sign_of_the_velocity() -> None:
+    """At the largest allowed slope a slow motor decelerates in every step and never reverses."""
     steepest = 0.5 / 0.004 * INNER * 1e-9 / 1.999
     robot = simulated(Nonidealities(1, coulomb_m=0.5, smoothing=steepest), fjr.single_link(gravity_torque=0.0))
     robot.x = fjr.single_link().state([0.0], [0.0], [0.0], [0.1 * steepest])
@@ -179,7 +179,7 @@ def test_friction_at_its_steepest_brakes_without_a_change_of_sign() -> None:
     assert np.all((ratios > 0.2) & (ratios < 0.5))
 
 
-def test_a_payload_where_there_is_no_hand_is_refused() -> None:
+def test_payload_without_an_end_effector_frame_is_refused() -> None:
     links = closed_form(1, lambda q: 0.1 + 0 * q, lambda q: -q[0])
     robot = fjr.Robot(links, *([[value]] for value in (0.1, 10.0, 0.1, 0.1, 1.0)))
     made = simulated(robot=robot)
@@ -189,7 +189,7 @@ def test_a_payload_where_there_is_no_hand_is_refused() -> None:
         words.imperfections(values(**{"imperfections.payload_mass": 0.1}), robot)
 
 
-# The parameters in words.
+# Parameters.
 
 
 def values(**given: Any) -> dict[str, Any]:
@@ -204,7 +204,7 @@ def test_all_are_off_by_default() -> None:
     assert words.period_jitter(found) == 0.0
 
 
-BASE = {  # every parameter that only shapes another one has something to shape
+BASE = {  # enable the effects that other parameters modify
     "link_coulomb_friction": (0.05,),
     "link_static_friction": (0.1,),
     "link_stribeck_velocity": (0.3,),
@@ -269,7 +269,7 @@ def stream(errors: Any, seed: int, which: int) -> list[tuple[int, int]]:
 
 
 def behaviour(**given: Any) -> dict[str, bytes]:
-    """All that a run shows, by kind."""
+    """Return all observable results of a run, by kind."""
     found = values(**{f"imperfections.{name}": value for name, value in {**BASE, **given}.items()})
     robot, seed = fjr.single_link(), words.seed(found)
     made = simulated(words.imperfections(found, robot), sensor_errors=words.sensor_errors(found, 1), seed=seed)
@@ -289,7 +289,7 @@ def usual() -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_each_parameter_changes_what_it_names_and_nothing_else(name: str, usual: dict[str, bytes]) -> None:
+def test_each_parameter_changes_only_the_behaviour_it_names(name: str, usual: dict[str, bytes]) -> None:
     changed = behaviour(**{name: CASES[name]})
     seen = {kind for kind in usual if usual[kind] != changed[kind]}
     wanted = {"seed": {MEASURED, STATE, COMMAND}, "messages_in_order": {STATE, COMMAND}, "period_jitter": {PERIOD}}
@@ -297,7 +297,7 @@ def test_each_parameter_changes_what_it_names_and_nothing_else(name: str, usual:
     assert seen == wanted.get(name, side)
 
 
-def test_the_seed_is_also_that_of_the_sample_times() -> None:
+def test_seed_also_determines_the_sample_times() -> None:
     assert behaviour(period_jitter=0.5e-3)[PERIOD] != behaviour(period_jitter=0.5e-3, seed=1)[PERIOD]
 
 
@@ -305,11 +305,11 @@ def test_no_parameter_is_left_out() -> None:
     assert {f"imperfections.{name}" for name in CASES} == {p.name for p in words.imperfection_parameters(1)}
 
 
-def test_everything_but_the_seed_may_change_while_the_robot_runs() -> None:
+def test_all_parameters_but_the_seed_are_dynamic() -> None:
     assert [p.name for p in words.imperfection_parameters(2) if not p.dynamic] == ["imperfections.seed"]
 
 
-def test_lateness_of_samples_stays_below_the_period() -> None:
+def test_period_jitter_must_be_below_the_period() -> None:
     with pytest.raises(fjr.ParameterError, match=r"period_jitter.*expected less than the period, 0\.001 s"):
         words.period_jitter(values(**{"imperfections.period_jitter": 1e-3}))
 
@@ -328,6 +328,6 @@ def test_a_value_out_of_range_is_refused_by_its_name(name: str, value: Any) -> N
         values(**{f"imperfections.{name}": value})
 
 
-def test_lists_need_one_entry_for_each_joint() -> None:
+def test_lists_require_one_entry_per_joint() -> None:
     with pytest.raises(fjr.ParameterError, match=r"imperfections\.torque_ripple.*expected 1"):
         words.imperfections(values(**{"imperfections.torque_ripple": (1.0, 2.0)}), fjr.single_link())

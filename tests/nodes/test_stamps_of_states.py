@@ -14,17 +14,17 @@ from nodes.test_sim_time import SECOND, Player
 
 
 def stamped_after(ros: Ros, peer: Peer, instant: int) -> None:
-    """Wait for a state that is stamped after the instant [ns], and for none that is stamped in the future."""
+    """Wait for a state stamped after the instant [ns]; fail if a stamp is in the future."""
     ros.until(lambda: nanoseconds(peer.states[-1]) >= instant, "a stamp of now")
     assert nanoseconds(peer.states[-1]) <= time.time_ns()
 
 
-def test_stamps_are_those_of_the_clock_whenever_time_starts_or_resumes(ros: Ros, peer: Peer) -> None:
+def test_stamps_equal_the_clock_when_time_starts_or_resumes(ros: Ros, peer: Peer) -> None:
     node = ros.plant(restart_silence=0.1, command_timeout=100.0)
     peer.meet_plant()
     stamped_after(ros, peer, time.time_ns())
     end = time.monotonic() + 0.2
-    ros.until(lambda: time.monotonic() > end)  # the first command comes late
+    ros.until(lambda: time.monotonic() > end)  # the first command is late
     stamped_after(ros, peer, time.time_ns())
     commanded = time.time_ns()
     peer.effort_publisher.publish(command(0.3))
@@ -40,13 +40,13 @@ def test_stamps_are_those_of_the_clock_whenever_time_starts_or_resumes(ros: Ros,
         ros.until(lambda count=count: len(peer.states) > count + 5, "states again")
         assert nanoseconds(peer.states[-1]) >= instant
         stamped_after(ros, peer, instant)
-    assert node._time_base.origin is None, "after a reset it waits for a command"
+    assert node._time_base.origin is None, "after a reset the plant must wait for a command"
     stamps = [nanoseconds(state) for state in peer.states]
     assert stamps == sorted(stamps)
 
 
 def test_a_controller_recovers_from_a_reset(ros: Ros, peer: Peer) -> None:
-    """It sees a silence, and leads the reference from the initial state: no jump, no large effort."""
+    """The controller detects a silence and joins the reference without a jump or a large effort."""
     player = Player(ros, peer)
     controller = ros.controller(use_sim_time=True, state_timeout=0.5)
     peer.meet_controller()
@@ -54,7 +54,7 @@ def test_a_controller_recovers_from_a_reset(ros: Ros, peer: Peer) -> None:
     ros.until(lambda: peer.states[-1].position[0] != 0.5, "motion")
     assert call(ros, peer, Trigger, "fjr_plant/reset").success
     ros.settle()
-    count = len(peer.efforts)  # the answers to states before the reset are there
+    count = len(peer.efforts)  # commands for states before the reset have arrived
     for k in range(105):
         player.play(50 * SECOND + 50 * PERIOD + k * 10 * PERIOD)
     player.run(51 * SECOND + 100 * PERIOD, 100)

@@ -37,7 +37,7 @@ def reference_at(manager: Manager, t: float) -> tuple[np.ndarray, np.ndarray]:
     return np.array(manager.references[-1].position), np.array(manager.references[-1].velocity)
 
 
-# What a message says.
+# Messages.
 
 
 def test_joints_are_mapped_by_name() -> None:
@@ -50,7 +50,7 @@ def test_joints_are_mapped_by_name() -> None:
     assert waypoints.start is None
 
 
-def test_joints_that_are_left_out_hold_where_that_is_allowed() -> None:
+def test_omitted_joints_hold_if_partial_trajectories_are_allowed() -> None:
     message = trajectory((1.0, [1.0]), joints=("b",), velocities=[[0.0]])
     waypoints = TrajectoryReader(TWO, allow_partial=True).read(message).completed(np.array([7.0, 8.0]))
     np.testing.assert_array_equal(waypoints.positions, [[7.0, 1.0]])
@@ -92,7 +92,7 @@ def test_an_invalid_message_is_refused_in_one_sentence(case: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_some_joints_only_are_refused_unless_allowed() -> None:
+def test_partial_trajectories_are_refused_unless_allowed() -> None:
     with pytest.raises(MessageError, match=r"expected \['a'\] too, or the parameter allow_partial_joints"):
         TrajectoryReader(TWO).read(trajectory((1.0, [1.0]), joints=("b",)))
 
@@ -112,7 +112,7 @@ def test_points_in_the_past_are_dropped_and_times_count_from_now() -> None:
         TrajectoryReader(("joint1",)).read(message).upcoming(ZERO + 5 * SECOND // 2)
 
 
-# What the controller does.
+# Execution.
 
 
 def move(**fields: Any) -> JointTrajectory:
@@ -140,7 +140,7 @@ def test_a_trajectory_goes_through_its_points_and_stays_at_the_last(
         np.testing.assert_allclose([*q, *dq], [-0.2, 0.0], atol=1e-9)
 
 
-def test_a_replacement_makes_no_step_of_u(ros: Ros, manager: Manager) -> None:
+def test_replacement_causes_no_step_of_u(ros: Ros, manager: Manager) -> None:
     ros.controller()
     manager.meet_controller()
     k = 20
@@ -175,7 +175,7 @@ def test_a_trajectory_waits_for_its_start(ros: Ros, manager: Manager) -> None:
     np.testing.assert_allclose(reference_at(manager, 1.0)[0], [0.1], atol=1e-9)
 
 
-def test_a_start_in_the_past_is_joined_and_a_past_trajectory_is_refused(ros: Ros, manager: Manager) -> None:
+def test_past_start_is_joined_and_a_past_trajectory_refused(ros: Ros, manager: Manager) -> None:
     ros.controller()
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
@@ -187,7 +187,7 @@ def test_a_start_in_the_past_is_joined_and_a_past_trajectory_is_refused(ros: Ros
     np.testing.assert_allclose(reference_at(manager, 1.5)[0], [0.2], atol=1e-9)
 
 
-def test_no_points_stop_the_motion(ros: Ros, manager: Manager) -> None:
+def test_empty_trajectory_stops_the_motion(ros: Ros, manager: Manager) -> None:
     ros.controller()
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
@@ -245,7 +245,7 @@ def test_the_limits_of_the_robot_apply_to_trajectories(ros: Ros, manager: Manage
     assert JOINTS[1] in event.message
 
 
-def test_joints_left_out_hold_where_the_parameter_allows_it(ros: Ros, manager: Manager) -> None:
+def test_omitted_joints_hold_with_allow_partial_joints(ros: Ros, manager: Manager) -> None:
     names = ["joint1", "joint2", "joint1_motor", "joint2_motor"]
     ros.controller(
         robot__model="planar_two_link",
@@ -317,18 +317,18 @@ def planned(ros: Ros, manager: Manager, gate: Gate, *messages: JointTrajectory, 
 
 def test_commands_are_sent_while_a_trajectory_is_planned(ros: Ros, manager: Manager, gate: Gate) -> None:
     planned(ros, manager, gate, move())
-    for i in range(1, 21):  # by the reference that is running
+    for i in range(1, 21):  # by the active reference
         t = STEP * i
         np.testing.assert_allclose(reference_at(manager, t), [[np.sin(t)], [np.cos(t)]], atol=1e-9)
     assert "references changed" not in manager.kinds()
     gate.open()
     ros.until(lambda: "references changed" in manager.kinds(), "the plan")
-    for t, q in ((0.5, 0.3), (1.0, -0.2)):  # times count from when the message came
+    for t, q in ((0.5, 0.3), (1.0, -0.2)):  # times count from the arrival of the message
         np.testing.assert_allclose(reference_at(manager, t)[0], [q], atol=1e-9)
     assert threading.current_thread() not in gate.threads
 
 
-def test_a_plan_that_comes_late_makes_no_step_of_u(ros: Ros, manager: Manager, gate: Gate) -> None:
+def test_late_plan_causes_no_step_of_u(ros: Ros, manager: Manager, gate: Gate) -> None:
     node = planned(ros, manager, gate, move())
     k = 20
     efforts = [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(1, k + 1)]
@@ -344,7 +344,7 @@ def test_a_plan_that_comes_late_makes_no_step_of_u(ros: Ros, manager: Manager, g
 
 
 @pytest.mark.parametrize("service", ["hold", "play"])
-def test_a_request_during_planning_wins(ros: Ros, manager: Manager, gate: Gate, service: str) -> None:
+def test_request_during_planning_takes_precedence(ros: Ros, manager: Manager, gate: Gate, service: str) -> None:
     planned(ros, manager, gate, move())
     assert manager.trigger(service)[0]
     ros.until(lambda: "trajectories given up" in manager.kinds(), "the event")
@@ -377,7 +377,7 @@ def test_limits_that_change_during_planning_apply(ros: Ros, manager: Manager, ga
     assert "references changed" not in manager.kinds()
 
 
-def test_a_deactivated_controller_discards_what_is_being_planned(ros: Ros, manager: Manager, gate: Gate) -> None:
+def test_deactivation_discards_the_trajectory_being_planned(ros: Ros, manager: Manager, gate: Gate) -> None:
     planned(ros, manager, gate, move())
     assert manager.change("deactivate")
     ros.until(lambda: "trajectories given up" in manager.kinds(), "the event")
@@ -392,11 +392,11 @@ def test_a_deactivated_controller_discards_what_is_being_planned(ros: Ros, manag
 
 
 @pytest.mark.parametrize("simulated", [False, True], ids=["real time", "simulated time"])
-def test_an_unexpected_error_of_planning_is_refused_and_logged(
+def test_unexpected_planning_error_refuses_the_trajectory_and_is_logged(
     ros: Ros, manager: Manager, simulated: bool, monkeypatch: pytest.MonkeyPatch, capfd
 ) -> None:
     def failing(problem: PlanningProblem) -> None:
-        raise ZeroDivisionError("a fault of ours")
+        raise ZeroDivisionError("an unexpected error")
 
     ros.controller(use_sim_time=simulated)
     manager.meet_controller()
@@ -404,7 +404,7 @@ def test_an_unexpected_error_of_planning_is_refused_and_logged(
     monkeypatch.setattr(PlanningProblem, "solve", failing)
     event = manager.send(move())
     assert event.name == "trajectory refused: failed"
-    assert "a fault of ours" in event.message
+    assert "an unexpected error" in event.message
     assert "Traceback" in capfd.readouterr().err
     np.testing.assert_allclose(reference_at(manager, 0.5), [[np.sin(0.5)], [np.cos(0.5)]], atol=1e-9)
     monkeypatch.undo()
@@ -419,13 +419,13 @@ def test_an_unexpected_error_of_a_callback_does_not_end_the_node(
     manager.ask(stamped(0.0, 0.0))
 
     def failing(reason: str) -> None:
-        raise ZeroDivisionError("a fault of ours")
+        raise ZeroDivisionError("an unexpected error")
 
     interface = node._control._interface
     monkeypatch.setattr(interface, "on_replaced", failing)
     ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
     manager.trajectories.publish(move())
-    ros.until(lambda: "a fault of ours" in capfd.readouterr().err, "the log")
+    ros.until(lambda: "an unexpected error" in capfd.readouterr().err, "the log")
     monkeypatch.undo()
     np.testing.assert_allclose(reference_at(manager, 0.5), [[np.sin(0.5)], [np.cos(0.5)]], atol=1e-9)
     assert manager.send(move()).name == "references changed"

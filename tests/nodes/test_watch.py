@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr watch` without a terminal: what it collects, what it writes, what it hears of real nodes."""
+"""`fjr watch` without a terminal: data it collects, text it renders, topics of real nodes it receives."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ FULL = View(
 
 
 @pytest.mark.parametrize("width", [80, 100, 120, 200])
-def test_a_picture_says_everything_at_any_width(width: int) -> None:
+def test_view_is_complete_at_any_width(width: int) -> None:
     said = text(FULL, width)
     assert max(map(len, said.splitlines())) <= width
     for words in (
@@ -72,7 +72,7 @@ def test_a_picture_says_everything_at_any_width(width: int) -> None:
     assert ("dq_l" in said) == (width >= 118)
 
 
-def test_what_is_not_there_is_said() -> None:
+def test_missing_data_are_reported() -> None:
     assert "waiting for joint states" in text(View("t"))
     assert "no certificate received" in text(View("t"))
     assert "no state for 2.5 s" in text(dataclasses.replace(FULL, silence=2.5))
@@ -96,11 +96,11 @@ def test_effort_bars_have_a_sign_and_end_at_the_limit(value: float, bar: str) ->
 def test_a_sparkline_shows_decades() -> None:
     assert sparkline((1.0, 1e-7), 10) == "█▁"
     assert sparkline((1.0, 1.0, 0.0), 2) == "█▁"
-    assert sparkline((1.0, 0.99), 2) == "██", "less than a decade is little"
+    assert sparkline((1.0, 0.99), 2) == "██", "less than a decade is a low bar"
     assert sparkline((), 5) == ""
 
 
-def test_timing_is_of_the_last_seconds() -> None:
+def test_timing_covers_the_last_seconds() -> None:
     watched = Watched("t")
     sent = [(k * MS, k * MS + 100) for k in range(1, 5001)]
     watched.sent(sent)
@@ -113,7 +113,7 @@ def test_timing_is_of_the_last_seconds() -> None:
     assert timing.unanswered == 20
 
 
-def test_a_state_that_is_sent_again_counts_once_and_a_reset_begins_anew() -> None:
+def test_repeated_state_counts_once_and_a_reset_clears_the_view() -> None:
     watched = Watched("t")
     watched.sent([(10 * MS, 1), (10 * MS, 50 * MS), (11 * MS, 51 * MS)])
     assert watched.view(0.0).timing.period[2] == pytest.approx(0.051, rel=1e-3)
@@ -121,7 +121,7 @@ def test_a_state_that_is_sent_again_counts_once_and_a_reset_begins_anew() -> Non
     assert watched.view(0.0).timing.period == pytest.approx((1e-3, 1e-3, 1e-3))
 
 
-def test_joints_without_their_motors_with_errors_efforts_and_limits() -> None:
+def test_joints_are_shown_with_errors_efforts_and_limits() -> None:
     watched = Watched("t", {"b": 2.0})
     assert watched.view(0.0).silence is None
     watched.state(1.0, {"a": 0.1, "b": 0.2, "a_motor": 0.3, "c_motor": 1.0}, {"a": 1.0})
@@ -135,18 +135,18 @@ def test_joints_without_their_motors_with_errors_efforts_and_limits() -> None:
     a, b, motor = view.joints
     assert a == JointLine("a", 0.1, 1.0, pytest.approx(0.2), 1e-3, 1.0, 8.0, 4.0)
     assert (b.limit, b.deflection, b.velocity, b.error) == (2.0, None, None, None)
-    assert motor.name == "c_motor", "no joint c: it is a joint of that name"
+    assert motor.name == "c_motor", "there is no joint c in the states"
 
 
 @pytest.mark.parametrize("urdf", ["", "<robot", "<robot><joint name='a'><limit effort='many'/></joint></robot>"])
-def test_a_description_that_cannot_be_read_has_no_limits(urdf: str) -> None:
+def test_invalid_description_gives_no_limits(urdf: str) -> None:
     watched = Watched("t")
     watched.state(0.0, {"a": 0.0}, {})
     watched.description(urdf)
     assert watched.view(0.0).joints[0].limit is None
 
 
-def test_a_node_that_reports_no_more_is_stale() -> None:
+def test_silent_node_is_stale() -> None:
     watched = Watched("t")
     watched.health(1.0, Health("fjr_plant", 0, "ok"))
     assert watched.view(2.0).health[0].level == 0
@@ -168,11 +168,11 @@ def array(labels: list[str], data: list[float]) -> Float64MultiArray:
         (array([], [1.0]), {}),
     ],
 )
-def test_labels_name_numbers(message: Float64MultiArray, values: dict[str, float]) -> None:
+def test_labels_assign_values(message: Float64MultiArray, values: dict[str, float]) -> None:
     assert labelled(message) == values
 
 
-def test_hears_plant_and_controller_under_any_names(ros: Ros) -> None:
+def test_plant_and_controller_are_found_under_any_names(ros: Ros) -> None:
     rules = ["--ros-args", "-r", "__ns:=/left", "-r", "joint_states:=/robot/states"]
     watched = Watched("t")
     node = ros.add(Node("watch", context=ros.context, cli_args=rules))
@@ -192,5 +192,5 @@ def test_hears_plant_and_controller_under_any_names(ros: Ros) -> None:
     assert joint.name == "joint1"
     assert joint.position is not None
     assert joint.peak > 0
-    assert all(status.name.startswith("left/") for status in watched.view(0.0).health), "not of the other robot"
+    assert all(status.name.startswith("left/") for status in watched.view(0.0).health), "no data of the other robot"
     assert set(watch.missing()) <= {"/left/fjr_controller/certificate"}

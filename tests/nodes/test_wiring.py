@@ -93,7 +93,7 @@ def matrix(value: Any, n: int) -> Any:
 
 
 def controller_effort(ros: Ros, model: str = "single_link", **parameters: Any) -> np.ndarray:
-    """What a controller node with these parameters answers at the instant T, having started at 0."""
+    """Return the effort of a controller node with these parameters at time T after a start at 0."""
     peer = Peer(ros)
     ros.controller(**{**model_parameters(model), **parameters})
     peer.meet_controller()
@@ -123,7 +123,7 @@ ROBOT_FILE = f"""/**:
 """
 
 
-def test_controller_robot_file_and_what_wins_over_it(ros: Ros, tmp_path: Path) -> None:
+def test_controller_robot_file_and_its_overrides(ros: Ros, tmp_path: Path) -> None:
     (tmp_path / "arm.yaml").write_text(ROBOT_FILE)
     (tmp_path / "arm.urdf").write_text(URDF)
     peer = Peer(ros)
@@ -137,12 +137,12 @@ def test_controller_robot_file_and_what_wins_over_it(ros: Ros, tmp_path: Path) -
     assert node.get_parameter("robot.urdf").value == str(tmp_path / "arm.urdf")
 
 
-def test_compiled_or_not_the_controller_answers_the_same(ros: Ros) -> None:
+def test_compiled_controller_sends_the_same_effort(ros: Ros) -> None:
     effort = controller_effort(ros, compile=True)
     np.testing.assert_allclose(effort, law_effort(fjr.single_link(), fjr.PAPER_GAINS, unit_sine(1)), rtol=1e-9)
 
 
-def test_compiled_or_not_the_plant_moves_the_same(ros: Ros) -> None:
+def test_compiled_plant_moves_identically(ros: Ros) -> None:
     np.testing.assert_allclose(measured(lockstep_state(ros, compile=True)), simulated(fjr.single_link()), rtol=1e-9)
 
 
@@ -185,7 +185,7 @@ def test_controller_joints(ros: Ros) -> None:
 
 
 def lockstep_state(ros: Ros, model: str = "single_link", samples: int = 20, **parameters: Any) -> JointState:
-    """State of a plant node with these parameters after some samples of a constant effort."""
+    """Return the state of a plant node with these parameters after some samples of a constant effort."""
     peer = Peer(ros)
     ros.plant(**{"lockstep": True, **model_parameters(model), **parameters})
     peer.meet_plant(lockstep=True)
@@ -200,7 +200,7 @@ def lockstep_state(ros: Ros, model: str = "single_link", samples: int = 20, **pa
 
 
 def simulated(robot: fjr.Robot, samples: int = 20, integrator: str = "rk4", steps: int = 4) -> np.ndarray:
-    """Positions and velocities that the plant must report, by the mathematics alone."""
+    """Return the positions and velocities that the plant must report, computed by fjr_core."""
     plant, half, zero = fjr.Plant(robot, integrator), np.full(robot.n, 0.5), np.zeros(robot.n)
     x = robot.state(half, half, zero, zero)
     for _ in range(samples * steps):
@@ -243,7 +243,7 @@ def test_plant_publish_rate(ros: Ros) -> None:
     assert nanoseconds(lockstep_state(ros, samples=3, publish_rate=250.0)) == LOCKSTEP_START + 3 * 4_000_000
 
 
-def test_plant_does_not_wait_for_a_command_when_told(ros: Ros, peer: Peer) -> None:
+def test_plant_wait_for_command_can_be_disabled(ros: Ros, peer: Peer) -> None:
     ros.plant(wait_for_command=False)
     ros.until(lambda: peer.states and peer.states[-1].position[0] < 0.499, "the fall of the link")
 
@@ -257,10 +257,10 @@ def test_plant_joints(ros: Ros, peer: Peer) -> None:
 WIRED_ELSEWHERE = {
     "robot.model",  # every planar_two_link and urdf case
     "robot.urdf",  # every urdf case
-    "robot.file",  # test_controller_robot_file_and_what_wins_over_it
+    "robot.file",  # test_controller_robot_file_and_its_overrides
     "robot.locked_joints",  # test_controller_locked_joints
     "robot.locked_positions",
-    "compile",  # test_compiled_or_not_...
+    "compile",  # test_compiled_...
     "autostart",  # test_lifecycle
     "certificate",  # test_certificate
     "certificate_tolerance",  # test_certificate

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags made from a recorded one: other storages, fewer topics, other messages; written by the rosbags library."""
+"""Derive bags from a recorded one by the rosbags library: other storages, fewer topics, other messages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def rewritten(
     prefix: str = "",
     compression: CompressionMode = CompressionMode.NONE,
 ) -> Path:
-    """A copy of a bag. topics: those to keep, empty: all; change: (topic, message) -> another, None: drop it."""
+    """Copy a bag. topics: to keep, empty for all; change: (topic, message) -> new message, None to drop it."""
     with AnyReader([bag], default_typestore=STORE) as reader, _writer(target, storage, compression) as writer:
         kept = [each for each in reader.connections if not topics or each.topic in topics]
         made = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A real headless Chromium, spoken to by its DevTools protocol; it can reach no network."""
+"""A headless Chromium without network, controlled by its DevTools protocol."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FLAGS = (
     "--remote-debugging-port=0",
     "--host-resolver-rules=MAP * ~NOTFOUND",
 )
-# Pixels of each canvas that are neither grey nor transparent: what is drawn besides axes and grid.
+# Count the pixels of each canvas that are neither grey nor transparent, i.e. not axes or grid.
 COLOURED = """[...document.querySelectorAll("canvas")].map((canvas) => {
   const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
   let coloured = 0;
@@ -60,7 +60,7 @@ class Browser:
             self.call(f"{domain}.enable")
 
     def _address(self) -> str:
-        """Where the tab listens, once the browser has written its port."""
+        """Return the address of the tab, once the browser has written its port."""
         file, end = Path(self._profile.name, "DevToolsActivePort"), time.monotonic() + LIMIT
         while not (file.is_file() and file.read_text().count("\n")):
             assert time.monotonic() < end, "Chromium did not start"
@@ -82,7 +82,7 @@ class Browser:
                 return message["result"]
 
     def open(self, path: Path, width: int = 1280, height: int = 900, dark: bool = False) -> None:
-        """Open a file from disk, as a double click would, and wait until it has drawn."""
+        """Open a file from disk, as a double click does, and wait until it is drawn."""
         self.said.clear()
         self.asked.clear()
         self.size(width, height)
@@ -99,13 +99,13 @@ class Browser:
         )
 
     def value(self, expression: str) -> Any:
-        """What an expression is worth in the page."""
+        """Return the value of an expression in the page."""
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
     def settle(self) -> None:
-        """Wait until what was asked for is drawn."""
+        """Wait until all pending drawing is done."""
         self.value("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done))))")
 
     def mouse(self, kind: str, x: float, y: float, held: bool = False) -> None:
@@ -113,7 +113,7 @@ class Browser:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=int(held), clickCount=1)
 
     def coloured(self) -> list[int]:
-        """Coloured pixels of each plot."""
+        """Return the number of coloured pixels of each plot."""
         return list(self.value(COLOURED))
 
     def close(self) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts the installed executables that `ros2 run` would start, each in a session of its own."""
+"""Start the installed executables that `ros2 run` starts, each in its own session."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ament_index_python.packages import get_package_prefix, get_package_share_di
 
 from patience import HANG, Limit
 
-TIME_LIMIT = 60.0  # s on a free machine
+TIME_LIMIT = 60.0  # s on an idle machine
 
 
 class Executable:

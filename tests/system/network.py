@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two network namespaces joined by a veth pair, each like a computer of its own."""
+"""Two network namespaces joined by a veth pair, each like a separate computer."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
 
 
 class RefusedError(Exception):
-    """Why there are no namespaces here."""
+    """Reason why namespaces are not available."""
 
 
 class Network:
-    """The namespaces `left` and `right`; a context manager that removes them. Raises RefusedError."""
+    """Context manager with the namespaces `left` and `right`. Raises RefusedError."""
 
     def __init__(self) -> None:
         self.left, self.right = (f"fjr-{side}-{os.getpid()}" for side in ("left", "right"))
@@ -46,7 +46,7 @@ class Network:
         self._remove()
 
     def start(self, namespace: str, *command: str, out: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
-        """Start a command in a namespace; `out` is where its standard output goes."""
+        """Start a command in a namespace; `out` receives its standard output."""
         said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed at the exit)
         process = subprocess.Popen(
             ["ip", "netns", "exec", namespace, *command],
@@ -63,7 +63,7 @@ class Network:
         return "\n".join(os.pread(said.fileno(), 100_000, 0).decode() for _, said in self._started)
 
     def sent(self, namespace: str) -> int:
-        """Packets that have left a namespace."""
+        """Return the number of packets sent from a namespace."""
         shown = ip("-n", namespace, "-s", "-j", "link", "show", "dev", "veth")
         return int(json.loads(shown)[0]["stats64"]["tx"]["packets"])
 
@@ -89,7 +89,7 @@ class Network:
 
 
 def ip(*arguments: str) -> str:
-    """Run `ip`; raises RefusedError with its words."""
+    """Run `ip`; raises RefusedError with its error message."""
     return _run("ip", *arguments)
 
 
@@ -104,7 +104,7 @@ def _run(*command: str) -> str:
 
 
 def installed(package: str, name: str) -> str:
-    """The file that `ros2 run package name` starts."""
+    """Return the file that `ros2 run package name` starts."""
     from ament_index_python.packages import get_package_prefix
 
     return str(Path(get_package_prefix(package), "lib", package, name))

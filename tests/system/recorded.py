@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scenario run in lock-step by `fjr`, read from its bag independently of fjr's own report."""
+"""Run a scenario in lock-step by `fjr` and read its bag independently of the report."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def reader(folder: Path) -> AnyReader:
 
 
 def columns(bag: AnyReader, topic: str, field: str) -> dict[int, np.ndarray]:
-    """A field by stamp [ns]; the first message of a stamp counts."""
+    """Return a field by stamp [ns], of the first message of each stamp."""
     found: dict[int, np.ndarray] = {}
     connections = [connection for connection in bag.connections if connection.topic == topic]
     for connection, _, raw in bag.messages(connections):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arms of two and seven joints over ROS 2: two processes in lock-step, judged from the bag."""
+"""Arms of two and seven joints over ROS 2: two processes in lock-step, evaluated from the bag."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def recorded(request, tmp_path_factory) -> Recorded:
     return record(request.param, DURATION, tmp_path_factory.mktemp("runs"))
 
 
-def test_all_links_are_on_the_reference_within_three_seconds(recorded: Recorded) -> None:
+def test_all_links_reach_the_reference_within_3_s(recorded: Recorded) -> None:
     assert recorded.error[0] >= 0.05 - 1e-9
     assert np.max(recorded.error[recorded.t >= 3.0]) < 1e-4
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_the_nodes_compute_what_the_mathematics_does(name: str, tmp_path: Path) -> None:
-    """Lock-step over ROS is the sampled loop of fjr_core, to rounding, where nothing ramps or slows the effort."""
+def test_nodes_agree_with_fjr_core(name: str, tmp_path: Path) -> None:
+    """Lock-step over ROS equals the sampled loop of fjr_core to rounding if no ramp or rate limit acts."""
     loaded = load_scenario(scenario(name))
     n = loaded.robot.n
     recorded = record(name, 1.0, tmp_path, "start.ramp_time:=0.0", f"limits.effort_rate:=[{', '.join(['.inf'] * n)}]")
@@ -41,7 +41,7 @@ def test_the_nodes_compute_what_the_mathematics_does(name: str, tmp_path: Path) 
     assert np.max(np.abs(recorded.u[:k] - run.u)) <= 1e-8 * np.max(np.abs(run.u))
 
 
-def test_the_report_holds_each_joints_peak_effort_and_its_limit(recorded: Recorded) -> None:
+def test_report_contains_peak_effort_and_limit_of_each_joint(recorded: Recorded) -> None:
     tracking = json.loads((recorded.folder / "report.json").read_text())["tracking"]
     made = load_scenario(recorded.folder / "scenario.yaml")
     inside = recorded.t < DURATION - 1e-9
@@ -54,7 +54,7 @@ def test_the_report_holds_each_joints_peak_effort_and_its_limit(recorded: Record
     assert share is None if made.robot.limits is None else 0.0 < share < 1.0
 
 
-def test_a_rate_is_called_proven_only_where_it_is(recorded: Recorded) -> None:
+def test_rate_is_labelled_proven_only_if_proven(recorded: Recorded) -> None:
     storage = json.loads((recorded.folder / "report.json").read_text())["storage"]
     proven = recorded.folder.name == "two_link"
     assert storage["guarantee_is_proven"] is proven
@@ -62,7 +62,7 @@ def test_a_rate_is_called_proven_only_where_it_is(recorded: Recorded) -> None:
     assert ("(sampled:" in recorded.said) is not proven
 
 
-def test_the_kept_scenario_needs_no_other_file(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_saved_scenario_is_self_contained(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
     original = load_scenario(scenario(recorded.folder.name))
     monkeypatch.delenv("AMENT_PREFIX_PATH")
     kept = load_scenario(recorded.folder / "scenario.yaml")

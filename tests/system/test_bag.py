@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded bag holds every byte that was sent, when it was sent, in a form that other tools read."""
+"""A recorded bag contains every byte sent, with send times, in a format that other tools read."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def joint_state(k: int) -> bytes:
-    """A serialised JointState of varying size, order and content, without undefined bytes in its padding."""
+    """Return a serialised JointState of varying size, order and content, without undefined padding bytes."""
     store = message_types.typestore()
     header, stamp, kind = (
         store.types[name] for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", JOINT_STATE)
@@ -77,7 +77,7 @@ def matched(recorder: Recorder, *publishers: Publisher) -> None:
 
 @pytest.fixture
 def recorded(node: Node, tmp_path: Path) -> tuple[Path, list[bytes]]:
-    """A closed bag with COUNT joint states, and what was sent."""
+    """Return a closed bag with COUNT joint states, and the messages sent."""
     publisher = node.create_publisher(JointState, "/joint_states", COUNT)
     sent = [joint_state(k) for k in range(COUNT)]
     with Recorder(tmp_path / "bag") as recorder:
@@ -89,8 +89,8 @@ def recorded(node: Node, tmp_path: Path) -> tuple[Path, list[bytes]]:
     return tmp_path / "bag", sent
 
 
-def test_the_elapsed_time_can_be_asked_for_while_messages_are_taken(tmp_path: Path) -> None:
-    """Ask for the elapsed time between any two messages of the first drain, as another thread may."""
+def test_elapsed_time_can_be_read_during_a_drain(tmp_path: Path) -> None:
+    """Read the elapsed time between any two messages of the first drain, as another thread may."""
     elapsed: list[float] = []
     waiting = [(joint_state(k), {"publication_sequence_number": k}) for k in (0, 1500, 2000)]
     waiting = [(data, {**info, "received_timestamp": 1, "source_timestamp": 1}) for data, info in waiting]
@@ -134,7 +134,7 @@ def test_joints_are_columns_by_name(recorded: tuple[Path, list[bytes]]) -> None:
     np.testing.assert_array_equal(table.stamp, k * 1_000_000 + 5)
 
 
-def test_stamps_are_read_off_the_wire() -> None:
+def test_stamps_are_read_from_serialised_messages() -> None:
     assert header_stamp(joint_state(2500)) == 2_500_000_005
 
 
@@ -201,7 +201,7 @@ def test_mcap_ros2_support_decodes_the_recorded_definitions(recorded: tuple[Path
     assert len(stamps) == COUNT
 
 
-def test_topics_that_appear_later_are_found_with_what_they_offer(node: Node, tmp_path: Path) -> None:
+def test_later_topics_are_recorded_with_their_qos(node: Node, tmp_path: Path) -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     early = node.create_publisher(String, "/described_before", latched)
     early.publish(String(data="sent before the recorder came"))
@@ -238,7 +238,7 @@ def test_lost_messages_show_in_the_numbering(recorded: tuple[Path, list[bytes]])
     assert topic.lost == 3
 
 
-def test_what_is_not_there_is_named(recorded: tuple[Path, list[bytes]], tmp_path: Path) -> None:
+def test_missing_content_is_named(recorded: tuple[Path, list[bytes]], tmp_path: Path) -> None:
     with pytest.raises(BagError, match="no message of /joint_commands; it holds /joint_states"):
         read_bag(recorded[0]).topic("/joint_commands")
     with pytest.raises(BagError, match="does not exist"):
@@ -265,7 +265,7 @@ for k in range(100000):
 
 
 def killed_bag(folder: Path, count: int) -> tuple[Bag, int]:
-    """Kill a recorder after `count` messages; its bag, and how many were sent a second before the kill."""
+    """Kill a recorder after `count` messages; return its bag and the number sent until a second before the kill."""
     command = [sys.executable, "-c", TALKING_RECORDER, str(folder)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -275,7 +275,7 @@ def killed_bag(folder: Path, count: int) -> tuple[Bag, int]:
     return read_bag(folder), sum(float(when) < now - 1.0 for _, when in lines)
 
 
-def test_a_killed_recorder_leaves_all_but_the_last_second(tmp_path: Path) -> None:
+def test_killed_recorder_loses_at_most_the_last_second(tmp_path: Path) -> None:
     bag, due = killed_bag(tmp_path / "bag", 400)
     words = [message.data for message in bag.topic("/words").decoded]
     assert not bag.complete
@@ -284,7 +284,7 @@ def test_a_killed_recorder_leaves_all_but_the_last_second(tmp_path: Path) -> Non
     assert words == [str(k) for k in range(len(words))]
 
 
-def test_a_torn_file_is_readable_up_to_the_tear(recorded: tuple[Path, list[bytes]]) -> None:
+def test_truncated_file_is_readable_up_to_its_end(recorded: tuple[Path, list[bytes]]) -> None:
     path = next(recorded[0].glob("*.mcap"))
     whole = path.read_bytes()
     for size in (len(whole) // 2, len(whole) - 40):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's scenarios over ROS 2: two processes in lock-step, judged from the bag by the test's own reading."""
+"""The paper's scenarios over ROS 2: two processes in lock-step, evaluated from the bag by an independent reader."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TRIES = 3
 
 @pytest.fixture(scope="module", params=PEAK)
 def recorded(request, tmp_path_factory) -> Recorded:
-    """A run of which the recorder heard every message: one that gets no core for long may miss some, and says so."""
+    """Return a run whose bag is complete; a recorder without processor time may miss messages, which it reports."""
     for _ in range(TRIES):
         run = record(request.param, DURATION, tmp_path_factory.mktemp("runs"))
         if json.loads((run.folder / "report.json").read_text())["counts"]["missing"] == 0:
@@ -30,28 +30,28 @@ def recorded(request, tmp_path_factory) -> Recorded:
     return run
 
 
-def test_the_bag_holds_every_sample_of_the_run(recorded: Recorded) -> None:
+def test_bag_contains_every_sample_of_the_run(recorded: Recorded) -> None:
     assert recorded.t[-1] >= DURATION
     np.testing.assert_array_equal(np.round(np.diff(recorded.t) * 1e9), 1_000_000)
 
 
-def test_the_link_is_on_the_reference_after_two_seconds(recorded: Recorded) -> None:
+def test_link_reaches_the_reference_within_2_s(recorded: Recorded) -> None:
     assert np.max(recorded.error[recorded.t > 2.0]) <= 3e-5
 
 
-def test_peak_effort_is_the_papers(recorded: Recorded) -> None:
+def test_peak_effort_is_that_of_the_paper(recorded: Recorded) -> None:
     assert np.max(np.abs(recorded.u)) == pytest.approx(PEAK[recorded.folder.name], rel=0.01)
 
 
-def test_the_nodes_compute_what_the_mathematics_does(recorded: Recorded) -> None:
-    """Lock-step over ROS is the sampled loop of fjr_core, to rounding."""
+def test_nodes_agree_with_fjr_core(recorded: Recorded) -> None:
+    """Lock-step over ROS equals the sampled loop of fjr_core to rounding."""
     run = load_scenario(scenario(recorded.folder.name)).simulate(DURATION)
     k = len(run.t)
     assert np.max(np.abs(recorded.q_l[:k] - run.x[:, :1])) <= 1e-9
     assert np.max(np.abs(recorded.u[:k] - run.u)) <= 1e-9 * np.max(np.abs(run.u))
 
 
-def test_the_run_leaves_report_page_and_picture_made_from_the_bag(recorded: Recorded) -> None:
+def test_run_writes_report_page_and_figure_from_the_bag(recorded: Recorded) -> None:
     report = json.loads((recorded.folder / "report.json").read_text())
     assert report["tracking"]["peak_effort_nm"] == pytest.approx(np.max(np.abs(recorded.u)))
     inside = (recorded.t >= 2.0) & (recorded.t < DURATION - 1e-9)
@@ -77,7 +77,7 @@ def test_the_last_effort_in_the_bag_is_zero(recorded: Recorded) -> None:
 
 
 def test_an_override_changes_the_run(tmp_path: Path) -> None:
-    """Twice the stiffness of the soft joint: plant, law and figures follow."""
+    """Doubling the stiffness of the soft joint changes plant, law and metrics."""
     arguments = ("--lockstep", "--duration", "2.5", "--output", str(tmp_path), "--set", "robot.joint_stiffness:=[6.2]")
     fjr("run", "paper_k3p1", *arguments)
     report = json.loads((tmp_path / "paper_k3p1" / "report.json").read_text())

@@ -48,7 +48,7 @@ def test_every_command_and_option_has_help(name: str) -> None:
 
 
 @pytest.mark.parametrize("arguments", [[], ["unknown"], ["run", "--unknown"], ["report"], ["gains", "arm7"]])
-def test_what_is_missing_or_unknown_ends_with_the_exit_code_of_a_usage_error(arguments: Sequence[str]) -> None:
+def test_missing_or_unknown_arguments_exit_with_the_usage_error_code(arguments: Sequence[str]) -> None:
     assert main(arguments) == Exit.NOT_UNDERSTOOD
 
 
@@ -64,14 +64,14 @@ def test_what_is_missing_or_unknown_ends_with_the_exit_code_of_a_usage_error(arg
         (["watch", "--remap", "a:="], "'a:=' is not a remap; expected FROM:=TO"),
     ],
 )
-def test_numbers_and_remaps_that_are_not_valid_are_named(
+def test_invalid_numbers_and_remaps_are_named(
     arguments: Sequence[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(arguments) == Exit.NOT_UNDERSTOOD
     assert words in capsys.readouterr().err
 
 
-def test_options_whose_value_may_be_left_out() -> None:
+def test_options_with_an_optional_value() -> None:
     assert str(given("compare", "--document")["document"]) == "docs/compare.md"
     assert str(given("compare", "quick", "--document", "other.md")["document"]) == "other.md"
     assert given("compare")["document"] is None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr compare`: numbers that only the suite decides, a page in a real browser, a table, one sentence for errors."""
+"""`fjr compare`: results determined by the suite alone, a page in a real browser, a table, one sentence for errors."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def browser() -> Iterator[Browser]:
     made.close()
 
 
-def test_every_cell_and_margin_is_there(found: dict[str, Any]) -> None:
+def test_every_cell_and_margin_is_present(found: dict[str, Any]) -> None:
     assert list(found["results"]["one joint"]) == ["v_dpbc", "torque_feedback", "v-dPBC + residual"]
     for result in found["results"]["one joint"].values():
         assert list(result["margins"]) == ["stiffness down to", "stiffness up to", "delay up to"]
@@ -80,19 +80,21 @@ def test_every_cell_and_margin_is_there(found: dict[str, Any]) -> None:
         assert all(list(cells) == ["nominal", "soft", "noisy"] for cells in result["cells"].values())
 
 
-def test_the_order_of_laws_and_the_number_of_cores_change_nothing(tmp_path: Path, found: dict[str, Any]) -> None:
+def test_results_do_not_depend_on_the_order_of_laws_or_the_number_of_cores(
+    tmp_path: Path, found: dict[str, Any]
+) -> None:
     again, _ = compared(tmp_path, {**QUICK, "laws": QUICK["laws"][::-1]}, "--cores", "1")
     assert again["results"] == found["results"]
     assert again["laws"] == found["laws"][::-1]
 
 
 @pytest.mark.usefixtures("found")
-def test_what_is_kept_is_not_run_again(folder: Path) -> None:
+def test_kept_results_are_not_run_again(folder: Path) -> None:
     kept = folder / "runs" / "compare_mine" / "kept"
     before = {path: path.stat().st_mtime_ns for path in kept.glob("*.json")}
     one = next(iter(before))
     text = one.read_text()
-    one.write_text(text[: len(text) // 2])  # as a full disk leaves it
+    one.write_text(text[: len(text) // 2])  # as after a full disk
     _, said = compared(folder, QUICK)
     assert "1 law on a robot to run" in said
     assert one.read_text() == text
@@ -104,7 +106,7 @@ def test_what_is_kept_is_not_run_again(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "kill -9"])
-def test_what_ends_a_comparison_leaves_what_is_finished(tmp_path: Path, number: int) -> None:
+def test_interrupted_comparison_keeps_finished_results(tmp_path: Path, number: int) -> None:
     file, kept = tmp_path / "mine.yaml", tmp_path / "runs" / "compare_mine" / "kept"
     file.write_text(yaml.safe_dump(QUICK, sort_keys=False), encoding="utf-8")
     arguments = ["compare", str(file), "--output", str(tmp_path / "runs"), "--cores", "1"]
@@ -113,7 +115,7 @@ def test_what_ends_a_comparison_leaves_what_is_finished(tmp_path: Path, number: 
         until(lambda: any(kept.glob("*.json")))
         ended.signal(number)
         code, said = ended.end()
-        until(lambda: not alive(ended.process.pid))  # the workers end, too
+        until(lambda: not alive(ended.process.pid))  # the workers must end, too
     finally:
         ended.kill()
     ctrl_c = number == signal.SIGINT
@@ -125,7 +127,7 @@ def test_what_ends_a_comparison_leaves_what_is_finished(tmp_path: Path, number: 
 
 
 class Failing:
-    """In a worker's place: one law fails or kills its process, the other never comes to an end."""
+    """Replacement of a worker: one law fails or kills its process, the other never ends."""
 
     def __init__(self, kill: bool) -> None:
         self.kill = kill
@@ -139,7 +141,7 @@ class Failing:
 
 
 @pytest.mark.parametrize(("kill", "words"), [(False, "^no gains$"), (True, "a worker process died")])
-def test_what_fails_is_said_while_others_are_at_work(
+def test_failure_is_reported_while_other_jobs_run(
     kill: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     jobs = comparison_job.jobs(suite.read("mine", {**QUICK, "laws": ["v_dpbc", "torque_feedback"]}))
@@ -150,14 +152,14 @@ def test_what_fails_is_said_while_others_are_at_work(
     assert time.monotonic() - begun < HANG
 
 
-def test_a_reference_that_stands_still_is_one_sentence() -> None:
+def test_constant_reference_is_refused_in_one_sentence() -> None:
     still = {"still": {"reference.amplitude": [0.0], "reference.offset": [0.0], **AT_REST}, "slow": {}}
     job = comparison_job.jobs(suite.read("mine", {**QUICK, "robots": {"paper_k31": {"references": still}}}))[0]
     with pytest.raises(CompareError, match="'still' of paper_k31: the reference is at rest"):
         comparison_job.work(job, lambda _: None)
 
 
-def test_what_is_kept_depends_on_the_code_and_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_key_of_kept_results_depends_on_code_and_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     job = comparison_job.jobs(suite.read("mine", QUICK))[0]
     keys = [job.key, job.key]
     monkeypatch.setattr(jit_cache, "source_digest", lambda: "another")
@@ -187,12 +189,12 @@ def alive(group: int) -> bool:
     return True
 
 
-def test_robust_options_are_at_work(found: dict[str, Any]) -> None:
+def test_robust_options_take_effect(found: dict[str, Any]) -> None:
     plain, robust = (found["results"]["one joint"][label]["cells"]["slow"] for label in ("v_dpbc", "v-dPBC + residual"))
     assert robust["soft"]["rms"] < 0.8 * plain["soft"]["rms"]
 
 
-def test_the_best_of_a_row_is_what_the_numbers_say(found: dict[str, Any]) -> None:
+def test_best_of_a_row_agrees_with_the_numbers(found: dict[str, Any]) -> None:
     cells = {label: result["cells"] for label, result in found["results"]["one joint"].items()}
     for row in (row for row in rows(found) if row.group == "errors slow"):
         numbers = [cells[label]["slow"][row.what]["rms"] for label in cells]
@@ -232,7 +234,7 @@ def test_the_page_opens_from_disk_and_draws_everything(folder: Path, browser: Br
     assert browser.said == []
 
 
-def test_the_page_says_what_was_found(folder: Path, found: dict[str, Any], browser: Browser) -> None:
+def test_page_states_the_findings(folder: Path, found: dict[str, Any], browser: Browser) -> None:
     browser.open(folder / "runs" / "compare_mine" / "comparison.html")
     text = browser.value("document.body.innerText")
     assert extent(found)[:-1] in text
@@ -241,7 +243,7 @@ def test_the_page_says_what_was_found(folder: Path, found: dict[str, Any], brows
     assert best == [v.words for row in rows(found) for v, is_best in zip(row.values, row.best, strict=True) if is_best]
 
 
-def test_the_table_replaces_the_one_between_the_marks(folder: Path, found: dict[str, Any]) -> None:
+def test_table_replaces_the_one_between_the_markers(folder: Path, found: dict[str, Any]) -> None:
     page = folder / "page.md"
     page.write_text(f"before\n{comparison_markdown.BEGIN}\nold\n{comparison_markdown.END}\nafter\n", encoding="utf-8")
     _, said = compared(folder, QUICK, "--document", str(page))
@@ -256,8 +258,8 @@ def test_the_table_replaces_the_one_between_the_marks(folder: Path, found: dict[
     assert page.read_text() == first
 
 
-def test_the_table_counts_what_it_holds_and_names_no_winner(found: dict[str, Any]) -> None:
-    """2 control laws in 3 columns, whatever a sentence next to the table says."""
+def test_table_counts_its_content_and_names_no_winner(found: dict[str, Any]) -> None:
+    """The table counts 2 control laws in 3 columns."""
     text = comparison_markdown.markdown(found)
     assert text.startswith(f"2 control laws in 3 versions on 1 robot, {found['runs']} runs of 2 s.\n")
     lines = [line for line in text.splitlines() if line.startswith("|")]
@@ -274,7 +276,7 @@ def test_versions_of_a_law_are_counted_as_one_law() -> None:
 
 
 @pytest.mark.parametrize("name", ["paper", "quick"])
-def test_the_installed_suites_are_sound(name: str) -> None:
+def test_installed_suites_are_valid(name: str) -> None:
     chosen = suite.load(suite.find(name))
     assert chosen.name == name
     assert chosen.laws[0] == suite.LawChoice(V_DPBC, V_DPBC)
@@ -322,7 +324,7 @@ WRONG: list[tuple[Any, str]] = [
 
 
 @pytest.mark.parametrize(("document", "words"), WRONG, ids=[words for _, words in WRONG])
-def test_a_suite_that_does_not_fit_is_one_sentence(document: Any, words: str) -> None:
+def test_invalid_suite_is_refused_in_one_sentence(document: Any, words: str) -> None:
     with pytest.raises(CompareError, match=words):
         suite.read("mine", document)
 
@@ -338,7 +340,7 @@ def test_a_suite_that_does_not_fit_is_one_sentence(document: Any, words: str) ->
         ({"scenario": "observed.yaml"}, "robot 'r': the scenario sets measurement.velocity; .* use 'imperfections'"),
     ],
 )
-def test_a_robot_that_cannot_be_is_one_sentence(
+def test_invalid_robot_is_refused_in_one_sentence(
     robot: dict[str, Any], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -356,13 +358,13 @@ def test_a_robot_that_cannot_be_is_one_sentence(
         (["quick", "--document", "nowhere.md"], "cannot read nowhere.md"),
     ],
 )
-def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
+def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
     said = fjr("compare", *arguments, "--output", str(tmp_path), code=2)
     assert words in said
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_broken_file_is_named(tmp_path: Path) -> None:
+def test_invalid_file_is_named(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("laws: [v_dpbc\n", encoding="utf-8")
     said = fjr("compare", str(file), "--output", str(tmp_path), code=2)

@@ -32,8 +32,8 @@ def test_distances_of_a_scenario_stay_below_the_bound(tmp_path: Path, name: str)
     assert picture[..., :3].std() > 0.05
 
 
-def test_along_a_recorded_run_as_along_its_simulation(tmp_path: Path) -> None:
-    """In lock-step the bag holds the very numbers of the simulation."""
+def test_recorded_run_gives_the_results_of_its_simulation(tmp_path: Path) -> None:
+    """In lock-step the bag contains exactly the numbers of the simulation."""
     fjr("run", "paper_k31", "--lockstep", "--duration", "0.3", "--output", str(tmp_path))
     arguments = ("contraction", "paper_k31", "--duration", "0.25", "--starts", "3", "--output")
     fjr(*arguments, str(tmp_path / "simulated"))
@@ -53,5 +53,7 @@ def test_along_a_recorded_run_as_along_its_simulation(tmp_path: Path) -> None:
         (["paper_k31", "--run", "nowhere"], "does not exist; expected the folder of a bag", 1),
     ],
 )
-def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str, code: int) -> None:
+def test_invalid_arguments_are_refused_in_one_sentence(
+    tmp_path: Path, arguments: list[str], words: str, code: int
+) -> None:
     assert words in fjr("contraction", *arguments, "--output", str(tmp_path), code=code)

@@ -36,23 +36,25 @@ def loop() -> Iterator[None]:
 
 def test_echo_prints_messages_as_yaml(loop: None) -> None:
     said = fjr("echo", "/left/joint_states", "--count", "3", "--timeout", HANG)
-    printed = "".join(line for line in said.splitlines(keepends=True) if not line.startswith("fjr: "))  # it waited
+    printed = "".join(
+        line for line in said.splitlines(keepends=True) if not line.startswith("fjr: ")
+    )  # the notice that it waits
     first, *others = yaml.safe_load_all(printed.rstrip().removesuffix("---"))
     assert len(others) == 2
     assert first["name"] == ["joint1", "joint1_motor"]
     assert len(first["position"]) == len(first["velocity"]) == len(first["effort"]) == 2
 
 
-def test_echo_of_what_does_not_change_comes_late_and_is_there(loop: None) -> None:
+def test_echo_prints_latched_messages(loop: None) -> None:
     fjr("echo", "left/joint_states", "--once", "--timeout", HANG)
     said = fjr("echo", "left/robot_description", "--once", "--timeout", HANG)
     assert '<robot name="single_link">' in yaml.safe_load(said.split("---")[0])["data"]
 
 
-def test_echo_of_nothing_says_what_there_is(loop: None) -> None:
+def test_echo_without_messages_lists_the_topics(loop: None) -> None:
     fjr("echo", "left/joint_states", "--once", "--timeout", HANG)
     limit, said = Limit(TIME_LIMIT), ""
-    while "/left/joint_states" not in said:  # what a process has discovered after 3 s depends on the machine
+    while "/left/joint_states" not in said:  # topics discovered within 3 s depend on the machine
         assert not limit.passed(), said
         said = fjr("echo", "/nothing", "--timeout", "3", code=1)
         assert "no message of /nothing for 3 s" in said
@@ -72,7 +74,7 @@ def test_record_keeps_the_named_topics(loop: None, tmp_path: Path) -> None:
         assert np.isfinite(reader.deserialize(raw, connection.msgtype).effort).all()
 
 
-def test_record_of_everything_ends_with_ctrl_c(loop: None, tmp_path: Path) -> None:
+def test_record_of_all_topics_ends_with_ctrl_c(loop: None, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     command = Executable("fjr_bringup", "fjr", "record", "--output", str(bag))
     try:
@@ -102,7 +104,7 @@ def test_record_does_not_overwrite(tmp_path: Path) -> None:
         (["record", "/a", "/b"], "ros2 bag record --storage mcap /a /b"),
     ],
 )
-def test_where_ros2_is_there_it_is_named_and_not_replaced(
+def test_installed_ros2_is_recommended_instead(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], better: str
 ) -> None:
     ros2 = tmp_path / "ros2"
@@ -114,7 +116,7 @@ def test_where_ros2_is_there_it_is_named_and_not_replaced(
     assert "--force" in said
 
 
-def test_force_uses_ours_although_ros2_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_force_runs_the_command_despite_ros2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ros2 = tmp_path / "ros2"
     ros2.write_text("#!/bin/sh\nexit 1\n")
     ros2.chmod(0o755)
@@ -124,5 +126,5 @@ def test_force_uses_ours_although_ros2_is_there(tmp_path: Path, monkeypatch: pyt
 
 @pytest.mark.parametrize("command", ["echo", "record"])
 @pytest.mark.parametrize("name", ["//bad//", "/joint states", "/1st", "/"])
-def test_a_name_that_no_topic_can_have_is_one_sentence(command: str, name: str) -> None:
+def test_invalid_topic_name_is_refused_in_one_sentence(command: str, name: str) -> None:
     assert f"'{name}' is not a topic name; expected" in fjr(command, name, code=1)

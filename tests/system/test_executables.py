@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The installed executables: signals, last words, exit codes, and sentences instead of tracebacks."""
+"""The installed executables: signals, last commands, exit codes, and one sentence instead of a traceback."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def start() -> Iterator[Callable[..., Executable]]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_controller_with_a_last_zero_effort_and_code_0(ros: Ros, start, number: int) -> None:
+def test_signal_ends_the_controller_with_zero_effort_and_exit_code_0(ros: Ros, start, number: int) -> None:
     peer = Peer(ros)
     controller = start("controller")
     peer.meet_controller()
-    while not peer.commands:  # the first state is not answered while the controller listens for other publishers
+    while not peer.commands:  # the controller first listens for other publishers and does not answer
         peer.state_publisher.publish(stamped(0.0))
         ros.settle(1)
     np.testing.assert_allclose(peer.commands[-1].effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
@@ -65,7 +65,7 @@ def test_a_signal_ends_the_plant_with_code_0(ros: Ros, start, number: int, locks
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_a_signal_ends_a_node_that_hears_nothing(ros: Ros, start, node: str) -> None:
+def test_signal_ends_a_node_without_messages(ros: Ros, start, node: str) -> None:
     peer = Peer(ros)
     executable = start(node, "--ros-args", *(("-p", "start_paused:=true") if node == "plant" else ()))
     ros.until(lambda: peer.diagnostics, "its first diagnostics")
@@ -89,7 +89,7 @@ LOADED = {"python": os.path.realpath(sys.executable), "numpy": "_multiarray_umat
 
 
 def has_loaded(executable: Executable, file: str) -> bool:
-    """Whether a file is mapped into the memory of a process, or the process has ended."""
+    """Return whether a file is mapped into the memory of a process, or the process has ended."""
     try:
         return file in Path(f"/proc/{executable.process.pid}/maps").read_text() or executable.process.poll() is not None
     except OSError:
@@ -101,7 +101,7 @@ def has_loaded(executable: Executable, file: str) -> bool:
 @pytest.mark.parametrize("loaded", LOADED)
 @pytest.mark.parametrize("program", ["plant", "controller", "fjr"])
 def test_a_signal_while_python_loads_ends_a_program_without_a_traceback(program: str, loaded: str, number: int) -> None:
-    """From the interpreter's first instruction on; before it only `sh` and `env` run."""
+    """The signal is handled from the first instruction of the interpreter on; before that only `sh` and `env` run."""
     fjr = ("fjr_bringup", "fjr", "check", "paper_k31")
     executable = Executable(*(fjr if program == "fjr" else NODES[program]))
     try:
@@ -154,14 +154,14 @@ def test_a_plant_that_diverges_ends_with_one_sentence(ros: Ros, start) -> None:
     assert all(np.isfinite(state.position).all() for state in peer.states)
 
 
-def test_a_rival_that_is_met_with_the_first_state_ends_the_controller_with_one_sentence(ros: Ros, start) -> None:
+def test_conflict_found_with_the_first_state_ends_the_controller_with_one_sentence(ros: Ros, start) -> None:
     peer = Listener(ros)
     controller = start("controller")
     ros.until(lambda: peer.diagnostics, "its first report: it has looked for others at its start and is active")
     conflict = peer.create_publisher(JointState, "joint_commands", LATEST)
     robot = peer.create_publisher(
         JointState, "joint_states", LATEST
-    )  # announced later: with a state, the other publisher is known
+    )  # connected later: the other publisher is known by the first state
     ros.until(lambda: robot.get_subscription_count() >= 2 and conflict.get_subscription_count() >= 2, "the controller")
     while controller.process.poll() is None:
         conflict.publish(JointState(name=["joint1"], effort=[1.0]))
@@ -173,7 +173,7 @@ def test_a_rival_that_is_met_with_the_first_state_ends_the_controller_with_one_s
     assert "publishes on /joint_commands; expected nobody else to command the robot" in ended
     assert "Traceback" not in said
     assert "FATAL" not in said
-    assert not peer.references, "nothing was sent"
+    assert not peer.references, "nothing must be sent"
 
 
 MIXED = "/**:\n  ros__parameters:\n    robot:\n      joint_stiffness: [1, 2.0]\n"
@@ -201,7 +201,7 @@ BAD = {
 
 @pytest.mark.parametrize("node", NODES)
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_one_sentence_and_no_traceback(start, node: str, case: str) -> None:
+def test_invalid_input_is_refused_in_one_sentence_without_traceback(start, node: str, case: str) -> None:
     arguments, words = BAD[case]
     code, said = start(node, "--ros-args", *arguments).end()
     assert code == 1

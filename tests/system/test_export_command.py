@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr export-c`: a folder that CMake builds and whose test passes; what does not fit is one sentence."""
+"""`fjr export-c`: CMake builds the folder and its test passes; invalid input is refused in one sentence."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.system
 
 
 def tool(name: str) -> str:
-    """CMake's tools are among the packages for tests; where a ROS 2 is sourced, they may be the system's."""
+    """Return a tool of CMake, from the packages for tests or, with a sourced ROS 2, from the system."""
     neighbour = Path(sys.executable).with_name(name)
     return str(neighbour) if neighbour.exists() else shutil.which(name) or name
 
@@ -62,8 +62,8 @@ extern "C" int effort(const double *q, const double *dq, double t, double *u)
 """
 
 
-def test_as_a_part_of_a_plugin_in_cpp(tmp_path: Path) -> None:
-    """A shared object, as ros2_control's controllers are."""
+def test_export_links_into_a_cpp_plugin(tmp_path: Path) -> None:
+    """The plugin is a shared object like the controllers of ros2_control."""
     fjr("export-c", "paper_k31", str(tmp_path / "law"), "--prefix", "arm")
     (tmp_path / "CMakeLists.txt").write_text(CONSUMER)
     (tmp_path / "controller.cpp").write_text(CONTROLLER)
@@ -72,7 +72,7 @@ def test_as_a_part_of_a_plugin_in_cpp(tmp_path: Path) -> None:
     assert list((tmp_path / "build").glob("libcontroller.*"))
 
 
-def test_an_export_is_replaced_only_when_asked_and_nothing_else_is(tmp_path: Path) -> None:
+def test_only_an_earlier_export_is_replaced_and_only_with_force(tmp_path: Path) -> None:
     fjr("export-c", "paper_k31", str(tmp_path / "new" / "folder"))
     folder = tmp_path / "new" / "folder"
     (folder / "mine.txt").write_text("mine")
@@ -85,7 +85,7 @@ def test_an_export_is_replaced_only_when_asked_and_nothing_else_is(tmp_path: Pat
     assert (folder / "mine.txt").read_text() == "mine"
 
 
-def test_what_is_not_exported_is_named(tmp_path: Path) -> None:
+def test_omitted_parameters_are_named(tmp_path: Path) -> None:
     output = fjr("export-c", "paper_k31", str(tmp_path / "c"), "--set", "measurement.velocity:=observer")
     assert "not exported: what measurement.velocity" in output
     assert "`measurement.velocity`" in (tmp_path / "c" / "README.md").read_text()
@@ -104,7 +104,7 @@ def test_what_is_not_exported_is_named(tmp_path: Path) -> None:
         (["paper_k31"], "DIR", 2),
     ],
 )
-def test_what_is_not_understood_is_one_sentence(
+def test_invalid_arguments_are_refused_in_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str, code: int
 ) -> None:
     monkeypatch.chdir(tmp_path)

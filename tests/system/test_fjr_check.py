@@ -31,7 +31,7 @@ Run = Callable[..., str]
 
 @pytest.fixture
 def run_fjr(capsys: pytest.CaptureFixture[str]) -> Run:
-    """The command in this process, which spares it two seconds of imports; what it prints."""
+    """Run the command in this process, which saves two seconds of imports; return its output."""
 
     def run(*arguments: str, code: int = 0) -> str:
         ended = main(arguments)
@@ -43,7 +43,7 @@ def run_fjr(capsys: pytest.CaptureFixture[str]) -> Run:
 
 
 def figures(output: str) -> dict[str, str]:
-    """The table's rows by name."""
+    """Return the rows of the table by name."""
     rows = (line.strip().partition("  ") for line in output.splitlines())
     return {name: text.strip() for name, _, text in rows}
 
@@ -69,7 +69,7 @@ def test_rates_of_the_arm_are_labelled_sampled_and_its_limits_are_checked(run_fj
     assert rows["as sampled"] == "stable"
 
 
-def test_the_loop_is_checked_along_the_reference_too(run_fjr: Run) -> None:
+def test_loop_is_also_checked_along_the_reference(run_fjr: Run) -> None:
     made = load_scenario(scenario("two_link"))
     found = check(made.law, 1e-3, configurations=made.configurations())
     row = figures(run_fjr("check", "two_link"))["on the reference"]
@@ -78,9 +78,7 @@ def test_the_loop_is_checked_along_the_reference_too(run_fjr: Run) -> None:
 
 
 @pytest.mark.parametrize("everywhere", [(), ("--everywhere",)])
-def test_gains_are_printed_as_a_block_that_a_scenario_takes(
-    run_fjr: Run, tmp_path: Path, everywhere: tuple[str, ...]
-) -> None:
+def test_gains_are_printed_as_a_valid_scenario_block(run_fjr: Run, tmp_path: Path, everywhere: tuple[str, ...]) -> None:
     block = run_fjr("gains", "two_link", "--beta", "5", "--delay", "1", *everywhere)
     path = tmp_path / "mine.yaml"
     robot = "/**:\n  ros__parameters:\n    robot:\n      file: package://fjr_bringup/robots/two_link.yaml\n"
@@ -95,7 +93,7 @@ def test_gains_out_of_reach_are_refused(run_fjr: Run) -> None:
     assert "out of reach at 1000 Hz" in run_fjr("gains", "paper_k31", "--beta", "5000", code=1)
 
 
-def test_nothing_is_proven_of_a_plant_that_is_not_the_model(run_fjr: Run, tmp_path: Path) -> None:
+def test_no_rate_is_proven_if_the_plant_differs_from_the_model(run_fjr: Run, tmp_path: Path) -> None:
     path = tmp_path / "other.yaml"
     path.write_text("/**/fjr_plant:\n  ros__parameters:\n    robot: {motor_inertia: [0.005]}\n")
     rows = figures(run_fjr("check", str(path)))
@@ -123,7 +121,7 @@ def test_the_papers_gains_on_the_stiff_arm_are_unstable_with_exit_code_1(run_fjr
     assert "fjr: scenario arm7 is unstable as sampled at 1000 Hz: spectral radius" in output
 
 
-def test_an_unstable_scenario_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+def test_unstable_scenario_is_refused_without_any_output(tmp_path: Path) -> None:
     output = fjr("run", *SLOW, "--output", str(tmp_path), code=1)
     assert "unstable as sampled at 60 Hz" in output
     assert "stable from" in output
@@ -139,7 +137,7 @@ def test_force_runs_an_unstable_scenario(tmp_path: Path) -> None:
     assert report["tracking"]["settling_time_2_percent_s"] is None
 
 
-def test_a_path_on_the_command_line_is_relative_to_where_it_runs(run_fjr: Run, tmp_path: Path, monkeypatch) -> None:
+def test_path_on_the_command_line_is_relative_to_the_current_folder(run_fjr: Run, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     robot = "/**:\n  ros__parameters:\n    joints: [knee]\n    robot: {model: single_link, joint_stiffness: [20.0]}\n"
     (tmp_path / "mine.yaml").write_text(robot)
@@ -161,7 +159,7 @@ def test_a_path_on_the_command_line_is_relative_to_where_it_runs(run_fjr: Run, t
         (["gains", "arm7", "--beta", "-1"], "'-1' is not a rate; expected a positive number"),
     ],
 )
-def test_what_is_not_understood_is_one_sentence(run_fjr: Run, arguments: list[str], words: str) -> None:
+def test_invalid_arguments_are_refused_in_one_sentence(run_fjr: Run, arguments: list[str], words: str) -> None:
     assert words in run_fjr(*arguments, code=2)
 
 
@@ -182,7 +180,7 @@ def test_a_delay_that_the_scenario_sets_makes_it_unstable(run_fjr: Run) -> None:
     assert figures(output)["as sampled"] == "UNSTABLE"
 
 
-def test_an_integral_that_is_too_fast_is_refused_with_the_largest_rate(run_fjr: Run) -> None:
+def test_too_fast_integral_action_is_refused_with_the_largest_rate(run_fjr: Run) -> None:
     output = run_fjr("check", "paper_k3p1", "--set", "robust.integral_gain:=[40.0]", code=2)
     assert (
         "integral_gain is [40] 1/s, which makes the loop unstable at a hold of 0.001 s; expected at most [2" in output
@@ -208,13 +206,15 @@ def test_radii_with_model_errors_are_listed(run_fjr: Run) -> None:
         ("limits.motor_position_lower:=[0.6]", "joint1: q_m is 0.5 rad; expected 0.6 to inf rad"),
     ],
 )
-def test_a_start_outside_a_range_names_the_joint_with_exit_code_1(run_fjr: Run, limit: str, words: str) -> None:
+def test_initial_position_outside_a_range_names_the_joint_with_exit_code_1(
+    run_fjr: Run, limit: str, words: str
+) -> None:
     output = run_fjr("check", "paper_k31", "--set", limit, code=1)
     assert figures(output)["initial position"] == f"BEYOND {words}"
     assert "starts outside a limit" in output
 
 
-def test_a_start_outside_the_robots_own_range_is_refused() -> None:
+def test_initial_position_outside_the_range_of_the_robot_is_refused() -> None:
     start = [0.35, 2.5, -0.05, -1.45, 0.15, 0.55, 0.15]
     outside = {"initial_link_position": start, "initial_motor_position": start}
     for free, changes in ((True, {}), (False, outside), (True, {**outside, "limits.from_robot": False})):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `fjr` command: how it ends, what it leaves, and what it refuses."""
+"""The `fjr` command: termination, remaining files and processes, and refused input."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def start() -> Iterator[Callable[..., Executable]]:
 
 
 def children(pid: int) -> dict[str, int]:
-    """Processes started by `pid`, by the name of their executable."""
+    """Return the processes started by `pid`, by the name of their executable."""
     found = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -64,7 +64,7 @@ def efforts(bag: Path) -> list[float]:
 
 
 def running(ros: Ros, start, output: Path) -> tuple[Executable, dict[str, int]]:
-    """`fjr run` in full motion, and its node processes."""
+    """Start `fjr run`, wait for full motion, return the command and its node processes."""
     listener = Listener(ros)
     command = start(
         "fjr_bringup", "fjr", "run", "paper_k31", "--lockstep", "--duration", "3600", "--output", str(output)
@@ -75,7 +75,7 @@ def running(ros: Ros, start, output: Path) -> tuple[Executable, dict[str, int]]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_everything_and_the_bag_is_readable(ros: Ros, start, tmp_path: Path, number: int) -> None:
+def test_signal_ends_all_processes_and_leaves_a_readable_bag(ros: Ros, start, tmp_path: Path, number: int) -> None:
     command, nodes = running(ros, start, tmp_path)
     assert {"plant_node", "controller_node"} <= set(nodes)
     command.signal(number)
@@ -91,7 +91,7 @@ def test_a_signal_ends_everything_and_the_bag_is_readable(ros: Ros, start, tmp_p
 
 
 @pytest.mark.parametrize("node", ["plant_node", "controller_node"])
-def test_a_node_that_dies_ends_the_run_with_code_1_and_keeps_the_bag(
+def test_killed_node_ends_the_run_with_exit_code_1_and_the_bag_is_kept(
     ros: Ros, start, tmp_path: Path, node: str
 ) -> None:
     command, nodes = running(ros, start, tmp_path)
@@ -108,7 +108,7 @@ def test_a_node_that_dies_ends_the_run_with_code_1_and_keeps_the_bag(
     assert report["counts"]["answered"] > 50
 
 
-def test_a_run_that_diverges_has_a_report_and_pictures(tmp_path: Path) -> None:
+def test_diverged_run_has_a_report_and_figures(tmp_path: Path) -> None:
     unstable = ("--force", "--duration", "60", "--set", "publish_rate:=20.0", "--set", "inner_steps:=1")
     said = fjr("run", "paper_k31", "--lockstep", *unstable, "--output", str(tmp_path), code=1)
     report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
@@ -164,21 +164,21 @@ def test_another_plant_that_joins_ends_the_run(ros: Ros, start, tmp_path: Path, 
         (["paper_k31", "--duration", "-1"], "expected seconds"),
     ],
 )
-def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
+def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
     assert words in fjr("run", *arguments, "--output", str(tmp_path), code=2)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("text", ["", "just words", "[1, 2]", "/**:\n  parameters: {}\n", "a: b: c"])
 @pytest.mark.parametrize("changes", [(), ("--lockstep",)], ids=["as it is", "changed"])
-def test_a_scenario_file_that_is_none_is_explained(tmp_path: Path, text: str, changes: tuple[str, ...]) -> None:
+def test_invalid_scenario_file_is_explained(tmp_path: Path, text: str, changes: tuple[str, ...]) -> None:
     path = tmp_path / "broken.yaml"
     path.write_text(text)
     said = fjr("run", str(path), *changes, "--output", str(tmp_path / "runs"), code=2)
     assert "broken" in said
 
 
-def test_a_controller_that_stopped_is_the_headline_and_every_run_is_kept(tmp_path: Path) -> None:
+def test_stop_of_the_controller_is_the_headline_and_every_run_is_kept(tmp_path: Path) -> None:
     run = ("run", "paper_k31", "--lockstep", "--duration", "0.1", "--output", str(tmp_path), "--set")
     refused = fjr(*run, "limits.start_error:=[0.1]", code=Exit.FAILED)
     stopped = fjr(*run, "limits.tracking_error:=[0.2]", code=Exit.FAILED)
@@ -186,7 +186,7 @@ def test_a_controller_that_stopped_is_the_headline_and_every_run_is_kept(tmp_pat
     assert (tmp_path / "paper_k31").resolve() == tmp_path / "paper_k31-002"
     reasons = {
         "paper_k31-001": r"The controller did not start: \|q_l - q_ld\| of joint1 is 0\.5 rad; expected at most",
-        # The event of the first state's stop may go before or after the second state.
+        # The event of the stop at the first state may precede or follow the second state.
         "paper_k31-002": r"The controller stopped at 0(\.001)? s: tracking error of joint1: q_l - q_ld = ",
     }
     for said, (folder, reason) in zip((refused, stopped), reasons.items(), strict=True):
@@ -200,7 +200,7 @@ def test_a_controller_that_stopped_is_the_headline_and_every_run_is_kept(tmp_pat
         )
 
 
-def test_a_folder_that_is_no_run_is_not_replaced(tmp_path: Path) -> None:
+def test_folder_without_a_run_is_not_replaced(tmp_path: Path) -> None:
     precious = tmp_path / "paper_k31" / "thesis.txt"
     precious.parent.mkdir()
     precious.write_text("do not lose me")
@@ -208,7 +208,7 @@ def test_a_folder_that_is_no_run_is_not_replaced(tmp_path: Path) -> None:
     assert precious.read_text() == "do not lose me"
 
 
-def test_a_ros_environment_that_cannot_be_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_invalid_ros_environment_is_reported_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "abc")
     assert "ROS_DOMAIN_ID" in fjr("run", "paper_k31", "--output", str(tmp_path), code=1)
 

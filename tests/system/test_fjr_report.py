@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr report` of any bag: the same figures from every storage, partial ones from partial bags, else a sentence."""
+"""`fjr report` of any bag: equal metrics from every storage, partial ones from partial bags, otherwise one sentence."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ OURS = (STATES, ANSWERS, EFFORTS, REFERENCE)
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a run of the two-link arm, one second in lock-step."""
+    """Return the folder of a run of the two-link arm, one second in lock-step."""
     output = tmp_path_factory.mktemp("runs")
     fjr("run", "two_link", "--lockstep", "--duration", "1.0", "--output", str(output))
     return output / "two_link"
@@ -46,7 +46,7 @@ def whole(run: Path, model: Scenario) -> RunData:
 
 
 def report(bag: Path, run: Path, tmp_path: Path, *arguments: str) -> dict[str, Any]:
-    """What `fjr report` writes of a bag, with the scenario of the run."""
+    """Return the report that `fjr report` writes for a bag with the scenario of the run."""
     fjr("report", str(bag), "--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"), *arguments)
     (file,) = (tmp_path / "out").glob("*/report.json")
     assert file.with_suffix(".html").stat().st_size > 60_000
@@ -58,7 +58,7 @@ def only(names: dict[str, Any], *kept: str) -> dict[str, Any]:
 
 
 def without(keep: Callable[[str], bool], *fields: str) -> Callable[[str, Any], Any]:
-    """Joint states of the joints to keep, without the fields."""
+    """Return a change that keeps some joints of the joint states and removes fields."""
 
     def change(topic: str, message: Any) -> Any:
         if topic != STATES:
@@ -71,14 +71,14 @@ def without(keep: Callable[[str], bool], *fields: str) -> Callable[[str, Any], A
     return change
 
 
-def test_the_report_of_a_run_is_made_again_from_its_folder_alone(run: Path) -> None:
+def test_report_is_reproduced_from_the_run_folder_alone(run: Path) -> None:
     made, page = json.loads((run / "report.json").read_text()), (run / "report.html").read_text()
     fjr("report", str(run))
     assert json.loads((run / "report.json").read_text()) == made
     assert (run / "report.html").read_text() == page
 
 
-def test_a_healthy_run_holds_and_its_power_balances(run: Path) -> None:
+def test_healthy_run_is_holding_and_its_power_balance_closes(run: Path) -> None:
     made = json.loads((run / "report.json").read_text())
     assert made["verdict"]["kind"] == "holding"
     assert made["missing"] == []
@@ -96,7 +96,7 @@ def test_a_healthy_run_holds_and_its_power_balances(run: Path) -> None:
         (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
     ],
 )
-def test_every_storage_of_rosbag2_gives_the_same_figures(
+def test_every_storage_of_rosbag2_gives_the_same_metrics(
     run: Path, tmp_path: Path, storage: StoragePlugin, compression: CompressionMode
 ) -> None:
     bag = rewritten(run / "bag", tmp_path / "copy", storage, compression=compression)
@@ -111,7 +111,7 @@ def test_every_storage_of_rosbag2_gives_the_same_figures(
 def test_commands_without_stamps_are_paired_with_the_states_before_them(
     run: Path, tmp_path: Path, model: Scenario, whole: RunData
 ) -> None:
-    """As a robot's bag has them: states every millisecond, each answered 0.3 ms later, one not at all."""
+    """The bag is like that of a robot: a state every millisecond, a command 0.3 ms later, one command missing."""
     states = {header_stamp(raw.data): raw.data for raw in read_bag(run).topic(STATES).messages}
     array, layout = STORE.types["std_msgs/msg/Float64MultiArray"], STORE.types["std_msgs/msg/MultiArrayLayout"]
     begin = min(stamp for stamp in states if stamp > 0)
@@ -132,7 +132,7 @@ def test_commands_without_stamps_are_paired_with_the_states_before_them(
     assert f"{ANSWERS} was not recorded" in data.notes[0]
 
 
-def test_states_alone_still_tell_errors_and_storage(run: Path, tmp_path: Path) -> None:
+def test_states_alone_give_errors_and_storage(run: Path, tmp_path: Path) -> None:
     made = report(rewritten(run / "bag", tmp_path / "copy", topics=(STATES,)), run, tmp_path)
     assert made["tracking"]["peak_effort_nm"] is None
     assert made["counts"]["answered"] is None
@@ -143,7 +143,7 @@ def test_states_alone_still_tell_errors_and_storage(run: Path, tmp_path: Path) -
     assert REFERENCE in made["missing"][1]
 
 
-def test_links_alone_still_tell_errors(run: Path, tmp_path: Path) -> None:
+def test_link_states_alone_give_errors(run: Path, tmp_path: Path) -> None:
     bag = rewritten(run / "bag", tmp_path / "copy", change=without(lambda name: not name.endswith("_motor")))
     made, known = report(bag, run, tmp_path), json.loads((run / "report.json").read_text())
     assert made["joints"][0]["initial_error_rad"] == known["joints"][0]["initial_error_rad"]
@@ -152,9 +152,7 @@ def test_links_alone_still_tell_errors(run: Path, tmp_path: Path) -> None:
     assert "no motor side" in made["missing"][0]
 
 
-def test_velocities_are_estimated_where_none_were_measured(
-    run: Path, tmp_path: Path, model: Scenario, whole: RunData
-) -> None:
+def test_velocities_are_estimated_if_not_measured(run: Path, tmp_path: Path, model: Scenario, whole: RunData) -> None:
     bag = rewritten(run / "bag", tmp_path / "copy", change=without(lambda _: True, "velocity"))
     data = run_data(read_bag(bag), model, 1.0)
     assert "observer" in data.notes[0]
@@ -175,7 +173,7 @@ def test_another_reference_than_the_scenarios_is_differentiated(run: Path, tmp_p
     np.testing.assert_allclose(data.V[inside], whole.V[inside], rtol=1e-3, atol=1e-6 * whole.V[0])
 
 
-def test_topics_in_a_namespace_are_found_and_of_two_one_is_named(run: Path, tmp_path: Path) -> None:
+def test_topics_in_a_namespace_are_found_and_two_are_ambiguous(run: Path, tmp_path: Path) -> None:
     bag = rewritten(run / "bag", tmp_path / "left", topics=OURS, prefix="/left")
     assert report(bag, run, tmp_path)["missing"] == []
     with Writer(tmp_path / "two", version=9) as writer:
@@ -199,9 +197,7 @@ def test_another_robots_bag_is_named_and_its_timing_shown(run: Path, tmp_path: P
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_bag_cut_off_while_it_was_written_gives_what_is_in_it(
-    run: Path, tmp_path: Path, storage: StoragePlugin
-) -> None:
+def test_truncated_bag_is_reported_up_to_its_end(run: Path, tmp_path: Path, storage: StoragePlugin) -> None:
     source = run / "bag" if storage is StoragePlugin.MCAP else rewritten(run / "bag", tmp_path / "copy", storage)
     file = next(path for path in source.iterdir() if path.suffix in (".mcap", ".db3"))
     torn = tmp_path / f"torn{file.suffix}"
@@ -212,14 +208,14 @@ def test_a_bag_cut_off_while_it_was_written_gives_what_is_in_it(
     assert 100 < made["counts"]["published"] < 1000
 
 
-def test_two_bags_of_a_name_have_a_page_each(run: Path, tmp_path: Path) -> None:
+def test_two_bags_of_equal_name_have_separate_pages(run: Path, tmp_path: Path) -> None:
     said = fjr("report", str(run), str(run), "--output", str(tmp_path))
     assert sorted(path.parent.name for path in tmp_path.glob("*/report.html")) == ["two_link", "two_link-2"]
     assert f"{tmp_path / 'two_link-2'} (lock-step)" in said
     assert (tmp_path / "comparison.html").read_text().count('href="two_link-2/report.html"') == 1
 
 
-def test_what_gives_nothing_is_one_sentence_and_the_others_are_reported(run: Path, tmp_path: Path) -> None:
+def test_unreadable_bag_is_one_sentence_and_the_others_are_reported(run: Path, tmp_path: Path) -> None:
     given = ("--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"))
     nothing = tmp_path / "nothing.mcap"
     nothing.write_bytes(b"")
@@ -261,7 +257,7 @@ def strange(tmp_path: Path, kind: str, run: Path) -> Path:
         ("absent", "does not exist; expected the folder of a bag"),
     ],
 )
-def test_what_is_no_bag_of_ours_is_explained(run: Path, tmp_path: Path, kind: str, words: str) -> None:
+def test_bag_without_the_topics_is_explained(run: Path, tmp_path: Path, kind: str, words: str) -> None:
     path = strange(tmp_path, kind, run)
     said = fjr("report", str(path), "--scenario", str(run / "scenario.yaml"), code=1).strip()
     assert words in said

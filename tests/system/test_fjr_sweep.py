@@ -50,7 +50,7 @@ def table(folder: Path) -> bytes:
     return (folder / "joint" / "table.parquet").read_bytes()
 
 
-def test_a_campaign_is_a_table_a_picture_and_a_page(tmp_path: Path) -> None:
+def test_study_writes_a_table_a_figure_and_a_page(tmp_path: Path) -> None:
     said = fjr("sweep", sweep_file(tmp_path), "--output", str(tmp_path))
     columns = pq.read_table(tmp_path / "joint" / "table.parquet")
     assert columns.num_rows == 120
@@ -67,14 +67,14 @@ def test_a_campaign_is_a_table_a_picture_and_a_page(tmp_path: Path) -> None:
     assert "http://" not in page.replace("http://www.w3.org", "")
 
 
-def test_all_cores_make_the_same_bytes_as_one(tmp_path: Path) -> None:
+def test_all_cores_give_the_bytes_of_one_core(tmp_path: Path) -> None:
     name = sweep_file(tmp_path)
     fjr("sweep", name, "--output", str(tmp_path / "one"))
     fjr("sweep", name, "--cores", "all", "--output", str(tmp_path / "all"))
     assert table(tmp_path / "one") == table(tmp_path / "all")
 
 
-def test_after_a_kill_it_is_taken_up_where_it_was(tmp_path: Path) -> None:
+def test_killed_study_is_resumed(tmp_path: Path) -> None:
     name = sweep_file(tmp_path, runs=1500, duration=3.0)
     running = Executable("fjr_bringup", "fjr", "sweep", name, "--output", str(tmp_path / "killed"))
     parts = tmp_path / "killed" / "joint" / "parts"
@@ -92,7 +92,7 @@ def test_after_a_kill_it_is_taken_up_where_it_was(tmp_path: Path) -> None:
     assert table(tmp_path / "killed") == table(tmp_path / "whole")
 
 
-def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_finished_parts(tmp_path: Path) -> None:
     name = sweep_file(tmp_path, runs=1500, duration=3.0)
     running = Executable("fjr_bringup", "fjr", "sweep", name, "--output", str(tmp_path))
     try:
@@ -116,7 +116,9 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
         (["--runs", "0"], "expected 1 or more", 2),
     ],
 )
-def test_what_cannot_be_is_one_sentence(tmp_path: Path, change: list[str], words: str, code: int) -> None:
+def test_invalid_arguments_are_refused_in_one_sentence(
+    tmp_path: Path, change: list[str], words: str, code: int
+) -> None:
     name = sweep_file(tmp_path)
     with open_store(tmp_path / "joint", *_planned(name)):
         pass
@@ -127,7 +129,7 @@ def test_what_cannot_be_is_one_sentence(tmp_path: Path, change: list[str], words
     assert words in said
 
 
-def test_a_parameter_whose_name_is_no_text_is_one_sentence(tmp_path: Path) -> None:
+def test_parameter_name_that_is_no_text_is_refused_in_one_sentence(tmp_path: Path) -> None:
     name = sweep_file(tmp_path)
     Path(name).write_text(Path(name).read_text() + "set: {5: 1}\n")
     said = fjr("sweep", name, "--output", str(tmp_path), code=2)
@@ -135,7 +137,7 @@ def test_a_parameter_whose_name_is_no_text_is_one_sentence(tmp_path: Path) -> No
     assert "Traceback" not in said
 
 
-def test_an_unknown_name_and_a_wrong_file_are_one_sentence(tmp_path: Path) -> None:
+def test_unknown_name_and_invalid_file_are_refused_in_one_sentence(tmp_path: Path) -> None:
     assert "or of the sweeps paper_joint" in fjr("sweep", "no_such", code=2)
     wrong = Path(sweep_file(tmp_path))
     wrong.write_text(wrong.read_text().replace("uniform", "unifrom", 1))
@@ -152,7 +154,7 @@ def local_cluster() -> Iterator[Any]:
 
 
 @pytest.mark.slow
-def test_a_dask_cluster_that_loses_a_worker_makes_the_same_bytes(tmp_path: Path, local_cluster: Any) -> None:
+def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, local_cluster: Any) -> None:
     from distributed import Client
 
     name = sweep_file(tmp_path, runs=300, duration=3.0)
@@ -175,7 +177,7 @@ def test_a_dask_cluster_that_loses_a_worker_makes_the_same_bytes(tmp_path: Path,
 
 
 @pytest.mark.slow
-def test_fjr_sweep_runs_on_a_scheduler_that_is_there(tmp_path: Path, local_cluster: Any) -> None:
+def test_fjr_sweep_runs_on_an_existing_scheduler(tmp_path: Path, local_cluster: Any) -> None:
     name = sweep_file(tmp_path)
     fjr("sweep", name, "--output", str(tmp_path / "one"))
     said = fjr("sweep", name, "--scheduler", local_cluster.scheduler_address, "--output", str(tmp_path / "cluster"))
@@ -183,7 +185,7 @@ def test_fjr_sweep_runs_on_a_scheduler_that_is_there(tmp_path: Path, local_clust
     assert table(tmp_path / "one") == table(tmp_path / "cluster")
 
 
-def test_without_dask_it_is_said_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_dask_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     wanted = pytest.raises(ClusterError, match=r"dask.distributed is not installed here; .*requirements/cluster.txt")
     with wanted, cluster("tcp://127.0.0.1:8786"):

@@ -43,7 +43,7 @@ ALL = [message(k) for k in range(SENT)]
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A closed bag of CHUNKS chunks."""
+    """Return a closed bag of CHUNKS chunks."""
     folder = tmp_path_factory.mktemp("whole") / "bag"
     writer = BagWriter(folder)
     channel = writer.add_topic(TOPIC, TYPE, [QoSProfile(depth=1)], message_types.type_hash(TYPE))
@@ -75,7 +75,7 @@ def content(whole: Path, suffix: str = ".mcap") -> bytes:
 
 
 def chunks(data: bytes, folder: Path) -> list[tuple[int, int]]:
-    """Begin and end of each chunk, as mcap's own reader finds them."""
+    """Return begin and end of each chunk, as found by the reader of mcap."""
     with open(written(folder, data, "index.mcap"), "rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
@@ -109,10 +109,10 @@ def test_a_flipped_bit_in_the_length_of_a_chunk_costs_at_most_that_chunk(whole: 
             assert bag.notes or len(messages(bag)) == SENT
 
 
-def test_an_index_that_a_flipped_bit_calls_a_message_is_none(whole: Path, folder: Path) -> None:
+def test_index_turned_into_a_message_by_a_flipped_bit_is_skipped(whole: Path, folder: Path) -> None:
     data = content(whole)
     for _, end in chunks(data, folder):
-        assert data[end] ^ 2 == 5  # from message index to message
+        assert data[end] ^ 2 == 5  # turns the kind from message index to message
         assert messages(read_bag(written(folder, flipped(data, end, 1)))) == ALL
 
 
@@ -159,7 +159,7 @@ def fill(writer: Writer, times: tuple[int, ...] = (), definition: bytes = b"") -
 
 @pytest.mark.parametrize("chunked", [True, False], ids=["chunks", "no chunks"])
 @pytest.mark.parametrize("compression", list(CompressionType), ids=lambda each: each.name)
-def test_what_other_writers_write_is_read_damaged_or_not(
+def test_bags_of_other_writers_are_read_damaged_or_not(
     compression: CompressionType, chunked: bool, folder: Path
 ) -> None:
     path = made(folder / "other.mcap", compression, chunked, fill)
@@ -188,7 +188,7 @@ def test_a_definition_that_is_not_utf8_is_needed_for_unknown_types_only(folder: 
 
 @pytest.mark.parametrize("name", ["a/msg/B\nint32 x", "a/msg/B", "../../x", "", "import os"])
 @pytest.mark.parametrize("text", ["import os", "int32 x\nstring s='", "\xff", "=" * 70, "a/b/C[] c", "x" * 2**21])
-def test_definitions_that_are_none_are_one_sentence(name: str, text: str) -> None:
+def test_invalid_definitions_are_reported_in_one_sentence(name: str, text: str) -> None:
     from mcap.records import Message
 
     from fjr_bringup.recording.topic import Topic
@@ -198,7 +198,7 @@ def test_definitions_that_are_none_are_one_sentence(name: str, text: str) -> Non
         _ = topic.decoded
 
 
-def test_a_small_file_cannot_ask_for_much_memory(whole: Path, folder: Path) -> None:
+def test_small_file_cannot_cause_a_large_allocation(whole: Path, folder: Path) -> None:
     data = content(whole)
     begin, _ = chunks(data, folder)[0]
     size = struct.pack("<Q", 2**40)
@@ -216,7 +216,7 @@ def test_bytes_of_another_format_are_refused(folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def tables(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The same bag as SQLite."""
+    """Return the bag in SQLite format."""
     return content(rewritten(whole, tmp_path_factory.mktemp("sqlite") / "bag"), ".db3")
 
 
@@ -251,7 +251,7 @@ ODD = {
 
 
 @pytest.mark.parametrize("statement", ODD.values(), ids=ODD)
-def test_rows_that_are_no_messages_are_left_out(statement: str, tables: bytes, folder: Path) -> None:
+def test_invalid_rows_are_skipped(statement: str, tables: bytes, folder: Path) -> None:
     path = written(folder, tables, "odd.db3")
     with closing(sqlite3.connect(path)) as database:
         database.execute(statement)

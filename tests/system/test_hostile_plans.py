@@ -84,7 +84,7 @@ def test_sweeps_of_any_text(folder: Path, data: bytes) -> None:
 
 
 @pytest.mark.parametrize("name", ["x" * 5000, "a/" * 3000, "..", "/dev/zero", ""])
-def test_a_sweep_of_a_scenario_that_no_file_can_be(name: str, folder: Path) -> None:
+def test_sweep_of_an_impossible_path_is_refused(name: str, folder: Path) -> None:
     assert read_sweep(folder, yaml.safe_dump({**yaml.safe_load(SWEEP), "scenario": name}).encode())
     assert answer(lambda: library.find(name))
     assert answer(lambda: suite.find(name))
@@ -107,7 +107,7 @@ def filled(folder: Path) -> Path:
 
 @fuzzed(8)
 @given(data=st.data())
-def test_a_part_of_other_bytes_is_computed_again(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+def test_changed_part_is_computed_again(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     folder = tmp_path_factory.mktemp("store")
     part = filled(folder)
     content = data.draw(bytes_of(part.read_bytes()))
@@ -117,7 +117,7 @@ def test_a_part_of_other_bytes_is_computed_again(tmp_path_factory: pytest.TempPa
         assert store.finished() == (10 if same else 0)
 
 
-def test_a_table_of_other_bytes_is_refused(tmp_path: Path) -> None:
+def test_changed_table_is_refused(tmp_path: Path) -> None:
     filled(tmp_path)
     with open_store(tmp_path, plan(), "program") as store:
         store.keep(10, 20, COLUMNS)
@@ -133,7 +133,7 @@ def test_a_table_of_other_bytes_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "[]", "3", "{", '{"program": []}', "\0"])
-def test_a_campaign_that_is_none_is_refused(text: str, tmp_path: Path) -> None:
+def test_invalid_study_file_is_refused(text: str, tmp_path: Path) -> None:
     filled(tmp_path)
     (tmp_path / "campaign.json").write_text(text)
 
@@ -144,7 +144,7 @@ def test_a_campaign_that_is_none_is_refused(text: str, tmp_path: Path) -> None:
     assert answer(taken_up)
 
 
-def test_a_kept_result_of_other_bytes_is_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changed_kept_result_is_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Job, "key", "job")
     job = object.__new__(Job)
     path = tmp_path / "job.json"
@@ -160,6 +160,6 @@ def test_a_kept_result_of_other_bytes_is_computed_again(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "[]", '{"planned_s": "5", "not_recorded": [], "failure": 3}'])
-def test_figures_of_a_run_that_are_none_are_not_used(text: str, tmp_path: Path) -> None:
+def test_invalid_entries_of_an_earlier_report_are_ignored(text: str, tmp_path: Path) -> None:
     (tmp_path / "report.json").write_text(text)
     assert _known(tmp_path / "report.json") == {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An arm with a prismatic and a revolute joint: its figures have m and N, rad and N m, each with its joint."""
+"""An arm with a prismatic and a revolute joint: metrics are in m and N or rad and N m, each with its joint."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def arm(file: Path) -> Scenario:
     return load_scenario(file)
 
 
-def test_a_run_names_the_joint_and_the_unit_of_each_figure(file: Path, tmp_path: Path) -> None:
+def test_run_names_joint_and_unit_of_each_metric(file: Path, tmp_path: Path) -> None:
     run = ("run", str(file), "--lockstep", "--duration", "2.2", "--output", str(tmp_path))
     said = fjr(*run, codes=(Exit.DONE, Exit.VIOLATED))
     report = json.loads((tmp_path / "arm" / "report.json").read_text())
@@ -86,19 +86,19 @@ def test_a_run_names_the_joint_and_the_unit_of_each_figure(file: Path, tmp_path:
         assert shown in page, shown
 
 
-def test_one_joint_needs_no_name(tmp_path: Path) -> None:
+def test_single_joint_is_not_named(tmp_path: Path) -> None:
     fjr("run", "paper_k31", "--lockstep", "--duration", "0.1", "--output", str(tmp_path))
     report = report_run("paper_k31", tmp_path / "paper_k31", 0.1).report
     assert headlines.peak_effort_and_share(report) == "26.2 N m"
     assert (headlines.position_unit(report), headlines.effort_unit(report)) == ("rad", "N m")
 
 
-def test_the_robot_knows_its_units(arm: Scenario) -> None:
+def test_robot_has_the_units_of_its_joints(arm: Scenario) -> None:
     assert arm.robot.units == (PRISMATIC, REVOLUTE)
     assert "N, N m; within the effort limits" in table(arm, checked(arm))
 
 
-def test_limits_of_a_prismatic_joint_are_said_in_metres(arm: Scenario) -> None:
+def test_limits_of_a_prismatic_joint_are_in_metres(arm: Scenario) -> None:
     values = {**arm.controller_values, "limits.link_position_upper": [0.04, 0.1], "limits.link_velocity": [1.0, 1.0]}
     state = MeasuredState(arm.robot.n)
     limits = StateLimits(safety(values, arm.robot), state)

@@ -25,7 +25,7 @@ SEVERAL = [case for case in SET if case.case.scenario == "two_link" and case.kin
 MISWIRED = [case for case in SET if case.case.scenario == "two_link" and case.kind in WIRING][2::3]
 
 
-def test_the_set_has_every_fault_in_three_sizes_and_healthy_runs() -> None:
+def test_set_has_every_fault_in_three_sizes_and_healthy_runs() -> None:
     assert len({*FAULTS, *WIRING}) >= 12
     assert len(SET) >= 48
     for kind in FAULTS:
@@ -62,7 +62,7 @@ def test_healthy_runs_have_no_finding(case: FaultCase) -> None:
     assert outcome(case).found == HEALTHY
 
 
-WEAK: dict[str, tuple[dict[str, object], dict[str, object], float]] = {  # effort limits that the controller lacks
+WEAK: dict[str, tuple[dict[str, object], dict[str, object], float]] = {  # effort limits unknown to the controller
     "paper_k31": (
         {
             "effort_limit": [0.8752888529257113],
@@ -82,7 +82,7 @@ WEAK: dict[str, tuple[dict[str, object], dict[str, object], float]] = {  # effor
 
 
 @pytest.mark.parametrize("scenario", WEAK)
-def test_a_motor_that_gives_less_than_commanded_is_not_taken_for_wrong_wiring(scenario: str) -> None:
+def test_saturated_motor_is_not_diagnosed_as_wrong_wiring(scenario: str) -> None:
     changes, robot, q = WEAK[scenario]
     named, start = {f"imperfections.{name}": v for name, v in changes.items()}, {"initial_link_position": [q]}
     weak = Case(scenario, scenario, HEALTHY, named, robot, {**start, "initial_motor_position": [q]})
@@ -91,7 +91,7 @@ def test_a_motor_that_gives_less_than_commanded_is_not_taken_for_wrong_wiring(sc
     assert loop.state == "tracking"
 
 
-def test_the_page_shows_the_set_and_the_shares_that_are_asked_for() -> None:
+def test_page_shows_the_set_and_the_required_shares() -> None:
     page = (ROOT / "docs" / "fault_isolation.md").read_text(encoding="utf-8").partition(BEGIN)[2]
     rows = [line for line in page.splitlines() if line.startswith("| ")][2 : 2 + len(KINDS)]
     counts = [int(cell) for row in rows for cell in row.split("|")[2:-2] if cell.strip()]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict is right on every bag of the labelled set, and on bags of the real nodes."""
+"""The diagnosis is right on every bag of the labelled set and on bags of the real nodes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.system
 SET = cases(VALIDATION_SEED)
 
 
-def test_the_set_holds_what_it_should() -> None:
+def test_set_covers_all_causes_and_robots() -> None:
     assert len(SET) >= 40
     assert len({case.name for case in SET}) == len(SET)
     assert {case.scenario for case in SET if not case.changes and not case.robot} == {
@@ -40,13 +40,13 @@ def test_the_set_holds_what_it_should() -> None:
 
 
 @pytest.mark.parametrize("case", SET, ids=lambda case: case.name)
-def test_the_verdict_on_each_bag_is_its_label(case: Case, tmp_path: Path) -> None:
+def test_diagnosis_of_each_bag_is_its_label(case: Case, tmp_path: Path) -> None:
     label, verdict = diagnosed(case, tmp_path / "bag")
     assert right(label, verdict), (label, verdict)
 
 
 def test_the_page_shows_the_set() -> None:
-    """Every bag right is a table with numbers on its diagonal only; the numbers are those of the set."""
+    """The table is diagonal if every bag is right; its numbers are those of the set."""
     page = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8").partition(BEGIN)[2]
     rows = [line for line in page.splitlines() if line.startswith("| ")]
     causes, grades = rows[2 : 2 + len(NAMES)], rows[4 + len(NAMES) : 8 + len(NAMES)]
@@ -69,7 +69,7 @@ def test_the_page_shows_the_set() -> None:
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_the_verdict_on_bags_of_the_real_nodes(assignments: tuple[str, ...], wanted: str, tmp_path: Path) -> None:
+def test_diagnosis_of_bags_of_the_real_nodes(assignments: tuple[str, ...], wanted: str, tmp_path: Path) -> None:
     changes = [part for assignment in assignments for part in ("--set", assignment)]
     force = ["--force"] if wanted == "sampling" else []
     duration = "0.5" if wanted == "sampling" else "2.5"

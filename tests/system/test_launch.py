@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The launch file names only what exists; where ROS 2's launch is installed, it runs."""
+"""Every name in the launch file exists; it runs if the launch package of ROS 2 is installed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def installed(*parts: str) -> Path:
 
 
 def calls(name: str) -> list[dict[str, Any]]:
-    """Keyword arguments (as syntax trees) of each call of `name` in the launch file; positional under '0'."""
+    """Return the arguments (syntax trees) of each call of `name` in the launch file, positional ones under '0'."""
     tree = ast.parse(installed("launch", "tracking.launch.py").read_text(encoding="utf-8"))
     found = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
     return [
@@ -72,7 +72,10 @@ def test_scenarios_exist_and_fit() -> None:
 def test_parameters_set_by_the_launch_file_are_declared_by_the_node() -> None:
     for call in calls("Node"):
         own = OWN_PARAMETERS[constant(call["package"])]
-        known = {"use_sim_time", *(parameter.name for parameter in builders.all_parameters(own, {}))}  # ROS 2's, ours
+        known = {
+            "use_sim_time",
+            *(parameter.name for parameter in builders.all_parameters(own, {})),
+        }  # of ROS 2, of this project
         set_here = [node for node in ast.walk(call["parameters"]) if isinstance(node, ast.Dict)]
         for node in set_here:
             assert {constant(key) for key in node.keys if key} <= known
@@ -84,7 +87,7 @@ def test_arguments_used_are_declared() -> None:
 
 
 def answered_steps(count: int) -> bool:
-    """Whether `count` stamped commands come within the time limit."""
+    """Return whether `count` stamped commands arrive within the time limit."""
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("listener", context=context)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The layouts for Foxglove and PlotJuggler name only what a run of the 7-joint arm publishes."""
+"""The layouts for Foxglove and PlotJuggler refer only to topics of a run of the 7-joint arm."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FUNCTIONS = {"abs", "log", "log2", "log10", "negative", "deg2rad", "rad2deg"}
 
 @dataclass(frozen=True)
 class Published:
-    """Topics of a run, and the last message of each that has one."""
+    """Topics of a run, with their last messages."""
 
     topics: dict[str, str]
     last: dict[str, Any]
@@ -53,7 +53,7 @@ def panels(layout: Any) -> list[str]:
     return [layout] if isinstance(layout, str) else panels(layout["first"]) + panels(layout["second"])
 
 
-def test_foxglove_lays_out_each_panel_once(foxglove: dict[str, Any]) -> None:
+def test_foxglove_contains_each_panel_once(foxglove: dict[str, Any]) -> None:
     assert sorted(panels(foxglove["layout"])) == sorted(foxglove["configById"])
 
 
@@ -90,7 +90,7 @@ def test_foxglove_shows_the_arm_its_health_and_its_events(foxglove: dict[str, An
 
 
 def test_plotjuggler_plots_numbers_that_are_published(published: Published) -> None:
-    """Joint states by joint, arrays by index, as PlotJuggler's ROS 2 parsers name their curves."""
+    """PlotJuggler's parsers name curves of joint states by joint and those of arrays by index."""
     curves = [curve.get("name", "") for curve in ElementTree.fromstring(config("plotjuggler_layout.xml")).iter("curve")]
     assert len(curves) > 30
     for curve in curves:
@@ -103,7 +103,7 @@ def test_plotjuggler_plots_numbers_that_are_published(published: Published) -> N
         assert len(getattr(message, field)) > list(message.name).index(joint)
 
 
-def test_what_the_layouts_call_V_is_V(foxglove: dict[str, Any], published: Published) -> None:
+def test_curve_named_V_in_the_layouts_is_V(foxglove: dict[str, Any], published: Published) -> None:
     if CERTIFICATE not in published.topics:
         pytest.skip("this controller publishes no certificate")
     labels = [label for part in published.last[CERTIFICATE].layout.dim for label in part.label.split(",")]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lock-step between two processes: two runs are one run bit by bit, and a silent controller ends it with a sentence."""
+"""Lock-step between two processes: runs are bit-identical, and a silent controller ends the plant with a sentence."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ EFFORTS = "/effort_controller/commands"
 
 
 def payloads(folder: Path) -> dict[str, dict[int, bytes]]:
-    """All numbers of each topic by stamp [ns], bit by bit; of what was sent again the first, so that times do not tell.
+    """Return the bytes of all numbers of each topic by stamp [ns]; of repeated messages the first, to exclude timing.
 
-    An effort has no stamp: it is that of the stamped command that was published with it.
+    An effort has no stamp; it gets that of the stamped command that was published with it.
     """
     found: dict[str, dict[int, bytes]] = {}
     with reader(folder) as bag:
@@ -69,7 +69,7 @@ def plant() -> Iterator[Executable]:
     started.kill()
 
 
-def test_a_controller_that_falls_silent_ends_the_plant_with_a_sentence_and_code_1(ros: Ros, plant) -> None:
+def test_silent_controller_ends_the_plant_with_a_sentence_and_exit_code_1(ros: Ros, plant) -> None:
     peer = Peer(ros)
     peer.meet_plant(lockstep=True)
     CommandLoop(peer).until(ros, 20)

@@ -24,13 +24,13 @@ pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 SECONDS = 4.0  # of stamped time
 FAULTS = {"delay": 0.001, "loss": 0.05}
-SETTLED = 2.0  # s; by then the first error of 0.5 rad is gone
+SETTLED = 2.0  # s; the initial error of 0.5 rad has decayed by then
 WATCH = str(Path(__file__).with_name("watch.py"))
 
 
 @dataclass(frozen=True)
 class Seen:
-    """k answered states: time (k,) [s], error (k,) [rad]; stamps of all states [ns]; all efforts."""
+    """Answered states (k): time (k,) [s], error (k,) [rad]; stamps of all states [ns]; all efforts."""
 
     time: np.ndarray
     error: np.ndarray
@@ -40,7 +40,7 @@ class Seen:
 
     @property
     def lost(self) -> float:
-        """Share of states that did not come, of one each millisecond."""
+        """Return the share of lost states, of one per millisecond."""
         return 1.0 - len(self.states) / (1 + (self.states[-1] - self.states[0]) / 1e6)
 
     @property
@@ -61,7 +61,7 @@ def network(monkeypatch) -> Iterator[Network]:
 
 
 def run(network: Network, **plant: Any) -> Seen:
-    """Plant on the left, controller on the right, a watcher next to the plant."""
+    """Run plant and watcher on the left and the controller on the right."""
     node = {name: [installed(*NODES[name]), "--ros-args", "--params-file", scenario("paper_k31")] for name in NODES}
     given = [word for name, value in plant.items() for word in ("-p", f"{name.replace('__', '.')}:={value}")]
     watch = network.start(network.left, sys.executable, WATCH, str(SECONDS), out=subprocess.PIPE)
@@ -78,17 +78,17 @@ def run(network: Network, **plant: Any) -> Seen:
     return Seen(**arrays, packets=min(network.sent(network.left), network.sent(network.right)))
 
 
-def test_the_demo_runs_unchanged_between_two_computers(network: Network) -> None:
+def test_demo_runs_unchanged_between_two_network_namespaces(network: Network) -> None:
     seen = run(network)
     assert len(seen.time) >= 0.5 * SECONDS * 1000
     assert np.median(np.diff(seen.states)) == pytest.approx(1e6, rel=0.01)  # 1 kHz
-    assert seen.packets >= len(seen.time)  # states one way, efforts the other: nothing passes in shared memory
+    assert seen.packets >= len(seen.time)  # states and efforts cross the network, not shared memory
     assert np.isfinite(seen.efforts).all()
     assert seen.worst <= 2e-3
 
 
-def test_it_tracks_with_messages_lost_and_late_by_the_plant(network: Network) -> None:
-    """5 % of states and of commands, and 1 ms each way."""
+def test_tracks_with_loss_and_delay_of_messages_in_the_plant(network: Network) -> None:
+    """The plant loses 5 % of states and commands and delays both by 1 ms."""
     sides = {f"imperfections__{side}_{what}": value for side in ("state", "command") for what, value in FAULTS.items()}
     seen = run(network, **sides)
     assert seen.lost >= 0.03
@@ -96,8 +96,8 @@ def test_it_tracks_with_messages_lost_and_late_by_the_plant(network: Network) ->
     assert seen.worst <= 5e-3
 
 
-def test_it_tracks_with_packets_lost_and_late_in_the_network(network: Network) -> None:
-    """5 % of packets and 1 ms each way, by the kernel."""
+def test_tracks_with_loss_and_delay_of_packets_in_the_network(network: Network) -> None:
+    """The kernel loses 5 % of the packets and delays them by 1 ms in both directions."""
     try:
         network.impair("1ms", "5%")
     except RefusedError as why:

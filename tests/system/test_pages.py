@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pages of `fjr report`, of bags of every scenario, in a real browser: they open from disk and draw, all of it."""
+"""Pages of `fjr report` for bags of every scenario open from disk in a real browser and draw all plots."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ pytestmark = pytest.mark.system
 SCENARIOS = ("paper_k31", "paper_k3p1", "two_link", "arm7")
 FIGURES = ["tracking", "error", "effort", "storage", "rate", "power", "period", "latency", "timeline"]
 COMPARED = ["error", "effort", "storage", "latency", "period"]
-DRAWN = 150  # coloured pixels, at least: a line across a plot has more
+DRAWN = 150  # coloured pixels; a line across a plot has more
 
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a page of each scenario and one of all, made by `fjr report` from bags of short runs."""
+    """Return a folder with a page for each scenario and one for all, from bags of short runs."""
     runs, output = tmp_path_factory.mktemp("runs"), tmp_path_factory.mktemp("reports")
     for name in SCENARIOS:
         fjr("run", name, "--lockstep", "--duration", "1.0", "--output", str(runs))
@@ -42,7 +42,7 @@ def names(browser: Browser) -> list[str]:
 
 
 def is_sound(browser: Browser) -> None:
-    """Nothing went wrong, nothing was fetched, every plot shows something."""
+    """Check that the page has no errors, fetches nothing and draws every plot."""
     assert browser.said == []
     assert [url for url in browser.asked if not url.startswith(("file:", "data:"))] == []
     assert len(browser.coloured()) == len(names(browser))
@@ -60,7 +60,7 @@ def test_the_page_of_every_scenario_draws_all_its_plots(pages: Path, browser: Br
     assert (max(ground) < 80) == dark
 
 
-def test_the_page_says_what_the_report_does(pages: Path, browser: Browser) -> None:
+def test_page_agrees_with_the_report(pages: Path, browser: Browser) -> None:
     report = json.loads((pages / "arm7" / "report.json").read_text())
     browser.open(pages / "arm7" / "report.html")
     text = browser.value("document.body.innerText")
@@ -71,7 +71,7 @@ def test_the_page_says_what_the_report_does(pages: Path, browser: Browser) -> No
     assert json.loads(browser.value("document.querySelector('pre').textContent")) == report
 
 
-def test_the_comparison_draws_all_runs_and_leads_to_their_pages(pages: Path, browser: Browser) -> None:
+def test_comparison_draws_all_runs_and_links_to_their_pages(pages: Path, browser: Browser) -> None:
     browser.open(pages / "comparison.html")
     is_sound(browser)
     assert names(browser) == COMPARED
@@ -81,7 +81,7 @@ def test_the_comparison_draws_all_runs_and_leads_to_their_pages(pages: Path, bro
     ]
 
 
-def test_the_pointer_shows_values_and_enlarges_all_plots_over_time(pages: Path, browser: Browser) -> None:
+def test_pointer_shows_values_and_zooms_all_time_plots(pages: Path, browser: Browser) -> None:
     browser.open(pages / "paper_k31" / "report.html")
     over = "document.querySelector('#error .u-over').getBoundingClientRect()"
     x, y, width = (browser.value(f"{over}.{what}") for what in ("left", "top", "width"))
@@ -89,7 +89,7 @@ def test_the_pointer_shows_values_and_enlarges_all_plots_over_time(pages: Path, 
     browser.mouse("mouseMoved", x + 0.5 * width, y + 50)
     browser.settle()
     time = browser.value("document.querySelector('#storage .u-legend .u-value').textContent")
-    assert 0.4 < float(time) < 0.6  # of one second; the plot next to it follows
+    assert 0.4 < float(time) < 0.6  # of one second; the neighbouring plot follows
     browser.mouse("mouseMoved", x + 0.2 * width, y + 50)
     browser.mouse("mousePressed", x + 0.2 * width, y + 50, held=True)
     for part in (0.3, 0.4):
@@ -103,7 +103,7 @@ def test_the_pointer_shows_values_and_enlarges_all_plots_over_time(pages: Path, 
     assert browser.said == []
 
 
-def test_other_units_are_a_button_away(pages: Path, browser: Browser) -> None:
+def test_button_switches_the_units(pages: Path, browser: Browser) -> None:
     browser.open(pages / "arm7" / "report.html")
     label = "document.querySelector('#effort .views button').textContent"
     button = "document.querySelector('#effort .views button').click()"
@@ -120,7 +120,7 @@ def test_other_units_are_a_button_away(pages: Path, browser: Browser) -> None:
 
 
 @pytest.mark.parametrize("page", ["arm7/report.html", "comparison.html"])
-def test_a_narrow_window_needs_no_sideways_scrolling(pages: Path, browser: Browser, page: str) -> None:
+def test_narrow_window_needs_no_horizontal_scrolling(pages: Path, browser: Browser, page: str) -> None:
     browser.open(pages / page)
     browser.size(390, 800)
     browser.settle()

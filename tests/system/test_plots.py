@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A page draws the data: decimated lines keep their minima and maxima, histograms every value."""
+"""Plots show all data: decimated lines keep minima and maxima, histograms count every value."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ VALUES = st.floats(-1e6, 1e6, width=32)
 
 
 @given(st.lists(arrays(float, 500, elements=VALUES), min_size=1, max_size=4), st.integers(20, 600))
-def test_thinned_lines_keep_their_extremes_and_ends(columns: list[np.ndarray], limit: int) -> None:
+def test_decimated_lines_keep_minima_maxima_and_ends(columns: list[np.ndarray], limit: int) -> None:
     rows = decimated(columns, limit)
     assert (np.diff(rows) > 0).all()
     assert rows[0] == 0
@@ -29,7 +29,7 @@ def test_thinned_lines_keep_their_extremes_and_ends(columns: list[np.ndarray], l
         assert column[rows].min() == column.min()
 
 
-def test_lines_that_fit_are_drawn_whole() -> None:
+def test_short_lines_are_not_decimated() -> None:
     np.testing.assert_array_equal(decimated([np.arange(50.0)], 50), np.arange(50))
 
 
@@ -40,7 +40,7 @@ def unpacked(text: str) -> np.ndarray:
 
 
 @given(arrays(float, st.integers(1, 30), elements=VALUES))
-def test_packed_numbers_are_the_numbers(values: np.ndarray) -> None:
+def test_packed_arrays_round_trip(values: np.ndarray) -> None:
     pool = Pool()
     assert pool.add(values, np.float64) == pool.add(values.copy(), np.float64) == 0
     assert pool.add(values) == 1
@@ -48,7 +48,7 @@ def test_packed_numbers_are_the_numbers(values: np.ndarray) -> None:
     np.testing.assert_array_equal(unpacked(pool.arrays[1]), values.astype(np.float32))
 
 
-def test_what_no_axis_can_show_is_a_gap() -> None:
+def test_values_outside_any_axis_are_gaps() -> None:
     values = np.array([1.0, 0.0, -2.0, np.inf, np.nan, 1e300])
     np.testing.assert_array_equal(drawable(values), [1.0, 0.0, -2.0, np.nan, np.nan, np.nan])
     np.testing.assert_array_equal(drawable(values, log=True), [1.0] + 5 * [np.nan])
@@ -75,7 +75,7 @@ def test_histograms_count_every_value(values: np.ndarray) -> None:
         (-2e7, "-2.00·10⁷"),
     ],
 )
-def test_numbers_are_written_for_people(value: float | None, text: str) -> None:
+def test_numbers_are_formatted_readably(value: float | None, text: str) -> None:
     assert number(value) == text
 
 

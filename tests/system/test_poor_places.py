@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Full disks, folders that cannot be written, no HOME, paths with spaces: what can go on does, with one sentence."""
+"""Full disks, read-only folders, no HOME, paths with spaces: the program continues if possible, with one sentence."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fjr_bringup.recording.reader import read_bag
 from fjr_bringup.report.fallback_folder import write_with_fallback
 from fjr_msgs_py.node.log_folder import ensure_log_folder
 
-LIMIT, SENT = 100_000, 1500  # bytes that a file may have; messages of 100 bytes and more
+LIMIT, SENT = 100_000, 1500  # bytes; limit on the file size, for messages of 100 bytes and more
 
 RECORDER = f"""
 import resource, sys, time
@@ -41,8 +41,8 @@ print(recorder.failure, recorder.loss)
 """
 
 
-def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
-    """A limit of the kernel on the size of files stands for the disk: writing fails in the same way."""
+def test_full_disk_ends_only_the_recording(tmp_path: Path) -> None:
+    """A kernel limit on the file size makes writing fail like a full disk."""
     result = subprocess.run(
         [sys.executable, "-c", RECORDER, str(tmp_path / "bag")],
         capture_output=True,
@@ -76,7 +76,7 @@ def test_a_report_that_cannot_be_written_is_written_elsewhere(
     assert capsys.readouterr().err == ""
 
 
-def test_half_a_file_is_never_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_partial_file_is_never_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_text(tmp_path / "figures.json", "old")
 
     def full(_descriptor: int) -> None:
@@ -93,7 +93,7 @@ POOR = [{}, {"HOME": "/proc/nobody"}, {"ROS_HOME": "/proc/ros"}, {"ROS_LOG_DIR":
 
 
 @pytest.mark.parametrize("variables", POOR, ids=lambda given: "".join(given) or "nothing")
-def test_ros_starts_where_it_cannot_log(
+def test_ros_starts_without_a_writable_log_folder(
     variables: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
@@ -101,7 +101,7 @@ def test_ros_starts_where_it_cannot_log(
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setenv("ROS_LOG_DIR", variables.get("ROS_LOG_DIR", ""))  # removed at the end, whatever it becomes
+    monkeypatch.setenv("ROS_LOG_DIR", variables.get("ROS_LOG_DIR", ""))  # removed at the end of the test
     for _ in range(2):
         ensure_log_folder()
     folder = os.environ["ROS_LOG_DIR"]
@@ -111,7 +111,7 @@ def test_ros_starts_where_it_cannot_log(
     assert folder in said
 
 
-def test_a_log_folder_that_can_be_written_stays(
+def test_writable_log_folder_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
@@ -121,7 +121,7 @@ def test_a_log_folder_that_can_be_written_stays(
 
 
 def test_scripts_and_nodes_start_from_a_path_with_spaces(tmp_path: Path) -> None:
-    """As colcon 0.20 and setuptools 79 write them."""
+    """The scripts are as written by colcon 0.20 and setuptools 79."""
     root = tmp_path / "Übungs ordner's"
     install, python = root / "install", root / "bin" / "python"
     node = install / "arm" / "lib" / "arm" / "node"
@@ -135,7 +135,7 @@ def test_scripts_and_nodes_start_from_a_path_with_spaces(tmp_path: Path) -> None
     )
     node.write_text(f'#!"{python}" -x\n# comment\nimport sys\nprint(sys.argv[1:])\n')
     node.chmod(0o755)
-    for _ in range(2):  # what is quoted stays
+    for _ in range(2):  # quoted paths are unchanged
         quote_paths(install)
     assert _said("sh", str(install / "setup.sh")) == f"{install}\n"
     assert _said("sh", str(install / "local_setup.sh")) == "5\n"

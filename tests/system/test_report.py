@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report counts every sample: missed, late, unanswered and lost ones; and the demo runs in real time."""
+"""The report counts missed, late, unanswered and lost samples; the demo runs in real time."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def test_a_perfect_run_has_nothing_to_report() -> None:
     assert counts.answered_in_time_fraction == 1.0
 
 
-def test_missed_late_unanswered_and_lost_are_each_counted() -> None:
-    data = recorded([0, 1, 3, 4], [0.3, 3.2, np.nan, 4.3])  # 2 was skipped, 1 answered after 3, 3 not at all
+def test_missed_late_unanswered_and_lost_samples_are_counted() -> None:
+    data = recorded([0, 1, 3, 4], [0.3, 3.2, np.nan, 4.3])  # 2 is skipped, 1 answered after 3, 3 unanswered
     counts = _counts(data, 5 * MS, {"/joint_states": 7})
     assert (counts.published, counts.missing, counts.gaps) == (4, 1, 1)
     assert (counts.answered, counts.answered_in_time, counts.late, counts.unanswered) == (3, 2, 1, 1)
@@ -66,7 +66,7 @@ def test_missed_late_unanswered_and_lost_are_each_counted() -> None:
 
 
 @given(st.lists(st.floats(-2.0, 3.0), min_size=1, max_size=9))
-def test_names_of_joints_are_moved_apart_in_order_and_only_where_they_must(heights: list[float]) -> None:
+def test_joint_labels_are_separated_in_order_and_only_if_they_overlap(heights: list[float]) -> None:
     placed = np.array(apart(np.array(heights)))
     order = np.argsort(placed)
     assert np.all(np.diff(np.array(heights)[order]) >= 0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folders of a scenario's runs: none is overwritten, and the scenario's name is the newest."""
+"""Folders of the runs of a scenario: none is overwritten, and the name of the scenario links to the newest."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fjr_bringup.recording.run_folder import FolderError, RunFolder
 
 
 def new_run(link: Path, text: str) -> Path:
-    """A run that began, with a bag."""
+    """Create a started run with a bag."""
     with RunFolder(link) as run:
         (run.path / "bag").mkdir()
         (run.path / "bag" / "bag_0.mcap").write_text(text)
@@ -19,14 +19,14 @@ def new_run(link: Path, text: str) -> Path:
     return run.path
 
 
-def test_every_run_is_kept_and_the_name_is_the_newest(tmp_path: Path) -> None:
+def test_every_run_is_kept_and_the_link_points_to_the_newest(tmp_path: Path) -> None:
     runs = [new_run(tmp_path / "arm", str(k)) for k in range(3)]
     assert [run.name for run in runs] == ["arm-001", "arm-002", "arm-003"]
     assert [(run / "bag" / "bag_0.mcap").read_text() for run in runs] == ["0", "1", "2"]
     assert (tmp_path / "arm").resolve() == runs[-1]
 
 
-def test_a_run_that_could_not_start_costs_nothing(tmp_path: Path) -> None:
+def test_run_that_could_not_start_leaves_no_folder(tmp_path: Path) -> None:
     first = new_run(tmp_path / "arm", "0")
     with RunFolder(tmp_path / "arm") as run:
         (run.path / "scenario.yaml").write_text("")
@@ -34,14 +34,14 @@ def test_a_run_that_could_not_start_costs_nothing(tmp_path: Path) -> None:
     assert (tmp_path / "arm").resolve() == first
 
 
-def test_a_number_is_never_given_again_while_a_later_run_is_there(tmp_path: Path) -> None:
+def test_number_is_not_reused_while_a_later_run_exists(tmp_path: Path) -> None:
     first, second = new_run(tmp_path / "arm", "0"), new_run(tmp_path / "arm", "1")
     first.rename(tmp_path / "published")
     assert new_run(tmp_path / "arm", "2").name == "arm-003"
     assert second.is_dir()
 
 
-def test_two_runs_at_the_same_time_have_folders_of_their_own(tmp_path: Path) -> None:
+def test_simultaneous_runs_have_separate_folders(tmp_path: Path) -> None:
     with RunFolder(tmp_path / "arm") as one, RunFolder(tmp_path / "arm") as other:
         assert one.path != other.path
 
@@ -54,7 +54,7 @@ def test_a_run_without_a_number_gets_one(tmp_path: Path) -> None:
     assert (tmp_path / "arm" / "bag" / "bag_0.mcap").read_text() == "new"
 
 
-def test_what_is_no_run_is_left_alone(tmp_path: Path) -> None:
+def test_other_folders_are_not_changed(tmp_path: Path) -> None:
     (tmp_path / "arm").mkdir()
     new_run(tmp_path / "arm", "an empty folder makes room")
     (tmp_path / "thesis").mkdir()

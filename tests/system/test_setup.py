@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The set-up tool: one clear sentence where it cannot go on; nothing is done twice or left half done."""
+"""The set-up tool reports failures in one sentence, skips completed steps and repeats interrupted ones."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RUN_SETUP += "runpy.run_path({script!r}, run_name='__main__')"
 
 
 def run_setup(target: str, pretend: str, path: Path, **environ: str) -> subprocess.CompletedProcess[str]:
-    """Run the tool as a process of its own that first executes `pretend`, e.g. another platform.machine."""
+    """Run the tool as a separate process that first executes `pretend`, e.g. another platform.machine."""
     tools = ROOT / "tools"
     script = RUN_SETUP.format(tools=str(tools), arguments=[target], script=str(tools / "setup_env.py"))
     code = f"import platform, sys; {pretend}; {script}"
@@ -37,7 +37,7 @@ def run_setup(target: str, pretend: str, path: Path, **environ: str) -> subproce
 
 
 def assert_one_sentence(run: subprocess.CompletedProcess[str], *expected: str) -> None:
-    """The run failed with one line on stderr that holds all expected words, and without a traceback."""
+    """Check that the run failed with one line on stderr that contains all expected words."""
     assert run.returncode == 1, run
     assert "Traceback" not in run.stderr
     assert len(run.stderr.strip().splitlines()) == 1, run.stderr
@@ -54,9 +54,7 @@ def assert_one_sentence(run: subprocess.CompletedProcess[str], *expected: str) -
         ("platform.libc_ver = lambda: ('glibc', '2.17')", "glibc 2.17"),
     ],
 )
-def test_a_machine_without_wheels_and_without_ros_is_told_to_install_ros(
-    pretend: str, seen: str, tmp_path: Path
-) -> None:
+def test_machine_without_wheels_or_ros_is_asked_to_install_ros(pretend: str, seen: str, tmp_path: Path) -> None:
     run = run_setup("build", pretend, tmp_path)
     assert_one_sentence(run, seen, "install ROS 2 Jazzy", "source /opt/ros/jazzy/setup.sh")
 
@@ -78,7 +76,7 @@ def test_a_python_that_is_too_old_is_refused_by_version(tmp_path: Path) -> None:
     assert_one_sentence(run, "Python 3.10 to 3.13 is needed", "this is Python 3.9", "make PYTHON=")
 
 
-def test_a_python_that_is_too_old_hands_over_to_one_that_suits(tmp_path: Path) -> None:
+def test_too_old_python_hands_over_to_a_suitable_one(tmp_path: Path) -> None:
     broken, suited = tmp_path / "python3.13", tmp_path / "python3.11"
     broken.write_text("#!/bin/sh\nexit 127\n")
     suited.write_text('#!/bin/sh\n[ "$1" = -c ] && echo 3.11 || echo "entered with $2"\n')
@@ -94,7 +92,7 @@ def test_a_sourced_jazzy_is_used_on_any_machine_and_wheels_only_where_they_exist
     assert not has_wheels(Machine("Linux", "x86_64", "glibc", (2, 36), "pypy", ""))
 
 
-def test_every_direct_requirement_is_pinned_and_pinned_once() -> None:
+def test_every_direct_requirement_is_pinned_once() -> None:
     text = (ROOT / "constraints.txt").read_text()
     pinned = pins.pins(text)
     assert len(pins.entries(text)) == len(pinned)
@@ -103,13 +101,13 @@ def test_every_direct_requirement_is_pinned_and_pinned_once() -> None:
             assert pins.requirement_name(entry) in pinned, f"{entry} of {file.name}"
 
 
-def test_every_runtime_dependency_of_the_packages_is_wanted_by_name() -> None:
+def test_every_runtime_dependency_is_required_by_name() -> None:
     wanted = (pins.entries(file.read_text()) for file in pins.requirement_files(ROOT, "test", wheels=True))
     names = {pins.requirement_name(entry) for entries in wanted for entry in entries}
     assert {"numpy", "scipy", "casadi", "pin", "ros-jazzy-rclpy", "mcap", "rosbags", "matplotlib"} <= names
 
 
-def test_beside_a_sourced_ros_its_packages_are_kept_and_the_test_tools_pinned() -> None:
+def test_packages_of_a_sourced_ros_are_kept_and_test_tools_pinned() -> None:
     pinned = {"numpy": "2.2.6", "scipy": "1.15.3", "casadi": "3.8.2", "pytest": "9.2.0", "lark": "1.0"}
     installed = {"numpy": "1.26.4", "scipy": "1.11.4", "pytest": "7.4.4", "lark": "1.10"}
     lines = pins.relaxed(pinned, installed, {"pytest"})
@@ -119,7 +117,7 @@ def test_beside_a_sourced_ros_its_packages_are_kept_and_the_test_tools_pinned() 
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """The files the set-up reads, copied to a folder of their own."""
+    """Copy the files that the set-up reads to a separate folder."""
     shutil.copytree(ROOT / "requirements", tmp_path / "requirements")
     shutil.copy(ROOT / "constraints.txt", tmp_path)
     package = tmp_path / "ros2_ws" / "src" / "pack"
@@ -154,7 +152,7 @@ def test_only_what_colcon_reads_changes_the_fingerprint_of_the_build(checkout: P
     assert workspace.content() != changed
 
 
-def test_an_interrupted_installation_is_made_anew_and_a_complete_one_left_alone(
+def test_interrupted_installation_is_repeated_and_a_complete_one_kept(
     checkout: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     environment = Environment(checkout, sourced_ros=False)
@@ -180,7 +178,7 @@ def test_an_interrupted_installation_is_made_anew_and_a_complete_one_left_alone(
 
 
 class Apt:
-    """A machine of a given user, with or without apt-get, whose installation brings what is missing or fails."""
+    """A machine of a given user, with or without apt-get, whose installation succeeds or fails."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, user: int, apt: bool = True, fails: bool = False) -> None:
         self.installed: list[str] = []
@@ -199,7 +197,7 @@ class Apt:
         extra.ensure(folder / "log", {})
 
 
-def test_what_the_system_lacks_is_installed_by_root(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_missing_system_packages_are_installed_by_root(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     machine = Apt(monkeypatch, user=0)
     machine.ensure(tmp_path)
     machine.ensure(tmp_path)
@@ -214,7 +212,7 @@ def test_what_the_system_lacks_is_installed_by_root(monkeypatch: pytest.MonkeyPa
         ({"user": 0, "fails": True}, "apt-get update failed"),
     ],
 )
-def test_what_the_system_cannot_get_is_said_in_one_line_and_the_set_up_goes_on(
+def test_unavailable_system_packages_are_reported_and_the_set_up_continues(
     machine: dict[str, int],
     expected: str,
     monkeypatch: pytest.MonkeyPatch,
@@ -229,7 +227,7 @@ def test_what_the_system_cannot_get_is_said_in_one_line_and_the_set_up_goes_on(
 
 @pytest.mark.parametrize(("code", "counts"), [(0, True), (1, False)])
 @pytest.mark.parametrize(("name", "wanted"), [("gcc", ""), ("mycc", "mycc -m64")])
-def test_a_compiler_counts_when_it_compiles(name: str, wanted: str, code: int, counts: bool, tmp_path: Path) -> None:
+def test_compiler_is_accepted_if_it_compiles(name: str, wanted: str, code: int, counts: bool, tmp_path: Path) -> None:
     script = tmp_path / name
     script.write_text(f"#!/bin/sh\nexit {code}\n")
     script.chmod(0o755)
@@ -240,11 +238,11 @@ def test_a_sourced_ros_without_pinocchio_is_noticed(tmp_path: Path) -> None:
     (tmp_path / "pinocchio.py").write_text("")
     for path, there in ((tmp_path, True), (tmp_path / "empty", False)):
         env = {"PYTHONPATH": str(path), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
-        python = Path(sys.executable).resolve()  # outside the environment, which has one of its own
+        python = Path(sys.executable).resolve()  # outside the environment, which has its own
         assert extras.pinocchio(python, env).is_there() == there
 
 
-def test_pinocchios_wheel_gets_the_openmp_library_of_casadis(tmp_path: Path) -> None:
+def test_pinocchio_wheel_uses_the_openmp_library_of_casadi(tmp_path: Path) -> None:
     site = tmp_path / "lib" / "python3.11" / "site-packages"
     for folder in (site / "casadi", site / "cmeel.prefix" / "lib"):
         folder.mkdir(parents=True)
@@ -254,7 +252,7 @@ def test_pinocchios_wheel_gets_the_openmp_library_of_casadis(tmp_path: Path) -> 
     assert (site / "cmeel.prefix" / "lib" / "libgomp.so.1").resolve() == site / "casadi" / "libgomp-1234.so.1.0.0"
 
 
-def test_a_stamp_that_is_damaged_counts_as_none(tmp_path: Path) -> None:
+def test_damaged_stamp_is_ignored(tmp_path: Path) -> None:
     stamp = tmp_path / "stamp.json"
     assert pins.read_stamp(stamp) == {}
     pins.write_stamp(stamp, {"identity": ["here"]})
@@ -263,7 +261,7 @@ def test_a_stamp_that_is_damaged_counts_as_none(tmp_path: Path) -> None:
     assert pins.read_stamp(stamp) == {}
 
 
-def test_links_to_removed_files_go_and_others_stay(tmp_path: Path) -> None:
+def test_only_dangling_links_are_removed(tmp_path: Path) -> None:
     (tmp_path / "kept").write_text("")
     (tmp_path / "good").symlink_to(tmp_path / "kept")
     (tmp_path / "bad").symlink_to(tmp_path / "gone")

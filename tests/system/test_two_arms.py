@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two arms in lock-step in one ROS domain: each with a clock of its own, or one of them refused."""
+"""Two arms in lock-step in one ROS domain: each with a separate clock, or one of them is refused."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def start() -> Iterator[Start]:
 
 
 class Observer(Node):
-    """Hears the times of some clocks [ns] and the names and hardware ids of all reports."""
+    """Record the times of some clocks [ns] and the names and hardware ids of all reports."""
 
     def __init__(self, ros: Ros, *topics: str) -> None:
         super().__init__("observer", context=ros.context)
@@ -57,7 +57,7 @@ def nanoseconds(message: Clock) -> int:
     return message.clock.sec * 10**9 + message.clock.nanosec
 
 
-def test_two_arms_with_a_clock_each_run_side_by_side_and_are_told_apart(ros: Ros, start: Start) -> None:
+def test_two_arms_with_separate_clocks_run_in_parallel_and_are_distinguishable(ros: Ros, start: Start) -> None:
     clocks = [f"/{arm}/clock" for arm in ARMS]
     observer = Observer(ros, *clocks)
     for arm, clock in zip(ARMS, clocks, strict=True):
@@ -73,7 +73,7 @@ def test_two_arms_with_a_clock_each_run_side_by_side_and_are_told_apart(ros: Ros
     assert observer.parts == expected
 
 
-def test_of_two_arms_on_one_clock_one_ends_with_one_sentence(ros: Ros, start: Start) -> None:
+def test_second_arm_on_one_clock_ends_with_one_sentence(ros: Ros, start: Start) -> None:
     observer = Observer(ros, "/clock")
     plants = [start("plant", "left")]
     start("controller", "left")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A degraded verdict is shown in amber with its number: on the page, in the terminal, in report.json."""
+"""A degraded diagnosis is shown in amber with its error on the page, in the terminal and in report.json."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ COLUMNS, ROWS = 132, 40
 
 
 class Terminal:
-    """`fjr` in a terminal of its own, and what stands on its screen."""
+    """`fjr` in a pseudo-terminal, with the content of its screen."""
 
     def __init__(self, *arguments: str) -> None:
         self._master, slave = pty.openpty()
@@ -48,7 +48,7 @@ class Terminal:
         self.raw = b""
 
     def until(self, seen: Callable[[str], bool]) -> str:
-        """Read until the screen is as wanted; the screen."""
+        """Read until the screen satisfies `wanted`; return the screen."""
         limit = Limit(TIME_LIMIT)
         while not seen(self.text):
             assert not limit.passed(), self.text
@@ -60,7 +60,7 @@ class Terminal:
         return "\n".join(line.rstrip() for line in self._screen.display)
 
     def interrupt(self) -> int:
-        """Ctrl-C; the exit code."""
+        """Send Ctrl-C; return the exit code."""
         self.process.send_signal(signal.SIGINT)
         limit = Limit(TIME_LIMIT)
         while self.process.poll() is None and not limit.passed():
@@ -78,7 +78,7 @@ class Terminal:
         if select.select([self._master], [], [], wait)[0]:
             try:
                 data = os.read(self._master, 65536)
-            except OSError:  # the other end is closed
+            except OSError:  # the other end was closed
                 return
             self.raw += data
             self._stream.feed(data)
@@ -110,7 +110,7 @@ def loop() -> Iterator[dict[str, Executable]]:
 
 
 def rows(screen: str) -> dict[str, list[float]]:
-    """Position, velocity, deflection and error of the joints of which all are there."""
+    """Return position, velocity, deflection and error of the joints that have all of them."""
     found = {}
     for words in (line.split() for line in screen.splitlines()):
         with suppress(ValueError, IndexError):
@@ -133,23 +133,23 @@ def test_a_running_loop_is_on_the_screen(loop: dict[str, Executable], terminal: 
     loop["plant"].kill()
     watch.until(lambda text: "no state for" in text)
     assert watch.interrupt() == 0
-    assert b"\x1b[?1049l" in watch.raw, "the terminal is as it was"
+    assert b"\x1b[?1049l" in watch.raw, "the terminal must be restored"
     assert b"Traceback" not in watch.raw
 
 
-def test_nothing_there_is_said_and_ends_with_ctrl_c(terminal: Callable[..., Terminal]) -> None:
+def test_missing_nodes_are_reported_until_ctrl_c(terminal: Callable[..., Terminal]) -> None:
     watch = terminal("watch", "--remap", "joint_states:=/robot/states")
     screen = watch.until(lambda text: "waiting for joint states" in text and "no publisher of" in text)
     assert "/robot/states" in screen
     assert watch.interrupt() == 0
 
 
-def test_one_picture_as_plain_text(loop: dict[str, Executable]) -> None:
+def test_single_view_is_plain_text(loop: dict[str, Executable]) -> None:
     fjr("echo", "left/joint_states", "--once", "--timeout", "600")
     said = fjr("watch", "--namespace", "/left", "--once")
     assert "shoulder" in said
     assert "\x1b" not in said
 
 
-def test_a_remap_that_is_none_is_refused() -> None:
+def test_invalid_remap_is_refused() -> None:
     assert "expected FROM:=TO" in fjr("watch", "--remap", "joint_states", code=2)

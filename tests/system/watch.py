@@ -15,11 +15,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from faults.watcher import EFFORTS, REFERENCE, STATES, Watcher
 from patience import Limit
 
-LIMIT = 40.0  # s on a free machine
+LIMIT = 40.0  # s on an idle machine
 
 
 def main() -> int:
-    """Arguments: seconds of stamped time after the first command."""
+    """Run with the argument seconds of stamped time after the first command."""
     seconds = float(sys.argv[1])
     watcher = Watcher()
     limit = Limit(LIMIT)

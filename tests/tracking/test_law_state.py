@@ -22,7 +22,7 @@ def tracker(robust: Robust = ROBUST, **given: Any) -> Tracker:
 
 
 def controller_state(of: Tracker) -> np.ndarray:
-    """Return the controller state that the law is evaluated with."""
+    """Return the controller state with which the law is evaluated."""
     assert of._output.law._law_state is not None
     return of._output.law._law_state._step.memory
 
@@ -72,7 +72,7 @@ def test_a_gap_resets_the_controller_state(stamp: int) -> None:
         assert of._output.law._law_state._step.dt[0] == (0.0 if arrival == 3_000 * MS else 1e-3)  # type: ignore[union-attr]
 
 
-def test_other_gains_keep_the_controller_state() -> None:
+def test_changed_gains_keep_the_controller_state() -> None:
     """The estimate of a load is kept, so that the effort has no step."""
     of, gains = tracker(), replace(fjr.PAPER_GAINS, Pi_l=20.001)
     efforts = efforts_at(of, range(0, 400 * MS, MS))
@@ -84,14 +84,14 @@ def test_other_gains_keep_the_controller_state() -> None:
     assert steps[-1] < 2 * steps[:-1].max()
 
 
-def test_a_repeated_sample_after_other_gains_is_evaluated_with_the_same_state() -> None:
+def test_repeated_sample_after_changed_gains_uses_the_same_state() -> None:
     of = tracker()
     found = efforts_at(of, range(0, 40 * MS, MS))
     of.use(LAW.with_gains(fjr.PAPER_GAINS))
     assert efforts_at(of, [39 * MS]) == found[-1:]
 
 
-def test_gains_that_are_too_large_are_refused_together_with_the_robust_ones() -> None:
+def test_too_large_gains_are_refused_together_with_robust_gains() -> None:
     of = tracker()
     with pytest.raises(fjr.GainsError, match=r"'gains\.\*' and 'robust\.\*' give an effort that is not finite"):
         of.use(LAW.with_gains(fjr.Gains(Lambda_l=1e200, Pi_l=1e100, K_ld=1.0, Lambda_m=1e200, Pi_m=1e100, K_md=1.0)))

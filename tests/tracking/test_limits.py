@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of state and effort, the stop policies, and the parameters that they come from."""
+"""Limits of state and effort, the stop policies, and their parameters."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SIZES = {
 
 
 def put(state: MeasuredState, name: str, joint: int, value: float) -> np.ndarray:
-    """Set a robot of two joints to zero but for one quantity; return the desired link positions that go with it."""
+    """Set all quantities of a two-joint robot except one to zero; return the matching desired link positions."""
     state.values[:] = 0.0
     q_ld = np.zeros(2)
     if name in SIGNED:
@@ -139,7 +139,7 @@ def test_gravity_hold_is_finite_for_any_motor_velocity() -> None:
     np.testing.assert_array_equal(policy.moving(np.array([0.5]), np.array([1e300])), policy.standing())
 
 
-def test_zero_is_zero() -> None:
+def test_zero_policy_sends_zero_effort() -> None:
     policy = StopPolicy(paper_law(), settings())
     policy.remember(np.ones(1))
     assert not policy.standing().any()
@@ -153,7 +153,7 @@ def built(n: int = 1, robot: fjr.Robot | None = None, **given: object) -> Settin
     return safety({**values, "joints": joints}, robot or fjr.single_link())
 
 
-def test_by_default_nothing_is_limited() -> None:
+def test_nothing_is_limited_by_default() -> None:
     made, off = built(), settings()
     for name in (p.name.removeprefix("limits.") for p in safety_parameters(1) if isinstance(p.default, tuple)):
         assert np.isinf(getattr(made, name)).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracking with a velocity observer: resets, settling, limits meanwhile."""
+"""Tracking with a velocity observer: resets, settling, and limits while it settles."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Recorder:
         self.fresh, self._begun = not self._begun, True
 
 
-def test_an_observer_gets_the_effort_that_was_sent() -> None:
+def test_observer_receives_the_sent_effort() -> None:
     recorder = Recorder()
     tracker = Tracker(LAW, SINE, settings(effort=1.0), recorder)
     sent = [0.0]
@@ -60,7 +60,7 @@ def test_an_observer_gets_the_effort_that_was_sent() -> None:
     assert len(recorder.updates) == OBSERVED + 3
     tracker.apply(settings(effort=0.01))
     tracker.command(bare_sample((OBSERVED + 3) * MS), (OBSERVED + 3) * MS)
-    assert recorder.updates[-1][1] == sent[-1], "the effort that acted, not its value within the new limit"
+    assert recorder.updates[-1][1] == sent[-1], "expected the effort that acted, not its value within the new limit"
 
 
 def test_an_observer_is_reset_after_a_gap_and_settles_before_its_velocities_are_used() -> None:
@@ -89,7 +89,7 @@ def test_an_observer_is_reset_after_a_gap_and_settles_before_its_velocities_are_
 def test_with_an_observer_a_start_sends_the_stop_effort_until_velocities_settle(policy: str) -> None:
     tracker = Tracker(LAW, SINE, settings(on_stop=policy, start_join_time=0.5), Recorder())
     for beginning in (SECOND, 0):  # the second is a jump back
-        tracker.command(bare_sample(beginning), 2 * SECOND)  # doubted where it is a jump
+        tracker.command(bare_sample(beginning), 2 * SECOND)  # a jump is unconfirmed at first
         for k in range(1, OBSERVED + 1):
             command = tracker.command(bare_sample(beginning + k * MS), 2 * SECOND)
             assert command is not None
@@ -123,12 +123,12 @@ def test_limits_of_positions_are_checked_while_velocities_settle(name: str) -> N
 
 
 def test_limits_of_velocities_and_tracking_error_are_not_checked_while_velocities_settle() -> None:
-    """After a silence the reference starts where the arm has moved meanwhile."""
+    """After a silence the reference starts at the present position of the arm."""
     recorder = Recorder()
     tracker = Tracker(LAW, Hold([0.5]), settings(link_velocity=1.0, tracking_error=0.1), recorder)
     for k in range(OBSERVED + 1):
         tracker.command(bare_sample(k * MS), k * MS)
-    recorder.state[2] = 2.0  # what a difference of encoder steps may be
+    recorder.state[2] = 2.0  # possible difference quotient of encoder steps
     for k in range(OBSERVED + 1):
         recorder.state[2] *= k < OBSERVED - 1
         tracker.command(bare_sample(SECOND + k * MS, 0.9), SECOND + k * MS)
@@ -169,7 +169,7 @@ def test_the_law_never_uses_velocities_that_have_not_settled() -> None:
     loop = Loop(LAW, SINE, settings(), x0, observer=fjr.VelocityObserver(LAW.robot, 150.0))
     for beginning in (20 * SECOND, SECOND):
         loop.x, loop.now = x0, beginning
-        if beginning == SECOND:  # a jump back, whose first sample is doubted
+        if beginning == SECOND:  # a jump back, whose first sample is unconfirmed
             assert loop.tracker.command(loop.sample(), loop.now) is None
             loop.now += MS
         for k in range(30):
@@ -181,7 +181,7 @@ def test_the_law_never_uses_velocities_that_have_not_settled() -> None:
             assert np.isfinite(command.V) == (k >= OBSERVED)
 
 
-def test_a_sample_without_velocities_needs_an_observer() -> None:
+def test_sample_without_velocities_requires_an_observer() -> None:
     bare = sample(0, 0.5, 0.5)
     bare.dq_l = None
     with pytest.raises(fjr.StateError, match="no velocities; expected them, or an observer"):

@@ -27,7 +27,7 @@ from tracking.tracked import (
 @pytest.mark.parametrize("policy", ["zero", "gravity_hold"])
 @pytest.mark.parametrize("arm", ARMS)
 @pytest.mark.parametrize("quiet", [0.06, 0.4])
-def test_after_a_silence_tracking_comes_back_without_a_step(arm: str, policy: str, quiet: float) -> None:
+def test_tracking_recovers_from_a_silence_without_a_step(arm: str, policy: str, quiet: float) -> None:
     law, reference, x0, step = ARMS[arm]
     loop = Loop(law, reference, settings(law.robot.n, state_timeout=0.05, on_stop=policy), x0)
     loop.run(1.0)
@@ -63,7 +63,7 @@ def test_a_second_silence_is_detected() -> None:
     assert tracker_at().silence(10 * SECOND) is None
 
 
-def test_stamps_that_jump_forward_are_a_recovery_too() -> None:
+def test_forward_jump_of_the_stamps_is_a_recovery() -> None:
     tracker = tracker_at(0, MS)
     last = tracker.command(sample(2 * MS, 0.5, 0.5), 2 * MS)
     assert tracker.command(sample(5 * SECOND - MS, 0.4, 0.5), 3 * MS) is None
@@ -97,7 +97,7 @@ def test_a_recovery_does_not_begin_outside_the_limits() -> None:
     assert "recoveries" not in tracker.counters
 
 
-def test_without_a_joining_time_tracking_continues_at_once() -> None:
+def test_tracking_continues_at_once_without_a_join_time() -> None:
     tracker = tracker_at(0, recovery_join_time=0.0)
     command = tracker.command(sample(SECOND, 0.4, 0.5), SECOND)
     assert command is not None

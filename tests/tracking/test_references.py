@@ -87,7 +87,7 @@ def test_hold_comes_to_a_standstill_without_a_step(arm: str) -> None:
     assert loop.error < 2e-3
 
 
-def test_hold_before_the_first_sample_stands_where_the_links_are() -> None:
+def test_hold_before_the_first_sample_holds_the_present_position() -> None:
     tracker = Tracker(LAW, SINE, settings(start_error=0.1))
     tracker.hold()
     command = tracker.command(sample(0, 0.7, 0.7), 0)
@@ -96,7 +96,7 @@ def test_hold_before_the_first_sample_stands_where_the_links_are() -> None:
     assert command.state is State.TRACKING
 
 
-def test_hold_while_stopped_keeps_the_arm_where_it_is_when_resumed() -> None:
+def test_hold_while_stopped_holds_the_position_at_resume() -> None:
     tracker = tracker_at(0, link_velocity=1.0)
     tracker.command(sample(MS, 0.5, 0.5, 2.0), MS)
     tracker.hold()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that are late, repeated, or jumped; silences."""
+"""Late and repeated samples, jumps of the stamps, and silences."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tracking.tracked import (
 )
 
 
-def test_an_older_sample_gets_no_command_and_a_repeated_one_the_same() -> None:
+def test_older_sample_has_no_command_and_a_repeated_one_the_same_command() -> None:
     tracker = tracker_at(0, 300 * MS)
     newest = tracker.command(sample(300 * MS, 0.4, 0.5), 300 * MS)
     assert tracker.command(sample(200 * MS, 0.4, 0.5), 301 * MS) is None
@@ -48,7 +48,7 @@ def test_another_time_line_starts_the_reference_again(before: int | None, stamp:
 
 
 @pytest.mark.parametrize("jump", [10 * SECOND, -10 * SECOND, -600 * MS])
-def test_one_state_with_a_wrong_stamp_changes_nothing(jump: int) -> None:
+def test_single_wrong_stamp_changes_nothing(jump: int) -> None:
     tracker, twin = tracker_at(20 * SECOND), tracker_at(20 * SECOND)
     for k in range(1, 5):
         stamp = 20 * SECOND + k * MS
@@ -70,7 +70,7 @@ def test_jumps_that_do_not_confirm_each_other_are_ignored_until_a_silence() -> N
     assert tracker.counters == {"jumps doubted": 3, "silences": 1, "recoveries": 1}
 
 
-def test_in_simulated_time_a_jump_counts_at_once() -> None:
+def test_jump_is_confirmed_at_once_in_simulated_time() -> None:
     tracker = Tracker(LAW, SINE, settings(), simulated_time=True)
     tracker.command(sample(20 * SECOND, 0.5, 0.5), 0)
     assert tracker.command(sample(30 * SECOND, 0.5, 0.5), MS) is not None

@@ -139,7 +139,7 @@ def test_a_stop_is_not_resumed_outside_the_limits(name: str) -> None:
     assert tracker.state is State.JOINING
 
 
-def test_resume_does_nothing_where_nothing_is_stopped() -> None:
+def test_resume_without_a_stop_does_nothing() -> None:
     tracker = tracker_at(0)
     tracker.resume()
     command = tracker.command(sample(MS, 0.5, 0.5), MS)
@@ -149,7 +149,7 @@ def test_resume_does_nothing_where_nothing_is_stopped() -> None:
 
 
 @pytest.mark.parametrize("arm", ["paper", "two"])
-def test_gravity_hold_holds_an_arm_still(arm: str) -> None:
+def test_gravity_hold_keeps_an_arm_at_rest(arm: str) -> None:
     law = ARMS[arm][0]
     n = law.robot.n
     q = np.linspace(1.2, -0.6, n)

@@ -35,7 +35,7 @@ from tracking.tracked import (
 
 
 @pytest.mark.parametrize("stiffness", [31.0, 3.1])
-def test_with_everything_off_the_effort_is_the_law_bit_for_bit(stiffness: float) -> None:
+def test_effort_without_options_is_bit_identical_to_the_law(stiffness: float) -> None:
     law = paper_law(stiffness)
     loop = Loop(law, SINE, settings(), law.robot.state(0.5, 0.5, 0.0, 0.0))
     for k in range(300):
@@ -103,7 +103,7 @@ def test_a_non_finite_effort_is_replaced_and_changes_no_state(bad: float) -> Non
     assert kinds(tracker) == ["efforts not finite"]
 
 
-def test_a_bad_first_sample_does_not_start_the_reference() -> None:
+def test_invalid_first_sample_does_not_start_the_reference() -> None:
     tracker = Tracker(LAW, SINE, settings())
     command = tracker.command(sample(0, float("nan"), 0.5), 0)
     assert command is not None
@@ -180,7 +180,7 @@ def test_for_any_input_efforts_are_finite_and_within_limit_and_rate(
     assert (np.abs(tracker.stop_effort()) <= limit).all()
 
 
-def test_other_gains_act_from_the_next_sample_and_restart_the_certificate() -> None:
+def test_changed_gains_act_from_the_next_sample_and_restart_the_certificate() -> None:
     law = LAW.with_gains(replace(fjr.PAPER_GAINS, Lambda_l=5.0))
     loop = Loop(LAW, SINE, settings(), LAW.robot.state(0.5, 0.5, 0.0, 0.0))
     loop.run(0.05)
@@ -202,7 +202,7 @@ def test_other_gains_act_from_the_next_sample_and_restart_the_certificate() -> N
 
 
 @pytest.mark.parametrize(("name", "value"), [("Pi_l", 1e160), ("Lambda_m", 1e300), ("K_md", 1e170)])
-def test_gains_without_a_finite_effort_are_refused_and_the_old_law_stays(name: str, value: float) -> None:
+def test_gains_without_a_finite_effort_are_refused_and_the_law_is_kept(name: str, value: float) -> None:
     tracker, twin = tracker_at(0), tracker_at(0)
     law = LAW.with_gains(replace(fjr.PAPER_GAINS, **{name: value}))
     with pytest.raises(fjr.GainsError, match="an effort that is not finite; expected smaller gains"):
@@ -221,7 +221,7 @@ def test_gains_may_change_after_a_state_that_is_not_finite() -> None:
     assert "gains changed" in kinds(tracker)
 
 
-def test_the_bound_of_the_certificate_holds_while_the_law_alone_acts() -> None:
+def test_bound_of_the_certificate_continues_while_only_the_law_acts() -> None:
     loop = Loop(LAW, SINE, settings(ramp_time=0.05), LAW.robot.state(0.5, 0.5, 0.0, 0.0))
     loop.run(0.05)
     assert loop.tracker.certificate is None

@@ -139,7 +139,7 @@ def test_effort_at_its_limit_is_saturation() -> None:
     assert diagnose(looped(limit=30.0), LAW).kind == "holding"
 
 
-def test_run_with_efforts_of_another_source_is_holding() -> None:
+def test_efforts_other_than_those_of_the_law_are_no_violation() -> None:
     """V need not decay during a ramp or a stop."""
     seen = looped(limit=0.7)
     assert diagnose(replace(seen, effort_limit=np.array([np.inf])), LAW).kind == "holding"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exchanged joints and wrong signs are found in the first samples; healthy starts are never taken for one."""
+"""Exchanged joints and wrong signs are found in the first samples; healthy starts never raise a false alarm."""
 
 from __future__ import annotations
 
@@ -85,12 +85,12 @@ def exchange(*order: int) -> Change:
 def test_each_fault_is_named_within_twenty_samples(wrong: dict[str, Change], fault: WiringFault) -> None:
     found, samples, _ = checked(**wrong)  # type: ignore[arg-type]
     assert found == fault
-    assert samples <= 21  # the state that follows the twentieth answer
+    assert samples <= 21  # the state after the twentieth command
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_healthy_start_is_never_taken_for_a_fault(seed: int) -> None:
-    """Noise, delay, a moving robot and parameters that are 30 % wrong."""
+def test_healthy_start_raises_no_false_alarm(seed: int) -> None:
+    """The cases have noise, delay, initial motion and parameter errors of 30 %."""
     rng = np.random.default_rng(seed)
 
     def wrong(values: list[float]) -> Array:
@@ -103,14 +103,14 @@ def test_a_healthy_start_is_never_taken_for_a_fault(seed: int) -> None:
     assert checked(robot, noise=noise, delay=delay, moving=1.0, seed=seed)[0] is None
 
 
-def test_the_check_ends_when_all_joints_follow() -> None:
+def test_check_ends_when_all_joints_follow() -> None:
     fault, samples, check = checked()
     assert fault is None
     assert check.done
     assert samples <= 21
 
 
-def test_without_motion_the_check_continues() -> None:
+def test_check_continues_without_motion() -> None:
     check = WiringCheck(MODEL)
     for k in range(200):
         assert check.see(k * PERIOD, np.zeros(4), np.zeros(4)) is None
@@ -118,7 +118,7 @@ def test_without_motion_the_check_continues() -> None:
     assert not check.done
 
 
-def test_the_sentence_names_the_joints() -> None:
+def test_message_names_the_joints() -> None:
     names = ("shoulder", "elbow")
     assert WiringFault("efforts exchanged", (0, 1), "motor").sentence(names) == (
         "the efforts of shoulder and elbow are exchanged"
