@@ -3,7 +3,7 @@
 
     python -m bench.bare echo|timer|ping|pong --ros-args ...
 
-They run like ours: the same executor, garbage collection and priority (fjr_msgs_py.node.process), messages made once.
+They have the executor, garbage collection and priority of our nodes (fjr_msgs_py.node.process) and reuse messages.
 """
 
 from __future__ import annotations

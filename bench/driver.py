@@ -31,7 +31,7 @@ class Driver(Bare):
     """Publish <side>/joint_states and subscribe to <side>/effort_controller/commands."""
 
     def build(self) -> None:
-        """Create the endpoints; every tick checks whether the peers are there."""
+        """Create the endpoints; every tick checks whether the peers are connected."""
         self._sides: list[str] = list(self.get_parameter("sides").value)
         self._rounds = self.get_parameter("rounds").value + 1  # the first is discarded
         self._state = full_state()

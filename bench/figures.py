@@ -13,7 +13,7 @@ HEADINGS = ("figure", "measured", "bound", "aim", "holds", "from")
 class Figure:
     """A measured value with an optional required bound and desired aim.
 
-    parts: what the value was made of, by name with its unit, e.g. {"law [us]": 2.4}.
+    parts: the values from which it was computed, by name with unit, e.g. {"law [us]": 2.4}.
     """
 
     name: str

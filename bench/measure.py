@@ -22,7 +22,7 @@ Call = Callable[[], object]
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Pin this process to one core and disable the garbage collector, where the system allows it."""
+    """Pin this process to one core, if the system allows it, and disable the garbage collector."""
     allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     if allowed:
         os.sched_setaffinity(0, {max(allowed)})

@@ -19,7 +19,7 @@ from fjr_bringup.runner.node_process import executable
 from fjr_bringup.runner.run import set_ros_environment
 from fjr_bringup.scenarios import library
 
-PRIORITY = 50  # as in the scenario; used where the system allows it
+PRIORITY = 50  # as in the scenario; used if the system allows it
 GRACE = 5.0  # s
 
 

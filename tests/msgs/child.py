@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run code in a process of its own."""
+"""Run code in a separate process."""
 
 from __future__ import annotations
 

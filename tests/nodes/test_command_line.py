@@ -24,12 +24,12 @@ def controller(ros: Ros, *arguments: str) -> ControllerNode:
 
 
 @pytest.mark.parametrize("name", ["paper_k31", "arm7"])
-def test_a_bare_parameter_after_a_scenario_wins(ros: Ros, name: str) -> None:
+def test_bare_parameter_after_a_scenario_file_overrides_it(ros: Ros, name: str) -> None:
     node = controller(ros, "--params-file", scenario(name), *HOLD)
     assert node.get_parameter("reference.type").value == "hold"
 
 
-def test_a_bare_parameter_wins_in_a_namespace(ros: Ros) -> None:
+def test_bare_parameter_overrides_in_a_namespace(ros: Ros) -> None:
     node = controller(ros, "-r", "__ns:=/left", "--params-file", scenario("paper_k31"), *HOLD)
     assert node.get_parameter("reference.type").value == "hold"
 
@@ -52,7 +52,7 @@ def test_node_section_applies_and_a_conflicting_bare_parameter_is_refused(
         controller(ros, *((*file, *HOLD) if after else (*HOLD, *file)))
 
 
-def test_a_parameter_that_names_the_node_wins_over_its_section(ros: Ros, tmp_path: Path) -> None:
+def test_parameter_with_node_name_overrides_the_node_section(ros: Ros, tmp_path: Path) -> None:
     path = tmp_path / "own.yaml"
     path.write_text(f"/**/fjr_controller:\n  {SINE}\n")
     node = controller(ros, "--params-file", str(path), "-p", "fjr_controller:reference.type:=hold")

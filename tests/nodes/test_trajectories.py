@@ -124,9 +124,7 @@ def move(**fields: Any) -> JointTrajectory:
     [{}, {"velocities": [0.4, 0.0]}, {"velocities": [0.4, 0.0], "accelerations": [1.0, 0.0]}],
     ids=["positions", "velocities", "accelerations"],
 )
-def test_a_trajectory_goes_through_its_points_and_stays_at_the_last(
-    ros: Ros, manager: Manager, fields: dict[str, Any]
-) -> None:
+def test_trajectory_passes_its_points_and_holds_the_last(ros: Ros, manager: Manager, fields: dict[str, Any]) -> None:
     ros.controller()
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))

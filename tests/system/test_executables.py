@@ -119,7 +119,7 @@ def policies(pid: int) -> set[int]:
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_realtime_priority_schedules_the_whole_process_or_says_why_not(ros: Ros, start, node: str) -> None:
+def test_realtime_priority_applies_to_the_process_or_its_refusal_is_reported(ros: Ros, start, node: str) -> None:
     peer = Peer(ros)
     executable = start(node, "--ros-args", "-p", "realtime_priority:=10")
     ros.until(lambda: peer.diagnostics, "its first diagnostics")

@@ -175,7 +175,7 @@ def test_robust_action_observer_and_delay_are_in_the_loop(run_fjr: Run) -> None:
     assert found.spectral_radius > check(made.law, 1e-3).spectral_radius + 0.01
 
 
-def test_a_delay_that_the_scenario_sets_makes_it_unstable(run_fjr: Run) -> None:
+def test_delay_in_the_scenario_can_make_it_unstable(run_fjr: Run) -> None:
     output = run_fjr("check", "paper_k31", "--set", "imperfections.command_delay:=0.008", code=1)
     assert figures(output)["as sampled"] == "UNSTABLE"
 

@@ -61,7 +61,7 @@ def read_sweep(folder: Path, data: bytes) -> str:
 
 @fuzzed(25)
 @given(text=documents(yaml.safe_load(SUITE)))
-def test_suites_with_values_that_do_not_belong_there(folder: Path, text: str) -> None:
+def test_suites_with_misplaced_values(folder: Path, text: str) -> None:
     read_suite(folder, text.encode())
 
 
@@ -73,7 +73,7 @@ def test_suites_of_any_text(folder: Path, data: bytes) -> None:
 
 @fuzzed(30)
 @given(text=documents(yaml.safe_load(SWEEP)))
-def test_sweeps_with_values_that_do_not_belong_there(folder: Path, text: str) -> None:
+def test_sweeps_with_misplaced_values(folder: Path, text: str) -> None:
     read_sweep(folder, text.encode())
 
 

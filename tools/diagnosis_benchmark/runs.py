@@ -35,7 +35,7 @@ OFTEN, SELDOM = 0.10, 0.03  # share of the windows: violation from OFTEN, no vio
 HOLDING, DEGRADED, VIOLATED = "holding", "degraded", "violated"
 UNDECIDED = "near the tolerance"
 SETTLED = 1.0  # s; end of the transient
-NEAR = 1.3  # errors within this factor of the tolerance may get either grade
+NEAR = 1.3  # errors within this factor of the tolerance may have either grade
 EXPECTED = ("noise",)  # raises the floor, which the diagnosis allows for
 
 

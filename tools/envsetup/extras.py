@@ -70,7 +70,7 @@ def pinocchio(python: Path, env: dict[str, str]) -> Extra:
 
 
 def openmp(python: Path, env: dict[str, str]) -> Extra:
-    """Return the OpenMP library that Pinocchio's wheel needs; that of CasADi's wheel is used if there is none."""
+    """Return the OpenMP library that Pinocchio's wheel needs; by default that of CasADi's wheel."""
 
     def is_there() -> bool:
         return _imports_pinocchio(python, env) or (_lend_openmp(python) and _imports_pinocchio(python, env))
@@ -88,7 +88,7 @@ def browser(env: dict[str, str]) -> Extra:
 
 
 def _lend_openmp(python: Path) -> bool:
-    """Link CasADi's OpenMP library to where Pinocchio's wheel looks for one; whether there are both."""
+    """Link CasADi's OpenMP library to the path at which Pinocchio's wheel searches it; return whether both exist."""
     for own in python.parents[1].glob("lib/python*/site-packages/casadi/libgomp*.so*"):
         place = own.parents[1] / "cmeel.prefix" / "lib"
         if place.is_dir():

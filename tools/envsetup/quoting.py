@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make colcon's scripts usable from a checkout whose path has spaces.
 
-colcon leaves the path unquoted in setup.sh, and that of Python where local_setup.* start it; setuptools writes it into
-the first line of the nodes, where the kernel ends it at the first space.
+colcon writes the path unquoted in setup.sh, and the path of Python in local_setup.*. setuptools writes the latter into
+the first line of the nodes, which the kernel splits at the first space.
 """
 
 from __future__ import annotations

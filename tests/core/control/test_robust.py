@@ -210,7 +210,7 @@ def test_predicted_state_is_the_state_after_the_delay(name: str) -> None:
         sent = rng.uniform(-1, 1, n)
 
 
-def test_prediction_over_many_holds_uses_substeps() -> None:
+def test_prediction_over_many_holds_is_integrated_in_substeps() -> None:
     """A single step would be unstable on the stiff arm, at the first sample under a long delay and after a gap."""
     scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
     law, n, plant = fjr.TrackingLaw(scenario.robot, scenario.gains), scenario.robot.n, fjr.Plant(scenario.robot)

@@ -182,7 +182,7 @@ def test_points_keep_their_numbers_after_the_first_ones_have_passed() -> None:
     check_points(limits, [[0.0], [1.0]])
 
 
-def test_a_robots_own_limits_and_those_of_acceleration() -> None:
+def test_limits_of_the_robot_and_of_acceleration_apply() -> None:
     own = fjr.JointLimits(np.array([-1.0, -2.0]), np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]))
     limits = fjr.MotionLimits.of(own, 2, 7.0)
     for name, expected in (("lower", [-1, -2]), ("upper", [1, 2]), ("velocity", [3, 4]), ("acceleration", [7, 7])):
