@@ -271,8 +271,8 @@ def test_table_counts_its_content_and_names_no_winner(found: dict[str, Any]) -> 
 def test_versions_of_a_law_are_counted_as_one_law() -> None:
     chosen = suite.load(suite.find("paper"))
     laws = [{"law": law.law} for law in chosen.laws]
-    told = extent({"laws": laws, "robots": {"one": {}}, "runs": 12, "suite": {"duration": 10.0}})
-    assert told == f"{len(LAWS) - 2} control laws in {len(laws)} versions on 1 robot, 12 runs of 10 s."
+    described = extent({"laws": laws, "robots": {"one": {}}, "runs": 12, "suite": {"duration": 10.0}})
+    assert described == f"{len(LAWS) - 2} control laws in {len(laws)} versions on 1 robot, 12 runs of 10 s."
 
 
 @pytest.mark.parametrize("name", ["paper", "quick"])

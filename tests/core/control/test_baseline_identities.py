@@ -14,7 +14,7 @@ import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, Array, Point, random_point
 from core.oracles.chains import arm7
 from core.oracles.oracle import jacobian, stencil
-from core.oracles.plain_loop import PlainLoop, standard_law, standing
+from core.oracles.plain_loop import PlainLoop, constant_jets, standard_law
 from core.oracles.properties import residual
 from fjr_core.control.baselines import feedback_linearisation, lqr, torque_feedback
 from fjr_core.control.baselines import set_point_storage as tomei
@@ -64,7 +64,7 @@ def test_storage_of_a_constant_reference_decays_by_the_damping_alone(name: str, 
     arm = make()
     loop, p = loop_of(name, arm), place(arm, seed)
     D = on_motors(loop, "D")
-    jets = standing(p.jets[0])
+    jets = constant_jets(p.jets[0])
     _, _, dq, dtheta = loop.parts(p.x)
     dV = loop.rate_of(loop.storage, p.x, jets, np.zeros_like(jets))
     assert residual(dV, -dq @ arm.D_l @ dq, -dtheta @ (arm.D_m + D) @ dtheta) < TOLERANCE
@@ -81,7 +81,7 @@ def test_constant_reference_is_the_only_equilibrium_and_is_attractive(name: str,
     x0 = loop.state(np.full(arm.n, -0.8), np.full(arm.n, -1.1), np.full(arm.n, 2.0), np.full(arm.n, -1.0))
     still = fjr.Sine(np.zeros(arm.n), 1.0, q_d)
     run = fjr.simulate(loop.plant, loop.law, still, x0, 30.0, inner_step=5e-4)
-    assert np.abs(run.x[-1] - loop.rest(q_d)).max() < 1e-3
+    assert np.abs(run.x[-1] - loop.equilibrium(q_d)).max() < 1e-3
     assert np.all(np.diff(run.V[::50]) <= 1e-9), "V must not grow"
 
 
@@ -103,7 +103,7 @@ def test_torque_feedback_shapes_the_motor_inertia(name: str, make, seed: int) ->
     q_d = p.jets[0]
     theta_d = q_d + np.linalg.solve(arm.K, arm.links.grad_P(q_d))
     w = (gravity_at_rest(arm, theta), -g["K_theta"] @ (theta - theta_d), -g["D_theta"] @ dtheta)
-    ddtheta = loop.ddtheta(p.x, loop.effort(p.x, standing(q_d)))
+    ddtheta = loop.ddtheta(p.x, loop.effort(p.x, constant_jets(q_d)))
     left = g["M_theta"] @ ddtheta
     assert residual(left, *w, -arm.D_m @ dtheta, -arm.K @ (theta - q)) < TOLERANCE
 
@@ -114,7 +114,7 @@ def test_motors_with_shaped_inertia_are_passive(make, seed: int) -> None:
     """dS/dt = dtheta' (g_bar - tau) - dtheta' (D_m + D_theta) dtheta, S the energy of shaped motors and K_theta."""
     arm = make()
     loop, p = loop_of("torque_feedback", arm), place(arm, seed)
-    g, jets = loop.law.arrays, standing(p.jets[0])  # type: ignore[attr-defined]
+    g, jets = loop.law.arrays, constant_jets(p.jets[0])  # type: ignore[attr-defined]
     theta_d = jets[0] + np.linalg.solve(arm.K, arm.links.grad_P(jets[0]))
 
     def S(x: Array, _jets: Array) -> float:
@@ -136,13 +136,13 @@ def test_gravity_from_motor_positions_gives_one_equilibrium_for_any_stiffness(ma
     gains = TorqueFeedbackGains(0.3 * arm.M_m, K_theta, 1.0)
     loop = PlainLoop(arm, kind.make(arm.robot, gains))
     p = place(arm, seed)
-    x, q_d = loop.rest(p.x[: arm.n]), p.jets[0]
+    x, q_d = loop.equilibrium(p.x[: arm.n]), p.jets[0]
     _, theta, _, _ = loop.parts(x)
     theta_d = q_d + np.linalg.solve(arm.K, arm.links.grad_P(q_d))
-    pulled = 0.3 * arm.M_m @ loop.ddtheta(x, loop.effort(x, standing(q_d)))
+    pulled = 0.3 * arm.M_m @ loop.ddtheta(x, loop.effort(x, constant_jets(q_d)))
     weight = np.abs(arm.links.grad_P(q_d)).max()
     np.testing.assert_allclose(pulled, -K_theta * (theta - theta_d), atol=1e-11 * max(1.0, weight))
-    at_rest = loop.effort(loop.rest(q_d), standing(q_d))
+    at_rest = loop.effort(loop.equilibrium(q_d), constant_jets(q_d))
     np.testing.assert_allclose(arm.B_m @ at_rest, arm.links.grad_P(q_d), rtol=1e-11, atol=1e-12)
 
 
@@ -318,7 +318,7 @@ def test_distance_to_the_rigid_arm_shrinks_with_stiffness() -> None:
 
 def matrices(loop: PlainLoop, q_0: Array) -> tuple[Array, Array]:
     """Return A and B of the linearisation in (q, theta, dq, dtheta), by differences of Plant.derivative."""
-    x = loop.rest(q_0)
+    x = loop.equilibrium(q_0)
     u = np.linalg.solve(loop.arm.B_m, loop.arm.links.grad_P(q_0))
     T = np.kron(np.eye(4), np.eye(loop.arm.n))
     n = loop.arm.n
@@ -365,9 +365,9 @@ def test_lqr_storage_decays_by_the_running_cost_for_small_errors(make) -> None:
     rng = np.random.default_rng(3)
     error = 1e-5 * rng.standard_normal(4 * arm.n)
     q, theta, dq, dtheta = np.split(error, 4)
-    rest_q, rest_theta, _, _ = loop.parts(loop.rest(q_0))
+    rest_q, rest_theta, _, _ = loop.parts(loop.equilibrium(q_0))
     x = loop.state(rest_q + q, rest_theta + theta, dq, dtheta)
-    jets = standing(q_0)
+    jets = constant_jets(q_0)
     dV = loop.rate_of(loop.storage, x, jets, np.zeros_like(jets))
     u = g["F"] @ error
     assert abs(dV / (-(error @ np.asarray(gains.Q) @ error + u @ np.asarray(gains.R) @ u) / 2) - 1) < 1e-3

@@ -10,7 +10,7 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, random_point
-from core.oracles.plain_loop import OTHERS, PlainLoop, standard_law, standing
+from core.oracles.plain_loop import OTHERS, PlainLoop, constant_jets, standard_law
 from fjr_core.control.baselines.backstepping import BacksteppingGains
 from fjr_core.control.baselines.feedback_linearisation import LinearErrorGains
 from fjr_core.control.baselines.lqr import LqrGains
@@ -21,7 +21,7 @@ from fjr_core.control.registry import LAWS, law_kind
 from fjr_core.control.sampled_law import AsSampledLaw
 
 STIFF = tuple(arm for arm in ARMS if arm.name != "planar-3.1")  # whose springs cannot hold the arm upright
-REGULATORS = ("pd_gravity", "torque_feedback")  # proven for standing references, without feedforward
+REGULATORS = ("pd_gravity", "torque_feedback")  # proven for constant references, without feedforward
 names = pytest.mark.parametrize("name", OTHERS)
 every_law = pytest.mark.parametrize("name", LAWS)
 arms = pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
@@ -32,7 +32,7 @@ arms = pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
 def test_effort_at_the_equilibrium_is_the_gravity_torque(name: str, arm: Arm) -> None:
     loop = PlainLoop(arm, standard_law(name, arm))
     q = np.random.default_rng(1).uniform(-1, 1, arm.n)
-    x, jets = loop.rest(q), standing(q)
+    x, jets = loop.equilibrium(q), constant_jets(q)
     weight = np.linalg.solve(arm.B_m, arm.links.grad_P(q))
     np.testing.assert_allclose(loop.effort(x, jets), weight, rtol=1e-11, atol=1e-13)
     V = loop.storage(x, jets)

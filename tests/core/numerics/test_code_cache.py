@@ -48,7 +48,7 @@ def assert_compiled(made: ca.Function | None = None) -> None:
     assert made([1, 2, 3]).full().ravel().tolist() == [1, 8, 27]
 
 
-def planted(library: Path, marker: Path) -> None:
+def plant_library(library: Path, marker: Path) -> None:
     """Replace the library by one of equal name and size that creates the marker file when loaded."""
     code = library.parent.parent / "planted.c"
     code.write_text(
@@ -60,7 +60,7 @@ def planted(library: Path, marker: Path) -> None:
     library.write_bytes(content.ljust(size, b"\0"))
 
 
-def the_library(cache: Path, name: str = "cubes") -> Path:
+def library_file(cache: Path, name: str = "cubes") -> Path:
     (found,) = cache.glob(f"{name}-*.so")
     return found
 
@@ -89,7 +89,7 @@ print(certificate.at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V > 0)
 
 def test_planted_library_of_equal_name_and_size_is_not_run(cache: Path, tmp_path: Path) -> None:
     assert_compiled()
-    planted(the_library(cache), tmp_path / "marker")
+    plant_library(library_file(cache), tmp_path / "marker")
     assert "External [1.0, 8.0, 27.0]" in in_another_process(COMPILE)
     assert not (tmp_path / "marker").exists()
 
@@ -98,7 +98,7 @@ def test_planted_library_is_not_loaded_from_the_cache(cache: Path, tmp_path: Pat
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
     wanted = Certificate(law).at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V
     assert wanted > 0
-    planted(the_library(cache, "certificate"), tmp_path / "marker")
+    plant_library(library_file(cache, "certificate"), tmp_path / "marker")
     assert "True" in in_another_process(CERTIFICATE)
     assert not (tmp_path / "marker").exists()
 
@@ -134,8 +134,8 @@ def test_nothing_is_loaded_from_a_folder_that_is_not_private(
 ) -> None:
     """A matching digest does not help, because whoever can write the library can write the digest."""
     assert_compiled()
-    library, marker = the_library(cache), tmp_path / "marker"
-    planted(library, marker)
+    library, marker = library_file(cache), tmp_path / "marker"
+    plant_library(library, marker)
     library.with_name(f"{library.name}.sha256").write_bytes(code_cache._digest(library.read_bytes()))
     spoil(cache)
     caplog.clear()
@@ -147,7 +147,7 @@ def test_nothing_is_loaded_from_a_folder_that_is_not_private(
     assert str(cache) in sentence
     temporary = Path(os.environ["XDG_CACHE_HOME"])
     assert temporary.stat().st_mode & 0o777 == 0o700
-    assert the_library(temporary / "fjr").exists()
+    assert library_file(temporary / "fjr").exists()
 
 
 def test_links_and_files_of_other_users_are_not_read(cache: Path, tmp_path: Path) -> None:

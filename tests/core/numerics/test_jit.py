@@ -116,7 +116,7 @@ def test_concurrent_processes_build_once(tmp_path: Path) -> None:
     assert (tmp_path / "builds").read_text().split() == ["built"]
 
 
-def said_once(caplog: pytest.LogCaptureFixture, function: ca.Function) -> str:
+def single_warning(caplog: pytest.LogCaptureFixture, function: ca.Function) -> str:
     """Compile twice and return the only warning; check that the function is still usable."""
     with caplog.at_level(logging.WARNING, "fjr_core.numerics.jit"):
         for _ in range(2):
@@ -129,7 +129,7 @@ def test_without_a_compiler_the_virtual_machine_runs_with_one_warning(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, function: ca.Function
 ) -> None:
     monkeypatch.setenv("PATH", "")
-    sentence = said_once(caplog, function)
+    sentence = single_warning(caplog, function)
     assert "no C compiler (cc, gcc, clang)" in sentence
     assert "apt-get install gcc" in sentence
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
@@ -149,7 +149,7 @@ def test_a_failing_compiler_is_logged_once(
     compiler: str, words: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, function: ca.Function
 ) -> None:
     monkeypatch.setenv("CC", compiler)
-    assert words in said_once(caplog, function)
+    assert words in single_warning(caplog, function)
 
 
 @with_a_compiler

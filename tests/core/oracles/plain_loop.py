@@ -86,7 +86,7 @@ class PlainLoop:
         force = self.arm.B_m @ u - self.arm.D_m @ dtheta - self.arm.K @ (theta - q)
         return np.linalg.solve(self.arm.M_m, force)
 
-    def rest(self, q: Array) -> Array:
+    def equilibrium(self, q: Array) -> Array:
         """Return the equilibrium state with the links at q."""
         still = np.zeros(self.arm.n)
         return self.state(q, q + np.linalg.solve(self.arm.K, self.arm.links.grad_P(q)), still, still)
@@ -111,7 +111,7 @@ class PlainLoop:
         return self.state(q(0), theta(0), q(0, 1), dtheta(0)), np.linalg.solve(arm.B_m, torque)
 
 
-def standing(q: Array) -> Array:
+def constant_jets(q: Array) -> Array:
     """Return the jets (5, n) of a constant reference q."""
     jets = np.zeros((5, len(q)))
     jets[0] = q

@@ -89,7 +89,7 @@ def drawn_law(rng: np.random.Generator, robot: fjr.Robot, q_l: np.ndarray, perio
     return sampled_law(law, replace(predicted, **dict(zip(gains, map(float, [*residual, *integral]), strict=True))))
 
 
-def dies_out(loop: Loop, samples: int) -> bool:
+def converges(loop: Loop, samples: int) -> bool:
     """Return whether the nonlinear loop converges from an error of START, with exactly measured positions."""
     plant, n, T = loop.plant, loop.plant.n, loop.period
     q_m = loop.q_l + np.linalg.solve(plant.K, plant.grad_P_l(loop.q_l))
@@ -162,7 +162,7 @@ def test_check_and_simulation_agree_on_60_draws() -> None:
         if abs(radius - 1) < MARGIN:
             continue
         samples = int(np.clip(8 / abs(np.log(radius)), 100, 3000))
-        assert dies_out(loop, samples) == (radius < 1), (radius, loop)
+        assert converges(loop, samples) == (radius < 1), (radius, loop)
         stable, unstable = stable + (radius < 1), unstable + (radius > 1)
     assert min(stable, unstable) >= 20, (stable, unstable)
 
@@ -191,7 +191,7 @@ def test_too_fast_integral_action_is_unstable_in_check_and_simulation() -> None:
         sampled = sampled_law(law, Robust(integral_gain=rate))
         found = check(sampled, 1e-3, configurations=[[0.5]])
         assert found.stable == stable
-        assert dies_out(Loop(sampled, law.robot, np.array([0.5]), 1e-3, 0.0, Sensing()), 1500) == stable
+        assert converges(Loop(sampled, law.robot, np.array([0.5]), 1e-3, 0.0, Sensing()), 1500) == stable
     assert check(law, 1e-3, configurations=[[0.5]]).stable
 
 

@@ -57,7 +57,9 @@ def elastic_modes(robot: fjr.Robot, q_l: np.ndarray) -> np.ndarray:
     return np.sqrt(np.linalg.eigvals(np.linalg.solve(robot.M_l(q_l), robot.K)).real)
 
 
-def rest_run(law: fjr.TrackingLaw, q_l: np.ndarray, period: float, delay: float = 0.0, samples: int = SAMPLES) -> bool:
+def loop_converges(
+    law: fjr.TrackingLaw, q_l: np.ndarray, period: float, delay: float = 0.0, samples: int = SAMPLES
+) -> bool:
     """Return whether the simulated loop converges from an error of 1e-5 rad to the constant reference q_l."""
     robot, n = law.robot, law.robot.n
     off = 1e-5 * np.cos(np.arange(2 * n))
@@ -275,7 +277,7 @@ def test_check_and_simulation_agree_on_stability() -> None:
     assert stable >= 8
     assert len(judged) - stable >= 8
     for draw, radius in judged:
-        assert rest_run(draw.law, draw.q_l, draw.period, draw.delay) == (radius < 1), (draw, radius)
+        assert loop_converges(draw.law, draw.q_l, draw.period, draw.delay) == (radius < 1), (draw, radius)
 
 
 @pytest.mark.parametrize("stiffness", [31.0, 3.1])
@@ -285,10 +287,10 @@ def test_margins_of_the_paper_scenarios_agree_with_simulation(stiffness: float) 
     found = check(law, 1e-3, configurations=[q_l])
     assert found.stable
     assert found.lowest_stable_rate is not None
-    assert rest_run(law, q_l, 1e-3, 0.9e-3 * found.delay_margin, 3000)
-    assert not rest_run(law, q_l, 1e-3, 1.1e-3 * found.delay_margin, 3000)
-    assert rest_run(law, q_l, 1 / (1.1 * found.lowest_stable_rate))
-    assert not rest_run(law, q_l, 1 / (0.9 * found.lowest_stable_rate))
+    assert loop_converges(law, q_l, 1e-3, 0.9e-3 * found.delay_margin, 3000)
+    assert not loop_converges(law, q_l, 1e-3, 1.1e-3 * found.delay_margin, 3000)
+    assert loop_converges(law, q_l, 1 / (1.1 * found.lowest_stable_rate))
+    assert not loop_converges(law, q_l, 1 / (0.9 * found.lowest_stable_rate))
 
 
 def test_margins_are_where_the_radius_crosses_one() -> None:
@@ -327,7 +329,7 @@ def test_table_1_recipe_on_a_stiff_arm_is_unstable_as_sampled_and_in_simulation(
     assert not found.stable
     assert found.spectral_radius > 2
     assert law.rate().beta > 0  # the continuous-time loop is stable
-    assert not rest_run(law, np.full(7, 0.4), 1e-3, samples=100)
+    assert not loop_converges(law, np.full(7, 0.4), 1e-3, samples=100)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.3e-3])

@@ -11,7 +11,7 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.chains import arm7
-from core.stability.test_sampled_loop import chain3, rest_run
+from core.stability.test_sampled_loop import chain3, loop_converges
 from fjr_core.stability.linearization import closed_form
 from fjr_core.stability.sampled_loop import check, spectral_radius
 from fjr_core.tuning.gain_synthesis import synthesize
@@ -110,7 +110,7 @@ def test_stiff_arm_with_synthesised_gains_is_stable_as_sampled_and_in_simulation
     for delay in (0.0, 1e-3):
         for q_l in workspace(3):
             assert spectral_radius(law, 1e-3, delay, [q_l])[0] < 1
-            assert rest_run(law, q_l, 1e-3, delay)
+            assert loop_converges(law, q_l, 1e-3, delay)
 
 
 def test_stiff_arm_tracks_sines_from_an_offset_within_its_torques() -> None:
