@@ -168,7 +168,7 @@ def test_divergence_during_an_advance_ends_the_node_with_a_response(ros: Ros, pe
     assert len(peer.states) == count, "it must do nothing more"
 
 
-def test_advance_samples_changes_while_the_node_runs(ros: Ros, peer: Peer) -> None:
+def test_advance_samples_is_dynamic(ros: Ros, peer: Peer) -> None:
     node = ros.plant(start_paused=True)
     assert advance(ros, peer).success
     assert node._robot.time == PERIOD

@@ -113,7 +113,7 @@ def test_timing_covers_the_last_seconds() -> None:
     assert timing.unanswered == 20
 
 
-def test_repeated_state_counts_once_and_a_reset_clears_the_view() -> None:
+def test_repeated_state_counts_once_and_a_reset_restarts_the_timing() -> None:
     watched = Watched("t")
     watched.sent([(10 * MS, 1), (10 * MS, 50 * MS), (11 * MS, 51 * MS)])
     assert watched.view(0.0).timing.period[2] == pytest.approx(0.051, rel=1e-3)
@@ -135,7 +135,7 @@ def test_joints_are_shown_with_errors_efforts_and_limits() -> None:
     a, b, motor = view.joints
     assert a == JointLine("a", 0.1, 1.0, pytest.approx(0.2), 1e-3, 1.0, 8.0, 4.0)
     assert (b.limit, b.deflection, b.velocity, b.error) == (2.0, None, None, None)
-    assert motor.name == "c_motor", "there is no joint c in the states"
+    assert motor.name == "c_motor", "without a joint c, c_motor is a joint name"
 
 
 @pytest.mark.parametrize("urdf", ["", "<robot", "<robot><joint name='a'><limit effort='many'/></joint></robot>"])

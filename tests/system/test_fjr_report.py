@@ -257,7 +257,7 @@ def strange(tmp_path: Path, kind: str, run: Path) -> Path:
         ("absent", "does not exist; expected the folder of a bag"),
     ],
 )
-def test_bag_without_the_topics_is_explained(run: Path, tmp_path: Path, kind: str, words: str) -> None:
+def test_unsuitable_bag_is_refused_with_the_reason(run: Path, tmp_path: Path, kind: str, words: str) -> None:
     path = strange(tmp_path, kind, run)
     said = fjr("report", str(path), "--scenario", str(run / "scenario.yaml"), code=1).strip()
     assert words in said

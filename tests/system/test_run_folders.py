@@ -56,7 +56,7 @@ def test_a_run_without_a_number_gets_one(tmp_path: Path) -> None:
 
 def test_other_folders_are_not_changed(tmp_path: Path) -> None:
     (tmp_path / "arm").mkdir()
-    new_run(tmp_path / "arm", "an empty folder makes room")
+    new_run(tmp_path / "arm", "replaces the empty folder")
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "text").write_text("")
     (tmp_path / "link").symlink_to("thesis")

@@ -140,7 +140,7 @@ def test_effort_at_its_limit_is_saturation() -> None:
 
 
 def test_efforts_other_than_those_of_the_law_are_no_violation() -> None:
-    """V need not decay during a ramp or a stop."""
+    """Without a known limit the saturated efforts are those of another source, under which V need not decay."""
     seen = looped(limit=0.7)
     assert diagnose(replace(seen, effort_limit=np.array([np.inf])), LAW).kind == "holding"
 

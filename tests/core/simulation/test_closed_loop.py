@@ -233,7 +233,7 @@ def test_continuous_run_of_a_law_with_another_inertia_agrees_with_an_independent
     assert run.x[-1] == pytest.approx(wanted, rel=1e-7, abs=1e-9)
 
 
-def test_equal_robots_share_the_state_without_conversion() -> None:
+def test_equal_but_distinct_robots_give_identical_runs() -> None:
     (robot, gains, reference), (twin, _, _) = planar_arm(), planar_arm()
     law, x0 = fjr.TrackingLaw(robot, gains), robot.state([0.5, 0.1], [0.5, 0.2], 0, 0)
     runs = [fjr.simulate(fjr.Plant(r), law, reference, x0, 0.1, 1e-3) for r in (robot, twin)]
