@@ -60,6 +60,6 @@ def test_plant_logs_waiting_and_start_of_motion(ros: Ros, lockstep: bool, capfd)
     time = "in lock-step" if lockstep else "with the clock"
     assert infos(capfd.readouterr().err, "fjr_plant") == [
         f"configured: joint1 at 1000 Hz {time}; waiting for commands on {topic}",
-        f"moving: the first {first} has come",
+        f"moving: the first {first} has arrived",
     ]
     assert manager.states

@@ -68,7 +68,7 @@ class LockStep(TimeBase):
             self._clock.refuse_others()
         self._take(effort)
         self._awaited, self._heard = None, True
-        self._log_once("moving: the first answer has come")
+        self._log_once("moving: the first answer has arrived")
         self._continue()
         self._health.count["commands received"] += 1
 
@@ -135,7 +135,7 @@ class LockStep(TimeBase):
             self._send_again()
 
     def _silence(self, awaited: int) -> str:
-        heard = "none has come" if self._other is None else f"the last other one there had {seconds(self._other)} s"
+        heard = "none has arrived" if self._other is None else f"the last other one has {seconds(self._other)} s"
         return (
             f"the state of {seconds(awaited)} s was not answered for {self._timeout:g} s (lockstep_timeout); expected "
             f"a message on {self._topic} with that stamp and an effort for every joint, {heard}"
