@@ -64,6 +64,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
     """Leave what a finished module has built out of later garbage collections, which else stop a peer for seconds."""
     if nextitem is None or nextitem.path != item.path:
+        gc.collect()
         gc.freeze()
 
 
