@@ -64,6 +64,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
     """Exempt the objects of a finished module from garbage collection, which would stop a peer for seconds."""
     if nextitem is None or nextitem.path != item.path:
+        gc.collect()
         gc.freeze()
 
 

@@ -39,6 +39,15 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().out == "fjr 0.1.0\n"
 
 
+def test_a_reader_that_ends_early_ends_the_command_quietly() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    code = "import sys; from fjr_bringup.cli.app import main; sys.exit(main(['scenarios']))"
+    done = subprocess.run([sys.executable, "-c", code], stdout=write, stderr=subprocess.PIPE, text=True, timeout=HANG)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (Exit.FAILED, "")
+
+
 @pytest.mark.parametrize("name", fjr.commands)
 def test_every_command_and_option_has_help(name: str) -> None:
     command = fjr.commands[name]

@@ -11,12 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fjr_bringup.analysis.metrics import _counts
 from fjr_bringup.analysis.run_data import RunData
+from fjr_bringup.analysis.timing import counts as counts_of
+from fjr_bringup.cli import run
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.plotting.joint_lines import LABEL_GAP, apart
+from fjr_bringup.scenarios import library
 from fjr_core.monitoring.certificate import CertificateSeries
-from system.executables import fjr
+from system.executables import fjr, scenario
 
 pytestmark = pytest.mark.system
 MS = 1e-3
@@ -49,7 +51,7 @@ def recorded(stamps: list[float], answers: list[float]) -> RunData:
 
 
 def test_a_perfect_run_has_nothing_to_report() -> None:
-    counts = _counts(recorded([0, 1, 2, 3, 4], [0.3, 1.3, 2.3, 3.3, 4.3]), 5 * MS, {"/joint_states": 0})
+    counts = counts_of(recorded([0, 1, 2, 3, 4], [0.3, 1.3, 2.3, 3.3, 4.3]), 5 * MS, {"/joint_states": 0})
     assert (counts.nominal, counts.published, counts.answered_in_time) == (5, 5, 5)
     assert (counts.missing, counts.gaps, counts.late, counts.unanswered) == (0, 0, 0, 0)
     assert counts.answered_in_time_fraction == 1.0
@@ -57,7 +59,7 @@ def test_a_perfect_run_has_nothing_to_report() -> None:
 
 def test_missed_late_unanswered_and_lost_samples_are_counted() -> None:
     data = recorded([0, 1, 3, 4], [0.3, 3.2, np.nan, 4.3])  # 2 is skipped, 1 answered after 3, 3 unanswered
-    counts = _counts(data, 5 * MS, {"/joint_states": 7})
+    counts = counts_of(data, 5 * MS, {"/joint_states": 7})
     assert (counts.published, counts.missing, counts.gaps) == (4, 1, 1)
     assert (counts.answered, counts.answered_in_time, counts.late, counts.unanswered) == (3, 2, 1, 1)
     assert counts.longest_gap_s == pytest.approx(2 * MS)
@@ -88,3 +90,17 @@ def test_the_demo_runs_the_paper_and_an_arm_in_real_time(tmp_path: Path) -> None
         assert (tmp_path / name / "report.html").is_file()
         assert name in said
     assert (tmp_path / "comparison.html").is_file()
+
+
+def test_a_demonstration_that_the_computer_is_too_slow_for_is_repeated_in_lock_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopping = tmp_path / "stopping.yaml"
+    text, _ = library.as_run(Path(scenario("paper_k31")), {"limits.tracking_error": [0.2]})
+    stopping.write_text(text)
+    monkeypatch.setattr(run, "KEEPS_UP", 1.1)
+    summary = run._demonstrate(str(stopping), 0.3, tmp_path / "runs")
+    assert summary.report.stop is not None
+    assert summary.report.lockstep
+    assert "repeated in lock-step" in capsys.readouterr().out
+    assert len(list((tmp_path / "runs").glob("stopping-*"))) == 2

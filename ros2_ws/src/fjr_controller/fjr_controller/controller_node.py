@@ -25,8 +25,6 @@ from .ros.command_loop import CONFLICTS, CommandConflictError
 from .tracking.events import Event
 
 SUCCESS, FAILURE, ERROR = (getattr(TransitionCallbackReturn, name) for name in ("SUCCESS", "FAILURE", "ERROR"))
-
-
 DISCOVERY_TIME = 0.4  # s in which processes on one machine or network discover each other's publishers
 
 
@@ -43,8 +41,8 @@ class ControllerNode(ManagedParameterNode):
     """Error of the last transition, None if it succeeded."""
 
     def __init__(self, discovery_time: float = 0.0, **node_kwargs: Any) -> None:
-        """Create the node; discovery_time [s]: wait between configuring and activating with autostart."""
-        self._discovery_time = discovery_time
+        """Create the node; discovery_time [s]: least age of the node when it is activated."""
+        self._discovered_at = time.monotonic() + discovery_time
         self._control: Control | None = None
         self._starting = False  # in the constructor: errors are raised instead of logged
         super().__init__(names.CONTROLLER, builders.controller_parameters, **node_kwargs)
@@ -73,8 +71,6 @@ class ControllerNode(ManagedParameterNode):
             for trigger in (self.trigger_configure, self.trigger_activate):
                 if trigger() != SUCCESS and self.trouble is not None:
                     raise self.trouble
-                if self.state == "inactive":
-                    time.sleep(self._discovery_time)  # an existing controller must be discovered by then
             self._starting = False
 
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
@@ -156,6 +152,7 @@ class ControllerNode(ManagedParameterNode):
 
     def _activate(self) -> str:
         assert self._control is not None
+        time.sleep(max(self._discovered_at - time.monotonic(), 0.0))  # until other controllers are known
         self._control.start()
         return f"waiting for states on {self.resolve_topic_name(names.JOINT_STATES)}"
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from fjr_bringup.analysis.controller_stop import ControllerStop
+from fjr_bringup.analysis.diagnosis import Diagnosis, diagnosis
 from fjr_bringup.analysis.joint_metrics import (
     AT_LIMIT,
     SETTLED,
@@ -29,7 +30,7 @@ from fjr_bringup.analysis.joint_metrics import (
 )
 from fjr_bringup.analysis.power_balance import Power
 from fjr_bringup.analysis.run_data import RunData
-from fjr_bringup.analysis.verdicts import Diagnosis, verdict
+from fjr_bringup.analysis.timing import Counts, Timing, counts, timing
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.recording.reader import Array, Bag
 from fjr_core.config.scenario import Scenario
@@ -90,36 +91,6 @@ class Energy:
 
 
 @dataclass(frozen=True)
-class Timing:
-    """Statistics of the middleware's send times: period of the states, latency from state to command."""
-
-    period_p50_us: float
-    period_p99_us: float
-    period_max_us: float
-    latency_p50_us: float
-    latency_p99_us: float
-    latency_max_us: float
-
-
-@dataclass(frozen=True)
-class Counts:
-    """Sample counts: nominal = published + missing; published = answered + unanswered."""
-
-    nominal: int  # duration times rate
-    published: int  # states recorded
-    missing: int  # nominal - published (negative: more states than nominal)
-    gaps: int  # steps between stamps longer than 1.5 sample periods
-    longest_gap_s: float
-    answered: int | None  # states with a recorded command; this and the next three null: no command was recorded
-    answered_in_time: int | None  # command sent before the next state
-    late: int | None  # command sent after the next state
-    unanswered: int | None
-    published_fraction: float  # of nominal
-    answered_in_time_fraction: float | None  # of nominal
-    lost_by_recorder: dict[str, int | None]  # topic -> gaps in the sequence numbers; null: several publishers
-
-
-@dataclass(frozen=True)
 class Report:
     """All metrics of one run."""
 
@@ -167,14 +138,14 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: RunData, flow: Po
         bag=str(bag.path),
         bag_complete=bag.complete,
         stop=data.stop,
-        verdict=verdict(data, scenario),
+        verdict=diagnosis(data, scenario),
         missing=(*bag.notes, *data.notes),
         tracking=_tracking(data),
         joints=joint_metrics(data),
         storage=_storage(data) if np.isfinite(data.V[0]) else None,
         energy=_energy(flow) if np.isfinite(data.H[0]) else None,
-        timing=_timing(data),
-        counts=_counts(data, duration, bag.lost()),
+        timing=timing(data),
+        counts=counts(data, duration, bag.lost()),
         diagnostics=bag.counters(),
         versions=_versions(),
     )
@@ -245,38 +216,6 @@ def _storage(data: RunData) -> Storage:
         relative_where_it_leaves=None if stays else float(relative[leaves]),
         largest_ratio_to_bound_before=float(ratio[:leaves].max(initial=1.0)),
         max_relative_after_2s=float(steady.max()) if steady.size else None,
-    )
-
-
-def _timing(data: RunData) -> Timing:
-    latency = data.latency[~np.isnan(data.latency)]
-    return Timing(*_percentiles(np.diff(data.sent)), *_percentiles(latency))
-
-
-def _percentiles(seconds: Array) -> tuple[float, float, float]:
-    """Return median, 99th percentile and maximum [us]."""
-    values = seconds * 1e6 if seconds.size else np.array([np.nan])
-    return float(np.percentile(values, 50)), float(np.percentile(values, 99)), float(values.max())
-
-
-def _counts(data: RunData, duration: float, lost_messages: dict[str, int | None]) -> Counts:
-    nominal, published = round(duration / data.sample_period), len(data.t)
-    answered = ~np.isnan(data.answered)
-    known, in_time = answered.any(), int((data.answered < data.deadline)[answered].sum())
-    steps = np.diff(data.t, append=data.t[-1])
-    return Counts(
-        nominal=nominal,
-        published=published,
-        missing=nominal - published,
-        gaps=int((steps > 1.5 * data.sample_period).sum()),
-        longest_gap_s=float(steps.max()),
-        answered=int(answered.sum()) if known else None,
-        answered_in_time=in_time if known else None,
-        late=int(answered.sum()) - in_time if known else None,
-        unanswered=published - int(answered.sum()) if known else None,
-        published_fraction=published / nominal,
-        answered_in_time_fraction=in_time / nominal if known else None,
-        lost_by_recorder=lost_messages,
     )
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Callable, Sequence
 
@@ -48,6 +49,9 @@ class Application(click.Group):
             uninterruptible()
             print("fjr: stopped", file=sys.stderr)
             return Exit.INTERRUPTED
+        except BrokenPipeError:  # the reader of standard output, such as head, has ended
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return Exit.FAILED
         except Exception as error:
             from fjr_bringup.cli.errors import exit_code
 

@@ -31,7 +31,8 @@ force_over_ros2 = click.option("--force", is_flag=True, help="Run although ros2 
 def demo(**given: Any) -> Any:
     """Run three scenarios in real time and print a table.
 
-    The scenarios are the paper's two and a 7-joint arm.
+    The scenarios are the paper's two and a 7-joint arm. A run that fails because the computer is too busy for real
+    time is repeated in lock-step.
     """
     return implementation("run").demo(**given)
 

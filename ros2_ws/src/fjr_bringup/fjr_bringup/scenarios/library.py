@@ -112,7 +112,8 @@ def _nodes_with(name: str, given: Mapping[str, Mapping[str, object]], folder: Pa
     if not nodes:
         everything = sorted(set().union(*by_node.values()))
         close = difflib.get_close_matches(name, everything, n=1)
-        hint = f"; did you mean '{close[0]}'?" if close else f": expected one of {', '.join(everything)}"
+        groups = dict.fromkeys(each.partition(".")[0] for each in everything)
+        hint = f"; did you mean '{close[0]}'?" if close else f"; expected one of, or a name in, {', '.join(groups)}"
         raise ParameterError(f"unknown parameter '{name}'{hint}")
     return nodes
 

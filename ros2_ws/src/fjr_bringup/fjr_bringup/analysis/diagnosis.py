@@ -12,10 +12,8 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.monitoring.diagnosis import Diagnosis, diagnose, unknown
 
-__all__ = ["Diagnosis", "verdict"]
 
-
-def verdict(data: RunData, scenario: Scenario) -> Diagnosis:
+def diagnosis(data: RunData, scenario: Scenario) -> Diagnosis:
     """Return whether V decayed as proven, and the causes if it did not."""
     if not isinstance(scenario.law, TrackingLaw):
         return unknown(f"the law {scenario.controller_values['law.type']} has no certificate")
@@ -25,5 +23,5 @@ def verdict(data: RunData, scenario: Scenario) -> Diagnosis:
         return unknown("no effort of the controller was recorded")
     if not builders.robust(scenario.controller_values, scenario.robot.n).off:
         return unknown("V does not include the disturbance estimate (robust.* is enabled)")
-    judged = axes(scenario.controller_values, scenario.robot)
-    return diagnose(data, scenario.law, data.beta, judged, data.velocities_measured, data.certificate)
+    scales = axes(scenario.controller_values, scenario.robot)
+    return diagnose(data, scenario.law, data.beta, scales, data.velocities_measured, data.certificate)
