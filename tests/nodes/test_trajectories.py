@@ -394,7 +394,7 @@ def test_unexpected_planning_error_refuses_the_trajectory_and_is_logged(
     ros: Ros, manager: Manager, simulated: bool, monkeypatch: pytest.MonkeyPatch, capfd
 ) -> None:
     def failing(problem: PlanningProblem) -> None:
-        raise ZeroDivisionError("an unexpected error")
+        raise ZeroDivisionError("injected failure")
 
     ros.controller(use_sim_time=simulated)
     manager.meet_controller()
@@ -402,7 +402,7 @@ def test_unexpected_planning_error_refuses_the_trajectory_and_is_logged(
     monkeypatch.setattr(PlanningProblem, "solve", failing)
     event = manager.send(move())
     assert event.name == "trajectory refused: failed"
-    assert "an unexpected error" in event.message
+    assert "injected failure" in event.message
     assert "Traceback" in capfd.readouterr().err
     np.testing.assert_allclose(reference_at(manager, 0.5), [[np.sin(0.5)], [np.cos(0.5)]], atol=1e-9)
     monkeypatch.undo()
@@ -417,13 +417,13 @@ def test_an_unexpected_error_of_a_callback_does_not_end_the_node(
     manager.ask(stamped(0.0, 0.0))
 
     def failing(reason: str) -> None:
-        raise ZeroDivisionError("an unexpected error")
+        raise ZeroDivisionError("injected failure")
 
     interface = node._control._interface
     monkeypatch.setattr(interface, "on_replaced", failing)
     ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
     manager.trajectories.publish(move())
-    ros.until(lambda: "an unexpected error" in capfd.readouterr().err, "the log")
+    ros.until(lambda: "injected failure" in capfd.readouterr().err, "the log")
     monkeypatch.undo()
     np.testing.assert_allclose(reference_at(manager, 0.5), [[np.sin(0.5)], [np.cos(0.5)]], atol=1e-9)
     assert manager.send(move()).name == "references changed"
