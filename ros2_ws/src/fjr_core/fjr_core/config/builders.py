@@ -115,7 +115,7 @@ def baseline_target(values: Values, robot: Robot) -> BaselineTarget:
 def _baseline_gains(values: Values, robot: Robot) -> Any:
     """Return the gains of a baseline: tuned, or of law.natural_frequency and law.damping_ratio."""
     if values[law.TUNED.name]:
-        return tuning(values).law.gains  # type: ignore[attr-defined]
+        return tuning(values).law.gains
     kind = law_kind(str(values[law.TYPE.name]))
     q_0 = np.asarray(reference(values, robot.n).jets(0.0))[0]
     frequency, damping = number(values, law.NATURAL_FREQUENCY.name), number(values, law.DAMPING_RATIO.name)

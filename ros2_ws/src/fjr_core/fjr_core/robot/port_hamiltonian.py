@@ -48,12 +48,6 @@ class Elastic(Protocol):
         """Return the velocities (dq_l, dq_m), (n,) each, at x (4n,)."""
 
 
-def structure(robot: Robot) -> tuple[Array, Array, Array]:
-    """Return J (4n, 4n) skew, R (4n, 4n) positive semidefinite and G (4n, n) of eq. (36); all constant."""
-    J, R, G = (ca.evalf(part).full() for part in structure_expressions(robot))
-    return J, R, G
-
-
 def structure_expressions(robot: Elastic) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return J, R and G of eq. (36) as expressions, for numeric or symbolic robot parameters."""
     n = robot.n
@@ -129,8 +123,9 @@ class Plant:
         return self._gradient(x)[0]
 
     def structure(self, x: ArrayLike | None = None) -> tuple[Array, Array, Array]:
-        """Return J, R and G of eq. (36); they are constant and do not depend on x."""
-        return structure(self.robot)
+        """Return J (4n, 4n) skew, R (4n, 4n) positive semidefinite and G (4n, n) of eq. (36); all are constant."""
+        J, R, G = (ca.evalf(part).full() for part in structure_expressions(self.robot))
+        return J, R, G
 
     @cached_property
     def _step(self) -> NumericFunction:

@@ -30,18 +30,6 @@ class RigidArm(Protocol):
         """Kinetic-energy gradient d/dq_l (v' M_l v / 2) (n,) [N m], v constant."""
 
 
-class Carrier(RigidArm, Protocol):
-    """A rigid arm that may have an end-effector frame, to which a payload can be attached."""
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-
-    @property
-    def end_effector(self) -> EndEffector | None:
-        """End-effector frame, or None."""
-
-
 @dataclass(frozen=True)
 class EndEffector:
     """Forward kinematics of the end-effector frame, which is fixed to the last link.

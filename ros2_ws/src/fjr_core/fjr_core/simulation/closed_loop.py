@@ -18,7 +18,7 @@ from ..numerics import checks
 from ..numerics.casadi_function import NumericFunction, bind, not_converged
 from ..numerics.checks import Array
 from ..numerics.integrators import INNER_STEP, rk4_expression
-from ..robot.coordinates import law_view, velocity_function
+from ..robot.coordinates import Coordinates, law_view
 from ..robot.port_hamiltonian import Plant
 from ..trajectories.reference import JETS, Reference
 
@@ -164,7 +164,7 @@ def _static(plant: Plant, law: StaticLaw, jets: Array, x: Array, u: Array, V: Ar
 def _with_state(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, u: Array, V: Array) -> BoundLaw:
     """Bind a law with a controller state to the arrays of state x (4n,), effort u (n,) and V (1,)."""
     n, now, velocity = plant.robot.n, np.zeros(jets.shape[1:]), np.zeros(len(x) // 2)
-    update_view = bind(velocity_function(plant.robot), [x], [velocity])
+    update_view = bind(Coordinates(plant.robot).to_velocities, [x], [velocity])
     step = bound_step(law, x[: 2 * n], velocity, now, getattr(law, "ready_step", None))
 
     def evaluate_law(k: int) -> None:

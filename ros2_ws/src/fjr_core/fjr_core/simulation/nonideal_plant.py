@@ -107,7 +107,8 @@ class NonidealPlant:
 
     def _links(self, p: SimpleNamespace) -> ArmDynamics | RigidArm:
         links = self.robot.links
-        return links if links.end_effector is None else PayloadArm(links, p.payload_mass, p.payload_position)
+        hand = links.end_effector
+        return links if hand is None else PayloadArm(links, hand, p.payload_mass, p.payload_position)
 
     @cached_property
     def _actuators(self) -> ca.Function:

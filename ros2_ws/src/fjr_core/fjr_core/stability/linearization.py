@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.sampled_law import AsSampledLaw, MeasuredLaw, SampledLaw
+from ..control.sampled_law import AsSampledLaw, SampledLaw
 from ..control.static_law import StaticLaw
 from ..control.vdpbc.gains import CheckedGains
 from ..control.vdpbc.law import TrackingLaw
@@ -76,7 +76,7 @@ def as_sampled(law: StaticLaw | SampledLaw) -> SampledLaw:
     return AsSampledLaw(law) if isinstance(law, StaticLaw) else law
 
 
-def without_state(law: StaticLaw | SampledLaw) -> MeasuredLaw | SampledLaw:
+def without_state(law: StaticLaw | SampledLaw) -> StaticLaw | SampledLaw:
     """Return the law without robust action."""
     return getattr(law, "law", law)
 

@@ -20,7 +20,7 @@ from ...numerics.casadi_function import dense_function
 from ...numerics.checks import Array
 from ...robot.payload import PayloadArm
 from ...robot.port_hamiltonian import derivative_expression, gradient_expression
-from ...robot.rigid_arm import ArmDynamics, EndEffector, RigidArm
+from ...robot.rigid_arm import ArmDynamics, RigidArm
 from ...robot.robot import Robot
 from ..nonideal_plant import friction
 
@@ -46,16 +46,6 @@ class ScaledLinks:
     root: ca.SX
     gravity: ca.SX
 
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return self.links.n
-
-    @property
-    def end_effector(self) -> EndEffector | None:
-        """End-effector frame, for a payload."""
-        return self.links.end_effector
-
     def M_l(self, q_l: ca.SX) -> ca.SX:
         """Inertia S M_l S (n, n)."""
         return _both_sides(self.root, self.links.M_l(q_l))
@@ -77,45 +67,18 @@ class ScaledLinks:
 class ScaledRobot:
     """Robot with the drawn parameters in place of its own, as expressions."""
 
-    robot: Robot
+    n: int
     links: RigidArm
-    p: SimpleNamespace
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return self.robot.n
-
-    @property
-    def K(self) -> ca.SX:
-        """Stiffness (n, n)."""
-        return _both_sides(self.p.stiffness, symbolic.sparse(self.robot.K))
-
-    @property
-    def D_l(self) -> ca.SX:
-        """Damping of the links (n, n)."""
-        return _both_sides(self.p.link_damping, symbolic.sparse(self.robot.D_l))
-
-    @property
-    def D_m(self) -> ca.SX:
-        """Damping of the motors (n, n)."""
-        return _both_sides(self.p.motor_damping, symbolic.sparse(self.robot.D_m))
-
-    @property
-    def B_m(self) -> ca.SX:
-        """Input matrix (n, n)."""
-        return symbolic.sparse(self.robot.B_m)
+    K: ca.SX
+    D_l: ca.SX
+    D_m: ca.SX
+    B_m: ca.SX
+    M_m_inverse: ca.SX
 
     def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
         """(dq_l, dq_m) = (M_l^-1 p_l, S^-1 M_m^-1 S^-1 p_m)."""
         q_l, _, p_l, p_m = symbolic.blocks(x, self.n)
-        inverse = _both_sides(1 / self.p.motor_inertia, symbolic.sparse(np.linalg.inv(self.robot.M_m)))
-        return symbolic.solve((links or self.links).M_l(q_l), p_l), inverse @ p_m
-
-    def momenta(self, q_l: ca.SX, dq_l: ca.SX, dq_m: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """(p_l, p_m) = (M_l dq_l, S M_m S dq_m)."""
-        root = self.p.motor_inertia
-        return self.links.M_l(q_l) @ dq_l, root * (symbolic.sparse(self.robot.M_m) @ (root * dq_m))
+        return symbolic.solve((links or self.links).M_l(q_l), p_l), self.M_m_inverse @ p_m
 
 
 def _both_sides(root: ca.SX, matrix: ca.SX) -> ca.SX:
@@ -131,7 +94,7 @@ class UncertainPlant:
 
     def __init__(self, robot: Robot, friction: bool, payload: bool) -> None:
         self.robot = robot
-        self._friction, self._payload = friction, payload and robot.links.end_effector is not None
+        self._friction, self._payload = friction, payload
 
     @cached_property
     def dynamics(self) -> ca.Function:
@@ -171,15 +134,25 @@ class UncertainPlant:
         n = self.robot.n
         sizes = {"position": 2 * n, "velocity": 2 * n, "parameters": size(n)}
         position, velocity, parameters = symbols = [ca.SX.sym(key, k) for key, k in sizes.items()]
-        _, robot = self._drawn(parameters)
-        momenta = robot.momenta(position[:n], velocity[:n], velocity[n:])
-        return dense_function(name, dict(zip(sizes, symbols, strict=True)), {"x": ca.vertcat(position, *momenta)})
+        p, robot = self._drawn(parameters)
+        p_l = robot.links.M_l(position[:n]) @ velocity[:n]
+        p_m = p.motor_inertia * (symbolic.sparse(self.robot.M_m) @ (p.motor_inertia * velocity[n:]))
+        return dense_function(name, dict(zip(sizes, symbols, strict=True)), {"x": ca.vertcat(position, p_l, p_m)})
 
     def _drawn(self, parameters: ca.SX) -> tuple[SimpleNamespace, ScaledRobot]:
-        p = named(parameters, self.robot.n)
-        links = ScaledLinks(self.robot.links, p.link_inertia, p.gravity)
-        loaded = PayloadArm(links, p.payload_mass, p.payload_position) if self._payload else links
-        return p, ScaledRobot(self.robot, loaded, p)
+        own, p = self.robot, named(parameters, self.robot.n)
+        links: RigidArm = ScaledLinks(own.links, p.link_inertia, p.gravity)
+        if self._payload and own.links.end_effector is not None:
+            links = PayloadArm(links, own.links.end_effector, p.payload_mass, p.payload_position)
+        return p, ScaledRobot(
+            n=own.n,
+            links=links,
+            K=_both_sides(p.stiffness, symbolic.sparse(own.K)),
+            D_l=_both_sides(p.link_damping, symbolic.sparse(own.D_l)),
+            D_m=_both_sides(p.motor_damping, symbolic.sparse(own.D_m)),
+            B_m=symbolic.sparse(own.B_m),
+            M_m_inverse=_both_sides(1 / p.motor_inertia, symbolic.sparse(np.linalg.inv(own.M_m))),
+        )
 
     @staticmethod
     def _torque(v: ca.SX, level: ca.SX, p: SimpleNamespace) -> ca.SX:
