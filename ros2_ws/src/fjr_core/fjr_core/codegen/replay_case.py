@@ -11,7 +11,6 @@ import numpy as np
 from ..errors import StateError
 from ..numerics.casadi_function import NumericFunction
 from ..numerics.checks import Array
-from ..trajectories.reference import JETS
 from .exported_loop import Loop
 
 
@@ -42,9 +41,7 @@ def recorded(loop: Loop, samples: int) -> Case:
 
     The reference is evaluated by NumPy, law and plant by CasADi's virtual machine.
     """
-    n, m = loop.n, len(loop.law.memory)
-    sizes = (2 * n,), (2 * n,), (JETS, n), loop.law.gain_values.shape, (m,), (n,), ()
-    law = NumericFunction(loop.law.step_function, sizes)
+    n, law = loop.n, NumericFunction(loop.law.step_function)
     rows: list[tuple[Array, ...]] = []
     x: Array = np.asarray(loop.x0, dtype=float)
     sent: Array = np.zeros(n)

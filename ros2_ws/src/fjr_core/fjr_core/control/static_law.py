@@ -135,10 +135,8 @@ class StaticLaw(ABC):
 
     @cached_property
     def _measured_command(self) -> NumericFunction:
-        n = self.robot.n
-        shapes = ((2 * n,), (2 * n,), (JETS, n), self.gain_values.shape)
-        return NumericFunction(self.measured_function, shapes)
+        return NumericFunction(self.measured_function)
 
     @cached_property
     def _command(self) -> NumericFunction:
-        return NumericFunction(self.command_function, ((4 * self.robot.n,), (JETS, self.robot.n)))
+        return NumericFunction(self.command_function)

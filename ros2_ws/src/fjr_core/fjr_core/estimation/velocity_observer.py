@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
 from ..numerics.casadi_function import bind
-from ..numerics.checks import Array
+from ..numerics.checks import Array, positive
 from ..numerics.jit import compiled
 from ..robot.configuration_sampling import checked_configurations
 from ..robot.coordinates import Coordinates
@@ -73,8 +73,7 @@ class VelocityObserver:
     """
 
     def __init__(self, robot: Robot, bandwidth: float, compile: bool = False) -> None:
-        if not (math.isfinite(bandwidth) and bandwidth > 0):
-            raise ParameterError(f"bandwidth is {bandwidth} rad/s; expected a positive finite number")
+        positive("bandwidth", bandwidth, ParameterError, "rad/s")
         self.robot = robot
         self.bandwidth = float(bandwidth)
         self._compile = compile

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import StateError
-from ..numerics.checks import Array
+from ..numerics.checks import Array, positive
 from ..trajectories.reference import JETS
 
 
@@ -43,5 +43,4 @@ class Record:
         for name, shape in {**shapes, "effort_limit": (n,)}.items():
             if np.shape(getattr(self, name)) != shape:
                 raise StateError(f"{name} has shape {np.shape(getattr(self, name))}; expected {shape}")
-        if not (np.isfinite(self.sample_period) and self.sample_period > 0):
-            raise StateError(f"sample_period is {self.sample_period} s; expected a positive finite number")
+        positive("sample_period", self.sample_period, StateError)

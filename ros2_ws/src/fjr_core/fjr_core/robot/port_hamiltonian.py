@@ -129,11 +129,11 @@ class Plant:
 
     @cached_property
     def _step(self) -> NumericFunction:
-        return NumericFunction(self.step_function, ((4 * self.robot.n,), (self.robot.n,), ()))
+        return NumericFunction(self.step_function)
 
     @cached_property
     def _derivative(self) -> NumericFunction:
-        return NumericFunction(self.dynamics, ((4 * self.robot.n,), (self.robot.n,)))
+        return NumericFunction(self.dynamics)
 
     @cached_property
     def _gradient(self) -> NumericFunction:

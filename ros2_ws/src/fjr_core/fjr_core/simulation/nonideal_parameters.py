@@ -91,9 +91,7 @@ class Nonidealities:
 
     def __post_init__(self) -> None:
         for name in NAMES:
-            array = self._checked(name)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            checks.freeze(self, name, self._checked(name))
 
     @property
     def off(self) -> bool:
@@ -177,8 +175,7 @@ class SensorErrors:
             largest = MOST_BITS if field.name.startswith("bits") else np.inf
             if not np.all((array >= 0) & (array <= largest)):
                 raise ParameterError(f"{field.name} is {array.tolist()}; expected 0 to {largest}")
-            array.setflags(write=False)
-            object.__setattr__(self, field.name, array)
+            checks.freeze(self, field.name, array)
 
     @property
     def off(self) -> bool:

@@ -24,6 +24,7 @@ from ..numerics.casadi_function import NumericFunction, dense_function, numeric
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
+from ..numerics.packed_vector import PackedVector
 from ..robot.payload import PayloadArm
 from ..robot.port_hamiltonian import Plant, derivative_expression, gradient_expression, spring_expression
 from ..robot.rigid_arm import ArmDynamics, RigidArm
@@ -60,7 +61,7 @@ class NonidealPlant:
 
     def applied(self, a: ArrayLike, u: ArrayLike, parameters: ArrayLike) -> Array:
         """Return the present actuator outputs (n,) for the state a (n,) of the lag and the command u (n,)."""
-        return self._applied(a, u, parameters)[0]
+        return self._applied(a, u, parameters, 0.0)[0]
 
     def measure(self, x: ArrayLike, parameters: ArrayLike) -> tuple[Array, Array]:
         """Return velocities (dq_l, dq_m) (2n,) [rad/s] and spring torques (n,) [N m] at x (4n,)."""
@@ -79,9 +80,9 @@ class NonidealPlant:
     def dynamics(self) -> ca.Function:
         """Return the function (x, inputs) -> dx/dt (4n,); inputs: actuator outputs, external torques, parameters."""
         n = self.robot.n
-        x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", 2 * n + size(n))
+        x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", 2 * n + layout(n).size)
         applied, external, parameters = ca.vertsplit(inputs, [0, n, 2 * n, inputs.numel()])
-        p, q_m = named(parameters, n), x[n : 2 * n]
+        p, q_m = layout(n).named(parameters), x[n : 2 * n]
         dH = gradient_expression(self.robot, x, self._links(p), p.cubic)
         _, _, dq_l, dq_m = symbolic.blocks(dH, n)
         F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing)
@@ -95,7 +96,7 @@ class NonidealPlant:
     def step_function(self) -> ca.Function:
         """Return the function (state, u, external, parameters, dt) -> next state; machine code as the plant's step."""
         n = self.robot.n
-        sizes = {"state": 5 * n, "u": n, "external": n, "parameters": size(n), "dt": 1}
+        sizes = {"state": 5 * n, "u": n, "external": n, "parameters": layout(n).size, "dt": 1}
         symbols = {name: ca.MX.sym(name, rows) for name, rows in sizes.items()}
         state, u, external, parameters, dt = symbols.values()
         x, a = ca.vertsplit(state, [0, 4 * n, 5 * n])
@@ -114,8 +115,13 @@ class NonidealPlant:
     def _actuators(self) -> ca.Function:
         """Build (a, u, parameters, t) -> actuator outputs after t [s]: the saturated command behind the lag."""
         n = self.robot.n
-        a, u, parameters, t = ca.SX.sym("a", n), ca.SX.sym("u", n), ca.SX.sym("parameters", size(n)), ca.SX.sym("t")
-        p = named(parameters, n)
+        a, u, parameters, t = (
+            ca.SX.sym("a", n),
+            ca.SX.sym("u", n),
+            ca.SX.sym("parameters", layout(n).size),
+            ca.SX.sym("t"),
+        )
+        p = layout(n).named(parameters)
         saturated = ca.fmin(ca.fmax(u, -p.effort_limit), p.effort_limit)
         lagged = saturated + (a - saturated) * ca.exp(-t / ca.fmax(p.lag, SHORTEST_LAG))
         return dense_function(
@@ -126,26 +132,20 @@ class NonidealPlant:
 
     @cached_property
     def _step(self) -> NumericFunction:
-        n = self.robot.n
-        return NumericFunction(self.step_function, ((5 * n,), (n,), (n,), (size(n),), ()))
+        return NumericFunction(self.step_function)
 
     @cached_property
     def _derivative(self) -> NumericFunction:
-        n = self.robot.n
-        return NumericFunction(self.dynamics, ((4 * n,), (2 * n + size(n),)))
+        return NumericFunction(self.dynamics)
 
     @cached_property
     def _applied(self) -> NumericFunction:
-        n = self.robot.n
-        a, u, parameters = (ca.SX.sym(name, rows) for name, rows in (("a", n), ("u", n), ("parameters", size(n))))
-        return numeric(
-            "applied", {"a": a, "u": u, "parameters": parameters}, {"b": self._actuators(a, u, parameters, 0)}
-        )
+        return NumericFunction(self._actuators)
 
     def _at(self) -> tuple[ca.SX, ca.SX, SimpleNamespace]:
         n = self.robot.n
-        x, parameters = ca.SX.sym("x", 4 * n), ca.SX.sym("parameters", size(n))
-        return x, parameters, named(parameters, n)
+        x, parameters = ca.SX.sym("x", 4 * n), ca.SX.sym("parameters", layout(n).size)
+        return x, parameters, layout(n).named(parameters)
 
     @cached_property
     def _measure(self) -> NumericFunction:
@@ -165,9 +165,9 @@ class NonidealPlant:
     @cached_property
     def _state(self) -> NumericFunction:
         n = self.robot.n
-        rows = {"position": 2 * n, "velocity": 2 * n, "parameters": size(n)}
+        rows = {"position": 2 * n, "velocity": 2 * n, "parameters": layout(n).size}
         position, velocity, parameters = symbols = [ca.SX.sym(name, k) for name, k in rows.items()]
-        links = self._links(named(parameters, n))
+        links = self._links(layout(n).named(parameters))
         momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:], links)
         return numeric("nonideal_state", dict(zip(rows, symbols, strict=True)), {"x": ca.vertcat(position, *momenta)})
 
@@ -182,12 +182,6 @@ def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing
     return level * ca.tanh(v / smoothing)
 
 
-def size(n: int) -> int:
-    """Return the length of Nonidealities.vector for n joints."""
-    return sum(SIZES.get(name, n) for name in NAMES)
-
-
-def named(parameters: ca.SX, n: int) -> SimpleNamespace:
-    """Return the parts of Nonidealities.vector by name."""
-    ends = np.cumsum([0, *(SIZES.get(name, n) for name in NAMES)]).tolist()
-    return SimpleNamespace(**dict(zip(NAMES, ca.vertsplit(parameters, ends), strict=True)))
+def layout(n: int) -> PackedVector:
+    """Return the parts of Nonidealities.vector for n joints."""
+    return PackedVector({name: SIZES.get(name, n) for name in NAMES})

@@ -26,7 +26,7 @@ from ..numerics.casadi_function import NumericFunction, dense_function
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
 from ..robot.virtual_system import derivative_expression
-from ..trajectories.reference import REFERENCE_DERIVATIVES
+from ..trajectories.reference import JETS
 
 
 class ProlongedSystem:
@@ -77,7 +77,7 @@ class ProlongedSystem:
     def _symbols(self) -> dict[str, ca.SX]:
         n = self.law.robot.n
         states = {name: ca.SX.sym(name, 4 * n) for name in ("x_v", "x", "delta")}
-        return {**states, "jets": ca.SX.sym("jets", n, REFERENCE_DERIVATIVES + 1)}
+        return {**states, "jets": ca.SX.sym("jets", n, JETS)}
 
     def _error_expression(self, x_v: ca.SX, x: ca.SX, jets: ca.SX) -> ca.SX:
         q_tilde_l, sigma_l, q_tilde_m, sigma_m = self.law.errors_function(x_v, x, jets, 0)
@@ -99,25 +99,19 @@ class ProlongedSystem:
 
     @cached_property
     def _derivative(self) -> NumericFunction:
-        return NumericFunction(self.function, self._shapes)
+        return NumericFunction(self.function)
 
     @cached_property
     def _errors(self) -> NumericFunction:
         symbols = self._symbols()
         del symbols["delta"]
-        function = dense_function("errors", symbols, {"e": self._error_expression(**symbols)}, cse=True)
-        return NumericFunction(function, (*self._shapes[:2], self._shapes[3]))
+        return NumericFunction(dense_function("errors", symbols, {"e": self._error_expression(**symbols)}, cse=True))
 
     @cached_property
     def _storage(self) -> NumericFunction:
         symbols = self._symbols()
         W, dW = self._storage_expressions(*symbols.values())
-        return NumericFunction(dense_function("storage", symbols, {"W": W, "dW": dW}, cse=True), self._shapes)
-
-    @property
-    def _shapes(self) -> tuple[tuple[int, ...], ...]:
-        n = self.law.robot.n
-        return (4 * n,), (4 * n,), (4 * n,), (REFERENCE_DERIVATIVES + 1, n)
+        return NumericFunction(dense_function("storage", symbols, {"W": W, "dW": dW}, cse=True))
 
 
 def _variation(phi: object, at: ca.SX, direction: ca.SX) -> ca.SX:

@@ -21,7 +21,7 @@ from ..control.sampled_law import SampledLaw
 from ..control.static_law import StaticLaw
 from ..control.vdpbc.law import TrackingLaw
 from ..errors import StateError
-from ..numerics.checks import Array
+from ..numerics.checks import Array, positive
 from ..robot.equilibrium import Indices
 from ..robot.port_hamiltonian import Plant
 from .linear_controller import Sensing
@@ -221,7 +221,6 @@ def _bisect(stable: Callable[[float], bool], good: float, bad: float, tolerance:
 
 def checked_times(sample_period: float, delay: float) -> None:
     """Raise StateError unless the sample period [s] is positive and the delay [s] is not negative."""
-    if not (np.isfinite(sample_period) and sample_period > 0):
-        raise StateError(f"sample_period is {sample_period} s; expected a positive finite number")
+    positive("sample_period", sample_period, StateError)
     if not (np.isfinite(delay) and delay >= 0):
         raise StateError(f"delay is {delay} s; expected 0 or more")

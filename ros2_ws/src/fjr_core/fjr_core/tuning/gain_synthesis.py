@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from ..control.vdpbc.gains import Gains, relative_eigenvalues
 from ..control.vdpbc.linearized import feedback
 from ..errors import GainsError
-from ..numerics.checks import Array
+from ..numerics.checks import Array, positive
 from ..robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from ..robot.equilibrium import Equilibria, Indices, equilibria_at, plant_matrices
 from ..robot.robot import Robot
@@ -57,8 +57,7 @@ def synthesize(
     Raises GainsError with the largest reachable rate if no gains of this family meet these conditions.
     """
     checked_times(sample_period, delay)
-    if not (np.isfinite(beta) and beta > 0):
-        raise GainsError(f"beta is {beta} 1/s; expected a positive finite number")
+    positive("beta", beta, GainsError, "1/s")
     task = _task(robot, sample_period, delay, configurations)
     gains = task.best(beta)
     if gains is None:

@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import GainsError
 from ...numerics.casadi_function import dense_function
 from ...numerics.checks import Array
+from ...numerics.packed_vector import PackedVector
 from ...robot.robot import Robot
 from ..sampled_law import AsSampledLaw, BoundStep, SampledLaw, bound_step, step_symbols
 from ..static_law import StaticLaw
@@ -20,7 +21,6 @@ from .disturbance_observer import DisturbanceObserver
 from .integral_action import IntegralAction, gain_values
 from .loaded_law import loaded_expression
 from .options import Robust
-from .packed_state import PackedVector
 from .smith_predictor import EffortBuffer, Predictor
 
 Terms = dict[str, ca.MX]

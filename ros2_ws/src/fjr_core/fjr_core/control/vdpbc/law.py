@@ -14,7 +14,6 @@ from ...numerics.casadi_function import NumericFunction, dense_function
 from ...numerics.checks import Array
 from ...numerics.jit_cache import compiled_from_inputs
 from ...robot.robot import Robot
-from ...trajectories.reference import REFERENCE_DERIVATIVES
 from ..lie_derivative import Flow, flow
 from ..static_law import StaticLaw
 from .convergence_rate import Rate, rate
@@ -112,15 +111,11 @@ class TrackingLaw(StaticLaw):
 
     @cached_property
     def _effort(self) -> NumericFunction:
-        return self._numeric(self.function)
+        return NumericFunction(self.ready(self.function))
 
     @cached_property
     def _evaluate(self) -> NumericFunction:
-        return self._numeric(self._function("evaluate", {f.name for f in fields(Evaluation)}))
-
-    def _numeric(self, function: ca.Function) -> NumericFunction:
-        n = self.robot.n
-        return NumericFunction(self.ready(function), ((4 * n,), (4 * n,), (REFERENCE_DERIVATIVES + 1, n), (n,)))
+        return NumericFunction(self.ready(self._function("evaluate", {f.name for f in fields(Evaluation)})))
 
     def _function(self, name: str, names: Set[str], diagonal: bool = False) -> ca.Function:
         """Build (x_v, x, jets, omega) -> the outputs named; diagonal: (x, jets) -> outputs at x_v = x, omega = 0."""

@@ -17,6 +17,7 @@ from ...numerics import checks
 from ...numerics.checks import Array
 from ...robot.robot import Robot
 from ...trajectories.reference import Reference
+from ..closed_loop import check_joints
 from . import python_loop, uncertain_robot
 from .draws import Draws
 from .outcomes import Outcomes, width
@@ -59,9 +60,7 @@ class ClosedLoop:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "x0", checks.vector("x0", self.x0, 4 * self.robot.n, StateError))
-        n = self.robot.n, self.law.robot.n, self.reference.n
-        if len(set(n)) != 1:
-            raise StateError(f"plant, law and reference have {n[0]}, {n[1]} and {n[2]} joints; expected equal")
+        check_joints(self.robot, self.law.robot, self.reference)
         for name in ("duration", "sample_period", "lost", "band"):
             if not 0 < getattr(self, name) < np.inf:
                 raise StateError(f"{name} is {getattr(self, name)}; expected a positive finite number")

@@ -19,7 +19,7 @@ from ...numerics.casadi_function import dense_function
 from ...numerics.jit import loaded
 from ...numerics.jit_cache import program_digest
 from ...robot.robot import Robot
-from .uncertain_robot import UncertainPlant, size
+from .uncertain_robot import UncertainPlant, layout
 
 LANES = 4
 """Number of interleaved runs."""
@@ -100,7 +100,7 @@ class Program:
         functions = self.functions.values()
         sizes = {
             "N": self.robot.n,
-            "PARAMETERS": size(self.robot.n),
+            "PARAMETERS": layout(self.robot.n).size,
             "MEMORY": len(self.law.memory),
             "LANES": LANES,
             **{

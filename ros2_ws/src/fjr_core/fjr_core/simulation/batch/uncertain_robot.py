@@ -18,6 +18,7 @@ import numpy as np
 from ...numerics import integrators, symbolic
 from ...numerics.casadi_function import dense_function
 from ...numerics.checks import Array
+from ...numerics.packed_vector import PackedVector
 from ...robot.payload import PayloadArm
 from ...robot.port_hamiltonian import derivative_expression, gradient_expression
 from ...robot.rigid_arm import ArmDynamics, RigidArm
@@ -33,9 +34,9 @@ NAMES = (*SCALED, *FRICTION, "external", *SIZES)
 """Parts of the argument `parameters` of all functions here, in this order."""
 
 
-def size(n: int) -> int:
-    """Return the length of the argument `parameters` for n joints."""
-    return sum(SIZES.get(name, n) for name in NAMES)
+def layout(n: int) -> PackedVector:
+    """Return the parts of the argument `parameters` for n joints."""
+    return PackedVector({name: SIZES.get(name, n) for name in NAMES})
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class UncertainPlant:
     def dynamics(self) -> ca.Function:
         """Return the function (x, inputs) -> dx/dt (4n,); inputs: effort u (n,), parameters."""
         n = self.robot.n
-        x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", n + size(n))
+        x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", n + layout(n).size)
         u, parameters = ca.vertsplit(inputs, [0, n, inputs.numel()])
         p, robot = self._drawn(parameters)
         dH = gradient_expression(robot, x)
@@ -115,7 +116,7 @@ class UncertainPlant:
     def step(self, name: str) -> ca.Function:
         """Return the function (x, u, parameters, dt) -> x after a Runge-Kutta step of order 4 with u held."""
         n = self.robot.n
-        x, u, parameters = (ca.SX.sym(key, k) for key, k in (("x", 4 * n), ("u", n), ("parameters", size(n))))
+        x, u, parameters = (ca.SX.sym(key, k) for key, k in (("x", 4 * n), ("u", n), ("parameters", layout(n).size)))
         dt = ca.SX.sym("dt")
         x_next = integrators.rk4(self.dynamics)(x, ca.vertcat(u, parameters), dt)
         inputs = {"x": x, "u": u, "parameters": parameters, "dt": dt}
@@ -124,7 +125,7 @@ class UncertainPlant:
     def velocity(self, name: str) -> ca.Function:
         """Return the function (x, parameters) -> (dq_l, dq_m) (2n,)."""
         n = self.robot.n
-        x, parameters = ca.SX.sym("x", 4 * n), ca.SX.sym("parameters", size(n))
+        x, parameters = ca.SX.sym("x", 4 * n), ca.SX.sym("parameters", layout(n).size)
         _, robot = self._drawn(parameters)
         velocity = ca.vertcat(*robot.velocity_expressions(x))
         return dense_function(name, {"x": x, "parameters": parameters}, {"velocity": velocity}, cse=True)
@@ -132,7 +133,7 @@ class UncertainPlant:
     def state(self, name: str) -> ca.Function:
         """Return the function (position (2n,), velocity (2n,), parameters) -> x (4n,)."""
         n = self.robot.n
-        sizes = {"position": 2 * n, "velocity": 2 * n, "parameters": size(n)}
+        sizes = {"position": 2 * n, "velocity": 2 * n, "parameters": layout(n).size}
         position, velocity, parameters = symbols = [ca.SX.sym(key, k) for key, k in sizes.items()]
         p, robot = self._drawn(parameters)
         p_l = robot.links.M_l(position[:n]) @ velocity[:n]
@@ -140,7 +141,7 @@ class UncertainPlant:
         return dense_function(name, dict(zip(sizes, symbols, strict=True)), {"x": ca.vertcat(position, p_l, p_m)})
 
     def _drawn(self, parameters: ca.SX) -> tuple[SimpleNamespace, ScaledRobot]:
-        own, p = self.robot, named(parameters, self.robot.n)
+        own, p = self.robot, layout(self.robot.n).named(parameters)
         links: RigidArm = ScaledLinks(own.links, p.link_inertia, p.gravity)
         if self._payload and own.links.end_effector is not None:
             links = PayloadArm(links, own.links.end_effector, p.payload_mass, p.payload_position)
@@ -157,12 +158,6 @@ class UncertainPlant:
     @staticmethod
     def _torque(v: ca.SX, level: ca.SX, p: SimpleNamespace) -> ca.SX:
         return friction(v, level, level, ca.SX(1), p.smoothing)
-
-
-def named(parameters: ca.SX, n: int) -> SimpleNamespace:
-    """Return the parts of `parameters` by name."""
-    ends = np.cumsum([0, *(SIZES.get(name, n) for name in NAMES)]).tolist()
-    return SimpleNamespace(**dict(zip(NAMES, ca.vertsplit(parameters, ends), strict=True)))
 
 
 def vector(parts: dict[str, Array]) -> Array:
