@@ -21,11 +21,6 @@ CERTIFICATE_TOLERANCE = Parameter(
 )
 
 
-def diagnosis_parameters(n: int) -> list[Parameter]:
-    """Return the parameters for n joints."""
-    return [CERTIFICATE, CERTIFICATE_TOLERANCE.for_joints(n)]
-
-
 def axes(values: Values, robot: Robot) -> Axes:
     """Return the joints with the units and tolerances of the diagnosis; raises ParameterError."""
     units = tuple(each.position for each in robot.units)

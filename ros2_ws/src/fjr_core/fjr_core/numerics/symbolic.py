@@ -7,6 +7,11 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 
+def symbols(kind: type = ca.SX, **rows: int) -> dict[str, ca.SX]:
+    """Return column symbols of the given numbers of rows by name."""
+    return {name: kind.sym(name, size) for name, size in rows.items()}  # type: ignore[attr-defined]
+
+
 def blocks(x: ca.SX, n: int) -> list[ca.SX]:
     """Split a state (4n,) into its four blocks (q_l, q_m, p_l, p_m), each (n,)."""
     return ca.vertsplit(x, n)

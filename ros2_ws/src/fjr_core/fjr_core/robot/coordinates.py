@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ..numerics.casadi_function import dense_function
+from ..numerics.symbolic import symbols
 from .robot import Robot
 
 
@@ -27,10 +28,10 @@ class Coordinates:
     def to_momenta(self) -> ca.Function:
         """Map (position, velocity) to the state x."""
         n = self.robot.n
-        position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
+        s = symbols(position=2 * n, velocity=2 * n)
+        position, velocity = s.values()
         momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:])
-        x = ca.vertcat(position, *momenta)
-        return dense_function("to_momenta", {"position": position, "velocity": velocity}, {"x": x}, cse=True)
+        return dense_function("to_momenta", s, {"x": ca.vertcat(position, *momenta)}, cse=True)
 
     @cached_property
     def to_velocities(self) -> ca.Function:

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..numerics import symbolic
 from ..numerics.casadi_function import NumericFunction, dense_function, numeric
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
 from ..numerics.packed_vector import PackedVector
+from ..numerics.symbolic import blocks, symbols
 from ..robot.payload import PayloadArm
 from ..robot.port_hamiltonian import Plant, derivative_expression, gradient_expression, spring_expression
 from ..robot.rigid_arm import ArmDynamics, RigidArm
@@ -80,30 +80,30 @@ class NonidealPlant:
     def dynamics(self) -> ca.Function:
         """Return the function (x, inputs) -> dx/dt (4n,); inputs: actuator outputs, external torques, parameters."""
         n = self.robot.n
-        x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", 2 * n + layout(n).size)
+        s = symbols(x=4 * n, inputs=2 * n + layout(n).size)
+        x, inputs = s.values()
         applied, external, parameters = ca.vertsplit(inputs, [0, n, 2 * n, inputs.numel()])
         p, q_m = layout(n).named(parameters), x[n : 2 * n]
         dH = gradient_expression(self.robot, x, self._links(p), p.cubic)
-        _, _, dq_l, dq_m = symbolic.blocks(dH, n)
+        _, _, dq_l, dq_m = blocks(dH, n)
         F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing)
         F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing)
         ripple = p.ripple * ca.sin(p.ripple_periods * q_m + p.ripple_phase)
         dx = derivative_expression(self.robot, x, applied, dH)
         dx += ca.vertcat(ca.SX.zeros(2 * n), external - F_l, ripple - F_m)
-        return dense_function("nonideal_dynamics", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
+        return dense_function("nonideal_dynamics", s, {"dx": dx}, cse=True)
 
     @cached_property
     def step_function(self) -> ca.Function:
         """Return the function (state, u, external, parameters, dt) -> next state; machine code as the plant's step."""
         n = self.robot.n
-        sizes = {"state": 5 * n, "u": n, "external": n, "parameters": layout(n).size, "dt": 1}
-        symbols = {name: ca.MX.sym(name, rows) for name, rows in sizes.items()}
-        state, u, external, parameters, dt = symbols.values()
+        s = symbols(ca.MX, state=5 * n, u=n, external=n, parameters=layout(n).size, dt=1)
+        state, u, external, parameters, dt = s.values()
         x, a = ca.vertsplit(state, [0, 4 * n, 5 * n])
         applied = [self._actuators(a, u, parameters, t) for t in (0, dt / 2, dt)]
         start, middle, end = (ca.vertcat(b, external, parameters) for b in applied)
         x_next = step_expression(self.plant.integrator, self.dynamics, x, (start, middle, end), dt)
-        function = dense_function("nonideal_step", symbols, {"next": ca.vertcat(x_next, applied[-1])})
+        function = dense_function("nonideal_step", s, {"next": ca.vertcat(x_next, applied[-1])})
         return compiled(function) if self.plant.compiles else function
 
     def _links(self, p: SimpleNamespace) -> ArmDynamics | RigidArm:
@@ -114,21 +114,12 @@ class NonidealPlant:
     @cached_property
     def _actuators(self) -> ca.Function:
         """Build (a, u, parameters, t) -> actuator outputs after t [s]: the saturated command behind the lag."""
-        n = self.robot.n
-        a, u, parameters, t = (
-            ca.SX.sym("a", n),
-            ca.SX.sym("u", n),
-            ca.SX.sym("parameters", layout(n).size),
-            ca.SX.sym("t"),
-        )
-        p = layout(n).named(parameters)
+        n, parts = self.robot.n, layout(self.robot.n)
+        s = symbols(a=n, u=n, parameters=parts.size, t=1)
+        a, u, p, t = s["a"], s["u"], parts.named(s["parameters"]), s["t"]
         saturated = ca.fmin(ca.fmax(u, -p.effort_limit), p.effort_limit)
         lagged = saturated + (a - saturated) * ca.exp(-t / ca.fmax(p.lag, SHORTEST_LAG))
-        return dense_function(
-            "actuators",
-            {"a": a, "u": u, "parameters": parameters, "t": t},
-            {"applied": ca.if_else(p.lag > 0, lagged, saturated)},
-        )
+        return dense_function("actuators", s, {"applied": ca.if_else(p.lag > 0, lagged, saturated)})
 
     @cached_property
     def _step(self) -> NumericFunction:
@@ -142,34 +133,34 @@ class NonidealPlant:
     def _applied(self) -> NumericFunction:
         return NumericFunction(self._actuators)
 
-    def _at(self) -> tuple[ca.SX, ca.SX, SimpleNamespace]:
-        n = self.robot.n
-        x, parameters = ca.SX.sym("x", 4 * n), ca.SX.sym("parameters", layout(n).size)
-        return x, parameters, layout(n).named(parameters)
+    def _at(self) -> tuple[dict[str, ca.SX], SimpleNamespace]:
+        parts = layout(self.robot.n)
+        s = symbols(x=4 * self.robot.n, parameters=parts.size)
+        return s, parts.named(s["parameters"])
 
     @cached_property
     def _measure(self) -> NumericFunction:
-        x, parameters, p = self._at()
-        q_l, q_m, _, _ = symbolic.blocks(x, self.robot.n)
-        velocities = ca.vertcat(*self.robot.velocity_expressions(x, self._links(p)))
+        s, p = self._at()
+        q_l, q_m, _, _ = blocks(s["x"], self.robot.n)
+        velocities = ca.vertcat(*self.robot.velocity_expressions(s["x"], self._links(p)))
         springs = spring_expression(self.robot, q_m - q_l, p.cubic)
-        return numeric("measure", {"x": x, "parameters": parameters}, {"velocities": velocities, "springs": springs})
+        return numeric("measure", s, {"velocities": velocities, "springs": springs})
 
     @cached_property
     def _hamiltonian(self) -> NumericFunction:
-        x, parameters, p = self._at()
-        q_l, q_m, _, _ = symbolic.blocks(x, self.robot.n)
-        H = self.robot.hamiltonian_expression(x, self._links(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
-        return numeric("nonideal_hamiltonian", {"x": x, "parameters": parameters}, {"H": H})
+        s, p = self._at()
+        q_l, q_m, _, _ = blocks(s["x"], self.robot.n)
+        H = self.robot.hamiltonian_expression(s["x"], self._links(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
+        return numeric("nonideal_hamiltonian", s, {"H": H})
 
     @cached_property
     def _state(self) -> NumericFunction:
         n = self.robot.n
-        rows = {"position": 2 * n, "velocity": 2 * n, "parameters": layout(n).size}
-        position, velocity, parameters = symbols = [ca.SX.sym(name, k) for name, k in rows.items()]
+        s = symbols(position=2 * n, velocity=2 * n, parameters=layout(n).size)
+        position, velocity, parameters = s.values()
         links = self._links(layout(n).named(parameters))
         momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:], links)
-        return numeric("nonideal_state", dict(zip(rows, symbols, strict=True)), {"x": ca.vertcat(position, *momenta)})
+        return numeric("nonideal_state", s, {"x": ca.vertcat(position, *momenta)})
 
 
 def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing: ca.SX) -> ca.SX:

@@ -100,12 +100,8 @@ def closed_form(law: TrackingLaw, configurations: Array, plant: Plant) -> Sample
 
 def in_momenta_of(own: Equilibria, real: Equilibria, A: Array, B: Array) -> tuple[Array, Array]:
     """Return A and B of a plant in the momenta that its velocities have with the inertia of another robot."""
-    T = own.blocks(
-        [np.eye(own.robot.n), 0, 0, 0],
-        [0, np.eye(own.robot.n), 0, 0],
-        [0, 0, own.M_l @ np.linalg.inv(real.M_l), 0],
-        [0, 0, 0, own.robot.M_m @ np.linalg.inv(real.robot.M_m)],
-    )
+    one, inverses = np.eye(own.robot.n), (np.linalg.inv(real.M_l), np.linalg.inv(real.robot.M_m))
+    T = own.block_diagonal(one, one, own.M_l @ inverses[0], own.robot.M_m @ inverses[1])
     return T @ A @ np.linalg.inv(T), T @ B
 
 

@@ -76,8 +76,7 @@ class ProlongedSystem:
 
     def _symbols(self) -> dict[str, ca.SX]:
         n = self.law.robot.n
-        states = {name: ca.SX.sym(name, 4 * n) for name in ("x_v", "x", "delta")}
-        return {**states, "jets": ca.SX.sym("jets", n, JETS)}
+        return {**symbolic.symbols(x_v=4 * n, x=4 * n, delta=4 * n), "jets": ca.SX.sym("jets", n, JETS)}
 
     def _error_expression(self, x_v: ca.SX, x: ca.SX, jets: ca.SX) -> ca.SX:
         q_tilde_l, sigma_l, q_tilde_m, sigma_m = self.law.errors_function(x_v, x, jets, 0)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Protocol
 
 from numpy.typing import ArrayLike
@@ -23,7 +24,8 @@ class Reference(Protocol):
 
     @property
     def end(self) -> float:
-        """Time [s] after which the reference is constant; may be infinite."""
+        """Time [s] after which the reference is constant; infinite by default."""
+        return inf
 
     def jets(self, t: ArrayLike) -> Array:
         """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""

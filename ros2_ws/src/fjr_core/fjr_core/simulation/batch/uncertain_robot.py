@@ -101,7 +101,8 @@ class UncertainPlant:
     def dynamics(self) -> ca.Function:
         """Return the function (x, inputs) -> dx/dt (4n,); inputs: effort u (n,), parameters."""
         n = self.robot.n
-        x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", n + layout(n).size)
+        s = symbolic.symbols(x=4 * n, inputs=n + layout(n).size)
+        x, inputs = s.values()
         u, parameters = ca.vertsplit(inputs, [0, n, inputs.numel()])
         p, robot = self._drawn(parameters)
         dH = gradient_expression(robot, x)
@@ -111,34 +112,34 @@ class UncertainPlant:
         if self._friction:
             links, motors = links - self._torque(dq_l, p.coulomb_l, p), -self._torque(dq_m, p.coulomb_m, p)
         dx += ca.vertcat(ca.SX(2 * n, 1), links, motors)
-        return dense_function("uncertain_dynamics", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
+        return dense_function("uncertain_dynamics", s, {"dx": dx}, cse=True)
 
     def step(self, name: str) -> ca.Function:
         """Return the function (x, u, parameters, dt) -> x after a Runge-Kutta step of order 4 with u held."""
         n = self.robot.n
-        x, u, parameters = (ca.SX.sym(key, k) for key, k in (("x", 4 * n), ("u", n), ("parameters", layout(n).size)))
-        dt = ca.SX.sym("dt")
+        s = symbolic.symbols(x=4 * n, u=n, parameters=layout(n).size, dt=1)
+        x, u, parameters, dt = s.values()
         x_next = integrators.rk4(self.dynamics)(x, ca.vertcat(u, parameters), dt)
-        inputs = {"x": x, "u": u, "parameters": parameters, "dt": dt}
-        return dense_function(name, inputs, {"x_next": x_next}, cse=True)
+        return dense_function(name, s, {"x_next": x_next}, cse=True)
 
     def velocity(self, name: str) -> ca.Function:
         """Return the function (x, parameters) -> (dq_l, dq_m) (2n,)."""
         n = self.robot.n
-        x, parameters = ca.SX.sym("x", 4 * n), ca.SX.sym("parameters", layout(n).size)
+        s = symbolic.symbols(x=4 * n, parameters=layout(n).size)
+        x, parameters = s.values()
         _, robot = self._drawn(parameters)
         velocity = ca.vertcat(*robot.velocity_expressions(x))
-        return dense_function(name, {"x": x, "parameters": parameters}, {"velocity": velocity}, cse=True)
+        return dense_function(name, s, {"velocity": velocity}, cse=True)
 
     def state(self, name: str) -> ca.Function:
         """Return the function (position (2n,), velocity (2n,), parameters) -> x (4n,)."""
         n = self.robot.n
-        sizes = {"position": 2 * n, "velocity": 2 * n, "parameters": layout(n).size}
-        position, velocity, parameters = symbols = [ca.SX.sym(key, k) for key, k in sizes.items()]
+        s = symbolic.symbols(position=2 * n, velocity=2 * n, parameters=layout(n).size)
+        position, velocity, parameters = s.values()
         p, robot = self._drawn(parameters)
         p_l = robot.links.M_l(position[:n]) @ velocity[:n]
         p_m = p.motor_inertia * (symbolic.sparse(self.robot.M_m) @ (p.motor_inertia * velocity[n:]))
-        return dense_function(name, dict(zip(sizes, symbols, strict=True)), {"x": ca.vertcat(position, p_l, p_m)})
+        return dense_function(name, s, {"x": ca.vertcat(position, p_l, p_m)})
 
     def _drawn(self, parameters: ca.SX) -> tuple[SimpleNamespace, ScaledRobot]:
         own, p = self.robot, layout(self.robot.n).named(parameters)
