@@ -6,8 +6,6 @@ others have no permission to write. All files are reached from the open folder. 
 can therefore not slip another one in between a check and a use.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import secrets

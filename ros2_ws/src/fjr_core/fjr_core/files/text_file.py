@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read files of bounded size, and JSON objects in them, with errors of two kinds only."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -4,8 +4,6 @@
 The equations are in nonideal_plant.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Any
 

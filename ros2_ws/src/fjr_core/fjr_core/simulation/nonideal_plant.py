@@ -9,8 +9,6 @@
 All non-idealities are arguments of one function, so that they can change while the robot moves.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from types import SimpleNamespace
 
