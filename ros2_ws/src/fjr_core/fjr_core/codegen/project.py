@@ -9,7 +9,7 @@ from string import Template
 from ..control.sampled_law import AsSampledLaw, SampledLaw
 from ..control.vdpbc.law import TrackingLaw
 from ..errors import FjrError
-from .c_code import casadi_code, checked_prefix, comment, number, numbers, quoted, strings, work_sizes
+from .c_code import casadi_code, checked_prefix, comment, number, numbers, quoted, work_sizes
 from .exported_loop import Loop
 from .replay_case import as_csv, recorded
 
@@ -75,7 +75,7 @@ def _values(loop: Loop, prefix: str) -> dict[str, str]:
         "title": comment(loop.name),
         "title_literal": quoted(loop.name),
         "joint_list": comment(", ".join(loop.joints)),
-        "joint_literals": strings(loop.joints),
+        "joint_literals": ", ".join(map(quoted, loop.joints)),
         "n": str(loop.n),
         "gains": str(gains),
         "gains_length": str(max(1, gains)),

@@ -49,7 +49,9 @@ def recorded(loop: Loop, samples: int) -> Case:
         position, velocity = x[: 2 * n], np.concatenate(loop.plant.robot.velocities(x))
         jets = loop.reference.jets(t + loop.law.lead)
         u, V, after = law(position, velocity, jets, loop.law.gain_values, memory, sent, dt)
-        x_next = _one_sample_later(loop, x, u)
+        x_next = x
+        for _ in range(loop.inner_steps):
+            x_next = loop.plant.step(x_next, u, loop.inner_step)
         if not np.isfinite(x_next).all():
             raise StateError(
                 f"the loop diverged at t = {t:.6g} s; expected a loop that is stable at its sample period (fjr check)"
@@ -59,12 +61,6 @@ def recorded(loop: Loop, samples: int) -> Case:
         )
         x, memory, sent, dt = x_next, after, u, loop.sample_period
     return Case(*(np.array(column) for column in zip(*rows, strict=True)))
-
-
-def _one_sample_later(loop: Loop, x: Array, u: Array) -> Array:
-    for _ in range(loop.inner_steps):
-        x = loop.plant.step(x, u, loop.inner_step)
-    return x
 
 
 def as_csv(case: Case) -> str:

@@ -22,26 +22,14 @@ from ..tuning.bandwidth import BaselineTarget
 from ..tuning.equal_bandwidth import Tuning, tune
 from . import law
 from .controller import controller_parameters
-from .gains import gain_values, gains
+from .gains import gain_values as gain_values
+from .gains import gains
 from .law import robust
 from .parameter import Parameter, Value, Values, number, vector
-from .plant import initial_state, plant_parameters
+from .plant import initial_state as initial_state
+from .plant import plant_parameters
 from .reference import reference
 from .robot import joints_of, robot, robot_parameters
-
-__all__ = [
-    "OwnParameters",
-    "all_parameters",
-    "controller_parameters",
-    "gain_values",
-    "gains",
-    "initial_state",
-    "names_of_others",
-    "plant_parameters",
-    "reference",
-    "robot",
-    "robust",
-]
 
 OwnParameters = Callable[[int], Sequence[Parameter]]
 """Makes a node's own parameters for n joints: plant_parameters or controller_parameters."""

@@ -27,8 +27,6 @@ from .storage_growth import floor, growth, rises
 SAMPLING, SATURATION = "sampling", "saturation"
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
 
-__all__ = ["Axes", "Diagnosis", "conclude", "diagnose"]
-
 
 @dataclass(frozen=True)
 class Diagnosis:

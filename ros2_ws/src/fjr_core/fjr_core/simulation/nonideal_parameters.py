@@ -5,6 +5,7 @@ The equations are in nonideal_plant.
 """
 
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,7 @@ def _per_joint(default: float, name: str, unit: str, description: str, minimum: 
     )
 
 
-def _channel(name: str, unit: str, description: str, maximum: float) -> Any:
-    return parameter_field(0.0, description, unit, name=name, minimum=0.0, maximum=maximum, dynamic=True)
+_channel = partial(parameter_field, 0.0, minimum=0.0, dynamic=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,10 +189,10 @@ class ChannelErrors:
     item overtakes an earlier one, as with DDS; false: jitter may change the order. Raises ParameterError.
     """
 
-    delay: float = _channel("delay", "s", "Transport delay of {}", 10.0)
-    jitter: float = _channel("jitter", "s", "Largest additional delay of {}, uniformly distributed", 10.0)
-    loss: float = _channel("loss", "1", "Probability that one of {} is lost", 1.0)
-    repetition: float = _channel("repetition", "1", "Probability that one of {} is duplicated", 1.0)
+    delay: float = _channel("Transport delay of {}", "s", name="delay", maximum=10.0)
+    jitter: float = _channel("Largest additional delay of {}, uniformly distributed", "s", name="jitter", maximum=10.0)
+    loss: float = _channel("Probability that one of {} is lost", "1", name="loss", maximum=1.0)
+    repetition: float = _channel("Probability that one of {} is duplicated", "1", name="repetition", maximum=1.0)
     in_order: bool = parameter_field(
         True, "Deliver messages in order, whatever their jitter", name="messages_in_order", dynamic=True
     )

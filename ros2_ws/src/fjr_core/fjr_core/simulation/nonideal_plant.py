@@ -53,10 +53,6 @@ class NonidealPlant:
         """Return the state (5n,) after dt [s] under the command u (n,) and external torques (n,) [N m] on the links."""
         return self._step(state, u, external, parameters, dt)[0]
 
-    def derivative(self, x: ArrayLike, applied: ArrayLike, external: ArrayLike, parameters: ArrayLike) -> Array:
-        """Return dx/dt (4n,) at x (4n,) under actuator outputs `applied` (n,) and external torques (n,) [N m]."""
-        return self._derivative(x, np.concatenate([applied, external, parameters]))[0]
-
     def applied(self, a: ArrayLike, u: ArrayLike, parameters: ArrayLike) -> Array:
         """Return the present actuator outputs (n,) for the state a (n,) of the lag and the command u (n,)."""
         return self._applied(a, u, parameters, 0.0)[0]
@@ -122,10 +118,6 @@ class NonidealPlant:
     @cached_property
     def _step(self) -> NumericFunction:
         return NumericFunction(self.step_function)
-
-    @cached_property
-    def _derivative(self) -> NumericFunction:
-        return NumericFunction(self.dynamics)
 
     @cached_property
     def _applied(self) -> NumericFunction:

@@ -46,15 +46,10 @@ def linearize(
     q_l = loop_configurations(law, configurations)
     own, real = equilibria_at(law.robot, q_l), equilibria_at(plant.robot, q_l)
     if not isinstance(law, StaticLaw) or not sensing.plain:
-        return loop_as_run(law, own, real, sensing)
+        return on_plant(controller(as_sampled(law), own, sensing), own, real, sensing)
     A, B, F = _jacobians(law, plant, real)
     A, B = in_momenta_of(own, real, A, B)
     return in_error_coordinates(own, law.gains, A, B, F) if isinstance(law, TrackingLaw) else SampledLoop(q_l, A, B, F)
-
-
-def loop_as_run(law: StaticLaw | SampledLaw, own: Equilibria, real: Equilibria, sensing: Sensing) -> SampledLoop:
-    """Return the loop of a law with state and sensing, linearised at its own equilibria, on the real plant."""
-    return on_plant(controller(as_sampled(law), own, sensing), own, real, sensing)
 
 
 def on_plant(at: At, own: Equilibria, real: Equilibria, sensing: Sensing) -> SampledLoop:

@@ -38,11 +38,6 @@ class ProlongedSystem:
         self.law = law
         self._compile = compile
 
-    def derivative(self, x_v: ArrayLike, x: ArrayLike, delta: ArrayLike, jets: ArrayLike) -> tuple[Array, Array]:
-        """Return dx_v and d delta (4n,): eqs. (38) and (28) under the law."""
-        dx_v, d_delta = self._derivative(x_v, x, delta, jets)
-        return dx_v, d_delta
-
     def errors(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike) -> Array:
         """Return (q_tilde_l, q_tilde_m, sigma_l, sigma_m) (4n,), eqs. (30), (39)."""
         return self._errors(x_v, x, jets)[0]
@@ -93,10 +88,6 @@ class ProlongedSystem:
         dissipation += ca.dot(dqt_m, g.Pi_m @ _variation(g.phi_m, qt_m, dqt_m))
         dissipation += ca.dot(ds_l, (robot.D_l + g.K_ld) @ ds_l) + ca.dot(ds_m, (robot.D_m + g.K_md) @ ds_m)
         return W, -dissipation
-
-    @cached_property
-    def _derivative(self) -> NumericFunction:
-        return NumericFunction(self.function)
 
     @cached_property
     def _errors(self) -> NumericFunction:

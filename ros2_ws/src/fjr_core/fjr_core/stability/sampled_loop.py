@@ -103,7 +103,8 @@ def check(
     if len(q_l) <= most or plant.robot.n != law.robot.n:
         return _checked(linearize(law, q_l, plant, sensing), sample_period, delay)
     if not isinstance(below, TrackingLaw):
-        few = _evenly(len(q_l), WITH_STATE) if with_state else np.arange(len(q_l))
+        count = WITH_STATE if with_state else len(q_l)
+        few = np.linspace(0, len(q_l) - 1, count).round().astype(np.intp)
         return replace(
             _checked(linearize(law, q_l[few], plant, sensing), sample_period, delay), configurations=len(few)
         )
@@ -138,11 +139,6 @@ def _worst_of(everywhere: SampledLoop, found: SampledCheck) -> Indices:
     orders = [np.argsort(-everywhere.radii(*times)) for times in ((T, delay), (slowest, delay), (T, late * T))]
     ranked = np.stack(orders, axis=1)[: WITH_STATE // 2].ravel()
     return ranked[np.sort(np.unique(ranked, return_index=True)[1])]
-
-
-def _evenly(k: int, most: int) -> Indices:
-    """Return at most `most` of k indices, evenly spaced, including the first and the last."""
-    return np.unique(np.linspace(0, k - 1, min(k, most)).round().astype(np.intp))
 
 
 def _checked(loop: SampledLoop, sample_period: float, delay: float) -> SampledCheck:

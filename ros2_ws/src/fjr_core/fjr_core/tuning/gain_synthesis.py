@@ -84,8 +84,8 @@ class _Task:
         """
         few = self.critical(beta)
         while (gains := self._best_at(few, beta)) is not None:
-            missed = self._missed(gains, beta)
-            if not len(missed):
+            missed = self._too_slow(self._loop(self.equilibria, gains), beta)
+            if missed is None or not len(missed):
                 return gains
             few = np.append(few, missed)
         return None
@@ -145,10 +145,6 @@ class _Task:
                 worst = np.argsort(decays, kind="stable")[:KEPT]
                 return worst[~(decays[worst] >= LEAST_DECAY * beta)]
         return None
-
-    def _missed(self, gains: Gains, beta: float) -> Indices:
-        too_slow = self._too_slow(self._loop(self.equilibria, gains), beta)
-        return np.zeros(0, dtype=np.intp) if too_slow is None else too_slow
 
     def _rank(self, loop: SampledLoop, beta: float) -> tuple[int, float]:
         """Return the number of tolerated delays and the lowest decay rate [1/s] there; 0 without the required decay."""

@@ -103,7 +103,8 @@ class ClosedLoop:
             return rows
         ring = np.zeros((LANES, values["ring"], self.robot.n))
         filled = batch(**values)
-        self._program.library.run_batch(ctypes.byref(filled), 0, draws.runs, _pointer(ring))
+        pointer = ring.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        self._program.library.run_batch(ctypes.byref(filled), 0, draws.runs, pointer)
         return rows
 
     def _drawn(self, draws: Draws) -> dict[str, NDArray[Any]]:
@@ -166,7 +167,3 @@ def _segments(delay: Array, period: float, inner_steps: int) -> tuple[NDArray[np
     steps = np.ceil(lengths / (period / inner_steps) - 1e-9).astype(np.int64)
     ages = np.stack([whole + 1, whole], axis=1).astype(np.int64)
     return np.ascontiguousarray(np.stack([ages, steps], axis=2)), lengths / np.maximum(steps, 1)
-
-
-def _pointer(array: Array) -> Any:
-    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
