@@ -102,8 +102,8 @@ class NonidealPlant:
 
     def _links(self, p: SimpleNamespace) -> ArmDynamics | RigidArm:
         links = self.robot.links
-        hand = links.end_effector
-        return links if hand is None else PayloadArm(links, hand, p.payload_mass, p.payload_position)
+        end_effector = links.end_effector
+        return links if end_effector is None else PayloadArm(links, end_effector, p.payload_mass, p.payload_position)
 
     @cached_property
     def _actuators(self) -> ca.Function:
