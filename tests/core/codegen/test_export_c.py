@@ -312,9 +312,8 @@ def test_exported_law_equals_the_law_of_the_node() -> None:
     """The node's tracker evaluates `measured_command`."""
     made = loop("two_link")
     n, rng = made.n, np.random.default_rng(1)
-    sizes = (2 * n,), (2 * n,), (5, n), made.law.gain_values.shape, (0,), (n,), ()
     position, velocity, jets = rng.normal(size=2 * n), rng.normal(size=2 * n), rng.normal(size=(5, n))
-    u, V, _ = NumericFunction(made.functions["law"], sizes)(
+    u, V, _ = NumericFunction(made.functions["law"])(
         position, velocity, jets, made.law.gain_values, [], np.zeros(n), 0.0
     )
     expected = made.law.law.measured_command(position, velocity, jets)

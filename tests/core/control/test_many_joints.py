@@ -26,6 +26,7 @@ from core.oracles.properties import (
     storage_terms,
     sym,
 )
+from fjr_core.numerics.casadi_function import NumericFunction
 from fjr_core.stability.prolonged_system import ProlongedSystem
 
 TOLERANCE = 1e-11
@@ -129,7 +130,7 @@ def test_exact_rate_of_the_differential_storage(make: Callable[[], Arm], cubic: 
     scales = np.concatenate([np.ones(2 * arm.n), np.diag(arm.links.M(p.x[: arm.n])), np.diag(arm.M_m)])
     delta = scales * np.random.default_rng(seed).uniform(-1, 1, 4 * arm.n)
     dx = fjr.Plant(arm.robot).derivative(p.x, p.u)
-    dx_v, d_delta = system.derivative(p.x_v, p.x, delta, p.jets)
+    dx_v, d_delta = NumericFunction(system.function)(p.x_v, p.x, delta, p.jets)
 
     def along(s: float) -> float:
         return system.storage(p.x_v + s * dx_v, p.x + s * dx, delta + s * d_delta, p.jets + s * p.djets)[0]

@@ -114,7 +114,7 @@ def test_body_torques_of_a_point_mass_equal_those_of_a_payload() -> None:
     """Oracle: inertia and potential with the payload minus those without, at zero velocity."""
     m, r = 0.3, np.array([0.1, 0.05, 0.2])
     theta = np.array([m, *(m * r), *(m * r[i] * r[j] for i, j in SECOND_MOMENTS)])
-    loaded, q = PayloadArm(MODEL.links, ca.SX(m), ca.SX(r)), ca.SX.sym("q", 2)
+    loaded, q = PayloadArm(MODEL.links, MODEL.links.end_effector, ca.SX(m), ca.SX(r)), ca.SX.sym("q", 2)
     M = ca.Function("M", [q], [loaded.M_l(q) - MODEL.links.M_l(q)])
     g = ca.Function("g", [q], [loaded.grad_P_l(q) - MODEL.links.grad_P_l(q)])
     rng = np.random.default_rng(1)

@@ -8,7 +8,7 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm
-from fjr_core.robot.coordinates import Coordinates, law_view, velocity_function
+from fjr_core.robot.coordinates import Coordinates, law_view
 
 arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
 
@@ -35,7 +35,7 @@ def test_the_maps_are_inverse(arm: Arm) -> None:
     np.testing.assert_allclose(coordinates.to_velocities(x).full().ravel(), velocity, rtol=1e-12)
     same, found = (part.full().ravel() for part in coordinates.to_measured(x))
     np.testing.assert_array_equal(same, position)
-    np.testing.assert_array_equal(found, velocity_function(arm.robot)(x).full().ravel())
+    np.testing.assert_array_equal(found, Coordinates(arm.robot).to_velocities(x).full().ravel())
 
 
 def test_law_with_another_inertia_receives_the_velocities_of_the_plant() -> None:

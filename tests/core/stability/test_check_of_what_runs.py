@@ -22,8 +22,8 @@ from fjr_core.estimation.velocity_observer import VelocityObserver
 from fjr_core.experiments.comparison.tuned_law import tuned_law
 from fjr_core.robot.equilibrium import equilibria_at
 from fjr_core.stability.integral_bound import refuse_fast_integral
-from fjr_core.stability.linear_controller import Sensing
-from fjr_core.stability.linearization import linearize, loop_as_run
+from fjr_core.stability.linear_controller import Sensing, controller
+from fjr_core.stability.linearization import linearize, on_plant
 from fjr_core.stability.model_errors import radii_with_model_errors
 from fjr_core.stability.sampled_loop import check, spectral_radius
 
@@ -170,7 +170,7 @@ def test_check_and_simulation_agree_on_60_draws() -> None:
 def test_static_law_is_the_special_case_without_a_controller_state() -> None:
     for law in (Joint, fjr.TrackingLaw(fjr.planar_two_link(), fjr.Gains(8.0, 20.0, 2.0, 12.0, 40.0, 0.5))):
         rest = equilibria_at(law.robot, np.full((1, law.robot.n), 0.4))
-        general = loop_as_run(AsSampledLaw(law), rest, rest, Sensing())
+        general = on_plant(controller(AsSampledLaw(law), rest, Sensing()), rest, rest, Sensing())
         for delay in (0.0, 0.7e-3, 2e-3):
             assert general.radii(1e-3, delay) == pytest.approx(linearize(law, rest.q_l).radii(1e-3, delay), rel=1e-9)
 

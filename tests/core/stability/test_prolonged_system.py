@@ -13,6 +13,7 @@ from core.oracles.cases import LOOP_NAMES, LOOPS, Arm, GainSet, Point, cubic, li
 from core.oracles.oracle import inverse, jacobian, stencil
 from core.oracles.properties import TOLERANCE, closed_form, coordinate_steps, loop_of, metric, residual
 from fjr_core.errors import StateError
+from fjr_core.numerics.casadi_function import NumericFunction
 from fjr_core.stability.contraction import Contraction, Measured, contraction, scattered
 from fjr_core.stability.prolonged_system import ProlongedSystem
 
@@ -33,7 +34,7 @@ def test_the_prolonged_system_is_the_closed_loop_and_its_derivative(arm: Arm, ga
     def field(x_v: np.ndarray) -> np.ndarray:
         return loop.virtual.derivative(x_v, p.x, loop.law.effort(x_v, p.x, p.jets))
 
-    dx_v, d_delta = ProlongedSystem(loop.law).derivative(p.x_v, p.x, delta, p.jets)
+    dx_v, d_delta = NumericFunction(ProlongedSystem(loop.law).function)(p.x_v, p.x, delta, p.jets)
     assert residual(dx_v, field(p.x_v)) <= TOLERANCE
     assert residual(d_delta, stencil(lambda s: field(p.x_v + s * delta), 0.03)) <= TOLERANCE
 
@@ -61,7 +62,7 @@ def test_rate_of_the_differential_storage_is_exact(arm: Arm, gains: GainSet, see
     loop, p, delta = loop_of(arm, gains), random_point(arm, seed), direction(arm, seed)
     system = ProlongedSystem(loop.law)
     dx = loop.plant.derivative(p.x, p.u)
-    dx_v, d_delta = system.derivative(p.x_v, p.x, delta, p.jets)
+    dx_v, d_delta = NumericFunction(system.function)(p.x_v, p.x, delta, p.jets)
     fastest = float(np.max(np.abs([dx[: 2 * arm.n], dx_v[: 2 * arm.n]])))
 
     def along(s: float) -> float:

@@ -24,7 +24,7 @@ from fjr_core.experiments.comparison import Trial, motion_demand
 from fjr_core.simulation.batch import ClosedLoop
 from fjr_core.stability.linearization import rest_position, slope_at_rest
 from fjr_core.tuning.bandwidth import BaselineTarget
-from fjr_core.tuning.equal_bandwidth import Tuning, tune, tuned
+from fjr_core.tuning.equal_bandwidth import Tuning, tune
 
 OTHERS = tuple(name for name in LAWS if name != "v_dpbc")
 TWO_LINK = fjr.Gains(
@@ -247,13 +247,6 @@ def test_sample_rate_bounds_the_motor_damping_of_v_dpbc() -> None:
         gains = two_scale_gains.standard(robot, np.zeros(1), 10.0, 0.3, sample_period)
         rate = float(np.asarray(gains.K_md)[0, 0] + 0.01) / 0.2
         assert rate == pytest.approx(min(0.6 * np.sqrt(3000.0 / 0.2), two_scale_gains.FASTEST_RATE / sample_period))
-
-
-def test_tuned_returns_the_law() -> None:
-    law = tuned("lqr", fjr.single_link(), fjr.Sine(1.0, 1.0), fjr.PAPER_GAINS)
-    assert isinstance(law, StaticLaw)
-    u, V = law.measured_command([0.1, 0.1], [0.0, 0.0], np.zeros((5, 1)))
-    assert np.isfinite([*u, V]).all()
 
 
 def test_unknown_law_is_refused() -> None:

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write C text: CasADi functions with a prefix, arrays of numbers, names."""
 
-from __future__ import annotations
-
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
@@ -91,11 +89,6 @@ def numbers(values: ArrayLike) -> str:
 def number(value: float) -> str:
     """Format a double exactly for C with math.h."""
     return repr(value) if math.isfinite(value) else "NAN" if math.isnan(value) else f"{'-' * (value < 0)}INFINITY"
-
-
-def strings(values: Sequence[str]) -> str:
-    """Format the entries of an array of strings."""
-    return ", ".join(quoted(value) for value in values)
 
 
 def quoted(text: str) -> str:

@@ -1,19 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write the files of an export to a folder."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from dataclasses import fields
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 
 from ..control.sampled_law import AsSampledLaw, SampledLaw
 from ..control.vdpbc.law import TrackingLaw
-from ..control.vdpbc.symbolic_gains import GainSymbols, GainTerms
 from ..errors import FjrError
-from .c_code import casadi_code, checked_prefix, comment, number, numbers, quoted, strings, work_sizes
+from .c_code import casadi_code, checked_prefix, comment, number, numbers, quoted, work_sizes
 from .exported_loop import Loop
 from .replay_case import as_csv, recorded
 
@@ -79,7 +75,7 @@ def _values(loop: Loop, prefix: str) -> dict[str, str]:
         "title": comment(loop.name),
         "title_literal": quoted(loop.name),
         "joint_list": comment(", ".join(loop.joints)),
-        "joint_literals": strings(loop.joints),
+        "joint_literals": ", ".join(map(quoted, loop.joints)),
         "n": str(loop.n),
         "gains": str(gains),
         "gains_length": str(max(1, gains)),
@@ -103,8 +99,7 @@ def _gain_words(law: SampledLaw) -> str:
     """Describe the layout of `gains` of a v-dPBC law; an empty string for other laws."""
     if not (isinstance(law, AsSampledLaw) and isinstance(law.law, TrackingLaw)):
         return ""
-    terms = GainSymbols(law.law.gains).terms
-    parts = [f"{field.name} ({getattr(terms, field.name).nnz()})" for field in fields(GainTerms)]
+    parts = [f"{name} ({symbol.nnz()})" for name, symbol in law.law.symbols.by_name.items()]
     half = len(parts) // 2
     lines = (", ".join(parts[:half]), ", ".join(parts[half:]))
     meaning = "n numbers are a diagonal, n*n a matrix by columns. Pi_m_inverse must be that of Pi_m."

@@ -4,8 +4,6 @@
 For circles and sines only the position is written here; CasADi derives the total derivatives along those of the angle.
 """
 
-from __future__ import annotations
-
 from functools import singledispatch
 
 import casadi as ca
@@ -39,15 +37,10 @@ def jets_expression(reference: object, _t: ca.MX) -> ca.MX:
     raise TrajectoryError(f"a reference {type(reference).__name__} cannot be exported to C; expected one of {KNOWN}")
 
 
-@jets_expression.register
-def _(reference: Sine, t: ca.MX) -> ca.MX:
+@jets_expression.register(Sine)
+@jets_expression.register(MultiSine)
+def _(reference: Sine | MultiSine, t: ca.MX) -> ca.MX:
     a, w, phase = (np.atleast_2d(value) for value in (reference.amplitude, reference.frequency, reference.phase))
-    return _sines(a, w, phase, np.asarray(reference.offset), t)
-
-
-@jets_expression.register
-def _(reference: MultiSine, t: ca.MX) -> ca.MX:
-    a, w, phase = (np.asarray(value) for value in (reference.amplitude, reference.frequency, reference.phase))
     return _sines(a, w, phase, np.asarray(reference.offset), t)
 
 

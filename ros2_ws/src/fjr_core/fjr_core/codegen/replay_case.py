@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Record a closed loop in Python, sample by sample, with inputs and outputs of each exported function."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass, fields
 
@@ -11,7 +9,6 @@ import numpy as np
 from ..errors import StateError
 from ..numerics.casadi_function import NumericFunction
 from ..numerics.checks import Array
-from ..trajectories.reference import JETS
 from .exported_loop import Loop
 
 
@@ -42,9 +39,7 @@ def recorded(loop: Loop, samples: int) -> Case:
 
     The reference is evaluated by NumPy, law and plant by CasADi's virtual machine.
     """
-    n, m = loop.n, len(loop.law.memory)
-    sizes = (2 * n,), (2 * n,), (JETS, n), loop.law.gain_values.shape, (m,), (n,), ()
-    law = NumericFunction(loop.law.step_function, sizes)
+    n, law = loop.n, NumericFunction(loop.law.step_function)
     rows: list[tuple[Array, ...]] = []
     x: Array = np.asarray(loop.x0, dtype=float)
     sent: Array = np.zeros(n)
@@ -54,7 +49,9 @@ def recorded(loop: Loop, samples: int) -> Case:
         position, velocity = x[: 2 * n], np.concatenate(loop.plant.robot.velocities(x))
         jets = loop.reference.jets(t + loop.law.lead)
         u, V, after = law(position, velocity, jets, loop.law.gain_values, memory, sent, dt)
-        x_next = _one_sample_later(loop, x, u)
+        x_next = x
+        for _ in range(loop.inner_steps):
+            x_next = loop.plant.step(x_next, u, loop.inner_step)
         if not np.isfinite(x_next).all():
             raise StateError(
                 f"the loop diverged at t = {t:.6g} s; expected a loop that is stable at its sample period (fjr check)"
@@ -64,12 +61,6 @@ def recorded(loop: Loop, samples: int) -> Case:
         )
         x, memory, sent, dt = x_next, after, u, loop.sample_period
     return Case(*(np.array(column) for column in zip(*rows, strict=True)))
-
-
-def _one_sample_later(loop: Loop, x: Array, u: Array) -> Array:
-    for _ in range(loop.inner_steps):
-        x = loop.plant.step(x, u, loop.inner_step)
-    return x
 
 
 def as_csv(case: Case) -> str:

@@ -4,8 +4,6 @@
 The other builders are in the modules of their parameters and are imported here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, lru_cache
 from typing import Any
@@ -24,26 +22,14 @@ from ..tuning.bandwidth import BaselineTarget
 from ..tuning.equal_bandwidth import Tuning, tune
 from . import law
 from .controller import controller_parameters
-from .gains import gain_values, gains
+from .gains import gain_values as gain_values
+from .gains import gains
 from .law import robust
 from .parameter import Parameter, Value, Values, number, vector
-from .plant import initial_state, plant_parameters
+from .plant import initial_state as initial_state
+from .plant import plant_parameters
 from .reference import reference
 from .robot import joints_of, robot, robot_parameters
-
-__all__ = [
-    "OwnParameters",
-    "all_parameters",
-    "controller_parameters",
-    "gain_values",
-    "gains",
-    "initial_state",
-    "names_of_others",
-    "plant_parameters",
-    "reference",
-    "robot",
-    "robust",
-]
 
 OwnParameters = Callable[[int], Sequence[Parameter]]
 """Makes a node's own parameters for n joints: plant_parameters or controller_parameters."""
@@ -115,7 +101,7 @@ def baseline_target(values: Values, robot: Robot) -> BaselineTarget:
 def _baseline_gains(values: Values, robot: Robot) -> Any:
     """Return the gains of a baseline: tuned, or of law.natural_frequency and law.damping_ratio."""
     if values[law.TUNED.name]:
-        return tuning(values).law.gains  # type: ignore[attr-defined]
+        return tuning(values).law.gains
     kind = law_kind(str(values[law.TYPE.name]))
     q_0 = np.asarray(reference(values, robot.n).jets(0.0))[0]
     frequency, damping = number(values, law.NATURAL_FREQUENCY.name), number(values, law.DAMPING_RATIO.name)

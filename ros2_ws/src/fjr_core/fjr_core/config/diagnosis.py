@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the certificate and its diagnosis."""
 
-from __future__ import annotations
-
 from ..monitoring.grading import Axes
 from ..monitoring.thresholds import TOLERANCE
 from ..robot.robot import Robot
@@ -19,11 +17,6 @@ CERTIFICATE_TOLERANCE = Parameter(
     minimum=1e-9,
     shape=VECTOR,
 )
-
-
-def diagnosis_parameters(n: int) -> list[Parameter]:
-    """Return the parameters for n joints."""
-    return [CERTIFICATE, CERTIFICATE_TOLERANCE.for_joints(n)]
 
 
 def axes(values: Values, robot: Robot) -> Axes:

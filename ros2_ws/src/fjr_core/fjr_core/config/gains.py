@@ -1,33 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters gains.*: the gains of v-dPBC, and the parameter values that give them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..control.vdpbc.gains import PAPER_GAINS, Gains
 from ..numerics.parameter_field import declared
-from .parameter import Parameter, Values, named, read, table
+from .parameter import Values, named, read
 
-_DECLARED = declared(Gains, "gains.", PAPER_GAINS)
-
-
-def gain_parameters(n: int) -> list[Parameter]:
-    """Return the parameters for n joints."""
-    return table(_DECLARED, n)
+GAINS = declared(Gains, "gains.", PAPER_GAINS)
 
 
 def gains(values: Values, n: int) -> Gains:
     """Return the gains of the values for n joints; raises ParameterError where (32) or (41) is broken."""
-    found = Gains(**read(_DECLARED, values, n))
-    named(lambda symbol: f"gains.{symbol}" if symbol in _DECLARED else "gains", lambda: found.checked(n))
+    found = Gains(**read(GAINS, values, n))
+    named(lambda symbol: f"gains.{symbol}" if symbol in GAINS else "gains", lambda: found.checked(n))
     return found
 
 
 def gain_values(gains: Gains, n: int) -> dict[str, list[float]]:
     """Return the parameters of these gains: n entries if diagonal, else n*n by rows; zero gains are omitted."""
     checked, values = gains.checked(n), {}
-    for field, parameter in _DECLARED.items():
+    for field, parameter in GAINS.items():
         array = getattr(checked, field)
         diagonal = np.array_equal(array, np.diag(np.diag(array)))
         if np.any(array):

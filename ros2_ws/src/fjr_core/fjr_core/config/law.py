@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters law.* and robust.*: the control law, its tuning, and the robust action."""
 
-from __future__ import annotations
-
 from ..control.registry import LAWS, V_DPBC
 from ..control.robust.options import Robust
 from ..numerics.parameter_field import declared
 from ..tuning.bandwidth import START_ERROR
-from .parameter import VECTOR, Parameter, Values, named, read, table
+from .parameter import VECTOR, Parameter, Values, named, read
 
 TYPE = Parameter("law.type", V_DPBC, "Control law; the gains of v_dpbc are gains.*", choices=tuple(LAWS))
 TUNED = Parameter(
@@ -43,20 +41,11 @@ SAMPLE_RATE = Parameter(
     minimum=1.0,
     maximum=1e5,
 )
-_LAW = (TYPE, TUNED, NATURAL_FREQUENCY, DAMPING_RATIO, INITIAL_ERROR, SAMPLE_RATE)
-_ROBUST = declared(Robust, "robust.")
-
-
-def law_parameters(n: int) -> list[Parameter]:
-    """Return the parameters law.* for n joints; control_law builds the law."""
-    return [parameter.for_joints(n) for parameter in _LAW]
-
-
-def robust_parameters(n: int) -> list[Parameter]:
-    """Return the parameters robust.* for n joints; every robust action is off by default."""
-    return table(_ROBUST, n)
+LAW = (TYPE, TUNED, NATURAL_FREQUENCY, DAMPING_RATIO, INITIAL_ERROR, SAMPLE_RATE)
+ROBUST = declared(Robust, "robust.")
+"""Parameters robust.*; every robust action is off by default."""
 
 
 def robust(values: Values, n: int) -> Robust:
     """Return the robust action of the values for n joints; raises ParameterError."""
-    return named(lambda symbol: f"robust.{symbol}", lambda: Robust(**read(_ROBUST, values, n)).checked(n))
+    return named(lambda symbol: f"robust.{symbol}", lambda: Robust(**read(ROBUST, values, n)).checked(n))

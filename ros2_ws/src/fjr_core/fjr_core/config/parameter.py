@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of parameters, checked values, and the arrays that builders read from them."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
@@ -99,19 +97,11 @@ def named(name_of: Callable[[str], str], build: Callable[[], Built]) -> Built:
         raise ParameterError(f"parameter '{name_of(symbol)}': {error}") from None
 
 
-def _as_given(values: Values, name: str, _n: int) -> Value:
-    return values[name]
-
-
-def _point(values: Values, name: str, _n: int) -> Array:
-    return vector(values, name, 3, "its x, y and z")
-
-
 _READERS: dict[str, Callable[[Values, str, int], Any]] = {
-    SCALAR: _as_given,
-    LIST: _as_given,
+    SCALAR: lambda values, name, _n: values[name],
+    LIST: lambda values, name, _n: values[name],
     VECTOR: vector,
     MATRIX: matrix,
     ROWS: rows,
-    POINT: _point,
+    POINT: lambda values, name, _n: vector(values, name, 3, "its x, y and z"),
 }

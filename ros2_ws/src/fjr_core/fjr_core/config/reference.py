@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of reference trajectories: reference.*, their limits, and the tolerances of trajectory actions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -77,7 +75,7 @@ ACCELERATION_LIMIT = Parameter(
     infinite=True,
     shape=VECTOR,
 )
-_MOTION = (
+MOTION = (
     ACCELERATION_LIMIT,
     Parameter("allow_partial_joints", False, "Accept a trajectory of some joints; the other joints hold", dynamic=True),
     Parameter(
@@ -117,11 +115,6 @@ def reference_parameters(n: int) -> list[Parameter]:
     """Return the parameters reference.* for n joints; the parameters of other types are not used."""
     own = {parameter.name: parameter for _, arguments in _TYPES.values() for parameter in arguments.values()}
     return [_TYPE, *(parameter.for_joints(n) for parameter in own.values())]
-
-
-def motion_parameters(n: int) -> list[Parameter]:
-    """Return the parameters of trajectory limits and action tolerances for n joints."""
-    return [parameter.for_joints(n) for parameter in _MOTION]
 
 
 def reference(values: Values, n: int) -> Reference:

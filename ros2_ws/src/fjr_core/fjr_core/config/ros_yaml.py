@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS 2 parameter files without ROS: read them as rcl does, write them so that rcl reads the same values."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Mapping
@@ -80,8 +78,8 @@ def _check_scalar(node: yaml.ScalarNode) -> None:
         raise ParameterError(f"has the character U+{ord(invalid[0]):04X} in line {line}; expected text without it")
 
 
-def _brief(text: str) -> str:
-    return text if len(text) <= 60 else f"{text[:60]}..."
+def _brief(text: str, most: int = 60) -> str:
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 class _Dumper(yaml.SafeDumper):
@@ -106,12 +104,7 @@ def parse(text: str) -> Any:
     try:
         return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
-        raise ParameterError(f"is not valid YAML: {_brief_reason(error)}") from None
-
-
-def _brief_reason(error: yaml.YAMLError) -> str:
-    words = " ".join(str(error).split())
-    return words if len(words) <= 400 else f"{words[:400]}..."
+        raise ParameterError(f"is not valid YAML: {_brief(' '.join(str(error).split()), 400)}") from None
 
 
 def dump(document: Any) -> str:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control laws by name: v-dPBC and the baselines it is compared with (docs/baselines.md)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -31,44 +29,42 @@ class LawKind:
     title: str
     paper: str
     make: Callable[..., StaticLaw]
-    measures: str
-    storage: str
     standard: Standard
+    measures: str = "both sides"
+    storage: str = "decays along every reference"
     usual: float = 0.7
     damping: tuple[float, float] = (0.5, 2.0)
     adds: str = ""
 
 
-_ALL = "both sides"
+_AT_REST = "decays for a constant reference"
 _KINDS = (
     LawKind(
         V_DPBC,
         "v-dPBC",
         "Reyes-Baez, van der Schaft, Jayawardhana 2018",
         TrackingLaw,
-        _ALL,
-        "decays along every reference",
         two_scale_gains.standard,
-        0.3,
-        (0.1, 0.5),
+        usual=0.3,
+        damping=(0.1, 0.5),
     ),
     LawKind(
         "pd_gravity",
         "motor PD + gravity",
         "Tomei 1991",
         pd_gravity.PdGravity,
-        "motor side",
-        "decays for a constant reference",
         pd_gravity.standard,
+        "motor side",
+        _AT_REST,
     ),
     LawKind(
         "pd_feedforward",
         "motor PD + feedforward",
         "De Luca 2000",
         pd_gravity.PdFeedforward,
-        "motor side",
-        "decays for a constant reference",
         pd_gravity.standard,
+        "motor side",
+        _AT_REST,
         adds="inverse dynamics of the reference",
     ),
     LawKind(
@@ -76,48 +72,44 @@ _KINDS = (
         "computed torque, singular perturbation",
         "Spong 1987",
         singular_perturbation.SingularPerturbation,
-        "link side, motor velocity",
-        "",
         singular_perturbation.standard,
+        "link side, motor velocity",
+        storage="",
     ),
     LawKind(
         "feedback_linearisation",
         "feedback linearisation",
         "Spong 1987, De Luca 2000",
         feedback_linearisation.FeedbackLinearisation,
-        _ALL,
-        "decays along every reference",
         feedback_linearisation.standard,
-        1.0,
+        usual=1.0,
     ),
     LawKind(
         "backstepping",
         "integrator backstepping",
         "Brogliato, Ortega, Lozano 1995",
         backstepping.Backstepping,
-        _ALL,
-        "decays along every reference",
         backstepping.standard,
-        1.0,
-        (0.3, 2.0),
+        usual=1.0,
+        damping=(0.3, 2.0),
     ),
     LawKind(
         "torque_feedback",
         "torque feedback",
         "Albu-Schaeffer, Ott, Hirzinger 2007",
         torque_feedback.TorqueFeedback,
-        "motor side, spring torque",
-        "decays for a constant reference",
         torque_feedback.standard,
+        "motor side, spring torque",
+        _AT_REST,
     ),
     LawKind(
         "torque_feedback_feedforward",
         "torque feedback + feedforward",
         "Albu-Schaeffer, Ott, Hirzinger 2007",
         torque_feedback.TorqueFeedbackFeedforward,
-        "motor side, spring torque",
-        "decays for a constant reference",
         torque_feedback.standard,
+        "motor side, spring torque",
+        _AT_REST,
         adds="inverse dynamics of the reference",
     ),
     LawKind(
@@ -125,11 +117,10 @@ _KINDS = (
         "LQR",
         "scipy.linalg.solve_continuous_are",
         lqr.Lqr,
-        _ALL,
-        "decays for small errors about one equilibrium",
         lqr.standard,
-        1.0,
-        (0.5**0.5, 2.0),
+        storage="decays for small errors about one equilibrium",
+        usual=1.0,
+        damping=(0.5**0.5, 2.0),
     ),
 )
 LAWS: dict[str, LawKind] = {kind.name: kind for kind in _KINDS}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,31 +21,8 @@ SHORTEST = 1e-3  # s; shortest duration that is not 0
 _DURATION = f"0, or at least {SHORTEST} s"
 
 
-def _limit(unit: str, description: str, off: float = math.inf, minimum: float = 0.0, constraint: str = "") -> Any:
-    return parameter_field(
-        off,
-        description,
-        unit,
-        name="limits.",
-        minimum=minimum,
-        constraint=constraint,
-        dynamic=True,
-        infinite=True,
-        shape=VECTOR,
-    )
-
-
-def _duration(name: str, default: float, description: str) -> Any:
-    return parameter_field(
-        default,
-        description,
-        "s",
-        name=name,
-        minimum=0.0,
-        maximum=1e3,
-        constraint=_DURATION,
-        dynamic=True,
-    )
+_limit = partial(parameter_field, name="limits.", minimum=0.0, dynamic=True, infinite=True, shape=VECTOR)
+_duration = partial(parameter_field, unit="s", minimum=0.0, maximum=1e3, constraint=_DURATION, dynamic=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,33 +36,37 @@ class Settings:
     """
 
     joints: tuple[str, ...]
-    effort: ArrayLike = _limit("N m", "Largest effort; the command saturates there")
+    effort: ArrayLike = _limit(math.inf, "Largest effort; the command saturates there", "N m")
     effort_rate: ArrayLike = _limit(
-        "N m/s", "Largest rate of change of the effort, over the time between the stamps of two states"
+        math.inf, "Largest rate of change of the effort, over the time between the stamps of two states", "N m/s"
     )
     link_position_lower: ArrayLike = _limit(
-        "rad", "Lower limit of q_l; a state below it triggers on_stop", off=-math.inf, minimum=-math.inf
+        -math.inf, "Lower limit of q_l; a state below it triggers on_stop", "rad", minimum=-math.inf
     )
     link_position_upper: ArrayLike = _limit(
-        "rad",
+        math.inf,
         "Upper limit of q_l; a state above it triggers on_stop",
+        "rad",
         minimum=-math.inf,
         constraint="at least limits.link_position_lower",
     )
     motor_position_lower: ArrayLike = _limit(
-        "rad", "Lower limit of q_m; a state below it triggers on_stop", off=-math.inf, minimum=-math.inf
+        -math.inf, "Lower limit of q_m; a state below it triggers on_stop", "rad", minimum=-math.inf
     )
     motor_position_upper: ArrayLike = _limit(
-        "rad",
+        math.inf,
         "Upper limit of q_m; a state above it triggers on_stop",
+        "rad",
         minimum=-math.inf,
         constraint="at least limits.motor_position_lower",
     )
-    link_velocity: ArrayLike = _limit("rad/s", "Largest |dq_l|; a state above it triggers on_stop")
-    motor_velocity: ArrayLike = _limit("rad/s", "Largest |dq_m|; a state above it triggers on_stop")
-    deflection: ArrayLike = _limit("rad", "Largest |q_m - q_l|; a state above it triggers on_stop")
-    tracking_error: ArrayLike = _limit("rad", "Largest |q_l - q_ld|; a state above it triggers on_stop")
-    start_error: ArrayLike = _limit("rad", "Largest |q_l - q_ld| at which tracking starts, if start.join_time is 0")
+    link_velocity: ArrayLike = _limit(math.inf, "Largest |dq_l|; a state above it triggers on_stop", "rad/s")
+    motor_velocity: ArrayLike = _limit(math.inf, "Largest |dq_m|; a state above it triggers on_stop", "rad/s")
+    deflection: ArrayLike = _limit(math.inf, "Largest |q_m - q_l|; a state above it triggers on_stop", "rad")
+    tracking_error: ArrayLike = _limit(math.inf, "Largest |q_l - q_ld|; a state above it triggers on_stop", "rad")
+    start_error: ArrayLike = _limit(
+        math.inf, "Largest |q_l - q_ld| at which tracking starts, if start.join_time is 0", "rad"
+    )
     on_stop: str = parameter_field(
         ZERO,
         "Effort after a stop, after state_timeout and at shutdown: zero, or gravity compensation with motor damping",
@@ -100,15 +81,15 @@ class Settings:
         maximum=1e3,
     )
     ramp_time: float = _duration(
-        "start.ramp_time", 0.0, "Duration of the ramp from the effort of on_stop to that of the law; 0: none"
+        0.0, "Duration of the ramp from the effort of on_stop to that of the law; 0: none", name="start.ramp_time"
     )
     start_join_time: float = _duration(
-        "start.join_time", 0.0, "Duration of the transition from the first state to the reference; 0: none"
+        0.0, "Duration of the transition from the first state to the reference; 0: none", name="start.join_time"
     )
     recovery_join_time: float = _duration(
-        "recovery.join_time",
         1.0,
         "Duration of the transition after a stop, a state timeout or a change of the reference; 0: none",
+        name="recovery.join_time",
     )
     hold_deceleration: float = parameter_field(
         2.0,

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Define sampled-data laws: pure functions of the sample, the gains, the controller state and the last effort."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,22 +13,7 @@ from ..numerics.casadi_function import bind, dense_function
 from ..numerics.checks import Array
 from ..robot.robot import Robot
 from ..trajectories.reference import JETS
-
-
-class MeasuredLaw(Protocol):
-    """A static law u(x, x, t) of measured signals, with a storage V (nan if it has none)."""
-
-    @property
-    def robot(self) -> Robot:
-        """The robot model of the law."""
-
-    @property
-    def gain_values(self) -> Array:
-        """The argument `gains` (g,) of measured_expression."""
-
-    @property
-    def measured_expression(self) -> ca.Function:
-        """(position (2n,), velocity (2n,), jets (n, 5), gains (g,)) -> u (n,), V; not compiled."""
+from .static_law import StaticLaw
 
 
 class SampledLaw(Protocol):
@@ -63,11 +46,22 @@ class SampledLaw(Protocol):
         """
 
 
+ARGUMENTS = ("position", "velocity", "jets", "gains", "memory", "sent", "dt")
+"""Arguments of SampledLaw.step_function, in order."""
+
+
+def step_symbols(law: SampledLaw) -> dict[str, ca.MX]:
+    """Return symbols for ARGUMENTS."""
+    n = law.robot.n
+    sizes = ((2 * n,), (2 * n,), (n, JETS), (len(law.gain_values),), (len(law.memory),), (n,), ())
+    return {name: ca.MX.sym(name, *size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
+
+
 @dataclass(frozen=True, eq=False)
 class AsSampledLaw:
     """Adapt a static law to the interface SampledLaw."""
 
-    law: MeasuredLaw
+    law: StaticLaw
     lead: float = 0.0
 
     @property
@@ -88,13 +82,9 @@ class AsSampledLaw:
     @cached_property
     def step_function(self) -> ca.Function:
         """SampledLaw.step_function; it does not depend on memory, sent and dt."""
-        n, g = self.robot.n, len(self.gain_values)
-        sizes = {"position": 2 * n, "velocity": 2 * n, "gains": g, "memory": 0, "sent": n, "dt": 1}
-        s = {name: ca.MX.sym(name, rows) for name, rows in sizes.items()}
-        jets = ca.MX.sym("jets", n, JETS)
-        u, V = self.law.measured_expression(s["position"], s["velocity"], jets, s["gains"])
-        inputs = {name: jets if name == "jets" else s[name] for name in ARGUMENTS}
-        return dense_function("sampled_law", inputs, {"u": u, "V": V, "next": s["memory"]})
+        s = step_symbols(self)
+        u, V = self.law.measured_expression(s["position"], s["velocity"], s["jets"], s["gains"])
+        return dense_function("sampled_law", s, {"u": u, "V": V, "next": s["memory"]})
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +122,3 @@ def bound_step(
     arguments = (position, velocity, jets, law.gain_values, memory, sent, dt)
     evaluate = bind(function or law.step_function, arguments, (u, V, after))
     return BoundStep(evaluate, initial, memory, sent, dt, u, V, after)
-
-
-ARGUMENTS = ("position", "velocity", "jets", "gains", "memory", "sent", "dt")
-"""Arguments of SampledLaw.step_function, in order."""

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base class of static laws u(x, x, t): evaluation, binding to arrays and compilation."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -17,7 +15,11 @@ from ..numerics.casadi_function import NumericFunction, bind, dense_function
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
 from ..robot.robot import Robot
-from ..trajectories.reference import REFERENCE_DERIVATIVES
+from ..trajectories.reference import JETS
+from .lie_derivative import Flow
+from .vdpbc.symbolic_gains import ArraySymbols
+
+Law = TypeVar("Law", bound="StaticLaw")
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,18 +32,30 @@ class BoundCommand:
 
 
 class StaticLaw(ABC):
-    """A static law u(x, x, t) of a robot as a pure function; implements sampled_law.MeasuredLaw.
+    """A static law u(x, x, t) of a robot as a pure function, with a storage V (nan if it has none).
 
-    Subclasses define `measured_expressions`, `gain_values` and `hold_damping`. Gains are arguments of the function,
-    so that with_gains builds and compiles nothing. Efforts are neither saturated nor checked for finite values.
+    Subclasses define `measured_expressions` and `hold_damping`. Gains are arguments of the function, so that
+    with_gains builds and compiles nothing. Efforts are neither saturated nor checked for finite values.
+    gains: named as in the paper; `arrays(robot)` returns the arrays of the law's equations by name, and raises
+    GainsError if the paper's conditions are violated.
     """
 
-    robot: Robot
-    compiles: bool
+    def __init__(self, robot: Robot, gains: Any, compile: bool = False) -> None:
+        self.robot = robot
+        self.gains = gains
+        self.arrays: dict[str, Array] = gains.arrays(robot)
+        self.compiles = compile
 
-    @abstractmethod
-    def with_gains(self, gains: Any) -> StaticLaw:
-        """Return the law with other gains; nothing is built or compiled. Raises GainsError."""
+    def with_gains(self: Law, gains: Any) -> Law:
+        """Return the law with other gains; nothing is built or compiled.
+
+        Raises GainsError as the constructor does, and for a full matrix where the gain of this law is diagonal.
+        """
+        other = type(self)(self.robot, gains, self.compiles)
+        other.symbols = self.symbols
+        other.measured_expression, other.measured_function = self.measured_expression, self.measured_function
+        other.gain_values = self.symbols.values(other.arrays)
+        return other
 
     @abstractmethod
     def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
@@ -49,13 +63,26 @@ class StaticLaw(ABC):
 
     @property
     @abstractmethod
-    def gain_values(self) -> Array:
-        """The argument `gains` (g,) of measured_function."""
-
-    @property
-    @abstractmethod
     def hold_damping(self) -> Array:
         """Motor damping (n, n) [N m s/rad] of the stop policy that holds the weight only."""
+
+    @cached_property
+    def symbols(self) -> ArraySymbols:
+        """Symbols of the gains, of which law and certificate are functions."""
+        return ArraySymbols(self.arrays)
+
+    @cached_property
+    def gain_values(self) -> Array:
+        """The argument `gains` (g,) of measured_function."""
+        return self.symbols.values(self.arrays)
+
+    def at_measured(self, f: Flow, outputs: dict[str, ca.SX]) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+        """Return the arguments of measured_function, and outputs in the symbols of f as expressions of them."""
+        n = self.robot.n
+        position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
+        values = f.at_velocities(ca.vertcat(position, velocity), *outputs.values())
+        inputs = {"position": position, "velocity": velocity, "jets": f.jets, "gains": self.symbols.vector}
+        return inputs, dict(zip(outputs, values, strict=True))
 
     def measured_command(self, position: ArrayLike, velocity: ArrayLike, jets: ArrayLike) -> tuple[Array, float]:
         """Return u(x, x, t) (n,) [N m] and V [J] for a measured position and velocity.
@@ -84,7 +111,7 @@ class StaticLaw(ABC):
     def command_function(self) -> ca.Function:
         """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; compiled if requested."""
         n = self.robot.n
-        x, jets = ca.SX.sym("x", 4 * n), ca.SX.sym("jets", n, REFERENCE_DERIVATIVES + 1)
+        x, jets = ca.SX.sym("x", 4 * n), ca.SX.sym("jets", n, JETS)
         velocity = ca.vertcat(*self.robot.velocity_expressions(x))
         u, V = self.measured_expression(x[: 2 * n], velocity, jets, ca.DM(self.gain_values))
         return self.ready(dense_function("command", {"x": x, "jets": jets}, {"u": u, "V": V}, cse=True))
@@ -106,10 +133,8 @@ class StaticLaw(ABC):
 
     @cached_property
     def _measured_command(self) -> NumericFunction:
-        n = self.robot.n
-        shapes = ((2 * n,), (2 * n,), (REFERENCE_DERIVATIVES + 1, n), self.gain_values.shape)
-        return NumericFunction(self.measured_function, shapes)
+        return NumericFunction(self.measured_function)
 
     @cached_property
     def _command(self) -> NumericFunction:
-        return NumericFunction(self.command_function, ((4 * self.robot.n,), (REFERENCE_DERIVATIVES + 1, self.robot.n)))
+        return NumericFunction(self.command_function)

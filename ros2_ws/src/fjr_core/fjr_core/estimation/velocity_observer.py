@@ -24,8 +24,6 @@ Guarantees for an exact model, exact effort and exact positions:
 An unmodelled acceleration a [rad/s^2] causes an error of dq_hat of about 2 a / bandwidth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cached_property
@@ -36,8 +34,9 @@ from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
 from ..numerics.casadi_function import bind
-from ..numerics.checks import Array
+from ..numerics.checks import Array, positive
 from ..numerics.jit import compiled
+from ..numerics.symbolic import symbols
 from ..robot.configuration_sampling import checked_configurations
 from ..robot.coordinates import Coordinates
 from ..robot.equilibrium import equilibria_at, plant_matrices
@@ -73,8 +72,7 @@ class VelocityObserver:
     """
 
     def __init__(self, robot: Robot, bandwidth: float, compile: bool = False) -> None:
-        if not (math.isfinite(bandwidth) and bandwidth > 0):
-            raise ParameterError(f"bandwidth is {bandwidth} rad/s; expected a positive finite number")
+        positive("bandwidth", bandwidth, ParameterError, "rad/s")
         self.robot = robot
         self.bandwidth = float(bandwidth)
         self._compile = compile
@@ -164,8 +162,8 @@ class VelocityObserver:
 
 def _observer_function(robot: Robot, steps: int) -> ca.Function:
     n = robot.n
-    sizes = {"x_hat": 4 * n, "y": 2 * n, "u": n, "dt": 1, "gain": 2}
-    x_hat, y, u, dt, gain = (ca.MX.sym(name, size) for name, size in sizes.items())
+    s = symbols(ca.MX, x_hat=4 * n, y=2 * n, u=n, dt=1, gain=2)
+    x_hat, y, u, dt, gain = s.values()
     coordinates, step = Coordinates(robot), Plant(robot).step_function
     x = coordinates.to_momenta(x_hat[: 2 * n], x_hat[2 * n :])
     for _ in range(steps):
@@ -173,7 +171,7 @@ def _observer_function(robot: Robot, steps: int) -> ca.Function:
     q, dq = coordinates.to_measured(x)
     e = y - q
     x_next = ca.vertcat(q + gain[0] * e, dq + gain[1] * e)
-    return ca.Function("observer", [x_hat, y, u, dt, gain], [x_next], list(sizes), ["x_next"])
+    return ca.Function("observer", list(s.values()), [x_next], list(s), ["x_next"])
 
 
 def steps_of(robot: Robot) -> int:

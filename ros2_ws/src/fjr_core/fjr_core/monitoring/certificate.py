@@ -180,8 +180,7 @@ class Certificate:
 
     @cached_property
     def _at(self) -> NumericFunction:
-        n = self.law.robot.n
-        return NumericFunction(self.function, ((2 * n,), (2 * n,), (JETS, n), self.law.gain_values.shape))
+        return NumericFunction(self.function)
 
 
 def _rate(drive: Array, excess: Array, dissipation: Array) -> Array:

@@ -11,22 +11,8 @@ from numpy.typing import NDArray
 
 from ..numerics.checks import Array
 from ..robot.robot import Robot
+from . import thresholds
 from .innovations import Innovations, needed
-from .thresholds import (
-    CLIPPED_BY,
-    CLIPPED_FOR,
-    CLIPPED_LEVEL,
-    EXACT,
-    EXPLAINED,
-    HALF_WAY,
-    LATE,
-    MIXED,
-    NEGLIGIBLE,
-    NO_WORSE,
-    OLDEST,
-    REGULAR,
-    SAME_OLDER,
-)
 
 
 @dataclass(frozen=True)
@@ -68,20 +54,22 @@ def effort_delay(found: Innovations, robot: Robot) -> EffortDelay:
     """
     required, regular = needed(found, robot), _regular(found)
     undelayed = _squares(required - found.sent, regular)
-    delayed = [_delayed(found.sent, d) for d in range(OLDEST + 1)]
+    delayed = [_delayed(found.sent, d) for d in range(thresholds.OLDEST + 1)]
     fits = [_fit(required, newer, older, regular) for newer, older in pairwise(delayed)]
-    whole = min(range(OLDEST), key=lambda d: fits[d][1])
+    whole = min(range(thresholds.OLDEST), key=lambda d: fits[d][1])
     fraction, left = fits[whole]
-    accepted = left < min((1 - EXPLAINED) * undelayed, _scaled(required, found.sent, regular))
+    accepted = left < min((1 - thresholds.EXPLAINED) * undelayed, _scaled(required, found.sent, regular))
     if np.isfinite(found.after).all() and np.isfinite(found.before).all():
         measured, residual = _fit(required, found.after, found.before, regular)
-        if residual <= max(NO_WORSE * left, EXACT * undelayed) or not accepted:
+        if residual <= max(thresholds.NO_WORSE * left, thresholds.EXACT * undelayed) or not accepted:
             unmixed = _squares(required - found.after, regular)
-            mixed = residual < (1 - HALF_WAY) * unmixed and unmixed > NEGLIGIBLE * _squares(found.sent, regular)
+            mixed = residual < (1 - thresholds.HALF_WAY) * unmixed and unmixed > thresholds.NEGLIGIBLE * _squares(
+                found.sent, regular
+            )
             return EffortDelay(0, measured if mixed else 0.0, True)
     if not accepted:
         return EffortDelay()
-    return EffortDelay(whole + 1) if fraction > 1 - EXACT else EffortDelay(whole, fraction)
+    return EffortDelay(whole + 1) if fraction > 1 - thresholds.EXACT else EffortDelay(whole, fraction)
 
 
 def acting(found: Innovations, age: EffortDelay, required: Array) -> Acting:
@@ -96,13 +84,15 @@ def acting(found: Innovations, age: EffortDelay, required: Array) -> Acting:
         samples, cut = age.whole + _samples(found.sent, required, age.whole), np.zeros_like(found.sent, dtype=bool)
         newer, older = (_delayed(found.sent, samples + more) for more in (0, 1))
     regular = _regular(found)
-    whole = _squares(required - newer, regular) <= MIXED * _squares(newer - older, regular)  # no change in an interval
+    whole = _squares(required - newer, regular) <= thresholds.MIXED * _squares(
+        newer - older, regular
+    )  # no change in an interval
     if not (whole or age.measured or age.late):  # an older effort is nearest by chance
         samples, newer = np.zeros_like(samples), found.sent
     usual = float(np.median(samples)) if len(samples) else 0.0
     total = usual + age.fraction
     difference = (1 - age.fraction) * newer + age.fraction * older - found.sent
-    limit = np.inf if not whole else 0.5 if total < LATE else usual + 1.5
+    limit = np.inf if not whole else 0.5 if total < thresholds.LATE else usual + 1.5
     lost = (samples > limit)[:, None] & ~cut
     zero = np.zeros_like(difference)
     return Acting(
@@ -118,7 +108,7 @@ def _regular(found: Innovations) -> NDArray[np.bool_]:
     if not found.latency.any():
         return np.ones(max(0, len(found) - 1), dtype=bool)
     usual = np.median(found.dt)
-    good = (np.abs(found.dt - usual) <= REGULAR * usual) & (found.latency < 1.0)
+    good = (np.abs(found.dt - usual) <= thresholds.REGULAR * usual) & (found.latency < 1.0)
     return np.asarray(good[1:] & good[:-1])
 
 
@@ -145,7 +135,7 @@ def _squares(residual: Array, regular: NDArray[np.bool_]) -> float:
 
 def _changes(values: Array, regular: NDArray[np.bool_]) -> Array:
     """Return the regular changes from interval to interval, without the first OLDEST, whose efforts are unknown."""
-    return np.asarray(np.diff(values, axis=0)[OLDEST:][regular[OLDEST:]])
+    return np.asarray(np.diff(values, axis=0)[thresholds.OLDEST :][regular[thresholds.OLDEST :]])
 
 
 def _delayed(u: Array, samples: int | NDArray[np.intp]) -> Array:
@@ -155,17 +145,17 @@ def _delayed(u: Array, samples: int | NDArray[np.intp]) -> Array:
 
 def _samples(sent: Array, acting: Array, whole: int = 0) -> NDArray[np.intp]:
     """Return the delay (k,) in samples, beyond `whole`, of the sent effort that equals the acting one; 0: none does."""
-    distances = np.array([np.abs(acting - _delayed(sent, whole + j)).max(axis=1) for j in range(OLDEST + 1)])
+    distances = np.array([np.abs(acting - _delayed(sent, whole + j)).max(axis=1) for j in range(thresholds.OLDEST + 1)])
     nearest = np.argmin(distances, axis=0)
-    return np.where(distances.min(axis=0) <= SAME_OLDER * distances[0], nearest, 0)
+    return np.where(distances.min(axis=0) <= thresholds.SAME_OLDER * distances[0], nearest, 0)
 
 
 def _clipped(sent: Array, acting: Array) -> NDArray[np.bool_]:
     """Return where (k, n) the motor is saturated: at its largest torque for CLIPPED_FOR intervals, commanded more."""
     size = np.abs(acting)
-    at_most = size >= (1 - CLIPPED_LEVEL) * size.max(axis=0, initial=0.0)
-    more = (np.abs(sent) > (1 + CLIPPED_BY) * size) & (sent * acting > 0)
-    return _runs(at_most & more, CLIPPED_FOR)
+    at_most = size >= (1 - thresholds.CLIPPED_LEVEL) * size.max(axis=0, initial=0.0)
+    more = (np.abs(sent) > (1 + thresholds.CLIPPED_BY) * size) & (sent * acting > 0)
+    return _runs(at_most & more, thresholds.CLIPPED_FOR)
 
 
 def _runs(flags: NDArray[np.bool_], length: int) -> NDArray[np.bool_]:

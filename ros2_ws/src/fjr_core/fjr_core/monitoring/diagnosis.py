@@ -4,8 +4,6 @@
 Only measured states and sent efforts are used.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -14,6 +12,7 @@ import numpy as np
 from ..control.vdpbc.law import TrackingLaw
 from ..numerics.checks import Array
 from ..stability.linearization import linearize
+from . import thresholds
 from .cause_errors import CauseErrors, cause_errors, closed_loop
 from .certificate import Certificate, CertificateSeries
 from .delay_estimation import Acting, acting, effort_delay
@@ -24,25 +23,9 @@ from .one_step_prediction import Prediction
 from .record import Record
 from .storage_budget import CAUSES, StorageBudget, storage_budget
 from .storage_growth import floor, growth, rises
-from .thresholds import (
-    BLOCK,
-    CAUSE_SHARE,
-    DIVERGED,
-    EXCEEDED,
-    FALLEN,
-    FEWEST,
-    GAP,
-    HIGH_SHARE,
-    JUDGED,
-    PREDICTED,
-    SHARE,
-    SHARE_OF_FEW,
-)
 
 SAMPLING, SATURATION = "sampling", "saturation"
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
-
-__all__ = ["Axes", "Diagnosis", "conclude", "diagnose"]
 
 
 @dataclass(frozen=True)
@@ -108,7 +91,7 @@ def _diagnosis(record: Record, found: Innovations, law: TrackingLaw, beta: float
     if radius >= 1 and not _decayed(found.V1):
         return violated((SAMPLING,), figures)
     beta = law.rate(visited).beta if beta is None else beta
-    decay = float(np.exp(-2 * beta * BLOCK * period))
+    decay = float(np.exp(-2 * beta * thresholds.BLOCK * period))
     blocks = storage_budget(found, acted, law.robot, beta, record.sample_period, record.effort_limit)
     loops = closed_loop(law, visited, period)
     made, _ = cause_errors(found, acted, law.robot, record.sample_period, record.effort_limit, loops)
@@ -129,18 +112,20 @@ def conclude(
     figures = {**figures, "blocks": float(judged), "violated share": share, "growth of V": grown}
     figures |= {f"violated by {cause}": float(strongest[i] * share) for i, cause in enumerate(CAUSES)}
     order = np.argsort(-strongest, kind="stable")
-    causes = tuple(CAUSES[i] for i in order if strongest[i] >= CAUSE_SHARE)
-    if grown > DIVERGED:
+    causes = tuple(CAUSES[i] for i in order if strongest[i] >= thresholds.CAUSE_SHARE)
+    if grown > thresholds.DIVERGED:
         return diverged(causes or _hold(blocks), figures)
-    if len(blocks.judged) < FEWEST:
-        states = int(figures.get("intervals", len(blocks.judged) * BLOCK))
-        return unknown(f"{states} consecutive states with a command; expected {FEWEST * BLOCK}", figures)
-    if judged < max(FEWEST, JUDGED * len(blocks.judged)):
+    if len(blocks.judged) < thresholds.FEWEST:
+        states = int(figures.get("intervals", len(blocks.judged) * thresholds.BLOCK))
+        fewest = thresholds.FEWEST * thresholds.BLOCK
+        return unknown(f"{states} consecutive states with a command; expected {fewest}", figures)
+    if judged < max(thresholds.FEWEST, thresholds.JUDGED * len(blocks.judged)):
         return unknown("most efforts sent are not those of the law", figures)
     found = grade(made, blocks.judged, decay, axes.tolerance)
-    if grown > EXCEEDED or share >= HIGH_SHARE or (share >= SHARE and above >= FEWEST):
+    often = share >= thresholds.HIGH_SHARE or (share >= thresholds.SHARE and above >= thresholds.FEWEST)
+    if grown > thresholds.EXCEEDED or often:
         return graded(causes, found, axes, figures)
-    if share > SHARE_OF_FEW:
+    if share > thresholds.SHARE_OF_FEW:
         return unknown(f"V exceeds its floor in {above} of {judged} blocks; expected more blocks", figures)
     sentence = "V decays as proven, down to the floor that hold and noise predict"
     return Diagnosis("holding", (), sentence, figures, found.errors)
@@ -152,7 +137,7 @@ def _violating(blocks: StorageBudget) -> tuple[int, float, Array]:
     Only blocks with `judged` count.
     """
     causes = np.maximum(blocks.causes[blocks.judged], 0.0)
-    allowed = (blocks.slack + PREDICTED * (blocks.hold + blocks.noise))[blocks.judged]
+    allowed = (blocks.slack + thresholds.PREDICTED * (blocks.hold + blocks.noise))[blocks.judged]
     above = ~(causes.sum(axis=1) <= allowed)
     count = int(above.sum())
     strongest = np.bincount(np.argmax(causes[above], axis=1), minlength=len(CAUSES)) / max(1, count)
@@ -207,7 +192,7 @@ def _figures(found: Innovations, acted: Acting, record: Record) -> dict[str, flo
     return {
         "intervals": float(len(found)),
         "effort age": acted.age * float(np.median(found.dt)),
-        "gaps": float((found.dt > GAP * record.sample_period).sum()),
+        "gaps": float((found.dt > thresholds.GAP * record.sample_period).sum()),
         "unanswered": float((~found.answered).sum()),
         "largest V": float(found.V1.max()),
         "last V": float(found.V1[-1]),
@@ -217,7 +202,7 @@ def _figures(found: Innovations, acted: Acting, record: Record) -> dict[str, flo
 def _decayed(V: Array) -> bool:
     """Return whether V decreased from the first third of the run to the last."""
     third = max(1, len(V) // 3)
-    return not V[-third:].max() >= FALLEN * V[:third].max()
+    return not V[-third:].max() >= thresholds.FALLEN * V[:third].max()
 
 
 def _visited(q_l: Array) -> Array:

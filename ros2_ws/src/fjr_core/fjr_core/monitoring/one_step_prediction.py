@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predict measured positions and velocities one sample ahead with the model, the effort held."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import casadi as ca
@@ -12,6 +10,7 @@ from ..control.vdpbc.law import TrackingLaw
 from ..numerics.casadi_function import dense_function
 from ..numerics.checks import Array
 from ..numerics.integrators import rk4_expression
+from ..numerics.symbolic import symbols
 from ..robot.coordinates import Coordinates
 from ..robot.port_hamiltonian import Plant
 
@@ -46,12 +45,11 @@ class Prediction:
     def _derived(self) -> ca.Function:
         robot = self._law.robot
         n = robot.n
-        symbols = {name: ca.MX.sym(name, size) for name, size in (("position", 2 * n), ("velocity", 2 * n), ("u", n))}
-        position, velocity, u = symbols.values()
-        dt, dynamics = ca.MX.sym("dt"), Plant(robot).dynamics
+        s, dynamics = symbols(ca.MX, position=2 * n, velocity=2 * n, u=n, dt=1), Plant(robot).dynamics
+        position, velocity, u, dt = s.values()
         coordinates = Coordinates(robot)
         x = coordinates.to_momenta(position, velocity)
         for _ in range(STEPS):
             x = rk4_expression(dynamics, x, (u, u, u), dt / STEPS)
         outputs = {"next_position": x[: 2 * n], "next_velocity": coordinates.to_velocities(x)}
-        return dense_function("prediction", {**symbols, "dt": dt}, outputs)
+        return dense_function("prediction", s, outputs)

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A record of a run: what was measured and sent at each instant."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import StateError
-from ..numerics.checks import Array
+from ..numerics.checks import Array, positive
 from ..trajectories.reference import JETS
 
 
@@ -43,5 +41,4 @@ class Record:
         for name, shape in {**shapes, "effort_limit": (n,)}.items():
             if np.shape(getattr(self, name)) != shape:
                 raise StateError(f"{name} has shape {np.shape(getattr(self, name))}; expected {shape}")
-        if not (np.isfinite(self.sample_period) and self.sample_period > 0):
-            raise StateError(f"sample_period is {self.sample_period} s; expected a positive finite number")
+        positive("sample_period", self.sample_period, StateError)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Call CasADi functions with NumPy arrays without conversion overhead."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Sequence
 
@@ -14,20 +12,21 @@ from ..errors import StateError
 from .checks import Array
 
 BROADCAST = ("u", "delta_u", "omega")  # efforts: a scalar stands for n equal entries
+TIMES = ("t", "dt")  # numbers
 
 
 class NumericFunction(threading.local):
     """A CasADi function of float arrays; buffers are bound once per thread, results are copies.
 
-    shapes: NumPy shape of every argument. CasADi is column-major, so that an argument of shape (5, n) is a symbol of
-    shape (n, 5).
+    CasADi is column-major: a symbol of shape (n, 5) is an array of shape (5, n), and a column is an array (n,).
     """
 
-    def __init__(self, function: ca.Function, shapes: tuple[tuple[int, ...], ...]) -> None:
+    def __init__(self, function: ca.Function) -> None:
         self._function = function
         self._names = function.name_in()
+        shapes = [() if name in TIMES else _numpy_shape(*function.size_in(name)) for name in self._names]
         self._arguments = [np.zeros(shape) for shape in shapes]
-        self._results = [np.zeros(_numpy_shape(function, i)) for i in range(function.n_out())]
+        self._results = [np.zeros(_numpy_shape(*function.size_out(i))) for i in range(function.n_out())]
         self._trigger = bind(function, self._arguments, self._results)
 
     def __call__(self, *arguments: ArrayLike) -> tuple[Array, ...]:
@@ -75,8 +74,7 @@ def bind(function: ca.Function, arguments: Sequence[Array], results: Sequence[Ar
     return trigger
 
 
-def _numpy_shape(function: ca.Function, i: int) -> tuple[int, ...]:
-    rows, columns = function.size_out(i)
+def _numpy_shape(rows: int, columns: int) -> tuple[int, ...]:
     return (columns, rows) if columns > 1 else (rows,)
 
 
@@ -88,9 +86,6 @@ def dense_function(
     return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs), {"cse": cse})
 
 
-def numeric(
-    name: str, inputs: dict[str, ca.SX | ca.MX], outputs: dict[str, ca.SX | ca.MX], **shapes: tuple[int, ...]
-) -> NumericFunction:
-    """Bind named symbols and expressions to a callable; `shapes` overrides an argument's (rows,) shape."""
-    function = dense_function(name, inputs, outputs)
-    return NumericFunction(function, tuple(shapes.get(key, (s.numel(),)) for key, s in inputs.items()))
+def numeric(name: str, inputs: dict[str, ca.SX | ca.MX], outputs: dict[str, ca.SX | ca.MX]) -> NumericFunction:
+    """Bind named symbols and expressions to a callable."""
+    return NumericFunction(dense_function(name, inputs, outputs))

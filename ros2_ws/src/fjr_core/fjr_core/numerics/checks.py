@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Validate input: return finite arrays of the expected shape, or raise the given error."""
 
-from __future__ import annotations
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,12 +11,17 @@ from ..errors import FjrError, TrajectoryError
 Array = NDArray[np.float64]
 
 
+def floats(name: str, value: object, error: type[FjrError], shape: str = "") -> Array:
+    """Return `value` as a new float array; raise `error` unless all entries are numbers. shape: for the message."""
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise error(f"{name} is {value!r}; expected numbers{shape}") from None
+
+
 def finite(name: str, value: ArrayLike, error: type[FjrError]) -> Array:
     """Return `value` as a float array; raise `error` unless all entries are finite numbers."""
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise error(f"{name} is {value!r}; expected numbers") from None
+    array = floats(name, value, error)
     if not np.all(np.isfinite(array)):
         raise error(f"{name} is {array.tolist()}; expected finite numbers")
     return array
@@ -81,13 +86,13 @@ def number(name: str, value: ArrayLike) -> float:
     return float(vector(name, value, 1, TrajectoryError)[0])
 
 
-def positive(name: str, value: float) -> None:
-    """Raise TrajectoryError unless `value` [s] is positive and finite."""
+def positive(name: str, value: float, error: type[FjrError] = TrajectoryError, unit: str = "s") -> None:
+    """Raise `error` unless `value` is positive and finite."""
     if not (np.isfinite(value) and value > 0):
-        raise TrajectoryError(f"{name} is {value} s; expected a positive finite number")
+        raise error(f"{name} is {value} {unit}; expected a positive finite number")
 
 
-def freeze(owner: object, name: str, array: Array) -> None:
+def freeze(owner: object, name: str, array: NDArray[Any]) -> None:
     """Set a field of the frozen dataclass `owner` to `array` and make the array read-only."""
     array.setflags(write=False)
     object.__setattr__(owner, name, array)

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Symbolic operations on CasADi SX expressions."""
 
-from __future__ import annotations
-
 import casadi as ca
 from numpy.typing import ArrayLike
+
+
+def symbols(kind: type = ca.SX, **rows: int) -> dict[str, ca.SX]:
+    """Return column symbols of the given numbers of rows by name."""
+    return {name: kind.sym(name, size) for name, size in rows.items()}  # type: ignore[attr-defined]
 
 
 def blocks(x: ca.SX, n: int) -> list[ca.SX]:

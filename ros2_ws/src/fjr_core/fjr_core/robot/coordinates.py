@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The change of coordinates between measured velocities and the momenta of eq. (36)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from ..numerics.casadi_function import dense_function
+from ..numerics.symbolic import symbols
 from .robot import Robot
 
 
@@ -27,10 +26,10 @@ class Coordinates:
     def to_momenta(self) -> ca.Function:
         """Map (position, velocity) to the state x."""
         n = self.robot.n
-        position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
+        s = symbols(position=2 * n, velocity=2 * n)
+        position, velocity = s.values()
         momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:])
-        x = ca.vertcat(position, *momenta)
-        return dense_function("to_momenta", {"position": position, "velocity": velocity}, {"x": x}, cse=True)
+        return dense_function("to_momenta", s, {"x": ca.vertcat(position, *momenta)}, cse=True)
 
     @cached_property
     def to_velocities(self) -> ca.Function:
@@ -47,26 +46,15 @@ class Coordinates:
         return dense_function("to_measured", {"x": x}, outputs, cse=True)
 
 
-def velocity_function(robot: Robot) -> ca.Function:
-    """Return the CasADi function x (4n,) -> velocity (dq_l, dq_m) (2n,) [rad/s] of a robot."""
-    return Coordinates(robot).to_velocities
-
-
 def law_view(plant: Robot, law: Robot) -> ca.Function | None:
     """Return the CasADi function from the plant's x to the law's x with equal velocities.
 
-    Momenta are computed with the inertia of the law's robot. Return None if both robots have the same inertia.
+    Momenta are computed with the inertia of the law's robot. Return None if both robots have the same inertia: M_m and
+    the expression of M_l; equal functions that are written differently count as different.
     """
-    if _same_inertia(plant, law):
+    M_l = [robot.links.M_l for robot in (plant, law)]
+    if plant is law or (np.array_equal(plant.M_m, law.M_m) and M_l[0].serialize() == M_l[1].serialize()):
         return None
     x, positions = ca.SX.sym("x", 4 * plant.n), 2 * plant.n
     seen = Coordinates(law).to_momenta(x[:positions], Coordinates(plant).to_velocities(x))
     return dense_function("law_view", {"x": x}, {"seen": seen}, cse=True)
-
-
-def _same_inertia(one: Robot, other: Robot) -> bool:
-    """Compare M_m and the expression of M_l; equal functions that are written differently count as different."""
-    if one is other:
-        return True
-    M_l = [robot.links.M_l for robot in (one, other)]
-    return np.array_equal(one.M_m, other.M_m) and M_l[0].serialize() == M_l[1].serialize()

@@ -55,6 +55,10 @@ class Equilibria:
         spread = [[np.broadcast_to(entry, shape) for entry in row] for row in rows]
         return np.concatenate([np.concatenate(row, axis=2) for row in spread], axis=1)
 
+    def block_diagonal(self, *parts: ArrayLike) -> Array:
+        """Return a stack (k, 4n, 4n) of block-diagonal matrices; parts as in `blocks`."""
+        return self.blocks(*([part if i == j else 0 for j in range(len(parts))] for i, part in enumerate(parts)))
+
 
 def equilibria_at(robot: Robot, configurations: Array) -> Equilibria:
     """Return the equilibria of a robot at configurations (k, n) [rad]."""

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joint limits of a robot: position, velocity and effort."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from ..errors import RobotError
-from ..numerics.checks import Array, freeze
+from ..numerics.checks import Array, floats, freeze
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +40,7 @@ class JointLimits:
 
 
 def _numbers(name: str, value: object) -> Array:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise RobotError(f"{name} limit is {value!r}; expected numbers") from None
+    array = floats(f"{name} limit", value, RobotError)
     if array.ndim != 1 or np.any(np.isnan(array)):
         raise RobotError(f"{name} limit is {array.tolist()}; expected one number per joint, infinite for no limit")
     return array

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from ..errors import RobotError
 from ..numerics import checks
 from ..numerics.checks import Array
+from ..numerics.symbolic import sparse
 from .rigid_arm import ArmDynamics, EndEffector
 from .rigid_body import Body, rotation_to, z_aligned
 
@@ -51,26 +52,18 @@ def _point(q: ca.SX, frames: list[_Frame], turn: Array) -> ca.Function:
     turn (3, 3): rotation from the frame of the last body to frames[-1].
     """
     r = ca.SX.sym("r", 3)
-    point = _sparse(turn.T) @ r
+    point = sparse(turn.T) @ r
     for frame in reversed(frames):
-        point = frame.r + frame.inwards(point)
+        point = frame.r + frame.R @ point
     return ca.Function("position", [q, r], [point])
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """Pose of a body frame in its parent frame: rotation R and origin r."""
+    """Pose of a body frame in its parent frame: rotation R, which turns vectors into the parent frame, and origin r."""
 
     R: ca.SX
     r: ca.SX
-
-    def inwards(self, vector: ca.SX) -> ca.SX:
-        """Rotate a vector into the parent frame."""
-        return self.R @ vector
-
-    def outwards(self, vector: ca.SX) -> ca.SX:
-        """Rotate a vector from the parent frame into this frame."""
-        return self.R.T @ vector
 
 
 @dataclass(frozen=True)
@@ -87,7 +80,7 @@ class _Mass:
 
     def in_parent(self, frame: _Frame) -> _Mass:
         """Return the moments about the parent origin, in the parent frame."""
-        h, r = frame.inwards(self.h), frame.r
+        h, r = frame.R @ self.h, frame.r
         J = frame.R @ self.J @ frame.R.T + r @ h.T + h @ r.T + self.m * r @ r.T
         return _Mass(self.m, h + self.m * r, J)
 
@@ -98,14 +91,10 @@ class _Mass:
 def _frame(body: Body, q: ca.SX) -> _Frame:
     rotation, translation = np.asarray(body.rotation), ca.SX(np.asarray(body.translation))
     if body.prismatic:
-        return _Frame(_sparse(rotation), translation + _sparse(rotation[:, 2]) * q)
+        return _Frame(sparse(rotation), translation + sparse(rotation[:, 2]) * q)
     s, c = ca.sin(q), ca.cos(q)
     turn = ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
-    return _Frame(_sparse(rotation) @ turn, translation)
-
-
-def _sparse(array: Array) -> ca.SX:
-    return ca.SX(ca.sparsify(ca.DM(array)))
+    return _Frame(sparse(rotation) @ turn, translation)
 
 
 def _mass(body: Body) -> _Mass:
@@ -133,8 +122,8 @@ def _inertia(chain: list[Body], frames: list[_Frame], composites: list[_Mass]) -
             force, moment = ca.vertcat(-h[1], h[0], 0), ca.vertcat(-J[0, 2], -J[1, 2], J[0, 0] + J[1, 1])
         for j in reversed(range(i + 1)):
             M[i, j] = M[j, i] = (force if chain[j].prismatic else moment)[2]
-            force = frames[j].inwards(force)
-            moment = frames[j].inwards(moment) + ca.cross(frames[j].r, force)
+            force = frames[j].R @ force
+            moment = frames[j].R @ moment + ca.cross(frames[j].r, force)
     return M
 
 
@@ -142,7 +131,7 @@ def _gravity(chain: list[Body], frames: list[_Frame], composites: list[_Mass], g
     """Return grad P_l: minus the moment of the composite weight about joint i, or minus the weight along it."""
     torques, gravity = [], ca.SX(g)
     for body, frame, composite in zip(chain, frames, composites, strict=True):
-        gravity = frame.outwards(gravity)
+        gravity = frame.R.T @ gravity
         pull = composite.m * gravity if body.prismatic else ca.cross(composite.h, gravity)
         torques.append(-pull[2])
     return ca.vertcat(*torques)
@@ -162,8 +151,8 @@ def _coriolis(chain: list[Body], frames: list[_Frame], v: ca.SX, w: ca.SX) -> ca
     U = ca.SX.zeros(3, 3)
     wrenches = []
     for i, (body, frame) in enumerate(zip(chain, frames, strict=True)):
-        a = frame.outwards(a + U @ frame.r)
-        omega_v, omega_w, alpha = (frame.outwards(vector) for vector in (omega_v, omega_w, alpha))
+        a = frame.R.T @ (a + U @ frame.r)
+        omega_v, omega_w, alpha = (frame.R.T @ vector for vector in (omega_v, omega_w, alpha))
         cross = (_cross_z(omega_v) * w[i] + _cross_z(omega_w) * v[i]) / 2
         if body.prismatic:
             a += 2 * cross
@@ -183,8 +172,8 @@ def _joint_torques(chain: list[Body], frames: list[_Frame], wrenches: list[tuple
     for body, frame, (own_force, own_moment) in zip(reversed(chain), reversed(frames), reversed(wrenches), strict=True):
         force, moment = force + own_force, moment + own_moment
         torques.append((force if body.prismatic else moment)[2])
-        force = frame.inwards(force)
-        moment = frame.inwards(moment) + ca.cross(frame.r, force)
+        force = frame.R @ force
+        moment = frame.R @ moment + ca.cross(frame.r, force)
     return ca.vertcat(*reversed(torques))
 
 
@@ -193,8 +182,8 @@ def _kinetic_gradient(chain: list[Body], frames: list[_Frame], v: ca.SX) -> ca.S
     omega = velocity = ca.SX.zeros(3)
     motions, momenta = [], []
     for i, (body, frame) in enumerate(zip(chain, frames, strict=True)):
-        velocity = frame.outwards(velocity + ca.cross(omega, frame.r))
-        omega = frame.outwards(omega)
+        velocity = frame.R.T @ (velocity + ca.cross(omega, frame.r))
+        omega = frame.R.T @ omega
         if body.prismatic:
             velocity += _along_z(v[i])
         else:
@@ -211,8 +200,8 @@ def _kinetic_gradient(chain: list[Body], frames: list[_Frame], v: ca.SX) -> ca.S
             gradient.append(ca.dot(linear, _cross_z(omega)))
         else:
             gradient.append(ca.dot(angular, _cross_z(omega)) + ca.dot(linear, _cross_z(velocity)))
-        linear = frames[i].inwards(linear)
-        angular = frames[i].inwards(angular) + ca.cross(frames[i].r, linear)
+        linear = frames[i].R @ linear
+        angular = frames[i].R @ angular + ca.cross(frames[i].r, linear)
     return ca.vertcat(*reversed(gradient))
 
 

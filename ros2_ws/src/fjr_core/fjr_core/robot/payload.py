@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Add a point mass to the last link; every term of the rigid arm is affine in this mass."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
 
-from ..errors import RobotError
-from .rigid_arm import Carrier, EndEffector
+from .rigid_arm import EndEffector, RigidArm
 
 
 @dataclass(frozen=True)
@@ -17,16 +14,12 @@ class PayloadArm:
     """A rigid arm with a point mass [kg] at `position` (3,) [m] in the end-effector frame, both expressions.
 
     With the point at p(q_l) and J = dp/dq_l, the mass m adds m J'J to M_l and -m g'p to P_l.
-    Raises RobotError for an arm without an end-effector frame.
     """
 
-    links: Carrier
+    links: RigidArm
+    end_effector: EndEffector
     mass: ca.SX
     position: ca.SX
-
-    def __post_init__(self) -> None:
-        if self.links.end_effector is None:
-            raise RobotError("the rigid arm has no end-effector frame; expected one to carry a payload")
 
     def M_l(self, q_l: ca.SX) -> ca.SX:
         """Inertia M_l (n, n) [kg m^2] with the payload."""
@@ -35,30 +28,28 @@ class PayloadArm:
 
     def P_l(self, q_l: ca.SX) -> ca.SX:
         """Potential energy P_l [J] with the payload."""
-        return self.links.P_l(q_l) - self.mass * ca.dot(self._hand.gravity, self._hand.position(q_l, self.position))
+        weight = self.mass * ca.dot(self.end_effector.gravity, self.end_effector.position(q_l, self.position))
+        return self.links.P_l(q_l) - weight
 
     def grad_P_l(self, q_l: ca.SX) -> ca.SX:
         """Gravity torque grad P_l (n,) [N m] with the payload."""
-        return self.links.grad_P_l(q_l) - self.mass * (self._jacobian(q_l, self.position).T @ self._hand.gravity)
+        J = self._jacobian(q_l, self.position)
+        return self.links.grad_P_l(q_l) - self.mass * (J.T @ self.end_effector.gravity)
 
     def grad_T(self, q_l: ca.SX, v: ca.SX) -> ca.SX:
         """d/dq_l (v' M_l v / 2) (n,) [N m] with the payload, v constant."""
         return self.links.grad_T(q_l, v) + self.mass * self._point_grad_T(q_l, v, self.position)
 
-    @property
-    def _hand(self) -> EndEffector:
-        assert self.links.end_effector is not None
-        return self.links.end_effector
-
     @cached_property
     def _jacobian(self) -> ca.Function:
         """(q_l, r) -> dp/dq_l (3, n)."""
-        q_l, r = ca.SX.sym("q_l", self.links.n), ca.SX.sym("r", 3)
-        return ca.Function("jacobian", [q_l, r], [ca.jacobian(self._hand.position(q_l, r), q_l)])
+        q_l, r = self.end_effector.position.sx_in()
+        return ca.Function("jacobian", [q_l, r], [ca.jacobian(self.end_effector.position(q_l, r), q_l)])
 
     @cached_property
     def _point_grad_T(self) -> ca.Function:
         """(q_l, v, r) -> d/dq_l (|dp|^2 / 2) (n,), dp = J v."""
-        q_l, v, r = ca.SX.sym("q_l", self.links.n), ca.SX.sym("v", self.links.n), ca.SX.sym("r", 3)
-        dp = ca.jtimes(self._hand.position(q_l, r), q_l, v)
+        q_l, r = self.end_effector.position.sx_in()
+        v = ca.SX.sym("v", q_l.numel())
+        dp = ca.jtimes(self.end_effector.position(q_l, r), q_l, v)
         return ca.Function("point_grad_T", [q_l, v, r], [ca.gradient(ca.dot(dp, dp) / 2, q_l)])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The flexible-joint robot as a port-Hamiltonian system, eq. (36): dx = (J - R) dH/dx + G u."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Protocol
 
@@ -46,12 +44,6 @@ class Elastic(Protocol):
 
     def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
         """Return the velocities (dq_l, dq_m), (n,) each, at x (4n,)."""
-
-
-def structure(robot: Robot) -> tuple[Array, Array, Array]:
-    """Return J (4n, 4n) skew, R (4n, 4n) positive semidefinite and G (4n, n) of eq. (36); all constant."""
-    J, R, G = (ca.evalf(part).full() for part in structure_expressions(robot))
-    return J, R, G
 
 
 def structure_expressions(robot: Elastic) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -129,16 +121,17 @@ class Plant:
         return self._gradient(x)[0]
 
     def structure(self, x: ArrayLike | None = None) -> tuple[Array, Array, Array]:
-        """Return J, R and G of eq. (36); they are constant and do not depend on x."""
-        return structure(self.robot)
+        """Return J (4n, 4n) skew, R (4n, 4n) positive semidefinite and G (4n, n) of eq. (36); all are constant."""
+        J, R, G = (ca.evalf(part).full() for part in structure_expressions(self.robot))
+        return J, R, G
 
     @cached_property
     def _step(self) -> NumericFunction:
-        return NumericFunction(self.step_function, ((4 * self.robot.n,), (self.robot.n,), ()))
+        return NumericFunction(self.step_function)
 
     @cached_property
     def _derivative(self) -> NumericFunction:
-        return NumericFunction(self.dynamics, ((4 * self.robot.n,), (self.robot.n,)))
+        return NumericFunction(self.dynamics)
 
     @cached_property
     def _gradient(self) -> NumericFunction:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Symbolic model of the rigid arm on the link side: inertia, potential, Coriolis terms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,18 +26,6 @@ class RigidArm(Protocol):
 
     def grad_T(self, q_l: ca.SX, v: ca.SX) -> ca.SX:
         """Kinetic-energy gradient d/dq_l (v' M_l v / 2) (n,) [N m], v constant."""
-
-
-class Carrier(RigidArm, Protocol):
-    """A rigid arm that may have an end-effector frame, to which a payload can be attached."""
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-
-    @property
-    def end_effector(self) -> EndEffector | None:
-        """End-effector frame, or None."""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rigid bodies of a serial chain."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -55,10 +53,11 @@ def z_aligned(bodies: Sequence[Body]) -> list[Body]:
     for body in bodies:
         turn = rotation_to(np.asarray(body.axis))
         rotation = previous.T @ np.asarray(body.rotation) @ turn
+        nearest = np.round(rotation)
         aligned.append(
             replace(
                 body,
-                rotation=_exact(rotation),
+                rotation=np.where(np.abs(rotation - nearest) < EXACT, nearest, rotation),
                 translation=previous.T @ np.asarray(body.translation),
                 axis=(0.0, 0.0, 1.0),
                 com=turn.T @ np.asarray(body.com),
@@ -76,8 +75,3 @@ def rotation_to(axis: Array) -> Array:
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(z, x), z])
-
-
-def _exact(rotation: Array) -> Array:
-    nearest = np.round(rotation)
-    return np.where(np.abs(rotation - nearest) < EXACT, nearest, rotation)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flexible-joint robot: rigid arm, motors, and springs between them; checked on construction, immutable."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
@@ -149,6 +147,6 @@ class Robot:
 
     @cached_property
     def _state(self) -> NumericFunction:
-        inputs = {name: ca.SX.sym(name, self.n) for name in ("q_l", "q_m", "dq_l", "dq_m")}
+        inputs = symbolic.symbols(q_l=self.n, q_m=self.n, dq_l=self.n, dq_m=self.n)
         q_l, q_m, dq_l, dq_m = inputs.values()
         return numeric("state", inputs, {"x": ca.vertcat(q_l, q_m, *self.momentum_expressions(q_l, dq_l, dq_m))})

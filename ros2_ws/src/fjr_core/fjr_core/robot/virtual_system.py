@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Virtual control system of the robot, eqs. (25)-(28) and (38), and its variational system."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import casadi as ca
@@ -51,8 +49,7 @@ class VirtualSystem:
         return self._variational(x_v, x, delta_x_v, delta_u)[0]
 
     def _symbols(self) -> dict[str, ca.SX]:
-        n = self.robot.n
-        return {"x_v": ca.SX.sym("x_v", 4 * n), "x": ca.SX.sym("x", 4 * n), "u": ca.SX.sym("u", n)}
+        return symbolic.symbols(x_v=4 * self.robot.n, x=4 * self.robot.n, u=self.robot.n)
 
     @cached_property
     def _derivative(self) -> NumericFunction:
@@ -64,6 +61,6 @@ class VirtualSystem:
         symbols = self._symbols()
         x_v, x, u = symbols.values()
         dx_v = derivative_expression(self.robot, **symbols)
-        deltas = {"delta_x_v": ca.SX.sym("delta_x_v", x_v.numel()), "delta_u": ca.SX.sym("delta_u", u.numel())}
+        deltas = symbolic.symbols(delta_x_v=x_v.numel(), delta_u=u.numel())
         variation = symbolic.directional(dx_v, ca.vertcat(x_v, u), ca.vertcat(*deltas.values()))
         return numeric("variational", {"x_v": x_v, "x": x, **deltas}, {"d_delta_x_v": variation})

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulate the closed loop without ROS, in continuous time or sampled with a zero-order hold."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -15,11 +13,12 @@ from ..control.sampled_law import SampledLaw, bound_step
 from ..control.static_law import StaticLaw
 from ..errors import StateError
 from ..numerics import checks
-from ..numerics.casadi_function import NumericFunction, bind, not_converged
+from ..numerics.casadi_function import NumericFunction, bind, not_converged, numeric
 from ..numerics.checks import Array
 from ..numerics.integrators import INNER_STEP, rk4_expression
-from ..robot.coordinates import law_view, velocity_function
+from ..robot.coordinates import Coordinates, law_view
 from ..robot.port_hamiltonian import Plant
+from ..robot.robot import Robot
 from ..trajectories.reference import JETS, Reference
 
 CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
@@ -59,9 +58,9 @@ def simulate(
     Raises StateError for wrong shapes or numbers, and if the state is no longer finite.
     """
     x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
-    _check_joints(plant, law, reference)
+    check_joints(plant.robot, law.robot, reference)
     if inner_step is not None:
-        _positive("inner_step", inner_step)
+        checks.positive("inner_step", inner_step, StateError)
     if not (np.isfinite(delay) and delay >= 0) or (delay and sample_period is None):
         raise StateError(f"delay is {delay} s; expected 0 or more with a sample_period, 0 in continuous time")
     period = sample_period if sample_period is not None else inner_step or CONTINUOUS_STEP
@@ -78,21 +77,17 @@ def simulate(
     return _sampled(plant, x0, t, jets, segments, partial(_with_state, plant, law, reference.jets(t + law.lead), t))
 
 
-def _check_joints(plant: Plant, law: StaticLaw | SampledLaw, reference: Reference) -> None:
-    n = plant.robot.n, law.robot.n, reference.n
+def check_joints(plant: Robot, law: Robot, reference: Reference) -> None:
+    """Raise StateError unless plant, law and reference have equally many joints."""
+    n = plant.n, law.n, reference.n
     if len(set(n)) != 1:
         raise StateError(f"plant, law and reference have {n[0]}, {n[1]} and {n[2]} joints; expected equal")
 
 
 def _times(duration: float, period: float) -> Array:
-    _positive("duration", duration)
-    _positive("period", period)
+    checks.positive("duration", duration, StateError)
+    checks.positive("period", period, StateError)
     return np.asarray(period * np.arange(int(duration / period + 1e-9) + 1), dtype=float)
-
-
-def _positive(name: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise StateError(f"{name} is {value} s; expected a positive finite number")
 
 
 @dataclass(frozen=True)
@@ -164,7 +159,7 @@ def _static(plant: Plant, law: StaticLaw, jets: Array, x: Array, u: Array, V: Ar
 def _with_state(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, u: Array, V: Array) -> BoundLaw:
     """Bind a law with a controller state to the arrays of state x (4n,), effort u (n,) and V (1,)."""
     n, now, velocity = plant.robot.n, np.zeros(jets.shape[1:]), np.zeros(len(x) // 2)
-    update_view = bind(velocity_function(plant.robot), [x], [velocity])
+    update_view = bind(Coordinates(plant.robot).to_velocities, [x], [velocity])
     step = bound_step(law, x[: 2 * n], velocity, now, getattr(law, "ready_step", None))
 
     def evaluate_law(k: int) -> None:
@@ -207,9 +202,8 @@ def _closed_loop_step(plant: Plant, law: StaticLaw) -> NumericFunction:
     def f(x: ca.MX, jets: ca.MX) -> ca.MX:
         return plant.dynamics(x, law.command_function(view(x) if view else x, jets)[0])
 
-    x_next = rk4_expression(f, x, (start, middle, end), dt)
-    function = ca.Function("closed_loop_step", [x, start, middle, end, dt], [x_next])
-    return NumericFunction(function, ((4 * n,), (JETS, n), (JETS, n), (JETS, n), ()))
+    inputs = {"x": x, "start": start, "middle": middle, "end": end, "dt": dt}
+    return numeric("closed_loop_step", inputs, {"x_next": rk4_expression(f, x, (start, middle, end), dt)})
 
 
 def _bound_view(view: ca.Function | None, x: Array) -> tuple[Array, Callable[[], None]]:

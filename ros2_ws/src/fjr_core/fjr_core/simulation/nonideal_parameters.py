@@ -4,9 +4,8 @@
 The equations are in nonideal_plant.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,8 +27,7 @@ def _per_joint(default: float, name: str, unit: str, description: str, minimum: 
     )
 
 
-def _channel(name: str, unit: str, description: str, maximum: float) -> Any:
-    return parameter_field(0.0, description, unit, name=name, minimum=0.0, maximum=maximum, dynamic=True)
+_channel = partial(parameter_field, 0.0, minimum=0.0, dynamic=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +89,7 @@ class Nonidealities:
 
     def __post_init__(self) -> None:
         for name in NAMES:
-            array = self._checked(name)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            checks.freeze(self, name, self._checked(name))
 
     @property
     def off(self) -> bool:
@@ -177,8 +173,7 @@ class SensorErrors:
             largest = MOST_BITS if field.name.startswith("bits") else np.inf
             if not np.all((array >= 0) & (array <= largest)):
                 raise ParameterError(f"{field.name} is {array.tolist()}; expected 0 to {largest}")
-            array.setflags(write=False)
-            object.__setattr__(self, field.name, array)
+            checks.freeze(self, field.name, array)
 
     @property
     def off(self) -> bool:
@@ -194,10 +189,10 @@ class ChannelErrors:
     item overtakes an earlier one, as with DDS; false: jitter may change the order. Raises ParameterError.
     """
 
-    delay: float = _channel("delay", "s", "Transport delay of {}", 10.0)
-    jitter: float = _channel("jitter", "s", "Largest additional delay of {}, uniformly distributed", 10.0)
-    loss: float = _channel("loss", "1", "Probability that one of {} is lost", 1.0)
-    repetition: float = _channel("repetition", "1", "Probability that one of {} is duplicated", 1.0)
+    delay: float = _channel("Transport delay of {}", "s", name="delay", maximum=10.0)
+    jitter: float = _channel("Largest additional delay of {}, uniformly distributed", "s", name="jitter", maximum=10.0)
+    loss: float = _channel("Probability that one of {} is lost", "1", name="loss", maximum=1.0)
+    repetition: float = _channel("Probability that one of {} is duplicated", "1", name="repetition", maximum=1.0)
     in_order: bool = parameter_field(
         True, "Deliver messages in order, whatever their jitter", name="messages_in_order", dynamic=True
     )

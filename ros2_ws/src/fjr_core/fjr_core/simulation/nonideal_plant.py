@@ -9,8 +9,6 @@
 All non-idealities are arguments of one function, so that they can change while the robot moves.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from types import SimpleNamespace
 
@@ -19,11 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..numerics import symbolic
 from ..numerics.casadi_function import NumericFunction, dense_function, numeric
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
+from ..numerics.packed_vector import PackedVector
+from ..numerics.symbolic import blocks, symbols
 from ..robot.payload import PayloadArm
 from ..robot.port_hamiltonian import Plant, derivative_expression, gradient_expression, spring_expression
 from ..robot.rigid_arm import ArmDynamics, RigidArm
@@ -54,13 +53,9 @@ class NonidealPlant:
         """Return the state (5n,) after dt [s] under the command u (n,) and external torques (n,) [N m] on the links."""
         return self._step(state, u, external, parameters, dt)[0]
 
-    def derivative(self, x: ArrayLike, applied: ArrayLike, external: ArrayLike, parameters: ArrayLike) -> Array:
-        """Return dx/dt (4n,) at x (4n,) under actuator outputs `applied` (n,) and external torques (n,) [N m]."""
-        return self._derivative(x, np.concatenate([applied, external, parameters]))[0]
-
     def applied(self, a: ArrayLike, u: ArrayLike, parameters: ArrayLike) -> Array:
         """Return the present actuator outputs (n,) for the state a (n,) of the lag and the command u (n,)."""
-        return self._applied(a, u, parameters)[0]
+        return self._applied(a, u, parameters, 0.0)[0]
 
     def measure(self, x: ArrayLike, parameters: ArrayLike) -> tuple[Array, Array]:
         """Return velocities (dq_l, dq_m) (2n,) [rad/s] and spring torques (n,) [N m] at x (4n,)."""
@@ -79,96 +74,83 @@ class NonidealPlant:
     def dynamics(self) -> ca.Function:
         """Return the function (x, inputs) -> dx/dt (4n,); inputs: actuator outputs, external torques, parameters."""
         n = self.robot.n
-        x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", 2 * n + size(n))
+        s = symbols(x=4 * n, inputs=2 * n + layout(n).size)
+        x, inputs = s.values()
         applied, external, parameters = ca.vertsplit(inputs, [0, n, 2 * n, inputs.numel()])
-        p, q_m = named(parameters, n), x[n : 2 * n]
+        p, q_m = layout(n).named(parameters), x[n : 2 * n]
         dH = gradient_expression(self.robot, x, self._links(p), p.cubic)
-        _, _, dq_l, dq_m = symbolic.blocks(dH, n)
+        _, _, dq_l, dq_m = blocks(dH, n)
         F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing)
         F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing)
         ripple = p.ripple * ca.sin(p.ripple_periods * q_m + p.ripple_phase)
         dx = derivative_expression(self.robot, x, applied, dH)
         dx += ca.vertcat(ca.SX.zeros(2 * n), external - F_l, ripple - F_m)
-        return dense_function("nonideal_dynamics", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
+        return dense_function("nonideal_dynamics", s, {"dx": dx}, cse=True)
 
     @cached_property
     def step_function(self) -> ca.Function:
         """Return the function (state, u, external, parameters, dt) -> next state; machine code as the plant's step."""
         n = self.robot.n
-        sizes = {"state": 5 * n, "u": n, "external": n, "parameters": size(n), "dt": 1}
-        symbols = {name: ca.MX.sym(name, rows) for name, rows in sizes.items()}
-        state, u, external, parameters, dt = symbols.values()
+        s = symbols(ca.MX, state=5 * n, u=n, external=n, parameters=layout(n).size, dt=1)
+        state, u, external, parameters, dt = s.values()
         x, a = ca.vertsplit(state, [0, 4 * n, 5 * n])
         applied = [self._actuators(a, u, parameters, t) for t in (0, dt / 2, dt)]
         start, middle, end = (ca.vertcat(b, external, parameters) for b in applied)
         x_next = step_expression(self.plant.integrator, self.dynamics, x, (start, middle, end), dt)
-        function = dense_function("nonideal_step", symbols, {"next": ca.vertcat(x_next, applied[-1])})
+        function = dense_function("nonideal_step", s, {"next": ca.vertcat(x_next, applied[-1])})
         return compiled(function) if self.plant.compiles else function
 
     def _links(self, p: SimpleNamespace) -> ArmDynamics | RigidArm:
         links = self.robot.links
-        return links if links.end_effector is None else PayloadArm(links, p.payload_mass, p.payload_position)
+        end_effector = links.end_effector
+        return links if end_effector is None else PayloadArm(links, end_effector, p.payload_mass, p.payload_position)
 
     @cached_property
     def _actuators(self) -> ca.Function:
         """Build (a, u, parameters, t) -> actuator outputs after t [s]: the saturated command behind the lag."""
-        n = self.robot.n
-        a, u, parameters, t = ca.SX.sym("a", n), ca.SX.sym("u", n), ca.SX.sym("parameters", size(n)), ca.SX.sym("t")
-        p = named(parameters, n)
+        n, parts = self.robot.n, layout(self.robot.n)
+        s = symbols(a=n, u=n, parameters=parts.size, t=1)
+        a, u, p, t = s["a"], s["u"], parts.named(s["parameters"]), s["t"]
         saturated = ca.fmin(ca.fmax(u, -p.effort_limit), p.effort_limit)
         lagged = saturated + (a - saturated) * ca.exp(-t / ca.fmax(p.lag, SHORTEST_LAG))
-        return dense_function(
-            "actuators",
-            {"a": a, "u": u, "parameters": parameters, "t": t},
-            {"applied": ca.if_else(p.lag > 0, lagged, saturated)},
-        )
+        return dense_function("actuators", s, {"applied": ca.if_else(p.lag > 0, lagged, saturated)})
 
     @cached_property
     def _step(self) -> NumericFunction:
-        n = self.robot.n
-        return NumericFunction(self.step_function, ((5 * n,), (n,), (n,), (size(n),), ()))
-
-    @cached_property
-    def _derivative(self) -> NumericFunction:
-        n = self.robot.n
-        return NumericFunction(self.dynamics, ((4 * n,), (2 * n + size(n),)))
+        return NumericFunction(self.step_function)
 
     @cached_property
     def _applied(self) -> NumericFunction:
-        n = self.robot.n
-        a, u, parameters = (ca.SX.sym(name, rows) for name, rows in (("a", n), ("u", n), ("parameters", size(n))))
-        return numeric(
-            "applied", {"a": a, "u": u, "parameters": parameters}, {"b": self._actuators(a, u, parameters, 0)}
-        )
+        return NumericFunction(self._actuators)
 
-    def _at(self) -> tuple[ca.SX, ca.SX, SimpleNamespace]:
-        n = self.robot.n
-        x, parameters = ca.SX.sym("x", 4 * n), ca.SX.sym("parameters", size(n))
-        return x, parameters, named(parameters, n)
+    def _at(self) -> tuple[dict[str, ca.SX], SimpleNamespace]:
+        parts = layout(self.robot.n)
+        s = symbols(x=4 * self.robot.n, parameters=parts.size)
+        return s, parts.named(s["parameters"])
 
     @cached_property
     def _measure(self) -> NumericFunction:
-        x, parameters, p = self._at()
-        q_l, q_m, _, _ = symbolic.blocks(x, self.robot.n)
-        velocities = ca.vertcat(*self.robot.velocity_expressions(x, self._links(p)))
+        s, p = self._at()
+        q_l, q_m, _, _ = blocks(s["x"], self.robot.n)
+        velocities = ca.vertcat(*self.robot.velocity_expressions(s["x"], self._links(p)))
         springs = spring_expression(self.robot, q_m - q_l, p.cubic)
-        return numeric("measure", {"x": x, "parameters": parameters}, {"velocities": velocities, "springs": springs})
+        return numeric("measure", s, {"velocities": velocities, "springs": springs})
 
     @cached_property
     def _hamiltonian(self) -> NumericFunction:
-        x, parameters, p = self._at()
-        q_l, q_m, _, _ = symbolic.blocks(x, self.robot.n)
-        H = self.robot.hamiltonian_expression(x, self._links(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
-        return numeric("nonideal_hamiltonian", {"x": x, "parameters": parameters}, {"H": H})
+        s, p = self._at()
+        q_l, q_m, _, _ = blocks(s["x"], self.robot.n)
+        H = self.robot.hamiltonian_expression(s["x"], self._links(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
+        return numeric("nonideal_hamiltonian", s, {"H": H})
 
     @cached_property
     def _state(self) -> NumericFunction:
         n = self.robot.n
-        rows = {"position": 2 * n, "velocity": 2 * n, "parameters": size(n)}
-        position, velocity, parameters = symbols = [ca.SX.sym(name, k) for name, k in rows.items()]
-        links = self._links(named(parameters, n))
+        s = symbols(position=2 * n, velocity=2 * n, parameters=layout(n).size)
+        position, velocity, parameters = s.values()
+        links = self._links(layout(n).named(parameters))
         momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:], links)
-        return numeric("nonideal_state", dict(zip(rows, symbols, strict=True)), {"x": ca.vertcat(position, *momenta)})
+        return numeric("nonideal_state", s, {"x": ca.vertcat(position, *momenta)})
 
 
 def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing: ca.SX) -> ca.SX:
@@ -181,12 +163,6 @@ def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing
     return level * ca.tanh(v / smoothing)
 
 
-def size(n: int) -> int:
-    """Return the length of Nonidealities.vector for n joints."""
-    return sum(SIZES.get(name, n) for name in NAMES)
-
-
-def named(parameters: ca.SX, n: int) -> SimpleNamespace:
-    """Return the parts of Nonidealities.vector by name."""
-    ends = np.cumsum([0, *(SIZES.get(name, n) for name in NAMES)]).tolist()
-    return SimpleNamespace(**dict(zip(NAMES, ca.vertsplit(parameters, ends), strict=True)))
+def layout(n: int) -> PackedVector:
+    """Return the parts of Nonidealities.vector for n joints."""
+    return PackedVector({name: SIZES.get(name, n) for name in NAMES})

@@ -119,7 +119,7 @@ def _law_alone(law: SampledLaw, equilibria: Equilibria) -> At:
 def momentum_matrix(equilibria: Equilibria) -> Array:
     """Return T (k, 4n, 4n) with dx = T dy at equilibria: from velocities to momenta."""
     one = np.eye(equilibria.robot.n)
-    return equilibria.blocks([one, 0, 0, 0], [0, one, 0, 0], [0, 0, equilibria.M_l, 0], [0, 0, 0, equilibria.robot.M_m])
+    return equilibria.block_diagonal(one, one, equilibria.M_l, equilibria.robot.M_m)
 
 
 def plant_in_velocities(equilibria: Equilibria) -> tuple[Array, Array]:

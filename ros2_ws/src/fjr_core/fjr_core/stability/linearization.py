@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linearise plant and law at equilibria."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.sampled_law import AsSampledLaw, MeasuredLaw, SampledLaw
+from ..control.sampled_law import AsSampledLaw, SampledLaw
 from ..control.static_law import StaticLaw
 from ..control.vdpbc.gains import CheckedGains
 from ..control.vdpbc.law import TrackingLaw
@@ -48,15 +46,10 @@ def linearize(
     q_l = loop_configurations(law, configurations)
     own, real = equilibria_at(law.robot, q_l), equilibria_at(plant.robot, q_l)
     if not isinstance(law, StaticLaw) or not sensing.plain:
-        return loop_as_run(law, own, real, sensing)
+        return on_plant(controller(as_sampled(law), own, sensing), own, real, sensing)
     A, B, F = _jacobians(law, plant, real)
     A, B = in_momenta_of(own, real, A, B)
     return in_error_coordinates(own, law.gains, A, B, F) if isinstance(law, TrackingLaw) else SampledLoop(q_l, A, B, F)
-
-
-def loop_as_run(law: StaticLaw | SampledLaw, own: Equilibria, real: Equilibria, sensing: Sensing) -> SampledLoop:
-    """Return the loop of a law with state and sensing, linearised at its own equilibria, on the real plant."""
-    return on_plant(controller(as_sampled(law), own, sensing), own, real, sensing)
 
 
 def on_plant(at: At, own: Equilibria, real: Equilibria, sensing: Sensing) -> SampledLoop:
@@ -76,7 +69,7 @@ def as_sampled(law: StaticLaw | SampledLaw) -> SampledLaw:
     return AsSampledLaw(law) if isinstance(law, StaticLaw) else law
 
 
-def without_state(law: StaticLaw | SampledLaw) -> MeasuredLaw | SampledLaw:
+def without_state(law: StaticLaw | SampledLaw) -> StaticLaw | SampledLaw:
     """Return the law without robust action."""
     return getattr(law, "law", law)
 
@@ -100,12 +93,8 @@ def closed_form(law: TrackingLaw, configurations: Array, plant: Plant) -> Sample
 
 def in_momenta_of(own: Equilibria, real: Equilibria, A: Array, B: Array) -> tuple[Array, Array]:
     """Return A and B of a plant in the momenta that its velocities have with the inertia of another robot."""
-    T = own.blocks(
-        [np.eye(own.robot.n), 0, 0, 0],
-        [0, np.eye(own.robot.n), 0, 0],
-        [0, 0, own.M_l @ np.linalg.inv(real.M_l), 0],
-        [0, 0, 0, own.robot.M_m @ np.linalg.inv(real.robot.M_m)],
-    )
+    one, inverses = np.eye(own.robot.n), (np.linalg.inv(real.M_l), np.linalg.inv(real.robot.M_m))
+    T = own.block_diagonal(one, one, own.M_l @ inverses[0], own.robot.M_m @ inverses[1])
     return T @ A @ np.linalg.inv(T), T @ B
 
 

@@ -11,8 +11,6 @@ and dW/dt is exactly minus the dissipation of `storage`. P depends only on the m
 flat in the errors: the distance of two virtual states is that of their errors.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import casadi as ca
@@ -26,7 +24,7 @@ from ..numerics.casadi_function import NumericFunction, dense_function
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
 from ..robot.virtual_system import derivative_expression
-from ..trajectories.reference import REFERENCE_DERIVATIVES
+from ..trajectories.reference import JETS
 
 
 class ProlongedSystem:
@@ -39,11 +37,6 @@ class ProlongedSystem:
     def __init__(self, law: TrackingLaw, compile: bool = False) -> None:
         self.law = law
         self._compile = compile
-
-    def derivative(self, x_v: ArrayLike, x: ArrayLike, delta: ArrayLike, jets: ArrayLike) -> tuple[Array, Array]:
-        """Return dx_v and d delta (4n,): eqs. (38) and (28) under the law."""
-        dx_v, d_delta = self._derivative(x_v, x, delta, jets)
-        return dx_v, d_delta
 
     def errors(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike) -> Array:
         """Return (q_tilde_l, q_tilde_m, sigma_l, sigma_m) (4n,), eqs. (30), (39)."""
@@ -76,8 +69,7 @@ class ProlongedSystem:
 
     def _symbols(self) -> dict[str, ca.SX]:
         n = self.law.robot.n
-        states = {name: ca.SX.sym(name, 4 * n) for name in ("x_v", "x", "delta")}
-        return {**states, "jets": ca.SX.sym("jets", n, REFERENCE_DERIVATIVES + 1)}
+        return {**symbolic.symbols(x_v=4 * n, x=4 * n, delta=4 * n), "jets": ca.SX.sym("jets", n, JETS)}
 
     def _error_expression(self, x_v: ca.SX, x: ca.SX, jets: ca.SX) -> ca.SX:
         q_tilde_l, sigma_l, q_tilde_m, sigma_m = self.law.errors_function(x_v, x, jets, 0)
@@ -98,26 +90,16 @@ class ProlongedSystem:
         return W, -dissipation
 
     @cached_property
-    def _derivative(self) -> NumericFunction:
-        return NumericFunction(self.function, self._shapes)
-
-    @cached_property
     def _errors(self) -> NumericFunction:
         symbols = self._symbols()
         del symbols["delta"]
-        function = dense_function("errors", symbols, {"e": self._error_expression(**symbols)}, cse=True)
-        return NumericFunction(function, (*self._shapes[:2], self._shapes[3]))
+        return NumericFunction(dense_function("errors", symbols, {"e": self._error_expression(**symbols)}, cse=True))
 
     @cached_property
     def _storage(self) -> NumericFunction:
         symbols = self._symbols()
         W, dW = self._storage_expressions(*symbols.values())
-        return NumericFunction(dense_function("storage", symbols, {"W": W, "dW": dW}, cse=True), self._shapes)
-
-    @property
-    def _shapes(self) -> tuple[tuple[int, ...], ...]:
-        n = self.law.robot.n
-        return (4 * n,), (4 * n,), (4 * n,), (REFERENCE_DERIVATIVES + 1, n)
+        return NumericFunction(dense_function("storage", symbols, {"W": W, "dW": dW}, cse=True))
 
 
 def _variation(phi: object, at: ca.SX, direction: ca.SX) -> ca.SX:

@@ -9,8 +9,6 @@ at equilibria of sampled configurations. Motion adds Coriolis terms of the order
 small compared with K_d / M and the elastic modes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -21,7 +19,7 @@ from ..control.sampled_law import SampledLaw
 from ..control.static_law import StaticLaw
 from ..control.vdpbc.law import TrackingLaw
 from ..errors import StateError
-from ..numerics.checks import Array
+from ..numerics.checks import Array, positive
 from ..robot.equilibrium import Indices
 from ..robot.port_hamiltonian import Plant
 from .linear_controller import Sensing
@@ -105,7 +103,8 @@ def check(
     if len(q_l) <= most or plant.robot.n != law.robot.n:
         return _checked(linearize(law, q_l, plant, sensing), sample_period, delay)
     if not isinstance(below, TrackingLaw):
-        few = _evenly(len(q_l), WITH_STATE) if with_state else np.arange(len(q_l))
+        count = WITH_STATE if with_state else len(q_l)
+        few = np.linspace(0, len(q_l) - 1, count).round().astype(np.intp)
         return replace(
             _checked(linearize(law, q_l[few], plant, sensing), sample_period, delay), configurations=len(few)
         )
@@ -140,11 +139,6 @@ def _worst_of(everywhere: SampledLoop, found: SampledCheck) -> Indices:
     orders = [np.argsort(-everywhere.radii(*times)) for times in ((T, delay), (slowest, delay), (T, late * T))]
     ranked = np.stack(orders, axis=1)[: WITH_STATE // 2].ravel()
     return ranked[np.sort(np.unique(ranked, return_index=True)[1])]
-
-
-def _evenly(k: int, most: int) -> Indices:
-    """Return at most `most` of k indices, evenly spaced, including the first and the last."""
-    return np.unique(np.linspace(0, k - 1, min(k, most)).round().astype(np.intp))
 
 
 def _checked(loop: SampledLoop, sample_period: float, delay: float) -> SampledCheck:
@@ -221,7 +215,6 @@ def _bisect(stable: Callable[[float], bool], good: float, bad: float, tolerance:
 
 def checked_times(sample_period: float, delay: float) -> None:
     """Raise StateError unless the sample period [s] is positive and the delay [s] is not negative."""
-    if not (np.isfinite(sample_period) and sample_period > 0):
-        raise StateError(f"sample_period is {sample_period} s; expected a positive finite number")
+    positive("sample_period", sample_period, StateError)
     if not (np.isfinite(delay) and delay >= 0):
         raise StateError(f"delay is {delay} s; expected 0 or more")

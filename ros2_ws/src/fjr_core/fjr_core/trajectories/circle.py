@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joint-space circle: a reference on a circle in the plane of the first two joints."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,12 +12,12 @@ from ..numerics.checks import Array, freeze, joint_vector, number, positive
 from .bounds import MotionBounds, motion_bounds_on
 from .piecewise_polynomial import SAMPLES, PiecewisePolynomial
 from .point_to_point import standing
-from .reference import JETS
+from .reference import JETS, Reference
 from .sine import phases
 
 
 @dataclass(frozen=True, eq=False)
-class Circle:
+class Circle(Reference):
     """Circle in the plane of the first two joints; the other joints stay at centre (n,) [rad], n >= 2.
 
     q_ld1 = centre1 + radius cos(angle), q_ld2 = centre2 + radius sin(angle). The angle starts at phase [rad] with
@@ -47,11 +45,6 @@ class Circle:
     def n(self) -> int:
         """Number of joints."""
         return int(np.size(self.centre))
-
-    @property
-    def end(self) -> float:
-        """Infinite: the reference does not end."""
-        return np.inf
 
     @cached_property
     def angle(self) -> PiecewisePolynomial:

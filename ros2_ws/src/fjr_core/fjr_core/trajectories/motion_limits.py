@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
-from ..numerics.checks import Array, freeze
+from ..numerics.checks import Array, floats, freeze
 from ..robot.joint_limits import JointLimits
 from ..robot.joint_units import REVOLUTE, Units
 from .piecewise_polynomial import PiecewisePolynomial
@@ -154,10 +154,7 @@ def _name(joints: Sequence[str], joint: int) -> str:
 
 
 def _limit(name: str, value: ArrayLike, n: int) -> Array:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise TrajectoryError(f"{name} limit is {value!r}; expected numbers") from None
+    array = floats(f"{name} limit", value, TrajectoryError)
     if array.shape not in ((), (n,)) or np.any(np.isnan(array)):
         raise TrajectoryError(
             f"{name} limit is {array.tolist()}; expected a number or {n}, one per joint, infinite for none"

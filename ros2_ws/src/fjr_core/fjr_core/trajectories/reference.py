@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interface of reference trajectories of class C^4: value and four exact derivatives at every time."""
 
-from __future__ import annotations
-
+from math import inf
 from typing import Protocol
 
 from numpy.typing import ArrayLike
@@ -23,7 +22,8 @@ class Reference(Protocol):
 
     @property
     def end(self) -> float:
-        """Time [s] after which the reference is constant; may be infinite."""
+        """Time [s] after which the reference is constant; infinite by default."""
+        return inf
 
     def jets(self, t: ArrayLike) -> Array:
         """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sinusoidal references: one sine per joint, or a sum of sines."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,13 +11,13 @@ from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
 from .bounds import ROWS, MotionBounds
-from .reference import JETS
+from .reference import JETS, Reference
 
 _SIDES = np.array([0, 1, 0, 1, 0])  # sine (0) or cosine (1) in each of the five jets
 
 
 @dataclass(frozen=True, eq=False)
-class Sine:
+class Sine(Reference):
     """Sine per joint: q_ld(t) = offset + amplitude sin(frequency t + phase).
 
     amplitude and offset [rad], angular frequency [rad/s], phase [rad]: scalars or vectors (n,); the longest gives n.
@@ -42,11 +40,6 @@ class Sine:
     def n(self) -> int:
         """Number of joints."""
         return int(np.size(self.amplitude))
-
-    @property
-    def end(self) -> float:
-        """Infinite: the reference does not end."""
-        return np.inf
 
     def jets(self, t: ArrayLike) -> Array:
         """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
@@ -88,7 +81,7 @@ class Sine:
 
 
 @dataclass(frozen=True, eq=False)
-class MultiSine:
+class MultiSine(Reference):
     """Sum of m sines per joint: q_ld(t) = offset + sum_m amplitude sin(frequency t + phase).
 
     amplitude [rad], angular frequency [rad/s], phase [rad]: (m, n), or scalars for all; offset [rad]: scalar or (n,).
@@ -113,11 +106,6 @@ class MultiSine:
     def n(self) -> int:
         """Number of joints."""
         return int(np.size(self.offset))
-
-    @property
-    def end(self) -> float:
-        """Infinite: the reference does not end."""
-        return np.inf
 
     @cached_property
     def _of_sine(self) -> Array:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spline reference of class C^4 through positions, with optional velocities and accelerations."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -126,10 +124,7 @@ class Spline:
 
 def _points(name: str, value: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
     """Return `value` as finite numbers (k, n); raise TrajectoryError."""
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise TrajectoryError(f"{name} is {value!r}; expected numbers (k, n)") from None
+    array = checks.floats(name, value, TrajectoryError, " (k, n)")
     if shape is None and (array.ndim != 2 or not array.size):
         raise TrajectoryError(f"{name} has shape {array.shape}; expected (k, n), a row for each point")
     if shape is not None and array.shape != shape:

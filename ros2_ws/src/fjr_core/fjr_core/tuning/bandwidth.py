@@ -8,8 +8,6 @@ and the effort of the reference motion itself, as the largest share of the effor
 robot has none.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np
@@ -58,7 +56,8 @@ class BaselineTarget:
         self._scale = _scale(robot)
         self.gains, self.law = gains, TrackingLaw(robot, gains)
         self.peak = self.peak_of(self.law)
-        self.bandwidth = self._widest(np.asarray(np.geomspace(1e-2, 1e4, 1200)))
+        near = self._crossing(*self.loop(self.law), np.asarray(np.geomspace(1e-2, 1e4, 1200)))
+        self.bandwidth = self._crossing(*self.loop(self.law), GRID * near)
 
     @cached_property
     def effort_limit(self) -> Array:
@@ -89,10 +88,6 @@ class BaselineTarget:
         if not np.linalg.eigvals(A).real.max() < 0:
             return 0.0
         return self._crossing(A, B, GRID * self.bandwidth)
-
-    def _widest(self, frequencies: Array) -> float:
-        found = self._crossing(*self.loop(self.law), frequencies)
-        return self._crossing(*self.loop(self.law), GRID * found)
 
     def _crossing(self, A: Array, B: Array, frequencies: Array) -> float:
         """Return the first crossing of 2^-1/2 among the frequencies [rad/s], interpolated."""

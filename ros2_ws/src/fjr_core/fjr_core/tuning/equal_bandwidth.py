@@ -11,8 +11,6 @@ The gains of a law follow from two numbers, a natural frequency and a damping ra
 Definitions of bandwidth and peak effort: bandwidth.py.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -22,12 +20,9 @@ from scipy.optimize import brentq
 
 from ..control.registry import V_DPBC, LawKind, law_kind
 from ..control.static_law import StaticLaw
-from ..control.vdpbc.gains import Gains
 from ..control.vdpbc.law import TrackingLaw
 from ..errors import GainsError
 from ..numerics.checks import Array
-from ..robot.robot import Robot
-from ..trajectories.reference import Reference
 from .bandwidth import BANDWIDTH_TOLERANCE, PEAK_TOLERANCE, BaselineTarget, alike
 
 REACH = 0.9  # fraction of the largest bandwidth of a law that is used if it cannot reach the target
@@ -91,18 +86,6 @@ def tune(name: str, baseline_target: BaselineTarget, compile: bool = False, retu
     return Tuning(
         kind, law, found.omega, found.damping, found.bandwidth, found.peak, y.bandwidth, y.peak, y.effort_limit
     )
-
-
-def tuned(
-    name: str,
-    robot: Robot,
-    reference: Reference,
-    gains: Gains,
-    start: tuple[Array, Array] | None = None,
-    compile: bool = False,
-) -> StaticLaw:
-    """Return the law tuned to v-dPBC with the given gains; see `tune`."""
-    return tune(name, BaselineTarget(robot, reference, gains, start), compile).law
 
 
 @dataclass(frozen=True, eq=False)

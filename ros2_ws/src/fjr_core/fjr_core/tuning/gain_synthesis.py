@@ -12,8 +12,6 @@ c is the largest of a few values for which the loop has the required decay; g is
 longest delay.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -23,7 +21,7 @@ from numpy.typing import ArrayLike
 from ..control.vdpbc.gains import Gains, relative_eigenvalues
 from ..control.vdpbc.linearized import feedback
 from ..errors import GainsError
-from ..numerics.checks import Array
+from ..numerics.checks import Array, positive
 from ..robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from ..robot.equilibrium import Equilibria, Indices, equilibria_at, plant_matrices
 from ..robot.robot import Robot
@@ -57,8 +55,7 @@ def synthesize(
     Raises GainsError with the largest reachable rate if no gains of this family meet these conditions.
     """
     checked_times(sample_period, delay)
-    if not (np.isfinite(beta) and beta > 0):
-        raise GainsError(f"beta is {beta} 1/s; expected a positive finite number")
+    positive("beta", beta, GainsError, "1/s")
     task = _task(robot, sample_period, delay, configurations)
     gains = task.best(beta)
     if gains is None:
@@ -87,8 +84,8 @@ class _Task:
         """
         few = self.critical(beta)
         while (gains := self._best_at(few, beta)) is not None:
-            missed = self._missed(gains, beta)
-            if not len(missed):
+            missed = self._too_slow(self._loop(self.equilibria, gains), beta)
+            if missed is None or not len(missed):
                 return gains
             few = np.append(few, missed)
         return None
@@ -148,10 +145,6 @@ class _Task:
                 worst = np.argsort(decays, kind="stable")[:KEPT]
                 return worst[~(decays[worst] >= LEAST_DECAY * beta)]
         return None
-
-    def _missed(self, gains: Gains, beta: float) -> Indices:
-        too_slow = self._too_slow(self._loop(self.equilibria, gains), beta)
-        return np.zeros(0, dtype=np.intp) if too_slow is None else too_slow
 
     def _rank(self, loop: SampledLoop, beta: float) -> tuple[int, float]:
         """Return the number of tolerated delays and the lowest decay rate [1/s] there; 0 without the required decay."""

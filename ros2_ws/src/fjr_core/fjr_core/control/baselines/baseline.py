@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base class of the baseline laws: symbolic gains and expressions of u and V."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
-from functools import cached_property
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,14 +14,6 @@ from ...numerics.checks import Array
 from ...robot.robot import Robot
 from ..lie_derivative import Flow, flow
 from ..static_law import StaticLaw
-from ..vdpbc.symbolic_gains import ArraySymbols
-
-
-class BaselineGains(Protocol):
-    """Gains of a baseline, named as in its paper."""
-
-    def arrays(self, robot: Robot) -> dict[str, Array]:
-        """Return the arrays of the law's equations by name; raise GainsError if the paper's conditions are violated."""
 
 
 class Baseline(StaticLaw):
@@ -34,49 +23,15 @@ class Baseline(StaticLaw):
     Raises GainsError (see the gains) on construction and StateError for wrong shapes.
     """
 
-    def __init__(self, robot: Robot, gains: Any, compile: bool = False) -> None:
-        self.robot = robot
-        self.gains = gains
-        self.arrays: dict[str, Array] = gains.arrays(robot)
-        self.compiles = compile
-
     @abstractmethod
     def expressions(self, f: Flow, g: SimpleNamespace) -> tuple[ca.SX, ca.SX]:
         """Return u (n,) [N m] and V [J] (nan without a storage) in the symbols of the flow f at x_v = x and gains g."""
 
-    def with_gains(self, gains: Any) -> Baseline:
-        """Return the law with other gains; nothing is built or compiled.
-
-        Raises GainsError as the constructor does, and for a full matrix where the gain of this law is diagonal.
-        """
-        other = type(self)(self.robot, gains, self.compiles)
-        other._symbols = self._symbols
-        other.measured_expression, other.measured_function = self.measured_expression, self.measured_function
-        other._gain_values = self._symbols.values(other.arrays)
-        return other
-
-    @property
-    def gain_values(self) -> Array:
-        """The argument `gains` (g,) of measured_function."""
-        return self._gain_values
-
     def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
         """Return the arguments of measured_function, and expressions of u and V."""
-        n = self.robot.n
-        f, symbols = flow(self.robot, diagonal=True), self._symbols
-        u, V = self.expressions(f, SimpleNamespace(**symbols.symbols))
-        position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
-        u, V = f.at_velocities(ca.vertcat(position, velocity), u, V)
-        inputs = {"position": position, "velocity": velocity, "jets": f.jets, "gains": symbols.vector}
-        return inputs, {"u": u, "V": V}
-
-    @cached_property
-    def _symbols(self) -> ArraySymbols:
-        return ArraySymbols(self.arrays)
-
-    @cached_property
-    def _gain_values(self) -> Array:
-        return self._symbols.values(self.arrays)
+        f = flow(self.robot, diagonal=True)
+        u, V = self.expressions(f, SimpleNamespace(**self.symbols.by_name))
+        return self.at_measured(f, {"u": u, "V": V})
 
 
 def effort(robot: Robot, torque: ca.SX) -> ca.SX:

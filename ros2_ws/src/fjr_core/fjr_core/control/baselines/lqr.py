@@ -9,8 +9,6 @@ minimises the integral of x~' Q x~ + u~' R u~ for the linear system. V = x~' P x
 / 2 for small errors about this equilibrium; elsewhere nothing is proven.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -81,8 +79,7 @@ def velocity_matrices(robot: Robot, q_0: Array) -> tuple[Array, Array]:
 def velocity_transformation(points: Equilibria) -> Array:
     """Return T (k, 4n, 4n) with (q, theta, dq, dtheta) = T x, linearised at the equilibria."""
     one = np.eye(points.robot.n)
-    inverses = np.linalg.inv(points.M_l), np.linalg.inv(points.robot.M_m)
-    return points.blocks([one, 0, 0, 0], [0, one, 0, 0], [0, 0, inverses[0], 0], [0, 0, 0, inverses[1]])
+    return points.block_diagonal(one, one, np.linalg.inv(points.M_l), np.linalg.inv(points.robot.M_m))
 
 
 def standard(robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan) -> LqrGains:

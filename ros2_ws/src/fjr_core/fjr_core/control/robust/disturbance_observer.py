@@ -13,13 +13,12 @@ a measurement of d. w filters r by w'' = L^2 (r - w) - 2 L w', so that w, dw and
 w = (L / (s + L))^3 d.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import casadi as ca
 
 from ...numerics.casadi_function import dense_function
+from ...numerics.symbolic import symbols
 from ...robot.coordinates import Coordinates
 from ...robot.port_hamiltonian import derivative_expression
 from ...robot.robot import Robot
@@ -59,10 +58,10 @@ class DisturbanceObserver:
     def momenta(self) -> ca.Function:
         """(position, velocity) -> momenta (2n,) and their rates (2n,) by eq. (36) with u = 0."""
         n = self.robot.n
-        position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
-        x = Coordinates(self.robot).to_momenta(position, velocity)
+        s = symbols(position=2 * n, velocity=2 * n)
+        x = Coordinates(self.robot).to_momenta(*s.values())
         p, f = x[2 * n :], derivative_expression(self.robot, x, ca.SX.zeros(n))[2 * n :]
-        return dense_function("momenta", {"position": position, "velocity": velocity}, {"p": p, "f": f}, cse=True)
+        return dense_function("momenta", s, {"p": p, "f": f}, cse=True)
 
 
 def _filtered(w: ca.MX, dw: ca.MX, r: ca.MX, L: ca.MX, dt: ca.MX) -> tuple[ca.MX, ca.MX]:

@@ -12,22 +12,21 @@ import numpy as np
 from ...errors import GainsError
 from ...numerics.casadi_function import dense_function
 from ...numerics.checks import Array
+from ...numerics.packed_vector import PackedVector
 from ...robot.robot import Robot
-from ...trajectories.reference import JETS
-from ..sampled_law import ARGUMENTS, AsSampledLaw, BoundStep, MeasuredLaw, SampledLaw, bound_step
+from ..sampled_law import AsSampledLaw, BoundStep, SampledLaw, bound_step, step_symbols
 from ..static_law import StaticLaw
 from ..vdpbc.law import TrackingLaw
 from .disturbance_observer import DisturbanceObserver
 from .integral_action import IntegralAction, gain_values
 from .loaded_law import loaded_expression
 from .options import Robust
-from .packed_state import PackedVector
 from .smith_predictor import EffortBuffer, Predictor
 
 Terms = dict[str, ca.MX]
 
 
-def sampled_law(law: MeasuredLaw, robust: Robust | None = None) -> SampledLaw:
+def sampled_law(law: StaticLaw, robust: Robust | None = None) -> SampledLaw:
     """Return the sampled law with the robust action requested, if any. Raises GainsError."""
     robust = (robust or Robust()).checked(law.robot.n)
     return AsSampledLaw(law) if robust.off else RobustLaw(law, robust)
@@ -43,7 +42,7 @@ class RobustLaw:
     Raises GainsError for inconsistent options.
     """
 
-    law: MeasuredLaw
+    law: StaticLaw
     robust: Robust
 
     def __post_init__(self) -> None:
@@ -83,23 +82,20 @@ class RobustLaw:
     @cached_property
     def step_function(self) -> ca.Function:
         """SampledLaw.step_function."""
-        n, g = self.robot.n, len(self.gain_values)
-        sizes = {"position": 2 * n, "velocity": 2 * n, "gains": g, "memory": self._memory.size, "sent": n, "dt": 1}
-        s = {name: ca.MX.sym(name, rows) for name, rows in sizes.items()} | {"jets": ca.MX.sym("jets", n, JETS)}
+        s = step_symbols(self)
         u, V, parts = self._sample(s, self._gains.unpack(s["gains"]), self._memory.unpack(s["memory"]))
-        inputs = {name: s[name] for name in ARGUMENTS}
-        return dense_function("robust_law", inputs, {"u": u, "V": V, "next": self._memory.pack(parts)})
+        return dense_function("robust_law", s, {"u": u, "V": V, "next": self._memory.pack(parts)})
 
     @cached_property
     def ready_step(self) -> ca.Function:
         """step_function, compiled if the law is compiled."""
         law, r = self.law, self.robust
         if not isinstance(law, TrackingLaw):
-            return law.ready(self.step_function) if isinstance(law, StaticLaw) else self.step_function
+            return law.ready(self.step_function)
         which = f"{r.estimates:d}{r.integrates:d}_{r.delay!r}_{r.hold!r}".replace(".", "p").replace("-", "m")
         return law.derived(f"robust_law_{which}", lambda: self.step_function)
 
-    def with_law(self, law: MeasuredLaw) -> RobustLaw:
+    def with_law(self, law: StaticLaw) -> RobustLaw:
         """Return this robust law for a law made by `self.law.with_gains`; nothing is built again."""
         other = RobustLaw(law, self.robust)
         other.__dict__.update(step_function=self.step_function, ready_step=self.ready_step)
@@ -137,7 +133,8 @@ class RobustLaw:
             return position, velocity
         acting = self._buffer.acting(parts, 0.0, r.delay)
         newest = ca.vertsplit(parts["efforts"], self.robot.n)[0]
-        return self._predictor.predict(position, velocity, disturbance, [*acting, (newest, r.hold / 2)])
+        predictor = Predictor(self.robot, r.hold, r.delay)
+        return predictor.predict(position, velocity, disturbance, [*acting, (newest, r.hold / 2)])
 
     def _commanded(
         self,
@@ -149,12 +146,13 @@ class RobustLaw:
         parts: Terms,
     ) -> tuple[ca.MX, ca.MX, Terms]:
         """Return u, V and the new controller state of the law that compensates these torques."""
-        n = self.robot.n
+        n, integrates = self.robot.n, self.robust.integrates
+        loaded = loaded_expression(self.law, integrates)  # type: ignore[arg-type]
         arguments = (*at, gains["law"], known, disturbance[n:] + integral[n:])
-        if not self.robust.integrates:
-            u, V, *_ = self._loaded(*arguments)
+        if not integrates:
+            u, V, *_ = loaded(*arguments)
             return u, V, parts
-        u, V, _, port_m, port_l = self._loaded(*arguments, integral[:n], self._integral.matrix(gains, "K_l"))
+        u, V, _, port_m, port_l = loaded(*arguments, integral[:n], self._integral.matrix(gains, "K_l"))
         parts |= self._integral.parts(integral, (port_l, port_m), gains, u)
         return u, V + self._integral.energy(integral, gains), parts
 
@@ -187,11 +185,3 @@ class RobustLaw:
     @cached_property
     def _integral(self) -> IntegralAction:
         return IntegralAction(self.robot, self.robust.hold)
-
-    @cached_property
-    def _predictor(self) -> Predictor:
-        return Predictor(self.robot, self.robust.hold, self.robust.delay)
-
-    @cached_property
-    def _loaded(self) -> ca.Function:
-        return loaded_expression(self.law, self.robust.integrates)  # type: ignore[arg-type]

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,8 +20,7 @@ LONGEST_DELAY = 32  # samples of hold
 FASTEST = 1e4  # 1/s, largest gain
 
 
-def _gain_field(description: str) -> Any:
-    return parameter_field(0.0, description, "1/s", shape=VECTOR, constraint=f"0 to {FASTEST:g}")
+_gain_field = partial(parameter_field, 0.0, unit="1/s", shape=VECTOR, constraint=f"0 to {FASTEST:g}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,6 @@ and `delay` later are therefore known, and the model predicts the state at that 
 account for the mean delay of the hold, the prediction extends over half of the hold period under the newest effort.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import casadi as ca
@@ -15,6 +13,7 @@ import numpy as np
 
 from ...numerics.casadi_function import dense_function
 from ...numerics.integrators import rk4_expression
+from ...numerics.symbolic import symbols
 from ...robot.coordinates import Coordinates
 from ...robot.port_hamiltonian import derivative_expression
 from ...robot.robot import Robot
@@ -85,37 +84,39 @@ class Predictor:
         """Apply _step in as many equal parts as dt has hold periods."""
         if self._holds == 1:
             return self._step
-        n = self.robot.n
-        x, inputs, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("inputs", 3 * n), ca.MX.sym("dt")
+        s = self._symbols()
+        x, inputs, dt = s.values()
         count = ca.fmin(ca.fmax(ca.ceil(dt / self._hold - HOLD_TOLERANCE), 1), self._holds)
         part = ca.Function.if_else("part", self._step, self._identity)
         after = self._step(x, inputs, dt / count)
         for k in range(1, self._holds):
             after = part(k < count, after, inputs, dt / count)
-        return dense_function("held", {"x": x, "inputs": inputs, "dt": dt}, {"after": after})
+        return dense_function("held", s, {"after": after})
 
     @cached_property
     def _identity(self) -> ca.Function:
-        n = self.robot.n
-        x, inputs, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("inputs", 3 * n), ca.MX.sym("dt")
-        return dense_function("identity", {"x": x, "inputs": inputs, "dt": dt}, {"after": x})
+        s = self._symbols()
+        return dense_function("identity", s, {"after": s["x"]})
 
     @cached_property
     def _step(self) -> ca.Function:
-        n = self.robot.n
-        x, inputs, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("inputs", 3 * n), ca.MX.sym("dt")
-        after = x
+        s = self._symbols()
+        after, inputs, dt = s.values()
         for _ in range(self._steps):
             after = rk4_expression(self._dynamics, after, (inputs, inputs, inputs), dt / self._steps)
-        return dense_function("step", {"x": x, "inputs": inputs, "dt": dt}, {"after": after})
+        return dense_function("step", s, {"after": after})
 
     @cached_property
     def _dynamics(self) -> ca.Function:
         """(x, (u, link torque, motor torque)) -> dx."""
         n = self.robot.n
-        x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", 3 * n)
+        s = symbols(x=4 * n, inputs=3 * n)
+        x, inputs = s.values()
         dx = derivative_expression(self.robot, x, inputs[:n]) + ca.vertcat(ca.SX.zeros(2 * n), inputs[n:])
-        return dense_function("disturbed_dynamics", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
+        return dense_function("disturbed_dynamics", s, {"dx": dx}, cse=True)
+
+    def _symbols(self) -> dict[str, ca.MX]:
+        return symbols(ca.MX, x=4 * self.robot.n, inputs=3 * self.robot.n, dt=1)
 
 
 def _within(t: ca.MX | float, start: ca.MX | float, end: ca.MX | float) -> ca.MX:

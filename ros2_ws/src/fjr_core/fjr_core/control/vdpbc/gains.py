@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import MISSING, dataclass, fields
-from typing import Any
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,12 +14,9 @@ from ...errors import GainsError
 from ...numerics import checks
 from ...numerics.checks import Array
 from ...numerics.parameter_field import MATRIX, parameter_field
+from ...robot.robot import Robot
 
-_DEFINITE = "symmetric positive definite"
-
-
-def _gain(default: Any, description: str, unit: str, constraint: str = _DEFINITE) -> Any:
-    return parameter_field(default, description, unit, shape=MATRIX, constraint=constraint, dynamic=True)
+_gain = partial(parameter_field, shape=MATRIX, constraint="symmetric positive definite", dynamic=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +31,7 @@ class Gains:
         MISSING,
         "Linear part of phi_l, eq. (31)",
         "1/s",
-        "condition (32): Pi_l Lambda_l + Lambda_l' Pi_l positive definite",
+        constraint="condition (32): Pi_l Lambda_l + Lambda_l' Pi_l positive definite",
     )
     Pi_l: ArrayLike = _gain(MISSING, "Position metric of the links, eq. (32)", "N m/rad")
     K_ld: ArrayLike = _gain(MISSING, "Damping injected at the links, eq. (33)", "N m s/rad")
@@ -42,15 +39,15 @@ class Gains:
         MISSING,
         "Linear part of phi_m, eq. (40)",
         "1/s",
-        "condition (41): Pi_m Lambda_m + Lambda_m' Pi_m positive definite",
+        constraint="condition (41): Pi_m Lambda_m + Lambda_m' Pi_m positive definite",
     )
     Pi_m: ArrayLike = _gain(MISSING, "Position metric of the motors, eq. (41)", "N m/rad")
     K_md: ArrayLike = _gain(MISSING, "Damping injected at the motors, eq. (42)", "N m s/rad")
     Gamma_l: ArrayLike = _gain(
-        0.0, "Cubic part of phi_l", "1/(s rad^2)", "condition (32): Pi_l Gamma_l diagonal and nonnegative"
+        0.0, "Cubic part of phi_l", "1/(s rad^2)", constraint="condition (32): Pi_l Gamma_l diagonal and nonnegative"
     )
     Gamma_m: ArrayLike = _gain(
-        0.0, "Cubic part of phi_m", "1/(s rad^2)", "condition (41): Pi_m Gamma_m diagonal and nonnegative"
+        0.0, "Cubic part of phi_m", "1/(s rad^2)", constraint="condition (41): Pi_m Gamma_m diagonal and nonnegative"
     )
 
     def checked(self, n: int) -> CheckedGains:
@@ -85,6 +82,11 @@ class CheckedGains:
     Gamma_m: Array
     beta_l: float
     beta_m: float
+
+    def arrays(self, _robot: Robot | None = None) -> dict[str, Array]:
+        """Return the arrays of the law's equations by name: the matrices and the inverse of Pi_m."""
+        matrices = {f.name: getattr(self, f.name) for f in fields(Gains)}
+        return {**matrices, "Pi_m_inverse": np.linalg.inv(self.Pi_m)}
 
 
 PAPER_GAINS = Gains(Lambda_l=10.0, Pi_l=20.0, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=0.3)

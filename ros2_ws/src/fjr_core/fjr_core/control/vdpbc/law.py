@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evaluate the v-dPBC law u(x_v, x, t) with its storage V and exact dissipation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Set
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -14,14 +12,13 @@ from ...numerics.casadi_function import NumericFunction, dense_function
 from ...numerics.checks import Array
 from ...numerics.jit_cache import compiled_from_inputs
 from ...robot.robot import Robot
-from ...trajectories.reference import REFERENCE_DERIVATIVES
 from ..lie_derivative import Flow, flow
 from ..static_law import StaticLaw
 from .convergence_rate import Rate, rate
 from .gains import Gains
 from .link_stage import LinkStage, link_stage
 from .motor_stage import MotorStage, motor_stage
-from .symbolic_gains import GainSymbols, GainTerms, terms
+from .symbolic_gains import GainTerms, terms
 
 
 @dataclass(frozen=True)
@@ -55,19 +52,7 @@ class TrackingLaw(StaticLaw):
     """
 
     def __init__(self, robot: Robot, gains: Gains, compile: bool = False) -> None:
-        self.robot = robot
-        self.gains = gains.checked(robot.n)
-        self.compiles = compile
-
-    def with_gains(self, gains: Gains) -> TrackingLaw:
-        """Return the law with other gains; nothing is built or compiled.
-
-        Raises GainsError as the constructor does, and for a full matrix where the gain of this law is diagonal.
-        """
-        other = TrackingLaw(self.robot, gains, self.compiles)
-        other._symbols, other.measured_function = self._symbols, self.measured_function
-        other._gain_values = self._symbols.values(other.gains)
-        return other
+        super().__init__(robot, gains.checked(robot.n), compile)
 
     def effort(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Array:
         """Return the effort u (n,) [N m], eq. (42)."""
@@ -107,24 +92,15 @@ class TrackingLaw(StaticLaw):
         f: flow at x_v = x, e.g. with a load. omega (n,) [N m]: input of eq. (42), zero by default.
         port_l = dV/dp_l (n,) [rad/s], defined if the flow has a load with integral action.
         """
-        n, symbols = self.robot.n, self._symbols
         f = flow(self.robot, diagonal=True) if f is None else f
-        outputs = self._expressions(f, symbols.terms, ca.SX.zeros(n) if omega is None else omega)
-        position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
-        values = f.at_velocities(ca.vertcat(position, velocity), *outputs.values())
-        inputs = {"position": position, "velocity": velocity, "jets": f.jets, "gains": symbols.vector}
-        return inputs, dict(zip(outputs, values, strict=True))
+        omega = ca.SX.zeros(self.robot.n) if omega is None else omega
+        return self.at_measured(f, self._expressions(f, GainTerms(**self.symbols.by_name), omega))
 
     def derived(self, name: str, build: Callable[[], ca.Function]) -> ca.Function:
         """Return build(), a function of the robot and the gain pattern; if the law is compiled, from the code cache."""
         if not self.compiles:
             return build()
-        return compiled_from_inputs(name, self.robot.fingerprint(), self._symbols.pattern, build)
-
-    @property
-    def gain_values(self) -> Array:
-        """The argument `gains` (g,) of measured_function."""
-        return self._gain_values
+        return compiled_from_inputs(name, self.robot.fingerprint(), self.symbols.pattern, build)
 
     @property
     def hold_damping(self) -> Array:
@@ -132,24 +108,12 @@ class TrackingLaw(StaticLaw):
         return self.gains.K_md
 
     @cached_property
-    def _symbols(self) -> GainSymbols:
-        return GainSymbols(self.gains)
-
-    @cached_property
-    def _gain_values(self) -> Array:
-        return self._symbols.values(self.gains)
-
-    @cached_property
     def _effort(self) -> NumericFunction:
-        return self._numeric(self.function)
+        return NumericFunction(self.ready(self.function))
 
     @cached_property
     def _evaluate(self) -> NumericFunction:
-        return self._numeric(self._function("evaluate", {f.name for f in fields(Evaluation)}))
-
-    def _numeric(self, function: ca.Function) -> NumericFunction:
-        n = self.robot.n
-        return NumericFunction(self.ready(function), ((4 * n,), (4 * n,), (REFERENCE_DERIVATIVES + 1, n), (n,)))
+        return NumericFunction(self.ready(self._function("evaluate", {f.name for f in fields(Evaluation)})))
 
     def _function(self, name: str, names: Set[str], diagonal: bool = False) -> ca.Function:
         """Build (x_v, x, jets, omega) -> the outputs named; diagonal: (x, jets) -> outputs at x_v = x, omega = 0."""

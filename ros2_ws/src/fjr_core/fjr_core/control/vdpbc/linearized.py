@@ -4,8 +4,6 @@
 At an equilibrium q_ld = q_l: all errors are zero, and E_l, C and d/dt M_l are of second order.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...numerics.checks import Array
@@ -54,6 +52,4 @@ def metric_roots(points: Equilibria, gains: CheckedGains) -> Array:
     """Return S (k, 4n, 4n) with S' S = P = diag(Pi_l, Pi_m, M_l^-1, M_m^-1): V = |S e|^2 / 2, eq. (43)."""
     root_l, root_m = np.linalg.cholesky(gains.Pi_l).T, np.linalg.cholesky(gains.Pi_m).T
     L_l, L_m = np.linalg.cholesky(points.M_l), np.linalg.cholesky(points.robot.M_m)
-    return points.blocks(
-        [root_l, 0, 0, 0], [0, root_m, 0, 0], [0, 0, np.linalg.inv(L_l), 0], [0, 0, 0, np.linalg.inv(L_m)]
-    )
+    return points.block_diagonal(root_l, root_m, np.linalg.inv(L_l), np.linalg.inv(L_m))

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Represent the gains in the equations of a law, as constants or as symbols with values passed at evaluation."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -39,7 +37,7 @@ class GainTerms:
 
 def terms(gains: CheckedGains) -> GainTerms:
     """Return the gains as constants."""
-    return GainTerms(**{f.name: ca.sparsify(ca.DM(_term(gains, f.name))) for f in fields(GainTerms)})
+    return GainTerms(**{name: ca.sparsify(ca.DM(array)) for name, array in gains.arrays().items()})
 
 
 class ArraySymbols:
@@ -50,8 +48,8 @@ class ArraySymbols:
 
     def __init__(self, arrays: Mapping[str, Array]) -> None:
         self._shapes = {name: _shape(array) for name, array in arrays.items()}
-        self.symbols = {name: ca.SX.sym(name, shape) for name, shape in self._shapes.items()}
-        self.vector = ca.vertcat(*(ca.vertcat(*symbol.nonzeros()) for symbol in self.symbols.values()))
+        self.by_name = {name: ca.SX.sym(name, shape) for name, shape in self._shapes.items()}
+        self.vector = ca.vertcat(*(ca.vertcat(*symbol.nonzeros()) for symbol in self.by_name.values()))
 
     @property
     def pattern(self) -> str:
@@ -69,31 +67,6 @@ class ArraySymbols:
                 )
             parts += ca.project(ca.DM(arrays[name]), shape).nonzeros()
         return np.array(parts, dtype=float)
-
-
-class GainSymbols:
-    """Symbols for the gains of v-dPBC; see ArraySymbols."""
-
-    def __init__(self, gains: CheckedGains) -> None:
-        self._arrays = ArraySymbols(_arrays(gains))
-        self.terms, self.vector = GainTerms(**self._arrays.symbols), self._arrays.vector
-
-    @property
-    def pattern(self) -> str:
-        """Description of which gains are diagonal."""
-        return self._arrays.pattern
-
-    def values(self, gains: CheckedGains) -> Array:
-        """Return the values of the symbols in `vector`; raise GainsError for another sparsity pattern."""
-        return self._arrays.values(_arrays(gains))
-
-
-def _arrays(gains: CheckedGains) -> dict[str, Array]:
-    return {f.name: _term(gains, f.name) for f in fields(GainTerms)}
-
-
-def _term(gains: CheckedGains, name: str) -> Array:
-    return np.asarray(np.linalg.inv(gains.Pi_m) if name == "Pi_m_inverse" else getattr(gains, name), dtype=float)
 
 
 def _shape(array: Array) -> ca.Sparsity:

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compute the demand of a motion, independent of the law: its amplitude and the torque that it requires."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
+from ...control.inverse_dynamics import spring_torque
 from ...errors import CompareError
 from ...numerics.checks import Array
 from ...robot.robot import Robot
@@ -42,8 +41,7 @@ def motion_demand(robot: Robot, reference: Reference) -> MotionDemand:
     motion = float(np.sqrt(np.mean((position - position.mean(axis=0)) ** 2)))
     if not motion > STANDING:
         raise CompareError(f"the reference is at rest for {end:g} s; expected a motion")
-    inverse = _inverse_dynamics(robot)
-    torques = inverse.map(INSTANTS)(*(jets[:, row].T for row in range(3))).full()
+    torques = _inverse_dynamics(robot).map(INSTANTS)(*(jets[:, row].T for row in range(3))).full()
     torque = np.sqrt(np.mean(torques**2, axis=1))
     friction = Nonidealities(robot.n, coulomb_l=torque, coulomb_m=torque, smoothing=1.0)
     rates = [friction_rate(friction, robot.M_l(q_l), robot.M_m) for q_l in position[:: INSTANTS // CONFIGURATIONS]]
@@ -51,7 +49,5 @@ def motion_demand(robot: Robot, reference: Reference) -> MotionDemand:
 
 
 def _inverse_dynamics(robot: Robot) -> ca.Function:
-    links = robot.links
-    q_l, dq_l, ddq_l = (ca.SX.sym(name, robot.n) for name in ("q_l", "dq_l", "ddq_l"))
-    torque = links.M_l(q_l) @ ddq_l + links.C(q_l, dq_l, dq_l) + ca.DM(robot.D_l) @ dq_l + links.grad_P_l(q_l)
-    return ca.Function("inverse_dynamics", [q_l, dq_l, ddq_l], [ca.densify(torque)])
+    motion = [ca.SX.sym(name, robot.n) for name in ("q_l", "dq_l", "ddq_l")]
+    return ca.Function("inverse_dynamics", motion, [ca.densify(spring_torque(robot, *motion))])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Perturbations of the plant that the laws do not model, each described by one number."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -48,17 +46,9 @@ class Perturbation:
         return float(level)
 
 
-def _stiffness(level: float, _demand: MotionDemand, _step: float) -> Fields:
-    return {"stiffness": np.array(level)}
-
-
-def _inertia(level: float, _demand: MotionDemand, _step: float) -> Fields:
-    """Scale inertia and weight of the links by one factor."""
-    return {name: np.array(level) for name in ("link_inertia", "gravity")}
-
-
-def _delay(level: float, _demand: MotionDemand, _step: float) -> Fields:
-    return {"delay": np.array(level)}
+def _equal(*names: str) -> Callable[[float, MotionDemand, float], Fields]:
+    """Return a function that gives the level to each of these fields."""
+    return lambda level, _demand, _step: {name: np.array(level) for name in names}
 
 
 def _noise(level: float, _demand: MotionDemand, _step: float) -> Fields:
@@ -90,9 +80,9 @@ TORQUE = "of the torque of the motion"
 PERTURBATIONS = {
     each.name: each
     for each in (
-        Perturbation("stiffness", "times", 1.0, 1 / 30, 1.0, 30.0, _stiffness),
-        Perturbation("inertia", "times", 1.0, 1 / 10, 1.0, 10.0, _inertia),
-        Perturbation("delay", "s", 0.0, 0.0, 5e-5, 0.1, _delay),
+        Perturbation("stiffness", "times", 1.0, 1 / 30, 1.0, 30.0, _equal("stiffness")),
+        Perturbation("inertia", "times", 1.0, 1 / 10, 1.0, 10.0, _equal("link_inertia", "gravity")),
+        Perturbation("delay", "s", 0.0, 0.0, 5e-5, 0.1, _equal("delay")),
         Perturbation("noise", "rad", 0.0, 0.0, 1e-6, 1.0, _noise),
         Perturbation("friction", TORQUE, 0.0, 0.0, 0.01, 10.0, _friction),
         Perturbation("load", TORQUE, 0.0, 0.0, 0.01, 10.0, _load),

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prepare a law of a comparison: tuned to equal bandwidth (docs/baselines.md), with robust options."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
@@ -43,7 +41,7 @@ def tuned_law(name: str, robust: Mapping[str, float], scenario: Scenario, retune
     baseline_target = BaselineTarget(robot, scenario.reference, scenario.gains, start, scenario.sample_period)
     found = tune(name, baseline_target, retune=retune)
     law = sampled_law(found.law, Robust(**robust, hold=scenario.sample_period))
-    gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}  # type: ignore[attr-defined]
+    gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}
     return TunedLaw(law, found.effort_limit, gains, found.sentence + _unstable(law, scenario))
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the sampled closed loop of one robot, law and reference many times with drawn parameters."""
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +15,7 @@ from ...numerics import checks
 from ...numerics.checks import Array
 from ...robot.robot import Robot
 from ...trajectories.reference import Reference
+from ..closed_loop import check_joints
 from . import python_loop, uncertain_robot
 from .draws import Draws
 from .outcomes import Outcomes, width
@@ -59,9 +58,7 @@ class ClosedLoop:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "x0", checks.vector("x0", self.x0, 4 * self.robot.n, StateError))
-        n = self.robot.n, self.law.robot.n, self.reference.n
-        if len(set(n)) != 1:
-            raise StateError(f"plant, law and reference have {n[0]}, {n[1]} and {n[2]} joints; expected equal")
+        check_joints(self.robot, self.law.robot, self.reference)
         for name in ("duration", "sample_period", "lost", "band"):
             if not 0 < getattr(self, name) < np.inf:
                 raise StateError(f"{name} is {getattr(self, name)}; expected a positive finite number")
@@ -106,7 +103,8 @@ class ClosedLoop:
             return rows
         ring = np.zeros((LANES, values["ring"], self.robot.n))
         filled = batch(**values)
-        self._program.library.run_batch(ctypes.byref(filled), 0, draws.runs, _pointer(ring))
+        pointer = ring.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        self._program.library.run_batch(ctypes.byref(filled), 0, draws.runs, pointer)
         return rows
 
     def _drawn(self, draws: Draws) -> dict[str, NDArray[Any]]:
@@ -169,7 +167,3 @@ def _segments(delay: Array, period: float, inner_steps: int) -> tuple[NDArray[np
     steps = np.ceil(lengths / (period / inner_steps) - 1e-9).astype(np.int64)
     ages = np.stack([whole + 1, whole], axis=1).astype(np.int64)
     return np.ascontiguousarray(np.stack([ages, steps], axis=2)), lengths / np.maximum(steps, 1)
-
-
-def _pointer(array: Array) -> Any:
-    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))

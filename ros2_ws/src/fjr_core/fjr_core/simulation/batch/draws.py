@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import ParameterError
-from ...numerics.checks import Array
+from ...numerics.checks import Array, floats, freeze
 
 PER_RUN = ("delay", "position_noise", "velocity_noise", "resolution", "payload_mass", "smoothing")
 """Parameters with one number per run; the others may differ between joints."""
@@ -71,8 +71,8 @@ class Draws:
         if isinstance(self.runs, bool) or not isinstance(self.runs, (int, np.integer)) or self.runs < 0:
             raise ParameterError(f"runs is {self.runs!r}; expected a whole number, 0 or more")
         for name in LEVELS:
-            object.__setattr__(self, name, _frozen(self._checked(name)))
-        object.__setattr__(self, "seed", _frozen(self._seeds()))
+            freeze(self, name, self._checked(name))
+        freeze(self, "seed", self._seeds())
 
     def columns(self, name: str, n: int) -> Array:
         """Return one field as (k, n), as (k, 1) if it is PER_RUN, or as (k, 3) for payload_position."""
@@ -92,10 +92,7 @@ class Draws:
         return Draws(len(index), **values)
 
     def _checked(self, name: str) -> Array:
-        try:
-            array = np.array(getattr(self, name), dtype=float)
-        except (TypeError, ValueError):
-            raise ParameterError(f"{name} is {getattr(self, name)!r}; expected numbers") from None
+        array = floats(name, getattr(self, name), ParameterError)
         if np.any(np.isnan(array)) or (name != "effort_limit" and not np.all(np.isfinite(array))):
             raise ParameterError(f"{name} has entries that are not finite; expected finite numbers")
         fits = array.ndim == 0 or (name == "payload_position" and array.shape == (3,)) or len(array) == self.runs
@@ -119,11 +116,6 @@ class Draws:
 
 
 LEVELS = tuple(field.name for field in fields(Draws) if field.name not in ("runs", "seed"))
-
-
-def _frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
-    array.setflags(write=False)
-    return array
 
 
 def width(name: str, n: int) -> int:

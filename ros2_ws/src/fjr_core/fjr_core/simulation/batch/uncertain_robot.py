@@ -6,8 +6,6 @@ of a diagonal matrix are multiplied by f, and one factor for all joints multipli
 links, M_l(q_l) -> S M_l(q_l) S; the kinetic energy of v is then that of S v, from which all other terms follow.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
@@ -18,9 +16,10 @@ import numpy as np
 from ...numerics import integrators, symbolic
 from ...numerics.casadi_function import dense_function
 from ...numerics.checks import Array
+from ...numerics.packed_vector import PackedVector
 from ...robot.payload import PayloadArm
 from ...robot.port_hamiltonian import derivative_expression, gradient_expression
-from ...robot.rigid_arm import ArmDynamics, EndEffector, RigidArm
+from ...robot.rigid_arm import ArmDynamics, RigidArm
 from ...robot.robot import Robot
 from ..nonideal_plant import friction
 
@@ -33,9 +32,9 @@ NAMES = (*SCALED, *FRICTION, "external", *SIZES)
 """Parts of the argument `parameters` of all functions here, in this order."""
 
 
-def size(n: int) -> int:
-    """Return the length of the argument `parameters` for n joints."""
-    return sum(SIZES.get(name, n) for name in NAMES)
+def layout(n: int) -> PackedVector:
+    """Return the parts of the argument `parameters` for n joints."""
+    return PackedVector({name: SIZES.get(name, n) for name in NAMES})
 
 
 @dataclass(frozen=True)
@@ -45,16 +44,6 @@ class ScaledLinks:
     links: ArmDynamics
     root: ca.SX
     gravity: ca.SX
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return self.links.n
-
-    @property
-    def end_effector(self) -> EndEffector | None:
-        """End-effector frame, for a payload."""
-        return self.links.end_effector
 
     def M_l(self, q_l: ca.SX) -> ca.SX:
         """Inertia S M_l S (n, n)."""
@@ -77,45 +66,18 @@ class ScaledLinks:
 class ScaledRobot:
     """Robot with the drawn parameters in place of its own, as expressions."""
 
-    robot: Robot
+    n: int
     links: RigidArm
-    p: SimpleNamespace
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return self.robot.n
-
-    @property
-    def K(self) -> ca.SX:
-        """Stiffness (n, n)."""
-        return _both_sides(self.p.stiffness, symbolic.sparse(self.robot.K))
-
-    @property
-    def D_l(self) -> ca.SX:
-        """Damping of the links (n, n)."""
-        return _both_sides(self.p.link_damping, symbolic.sparse(self.robot.D_l))
-
-    @property
-    def D_m(self) -> ca.SX:
-        """Damping of the motors (n, n)."""
-        return _both_sides(self.p.motor_damping, symbolic.sparse(self.robot.D_m))
-
-    @property
-    def B_m(self) -> ca.SX:
-        """Input matrix (n, n)."""
-        return symbolic.sparse(self.robot.B_m)
+    K: ca.SX
+    D_l: ca.SX
+    D_m: ca.SX
+    B_m: ca.SX
+    M_m_inverse: ca.SX
 
     def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
         """(dq_l, dq_m) = (M_l^-1 p_l, S^-1 M_m^-1 S^-1 p_m)."""
         q_l, _, p_l, p_m = symbolic.blocks(x, self.n)
-        inverse = _both_sides(1 / self.p.motor_inertia, symbolic.sparse(np.linalg.inv(self.robot.M_m)))
-        return symbolic.solve((links or self.links).M_l(q_l), p_l), inverse @ p_m
-
-    def momenta(self, q_l: ca.SX, dq_l: ca.SX, dq_m: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """(p_l, p_m) = (M_l dq_l, S M_m S dq_m)."""
-        root = self.p.motor_inertia
-        return self.links.M_l(q_l) @ dq_l, root * (symbolic.sparse(self.robot.M_m) @ (root * dq_m))
+        return symbolic.solve((links or self.links).M_l(q_l), p_l), self.M_m_inverse @ p_m
 
 
 def _both_sides(root: ca.SX, matrix: ca.SX) -> ca.SX:
@@ -131,13 +93,14 @@ class UncertainPlant:
 
     def __init__(self, robot: Robot, friction: bool, payload: bool) -> None:
         self.robot = robot
-        self._friction, self._payload = friction, payload and robot.links.end_effector is not None
+        self._friction, self._payload = friction, payload
 
     @cached_property
     def dynamics(self) -> ca.Function:
         """Return the function (x, inputs) -> dx/dt (4n,); inputs: effort u (n,), parameters."""
         n = self.robot.n
-        x, inputs = ca.SX.sym("x", 4 * n), ca.SX.sym("inputs", n + size(n))
+        s = symbolic.symbols(x=4 * n, inputs=n + layout(n).size)
+        x, inputs = s.values()
         u, parameters = ca.vertsplit(inputs, [0, n, inputs.numel()])
         p, robot = self._drawn(parameters)
         dH = gradient_expression(robot, x)
@@ -147,49 +110,53 @@ class UncertainPlant:
         if self._friction:
             links, motors = links - self._torque(dq_l, p.coulomb_l, p), -self._torque(dq_m, p.coulomb_m, p)
         dx += ca.vertcat(ca.SX(2 * n, 1), links, motors)
-        return dense_function("uncertain_dynamics", {"x": x, "inputs": inputs}, {"dx": dx}, cse=True)
+        return dense_function("uncertain_dynamics", s, {"dx": dx}, cse=True)
 
     def step(self, name: str) -> ca.Function:
         """Return the function (x, u, parameters, dt) -> x after a Runge-Kutta step of order 4 with u held."""
         n = self.robot.n
-        x, u, parameters = (ca.SX.sym(key, k) for key, k in (("x", 4 * n), ("u", n), ("parameters", size(n))))
-        dt = ca.SX.sym("dt")
+        s = symbolic.symbols(x=4 * n, u=n, parameters=layout(n).size, dt=1)
+        x, u, parameters, dt = s.values()
         x_next = integrators.rk4(self.dynamics)(x, ca.vertcat(u, parameters), dt)
-        inputs = {"x": x, "u": u, "parameters": parameters, "dt": dt}
-        return dense_function(name, inputs, {"x_next": x_next}, cse=True)
+        return dense_function(name, s, {"x_next": x_next}, cse=True)
 
     def velocity(self, name: str) -> ca.Function:
         """Return the function (x, parameters) -> (dq_l, dq_m) (2n,)."""
         n = self.robot.n
-        x, parameters = ca.SX.sym("x", 4 * n), ca.SX.sym("parameters", size(n))
+        s = symbolic.symbols(x=4 * n, parameters=layout(n).size)
+        x, parameters = s.values()
         _, robot = self._drawn(parameters)
         velocity = ca.vertcat(*robot.velocity_expressions(x))
-        return dense_function(name, {"x": x, "parameters": parameters}, {"velocity": velocity}, cse=True)
+        return dense_function(name, s, {"velocity": velocity}, cse=True)
 
     def state(self, name: str) -> ca.Function:
         """Return the function (position (2n,), velocity (2n,), parameters) -> x (4n,)."""
         n = self.robot.n
-        sizes = {"position": 2 * n, "velocity": 2 * n, "parameters": size(n)}
-        position, velocity, parameters = symbols = [ca.SX.sym(key, k) for key, k in sizes.items()]
-        _, robot = self._drawn(parameters)
-        momenta = robot.momenta(position[:n], velocity[:n], velocity[n:])
-        return dense_function(name, dict(zip(sizes, symbols, strict=True)), {"x": ca.vertcat(position, *momenta)})
+        s = symbolic.symbols(position=2 * n, velocity=2 * n, parameters=layout(n).size)
+        position, velocity, parameters = s.values()
+        p, robot = self._drawn(parameters)
+        p_l = robot.links.M_l(position[:n]) @ velocity[:n]
+        p_m = p.motor_inertia * (symbolic.sparse(self.robot.M_m) @ (p.motor_inertia * velocity[n:]))
+        return dense_function(name, s, {"x": ca.vertcat(position, p_l, p_m)})
 
     def _drawn(self, parameters: ca.SX) -> tuple[SimpleNamespace, ScaledRobot]:
-        p = named(parameters, self.robot.n)
-        links = ScaledLinks(self.robot.links, p.link_inertia, p.gravity)
-        loaded = PayloadArm(links, p.payload_mass, p.payload_position) if self._payload else links
-        return p, ScaledRobot(self.robot, loaded, p)
+        own, p = self.robot, layout(self.robot.n).named(parameters)
+        links: RigidArm = ScaledLinks(own.links, p.link_inertia, p.gravity)
+        if self._payload and own.links.end_effector is not None:
+            links = PayloadArm(links, own.links.end_effector, p.payload_mass, p.payload_position)
+        return p, ScaledRobot(
+            n=own.n,
+            links=links,
+            K=_both_sides(p.stiffness, symbolic.sparse(own.K)),
+            D_l=_both_sides(p.link_damping, symbolic.sparse(own.D_l)),
+            D_m=_both_sides(p.motor_damping, symbolic.sparse(own.D_m)),
+            B_m=symbolic.sparse(own.B_m),
+            M_m_inverse=_both_sides(1 / p.motor_inertia, symbolic.sparse(np.linalg.inv(own.M_m))),
+        )
 
     @staticmethod
     def _torque(v: ca.SX, level: ca.SX, p: SimpleNamespace) -> ca.SX:
         return friction(v, level, level, ca.SX(1), p.smoothing)
-
-
-def named(parameters: ca.SX, n: int) -> SimpleNamespace:
-    """Return the parts of `parameters` by name."""
-    ends = np.cumsum([0, *(SIZES.get(name, n) for name in NAMES)]).tolist()
-    return SimpleNamespace(**dict(zip(NAMES, ca.vertsplit(parameters, ends), strict=True)))
 
 
 def vector(parts: dict[str, Array]) -> Array:

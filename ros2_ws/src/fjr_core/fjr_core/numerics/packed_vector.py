@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pack named parts of a controller state or a gain set into one vector."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -22,6 +21,10 @@ class PackedVector:
             return {}
         ends = np.cumsum([0, *self.sizes.values()]).tolist()
         return dict(zip(self.sizes, ca.vertsplit(vector, ends), strict=True))
+
+    def named(self, vector: ca.SX) -> SimpleNamespace:
+        """Return the parts of the vector (size,) as attributes."""
+        return SimpleNamespace(**self.unpack(vector))
 
     def pack(self, parts: Mapping[str, ca.MX]) -> ca.MX:
         """Return the vector (size,) of the parts."""
