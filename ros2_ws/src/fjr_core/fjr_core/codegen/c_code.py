@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write C text: CasADi functions with a prefix, arrays of numbers, names."""
 
+from __future__ import annotations
+
 import math
 import re
 from collections.abc import Mapping

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed loop to export, with its parts as CasADi functions from which C can be generated."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 

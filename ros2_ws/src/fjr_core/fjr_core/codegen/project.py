@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write the files of an export to a folder."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path

@@ -4,6 +4,8 @@
 For circles and sines only the position is written here; CasADi derives the total derivatives along those of the angle.
 """
 
+from __future__ import annotations
+
 from functools import singledispatch
 
 import casadi as ca

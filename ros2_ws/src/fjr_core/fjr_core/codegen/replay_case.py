@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Record a closed loop in Python, sample by sample, with inputs and outputs of each exported function."""
 
+from __future__ import annotations
+
 import io
 from dataclasses import dataclass, fields
 

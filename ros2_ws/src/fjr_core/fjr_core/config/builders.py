@@ -4,6 +4,8 @@
 The other builders are in the modules of their parameters and are imported here.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, lru_cache
 from typing import Any

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the controller node."""
 
+from __future__ import annotations
+
 from .diagnosis import CERTIFICATE, CERTIFICATE_TOLERANCE
 from .gains import GAINS
 from .law import LAW, ROBUST

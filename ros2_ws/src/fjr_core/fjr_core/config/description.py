@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """URDF of the robot of a node's parameters: the given file, or a generated one for a closed-form robot."""
 
+from __future__ import annotations
+
 from xml.etree import ElementTree
 
 from ..robot.urdf_export import Rod, hanging_rod, urdf_of_rods

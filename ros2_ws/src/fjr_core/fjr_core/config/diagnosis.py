@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the certificate and its diagnosis."""
 
+from __future__ import annotations
+
 from ..monitoring.grading import Axes
 from ..monitoring.thresholds import TOLERANCE
 from ..robot.robot import Robot

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters gains.*: the gains of v-dPBC, and the parameter values that give them."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from ..control.vdpbc.gains import PAPER_GAINS, Gains

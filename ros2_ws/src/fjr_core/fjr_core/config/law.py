@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters law.* and robust.*: the control law, its tuning, and the robust action."""
 
+from __future__ import annotations
+
 from ..control.registry import LAWS, V_DPBC
 from ..control.robust.options import Robust
 from ..numerics.parameter_field import declared

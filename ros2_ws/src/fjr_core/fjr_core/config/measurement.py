@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters measurement.*: the source of velocities and motor positions, and the velocity observer."""
 
+from __future__ import annotations
+
 from ..estimation.measurement_model import OBSERVER, TORQUE, Measurement
 from ..estimation.velocity_observer import VelocityObserver
 from ..numerics.parameter_field import declared

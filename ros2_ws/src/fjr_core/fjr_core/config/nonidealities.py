@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters imperfections.*: non-idealities of the simulated robot (docs/imperfections.md)."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 from ..errors import ParameterError

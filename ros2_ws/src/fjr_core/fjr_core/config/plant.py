@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the simulated robot: sampling, integration, initial state, lock-step and ~/advance."""
 
+from __future__ import annotations
+
 from ..numerics.checks import Array
 from ..numerics.integrators import INTEGRATORS
 from ..robot.robot import Robot

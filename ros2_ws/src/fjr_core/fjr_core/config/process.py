@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of a node's process: compiled functions, executor, real-time scheduling, memory and cores."""
 
+from __future__ import annotations
+
 import re
 from dataclasses import dataclass
 

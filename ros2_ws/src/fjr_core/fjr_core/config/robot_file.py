@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robot files: resolve and merge the files that `robot.file` and `robot.urdf` name, without ROS."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS 2 parameter files without ROS: read them as rcl does, write them so that rcl reads the same values."""
 
+from __future__ import annotations
+
 import re
 from collections import Counter
 from collections.abc import Mapping

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the safety settings: limits, stop policy, start and recovery."""
 
+from __future__ import annotations
+
 from ..control.safety_settings import Settings
 from ..errors import ParameterError
 from ..numerics.parameter_field import declared

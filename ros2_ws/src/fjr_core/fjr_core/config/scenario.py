@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scenario: the parameters of both nodes in one ROS 2 parameter file, and the closed loop that they describe."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

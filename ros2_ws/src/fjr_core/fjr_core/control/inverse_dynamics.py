@@ -9,6 +9,8 @@ ICRA; Spong 1987). The motor motion follows from q .. d4q without integration:
     u     = B_m^-1 (M_m ddtheta + D_m dtheta + tau)
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import lru_cache
 

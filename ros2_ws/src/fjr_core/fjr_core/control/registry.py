@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control laws by name: v-dPBC and the baselines it is compared with (docs/baselines.md)."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Define sampled-data laws: pure functions of the sample, the gains, the controller state and the last effort."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

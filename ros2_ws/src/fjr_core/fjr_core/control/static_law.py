@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base class of static laws u(x, x, t): evaluation, binding to arrays and compilation."""
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Describe the measured joint signals: velocities or none, motor positions behind gears, or joint torques."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

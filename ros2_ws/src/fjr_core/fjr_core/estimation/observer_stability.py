@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convergence of the velocity observer: its sampled error dynamics linearised about equilibria."""
 
+from __future__ import annotations
+
 import math
 
 import casadi as ca

@@ -24,6 +24,8 @@ Guarantees for an exact model, exact effort and exact positions:
 An unmodelled acceleration a [rad/s^2] causes an error of dq_hat of about 2 a / bandwidth.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 from functools import cached_property

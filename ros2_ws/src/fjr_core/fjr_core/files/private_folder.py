@@ -6,6 +6,8 @@ others have no permission to write. All files are reached from the open folder. 
 parent folder between check and use therefore has no effect.
 """
 
+from __future__ import annotations
+
 import fcntl
 import os
 import secrets

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read text files and JSON objects of bounded size; all failures are OSError or ValueError."""
 
+from __future__ import annotations
+
 import errno
 import json
 import os

@@ -7,6 +7,8 @@ w_k is the effect of the cause on the state in interval k: an effort that differ
 of the model. The remainder of the measured tracking error is due to the loop itself: initial error and hold.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

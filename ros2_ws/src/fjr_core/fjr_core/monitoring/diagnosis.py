@@ -4,6 +4,8 @@
 Only measured states and sent efforts are used.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, replace
 from typing import Literal
 

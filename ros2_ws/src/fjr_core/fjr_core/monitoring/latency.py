@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimate the delay from a state to its command when the clock of the stamps has an unknown offset."""
 
+from __future__ import annotations
+
 WINDOW = 1000  # states over which the clock offset is estimated
 
 

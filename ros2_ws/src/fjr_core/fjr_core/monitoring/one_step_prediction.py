@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predict measured positions and velocities one sample ahead with the model, the effort held."""
 
+from __future__ import annotations
+
 from functools import cached_property
 
 import casadi as ca

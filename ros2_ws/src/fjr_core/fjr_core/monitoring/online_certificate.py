@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evaluate the certificate and the innovations online, one state at a time; bound to buffers for loops at 1 kHz."""
 
+from __future__ import annotations
+
 from dataclasses import fields
 
 import numpy as np

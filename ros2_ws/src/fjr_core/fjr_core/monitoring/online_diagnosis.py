@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnose the running robot block by block, with the thresholds of the offline diagnosis."""
 
+from __future__ import annotations
+
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import fields

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A record of a run: what was measured and sent at each instant."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,6 +6,8 @@ V(second state) - V(first) = [change of V in the model with the effort of the la
                        + mismatch: mean residual of a block            + noise: residual that averages out
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measure the growth of V beyond what hold, noise and the tolerated tracking error explain."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from ..numerics.checks import Array

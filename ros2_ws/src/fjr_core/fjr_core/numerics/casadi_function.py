@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Call CasADi functions with NumPy arrays without conversion overhead."""
 
+from __future__ import annotations
+
 import threading
 from collections.abc import Callable, Sequence
 

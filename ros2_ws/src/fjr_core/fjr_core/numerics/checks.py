@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Validate input: return finite arrays of the expected shape, or raise the given error."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

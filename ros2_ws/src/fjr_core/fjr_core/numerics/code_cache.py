@@ -6,6 +6,8 @@ only if its SHA-256 digest equals the digest stored at compilation. No other use
 and the loading.
 """
 
+from __future__ import annotations
+
 import atexit
 import hashlib
 import logging

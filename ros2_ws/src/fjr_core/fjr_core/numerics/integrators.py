@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Integrator steps x -> x(t + dt) of dx/dt = f(x, u) with u held: Runge-Kutta 4 and implicit midpoint."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import casadi as ca

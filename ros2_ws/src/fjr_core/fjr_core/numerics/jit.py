@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compile CasADi functions just in time: generate C, build a shared object, cache it by content."""
 
+from __future__ import annotations
+
 import ctypes
 import hashlib
 import logging

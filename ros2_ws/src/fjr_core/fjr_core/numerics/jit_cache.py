@@ -5,6 +5,8 @@ jit.compiled needs the function itself to find its machine code. Deriving the ce
 generating its C code takes a third of a second; hashing its inputs takes milliseconds.
 """
 
+from __future__ import annotations
+
 import hashlib
 from collections.abc import Callable
 from contextlib import suppress

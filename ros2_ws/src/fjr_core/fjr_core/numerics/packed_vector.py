@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pack named parts of a controller state or a gain set into one vector."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from types import SimpleNamespace
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Symbolic operations on CasADi SX expressions."""
 
+from __future__ import annotations
+
 import casadi as ca
 from numpy.typing import ArrayLike
 

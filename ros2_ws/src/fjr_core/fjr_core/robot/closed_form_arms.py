@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build robots with closed-form dynamics: the joint of the paper and a planar two-link arm."""
 
+from __future__ import annotations
+
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sample configurations for the evaluation of rates, gains and sampled loops."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import ArrayLike
 

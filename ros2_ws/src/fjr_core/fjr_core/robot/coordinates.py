@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The change of coordinates between measured velocities and the momenta of eq. (36)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 

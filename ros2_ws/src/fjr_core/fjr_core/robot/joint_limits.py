@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joint limits of a robot: position, velocity and effort."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields
 
 import numpy as np

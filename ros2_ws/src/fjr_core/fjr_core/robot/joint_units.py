@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Units of joint quantities: rad and N m for a revolute joint, m and N for a prismatic joint."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from typing import NamedTuple
 

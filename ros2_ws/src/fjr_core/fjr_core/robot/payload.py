@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Add a point mass to the last link; every term of the rigid arm is affine in this mass."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 

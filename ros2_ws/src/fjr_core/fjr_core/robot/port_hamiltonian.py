@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The flexible-joint robot as a port-Hamiltonian system, eq. (36): dx = (J - R) dH/dx + G u."""
 
+from __future__ import annotations
+
 from functools import cached_property
 from typing import Protocol
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Symbolic model of the rigid arm on the link side: inertia, potential, Coriolis terms."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rigid bodies of a serial chain."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flexible-joint robot: rigid arm, motors, and springs between them; checked on construction, immutable."""
 
+from __future__ import annotations
+
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Export a closed-form robot as a URDF: a chain of rods with the same inertia and gravity torque."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build a flexible-joint robot from a URDF and joint elasticity data; Pinocchio merges fixed and locked bodies."""
 
+from __future__ import annotations
+
 import importlib
 import os
 from collections.abc import Mapping, Sequence

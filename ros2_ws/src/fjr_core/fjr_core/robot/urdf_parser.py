@@ -4,6 +4,8 @@
 Only kinematics and inertia are read; visuals, collision shapes and extensions are ignored.
 """
 
+from __future__ import annotations
+
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Virtual control system of the robot, eqs. (25)-(28) and (38), and its variational system."""
 
+from __future__ import annotations
+
 from functools import cached_property
 
 import casadi as ca

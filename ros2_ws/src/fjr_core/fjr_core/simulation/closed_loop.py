@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulate the closed loop without ROS, in continuous time or sampled with a zero-order hold."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

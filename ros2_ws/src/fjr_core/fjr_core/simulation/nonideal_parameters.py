@@ -4,6 +4,8 @@
 The equations are in nonideal_plant.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any

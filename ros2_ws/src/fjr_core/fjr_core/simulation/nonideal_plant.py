@@ -9,6 +9,8 @@
 All non-idealities are arguments of one function, so that they can change while the robot moves.
 """
 
+from __future__ import annotations
+
 from functools import cached_property
 from types import SimpleNamespace
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Demonstrate Theorem 2: solutions of the virtual system along one measured trajectory converge to each other."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Refuse integral action that destabilises the sampled loop, and compute the largest stable gains."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linearise plant and law at equilibria."""
 
+from __future__ import annotations
+
 from functools import lru_cache
 
 import casadi as ca

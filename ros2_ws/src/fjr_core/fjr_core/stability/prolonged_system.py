@@ -11,6 +11,8 @@ and dW/dt is exactly minus the dissipation of `storage`. P depends only on the m
 flat in the errors: the distance of two virtual states is that of their errors.
 """
 
+from __future__ import annotations
+
 from functools import cached_property
 
 import casadi as ca

@@ -9,6 +9,8 @@ at equilibria of sampled configurations. Motion adds Coriolis terms of the order
 small compared with K_d / M and the elastic modes.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joint-space circle: a reference on a circle in the plane of the first two joints."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choose the free derivatives at the knots of a trajectory: minimum jerk, and without overshoot."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Piecewise polynomials of degree 9 with given jets at the knots; of class C^4 by construction."""
 
+from __future__ import annotations
+
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """References with stationary ends: hold, and point to point."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 

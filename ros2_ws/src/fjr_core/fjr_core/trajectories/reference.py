@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interface of reference trajectories of class C^4: value and four exact derivatives at every time."""
 
+from __future__ import annotations
+
 from math import inf
 from typing import Protocol
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sinusoidal references: one sine per joint, or a sum of sines."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spline reference of class C^4 through positions, with optional velocities and accelerations."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Transition between references that is continuous in the first four derivatives, and time shift."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

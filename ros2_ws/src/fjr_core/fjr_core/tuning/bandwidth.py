@@ -8,6 +8,8 @@ and the effort of the reference motion itself, as the largest share of the effor
 robot has none.
 """
 
+from __future__ import annotations
+
 from functools import cached_property
 
 import numpy as np

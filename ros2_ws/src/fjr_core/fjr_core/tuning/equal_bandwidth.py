@@ -11,6 +11,8 @@ The gains of a law follow from two numbers, a natural frequency and a damping ra
 Definitions of bandwidth and peak effort: bandwidth.py.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

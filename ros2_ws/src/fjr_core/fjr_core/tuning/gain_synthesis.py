@@ -12,6 +12,8 @@ c is the largest of a few values for which the loop has the required decay; g is
 longest delay.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -13,6 +13,8 @@ V = (s' M_l s + e_m' K e_m + s_m' M_m s_m) / 2 + Lambda e' (K_1 + D_l) e
     dV/dt = -de' (K_1 + D_l) de - Lambda^2 e' (K_1 + D_l) e - c_1 e_m' K e_m - c_2 s_m' M_m s_m.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from types import SimpleNamespace
 

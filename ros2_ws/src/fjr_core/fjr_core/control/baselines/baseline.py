@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base class of the baseline laws: symbolic gains and expressions of u and V."""
 
+from __future__ import annotations
+
 from abc import abstractmethod
 from types import SimpleNamespace
 from typing import Any

@@ -10,6 +10,8 @@ model. The link error obeys this linear equation exactly. With z = (e, de, dde, 
 companion matrix A, V = z' P z / 2 has dV/dt = -z' Q z / 2. Q = diag(1, w^-2, w^-4, w^-6), w^4n = det A_0.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from types import SimpleNamespace
 

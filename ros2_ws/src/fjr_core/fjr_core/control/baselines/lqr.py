@@ -9,6 +9,8 @@ minimises the integral of x~' Q x~ + u~' R u~ for the linear system. V = x~' P x
 / 2 for small errors about this equilibrium; elsewhere nothing is proven.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from types import SimpleNamespace
 

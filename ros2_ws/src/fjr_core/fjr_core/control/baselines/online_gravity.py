@@ -6,6 +6,8 @@ q_bar(theta) is the link equilibrium with the motors held at theta: K (theta - q
 point of q -> theta - K^-1 grad P_l(q), which is a contraction if the joint stiffness outweighs gravity.
 """
 
+from __future__ import annotations
+
 from functools import lru_cache
 
 import casadi as ca

@@ -15,6 +15,8 @@ Only motor signals are measured. For a constant reference, q_d is the only equil
 dV/dt = -dq' D_l dq - dtheta' (D_m + K_d) dtheta.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from types import SimpleNamespace
 

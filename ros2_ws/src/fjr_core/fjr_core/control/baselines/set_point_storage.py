@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Set point, storage function and positivity condition of the motor-side regulators."""
 
+from __future__ import annotations
+
 from functools import lru_cache
 
 import casadi as ca

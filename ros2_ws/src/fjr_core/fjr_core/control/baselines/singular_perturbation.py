@@ -13,6 +13,8 @@ convergence to the manifold, which must be fast compared with K_p and K_v. With 
 is proven.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from types import SimpleNamespace
 

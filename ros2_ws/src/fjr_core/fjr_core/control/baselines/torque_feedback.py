@@ -16,6 +16,8 @@ TorqueFeedbackFeedforward adds feedforward for a moving reference: theta_d by th
 of the reference, and M_theta ddtheta_d + D_m dtheta_d + tau_d - g_bar(theta_d) in w.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from types import SimpleNamespace
 

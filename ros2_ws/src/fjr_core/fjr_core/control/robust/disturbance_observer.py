@@ -13,6 +13,8 @@ a measurement of d. w filters r by w'' = L^2 (r - w) - 2 L w', so that w, dw and
 w = (L / (s + L))^3 d.
 """
 
+from __future__ import annotations
+
 from functools import cached_property
 
 import casadi as ca

@@ -8,6 +8,8 @@ stiffness. A larger K excites a poorly damped mode of the loop. The extended sto
 averaged over sampled configurations.
 """
 
+from __future__ import annotations
+
 from functools import lru_cache
 
 import casadi as ca

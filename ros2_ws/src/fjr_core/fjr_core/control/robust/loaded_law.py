@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Extend the law by compensation of known load torques and by integral action against unknown ones."""
 
+from __future__ import annotations
+
 import casadi as ca
 
 from ...numerics.casadi_function import dense_function

@@ -6,6 +6,8 @@ and `delay` later are therefore known, and the model predicts the state at that 
 account for the mean delay of the hold, the prediction extends over half of the hold period under the newest effort.
 """
 
+from __future__ import annotations
+
 from functools import cached_property
 
 import casadi as ca

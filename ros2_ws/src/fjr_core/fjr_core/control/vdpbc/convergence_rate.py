@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compute the convergence rate beta of V: per error block, and by eq. (50)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,6 +12,8 @@ known so far; `rate_correction` adds the part that was unknown at the stage of q
 all functions return their neutral value.
 """
 
+from __future__ import annotations
+
 import casadi as ca
 
 from ..lie_derivative import Flow

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evaluate the v-dPBC law u(x_v, x, t) with its storage V and exact dissipation."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Set
 from dataclasses import dataclass, fields
 from functools import cached_property

@@ -4,6 +4,8 @@
 At an equilibrium q_ld = q_l: all errors are zero, and E_l, C and d/dt M_l are of second order.
 """
 
+from __future__ import annotations
+
 import numpy as np
 
 from ...numerics.checks import Array

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Link stage, eqs. (30)-(33): the desired joint torque u_l."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import casadi as ca

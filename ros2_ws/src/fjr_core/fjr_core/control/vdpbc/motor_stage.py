@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motor stage, eqs. (39)-(42): the effort u that tracks the desired joint torque u_l."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import casadi as ca

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Represent the gains in the equations of a law, as constants or as symbols with values passed at evaluation."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 

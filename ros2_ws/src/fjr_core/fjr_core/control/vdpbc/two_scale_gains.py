@@ -9,6 +9,8 @@ K_md = omega M_m would leave these modes almost undamped, and measurement noise 
 therefore set by zeta.
 """
 
+from __future__ import annotations
+
 from ...numerics.checks import Array
 from ...robot.robot import Robot
 from .gains import Gains, critical_damping, relative_eigenvalues

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compute the demand of a motion, independent of the law: its amplitude and the torque that it requires."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import casadi as ca

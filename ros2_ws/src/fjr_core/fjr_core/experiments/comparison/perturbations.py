@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Perturbations of the plant that the laws do not model, each described by one number."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

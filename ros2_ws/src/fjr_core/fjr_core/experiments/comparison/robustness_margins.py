@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Search robustness margins: increase a perturbation until tracking fails, then refine around that level."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run one law on one robot along one reference under given perturbations, as independent runs."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

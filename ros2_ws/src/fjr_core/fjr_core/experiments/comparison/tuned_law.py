@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prepare a law of a comparison: tuned to equal bandwidth (docs/baselines.md), with robust options."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any

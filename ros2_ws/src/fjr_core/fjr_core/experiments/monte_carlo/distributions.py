@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Distributions of the varied parameters: read, checked, and drawn by the number of the run."""
 
+from __future__ import annotations
+
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

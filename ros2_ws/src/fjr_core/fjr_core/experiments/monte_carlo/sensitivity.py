@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Summarise a Monte-Carlo study: success rate, outcomes and first-order sensitivity of each parameter."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any

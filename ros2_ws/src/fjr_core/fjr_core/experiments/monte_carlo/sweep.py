@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Monte-Carlo study as one plain value: scenario, distributions, success criterion; run any part of it."""
 
+from __future__ import annotations
+
 import json
 import threading
 from collections.abc import Mapping

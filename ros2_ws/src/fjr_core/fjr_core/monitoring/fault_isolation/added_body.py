@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compute the joint torques of a body fixed to one link, linear in its ten inertial parameters."""
 
+from __future__ import annotations
+
 import casadi as ca
 import numpy as np
 

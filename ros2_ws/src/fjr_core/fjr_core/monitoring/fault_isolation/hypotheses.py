@@ -5,6 +5,8 @@ Each hypothesis is a set of columns; the residual is their sum with unknown coef
 example, leaves opposite torques proportional to the deflection in the two equations of its joint.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Isolate the single fault that best explains the residual torques of a record: kind, joint, side and size."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 

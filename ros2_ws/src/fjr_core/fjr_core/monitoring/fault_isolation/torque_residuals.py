@@ -9,6 +9,8 @@ momentum residual of A. De Luca, R. Mattone, Actuator failure detection and isol
 2003. Means over blocks of intervals suppress the noise of velocity sensors, which telescopes.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare measured velocities with differences of the measured positions, without a model of the robot."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the sampled closed loop of one robot, law and reference many times with drawn parameters."""
 
+from __future__ import annotations
+
 import ctypes
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,6 +4,8 @@
 NumPy's Philox4x64-10 (J. Salmon, M. Moraes, R. Dror, D. Shaw, SC 2011); noise.c implements the same generator.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import NDArray
 

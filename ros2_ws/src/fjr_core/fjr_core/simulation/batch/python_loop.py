@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Python equivalent of loop.c for machines without a C compiler: same results, some thousand times slower."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Any
 

@@ -6,6 +6,8 @@ of a diagonal matrix are multiplied by f, and one factor for all joints multipli
 links, M_l(q_l) -> S M_l(q_l) S; the kinetic energy of v is then that of S v, from which all other terms follow.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
