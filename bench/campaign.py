@@ -6,7 +6,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from time import perf_counter, process_time
+from timeit import timeit
 
 import numpy as np
 
@@ -56,7 +58,7 @@ def against_peers(runs: int = RUNS, rounds: int = ROUNDS) -> list[Figure]:
     with one_core():
         for i in range(rounds):
             for name, (run, count) in some.items():
-                times[name].append(_seconds(run, i * count) / count)
+                times[name].append(timeit(partial(run, i * count), number=1) / count)
     each = {name: float(np.median(seconds)) for name, seconds in times.items()}
     name = f"campaign: {runs:,} runs of the paper's joint, 5 s at 1 kHz, on two cores"
     parts = {"processor time [s]": busy, "a run [ms]": 1e3 * each["ours"], "cores there": float(os.cpu_count() or 0)}
@@ -93,9 +95,3 @@ def _peers(ours: ClosedLoop, drawn: Draws) -> dict[str, tuple[Callable[[int], ob
         return lambda first: [peer(ours, drawn, (first + i) % drawn.runs) for i in range(count)], count
 
     return {"solve_ivp": of(scipy_peer, 1), "MuJoCo": of(mujoco_peer, 5)}
-
-
-def _seconds(run: Callable[[int], object], first: int) -> float:
-    start = perf_counter()
-    run(first)
-    return perf_counter() - start
