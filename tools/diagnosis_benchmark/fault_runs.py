@@ -109,15 +109,12 @@ class _Draw:
         smooth = {"imperfections.friction_smoothing_velocity": [0.05] * self.n} if self.scenario == "arm7" else {}
         return {"changes": {f"imperfections.{name}": entries, **smooth}}
 
-    def unit(self, size: int, at: int) -> Array:
-        return np.eye(size)[at]
-
 
 Maker = Callable[[_Draw], dict[str, Any]]
 
 
 def _constant(d: _Draw) -> dict[str, Any]:
-    push = d.torque * d.unit(d.n, d.j)
+    push = d.torque * np.eye(d.n)[d.j]
     if d.side == "link":
         return {"fault": Fault(push=push)}
     return {"fault": Fault(effort=lambda u: u + push)}
@@ -133,13 +130,13 @@ def _stiffness(d: _Draw) -> float:
 
 
 def _offset(d: _Draw) -> dict[str, Any]:
-    shift = d.torque / _stiffness(d) * d.unit(2 * d.n, d.channel)
+    shift = d.torque / _stiffness(d) * np.eye(2 * d.n)[d.channel]
     return {"fault": Fault(position=lambda q: q + shift)}
 
 
 def _backlash(d: _Draw) -> dict[str, Any]:
     K, half = _stiffness(d), d.torque / _stiffness(d)
-    return {"fault": Fault(spring=lambda zeta: -K * np.clip(zeta, -half, half) * d.unit(d.n, d.j))}
+    return {"fault": Fault(spring=lambda zeta: -K * np.clip(zeta, -half, half) * np.eye(d.n)[d.j])}
 
 
 def _scaled(size: int, at: int, factor: float) -> Callable[[Array], Array]:

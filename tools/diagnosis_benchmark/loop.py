@@ -41,7 +41,7 @@ class LockStepLoop:
 
     def __init__(self, scenario: Scenario) -> None:
         values, robot = scenario.plant_values, scenario.plant.robot
-        inner = round(1e9 / float(values["publish_rate"]) / int(values["inner_steps"]))  # type: ignore[arg-type]
+        self._inner = inner = round(1e9 / float(values["publish_rate"]) / int(values["inner_steps"]))  # type: ignore[arg-type]
         motion, sensors = nonidealities.imperfections(values, robot), nonidealities.sensor_errors(values, robot.n)
         seed, self._n = nonidealities.seed(values), robot.n
         self._robot = SimulatedRobot(scenario.plant, scenario.x0, inner, motion, sensors, seed)
