@@ -227,8 +227,8 @@ def cases(seed: int = VALIDATION_SEED, robots: tuple[str, ...] = ROBOTS) -> list
     """Return every fault in three sizes on each applicable robot, wiring faults and healthy runs."""
     rng = np.random.default_rng(seed)
     loaded = {name: Case("", name, "").loaded() for name in ROBOTS}
-    found = [_case(rng, loaded, kind, i, robot) for kind in FAULTS for i in range(3) for robot in ROBOTS]
-    found += [_case(rng, loaded, kind, i, robot) for kind in WIRING for i in range(3) for robot in ROBOTS]
+    kinds = (*FAULTS, *WIRING)
+    found = [_case(rng, loaded, kind, i, robot) for kind in kinds for i in range(3) for robot in ROBOTS]
     return [*(each for each in found if each is not None and each.case.scenario in robots), *healthy(seed)]
 
 

@@ -45,6 +45,7 @@ class FaultyLoop(LockStepLoop):
         self._velocities: deque[Array] = deque(maxlen=fault.delay + 1)  # the latest ones
         super().__init__(scenario)
         self._B_m = scenario.plant.robot.B_m
+        self._inner = self._transport.period // int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
         self._command: Array = np.zeros(scenario.robot.n)
         if fault.push is not None:
             self._robot.external = fault.push

@@ -60,7 +60,9 @@ class Control:
         # Above nothing is created on the node; below nothing raises.
         self.reports = Reports(node, self.tracker, events, robot_name(values))
         self._command_loop = CommandLoop(node, joints, self.tracker, reader, self.reports, on_conflict)
-        self._interface = TrajectoryInterface(node, joints, self.tracker, self.reports, self._is_active, self._built_in)
+        self._interface = TrajectoryInterface(
+            node, joints, self.tracker, self.reports, lambda: self._command_loop.active, self._built_in
+        )
         self._apply_motion_limits()
         self._action = self._create_action(node, allowed)
         self._certificate_publisher = self._create_certificate_publisher(node, np.asarray(settings.effort))
@@ -114,9 +116,6 @@ class Control:
         if self._certificate_publisher is not None and isinstance(self._law, TrackingLaw):
             self._certificate_publisher.use(self._law, np.asarray(settings.effort))
         self.reports.publish_events()
-
-    def _is_active(self) -> bool:
-        return self._command_loop.active
 
     def _built_in(self) -> Reference:
         """Return the reference that the parameters describe. Raise ParameterError if it violates its limits."""

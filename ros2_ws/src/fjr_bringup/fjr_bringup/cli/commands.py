@@ -20,12 +20,14 @@ def implementation(name: str) -> ModuleType:
     return module
 
 
+COMMANDS = click.Group()
+"""All commands, in the order of the help."""
 stamped_duration = duration_option("Duration of a run in seconds of stamped time.", 5.0)
 runs_folder = output_option("Folder for the folders of runs.", "runs")
 force_over_ros2 = click.option("--force", is_flag=True, help="Run although ros2 is on the PATH.")
 
 
-@click.command()
+@COMMANDS.command()
 @stamped_duration
 @runs_folder
 def demo(**given: Any) -> Any:
@@ -36,7 +38,7 @@ def demo(**given: Any) -> Any:
     return implementation("run").demo(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @click.option("--lockstep", is_flag=True, help="Simulate one sample per command, independently of the clock.")
 @click.option("--force", is_flag=True, help="Run a scenario even if it is unstable as sampled.")
@@ -51,7 +53,7 @@ def run(**given: Any) -> Any:
     return implementation("run").run_scenario(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @click.argument("bags", nargs=-1, required=True, metavar="BAG...", type=options.PATH)
 @click.option("--scenario", metavar="NAME", help="Scenario of the robot: a name or a file. [default: next to the bag]")
 @output_option("Folder for the reports. [default: next to the bag]")
@@ -64,7 +66,7 @@ def report(**given: Any) -> Any:
     return implementation("report").report(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @set_option
 def check(**given: Any) -> Any:
@@ -75,7 +77,7 @@ def check(**given: Any) -> Any:
     return implementation("check").check_scenario(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @click.option("--beta", type=options.RATE, metavar="B", required=True, help="Required rate of convergence [1/s].")
 @click.option(
@@ -91,13 +93,13 @@ def gains(**given: Any) -> Any:
     return implementation("gains").print_gains(**given)
 
 
-@click.command()
+@COMMANDS.command()
 def scenarios() -> Any:
     """List the installed scenarios."""
     return implementation("report").list_scenarios()
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @click.option("--run", "run_folder", type=options.PATH, metavar="DIR", help="Folder of a recorded run to follow.")
 @duration_option("Duration in seconds.", 1.0)
@@ -128,7 +130,7 @@ def contraction(**given: Any) -> Any:
     return implementation("studies").contraction(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @set_option
 def description(**given: Any) -> Any:
@@ -139,7 +141,7 @@ def description(**given: Any) -> Any:
     return implementation("export").print_description(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @click.option("--runs", type=options.RUNS, metavar="N", help="Number of runs. [default: the sweep's, else 1000]")
 @click.option("--seed", type=int, metavar="N", help="Seed of all random numbers. [default: the sweep's, else 0]")
@@ -160,7 +162,7 @@ def sweep(**given: Any) -> Any:
     return implementation("studies").sweep(**given)
 
 
-@click.command("export-c")
+@COMMANDS.command("export-c")
 @click.argument("scenario", shell_complete=options.complete_scenario)
 @click.argument("folder", metavar="DIR", type=options.PATH)
 @click.option("--prefix", metavar="NAME", help="Prefix of all names in C. [default: the scenario's name]")
@@ -174,7 +176,7 @@ def export_c(**given: Any) -> Any:
     return implementation("export").export_scenario(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @click.argument("suite", default="paper")
 @output_option("Folder in which compare_SUITE/ is written.", "runs")
 @click.option("--cores", type=options.cores, metavar="N", help="Cores of this machine, or `all`. [default: all]")
@@ -202,7 +204,7 @@ def compare(**given: Any) -> Any:
     return implementation("studies").compare(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @click.argument("topic")
 @click.option("--once", "count", flag_value=1, type=int, default=None, help="Print only the first message.")
 @click.option("--count", type=options.MESSAGES, metavar="N", help="Print only N messages.")
@@ -213,7 +215,7 @@ def echo(**given: Any) -> Any:
     return implementation("live").echo_topic(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @click.argument("topics", nargs=-1, metavar="[TOPIC]...")
 @output_option("A new folder. [default: bag_ and the time]")
 @duration_option("Duration in seconds. [default: until Ctrl-C]")
@@ -226,7 +228,7 @@ def record(**given: Any) -> Any:
     return implementation("live").record_topics(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @click.option("--namespace", metavar="NS", default="/", show_default=True, help="Namespace of the nodes.")
 @click.option(
@@ -247,21 +249,3 @@ def watch(**given: Any) -> Any:
     SCENARIO is the scenario whose effort limits are shown; without one those of the URDF are.
     """
     return implementation("live").watch_loop(**given)
-
-
-COMMANDS = (
-    demo,
-    run,
-    report,
-    check,
-    gains,
-    scenarios,
-    contraction,
-    description,
-    sweep,
-    export_c,
-    compare,
-    echo,
-    record,
-    watch,
-)

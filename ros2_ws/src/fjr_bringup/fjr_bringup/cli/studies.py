@@ -42,9 +42,8 @@ def sweep(
     output: Path,
 ) -> None:
     """Run a Monte-Carlo study; a number that is None is the study's own."""
-    monte_carlo = import_module(
-        "fjr_bringup.studies.monte_carlo.command"
-    )  # loads pyarrow, which the others do not need
+    # pyarrow, which this module loads, is not needed by the others
+    monte_carlo = import_module("fjr_bringup.studies.monte_carlo.command")
     given = {"runs": runs, "seed": seed, "duration": duration}
     numbers = {name: value for name, value in given.items() if value is not None}
     wish = monte_carlo.Options(cores, scheduler, output, library.parse_assignments(assignments), numbers)

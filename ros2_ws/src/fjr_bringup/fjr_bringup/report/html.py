@@ -40,7 +40,9 @@ def environment() -> Environment:
     )
     made.filters |= {"number": number, "percent": percent}
     made.globals |= {"HEADINGS": HEADINGS, "SCRIPT": uplot.SCRIPT, "STYLE": uplot.STYLE}
-    made.globals |= {"colour": colour, "static": _static, "asset": _asset}
+    static = files("fjr_bringup") / TEMPLATES  # files that go into a page as they are, like those of uPlot
+    made.globals["static"] = lambda name: Markup((static / name).read_text(encoding="utf-8"))
+    made.globals |= {"colour": colour, "asset": lambda name: Markup(uplot.asset(name))}
     made.policies["json.dumps_kwargs"] = {}
     return made
 
@@ -56,13 +58,3 @@ def write_page(path: Path, template: str, title: str, plots: Sequence[Plot], **v
 def as_json(value: object) -> str:
     """Return a value as indented JSON for the folded block at the end of a page."""
     return json.dumps(value, indent=2, ensure_ascii=False)
-
-
-def _asset(name: str) -> Markup:
-    """Return uPlot's script or style."""
-    return Markup(uplot.asset(name))
-
-
-def _static(name: str) -> Markup:
-    """Return a file of this package that goes into the page as it is."""
-    return Markup((files("fjr_bringup") / TEMPLATES / name).read_text(encoding="utf-8"))

@@ -97,14 +97,7 @@ def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
 
 def table(summaries: Sequence[RunSummary]) -> str:
     """Return why controllers stopped, a table with one line per run, and the faults found."""
-    head = (
-        "scenario",
-        "peak effort",
-        "error after 2 s",
-        "answered in time",
-        "V decays at (at least)",
-        "verdict",
-    )
+    head = ("scenario", "peak effort", "error after 2 s", "answered in time", "V decays at (at least)", "verdict")
     rows = [head, *(_row(summary.label, summary.report) for summary in summaries)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -89,11 +89,8 @@ class Supervisor:
         measured state.
         """
         supervisor = copy(self)
-        supervisor.reference, supervisor.transfer, supervisor.bound = (
-            copy(self.reference),
-            copy(self.transfer),
-            copy(self.bound),
-        )
+        supervisor.reference, supervisor.bound = copy(self.reference), copy(self.bound)
+        supervisor.transfer = copy(self.transfer)
         supervisor._journal = Journal()
         supervisor._handle_order(order, stamp, settling)
         supervisor._handle_requests(order, stamp)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fjr_core import Reference, TrajectoryError
+from fjr_core import Reference, TrajectoryError, VelocityObserver
 from fjr_core.control.robust import Robust
 from fjr_core.control.safety_settings import Settings
 from fjr_core.control.static_law import StaticLaw
@@ -22,7 +22,7 @@ from fjr_core.numerics.checks import Array
 from .bound_start import BoundStatus
 from .effort_output import EffortOutput
 from .events import ERROR, INFO, WARN, Journal, State
-from .measured_state import MeasuredState, Observer, StateMeasurement
+from .measured_state import MeasuredState, StateMeasurement
 from .stamp_order import Order, Stamps
 from .supervisor import Supervisor
 from .wiring_monitor import WiringMonitor
@@ -86,7 +86,7 @@ class Tracker:
         law: StaticLaw,
         reference: Reference,
         settings: Settings,
-        observer: Observer | None = None,
+        observer: VelocityObserver | None = None,
         simulated_time: bool = False,
         robust: Robust | None = None,
     ) -> None:

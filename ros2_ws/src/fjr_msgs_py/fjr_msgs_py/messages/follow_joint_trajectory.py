@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from trajectory_msgs.msg import JointTrajectory
 
-from .joint_states import set_stamp
+from fjr_core.numerics.checks import Array
 
-Array = NDArray[np.float64]
+from .joint_states import set_stamp
 
 
 @dataclass(frozen=True, eq=False)
