@@ -75,6 +75,11 @@ def matched(recorder: Recorder, *publishers: Publisher) -> None:
     until(lambda: all(p.get_subscription_count() and recorder.matched(p.topic_name) for p in publishers))
 
 
+def last(recorder: Recorder, topic: str) -> bytes:
+    """The latest serialised message of a topic; empty before the first."""
+    return (recorder.ends(topic) or (b"", b""))[1]
+
+
 @pytest.fixture
 def recorded(node: Node, tmp_path: Path) -> tuple[Path, list[bytes]]:
     """A closed bag with COUNT joint states, and what was sent."""
@@ -84,7 +89,7 @@ def recorded(node: Node, tmp_path: Path) -> tuple[Path, list[bytes]]:
         matched(recorder, publisher)
         for data in sent:
             publisher.publish(data)
-        until(lambda: recorder.last("/joint_states") == sent[-1])
+        until(lambda: last(recorder, "/joint_states") == sent[-1])
     assert recorder.failure is None
     return tmp_path / "bag", sent
 
@@ -206,11 +211,11 @@ def test_topics_that_appear_later_are_found_with_what_they_offer(node: Node, tmp
     early = node.create_publisher(String, "/described_before", latched)
     early.publish(String(data="sent before the recorder came"))
     with Recorder(tmp_path / "bag") as recorder:
-        until(lambda: bool(recorder.last("/described_before")))
+        until(lambda: bool(last(recorder, "/described_before")))
         late = node.create_publisher(String, "/late", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
         matched(recorder, late)
         late.publish(String(data="best effort"))
-        until(lambda: bool(recorder.last("/late")))
+        until(lambda: bool(last(recorder, "/late")))
     bag = read_bag(tmp_path / "bag")
     assert [message.data for message in bag.topic("/described_before").decoded] == ["sent before the recorder came"]
     assert [message.data for message in bag.topic("/late").decoded] == ["best effort"]
@@ -223,9 +228,9 @@ def test_a_weaker_publisher_that_joins_is_recorded_too(node: Node, tmp_path: Pat
         weak = node.create_publisher(String, "/shared", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
         until(lambda: recorder.matched("/shared") == 2 and weak.get_subscription_count() > 0)
         weak.publish(String(data="weak"))
-        until(lambda: b"weak" in recorder.last("/shared"))
+        until(lambda: b"weak" in last(recorder, "/shared"))
         strong.publish(String(data="strong"))
-        until(lambda: b"strong" in recorder.last("/shared"))
+        until(lambda: b"strong" in last(recorder, "/shared"))
     assert [message.data for message in read_bag(tmp_path / "bag").topic("/shared").decoded] == [
         "weak",
         "strong",

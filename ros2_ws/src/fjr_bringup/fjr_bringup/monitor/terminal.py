@@ -49,8 +49,12 @@ CERTIFICATE = (  # published label, displayed name, unit
 
 def render(view: View, width: int = WIDE) -> RenderableType:
     """Render the whole view; below WIDE characters without velocities and deflections."""
-    parts: list[RenderableType] = [_header(view), _joints(view.joints, width >= WIDE)]
-    parts += [_certificate(view), _health(view)]
+    parts: list[RenderableType] = [
+        _header(view),
+        _joints(view.joints, width >= WIDE),
+        _certificate(view),
+        _health(view),
+    ]
     if view.events:
         parts.append(_events(view))
     if view.missing:
@@ -188,8 +192,7 @@ def _events(view: View) -> Panel:
     lines = []
     for event in view.events:
         level = LEVELS[min(event.level, len(LEVELS) - 1)]
-        line = (
-            Text().append(f"{event.age:6.1f} s ago  ", style="dim").append(event.kind, style=f"bold {COLOURS[level]}")
-        )
+        line = Text().append(f"{event.age:6.1f} s ago  ", style="dim")
+        line.append(event.kind, style=f"bold {COLOURS[level]}")
         lines.append(line.append(f"  {event.sentence}"))
     return Panel(Text("\n").join(lines), title="events", title_align="left", border_style="dim")

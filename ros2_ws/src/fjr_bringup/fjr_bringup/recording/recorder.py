@@ -88,11 +88,6 @@ class Recorder:
         """Return the first and latest serialised message of a topic; None before the first."""
         return self._tracks[topic].ends if topic in self._tracks else None
 
-    def last(self, topic: str) -> bytes:
-        """Return the latest serialised message of a topic; empty before the first."""
-        ends = self.ends(topic)
-        return ends[1] if ends else b""
-
     def matched(self, topic: str) -> int:
         """Return the number of publishers of a topic that are matched with this recorder."""
         return self._tracks[topic].subscription.get_publisher_count() if topic in self._tracks else 0
