@@ -71,7 +71,7 @@ def _log_to_stderr() -> None:
     cls=Application,
     commands=COMMANDS.commands,
     epilog=f"\b\n{HELP}",
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
 )
 @click.version_option(None, "--version", package_name="fjr_bringup", message="%(prog)s %(version)s")
 def fjr() -> None:

@@ -57,7 +57,13 @@ def run(**given: Any) -> Any:
 @click.argument("bags", nargs=-1, required=True, metavar="BAG...", type=options.PATH)
 @click.option("--scenario", metavar="NAME", help="Scenario of the robot: a name or a file. [default: next to the bag]")
 @output_option("Folder for the reports. [default: next to the bag]")
-@click.option("--namespace", metavar="NS", default="", help="Namespace of the nodes, if the bag holds several.")
+@click.option(
+    "--namespace",
+    metavar="NS",
+    default="",
+    show_default=False,
+    help="Namespace of the nodes, if the bag holds several.",
+)
 def report(**given: Any) -> Any:
     """Write pages and figures from bags of any robot.
 
@@ -80,9 +86,7 @@ def check(**given: Any) -> Any:
 @COMMANDS.command()
 @scenario_argument
 @click.option("--beta", type=options.RATE, metavar="B", required=True, help="Required rate of convergence [1/s].")
-@click.option(
-    "--delay", type=options.SAMPLES, metavar="D", default=0.0, show_default=True, help="Delay of the loop in samples."
-)
+@click.option("--delay", type=options.SAMPLES, metavar="D", default=0.0, help="Delay of the loop in samples.")
 @click.option("--everywhere", is_flag=True, help="Cover the joints' whole range instead of the reference only.")
 @set_option
 def gains(**given: Any) -> Any:
@@ -103,23 +107,11 @@ def scenarios() -> Any:
 @scenario_argument
 @click.option("--run", "run_folder", type=options.PATH, metavar="DIR", help="Folder of a recorded run to follow.")
 @duration_option("Duration in seconds.", 1.0)
+@click.option("--starts", type=options.SOLUTIONS, metavar="M", default=8, help="Number of virtual solutions, 2 to 64.")
 @click.option(
-    "--starts",
-    type=options.SOLUTIONS,
-    metavar="M",
-    default=8,
-    show_default=True,
-    help="Number of virtual solutions, 2 to 64.",
+    "--spread", type=options.ANGLE, metavar="RAD", default=0.5, help="Largest initial distance of the links [rad]."
 )
-@click.option(
-    "--spread",
-    type=options.ANGLE,
-    metavar="RAD",
-    default=0.5,
-    show_default=True,
-    help="Largest initial distance of the links [rad].",
-)
-@click.option("--seed", type=int, metavar="N", default=0, show_default=True, help="Seed of the random initial states.")
+@click.option("--seed", type=int, metavar="N", default=0, help="Seed of the random initial states.")
 @output_option("Folder in which contraction/ is written.", "runs")
 @set_option
 def contraction(**given: Any) -> Any:
@@ -146,9 +138,7 @@ def description(**given: Any) -> Any:
 @click.option("--runs", type=options.RUNS, metavar="N", help="Number of runs. [default: the sweep's, else 1000]")
 @click.option("--seed", type=int, metavar="N", help="Seed of all random numbers. [default: the sweep's, else 0]")
 @duration_option("Duration of a run in seconds. [default: the sweep's, else 5]")
-@click.option(
-    "--cores", type=options.cores, metavar="N", default="1", show_default=True, help="Cores of this machine, or `all`."
-)
+@click.option("--cores", type=options.cores, metavar="N", default="1", help="Cores of this machine, or `all`.")
 @click.option(
     "--scheduler", metavar="ADDRESS", help="Dask cluster to use instead of this machine, e.g. tcp://host:8786."
 )
@@ -230,10 +220,8 @@ def record(**given: Any) -> Any:
 
 @COMMANDS.command()
 @scenario_argument
-@click.option("--namespace", metavar="NS", default="/", show_default=True, help="Namespace of the nodes.")
-@click.option(
-    "--controller", metavar="NAME", default="fjr_controller", show_default=True, help="Name of the controller node."
-)
+@click.option("--namespace", metavar="NS", default="/", help="Namespace of the nodes.")
+@click.option("--controller", metavar="NAME", default="fjr_controller", help="Name of the controller node.")
 @click.option("--once", is_flag=True, help="Print the state once as plain text.")
 @click.option(
     "--remap",

@@ -64,9 +64,9 @@ class EffortOutput:
         limits = self.limits
         u = limits.send(supervisor.transfer.apply(selected, limits.sent, self.policy.standing, stamp), stamp)
         if u is selected and math.isfinite(V):
-            supervisor.bound.update(stamp, V)
+            supervisor.bound_start = stamp if supervisor.bound_start is None else supervisor.bound_start
         else:
-            supervisor.bound.reset()
+            supervisor.bound_start = None
         return u
 
     def send_without_law(self, supervisor: Supervisor, stamp: int) -> Array:
@@ -79,5 +79,5 @@ class EffortOutput:
         u = self.limits.saturate(self.policy.standing())
         self.limits.replace(u)
         self.law.reset()
-        supervisor.bound.reset()
+        supervisor.bound_start = None
         return u

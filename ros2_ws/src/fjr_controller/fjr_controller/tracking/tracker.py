@@ -19,7 +19,6 @@ from fjr_core.control.safety_settings import Settings
 from fjr_core.control.static_law import StaticLaw
 from fjr_core.numerics.checks import Array
 
-from .bound_start import BoundStatus
 from .effort_output import EffortOutput
 from .events import ERROR, INFO, WARN, Journal, State
 from .measured_state import MeasuredState, StateMeasurement
@@ -127,9 +126,9 @@ class Tracker:
         return self._supervisor.reference.end
 
     @property
-    def certificate(self) -> BoundStatus | None:
-        """Return the start of the bound on V and the present V; None unless the effort sent is the law's own."""
-        return self._supervisor.bound.certificate
+    def bound_start(self) -> int | None:
+        """Return the stamp [ns] at which the bound on V starts; None unless the effort sent is the law's own."""
+        return self._supervisor.bound_start
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -217,7 +216,7 @@ class Tracker:
         Raise GainsError if its effort is not finite; then the law remains.
         """
         self._output.use(law)
-        self._supervisor.bound.reset()
+        self._supervisor.bound_start = None
         self._journal.report(INFO, "gains changed", "gains changed: the certificate starts again")
 
     def jets_at(self, stamp: int) -> Array | None:
