@@ -17,7 +17,6 @@ from bench.figures import Figure
 from bench.measure import one_core
 from fjr_core import PAPER_GAINS, Sine, TrackingLaw, single_link
 from fjr_core.control.sampled_law import AsSampledLaw
-from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch import ClosedLoop, Draws
 
 RUNS, DURATION, PERIOD, INNER_STEPS = 10_000, 5.0, 1e-3, 4
@@ -53,7 +52,10 @@ def against_peers(runs: int = RUNS, rounds: int = ROUNDS) -> list[Figure]:
     ours, drawn = loop(), draws(runs)
     ours.run(drawn.taken(range(2)))
     wall, busy = campaign(ours, drawn)
-    some = {"ours": (lambda first: _ours(ours, drawn, first), 100), **_peers(ours, drawn)}
+    some = {
+        "ours": (lambda first: ours.run(drawn.taken(np.arange(first, first + 100) % runs)), 100),
+        **_peers(ours, drawn),
+    }
     times: dict[str, list[float]] = {name: [] for name in some}
     with one_core():
         for i in range(rounds):
@@ -83,11 +85,6 @@ def campaign(ours: ClosedLoop, drawn: Draws) -> tuple[float, float]:
     if not all(outcome.stable.all() for outcome in outcomes):
         raise ArithmeticError("a run was lost; expected all to be stable")
     return seconds
-
-
-def _ours(ours: ClosedLoop, drawn: Draws, first: int) -> Array:
-    which = np.arange(first, first + 100) % drawn.runs
-    return ours.run(drawn.taken(which)).rms[:, 0]
 
 
 def _peers(ours: ClosedLoop, drawn: Draws) -> dict[str, tuple[Callable[[int], object], int]]:

@@ -50,16 +50,6 @@ class FaultyLoop(LockStepLoop):
         if fault.push is not None:
             self._robot.external = fault.push
 
-    @property
-    def state(self) -> str:
-        """Return the state of the tracker: "tracking", "stopped" and so on."""
-        return self._tracker.state.value
-
-    @property
-    def reason(self) -> str:
-        """Return the reason of the stop, one sentence."""
-        return self._tracker.reason
-
     def _sample(self) -> Sample:
         position, velocity, effort = self._robot.measure()
         if self._fault.position is not None:

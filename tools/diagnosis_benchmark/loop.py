@@ -41,7 +41,7 @@ class LockStepLoop:
         self._robot, self._transport = simulated(scenario.plant_values, scenario.plant, scenario.x0)
         self._n = scenario.robot.n
         settings = safety(scenario.controller_values, scenario.robot)
-        self._tracker = Tracker(scenario.law, scenario.reference, settings, simulated_time=True)
+        self.tracker = Tracker(scenario.law, scenario.reference, settings, simulated_time=True)
         self._arrived: deque[Sample] = deque()
         self._newest = 0
         self.log = Log()
@@ -81,7 +81,7 @@ class LockStepLoop:
     def _answer(self, sample: Sample) -> None:
         stamp, position, velocity, _ = sample
         sides = position[: self._n], position[self._n :], velocity[: self._n], velocity[self._n :]
-        command = self._tracker.command(JointSample(stamp, *sides), stamp)
+        command = self.tracker.command(JointSample(stamp, *sides), stamp)
         if command is None:
             return
         self.log.commands.append((stamp, command.u.copy(), command.jets.copy()))

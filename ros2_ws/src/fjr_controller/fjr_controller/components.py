@@ -125,8 +125,7 @@ class Control:
         return reference
 
     def _apply_motion_limits(self) -> None:
-        values = self._values
-        limits = motion_limits(values, self._settings, self._robot)
+        values, limits = self._values, motion_limits(self._values, self._settings, self._robot)
         self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
     def _create_certificate_publisher(self, node: Node, limit: Array) -> CertificatePublisher | None:

@@ -43,11 +43,6 @@ class Sensors:
             self._time = time
             self._draw = self._random.standard_normal(len(self._deviation))
         noise = self._deviation * self._draw
-        position = quantised(position + noise[: len(position)], self._step)
+        position, exact = position + noise[: len(position)], self._step == 0
+        position = np.where(exact, position, np.round(position / np.where(exact, 1.0, self._step)) * self._step)
         return position, velocity + noise[len(position) :] if self.errors.velocities else NO_VELOCITIES
-
-
-def quantised(position: Array, step: Array) -> Array:
-    """Round positions to the nearest multiple of the step; a step of 0 leaves them unchanged."""
-    fine = step == 0
-    return np.where(fine, position, np.round(position / np.where(fine, 1.0, step)) * step)

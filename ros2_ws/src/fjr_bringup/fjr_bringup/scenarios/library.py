@@ -50,20 +50,19 @@ def find(name: str | None, kind: str = "scenario") -> Path:
     raise ScenarioError(f"{what}: expected a YAML file or one of {', '.join(there)}")
 
 
-def parse_assignment(text: str) -> tuple[str, Any]:
-    """Split ``name:=value``; the value is YAML, including numbers such as 1e-3. Raises ParameterError."""
-    name, separator, value = text.partition(":=")
-    if not (name and separator):
-        raise ParameterError(f"'{text}' is not an assignment; expected name:=value, e.g. robot.joint_stiffness:=[31.0]")
-    try:
-        return name.strip(), ros_yaml.parse(value)
-    except ParameterError as error:
-        raise ParameterError(f"value of '{name}' {error}") from None
-
-
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """Return the parameter values of ``name:=value`` assignments; raises ParameterError."""
-    return dict(parse_assignment(text) for text in assignments)
+    """Return the values of ``name:=value`` assignments: YAML, including numbers such as 1e-3. Raises ParameterError."""
+    values = {}
+    for text in assignments:
+        name, separator, value = text.partition(":=")
+        if not (name and separator):
+            expected = "expected name:=value, e.g. robot.joint_stiffness:=[31.0]"
+            raise ParameterError(f"'{text}' is not an assignment; {expected}")
+        try:
+            values[name.strip()] = ros_yaml.parse(value)
+        except ParameterError as error:
+            raise ParameterError(f"value of '{name}' {error}") from None
+    return values
 
 
 def load(name: str | None, assignments: Iterable[str] = ()) -> Scenario:

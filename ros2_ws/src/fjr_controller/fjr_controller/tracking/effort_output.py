@@ -69,11 +69,6 @@ class EffortOutput:
             supervisor.bound_start = None
         return u
 
-    def send_without_law(self, supervisor: Supervisor, stamp: int) -> Array:
-        """Return the stop policy's effort (n,) [N m] for a sample at `stamp` [ns] without a finite effort."""
-        self.law.reset()
-        return self.send(supervisor, self.policy.standing(), math.nan, stamp)
-
     def send_without_sample(self, supervisor: Supervisor) -> Array:
         """Return the stop policy's effort (n,) [N m] within the effort limits; the rate limits do not apply."""
         u = self.limits.saturate(self.policy.standing())

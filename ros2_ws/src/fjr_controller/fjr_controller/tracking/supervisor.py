@@ -98,7 +98,8 @@ class Supervisor:
 
     def committed(self, journal: Journal) -> Supervisor:
         """Return this supervisor with `journal`, to which everything reported so far is added."""
-        journal.merge(self._journal)
+        journal.events.extend(self._journal.events)
+        journal.counters.update(self._journal.counters)
         self._journal = journal
         return self
 
@@ -180,7 +181,7 @@ class Supervisor:
             self._recover(stamp)
 
     def _start(self, stamp: int) -> None:
-        self.transfer.ramp(stamp, self.settings.ramp_time)
+        self.transfer.begin(stamp, self.settings.ramp_time, ramp=True)
         if self.settings.start_join_time > 0:
             jets0 = standing(self._state.q_l, self._state.dq_l)
             self.reference.begin_transition(jets0, stamp, self.settings.start_join_time)
@@ -208,7 +209,7 @@ class Supervisor:
         sentence = "recovery: tracking continues at once"
         if seconds > 0:
             self.reference.begin_transition(standing(self._state.q_l, self._state.dq_l), stamp, seconds)
-            self.transfer.blend(stamp, BLEND * seconds)
+            self.transfer.begin(stamp, BLEND * seconds, ramp=False)
             sentence = f"recovery: transition to the reference within {seconds:g} s"
         self._journal.report(INFO, "recoveries", sentence)
 

@@ -277,7 +277,8 @@ class Tracker:
         sentence = "the effort is not finite for a state: the stop effort is sent instead"
         self._journal.report_episode(ERROR, NOT_FINITE, sentence)
         self._measurement.reset()
-        u = self._output.send_without_law(self._supervisor, stamp)
+        self._output.law.reset()
+        u = self._output.send(self._supervisor, self._output.policy.standing(), math.nan, stamp)
         return self._command(u, self._supervisor.reference.jets(stamp), math.nan, False)
 
     def _command(self, u: Array, jets: Array, V: float, restarted: bool) -> Command:

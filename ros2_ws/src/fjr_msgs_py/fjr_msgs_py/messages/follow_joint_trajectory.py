@@ -12,8 +12,6 @@ from trajectory_msgs.msg import JointTrajectory
 
 from fjr_core.numerics.checks import Array
 
-from .joint_states import set_stamp
-
 
 @dataclass(frozen=True, eq=False)
 class Progress:
@@ -49,7 +47,7 @@ class FollowMessages:
     def feedback(self, progress: Progress) -> Any:
         """Return the feedback: desired, actual, and error = desired - actual."""
         message = self.kind.Feedback(joint_names=self._joints)
-        set_stamp(message, progress.stamp)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(progress.stamp, 1_000_000_000)
         rows = {
             "desired": (progress.q_d, progress.dq_d),
             "actual": (progress.q, progress.dq),

@@ -49,11 +49,6 @@ def nanoseconds(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def set_stamp(message: JointState, stamp: int) -> None:
-    """Set the stamp of a message [ns]."""
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
-
-
 class NamedColumns:
     """Index of wanted names in the name list of a message; the result of the last list is cached."""
 

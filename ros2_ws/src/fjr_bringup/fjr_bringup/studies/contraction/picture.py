@@ -57,9 +57,8 @@ def _distances(ax: Axes, found: Contraction) -> None:
     relative = found.distance / found.distance[0]
     for pair in relative.T:
         ax.semilogy(found.t, np.where(pair > FLOOR, pair, np.nan), color=COLOURS[0], lw=0.8, alpha=0.6)
-    _bound(
-        ax, found.t, found.bound, f"$e^{{-\\beta t}}$, $\\beta$ = {found.beta:.3g} 1/s", max(FLOOR, relative.min() / 10)
-    )
+    text = f"$e^{{-\\beta t}}$, $\\beta$ = {found.beta:.3g} 1/s"
+    _bound(ax, found.t, found.bound, text, max(FLOOR, relative.min() / 10))
     ax.set(title="Distance of each pair in the metric P, relative to the start", ylabel="$d(t)/d(0)$")
 
 
