@@ -6,7 +6,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from time import perf_counter, process_time
+from timeit import timeit
 
 import numpy as np
 
@@ -15,7 +17,6 @@ from bench.figures import Figure
 from bench.measure import one_core
 from fjr_core import PAPER_GAINS, Sine, TrackingLaw, single_link
 from fjr_core.control.sampled_law import AsSampledLaw
-from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch import ClosedLoop, Draws
 
 RUNS, DURATION, PERIOD, INNER_STEPS = 10_000, 5.0, 1e-3, 4
@@ -51,12 +52,15 @@ def against_peers(runs: int = RUNS, rounds: int = ROUNDS) -> list[Figure]:
     ours, drawn = loop(), draws(runs)
     ours.run(drawn.taken(range(2)))
     wall, busy = campaign(ours, drawn)
-    some = {"ours": (lambda first: _ours(ours, drawn, first), 100), **_peers(ours, drawn)}
+    some = {
+        "ours": (lambda first: ours.run(drawn.taken(np.arange(first, first + 100) % runs)), 100),
+        **_peers(ours, drawn),
+    }
     times: dict[str, list[float]] = {name: [] for name in some}
     with one_core():
         for i in range(rounds):
             for name, (run, count) in some.items():
-                times[name].append(_seconds(run, i * count) / count)
+                times[name].append(timeit(partial(run, i * count), number=1) / count)
     each = {name: float(np.median(seconds)) for name, seconds in times.items()}
     name = f"campaign: {runs:,} runs of the paper's joint, 5 s at 1 kHz, on two cores"
     parts = {"processor time [s]": busy, "a run [ms]": 1e3 * each["ours"], "cores there": float(os.cpu_count() or 0)}
@@ -83,19 +87,8 @@ def campaign(ours: ClosedLoop, drawn: Draws) -> tuple[float, float]:
     return seconds
 
 
-def _ours(ours: ClosedLoop, drawn: Draws, first: int) -> Array:
-    which = np.arange(first, first + 100) % drawn.runs
-    return ours.run(drawn.taken(which)).rms[:, 0]
-
-
 def _peers(ours: ClosedLoop, drawn: Draws) -> dict[str, tuple[Callable[[int], object], int]]:
     def of(peer: Peer, count: int) -> tuple[Callable[[int], object], int]:
         return lambda first: [peer(ours, drawn, (first + i) % drawn.runs) for i in range(count)], count
 
     return {"solve_ivp": of(scipy_peer, 1), "MuJoCo": of(mujoco_peer, 5)}
-
-
-def _seconds(run: Callable[[int], object], first: int) -> float:
-    start = perf_counter()
-    run(first)
-    return perf_counter() - start

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from time import perf_counter
+from timeit import timeit
 
 import numpy as np
 
@@ -23,7 +23,7 @@ def times_real_time(arm: Arm) -> list[Figure]:
     """Measure law and plant of the scenario at its sample period."""
     steps, change = fine_enough(arm)
     with one_core():
-        walls = [_wall(arm, steps) for _ in range(REPEATS)]
+        walls = [timeit(lambda: positions(arm, steps), number=1) for _ in range(REPEATS)]
     parts = {
         "inner step [ms]": 1e3 * arm.scenario.sample_period / steps,
         "halving it changes q by [rad]": change,
@@ -52,9 +52,3 @@ def positions(arm: Arm, steps: int) -> Array:
         arm.plant, arm.law, arm.scenario.reference, arm.scenario.x0, DURATION, period, inner_step=period / steps
     )
     return run.x[:, : 2 * arm.robot.n]
-
-
-def _wall(arm: Arm, steps: int) -> float:
-    start = perf_counter()
-    positions(arm, steps)
-    return perf_counter() - start

@@ -62,12 +62,9 @@ class Driver(Bare):
             self._blocks[-1].append((time.perf_counter() - self._sent) * 1e6)
             self._sent = 0.0
             if len(self._blocks[-1]) == BLOCK:
-                self._next_block()
-
-    def _next_block(self) -> None:
-        if len(self._blocks) == self._rounds * BLOCKS * len(self._sides):
-            os.kill(os.getpid(), signal.SIGINT)
-        self._blocks.append([])
+                if len(self._blocks) == self._rounds * BLOCKS * len(self._sides):
+                    os.kill(os.getpid(), signal.SIGINT)
+                self._blocks.append([])
 
 
 def rounds(blocks: Sequence[list[float]], sides: Sequence[str], count: int) -> dict[str, list[list[float]]]:

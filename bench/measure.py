@@ -7,8 +7,7 @@ import gc
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from itertools import repeat
-from time import perf_counter
+from timeit import timeit
 
 import numpy as np
 
@@ -39,7 +38,9 @@ def in_turns(calls: Mapping[str, Call], repeats: int = REPEATS) -> dict[str, Arr
     """Return seconds per call of each, one entry per repeat; blocks of the calls alternate."""
     with one_core():
         counts = {name: _block_size(call) for name, call in calls.items()}
-        rounds = [[_seconds_per_call(call, counts[name]) for name, call in calls.items()] for _ in range(repeats)]
+        rounds = [
+            [timeit(call, number=counts[name]) / counts[name] for name, call in calls.items()] for _ in range(repeats)
+        ]
     return dict(zip(calls, np.array(rounds).T, strict=True))
 
 
@@ -57,13 +58,6 @@ def _block_size(call: Call) -> int:
     """Return the number of calls that take about BLOCK, after a warm-up call."""
     call()
     count = 1
-    while _seconds_per_call(call, count) * count < BLOCK:
+    while timeit(call, number=count) < BLOCK:
         count *= 2
     return count
-
-
-def _seconds_per_call(call: Call, count: int) -> float:
-    start = perf_counter()
-    for _ in repeat(None, count):
-        call()
-    return (perf_counter() - start) / count

@@ -46,24 +46,20 @@ class MujocoArm:
 def mjcf(model: Any, robot: Robot, dt: float) -> str:
     """Return the model as XML: links are nested bodies, motors are separate rotors."""
     flags = " ".join(f'{name}="disable"' for name in OFF)
+    links = "".join(_link(model, i, robot) for i in range(robot.n)) + "</body>" * robot.n
     motors = "\n".join(_motor(i, robot) for i in range(robot.n))
     springs = "\n".join(_spring(i, robot) for i in range(robot.n))
     return f"""<mujoco>
   <compiler angle="radian" autolimits="false"/>
   <option integrator="RK4" timestep="{dt:.17g}" gravity="{_text(model.gravity.linear)}"><flag {flags}/></option>
   <worldbody>
-    {_links(model, robot)}
+    {links}
     {motors}
   </worldbody>
   <tendon>
     {springs}
   </tendon>
 </mujoco>"""
-
-
-def _links(model: Any, robot: Robot) -> str:
-    opened = "".join(_link(model, i, robot) for i in range(robot.n))
-    return opened + "</body>" * robot.n
 
 
 def _link(model: Any, i: int, robot: Robot) -> str:

@@ -38,5 +38,4 @@ def _report() -> dict[str, Any]:
         done = subprocess.run(command, env=environment, capture_output=True)
         if done.returncode not in (Exit.DONE, Exit.VIOLATED):  # the diagnosis is not measured here
             done.check_returncode()
-        report: dict[str, Any] = json.loads(Path(folder, "arm7", "report.json").read_text(encoding="utf-8"))
-    return report
+        return dict(json.loads(Path(folder, "arm7", "report.json").read_text(encoding="utf-8")))

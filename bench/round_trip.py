@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +13,6 @@ from bench.arm import Arm
 from bench.figures import Figure
 from bench.measure import ratio
 from bench.nodes import bare, controller, driver, output, running, scenario_file
-from fjr_core.numerics.checks import Array
 
 ROUNDS = 15
 OURS, BARE = "ours", "bare"
@@ -19,27 +20,38 @@ BOUND = 1.25
 PATIENCE = 10.0  # s; timeout of a side waiting for its turn
 LONGEST = 60.0  # s; timeout of the start
 
+Times = dict[str, list[list[float]]]
+"""Latencies [us] of each round, by side."""
+
 
 def over_echo(arm: Arm, rounds: int = ROUNDS) -> list[Figure]:
     """Compare median and 99th percentile of both, round by round; the arm rests at its reference."""
-    n = arm.robot.n
+    with scenario_file(at_rest(arm)) as file:
+        nodes = (controller(file, "-r", f"__ns:=/{OURS}"), bare("echo", "-r", f"__ns:=/{BARE}"))
+        times = latencies(arm, rounds, (OURS, BARE), nodes)
+    name = "state to effort over a bare echo"
+    return [figure(f"{name}, median", 50, BOUND, times), figure(f"{name}, 99th percentile", 99, BOUND, times)]
+
+
+def at_rest(arm: Arm) -> dict[str, Any]:
+    """Return the parameters with which the reference stands still."""
     offset = arm.scenario.reference.jets(0.0)[0]
-    still = {"reference.amplitude": [0.0] * n, "reference.offset": offset.tolist(), "state_timeout": PATIENCE}
-    arguments = ["-p", f"rounds:={rounds}", "-p", f"sides:=[{OURS}, {BARE}]"]
-    position = ["-p", f"position:={np.tile(offset, 2).tolist()}"]
-    with scenario_file(still) as file:
-        commands = (controller(file, "-r", f"__ns:=/{OURS}"), bare("echo", "-r", f"__ns:=/{BARE}"))
-        with running(*commands):
-            times = json.loads(output(driver(*arguments, *position), LONGEST + 4 * rounds))
-    return [_figure("median", 50, times), _figure("99th percentile", 99, times)]
+    zeros = [0.0] * arm.robot.n
+    return {"reference.amplitude": zeros, "reference.offset": offset.tolist(), "state_timeout": PATIENCE}
 
 
-def _figure(name: str, percent: int, times: dict[str, list[list[float]]]) -> Figure:
-    ours, theirs = (percentiles(times[side], percent) for side in (OURS, BARE))
-    parts = {"ours [us]": float(np.median(ours)), "bare [us]": float(np.median(theirs))}
-    return Figure(f"state to effort over a bare echo, {name}", ratio(ours, theirs), "", bound=BOUND, parts=parts)
+def latencies(arm: Arm, rounds: int, sides: tuple[str, str], nodes: Sequence[Sequence[str]]) -> Times:
+    """Run the nodes of both sides (namespaces) with the driver, which sends the reference as state."""
+    position = np.tile(arm.scenario.reference.jets(0.0)[0], 2).tolist()
+    given = {"rounds": rounds, "sides": f"[{', '.join(sides)}]", "position": position}
+    arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
+    with running(*nodes):
+        times: Times = json.loads(output(driver(*arguments), LONGEST + 4 * rounds))
+    return times
 
 
-def percentiles(rounds: list[list[float]], percent: int) -> Array:
-    """Return a percentile [us] of each round."""
-    return np.array([np.percentile(times, percent) for times in rounds])
+def figure(name: str, percent: int, bound: float | None, times: Times) -> Figure:
+    """Return the ratio of a percentile of both sides, with the median of each over the rounds."""
+    ours, theirs = (np.array([np.percentile(each, percent) for each in rounds]) for rounds in times.values())
+    parts = {f"{side} [us]": float(np.median(each)) for side, each in zip(times, (ours, theirs), strict=True)}
+    return Figure(name, ratio(ours, theirs), "", bound=bound, parts=parts)

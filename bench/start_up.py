@@ -6,19 +6,18 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import perf_counter
+from unittest.mock import patch
 
 import numpy as np
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from bench.arm import ROOT, SCENARIO
 from bench.figures import Figure
-from bench.listener import Listener
+from bench.tap import Tap
 from fjr_bringup.runner.node_process import NodeProcess
 from fjr_bringup.runner.run import set_ros_environment
 from fjr_msgs_py import names
@@ -32,9 +31,9 @@ def library() -> list[Figure]:
     """Measure the start of the law, compiled and from the cache."""
     cold, warm = [], []
     for _ in range(COLD_REPEATS):
-        with _cache() as folder:
-            cold.append(_first_effort(folder))
-            warm += [_first_effort(folder) for _ in range(WARM_REPEATS)]
+        with TemporaryDirectory(prefix="fjr-bench-") as cache:
+            cold.append(_first_effort(cache))
+            warm += [_first_effort(cache) for _ in range(WARM_REPEATS)]
     return [
         _figure("URDF to first effort, nothing cached", cold, bound=10.0),
         _figure("URDF to first effort, from the cache", warm, bound=1.0),
@@ -45,58 +44,44 @@ def node() -> list[Figure]:
     """Measure the controller node with a cached law until its first command; the plant is running."""
     os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
     set_ros_environment()
-    with _cache() as folder:
-        _first_command(folder)
-        seconds = [_first_command(folder) for _ in range(NODE_REPEATS)]
+    with TemporaryDirectory(prefix="fjr-bench-") as cache:
+        _first_command(cache)
+        seconds = [_first_command(cache) for _ in range(NODE_REPEATS)]
     return [_figure("controller node, spawn to first command", seconds, bound=1.0)]
 
 
-def _first_effort(cache: Path) -> float:
+def _first_effort(cache: str) -> float:
     start = perf_counter()
     command = [sys.executable, "-m", "bench.first_effort", str(SCENARIO)]
     subprocess.run(command, cwd=ROOT, env=_environment(cache), check=True, capture_output=True, timeout=LONGEST)
     return perf_counter() - start
 
 
-def _first_command(cache: Path) -> float:
-    with _node("fjr_plant", "plant_node", cache):
-        with Listener(names.JOINT_STATES, JointState) as states:
-            states.wait(LONGEST)
-        with Listener(names.EFFORT_COMMANDS, Float64MultiArray) as efforts:
-            start = perf_counter()
-            with _node("fjr_controller", "controller_node", cache):
-                efforts.wait(LONGEST)
-                return perf_counter() - start
+def _first_command(cache: str) -> float:
+    with _node("fjr_plant", "plant_node", cache), Tap() as tap:
+        tap.next(names.JOINT_STATES, LONGEST)
+        start = perf_counter()
+        with _node("fjr_controller", "controller_node", cache):
+            tap.next(names.JOINT_COMMANDS, LONGEST)
+            return perf_counter() - start
 
 
 @contextmanager
-def _node(package: str, name: str, cache: Path) -> Iterator[None]:
-    before = dict(os.environ)
-    os.environ.clear()
-    os.environ.update(_environment(cache, before))
-    try:
-        process = NodeProcess(package, name, ["--params-file", str(SCENARIO)], cache / f"{name}.log")
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
+def _node(package: str, name: str, cache: str) -> Iterator[None]:
+    with patch.dict(os.environ, _environment(cache), clear=True):
+        process = NodeProcess(package, name, ["--params-file", str(SCENARIO)], Path(cache, f"{name}.log"))
     try:
         yield
     finally:
         process.stop()
 
 
-def _environment(cache: Path, base: dict[str, str] | None = None) -> dict[str, str]:
+def _environment(cache: str) -> dict[str, str]:
     """Return the environment of a new process, without variables set by the start-up hook of the ROS wheels."""
-    env = {**(base or os.environ), "XDG_CACHE_HOME": str(cache)}
+    env = {**os.environ, "XDG_CACHE_HOME": cache}
     if env.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
         env.pop("LD_LIBRARY_PATH", None)
     return env
-
-
-@contextmanager
-def _cache() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder:
-        yield Path(folder)
 
 
 def _figure(name: str, seconds: list[float], bound: float) -> Figure:

@@ -18,6 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_controller.controller_node import ControllerNode
+from fjr_msgs_py.messages.certificate import CertificateValues, labelled
 from fjr_msgs_py.names import LATEST
 from fjr_plant.plant_node import PlantNode
 from patience import Limit
@@ -170,6 +171,13 @@ def stamped(t: float, q: Any = 0.5, dq: Any = 0.0, names: list[str] | None = Non
 def seconds(message: JointState) -> float:
     """Return the stamp of a message [s]."""
     return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+
+
+def read_certificate(message: Float64MultiArray) -> tuple[int, CertificateValues]:
+    """Stamp [ns] and values of a certificate, by their labels."""
+    numbers = labelled(message)
+    stamp = round(numbers["sec"]) * 10**9 + round(numbers["nanosec"])
+    return stamp, CertificateValues(*(numbers[name] for name in CertificateValues._fields))
 
 
 def nanoseconds(message: JointState) -> int:

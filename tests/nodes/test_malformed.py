@@ -26,7 +26,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, StateReader, TorqueReader
 from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from fjr_msgs_py.names import state_names
-from fjr_plant.plant_node import LOCKSTEP_START
+from fjr_plant.timing.lock_step import START as LOCKSTEP_START
 from nodes.harness import Listener, Ros, stamped
 
 JOINTS = ("shoulder", "elbow")

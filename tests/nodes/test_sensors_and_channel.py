@@ -13,7 +13,7 @@ from scipy import stats
 from fjr_core import ParameterError
 from fjr_core.simulation.nonideal_parameters import ChannelErrors, SensorErrors
 from fjr_plant.channel import COMMANDS, PERIOD, SENSORS, STATES, Channel, SampleTimes, channel, generator
-from fjr_plant.sensors import Sensors, sensors
+from fjr_plant.sensors import Sensors
 
 MS = 1_000_000  # ns
 N = 20_000
@@ -197,10 +197,9 @@ def measured(sensor: Sensors, instants: int = N) -> tuple[np.ndarray, np.ndarray
     return np.array([q for q, _ in pairs]), np.array([dq for _, dq in pairs])
 
 
-def test_sensors_without_errors_are_none() -> None:
-    assert sensors(SensorErrors(2), 0) is None
-    assert sensors(None, 0) is None
-    assert sensors(SensorErrors(2, velocities=False), 0) is not None
+def test_sensors_without_errors_are_perfect() -> None:
+    assert Sensors(SensorErrors(2)).perfect
+    assert not Sensors(SensorErrors(2, velocities=False)).perfect
 
 
 def test_encoder_rounds_to_its_nearest_step() -> None:

@@ -11,9 +11,10 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from fjr_bringup.monitor.node import FjrWatch
 from fjr_bringup.monitor.state import Event, Health, JointLine, Timing, View, Watched
-from fjr_bringup.monitor.terminal import log_bar, signed_bar, sparkline, text
+from fjr_bringup.monitor.terminal import log_bar, signed_bar, sparkline
 from fjr_msgs_py.messages.certificate import labelled
 from nodes.harness import Ros
+from watch_text import text
 
 MS = 1_000_000  # ns
 NAN = float("nan")

@@ -16,6 +16,7 @@ import pytest
 import yaml
 
 from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.scenarios import library
 from fjr_bringup.studies.comparison import job as comparison_job
 from fjr_bringup.studies.comparison import markdown as comparison_markdown
 from fjr_bringup.studies.comparison import pool as comparison_pool
@@ -269,7 +270,7 @@ def test_table_counts_its_content_and_names_no_winner(found: dict[str, Any]) -> 
 
 
 def test_versions_of_a_law_are_counted_as_one_law() -> None:
-    chosen = suite.load(suite.find("paper"))
+    chosen = suite.load(library.find("paper", "suite"))
     laws = [{"law": law.law} for law in chosen.laws]
     described = extent({"laws": laws, "robots": {"one": {}}, "runs": 12, "suite": {"duration": 10.0}})
     assert described == f"{len(LAWS) - 2} control laws in {len(laws)} versions on 1 robot, 12 runs of 10 s."
@@ -277,14 +278,14 @@ def test_versions_of_a_law_are_counted_as_one_law() -> None:
 
 @pytest.mark.parametrize("name", ["paper", "quick"])
 def test_installed_suites_are_valid(name: str) -> None:
-    chosen = suite.load(suite.find(name))
+    chosen = suite.load(library.find(name, "suite"))
     assert chosen.name == name
     assert chosen.laws[0] == suite.LawChoice(V_DPBC, V_DPBC)
     assert all(suite.scenario_texts(robot) for robot in chosen.robots)
 
 
 def test_the_paper_suite_holds_every_law_and_the_three_robots() -> None:
-    chosen = suite.load(suite.find("paper"))
+    chosen = suite.load(library.find("paper", "suite"))
     assert {law.law for law in chosen.laws} == set(LAWS)
     assert [robot.scenario for robot in chosen.robots] == ["paper_k31", "two_link", "arm7"]
     assert chosen.margins == ("stiffness", "inertia", "delay", "noise", "friction", "load")

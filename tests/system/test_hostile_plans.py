@@ -87,7 +87,7 @@ def test_sweeps_of_any_text(folder: Path, data: bytes) -> None:
 def test_sweep_of_an_impossible_path_is_refused(name: str, folder: Path) -> None:
     assert read_sweep(folder, yaml.safe_dump({**yaml.safe_load(SWEEP), "scenario": name}).encode())
     assert answer(lambda: library.find(name))
-    assert answer(lambda: suite.find(name))
+    assert answer(lambda: library.find(name, "suite"))
 
 
 def plan() -> Sweep:

@@ -13,7 +13,6 @@ from fjr_bringup.cli.check import table
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import checked
 from fjr_bringup.monitor.state import Watched
-from fjr_bringup.monitor.terminal import text
 from fjr_bringup.report.write import report_run
 from fjr_controller.tracking.measured_state import MeasuredState
 from fjr_controller.tracking.state_limits import StateLimits
@@ -25,6 +24,7 @@ from fjr_core.robot.joint_units import PRISMATIC, REVOLUTE
 from fjr_core.trajectories.motion_limits import check_motion
 from fjr_core.trajectories.point_to_point import Hold
 from system.executables import fjr
+from watch_text import text
 
 pytestmark = pytest.mark.system
 URDF = """<robot name="lift_arm">

@@ -46,8 +46,8 @@ def test_kind_and_joint_of_the_largest_faults_are_right(case: FaultCase) -> None
 @pytest.mark.parametrize("case", MISWIRED, ids=lambda case: case.name)
 def test_wrong_wiring_stops_the_controller_without_effort_and_is_named(case: FaultCase) -> None:
     scenario, loop, record = case.run()
-    assert loop.state == "stopped"
-    assert all(name in loop.reason for name in case.joints.split(" and "))
+    assert loop.tracker.state.value == "stopped"
+    assert all(name in loop.tracker.reason for name in case.joints.split(" and "))
     assert not record.u[-1].any()
     assert outcome(case).found == case.kind
     if case.kind == "efforts exchanged":
@@ -88,7 +88,7 @@ def test_saturated_motor_is_not_diagnosed_as_wrong_wiring(scenario: str) -> None
     weak = Case(scenario, scenario, HEALTHY, named, robot, {**start, "initial_motor_position": [q]})
     loop = FaultyLoop(weak.loaded(), Fault())
     loop.run(0.25)
-    assert loop.state == "tracking"
+    assert loop.tracker.state.value == "tracking"
 
 
 def test_page_shows_the_set_and_the_required_shares() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from jinja2 import UndefinedError
 
-from fjr_bringup.report import html, uplot
+from fjr_bringup.report import html
 from fjr_bringup.report.figure import Line, Plot
 
 HOSTILE = "</script><b onload='x' title=\"y\">&amp;"
@@ -41,8 +41,8 @@ def test_every_value_of_a_page_is_escaped(tmp_path: Path) -> None:
 
 def test_a_page_fetches_nothing_and_contains_the_plotting_library(tmp_path: Path) -> None:
     text = page(tmp_path / "page.html", **VALUES)
-    assert uplot.asset(uplot.SCRIPT) in text
-    assert uplot.asset(uplot.STYLE) in text
+    assert html.asset(html.SCRIPT) in text
+    assert html.asset(html.STYLE) in text
     assert not re.search(r"<(?:script|link|img)[^>]*(?:src|href)=[\"'](?!data:)", text)
 
 
@@ -54,14 +54,14 @@ def test_a_value_that_a_template_lacks_is_an_error(tmp_path: Path) -> None:
 def test_a_missing_plotting_library_is_one_sentence_and_leaves_no_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(uplot, "DISTRIBUTION", "no-such-distribution")
-    uplot.asset.cache_clear()
+    monkeypatch.setattr(html, "DISTRIBUTION", "no-such-distribution")
+    html.asset.cache_clear()
     try:
         with pytest.raises(
-            uplot.UPlotError, match=r"is not installed; expected it from: pip install --no-deps"
+            html.UPlotError, match=r"is not installed; expected it from: pip install --no-deps"
         ) as error:
             page(tmp_path / "page.html", **VALUES)
     finally:
-        uplot.asset.cache_clear()
+        html.asset.cache_clear()
     assert "\n" not in str(error.value)
     assert list(tmp_path.iterdir()) == []

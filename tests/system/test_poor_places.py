@@ -14,7 +14,7 @@ import pytest
 from envsetup.quoting import quote_paths
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.recording.reader import read_bag
-from fjr_bringup.report.fallback_folder import write_with_fallback
+from fjr_bringup.report.write import write_with_fallback
 from fjr_msgs_py.node.log_folder import ensure_log_folder
 
 LIMIT, SENT = 100_000, 1500  # bytes; limit on the file size, for messages of 100 bytes and more
@@ -34,7 +34,7 @@ while not (publisher.get_subscription_count() and recorder.matched("/words")):
 resource.setrlimit(resource.RLIMIT_FSIZE, ({LIMIT}, {LIMIT}))
 for k in range({SENT}):
     publisher.publish(String(data=f"{{k:0100}}"))
-    while f"{{k:0100}}".encode() not in recorder.last("/words"):
+    while f"{{k:0100}}".encode() not in (recorder.ends("/words") or (b"", b""))[1]:
         time.sleep(0.001)
 recorder.close()
 print(recorder.failure, recorder.loss)

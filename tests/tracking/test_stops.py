@@ -50,7 +50,7 @@ def test_each_limit_alone_stops_just_beyond_its_value_and_stays(name: str, polic
         expected = 0.8 * np.sin(0.2) - 0.3 * 0.1 if policy == "gravity_hold" else 0.0
         np.testing.assert_allclose(command.u, expected, rtol=1e-12)
         assert np.isnan(command.V)
-    assert tracker.certificate is None
+    assert tracker.bound_start is None
     assert tracker.seconds["stopped"] == pytest.approx(4e-3, rel=1e-9)
     tracker.resume()
     resumed = tracker.command(sample(6 * MS, 0.2, 0.2, 0.1, 0.1), 6 * MS)

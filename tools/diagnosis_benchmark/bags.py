@@ -6,11 +6,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
+from fjr_bringup.analysis.commands import match_stamps
+from fjr_bringup.analysis.states import first_of_each_stamp
 from fjr_bringup.recording.message_types import type_hash
-from fjr_bringup.recording.reader import Bag, JointTable, read_bag
+from fjr_bringup.recording.reader import JointTable, read_bag
 from fjr_bringup.recording.writer import BagWriter
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
@@ -23,13 +23,8 @@ from .loop import Log
 CONTROLLER = f"/{names.CONTROLLER}"
 STATES, COMMANDS, EFFORTS = (f"/{name}" for name in (names.JOINT_STATES, names.JOINT_COMMANDS, names.EFFORT_COMMANDS))
 REFERENCE, ERROR = (name.replace("~", CONTROLLER) for name in (names.REFERENCE, names.TRACKING_ERROR))
-TYPES = {
-    STATES: JointState,
-    COMMANDS: JointState,
-    EFFORTS: Float64MultiArray,
-    REFERENCE: JointState,
-    ERROR: JointState,
-}
+TYPES = dict.fromkeys((STATES, COMMANDS, EFFORTS, REFERENCE, ERROR), "sensor_msgs/msg/JointState")
+TYPES[EFFORTS] = "std_msgs/msg/Float64MultiArray"
 LATENCY = 200_000  # ns; from a state to its command
 
 
@@ -38,16 +33,14 @@ class _Topics:
 
     def __init__(self, bag: BagWriter) -> None:
         self._bag = bag
-        self._channels = {topic: self._added(topic, kind.__name__) for topic, kind in TYPES.items()}
+        self._channels = {
+            topic: bag.add_topic(topic, kind, [names.LATEST], type_hash(kind)) for topic, kind in TYPES.items()
+        }
 
     def write(self, topic: str, time: int, data: bytes) -> None:
         """Write a message that was sent at `time` [ns]."""
         channel = self._channels[topic]
         self._bag.write(channel, time, time, channel.count + 1, data)
-
-    def _added(self, topic: str, kind: str):  # type: ignore[no-untyped-def]
-        package = "std_msgs" if kind == "Float64MultiArray" else "sensor_msgs"
-        return self._bag.add_topic(topic, f"{package}/msg/{kind}", [names.LATEST], type_hash(f"{package}/msg/{kind}"))
 
 
 def write_bag(log: Log, scenario: Scenario, folder: Path) -> None:
@@ -73,20 +66,14 @@ def write_bag(log: Log, scenario: Scenario, folder: Path) -> None:
 
 
 def read_record(folder: Path, scenario: Scenario) -> Record:
-    """Return the record to diagnose, from bag and scenario alone."""
-    return bag_record(read_bag(folder), scenario)
-
-
-def bag_record(bag: Bag, scenario: Scenario) -> Record:
-    """Return the record of a bag: every stamp once, from the first command on."""
-    joints, robot = scenario.joints, scenario.robot
+    """Return the record to diagnose, from bag and scenario alone: every stamp once, from the first command on."""
+    bag, joints, robot = read_bag(folder), scenario.joints, scenario.robot
     commands = _once(bag.joints(COMMANDS, joints))
     states = _once(bag.joints(STATES, names.state_names(joints)))
     start = commands.stamp[0]
     rows = np.flatnonzero(states.stamp >= start)
     stamps = states.stamp[rows]
-    place = np.minimum(np.searchsorted(commands.stamp, stamps), len(commands.stamp) - 1)
-    answered = commands.stamp[place] == stamps
+    place, answered = match_stamps(stamps, commands.stamp)
     t = (stamps - start) * 1e-9
     return Record(
         t=t,
@@ -104,7 +91,5 @@ def bag_record(bag: Bag, scenario: Scenario) -> Record:
 
 def _once(table: JointTable) -> JointTable:
     """Return the first message of each stamp, sorted by stamp."""
-    rows = np.unique(table.stamp, return_index=True)[1]
-    return JointTable(
-        *(getattr(table, name)[rows] for name in ("stamp", "publish_time", "position", "velocity", "effort"))
-    )
+    rows = first_of_each_stamp(table.stamp)
+    return JointTable(**{name: values[rows] for name, values in vars(table).items()})

@@ -109,15 +109,12 @@ class _Draw:
         smooth = {"imperfections.friction_smoothing_velocity": [0.05] * self.n} if self.scenario == "arm7" else {}
         return {"changes": {f"imperfections.{name}": entries, **smooth}}
 
-    def unit(self, size: int, at: int) -> Array:
-        return np.eye(size)[at]
-
 
 Maker = Callable[[_Draw], dict[str, Any]]
 
 
 def _constant(d: _Draw) -> dict[str, Any]:
-    push = d.torque * d.unit(d.n, d.j)
+    push = d.torque * np.eye(d.n)[d.j]
     if d.side == "link":
         return {"fault": Fault(push=push)}
     return {"fault": Fault(effort=lambda u: u + push)}
@@ -133,13 +130,13 @@ def _stiffness(d: _Draw) -> float:
 
 
 def _offset(d: _Draw) -> dict[str, Any]:
-    shift = d.torque / _stiffness(d) * d.unit(2 * d.n, d.channel)
+    shift = d.torque / _stiffness(d) * np.eye(2 * d.n)[d.channel]
     return {"fault": Fault(position=lambda q: q + shift)}
 
 
 def _backlash(d: _Draw) -> dict[str, Any]:
     K, half = _stiffness(d), d.torque / _stiffness(d)
-    return {"fault": Fault(spring=lambda zeta: -K * np.clip(zeta, -half, half) * d.unit(d.n, d.j))}
+    return {"fault": Fault(spring=lambda zeta: -K * np.clip(zeta, -half, half) * np.eye(d.n)[d.j])}
 
 
 def _scaled(size: int, at: int, factor: float) -> Callable[[Array], Array]:
@@ -179,11 +176,7 @@ LINK, MOTOR, BOTH, SPRING = ("link",), ("motor",), ("link", "motor"), ("joint",)
 FAULTS: dict[str, tuple[tuple[float, float, float], tuple[str, ...], Maker]] = {  # sizes, sides, how
     "constant torque": ((0.04, 0.1, 0.25), BOTH, _constant),
     "gravity load": ((0, 1, 2), LINK, _payload),
-    "Coulomb friction": (
-        (0.03, 0.08, 0.2),
-        BOTH,
-        lambda d: d.nonideality(f"{d.side}_coulomb_friction", d.torque),
-    ),
+    "Coulomb friction": ((0.03, 0.08, 0.2), BOTH, lambda d: d.nonideality(f"{d.side}_coulomb_friction", d.torque)),
     "viscous friction": ((0.03, 0.08, 0.2), BOTH, lambda d: d.robot(f"{d.side}_damping", lambda D: D + d.torque)),
     "inertia": ((0.1, 0.3, 0.7), BOTH, lambda d: d.robot(f"{d.side}_inertia", lambda M: M * (1 + d.f))),
     "stiffness": ((0.05, 0.12, 0.25), SPRING, lambda d: d.robot("joint_stiffness", lambda K: K * (1 - d.f))),
@@ -230,8 +223,8 @@ def cases(seed: int = VALIDATION_SEED, robots: tuple[str, ...] = ROBOTS) -> list
     """Return every fault in three sizes on each applicable robot, wiring faults and healthy runs."""
     rng = np.random.default_rng(seed)
     loaded = {name: Case("", name, "").loaded() for name in ROBOTS}
-    found = [_case(rng, loaded, kind, i, robot) for kind in FAULTS for i in range(3) for robot in ROBOTS]
-    found += [_case(rng, loaded, kind, i, robot) for kind in WIRING for i in range(3) for robot in ROBOTS]
+    kinds = (*FAULTS, *WIRING)
+    found = [_case(rng, loaded, kind, i, robot) for kind in kinds for i in range(3) for robot in ROBOTS]
     return [*(each for each in found if each is not None and each.case.scenario in robots), *healthy(seed)]
 
 

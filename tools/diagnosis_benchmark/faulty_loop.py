@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,42 +37,18 @@ class Fault:
     delayed: NDArray[np.bool_] | None = None
 
 
-@dataclass
-class _DelayLine:
-    """The latest measured velocities."""
-
-    values: deque[Array] = field(default_factory=deque)
-
-    def late(self, velocity: Array, delay: int) -> Array:
-        """Return the velocity of `delay` samples ago, the oldest known at the start."""
-        self.values.append(velocity)
-        while len(self.values) > delay + 1:
-            self.values.popleft()
-        return self.values[0]
-
-
 class FaultyLoop(LockStepLoop):
     """Run a scenario in lock-step with a fault; raise ParameterError for invalid values."""
 
     def __init__(self, scenario: Scenario, fault: Fault) -> None:
-        self._fault, self._line = fault, _DelayLine()
+        self._fault = fault
+        self._velocities: deque[Array] = deque(maxlen=fault.delay + 1)  # the latest ones
         super().__init__(scenario)
         self._B_m = scenario.plant.robot.B_m
+        self._inner = self._transport.period // int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
         self._command: Array = np.zeros(scenario.robot.n)
-        values = scenario.plant_values
-        self._inner = round(1e9 / float(values["publish_rate"]) / int(values["inner_steps"]))  # type: ignore[arg-type]
         if fault.push is not None:
             self._robot.external = fault.push
-
-    @property
-    def state(self) -> str:
-        """Return the state of the tracker: "tracking", "stopped" and so on."""
-        return self._tracker.state.value
-
-    @property
-    def reason(self) -> str:
-        """Return the reason of the stop, one sentence."""
-        return self._tracker.reason
 
     def _sample(self) -> Sample:
         position, velocity, effort = self._robot.measure()
@@ -81,7 +57,8 @@ class FaultyLoop(LockStepLoop):
         if self._fault.velocity is not None:
             velocity = self._fault.velocity(velocity)
         if self._fault.delayed is not None:
-            velocity = np.where(self._fault.delayed, self._line.late(velocity, self._fault.delay), velocity)
+            self._velocities.append(velocity)
+            velocity = np.where(self._fault.delayed, self._velocities[0], velocity)
         return START + self._robot.time, position, velocity, effort
 
     def _answer(self, sample: Sample) -> None:

@@ -14,14 +14,12 @@ import numpy as np
 
 from fjr_controller.tracking.tracker import Tracker
 from fjr_core import StateError
-from fjr_core.config import nonidealities
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py.messages.joint_states import JointSample
-from fjr_plant.channel import Transport
-from fjr_plant.simulated_robot import SimulatedRobot
+from fjr_plant.simulated_robot import simulated
 from fjr_plant.state_publisher import Sample
 from fjr_plant.timing.lock_step import START
 
@@ -40,15 +38,10 @@ class LockStepLoop:
     """Run a scenario in lock-step; raise ParameterError for invalid values."""
 
     def __init__(self, scenario: Scenario) -> None:
-        values, robot = scenario.plant_values, scenario.plant.robot
-        inner = round(1e9 / float(values["publish_rate"]) / int(values["inner_steps"]))  # type: ignore[arg-type]
-        motion, sensors = nonidealities.imperfections(values, robot), nonidealities.sensor_errors(values, robot.n)
-        seed, self._n = nonidealities.seed(values), robot.n
-        self._robot = SimulatedRobot(scenario.plant, scenario.x0, inner, motion, sensors, seed)
-        self._transport = Transport(inner * int(values["inner_steps"]), inner, seed)  # type: ignore[arg-type]
-        self._transport.change(*nonidealities.channel_errors(values), nonidealities.period_jitter(values))
+        self._robot, self._transport = simulated(scenario.plant_values, scenario.plant, scenario.x0)
+        self._n = scenario.robot.n
         settings = safety(scenario.controller_values, scenario.robot)
-        self._tracker = Tracker(scenario.law, scenario.reference, settings, simulated_time=True)
+        self.tracker = Tracker(scenario.law, scenario.reference, settings, simulated_time=True)
         self._arrived: deque[Sample] = deque()
         self._newest = 0
         self.log = Log()
@@ -88,7 +81,7 @@ class LockStepLoop:
     def _answer(self, sample: Sample) -> None:
         stamp, position, velocity, _ = sample
         sides = position[: self._n], position[self._n :], velocity[: self._n], velocity[self._n :]
-        command = self._tracker.command(JointSample(stamp, *sides), stamp)
+        command = self.tracker.command(JointSample(stamp, *sides), stamp)
         if command is None:
             return
         self.log.commands.append((stamp, command.u.copy(), command.jets.copy()))

@@ -128,8 +128,8 @@ def _start(name: str, rng: np.random.Generator) -> dict[str, list[float]]:
 
 def _cases(seed: int) -> list[Case]:
     found = [Case(f"{name} healthy", name, HOLDING) for name in JOINTS]
-    found += [Case(f"{name} at {rate:g} Hz", name, "sampling", {"publish_rate": rate}) for name, rate in RATES]
-    found += [Case(f"{name} at {rate:g} Hz", name, "sampling", {"publish_rate": rate}) for name, rate in SLOWER]
+    rates = (*RATES, *SLOWER)
+    found += [Case(f"{name} at {rate:g} Hz", name, "sampling", {"publish_rate": rate}) for name, rate in rates]
     found += [Case(f"{name} {text}", name, "model mismatch", robot=robot) for text, name, robot in OTHER_ROBOTS]
     return [*found, *_nonideal(seed)]
 

@@ -73,21 +73,15 @@ def mismatch_table(scenarios: Mapping[str, Scenario]) -> list[str]:
     ]
 
 
-def replaced(page: str, name: str, lines: list[str]) -> str:
-    """Return the page with `lines` between the markers `name`; ValueError if the page lacks them."""
-    begin, end = f"<!-- {name}: written by tools/measurement_study/table.py -->", f"<!-- end of {name} -->"
-    before, rest = page.split(begin)
-    _, after = rest.split(end)
-    return "\n".join([before + begin, "", *lines, "", end + after])
-
-
 def main() -> int:
     """Rewrite the tables on the page."""
     scenarios = {name: scenario(name) for name in TORQUE_RANGES}
     page = PAGE.read_text(encoding="utf-8")
     tables = {"measurements": measured_table, "bandwidths": bandwidth_table, "mismatch": mismatch_table}
     for name, table in tables.items():
-        page = replaced(page, name, table(scenarios))
+        begin, end = f"<!-- {name}: written by tools/measurement_study/table.py -->", f"<!-- end of {name} -->"
+        before, rest = page.split(begin)
+        page = "\n".join([before + begin, "", *table(scenarios), "", end + rest.split(end)[1]])
     PAGE.write_text(page, encoding="utf-8")
     return 0
 

@@ -11,7 +11,6 @@ import numpy as np
 
 import fjr_core as fjr
 from fjr_core.control.robust import Robust, sampled_law
-from fjr_core.control.sampled_law import SampledLaw
 from fjr_core.numerics.checks import Array
 
 PERIOD = 1e-3  # s
@@ -68,28 +67,3 @@ def errors(
 def rms(e: Array) -> float:
     """Return the root mean square."""
     return float(np.sqrt(np.mean(e**2)))
-
-
-def radius(law: SampledLaw, robot: fjr.Robot, q_ld: Array, seconds: float) -> tuple[float, float]:
-    """Simulate the sampled loop that holds q_ld (n,) for `seconds`.
-
-    Return the largest |q_l - q_ld| [rad] at the end, and the spectral radius of the one-sample map of plant and
-    controller state there.
-    """
-    n, plant = robot.n, fjr.Plant(robot)
-    x, memory, sent = ca.MX.sym("x", 4 * n), ca.MX.sym("memory", len(law.memory)), ca.MX.sym("sent", n)
-    velocity = ca.vertcat(robot.links.M_l(x[:n]), ca.DM(robot.M_m))  # momentum = M dq, solved below
-    dq_l, dq_m = ca.solve(velocity[:n, :], x[2 * n : 3 * n]), ca.solve(velocity[n:, :], x[3 * n :])
-    jets = np.vstack([q_ld, np.zeros((4, n))])
-    u, _, after = law.step_function(x[: 2 * n], ca.vertcat(dq_l, dq_m), jets.T, law.gain_values, memory, sent, PERIOD)
-    moved = x
-    for _ in range(4):
-        moved = plant.step_function(moved, u, PERIOD / 4)
-    z = ca.vertcat(x, memory, sent)
-    step = ca.Function("step", [z], [ca.vertcat(moved, after, u)])
-    x0 = robot.state(q_ld, q_ld + np.linalg.solve(robot.K, robot.grad_P_l(q_ld)), np.zeros(n), np.zeros(n))
-    at = ca.vertcat(x0, law.memory, np.zeros(n))
-    at = step.mapaccum(round(seconds / PERIOD))(at)[:, -1]
-    slope = ca.Function("slope", [z], [ca.jacobian(step(z), z)])(at).full()
-    error = float(np.max(np.abs(at.full().ravel()[:n] - q_ld)))
-    return error, float(np.max(np.abs(np.linalg.eigvals(slope))))

@@ -29,44 +29,27 @@ RESIDUAL, INTEGRAL = Robust(residual_gain=60.0), Robust(integral_gain=5.0)
 PREDICTION = Robust(delay=PERIOD)
 BOTH = Robust(residual_gain=60.0, integral_gain=5.0)
 SECONDS, SETTLED = 6.0, 2.0
-Case = tuple[str, fjr.TrackingLaw, fjr.Robot, fjr.Reference, float, dict[str, Robust]]
-
-
-def law_of(scenario: Scenario) -> fjr.TrackingLaw:
-    """Return the compiled law of a scenario."""
-    return fjr.TrackingLaw(scenario.robot, scenario.gains, compile=True)
+NAMES = ("paper_k31", "two_link", "arm7")
+Case = tuple[str, Scenario, fjr.Robot, fjr.Reference, float, dict[str, Robust]]
 
 
 def cases() -> list[Case]:
-    """Return the cases: disturbance, law, robot, reference, delay [s] and options."""
+    """Return the cases: disturbance, scenario of the law, robot, reference, delay [s] and options."""
     joint, planar, arm = (load_scenario(ROOT / f"ros2_ws/src/fjr_bringup/scenarios/{name}.yaml") for name in NAMES)
     load = {"residual": RESIDUAL, "integral": INTEGRAL, "both": BOTH}
     slow = fjr.Sine(0.3, 2 * np.pi * 0.2, offset=arm.reference.jets(0.5)[0])
-    disturbed = [
+    disturbed: list[Case] = [
         ("`paper_k31` at standstill, 0.3 N m on the link", joint, pushed(joint.robot, 0.3), fjr.Hold([0.5]), 0.0, load),
         ("`paper_k31` moving, 0.3 N m on the link", joint, pushed(joint.robot, 0.3), joint.reference, 0.0, load),
         ("`two_link` moving, inertia 20 % larger", planar, heavier(planar.robot, 1.2), planar.reference, 0.0, load),
         ("`arm7`, 0.3 rad at 0.2 Hz, inertia 20 % larger", arm, heavier(arm.robot, 1.2), slow, 0.0, load),
         ("the same, weight 20 % larger too", arm, heavier(arm.robot, 1.2, 1.2), slow, 0.0, load),
     ]
-    disturbed += [
-        (
-            f"`{name}` moving, one sample of delay",
-            scenario,
-            scenario.robot,
-            scenario.reference,
-            PERIOD,
-            {"prediction": PREDICTION},
-        )
-        for name, scenario in zip(NAMES, (joint, planar, arm), strict=True)
+    predicted = {"prediction": PREDICTION}
+    return disturbed + [
+        (f"`{name}` moving, one sample of delay", loop, loop.robot, loop.reference, PERIOD, predicted)
+        for name, loop in zip(NAMES, (joint, planar, arm), strict=True)
     ]
-    return [
-        (text, law_of(scenario), robot, reference, delay, options)
-        for text, scenario, robot, reference, delay, options in disturbed
-    ]
-
-
-NAMES = ("paper_k31", "two_link", "arm7")
 
 
 def measured(found: list[tuple[Case, dict[str, Array]]]) -> list[str]:
@@ -75,8 +58,9 @@ def measured(found: list[tuple[Case, dict[str, Array]]]) -> list[str]:
         "| disturbance | error without, rad | option | error with, rad | ratio |",
         "| --- | --- | --- | --- | --- |",
     ]
+    settled = round(SETTLED / PERIOD)
     for (text, *_), runs in found:
-        plain = rms(runs["none"][settled:]) if (settled := round(SETTLED / PERIOD)) else 0.0
+        plain = rms(runs["none"][settled:])
         for name, e in runs.items():
             if name != "none":
                 left = rms(e[settled:])
@@ -110,7 +94,8 @@ def draw(found: list[tuple[Case, dict[str, Array]]]) -> None:
 
 def run(case: Case) -> dict[str, Array]:
     """Return the errors (k, n) [rad] without and with each option."""
-    _, law, robot, reference, delay, options = case
+    _, scenario, robot, reference, delay, options = case
+    law = fjr.TrackingLaw(scenario.robot, scenario.gains, compile=True)
     start = 0.5 if law.robot.n == 1 and not isinstance(reference, fjr.Hold) else None
     return {
         name: errors(law, option, reference, robot, SECONDS, delay, start)

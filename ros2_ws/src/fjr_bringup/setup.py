@@ -28,9 +28,5 @@ setup(
     maintainer_email="fjr@example.org",
     description="Scenarios, launch files, recording, reports and the fjr command",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "fjr = fjr_bringup.cli.app:program",
-        ],
-    },
+    entry_points={"console_scripts": ["fjr = fjr_bringup.cli.app:program"]},
 )

@@ -19,9 +19,5 @@ setup(
     maintainer_email="fjr@example.org",
     description="The v-dPBC tracking controller as a ROS 2 node",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "controller_node = fjr_controller.executable:main",
-        ],
-    },
+    entry_points={"console_scripts": ["controller_node = fjr_controller.executable:main"]},
 )

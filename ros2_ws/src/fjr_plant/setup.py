@@ -19,9 +19,5 @@ setup(
     maintainer_email="fjr@example.org",
     description="Simulated flexible-joint robot as a ROS 2 node",
     license="Apache-2.0",
-    entry_points={
-        "console_scripts": [
-            "plant_node = fjr_plant.executable:main",
-        ],
-    },
+    entry_points={"console_scripts": ["plant_node = fjr_plant.executable:main"]},
 )

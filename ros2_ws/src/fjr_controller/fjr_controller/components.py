@@ -60,7 +60,9 @@ class Control:
         # Above nothing is created on the node; below nothing raises.
         self.reports = Reports(node, self.tracker, events, robot_name(values))
         self._command_loop = CommandLoop(node, joints, self.tracker, reader, self.reports, on_conflict)
-        self._interface = TrajectoryInterface(node, joints, self.tracker, self.reports, self._is_active, self._built_in)
+        self._interface = TrajectoryInterface(
+            node, joints, self.tracker, self.reports, lambda: self._command_loop.active, self._built_in
+        )
         self._apply_motion_limits()
         self._action = self._create_action(node, allowed)
         self._certificate_publisher = self._create_certificate_publisher(node, np.asarray(settings.effort))
@@ -115,9 +117,6 @@ class Control:
             self._certificate_publisher.use(self._law, np.asarray(settings.effort))
         self.reports.publish_events()
 
-    def _is_active(self) -> bool:
-        return self._command_loop.active
-
     def _built_in(self) -> Reference:
         """Return the reference that the parameters describe. Raise ParameterError if it violates its limits."""
         reference = builders.reference(self._values, self._robot.n)
@@ -126,8 +125,7 @@ class Control:
         return reference
 
     def _apply_motion_limits(self) -> None:
-        values = self._values
-        limits = motion_limits(values, self._settings, self._robot)
+        values, limits = self._values, motion_limits(self._values, self._settings, self._robot)
         self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
     def _create_certificate_publisher(self, node: Node, limit: Array) -> CertificatePublisher | None:

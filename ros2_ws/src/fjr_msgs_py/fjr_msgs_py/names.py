@@ -2,7 +2,7 @@
 """Names and QoS profiles that the nodes share; the names are relative, so that namespaces and remaps work."""
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 PLANT = "fjr_plant"
 CONTROLLER = "fjr_controller"
@@ -28,21 +28,11 @@ RESET = "~/reset"
 PAUSE = "~/pause"
 ADVANCE = "~/advance"
 
-LATEST = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-)
-"""States and commands: reliable, only the newest message is kept."""
+LATEST = QoSProfile(depth=1)
+"""States and commands: reliable, volatile, only the newest message is kept."""
 
-LATCHED = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-)
-"""Constant data: late subscribers receive the last message."""
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Constant data: reliable, late subscribers receive the last message."""
 
 
 def motor_name(joint: str) -> str:

@@ -19,16 +19,12 @@ from fjr_msgs_py.node import process
 from fjr_msgs_py.node.diagnostics import Health
 from fjr_msgs_py.node.parameters import ParameterNode
 
-from .channel import Transport
-from .simulated_robot import SimulatedRobot
+from .simulated_robot import simulated
 from .state_publisher import StatePublisher
 from .timing.deferred_service import DeferredReply, DeferredTrigger
-from .timing.lock_step import START as LOCKSTEP_START
 from .timing.lock_step import LockStep
 from .timing.real_time import RealTime
 from .timing.time_base import NodeParts, TimeBase
-
-__all__ = ["LOCKSTEP_START", "PlantNode", "main"]
 
 EXPECTED = (
     "states published",
@@ -57,7 +53,10 @@ class PlantNode(ParameterNode):
         joints = self.values["joints"]
         self._model = builders.robot(self.values)
         self._health = Health(self, EXPECTED, robot_name(self.values))
-        self._robot, self._transport = self._simulated()
+        plant = Plant(self._model, self.values["integrator"], compile=self.values["compile"])
+        x0 = builders.initial_state(self.values, self._model)
+        self._robot, self._transport = simulated(self.values, plant, x0)
+        self._robot.warm_up()
         states, reader = StatePublisher(self, joints), EffortReader(joints)
         self._torques = TorqueReader(joints)
         if self.values["publish_description"]:
@@ -82,10 +81,8 @@ class PlantNode(ParameterNode):
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
         """Apply new non-idealities from now on; an FjrError refuses them."""
         if any(name.startswith("imperfections.") for name in names):
-            motion, sensors = (
-                nonidealities.imperfections(values, self._model),
-                nonidealities.sensor_errors(values, self._model.n),
-            )
+            motion = nonidealities.imperfections(values, self._model)
+            sensors = nonidealities.sensor_errors(values, self._model.n)
             messages, jitter = nonidealities.channel_errors(values), nonidealities.period_jitter(values)
             self._time_base.catch_up()
             self._robot.change(motion, sensors)
@@ -97,18 +94,6 @@ class PlantNode(ParameterNode):
         waits = " paused" if values["start_paused"] else f" waiting for commands on {topic}"
         time = "in lock-step" if values["lockstep"] else "with the clock"
         return f"configured: {', '.join(values['joints'])} at {values['publish_rate']:g} Hz {time};{waits}"
-
-    def _simulated(self) -> tuple[SimulatedRobot, Transport]:
-        values, model = self.values, self._model
-        inner_step = round(1e9 / values["publish_rate"] / values["inner_steps"])  # ns
-        plant = Plant(model, values["integrator"], compile=values["compile"])
-        motion, sensors = nonidealities.imperfections(values, model), nonidealities.sensor_errors(values, model.n)
-        seed, x0 = nonidealities.seed(values), builders.initial_state(values, model)
-        robot = SimulatedRobot(plant, x0, inner_step, motion, sensors, seed)
-        robot.warm_up()
-        transport = Transport(inner_step * values["inner_steps"], inner_step, seed)
-        transport.change(*nonidealities.channel_errors(values), nonidealities.period_jitter(values))
-        return robot, transport
 
     def _on_torque(self, message: JointState) -> None:
         try:

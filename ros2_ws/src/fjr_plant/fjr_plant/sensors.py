@@ -33,7 +33,8 @@ class Sensors:
     def change(self, errors: SensorErrors) -> None:
         """Use other errors from now on; the random sequence continues."""
         self.errors, self.perfect = errors, errors.off
-        self._step = _encoder_steps(np.concatenate([errors.bits_l, errors.bits_m]))
+        bits = np.concatenate([errors.bits_l, errors.bits_m])
+        self._step = np.where(bits == 0, 0.0, 2 * np.pi * 2.0**-bits)  # rad; 0 bits: no encoder
         self._deviation = np.concatenate([errors.position_l, errors.position_m, errors.velocity_l, errors.velocity_m])
 
     def measured(self, time: int, position: Array, velocity: Array) -> tuple[Array, Array]:
@@ -42,21 +43,6 @@ class Sensors:
             self._time = time
             self._draw = self._random.standard_normal(len(self._deviation))
         noise = self._deviation * self._draw
-        position = quantised(position + noise[: len(position)], self._step)
+        position, exact = position + noise[: len(position)], self._step == 0
+        position = np.where(exact, position, np.round(position / np.where(exact, 1.0, self._step)) * self._step)
         return position, velocity + noise[len(position) :] if self.errors.velocities else NO_VELOCITIES
-
-
-def quantised(position: Array, step: Array) -> Array:
-    """Round positions to the nearest multiple of the step; a step of 0 leaves them unchanged."""
-    fine = step == 0
-    return np.where(fine, position, np.round(position / np.where(fine, 1.0, step)) * step)
-
-
-def _encoder_steps(bits: Array) -> Array:
-    """Return 2 pi / 2^bits [rad]; 0 for 0 bits."""
-    return np.where(bits == 0, 0.0, 2 * np.pi * 2.0**-bits)
-
-
-def sensors(errors: SensorErrors | None, seed: int) -> Sensors | None:
-    """Return sensors with these errors; None if they are off."""
-    return None if errors is None or errors.off else Sensors(errors, seed)

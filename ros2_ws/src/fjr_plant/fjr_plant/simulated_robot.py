@@ -3,17 +3,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from fjr_core import ParameterError, Plant, Robot, StateError
+from fjr_core.config import nonidealities
 from fjr_core.numerics.casadi_function import bind, dense_function, not_converged
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.nonideal_parameters import Nonidealities, SensorErrors, friction_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
+from .channel import Transport
 from .sensors import Sensors
 
 
@@ -207,3 +211,13 @@ def _same_load(one: Nonidealities, other: Nonidealities) -> bool:
         return True
     same = (np.array_equal(getattr(one, name), getattr(other, name)) for name in ("payload_mass", "payload_position"))
     return all(same)
+
+
+def simulated(values: Mapping[str, Any], plant: Plant, x0: Array) -> tuple[SimulatedRobot, Transport]:
+    """Return robot and message channels for the checked values of the plant's parameters; raises ParameterError."""
+    inner_step = round(1e9 / values["publish_rate"] / values["inner_steps"])  # ns
+    seed, robot = nonidealities.seed(values), plant.robot
+    motion, sensors = nonidealities.imperfections(values, robot), nonidealities.sensor_errors(values, robot.n)
+    transport = Transport(inner_step * values["inner_steps"], inner_step, seed)
+    transport.change(*nonidealities.channel_errors(values), nonidealities.period_jitter(values))
+    return SimulatedRobot(plant, x0, inner_step, motion, sensors, seed), transport

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from fjr_bringup.analysis.metrics import Report
 from fjr_bringup.formatting import number, percent
@@ -12,8 +13,7 @@ from fjr_core.robot.joint_units import joined
 Formatter = Callable[[float, str], str]  # (value, unit) -> text
 
 
-def _four_digits(value: float, unit: str) -> str:
-    return number(value, unit, 4)
+_four_digits = partial(number, digits=4)
 
 
 def peak_effort(report: Report, write: Formatter = _four_digits) -> str:

@@ -17,11 +17,11 @@ from fjr_bringup.analysis.controller_stop import ControllerStop, controller_stop
 from fjr_bringup.analysis.reference import recorded_reference
 from fjr_bringup.analysis.states import STATES, States, recorded_states, with_velocities, without_jumps
 from fjr_bringup.recording.reader import Array, Bag, Times
+from fjr_bringup.recording.topic import BagError
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.convergence_rate import NO_RATE, Rate
 from fjr_core.control.vdpbc.law import TrackingLaw
-from fjr_core.errors import FjrError
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.monitoring.record import Record
 from fjr_core.robot.joint_units import REVOLUTE, Units
@@ -29,10 +29,6 @@ from fjr_core.robot.joint_units import REVOLUTE, Units
 VISITED = 200  # configurations of a run at which the rate is evaluated
 TAIL = 1.0  # s; states after the last command that are dropped without a note
 OTHER_RATE = 0.05  # relative; beyond this difference the measured sample period replaces the scenario's
-
-
-class DataError(FjrError):
-    """A bag in which no run of the scenario is recorded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +113,7 @@ class RunData(Record):
 
 
 def run_data(bag: Bag, scenario: Scenario, duration: float) -> RunData:
-    """Return `duration` [s] of stamped time from the first state with a command; raise DataError or BagError.
+    """Return `duration` [s] of stamped time from the first state with a command; raise BagError.
 
     An infinite duration ends with the last state that has a command.
     """
@@ -160,7 +156,7 @@ def _answered_states(bag: Bag, scenario: Scenario, duration: float) -> tuple[Sta
     """Return the states from the first with a command on, commands (k, n) [N m] and their send times (k,) [ns]."""
     states, jumps = without_jumps(recorded_states(bag, scenario))
     if not len(states.stamp):
-        raise DataError(f"{bag.path} holds no complete state on {STATES}")
+        raise BagError(f"{bag.path} holds no complete state on {STATES}")
     commands = recorded_commands(bag, states, scenario.joints)
     rows = _from_first_answer(states, commands.sent)
     rows = rows[(states.stamp[rows] - states.stamp[rows[0]]) * 1e-9 < duration - 1e-9]

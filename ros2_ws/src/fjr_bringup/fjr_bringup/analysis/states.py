@@ -55,9 +55,8 @@ def recorded_states(bag: Bag, scenario: Scenario) -> States:
     position, velocity = _positions(table, measured, n), _divided(table.velocity, measured)
     found = _states(table, position, velocity, notes).rows(rows)
     if np.isnan(position[:, n:]).all():
-        return replace(
-            found, notes=(*notes, f"no motor side ({names.motor_name(joints[0])} and so on): no V, no power")
-        )
+        note = f"no motor side ({names.motor_name(joints[0])} and so on): no V, no power"
+        return replace(found, notes=(*notes, note))
     return found
 
 

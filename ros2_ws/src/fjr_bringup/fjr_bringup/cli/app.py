@@ -71,11 +71,12 @@ def _log_to_stderr() -> None:
     log.setLevel(logging.INFO)
 
 
-@click.group(cls=Application, epilog=f"\b\n{HELP}", context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=Application,
+    commands=COMMANDS.commands,
+    epilog=f"\b\n{HELP}",
+    context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
+)
 @click.version_option(None, "--version", package_name="fjr_bringup", message="%(prog)s %(version)s")
 def fjr() -> None:
     """Simulate, control, record and report flexible-joint robots on ROS 2 nodes."""
-
-
-for _command in COMMANDS:
-    fjr.add_command(_command)

@@ -102,22 +102,15 @@ def _basis(rate: Rate, scenario: Scenario) -> str:
 
 
 def _elsewhere(scenario: Scenario) -> dict[str, str]:
-    """Return the check on the configurations that `checked` leaves out."""
+    """Return the check on the configurations that `checked` leaves out: the reference, or the whole range."""
     if isinstance(scenario.law, TrackingLaw):
-        return {"on the reference": _on_the_reference(scenario, scenario.law)}
+        where = scenario.configurations()
+        found = checked_at(scenario, where)
+        beta = f"beta {scenario.law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it)"
+        margin = f"delay margin {found.delay_margin:.2f} samples"
+        return {"on the reference": f"{beta}, spectral radius {found.spectral_radius:.6f}, {margin}"}
     found = checked_at(scenario, None)
     return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {_count(found)}"}
-
-
-def _on_the_reference(scenario: Scenario, law: TrackingLaw) -> str:
-    """Return rate, spectral radius and delay margin along the reference."""
-    where = scenario.configurations()
-    found = checked_at(scenario, where)
-    return (
-        f"beta {law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it), "
-        f"spectral radius {found.spectral_radius:.6f}, "
-        f"delay margin {found.delay_margin:.2f} samples"
-    )
 
 
 def _in_the_loop(scenario: Scenario) -> dict[str, str]:
@@ -169,13 +162,11 @@ def _limits(scenario: Scenario) -> dict[str, str]:
     if isinstance(law, TrackingLaw):
         law = TrackingLaw(scenario.robot, scenario.gains)  # not compiled, for a single call
     position, velocity = scenario.x0[: 2 * law.robot.n], np.concatenate(scenario.plant.robot.velocities(scenario.x0))
+    within, unit = _within(scenario, "position limits", outside), joined(each.effort for each in scenario.robot.units)
     first = np.abs(law.measured_command(position, velocity, reference.jets(0.0))[0])
     return {
-        "reference": _within(scenario, "position limits", outside)
-        + "; "
-        + _within(scenario, "velocity limits", too_fast),
-        "first effort": f"{as_list(first)} {joined(each.effort for each in scenario.robot.units)}; "
-        + _within(scenario, "effort limits", first > limits.effort),
+        "reference": f"{within}; {_within(scenario, 'velocity limits', too_fast)}",
+        "first effort": f"{as_list(first)} {unit}; {_within(scenario, 'effort limits', first > limits.effort)}",
     }
 
 

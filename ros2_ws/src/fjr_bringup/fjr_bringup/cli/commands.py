@@ -20,12 +20,14 @@ def implementation(name: str) -> ModuleType:
     return module
 
 
+COMMANDS = click.Group()
+"""All commands, in the order of the help."""
 stamped_duration = duration_option("Duration of a run in seconds of stamped time.", 5.0)
 runs_folder = output_option("Folder for the folders of runs.", "runs")
 force_over_ros2 = click.option("--force", is_flag=True, help="Run although ros2 is on the PATH.")
 
 
-@click.command()
+@COMMANDS.command()
 @stamped_duration
 @runs_folder
 def demo(**given: Any) -> Any:
@@ -37,7 +39,7 @@ def demo(**given: Any) -> Any:
     return implementation("run").demo(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @click.option("--lockstep", is_flag=True, help="Simulate one sample per command, independently of the clock.")
 @click.option("--force", is_flag=True, help="Run a scenario even if it is unstable as sampled.")
@@ -52,11 +54,17 @@ def run(**given: Any) -> Any:
     return implementation("run").run_scenario(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @click.argument("bags", nargs=-1, required=True, metavar="BAG...", type=options.PATH)
 @click.option("--scenario", metavar="NAME", help="Scenario of the robot: a name or a file. [default: next to the bag]")
 @output_option("Folder for the reports. [default: next to the bag]")
-@click.option("--namespace", metavar="NS", default="", help="Namespace of the nodes, if the bag holds several.")
+@click.option(
+    "--namespace",
+    metavar="NS",
+    default="",
+    show_default=False,
+    help="Namespace of the nodes, if the bag holds several.",
+)
 def report(**given: Any) -> Any:
     """Write pages and figures from bags of any robot.
 
@@ -65,7 +73,7 @@ def report(**given: Any) -> Any:
     return implementation("report").report(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @set_option
 def check(**given: Any) -> Any:
@@ -76,12 +84,10 @@ def check(**given: Any) -> Any:
     return implementation("check").check_scenario(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @click.option("--beta", type=options.RATE, metavar="B", required=True, help="Required rate of convergence [1/s].")
-@click.option(
-    "--delay", type=options.SAMPLES, metavar="D", default=0.0, show_default=True, help="Delay of the loop in samples."
-)
+@click.option("--delay", type=options.SAMPLES, metavar="D", default=0.0, help="Delay of the loop in samples.")
 @click.option("--everywhere", is_flag=True, help="Cover the joints' whole range instead of the reference only.")
 @set_option
 def gains(**given: Any) -> Any:
@@ -92,33 +98,21 @@ def gains(**given: Any) -> Any:
     return implementation("gains").print_gains(**given)
 
 
-@click.command()
+@COMMANDS.command()
 def scenarios() -> Any:
     """List the installed scenarios."""
     return implementation("report").list_scenarios()
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @click.option("--run", "run_folder", type=options.PATH, metavar="DIR", help="Folder of a recorded run to follow.")
 @duration_option("Duration in seconds.", 1.0)
+@click.option("--starts", type=options.SOLUTIONS, metavar="M", default=8, help="Number of virtual solutions, 2 to 64.")
 @click.option(
-    "--starts",
-    type=options.SOLUTIONS,
-    metavar="M",
-    default=8,
-    show_default=True,
-    help="Number of virtual solutions, 2 to 64.",
+    "--spread", type=options.ANGLE, metavar="RAD", default=0.5, help="Largest initial distance of the links [rad]."
 )
-@click.option(
-    "--spread",
-    type=options.ANGLE,
-    metavar="RAD",
-    default=0.5,
-    show_default=True,
-    help="Largest initial distance of the links [rad].",
-)
-@click.option("--seed", type=int, metavar="N", default=0, show_default=True, help="Seed of the random initial states.")
+@click.option("--seed", type=int, metavar="N", default=0, help="Seed of the random initial states.")
 @output_option("Folder in which contraction/ is written.", "runs")
 @set_option
 def contraction(**given: Any) -> Any:
@@ -129,7 +123,7 @@ def contraction(**given: Any) -> Any:
     return implementation("studies").contraction(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @set_option
 def description(**given: Any) -> Any:
@@ -140,14 +134,12 @@ def description(**given: Any) -> Any:
     return implementation("export").print_description(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
 @click.option("--runs", type=options.RUNS, metavar="N", help="Number of runs. [default: the sweep's, else 1000]")
 @click.option("--seed", type=int, metavar="N", help="Seed of all random numbers. [default: the sweep's, else 0]")
 @duration_option("Duration of a run in seconds. [default: the sweep's, else 5]")
-@click.option(
-    "--cores", type=options.cores, metavar="N", default="1", show_default=True, help="Cores of this machine, or `all`."
-)
+@click.option("--cores", type=options.cores, metavar="N", default="1", help="Cores of this machine, or `all`.")
 @click.option(
     "--scheduler", metavar="ADDRESS", help="Dask cluster to use instead of this machine, e.g. tcp://host:8786."
 )
@@ -161,7 +153,7 @@ def sweep(**given: Any) -> Any:
     return implementation("studies").sweep(**given)
 
 
-@click.command("export-c")
+@COMMANDS.command("export-c")
 @click.argument("scenario", shell_complete=options.complete_scenario)
 @click.argument("folder", metavar="DIR", type=options.PATH)
 @click.option("--prefix", metavar="NAME", help="Prefix of all names in C. [default: the scenario's name]")
@@ -175,7 +167,7 @@ def export_c(**given: Any) -> Any:
     return implementation("export").export_scenario(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @click.argument("suite", default="paper")
 @output_option("Folder in which compare_SUITE/ is written.", "runs")
 @click.option("--cores", type=options.cores, metavar="N", help="Cores of this machine, or `all`. [default: all]")
@@ -203,7 +195,7 @@ def compare(**given: Any) -> Any:
     return implementation("studies").compare(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @click.argument("topic")
 @click.option("--once", "count", flag_value=1, type=int, default=None, help="Print only the first message.")
 @click.option("--count", type=options.MESSAGES, metavar="N", help="Print only N messages.")
@@ -214,7 +206,7 @@ def echo(**given: Any) -> Any:
     return implementation("live").echo_topic(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @click.argument("topics", nargs=-1, metavar="[TOPIC]...")
 @output_option("A new folder. [default: bag_ and the time]")
 @duration_option("Duration in seconds. [default: until Ctrl-C]")
@@ -227,12 +219,10 @@ def record(**given: Any) -> Any:
     return implementation("live").record_topics(**given)
 
 
-@click.command()
+@COMMANDS.command()
 @scenario_argument
-@click.option("--namespace", metavar="NS", default="/", show_default=True, help="Namespace of the nodes.")
-@click.option(
-    "--controller", metavar="NAME", default="fjr_controller", show_default=True, help="Name of the controller node."
-)
+@click.option("--namespace", metavar="NS", default="/", help="Namespace of the nodes.")
+@click.option("--controller", metavar="NAME", default="fjr_controller", help="Name of the controller node.")
 @click.option("--once", is_flag=True, help="Print the state once as plain text.")
 @click.option(
     "--remap",
@@ -248,21 +238,3 @@ def watch(**given: Any) -> Any:
     The displayed effort limits are those of SCENARIO, by default those of the URDF.
     """
     return implementation("live").watch_loop(**given)
-
-
-COMMANDS = (
-    demo,
-    run,
-    report,
-    check,
-    gains,
-    scenarios,
-    contraction,
-    description,
-    sweep,
-    export_c,
-    compare,
-    echo,
-    record,
-    watch,
-)

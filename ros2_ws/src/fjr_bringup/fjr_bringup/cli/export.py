@@ -9,7 +9,7 @@ from pathlib import Path
 from fjr_bringup.scenarios import library
 from fjr_core.codegen import export, loop_of, prefix_of, write
 from fjr_core.config.description import description
-from fjr_core.config.scenario import Scenario, left_out
+from fjr_core.config.scenario import left_out
 
 
 def print_description(scenario: str | None, assignments: Sequence[str]) -> None:
@@ -18,27 +18,17 @@ def print_description(scenario: str | None, assignments: Sequence[str]) -> None:
 
 
 def export_scenario(scenario: str, assignments: Sequence[str], folder: Path, prefix: str | None, force: bool) -> None:
-    """Write the C99 folder of a scenario; force: replace an earlier export."""
-    print(export_to(library.load(scenario, assignments), folder, prefix, force))
-
-
-def export_to(scenario: Scenario, folder: Path, prefix: str | None, force: bool) -> str:
-    """Write law, plant and reference as C99; return the message for the user. Raises FjrError."""
-    prefix = prefix or prefix_of(scenario.name)
-    missing = left_out(scenario)
-    texts = export(loop_of(scenario), prefix, notes=_note(missing))
-    write(texts, folder, force)
-    lines = [
-        f"{folder}: {', '.join(texts)}",
-        f"build and compare with Python: cmake -S {folder} -B {folder}/build && cmake --build {folder}/build && "
-        f"ctest --test-dir {folder}/build --verbose",
-    ]
-    if missing:
-        lines.append(f"not exported: what {', '.join(missing)} add to plant and measurement")
-    return "\n".join(lines)
-
-
-def _note(missing: Sequence[str]) -> str:
-    """Return a sentence for the README about parameters of the scenario that the C code leaves out."""
+    """Write law, plant and reference of a scenario as C99; force: replace an earlier export. Raises FjrError."""
+    loaded = library.load(scenario, assignments)
+    missing = left_out(loaded)
     names = ", ".join(f"`{name}`" for name in missing)
-    return f"\nThe scenario also sets {names}: not in this C.\n" if missing else ""
+    notes = f"\nThe scenario also sets {names}: not in this C.\n" if missing else ""
+    texts = export(loop_of(loaded), prefix or prefix_of(loaded.name), notes=notes)
+    write(texts, folder, force)
+    print(
+        f"{folder}: {', '.join(texts)}\n"
+        f"build and compare with Python: cmake -S {folder} -B {folder}/build && cmake --build {folder}/build && "
+        f"ctest --test-dir {folder}/build --verbose"
+    )
+    if missing:
+        print(f"not exported: what {', '.join(missing)} add to plant and measurement")

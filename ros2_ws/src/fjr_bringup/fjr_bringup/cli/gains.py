@@ -21,32 +21,27 @@ INDENT = " " * 6
 
 
 def print_gains(scenario: str | None, assignments: Sequence[str], beta: float, delay: float, everywhere: bool) -> None:
-    """Print gains for a scenario's robot (see gains_block)."""
-    print(gains_block(library.load(scenario, assignments), beta, delay, everywhere), end="")
-
-
-def gains_block(scenario: Scenario, beta: float, delay: float, everywhere: bool) -> str:
-    """Return gains as YAML, with rate beta [1/s] at the scenario's sample rate and a loop delay [samples].
+    """Print gains for a scenario's robot as YAML: rate beta [1/s] at its sample rate and a loop delay [samples].
 
     The rate holds along the scenario's reference, or everywhere within the joints' range. Raises GainsError
     if no such gains exist.
     """
-    robot, period = scenario.robot, scenario.sample_period
-    where = None if everywhere else scenario.configurations()
+    loaded = library.load(scenario, assignments)
+    robot, period = loaded.robot, loaded.sample_period
+    where = None if everywhere else loaded.configurations()
     gains = synthesize(robot, beta, period, delay * period, where)
     law = TrackingLaw(robot, gains)
-    found, rate = _checked(scenario, law, delay * period, where), law.rate(where)
+    found, rate = _checked(loaded, law, delay * period, where), law.rate(where)
     place = "everywhere" if everywhere else "along its reference"
     basis = "proven" if rate.proven else "sampled"
-    lines = [
-        f"# for {scenario.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / period:g} Hz "
-        f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples",
-        "# in place of `gains` below ros__parameters:",
-        "    gains:",
-    ]
+    print(
+        f"# for {loaded.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / period:g} Hz "
+        f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples\n"
+        "# in place of `gains` below ros__parameters:\n"
+        "    gains:"
+    )
     for name, entries in builders.gain_values(gains, robot.n).items():
-        lines.append(_assignment(name.partition(".")[2], entries, robot.n))
-    return "\n".join(lines) + "\n"
+        print(_assignment(name.partition(".")[2], entries, robot.n))
 
 
 def _checked(scenario: Scenario, law: TrackingLaw, delay: float, where: Array | None) -> SampledCheck:

@@ -83,11 +83,9 @@ set_option = click.option(
 
 def output_option(meaning: str, default: str | None = None) -> Callable[..., Any]:
     """Return the option --output DIR."""
-    return click.option("--output", type=PATH, metavar="DIR", default=default, show_default=bool(default), help=meaning)
+    return click.option("--output", type=PATH, metavar="DIR", default=default, help=meaning)
 
 
 def duration_option(meaning: str, default: float | None = None) -> Callable[..., Any]:
     """Return the option --duration S."""
-    return click.option(
-        "--duration", type=SECONDS, metavar="S", default=default, show_default=default is not None, help=meaning
-    )
+    return click.option("--duration", type=SECONDS, metavar="S", default=default, help=meaning)

@@ -47,7 +47,7 @@ def report(bags: Sequence[Path], scenario: str | None, output: Path | None, name
 
 def list_scenarios() -> None:
     """Print the installed scenarios with a summary of each."""
-    for name, path in library.known().items():
+    for name, path in library.installed("scenarios").items():
         print(f"{name:12}  {library.summary(path)}")
 
 
@@ -78,7 +78,8 @@ def _print(summaries: Sequence[RunSummary], failures: Sequence[str], output: Pat
     print(table(summaries))
     print(output_paths(summaries))
     if len(summaries) > 1:
-        print(f"side by side: {compare(summaries, output or _common(summaries))}")
+        common = Path(os.path.commonpath([each.folder.resolve().parent for each in summaries]))
+        print(f"side by side: {compare(summaries, output or common)}")
 
 
 def _report(source: Source, namespace: str) -> RunSummary:
@@ -100,8 +101,10 @@ def _report(source: Source, namespace: str) -> RunSummary:
 
 def _source(path: Path, scenario: str | None, output: Path | None) -> Source:
     """Return bag, name, scenario file and report folder; raises ScenarioError if no scenario is known."""
-    path = _unlinked(path)
-    run = _run_folder(path)
+    if path.is_symlink():  # such as that to the newest run: the report names a folder that does not change
+        path = path.parent / path.readlink()
+    above = [path, *path.resolve().parents[:2]]
+    run = next((folder for folder in above if (folder / SCENARIO).is_file()), None)  # the run that the bag belongs to
     if scenario is not None:
         file = library.find(scenario)
     elif run is not None:
@@ -123,17 +126,6 @@ def _unique(source: Source, taken: Sequence[Path]) -> Source:
         folder = source.folder.with_name(f"{source.folder.name}-{number}")
         number += 1
     return replace(source, folder=folder)
-
-
-def _run_folder(path: Path) -> Path | None:
-    """Return the run folder of a bag, which contains the scenario; None if there is no such folder."""
-    above = [path, *path.resolve().parents[:2]]
-    return next((folder for folder in above if (folder / SCENARIO).is_file()), None)
-
-
-def _unlinked(path: Path) -> Path:
-    """Resolve the link to the newest run, so that the report names a permanent folder."""
-    return path.parent / path.readlink() if path.is_symlink() else path
 
 
 def _run_name(folder: Path) -> str:
@@ -160,8 +152,3 @@ def _labelled(summaries: Sequence[RunSummary]) -> list[RunSummary]:
     """Label each run by its scenario, or by its folder if two runs have the same scenario."""
     names = [each.label for each in summaries]
     return [replace(each, label=str(each.folder)) if names.count(each.label) > 1 else each for each in summaries]
-
-
-def _common(summaries: Sequence[RunSummary]) -> Path:
-    """Return the folder above all reports."""
-    return Path(os.path.commonpath([each.folder.resolve().parent for each in summaries]))

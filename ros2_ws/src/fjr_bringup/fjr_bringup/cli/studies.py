@@ -42,9 +42,8 @@ def sweep(
     output: Path,
 ) -> None:
     """Run a Monte-Carlo study; None keeps the number of the study."""
-    monte_carlo = import_module(
-        "fjr_bringup.studies.monte_carlo.command"
-    )  # loads pyarrow, which other commands do not need
+    # loads pyarrow, which other commands do not need
+    monte_carlo = import_module("fjr_bringup.studies.monte_carlo.command")
     given = {"runs": runs, "seed": seed, "duration": duration}
     numbers = {name: value for name, value in given.items() if value is not None}
     wish = monte_carlo.Options(cores, scheduler, output, library.parse_assignments(assignments), numbers)

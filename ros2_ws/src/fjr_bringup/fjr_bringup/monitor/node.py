@@ -8,9 +8,12 @@ slow terminal.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
@@ -22,8 +25,6 @@ from fjr_msgs_py import names
 from fjr_msgs_py.messages.certificate import labelled
 
 DEPTH = 4000  # messages between two calls of `listen`
-CERTIFICATE = "~/certificate"
-Times = list[tuple[int, int]]
 
 
 class FjrWatch:
@@ -34,17 +35,20 @@ class FjrWatch:
         self._node, self._watched = node, watched
         self._now = 0.0
         self._space = f"{node.get_namespace()}/".lstrip("/")
-        own = {name: name.replace("~", controller) for name in (names.TRACKING_ERROR, CERTIFICATE, names.EVENTS)}
+        own = {name: name.replace("~", controller) for name in (names.TRACKING_ERROR, names.CERTIFICATE, names.EVENTS)}
         self._topics: list[str] = []
         self._stamped = [
             (self._subscribe(JointState, names.JOINT_STATES), watched.sent, self._on_state),
             (self._subscribe(JointState, names.JOINT_COMMANDS), watched.answered, self._on_command),
         ]
         self._newest = [
-            (self._subscribe(JointState, own[names.TRACKING_ERROR], 1), self._on_error),
-            (self._subscribe(Float64MultiArray, own[CERTIFICATE], 1), self._on_certificate),
+            (
+                self._subscribe(JointState, own[names.TRACKING_ERROR], 1),
+                lambda m: watched.error(_by_name(m, m.position)),
+            ),
+            (self._subscribe(Float64MultiArray, own[names.CERTIFICATE], 1), lambda m: watched.certificate(labelled(m))),
             (self._subscribe(Float64MultiArray, names.EFFORT_COMMANDS, 1), self._on_efforts),
-            (self._subscribe(String, names.ROBOT_DESCRIPTION, 1, names.LATCHED), self._on_description),
+            (self._subscribe(String, names.ROBOT_DESCRIPTION, 1, names.LATCHED), lambda m: watched.description(m.data)),
         ]
         self._every = [
             (self._subscribe(DiagnosticArray, names.DIAGNOSTICS, 100), self._on_diagnostics),
@@ -57,15 +61,15 @@ class FjrWatch:
         """Process all new messages; `now` [s]: the current time."""
         self._now = now
         for subscription, on_times, on_last in self._stamped:
-            data, times = _drained(subscription)
-            on_times(times)
-            if data:
+            taken = _drained(subscription)
+            on_times([(header_stamp(data), info["source_timestamp"]) for data, info in taken])
+            for data, _ in taken[-1:]:
                 on_last(deserialize_message(data, subscription.msg_type))
         for subscription, on_newest in self._newest:
-            for data in _all(subscription)[-1:]:
+            for data, _ in _drained(subscription)[-1:]:
                 on_newest(deserialize_message(data, subscription.msg_type))
         for subscription, on_each in self._every:
-            for data in _all(subscription):
+            for data, _ in _drained(subscription):
                 on_each(deserialize_message(data, subscription.msg_type))
 
     def missing(self) -> list[str]:
@@ -75,39 +79,24 @@ class FjrWatch:
         return silent if commands <= set(silent) else [topic for topic in silent if topic not in commands]
 
     def _subscribe(self, kind: type, topic: str, depth: int = DEPTH, qos: QoSProfile | None = None) -> Subscription:
-        profile = qos or QoSProfile(
-            reliability=ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.VOLATILE,
-            history=HistoryPolicy.KEEP_LAST,
-            depth=depth,
-        )
+        profile = qos or QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
         subscription = self._node.create_subscription(kind, topic, lambda _: None, profile, raw=True)
         self._topics.append(subscription.topic_name)
         return subscription
 
     def _on_state(self, message: JointState) -> None:
         self._joints = [name for name in message.name if not name.endswith(names.motor_name(""))]
-        position, velocity = (dict(zip(message.name, values)) for values in (message.position, message.velocity))  # noqa: B905
-        self._watched.state(self._now, position, velocity)
+        self._watched.state(self._now, _by_name(message, message.position), _by_name(message, message.velocity))
 
     def _on_command(self, message: JointState) -> None:
         self._named_efforts = True
-        self._watched.effort(dict(zip(message.name, message.effort)))  # noqa: B905
+        self._watched.effort(_by_name(message, message.effort))
 
     def _on_efforts(self, message: Float64MultiArray) -> None:
         """Use these efforts without JointState commands: by label, else in the joint order of the states."""
         if not self._named_efforts:
             in_order = dict(zip(self._joints, message.data))  # noqa: B905
             self._watched.effort(labelled(message) or in_order)
-
-    def _on_error(self, message: JointState) -> None:
-        self._watched.error(dict(zip(message.name, message.position)))  # noqa: B905
-
-    def _on_certificate(self, message: Float64MultiArray) -> None:
-        self._watched.certificate(labelled(message))
-
-    def _on_description(self, message: String) -> None:
-        self._watched.description(message.data)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -121,18 +110,13 @@ class FjrWatch:
         self._watched.event(self._now, message.level[0], message.name, message.message)
 
 
-def _drained(subscription: Subscription) -> tuple[bytes, Times]:
-    """Empty a queue; return the newest message, and stamp and send time [ns] of all."""
-    data, times = b"", []
-    take, kind = subscription.handle.take_message, subscription.msg_type
-    while (taken := take(kind, True)) is not None:
-        data, info = taken
-        times.append((header_stamp(data), info["source_timestamp"]))
-    return data, times
+def _by_name(message: JointState, values: Sequence[float]) -> dict[str, float]:
+    return dict(zip(message.name, values))  # noqa: B905 (a field may be empty)
 
 
-def _all(subscription: Subscription) -> list[bytes]:
+def _drained(subscription: Subscription) -> list[tuple[bytes, Any]]:
+    """Empty a queue; return the serialised messages with their infos."""
     found = []
     while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-        found.append(taken[0])
+        found.append(taken)
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -182,7 +182,7 @@ class Watched:
             certificate=self._certificate,
             history=tuple(self._history),
             health=tuple(self._aged(now, *self._health[name]) for name in sorted(self._health)),
-            events=tuple(Event(now - then, e.level, e.kind, e.sentence) for then, e in self._events),
+            events=tuple(replace(event, age=now - then) for then, event in self._events),
             missing=tuple(missing),
         )
 
@@ -220,9 +220,7 @@ class Watched:
     def _aged(self, now: float, then: float, status: Health) -> Health:
         if now - then <= STALE:
             return status
-        return Health(
-            status.name, 3, f"no diagnostics for {now - then:.0f} s; the last: {status.message}", status.state
-        )
+        return replace(status, level=3, message=f"no diagnostics for {now - then:.0f} s; the last: {status.message}")
 
 
 def _percentiles(values: np.ndarray) -> tuple[float, float, float]:

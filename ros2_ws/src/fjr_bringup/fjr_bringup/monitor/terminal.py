@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import io
 import math
 
 from rich.columns import Columns
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
@@ -50,8 +49,12 @@ CERTIFICATE = (  # published label, displayed name, unit
 
 def render(view: View, width: int = WIDE) -> RenderableType:
     """Render the whole view; below WIDE characters without velocities and deflections."""
-    parts: list[RenderableType] = [_header(view), _joints(view.joints, width >= WIDE)]
-    parts += [_certificate(view), _health(view)]
+    parts: list[RenderableType] = [
+        _header(view),
+        _joints(view.joints, width >= WIDE),
+        _certificate(view),
+        _health(view),
+    ]
     if view.events:
         parts.append(_events(view))
     if view.missing:
@@ -59,18 +62,12 @@ def render(view: View, width: int = WIDE) -> RenderableType:
     return Group(*parts)
 
 
-def text(view: View, width: int = WIDE) -> str:
-    """Render the view as plain text."""
-    stream = io.StringIO()
-    Console(file=stream, width=width, no_color=True, force_terminal=False).print(render(view, width))
-    return stream.getvalue()
-
-
 def log_bar(value: float, width: int = ERROR_BAR) -> str:
     """Return a logarithmic bar of a magnitude."""
     low, high = ERROR_DECADES
     share = (math.log10(value) - low) / (high - low) if value > 0 else 0.0
-    return _bar(share, width)
+    whole, rest = divmod(round(8 * width * min(1.0, max(0.0, share))), 8)
+    return ("█" * whole + (BLOCKS[rest] if rest else "")).ljust(width)
 
 
 def signed_bar(value: float, largest: float, width: int = EFFORT_BAR) -> str:
@@ -91,12 +88,6 @@ def sparkline(values: tuple[float, ...], width: int) -> str:
     low = min(min(logs), high - 1.0)
     steps = len(SPARKS) - 1
     return "".join(SPARKS[round(steps * (v - low) / (high - low))] for v in logs)
-
-
-def _bar(share: float, width: int) -> str:
-    eighths = round(8 * width * min(1.0, max(0.0, share)))
-    whole, rest = divmod(eighths, 8)
-    return ("█" * whole + (BLOCKS[rest] if rest else "")).ljust(width)
 
 
 def _header(view: View) -> Text:
@@ -169,7 +160,11 @@ def _certificate(view: View) -> Panel:
 
 def _numbers(values: dict[str, float]) -> Columns:
     values = {key: value for key, value in values.items() if key != "bound" or value >= 0}  # negative: no bound
-    known = (f"{name} {_with_unit(values[key], unit)}" for key, name, unit in CERTIFICATE if key in values)
+    known = (
+        f"{name} {values[key]:.3g} {unit}" if math.isfinite(values[key]) else f"{name} {NOTHING}"
+        for key, name, unit in CERTIFICATE
+        if key in values
+    )
     return Columns(known, padding=(0, 3))
 
 
@@ -178,10 +173,6 @@ def _history(values: tuple[float, ...]) -> Text:
     finite = [value for value in values if math.isfinite(value)]
     line = Text("log V  ").append(sparkline(values, HISTORY), style="cyan")
     return line.append(f"  {min(finite):.0e} .. {max(finite):.0e} J", style="dim") if finite else line
-
-
-def _with_unit(value: float, unit: str) -> str:
-    return f"{value:.3g} {unit}" if math.isfinite(value) else NOTHING
 
 
 def _health(view: View) -> Panel:
@@ -201,8 +192,7 @@ def _events(view: View) -> Panel:
     lines = []
     for event in view.events:
         level = LEVELS[min(event.level, len(LEVELS) - 1)]
-        line = (
-            Text().append(f"{event.age:6.1f} s ago  ", style="dim").append(event.kind, style=f"bold {COLOURS[level]}")
-        )
+        line = Text().append(f"{event.age:6.1f} s ago  ", style="dim")
+        line.append(event.kind, style=f"bold {COLOURS[level]}")
         lines.append(line.append(f"  {event.sentence}"))
     return Panel(Text("\n").join(lines), title="events", title_align="left", border_style="dim")

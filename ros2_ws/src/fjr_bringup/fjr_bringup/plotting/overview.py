@@ -183,13 +183,9 @@ STYLE = {
 }
 
 
+@mpl.rc_context(STYLE)
 def draw_overview(name: str, data: RunData, report: Report, folder: Path) -> Path:
     """Write overview.png into the folder and return its path."""
-    with mpl.rc_context(STYLE):
-        return _overview(name, data, report, folder)
-
-
-def _overview(name: str, data: RunData, report: Report, folder: Path) -> Path:
     figure = Figure(figsize=(14.0, 7.2), layout="constrained")
     axes = figure.subplots(2, 3)
     tracking(axes[0, 0], data)

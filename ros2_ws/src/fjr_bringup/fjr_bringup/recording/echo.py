@@ -27,18 +27,14 @@ POLL = 0.02  # s between looks at the graph or the queue
 PATIENCE = 2.0  # s without a message before a notice is printed
 
 
-class EchoError(FjrError):
-    """No message arrived on a topic."""
-
-
 class TopicError(FjrError):
-    """An invalid topic name."""
+    """An invalid topic name, or no message arrived on the topic."""
 
 
 def echo(topic: str, count: int | None, timeout: float, stop: threading.Event) -> int:
     """Print messages until `count` have arrived or `stop` is set; return their number.
 
-    Raise EchoError after `timeout` [s] without a message, SchemaError if the type is not installed.
+    Raise TopicError after `timeout` [s] without a message, SchemaError if the type is not installed.
     """
     topic = absolute(topic)
     shown = 0
@@ -97,7 +93,7 @@ def _messages(node: Node, topic: str, timeout: float, stop: threading.Event) -> 
             yield taken[0]
         silent = time.monotonic() - received
         if silent > timeout:
-            raise EchoError(f"no message of {topic} for {timeout:g} s; {_published(node)}")
+            raise TopicError(f"no message of {topic} for {timeout:g} s; {_published(node)}")
         if silent > PATIENCE and not notified:
             notified = True
             print(f"fjr: waiting for {topic}; {_published(node)}", file=sys.stderr, flush=True)

@@ -51,7 +51,9 @@ class Bag:
         """Return a topic; raise BagError, listing the recorded topics, if it is missing or empty."""
         found = self._full_name(name)
         if found is None:
-            raise BagError(f"{self.path} holds no message of {self.namespace}{name}; it holds {self._contents()}")
+            recorded = sorted(name for name, topic in self.topics.items() if topic.messages)
+            held = ", ".join(recorded) or ("nothing" if self.complete else "nothing, and was not closed")
+            raise BagError(f"{self.path} holds no message of {self.namespace}{name}; it holds {held}")
         return self.topics[found]
 
     def _full_name(self, name: str) -> str | None:
@@ -62,10 +64,6 @@ class Bag:
         if len(others) > 1:
             raise BagError(f"{self.path} holds {' and '.join(sorted(others))}: name one of them by its --namespace")
         return others[0] if others else None
-
-    def _contents(self) -> str:
-        recorded = sorted(name for name, topic in self.topics.items() if topic.messages)
-        return ", ".join(recorded) or ("nothing" if self.complete else "nothing, and was not closed")
 
     def joints(self, name: str, joints: Sequence[str]) -> JointTable:
         """Return a JointState topic as arrays with columns in the order of `joints`; raise BagError."""

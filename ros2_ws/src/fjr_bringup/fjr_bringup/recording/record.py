@@ -13,7 +13,6 @@ from pathlib import Path
 from fjr_bringup.recording.echo import absolute
 from fjr_bringup.recording.recorder import Recorder
 from fjr_bringup.recording.run_folder import FolderError
-from fjr_bringup.recording.writer import Channel
 from fjr_core.errors import FjrError
 
 POLL = 0.05  # s
@@ -50,14 +49,10 @@ def _wait(recorder: Recorder, duration: float | None, stop: threading.Event) -> 
 def _summary(recorder: Recorder, wanted: Sequence[str], folder: Path) -> str:
     """Return one line per topic, then missing topics and the total."""
     channels = sorted(recorder.writer.channels, key=lambda channel: channel.topic)
-    lines = [_line(channel) for channel in channels if channel.count]
+    lines = [f"{each.count:9} {each.topic} ({each.type_name})" for each in channels if each.count]
     recorded = {channel.topic for channel in channels if channel.count}
     lines += [f"not recorded: {topic}, {reason}" for topic, reason in sorted(recorder.skipped.items())]
     lines += [f"not complete: {recorder.loss}"] if recorder.loss else []
     lines += [f"nothing came on {topic}" for topic in wanted if topic not in recorded | set(recorder.skipped)]
     total = sum(channel.count for channel in channels)
     return "\n".join([*lines, f"{total} messages of {len(recorded)} topics in {folder}"])
-
-
-def _line(channel: Channel) -> str:
-    return f"{channel.count:9} {channel.topic} ({channel.type_name})"

@@ -46,12 +46,12 @@ class Track:
 class Recorder:
     """Record from `start` to `close`; a context manager. Owns an rclpy context and one thread."""
 
-    def __init__(self, folder: Path, node_name: str = "fjr_recorder", topics: Collection[str] = ()) -> None:
+    def __init__(self, folder: Path, topics: Collection[str] = ()) -> None:
         """topics: absolute names of the topics to record; empty: all."""
         self.context = rclpy.Context()
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
         self.node: Node = rclpy.create_node(
-            node_name, context=self.context, enable_rosout=False, start_parameter_services=False
+            "fjr_recorder", context=self.context, enable_rosout=False, start_parameter_services=False
         )
         self.writer = BagWriter(folder)
         self.skipped: dict[str, str] = {}  # topic -> why it is not recorded
@@ -87,11 +87,6 @@ class Recorder:
     def ends(self, topic: str) -> tuple[bytes, bytes] | None:
         """Return the first and latest serialised message of a topic; None before the first."""
         return self._tracks[topic].ends if topic in self._tracks else None
-
-    def last(self, topic: str) -> bytes:
-        """Return the latest serialised message of a topic; empty before the first."""
-        ends = self.ends(topic)
-        return ends[1] if ends else b""
 
     def matched(self, topic: str) -> int:
         """Return the number of publishers of a topic that are matched with this recorder."""
@@ -168,16 +163,15 @@ class Recorder:
         """Adapt the subscription to additional publishers if their QoS requires it."""
         track.publishers = publishers
         wanted, old = adapted_qos(publishers), track.subscription
-        if (wanted.reliability, wanted.durability) != (
-            old.qos_profile.reliability,
-            old.qos_profile.durability,
-        ):
+        present = old.qos_profile
+        if (wanted.reliability, wanted.durability) != (present.reliability, present.durability):
             self._drain(track)
             track.subscription = self._subscription(old.msg_type, old.topic, publishers)
             self.node.destroy_subscription(old)
 
     def _subscription(self, kind: type, topic: str, publishers: list[TopicEndpointInfo]) -> Subscription:
-        return self.node.create_subscription(kind, topic, _never, adapted_qos(publishers), raw=True)
+        """Subscribe without a callback: the recorder's thread empties the queues, no executor calls it."""
+        return self.node.create_subscription(kind, topic, lambda _: None, adapted_qos(publishers), raw=True)
 
 
 def adapted_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
@@ -191,7 +185,3 @@ def adapted_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
         reliability=QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT,
         durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE,
     )
-
-
-def _never(_message: bytes) -> None:
-    """Do nothing: no executor calls this, because the thread of the recorder empties the queues."""

@@ -55,14 +55,11 @@ class _Reader:
         following: int | None = -(2**63)
         while following is not None:
             following = self._read_from(following)
+        notes = self._contents.notes
         if self._gaps:
-            self._contents.notes.append(
-                f"{name} is damaged in {plural(self._gaps, 'place')}; the messages there are lost"
-            )
+            notes.append(f"{name} is damaged in {plural(self._gaps, 'place')}; the messages there are lost")
         if self._invalid:
-            self._contents.notes.append(
-                f"{name}: {plural(self._invalid, 'message')} of no known topic or without a time left out"
-            )
+            notes.append(f"{name}: {plural(self._invalid, 'message')} of no known topic or without a time left out")
         return not self._gaps
 
     def _read_from(self, first: int) -> int | None:
@@ -96,9 +93,7 @@ class _Reader:
     def _one(self, number: int) -> tuple[int, object, object, object] | None:
         """Return the first message from an id on; None if it is unreadable."""
         try:
-            row: tuple[int, object, object, object] | None
-            row = self._database.execute(f"{MESSAGES} LIMIT 1", (number,)).fetchone()
-            return row
+            return self._database.execute(f"{MESSAGES} LIMIT 1", (number,)).fetchone()
         except sqlite3.DatabaseError:
             return None
 

@@ -39,20 +39,10 @@ class Topic:
         """Send time of each message by the middleware [ns], (k,); receive time if the bag holds no send times."""
         return np.array([message.publish_time for message in self.messages], dtype=np.int64)
 
-    @cached_property
-    def log_time(self) -> Times:
-        """Receive time of each message [ns], (k,)."""
-        return np.array([message.log_time for message in self.messages], dtype=np.int64)
-
-    @cached_property
-    def sequence(self) -> Times:
-        """Sequence number of each message, (k,); zeros if not recorded."""
-        return np.array([message.sequence for message in self.messages], dtype=np.int64)
-
     @property
     def lost(self) -> int | None:
         """Number of lost messages from gaps in the sequence numbers; None with several publishers."""
-        steps = np.diff(self.sequence)
+        steps = np.diff(np.array([message.sequence for message in self.messages], dtype=np.int64))  # 0: not recorded
         return int((steps - 1).sum()) if (steps >= 1).all() else None
 
     @cached_property

@@ -97,12 +97,7 @@ class BagWriter:
         start = {"nanoseconds_since_epoch": self._first_time if count else 0}
         duration = {"nanoseconds": self._last_time - self._first_time if count else 0}
         name = self.path.name
-        one_file = {
-            "path": name,
-            "starting_time": dict(start),
-            "duration": dict(duration),
-            "message_count": count,
-        }
+        one_file = {"path": name, "starting_time": dict(start), "duration": dict(duration), "message_count": count}
         return {
             "version": METADATA_VERSION,
             "storage_identifier": "mcap",

@@ -68,20 +68,11 @@ class Plot:
         """Return the plot as a value for page.js; its arrays are added to the pool."""
         rows = decimated([line.values for line in self.lines], DRAWN)
         return {
-            "name": self.name,
-            "title": self.title,
-            "caption": self.caption,
-            "xLabel": self.x_label,
-            "yLabel": self.y_label,
-            "xLog": self.x_log,
-            "yLog": self.y_log,
-            "time": self.time,
-            "wide": self.wide,
-            "place": self.place,
-            "legend": self.legend,
-            "yRange": self.y_range,
+            **vars(self),
             "x": pool.add(self.x[rows], np.float64),
-            "lines": [_packed(line, pool.add(drawable(line.values[rows], self.y_log))) for line in self.lines],
+            "lines": [
+                {**vars(line), "values": pool.add(drawable(line.values[rows], self.y_log))} for line in self.lines
+            ],
             "views": {name: view.packed(pool) for name, view in self.views.items()},
         }
 
@@ -132,15 +123,3 @@ def drawable(values: Array, log: bool = False) -> Array:
     """Return the values with NaN for those that an axis cannot show: huge ones, and on a log axis those <= 1e-37."""
     good = (np.abs(values) < DRAWABLE) & ((values > 1e-37) | (not log))
     return np.where(good, values, np.nan)
-
-
-def _packed(line: Line, place: int) -> dict[str, Any]:
-    return {
-        "label": line.label,
-        "values": place,
-        "colour": line.colour,
-        "width": line.width,
-        "dash": line.dash,
-        "step": line.step,
-        "fill": line.fill,
-    }

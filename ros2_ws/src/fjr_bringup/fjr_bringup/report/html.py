@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from functools import cache
+from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,16 +16,35 @@ from markupsafe import Markup
 
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.formatting import number, percent
-from fjr_bringup.report import uplot
 from fjr_bringup.report.figure import Plot, Pool, colour
+from fjr_core.errors import FjrError
 
 TEMPLATES = "report/templates"
+DISTRIBUTION = "uplot-python"  # its script and style are read; its package is not imported
+SCRIPT, STYLE = "uPlot.iife.js", "uPlot.min.css"
 HEADINGS = {
     "holding": "The certificate holds",
     "degraded": "Degraded",
     "violated": "Violated",
     "unknown": "No verdict",
 }
+
+
+class UPlotError(FjrError):
+    """uPlot is not installed."""
+
+
+@cache
+def asset(name: str) -> str:
+    """Return the text of SCRIPT or STYLE; raises UPlotError."""
+    try:
+        path = Path(str(distribution(DISTRIBUTION).locate_file(f"uplot/static/{name}")))
+        return path.read_text(encoding="utf-8")
+    except (PackageNotFoundError, OSError):
+        raise UPlotError(
+            f"{name} of the Python package {DISTRIBUTION}, which draws the plots of a page, is not installed; "
+            f"expected it from: pip install --no-deps {DISTRIBUTION}"
+        ) from None
 
 
 @cache
@@ -39,8 +59,10 @@ def environment() -> Environment:
         keep_trailing_newline=True,
     )
     made.filters |= {"number": number, "percent": percent}
-    made.globals |= {"HEADINGS": HEADINGS, "SCRIPT": uplot.SCRIPT, "STYLE": uplot.STYLE}
-    made.globals |= {"colour": colour, "static": _static, "asset": _asset}
+    made.globals |= {"HEADINGS": HEADINGS, "SCRIPT": SCRIPT, "STYLE": STYLE}
+    static = files("fjr_bringup") / TEMPLATES  # files that go into a page as they are, like those of uPlot
+    made.globals["static"] = lambda name: Markup((static / name).read_text(encoding="utf-8"))
+    made.globals |= {"colour": colour, "asset": lambda name: Markup(asset(name))}
     made.policies["json.dumps_kwargs"] = {}
     return made
 
@@ -56,13 +78,3 @@ def write_page(path: Path, template: str, title: str, plots: Sequence[Plot], **v
 def as_json(value: object) -> str:
     """Return a value as indented JSON for the folded block at the end of a page."""
     return json.dumps(value, indent=2, ensure_ascii=False)
-
-
-def _asset(name: str) -> Markup:
-    """Return uPlot's script or style."""
-    return Markup(uplot.asset(name))
-
-
-def _static(name: str) -> Markup:
-    """Return a file of this package that goes into the page as it is."""
-    return Markup((files("fjr_bringup") / TEMPLATES / name).read_text(encoding="utf-8"))

@@ -43,7 +43,7 @@ def tracking(data: RunData) -> Plot:
     verb = "follow" if size[-1] <= max(size[0], 1e-3) else "do not follow"
     if not many:
         verb = {"follow": "follows", "do not follow": "does not follow"}[verb]
-    reference = [_line("reference" if j == 0 else "", data.q_ld[:, j], "grey", 4.0) for j in range(len(data.joints))]
+    reference = [Line("reference" if j == 0 else "", data.q_ld[:, j], "grey", 4.0) for j in range(len(data.joints))]
     links = _per_joint(data, data.q_l)
     return Plot(
         "tracking",
@@ -100,7 +100,7 @@ def _efforts(data: RunData, unit: Array) -> list[Line]:
         if np.isfinite(limits[j]):
             shade, flat = "grey" if same else colour(j), np.full(len(data.t), limits[j])
             lines += [
-                _line("limit" if same and i == 0 else "", sign * flat, shade, 1.0, (6, 4))
+                Line("limit" if same and i == 0 else "", sign * flat, shade, 1.0, (6, 4))
                 for i, sign in enumerate((1, -1))
             ]
     return lines
@@ -113,8 +113,8 @@ def storage(data: RunData, report: Report) -> Plot:
     with np.errstate(all="ignore"):
         bound = data.bound / (data.V[0] or 1.0)
     lines = [
-        _line("V / V(0)", relative, "c1", 1.5),
-        _line("bound exp(−2βt)", np.where(bound > floor, bound, np.nan), "grey", 1.5, (6, 4)),
+        Line("V / V(0)", relative, "c1", 1.5),
+        Line("bound exp(−2βt)", np.where(bound > floor, bound, np.nan), "grey", 1.5, (6, 4)),
     ]
     title, caption = "V and its bound", ""
     if found is not None:
@@ -147,9 +147,9 @@ def rate(data: RunData) -> Plot:
     predicted = -data.dV
     least = data.beta * (data.V[:-1] + data.V[1:])
     lines = [
-        _line("predicted", predicted, "grey", 4.0),
-        _line("measured", measured, "c1", 1.2),
-        _line("2βV, required by the bound", least, "c2", 1.2, (6, 4)),
+        Line("predicted", predicted, "grey", 4.0),
+        Line("measured", measured, "c1", 1.2),
+        Line("2βV, required by the bound", least, "c2", 1.2, (6, 4)),
     ]
     caption = (
         "Rate of decay of V between states: predicted by the model for the effort sent, measured, and required by the "
@@ -186,19 +186,15 @@ def _flows(flow: Power, shown: Callable[[Array], Array]) -> list[Line]:
     if not np.isfinite(flow.residual).any():
         return []
     return [
-        _line("supplied", shown(flow.supplied), "c1", 1.5),
-        _line("dissipated", shown(flow.dissipated), "c2", 1.5),
-        _line("stored", shown(flow.stored), "c3", 1.5),
-        _line("residual", shown(flow.residual), "bad", 1.2),
+        Line("supplied", shown(flow.supplied), "c1", 1.5),
+        Line("dissipated", shown(flow.dissipated), "c2", 1.5),
+        Line("stored", shown(flow.stored), "c3", 1.5),
+        Line("residual", shown(flow.residual), "bad", 1.2),
     ]
 
 
 def _per_joint(data: RunData, values: Array, width: float = 1.5, step: bool = False) -> list[Line]:
     return [Line(joint, values[:, j], colour(j), width, step=step) for j, joint in enumerate(data.joints)]
-
-
-def _line(label: str, values: Array, shade: str, width: float, dash: tuple[int, ...] = ()) -> Line:
-    return Line(label, values, shade, width, dash)
 
 
 BINS = 60

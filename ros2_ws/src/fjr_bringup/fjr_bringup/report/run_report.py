@@ -24,12 +24,12 @@ def write_run_page(path: Path, data: RunData, report: Report, flow: Power) -> No
     html.write_page(
         path,
         "run.html",
-        f"{report.scenario}: {_heading(report)}",
+        f"{report.scenario}: {report.stop.heading if report.stop else html.HEADINGS[report.verdict.kind]}",
         run_plots(data, report, flow),
         report=report,
-        kicker=kicker(report),
+        kicker=f"Tracking report · {report.bag} · {number(report.duration_s, 's')}",
         heading=title(report),
-        notes=[*failed(report), *report.missing],
+        notes=[*([f"The run ended early: {report.failure}"] if report.failure else []), *report.missing],
         tiles=tiles(report),
         position=headlines.position_unit(report),
         effort=headlines.effort_unit(report),
@@ -38,25 +38,11 @@ def write_run_page(path: Path, data: RunData, report: Report, flow: Power) -> No
     )
 
 
-def _heading(report: Report) -> str:
-    return report.stop.heading if report.stop else html.HEADINGS[report.verdict.kind]
-
-
 def title(report: Report) -> str:
     """Return scenario, number of joints, sample rate and clock."""
     clock = "in lock-step" if report.lockstep else "in real time"
     joints = "one joint" if len(report.joints) == 1 else f"{len(report.joints)} joints"
     return f"{report.scenario}: {joints}, {number(1.0 / report.sample_period_s, 'Hz', 4)} {clock}"
-
-
-def kicker(report: Report) -> str:
-    """Return the path of the bag and the duration of the run."""
-    return f"Tracking report · {report.bag} · {number(report.duration_s, 's')}"
-
-
-def failed(report: Report) -> tuple[str, ...]:
-    """Return why the run ended early, if it did."""
-    return (f"The run ended early: {report.failure}",) if report.failure else ()
 
 
 def tiles(report: Report) -> list[tuple[str, str]]:

@@ -104,22 +104,20 @@ class Compared:
 
 def side_by_side_plots(runs: Sequence[Compared]) -> list[Plot]:
     """Return the plots that are not empty, in the order of the page."""
-    drawn = [errors(runs), efforts(runs), storages(runs), latencies(runs), periods(runs)]
+    errors = [np.abs(run.data.error).max(axis=1) for run in runs]
+    efforts = [np.fmax.reduce(np.abs(run.data.u), axis=1) for run in runs]
+    latencies = [run.data.latency * 1e3 for run in runs]
+    periods = [np.diff(run.data.sent) * 1e3 for run in runs]
+    largest = "The largest {} of all joints at each state; log axis."
+    error, effort = (f"{symbol} [{_units(runs, what)}]" for symbol, what in (("error", "position"), ("|u|", "effort")))
+    drawn = [
+        _over_time("error", "Tracking error", largest.format("|q_l − q_ld|"), runs, errors, error),
+        _over_time("effort", "Effort", largest.format("|u|"), runs, efforts, effort),
+        storages(runs),
+        _distribution("latency", "From state to command", "answered later", runs, latencies),
+        _distribution("period", "From state to state", "that came later", runs, periods),
+    ]
     return [plot for plot in drawn if not plot.is_empty]
-
-
-def errors(runs: Sequence[Compared]) -> Plot:
-    """Plot the largest tracking error of all joints."""
-    values = [np.abs(run.data.error).max(axis=1) for run in runs]
-    caption = "The largest |q_l − q_ld| of all joints at each state; log axis."
-    return _over_time("error", "Tracking error", caption, runs, values, f"error [{_units(runs, 'position')}]")
-
-
-def efforts(runs: Sequence[Compared]) -> Plot:
-    """Plot the largest effort of all joints."""
-    values = [np.fmax.reduce(np.abs(run.data.u), axis=1) for run in runs]
-    caption = "The largest |u| of all joints at each state; log axis."
-    return _over_time("effort", "Effort", caption, runs, values, f"|u| [{_units(runs, 'effort')}]")
 
 
 def _units(runs: Sequence[Compared], what: str) -> str:
@@ -140,18 +138,6 @@ def storages(runs: Sequence[Compared]) -> Plot:
     return Plot(plot.name, plot.title, caption, plot.x, [*plot.lines, *dashed], y_label=plot.y_label, y_log=True)
 
 
-def latencies(runs: Sequence[Compared]) -> Plot:
-    """Plot the share of the states whose command took longer than a time."""
-    values = [run.data.latency * 1e3 for run in runs]
-    return _distribution("latency", "From state to command", "answered later", runs, values)
-
-
-def periods(runs: Sequence[Compared]) -> Plot:
-    """Plot the share of the states that followed the previous one later than a time."""
-    values = [np.diff(run.data.sent) * 1e3 for run in runs]
-    return _distribution("period", "From state to state", "that came later", runs, values)
-
-
 def _over_time(
     name: str, title: str, caption: str, runs: Sequence[Compared], values: Sequence[Array], label: str
 ) -> Plot:
@@ -166,6 +152,7 @@ def _over_time(
 
 
 def _distribution(name: str, title: str, what: str, runs: Sequence[Compared], values: Sequence[Array]) -> Plot:
+    """Plot the share of the states whose value [ms] is larger than a time."""
     known = [np.sort(column[np.isfinite(column)]) for column in values]
     everything = np.maximum(np.concatenate(known), SHORTEST)
     low, high = float(everything.min(initial=1.0)), float(everything.max(initial=SHORTEST))

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import errno
 import shlex
+import sys
+import tempfile
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,12 +21,12 @@ from fjr_bringup.analysis.power_balance import power
 from fjr_bringup.analysis.run_data import RunData, run_data
 from fjr_bringup.plotting.overview import draw_overview
 from fjr_bringup.recording.reader import Bag, read_bag
-from fjr_bringup.report.fallback_folder import write_with_fallback
 from fjr_bringup.report.run_report import write_run_page
 from fjr_bringup.report.runs_report import Compared, write_comparison
 from fjr_core.config.scenario import Scenario, load_scenario
 
 PAGE, METRICS, COMPARISON = "report.html", "report.json", "comparison.html"
+UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOTDIR)
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,24 @@ def report_bag(
     return RunSummary(folder, report, data, name)
 
 
+def write_with_fallback(folder: Path, write: Callable[[Path], object]) -> Path:
+    """Create the folder and call `write` with it, or with a new temporary folder if the first cannot be written.
+
+    Return the folder that was written. Raises OSError if neither can be.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write(folder)
+        return folder
+    except OSError as error:
+        if error.errno not in UNWRITABLE:
+            raise
+        other = Path(tempfile.mkdtemp(prefix=f"fjr-{folder.name}-"))
+        print(f"fjr: cannot write to {folder} ({error.strerror}); the report is in {other}", file=sys.stderr)
+    write(other)
+    return other
+
+
 @contextmanager
 def without_warnings() -> Iterator[None]:
     """Suppress warnings of NumPy and Matplotlib about values that are not finite; a report shows them."""
@@ -97,14 +118,7 @@ def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
 
 def table(summaries: Sequence[RunSummary]) -> str:
     """Return why controllers stopped, a table with one line per run, and the faults found."""
-    head = (
-        "scenario",
-        "peak effort",
-        "error after 2 s",
-        "answered in time",
-        "V decays at (at least)",
-        "verdict",
-    )
+    head = ("scenario", "peak effort", "error after 2 s", "answered in time", "V decays at (at least)", "verdict")
     rows = [head, *(_row(summary.label, summary.report) for summary in summaries)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -16,6 +16,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from fjr_core.errors import FjrError
 from fjr_msgs_py.node.loading import signals_blocked
 
+LAST_LINES = 8  # of a log
 GRACE = 20.0  # s from SIGINT to SIGKILL; imports alone take seconds on a busy machine
 
 # Runs in the child before the node: the kernel sends SIGTERM to the node when `fjr` dies, however it dies.
@@ -73,18 +74,18 @@ class NodeProcess:
             how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
             raise NodeError(f"{self.name} {how}. Its last lines ({self.log}):\n{self.last_lines()}")
 
-    def last_lines(self, count: int = 8) -> str:
+    def last_lines(self) -> str:
         """Return the last lines of the node's log, indented."""
-        lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()[-count:]
+        lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()[-LAST_LINES:]
         return "\n".join(f"    {line}" for line in lines) or "    (nothing)"
 
-    def stop(self, grace: float = GRACE) -> int:
-        """Send SIGINT, wait up to `grace` [s], kill the process group; return the exit code."""
+    def stop(self) -> int:
+        """Send SIGINT, wait up to GRACE, kill the process group; return the exit code."""
         with suppress(ProcessLookupError):
             if self.running:
                 self._process.send_signal(signal.SIGINT)
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(grace)
+            self._process.wait(GRACE)
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         return self._process.wait()

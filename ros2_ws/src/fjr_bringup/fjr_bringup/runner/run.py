@@ -19,7 +19,7 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 
 from fjr_bringup.interrupt import Interrupted
-from fjr_bringup.progress import Progress
+from fjr_bringup.progress import progress_bar
 from fjr_bringup.recording.reader import header_stamp
 from fjr_bringup.recording.recorder import Recorder
 from fjr_bringup.recording.run_folder import RunFolder
@@ -36,6 +36,7 @@ EFFORT_COMMANDS, JOINT_COMMANDS = f"/{names.EFFORT_COMMANDS}", f"/{names.JOINT_C
 STARTUP_LIMIT = 120.0  # s for each step of the start; a node that ends is detected at once
 SILENCE_LIMIT = 15.0  # s without a new command
 POLL = 0.02  # s
+PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s"
 GRAPH_PERIOD = 0.5  # s between checks of the graph during the run
 RECORDER_PRIORITY = 1  # in lock-step nothing paces the nodes: the recorder needs priority to lose no message
 
@@ -146,8 +147,11 @@ class _Run:
 
     def _unconnected(self, node: str) -> list[str]:
         """Return the topics of the node that the recorder is not connected to."""
-        topics = self.client.published_by(node)
-        return [topic for topic in topics if self.recorder.matched(topic) < self._own_publishers(topic)]
+        return [
+            topic
+            for topic in self.client.published_by(node)
+            if self.recorder.matched(topic) < sum(name in self.nodes for name in self._publishers(topic))
+        ]
 
     def _graph(self, node: str) -> str:
         """Describe a node in the graph, for the error message."""
@@ -156,10 +160,9 @@ class _Run:
         others = ", ".join(sorted(self.recorder.node.get_node_names())) or "none"
         return f"{seen}; nodes in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: {others}"
 
-    def _own_publishers(self, topic: str) -> int:
-        """Return the number of publishers of this run's nodes on a topic."""
-        infos = self.recorder.node.get_publishers_info_by_topic(topic)
-        return sum(info.node_name in self.nodes for info in infos)
+    def _publishers(self, topic: str) -> list[str]:
+        """Return the node of each publisher on a topic."""
+        return [info.node_name for info in self.recorder.node.get_publishers_info_by_topic(topic)]
 
     def _matched(self) -> bool:
         """Return whether the graph shows both subscriptions: states by the controller, commands by the plant."""
@@ -172,7 +175,7 @@ class _Run:
     def _refuse_others(self) -> None:
         """Raise RunError if any other node publishes states or commands in this domain."""
         for topic, owner in ((STATES, PLANT), (EFFORT_COMMANDS, CONTROLLER), (JOINT_COMMANDS, CONTROLLER)):
-            publishers = [info.node_name for info in self.recorder.node.get_publishers_info_by_topic(topic)]
+            publishers = self._publishers(topic)
             if (owner in self.nodes and publishers.count(owner) > 1) or set(publishers) - {owner}:
                 found = ", ".join(sorted(publishers))
                 raise RunError(
@@ -182,9 +185,11 @@ class _Run:
 
     def _follow(self) -> None:
         """Wait until commands for `duration` [s of stamped time] are recorded."""
-        with Progress(self.plan.name, self.plan.duration) as progress:
+        name, duration = self.plan.name, self.plan.duration
+        line = f"{name}: running for {duration:g} s of stamped time"
+        with progress_bar(line, PROGRESS, desc=name, total=duration) as bar:
             last, deadline, look = 0.0, time.monotonic() + SILENCE_LIMIT, 0.0
-            while last < self.plan.duration:
+            while last < duration:
                 self._pause()
                 if time.monotonic() > look:
                     self._refuse_others()  # a node with another discovery profile may appear only after 3 s
@@ -192,7 +197,7 @@ class _Run:
                 elapsed = self._elapsed()
                 if elapsed > last:
                     last, deadline = elapsed, time.monotonic() + SILENCE_LIMIT
-                    progress.at(elapsed)
+                    bar.update(min(elapsed, duration) - bar.n)
                 elif time.monotonic() > deadline:
                     raise RunError(f"no command to a new state for {SILENCE_LIMIT:g} s\n{self._logs()}")
         self._refuse_others()

@@ -20,20 +20,16 @@ class ScenarioError(FjrError):
     """A scenario does not exist, or no workspace is sourced."""
 
 
-def folder() -> Path:
-    """Return the folder of the installed scenarios; raises ScenarioError."""
+def installed(kind: str) -> dict[str, Path]:
+    """Return the installed files of a kind (scenarios, sweeps, suites) by name; raises ScenarioError."""
     try:
-        return Path(get_package_share_directory("fjr_bringup"), "scenarios")
+        folder = Path(get_package_share_directory("fjr_bringup"), kind)
     except (PackageNotFoundError, OSError) as error:  # OSError: no workspace is sourced
         raise ScenarioError(
             "package fjr_bringup is not installed here: build with `colcon build` in ros2_ws, "
             "then `. ros2_ws/install/setup.sh`"
         ) from error
-
-
-def known() -> dict[str, Path]:
-    """Return the files of the installed scenarios by name."""
-    return {path.stem: path for path in sorted(folder().glob("*.yaml"))}
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 def summary(path: Path) -> str:
@@ -43,31 +39,30 @@ def summary(path: Path) -> str:
     return comments[0].partition(". ")[0] if comments else ""
 
 
-def find(name: str | None) -> Path:
-    """Return the path of a scenario given by name or by file; raises ScenarioError that lists the installed ones."""
-    scenarios = known()
-    if name in scenarios:
-        return scenarios[name]
+def find(name: str | None, kind: str = "scenario") -> Path:
+    """Return the path of a scenario or suite given by name or file; raises ScenarioError with the installed ones."""
+    there = installed(f"{kind}s")
+    if name in there:
+        return there[name]
     if name and os.path.isfile(name):
         return Path(name)
-    what = f"unknown scenario '{name}'" if name else "no scenario given"
-    raise ScenarioError(f"{what}: expected a YAML file or one of {', '.join(scenarios)}")
-
-
-def parse_assignment(text: str) -> tuple[str, Any]:
-    """Split ``name:=value``; the value is YAML, including numbers such as 1e-3. Raises ParameterError."""
-    name, separator, value = text.partition(":=")
-    if not (name and separator):
-        raise ParameterError(f"'{text}' is not an assignment; expected name:=value, e.g. robot.joint_stiffness:=[31.0]")
-    try:
-        return name.strip(), ros_yaml.parse(value)
-    except ParameterError as error:
-        raise ParameterError(f"value of '{name}' {error}") from None
+    what = f"unknown {kind} '{name}'" if name else f"no {kind} given"
+    raise ScenarioError(f"{what}: expected a YAML file or one of {', '.join(there)}")
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """Return the parameter values of ``name:=value`` assignments; raises ParameterError."""
-    return dict(parse_assignment(text) for text in assignments)
+    """Return the values of ``name:=value`` assignments: YAML, including numbers such as 1e-3. Raises ParameterError."""
+    values = {}
+    for text in assignments:
+        name, separator, value = text.partition(":=")
+        if not (name and separator):
+            expected = "expected name:=value, e.g. robot.joint_stiffness:=[31.0]"
+            raise ParameterError(f"'{text}' is not an assignment; {expected}")
+        try:
+            values[name.strip()] = ros_yaml.parse(value)
+        except ParameterError as error:
+            raise ParameterError(f"value of '{name}' {error}") from None
+    return values
 
 
 def load(name: str | None, assignments: Iterable[str] = ()) -> Scenario:
@@ -107,7 +102,10 @@ def _nodes_with(name: str, given: Mapping[str, Mapping[str, object]], folder: Pa
     """Return the nodes that declare a parameter; raises ParameterError if none does."""
     if not isinstance(name, str):
         raise ParameterError(f"the name of a parameter is {name!r}; expected text")
-    by_node = {node: _parameter_names(node, values, folder) for node, values in given.items()}
+    by_node = {}
+    for node, values in given.items():
+        parameters = builders.all_parameters(OWN_PARAMETERS[node], robot_file.merged(values, node, folder))
+        by_node[node] = [parameter.name for parameter in parameters]
     nodes = [node for node, names in by_node.items() if name in names]
     if not nodes:
         everything = sorted(set().union(*by_node.values()))
@@ -116,8 +114,3 @@ def _nodes_with(name: str, given: Mapping[str, Mapping[str, object]], folder: Pa
         hint = f"; did you mean '{close[0]}'?" if close else f"; expected one of, or a name in, {', '.join(groups)}"
         raise ParameterError(f"unknown parameter '{name}'{hint}")
     return nodes
-
-
-def _parameter_names(node: str, values: Mapping[str, object], folder: Path) -> list[str]:
-    merged = robot_file.merged(values, node, folder)
-    return [parameter.name for parameter in builders.all_parameters(OWN_PARAMETERS[node], merged)]

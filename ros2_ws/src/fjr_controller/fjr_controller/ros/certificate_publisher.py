@@ -96,11 +96,11 @@ class CertificatePublisher:
         self._node.destroy_publisher(self._publisher)
 
     def _values(self, rate: float, dt: float) -> CertificateValues:
-        f, certificate = self._online_certificate, self._tracker.certificate
-        if certificate is None or self._no_diagnosis:
+        f, start = self._online_certificate, self._tracker.bound_start
+        if start is None or self._no_diagnosis:
             self._start, self._bound = -1, NO_BOUND
-        elif certificate.start != self._start:
-            self._start, self._bound = certificate.start, f.V
+        elif start != self._start:
+            self._start, self._bound = start, f.V
         else:
             self._bound *= math.exp(-2 * self._beta * dt)
         return CertificateValues(f.V, f.dV, rate, self._bound, f.H, f.supplied, f.dissipated)

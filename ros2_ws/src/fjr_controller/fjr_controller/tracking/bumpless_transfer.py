@@ -29,13 +29,10 @@ class BumplessTransfer:
         self._initial: Array | None = None
         self._start, self._duration = 0, 0.0
 
-    def ramp(self, stamp: int, duration: float) -> None:
-        """Begin a ramp at the stamp [ns] for duration [s]; 0: none."""
-        self._begin(stamp, duration, ramp=True)
-
-    def blend(self, stamp: int, duration: float) -> None:
-        """Begin a blend at the stamp [ns] for duration [s]; 0: none."""
-        self._begin(stamp, duration, ramp=False)
+    def begin(self, stamp: int, duration: float, *, ramp: bool) -> None:
+        """Begin a ramp, or else a blend, at the stamp [ns] for duration [s]; 0: none."""
+        self.active = duration > 0.0
+        self._start, self._duration, self._ramp, self._initial = stamp, duration, ramp, None
 
     def stop(self) -> None:
         """End the transfer."""
@@ -55,7 +52,3 @@ class BumplessTransfer:
         if self._initial is None:
             self._initial = stop_effort().copy() if self._ramp else last - u
         return (1.0 - s) * self._initial + (s * u if self._ramp else u)
-
-    def _begin(self, stamp: int, duration: float, ramp: bool) -> None:
-        self.active = duration > 0.0
-        self._start, self._duration, self._ramp, self._initial = stamp, duration, ramp, None

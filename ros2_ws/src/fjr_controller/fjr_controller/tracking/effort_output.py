@@ -64,20 +64,15 @@ class EffortOutput:
         limits = self.limits
         u = limits.send(supervisor.transfer.apply(selected, limits.sent, self.policy.standing, stamp), stamp)
         if u is selected and math.isfinite(V):
-            supervisor.bound.update(stamp, V)
+            supervisor.bound_start = stamp if supervisor.bound_start is None else supervisor.bound_start
         else:
-            supervisor.bound.reset()
+            supervisor.bound_start = None
         return u
-
-    def send_without_law(self, supervisor: Supervisor, stamp: int) -> Array:
-        """Return the stop policy's effort (n,) [N m] for a sample at `stamp` [ns] without a finite effort."""
-        self.law.reset()
-        return self.send(supervisor, self.policy.standing(), math.nan, stamp)
 
     def send_without_sample(self, supervisor: Supervisor) -> Array:
         """Return the stop policy's effort (n,) [N m] within the effort limits; the rate limits do not apply."""
         u = self.limits.saturate(self.policy.standing())
         self.limits.replace(u)
         self.law.reset()
-        supervisor.bound.reset()
+        supervisor.bound_start = None
         return u

@@ -58,8 +58,3 @@ class Journal:
         else:
             self.episodes.add(kind)
             self.report(level, kind, sentence, **values)
-
-    def merge(self, other: Journal) -> None:
-        """Add the events and counters of another journal."""
-        self.events.extend(other.events)
-        self.counters.update(other.counters)

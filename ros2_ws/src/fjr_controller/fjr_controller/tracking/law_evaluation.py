@@ -12,9 +12,53 @@ from fjr_core.control.static_law import BoundCommand, StaticLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.reference import JETS
 
-from .law_state import LawState
 from .measured_state import MeasuredState
 from .stamp_order import Order
+
+
+class LawState:
+    """Advance the controller state where a sample follows one for which the law acted; reset it everywhere else.
+
+    A repeated sample is evaluated again with the same state. The state after a sample counts only after `accept`.
+    """
+
+    def __init__(self, step: BoundStep) -> None:
+        self._step, self._evaluated, self._continues = step, False, False
+
+    def moved_to(self, step: BoundStep) -> LawState:
+        """Return this controller state for another step with a state of the same layout (other gains)."""
+        np.copyto(step.memory, self._step.memory)
+        np.copyto(step.next, self._step.next)
+        np.copyto(step.sent, self._step.sent)
+        np.copyto(step.dt, self._step.dt)
+        moved = LawState(step)
+        moved._evaluated, moved._continues = self._evaluated, self._continues
+        return moved
+
+    def prepare(self, order: Order, dt: int, sent: Array) -> None:
+        """Set the inputs of the step for a sample dt [ns] after the last one; sent (n,) [N m]: last effort sent."""
+        step, self._evaluated = self._step, True
+        if order is Order.REPEATED and self._continues:
+            return
+        if order is Order.NEXT and self._continues:
+            step.keep()
+            step.dt[0] = dt * 1e-9
+        else:
+            step.forget()
+        np.copyto(step.sent, sent)
+
+    @property
+    def finite(self) -> bool:
+        """Return True if the state after the sample is finite."""
+        return bool(self._step.next.dot(self._step.next) < np.inf)
+
+    def accept(self) -> None:
+        """An effort was sent: the law's, if it was evaluated."""
+        self._continues = self._evaluated
+
+    def reset(self) -> None:
+        """Start from the initial state at the next sample."""
+        self._evaluated = self._continues = False
 
 
 class LawEvaluation:

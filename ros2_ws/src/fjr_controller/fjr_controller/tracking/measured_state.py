@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fjr_core import StateError
+from fjr_core import StateError, VelocityObserver
 from fjr_core.numerics.checks import Array
 
 from .stamp_order import Order
@@ -45,28 +45,10 @@ class MeasuredState:
         self.dq_l[...], self.dq_m[...] = sample.dq_l, sample.dq_m
 
 
-class Observer(Protocol):
-    """Interface of a velocity observer, as the tracker uses it."""
-
-    def reset(self) -> None:
-        """Discard the estimate."""
-
-    @property
-    def state(self) -> Array:
-        """Return the estimate (4n,): q_l, q_m [rad], dq_l, dq_m [rad/s]."""
-
-    @property
-    def fresh(self) -> bool:
-        """Return True if the last update was the first after a reset, so that velocities are not known yet."""
-
-    def update(self, stamp: int, q_l: Array, q_m: Array, u: Array) -> object:
-        """Update the estimate with positions (n,) [rad] at the stamp [ns]; u (n,) [N m] acted since the last ones."""
-
-
 class StateMeasurement:
     """Write each sample into the measured state: as it is, or through the velocity observer if there is one."""
 
-    def __init__(self, state: MeasuredState, observer: Observer | None) -> None:
+    def __init__(self, state: MeasuredState, observer: VelocityObserver | None) -> None:
         self._state, self._observer = state, observer
 
     def warm_up(self) -> None:

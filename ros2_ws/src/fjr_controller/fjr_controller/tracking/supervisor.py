@@ -14,7 +14,6 @@ from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.point_to_point import standing
 
 from .active_reference import ActiveReference
-from .bound_start import BoundStart
 from .bumpless_transfer import BumplessTransfer
 from .events import ERROR, INFO, STARTS_REFUSED, STOPS, WARN, Journal
 from .measured_state import MeasuredState
@@ -35,12 +34,14 @@ class Supervisor:
 
     reason: why tracking is stopped, one sentence; empty otherwise. settling: samples left before the velocities of an
     observer that was reset are used; until then their limits and that of the tracking error are not checked. starting:
-    tracking has not begun on this time line.
+    tracking has not begun on this time line. bound_start: stamp t0 [ns] since which the law alone acts, so that
+    V(t) <= V(t0) exp(-2 beta (t - t0)); None if the last effort was not the law's own, or the law has changed.
     """
 
     def __init__(self, reference: Reference, settings: Settings, state: MeasuredState, journal: Journal) -> None:
         self.settings, self.reference = settings, ActiveReference(reference)
-        self.transfer, self.bound = BumplessTransfer(), BoundStart()
+        self.transfer = BumplessTransfer()
+        self.bound_start: int | None = None
         self.reason, self.settling, self.starting = "", 0, True
         self._state, self._limits, self._journal = state, StateLimits(settings, state), journal
         self._resuming = self._holding = self._joining = False
@@ -89,11 +90,7 @@ class Supervisor:
         measured state to the reference.
         """
         supervisor = copy(self)
-        supervisor.reference, supervisor.transfer, supervisor.bound = (
-            copy(self.reference),
-            copy(self.transfer),
-            copy(self.bound),
-        )
+        supervisor.reference, supervisor.transfer = copy(self.reference), copy(self.transfer)
         supervisor._journal = Journal()
         supervisor._handle_order(order, stamp, settling)
         supervisor._handle_requests(order, stamp)
@@ -101,7 +98,8 @@ class Supervisor:
 
     def committed(self, journal: Journal) -> Supervisor:
         """Return this supervisor with `journal`, to which everything reported so far is added."""
-        journal.merge(self._journal)
+        journal.events.extend(self._journal.events)
+        journal.counters.update(self._journal.counters)
         self._journal = journal
         return self
 
@@ -137,7 +135,7 @@ class Supervisor:
             self.reference.stand(self._state.q_l, stamp)
             self._holding = False
         self.reference.begin(stamp)
-        self.bound.reset()
+        self.bound_start = None
         self.starting = True
 
     def _handle_requests(self, order: Order, stamp: int) -> None:
@@ -183,7 +181,7 @@ class Supervisor:
             self._recover(stamp)
 
     def _start(self, stamp: int) -> None:
-        self.transfer.ramp(stamp, self.settings.ramp_time)
+        self.transfer.begin(stamp, self.settings.ramp_time, ramp=True)
         if self.settings.start_join_time > 0:
             jets0 = standing(self._state.q_l, self._state.dq_l)
             self.reference.begin_transition(jets0, stamp, self.settings.start_join_time)
@@ -206,12 +204,12 @@ class Supervisor:
         self._stop(STARTS_REFUSED, sentence, joint, float(error[i]), float(limit[i]))
 
     def _recover(self, stamp: int) -> None:
-        self.bound.reset()
+        self.bound_start = None
         seconds = self.settings.recovery_join_time
         sentence = "recovery: tracking continues at once"
         if seconds > 0:
             self.reference.begin_transition(standing(self._state.q_l, self._state.dq_l), stamp, seconds)
-            self.transfer.blend(stamp, BLEND * seconds)
+            self.transfer.begin(stamp, BLEND * seconds, ramp=False)
             sentence = f"recovery: transition to the reference within {seconds:g} s"
         self._journal.report(INFO, "recoveries", sentence)
 
@@ -225,6 +223,6 @@ class Supervisor:
     def _stop(self, kind: str, sentence: str, joint: str, value: float = math.nan, limit: float = math.nan) -> None:
         self.reason = sentence
         self.transfer.stop()
-        self.bound.reset()
+        self.bound_start = None
         numbers = {} if math.isnan(value) else {"value": value, "limit": limit}
         self._journal.report(ERROR, kind, sentence, joint=joint, **numbers)

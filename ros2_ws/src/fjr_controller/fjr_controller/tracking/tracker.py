@@ -13,16 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fjr_core import Reference, TrajectoryError
+from fjr_core import Reference, TrajectoryError, VelocityObserver
 from fjr_core.control.robust import Robust
 from fjr_core.control.safety_settings import Settings
 from fjr_core.control.static_law import StaticLaw
 from fjr_core.numerics.checks import Array
 
-from .bound_start import BoundStatus
 from .effort_output import EffortOutput
 from .events import ERROR, INFO, WARN, Journal, State
-from .measured_state import MeasuredState, Observer, StateMeasurement
+from .measured_state import MeasuredState, StateMeasurement
 from .stamp_order import Order, Stamps
 from .supervisor import Supervisor
 from .wiring_monitor import WiringMonitor
@@ -86,7 +85,7 @@ class Tracker:
         law: StaticLaw,
         reference: Reference,
         settings: Settings,
-        observer: Observer | None = None,
+        observer: VelocityObserver | None = None,
         simulated_time: bool = False,
         robust: Robust | None = None,
     ) -> None:
@@ -127,9 +126,9 @@ class Tracker:
         return self._supervisor.reference.end
 
     @property
-    def certificate(self) -> BoundStatus | None:
-        """Return the start of the bound on V and the present V; None unless the effort sent is the law's own."""
-        return self._supervisor.bound.certificate
+    def bound_start(self) -> int | None:
+        """Return the stamp [ns] at which the bound on V starts; None unless the effort sent is the law's own."""
+        return self._supervisor.bound_start
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -217,7 +216,7 @@ class Tracker:
         Raise GainsError if its effort is not finite; then the law remains.
         """
         self._output.use(law)
-        self._supervisor.bound.reset()
+        self._supervisor.bound_start = None
         self._journal.report(INFO, "gains changed", "gains changed: the certificate starts again")
 
     def jets_at(self, stamp: int) -> Array | None:
@@ -278,7 +277,8 @@ class Tracker:
         sentence = "the effort is not finite for a state: the stop effort is sent instead"
         self._journal.report_episode(ERROR, NOT_FINITE, sentence)
         self._measurement.reset()
-        u = self._output.send_without_law(self._supervisor, stamp)
+        self._output.law.reset()
+        u = self._output.send(self._supervisor, self._output.policy.standing(), math.nan, stamp)
         return self._command(u, self._supervisor.reference.jets(stamp), math.nan, False)
 
     def _command(self, u: Array, jets: Array, V: float, restarted: bool) -> Command:

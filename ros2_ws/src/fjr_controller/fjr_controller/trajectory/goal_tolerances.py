@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -35,14 +35,6 @@ class Outcome:
     sentence: str
 
 
-class JointTolerance(Protocol):
-    """control_msgs/JointTolerance: 0 keeps a tolerance, a negative number removes it."""
-
-    name: str
-    position: float
-    velocity: float
-
-
 @dataclass(frozen=True, eq=False)
 class Tolerances:
     """Largest errors of position [rad] and velocity [rad/s], on the path and at the goal, each (n,); 0: no limit.
@@ -60,11 +52,14 @@ class Tolerances:
     def overridden(
         self,
         joints: Sequence[str],
-        path: Iterable[JointTolerance],
-        goal: Iterable[JointTolerance],
+        path: Iterable[Any],
+        goal: Iterable[Any],
         goal_time: float,
     ) -> Tolerances:
-        """Return these tolerances with those that a goal requests; unknown joints are ignored."""
+        """Return these tolerances with those that a goal requests; unknown joints are ignored.
+
+        path, goal: control_msgs/JointTolerance, in which 0 keeps a tolerance and a negative number removes it.
+        """
         new = {name: getattr(self, name).copy() for name in ("path", "path_velocity", "goal", "goal_velocity")}
         for where, entries in (("path", path), ("goal", goal)):
             for entry in entries:

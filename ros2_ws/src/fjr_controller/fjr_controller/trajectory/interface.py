@@ -24,10 +24,6 @@ from .planner import Outcome, Plan, Planner, PlanningRules
 REFUSED, GIVEN_UP = "trajectory refused", "trajectories given up"
 
 
-def _ignore(plan: Plan | None) -> None:
-    """Do nothing with the plan."""
-
-
 class TrajectoryInterface:
     """Accept JointTrajectory messages and service calls while `is_active()`.
 
@@ -62,7 +58,9 @@ class TrajectoryInterface:
         self._limits, self._join_time = limits, join_time
         self._planner.apply(PlanningRules(self._joints, limits, TrajectoryReader(self._joints, allow_partial)))
 
-    def follow(self, message: JointTrajectory, reason: str, on_done: Callable[[Plan | None], None] = _ignore) -> None:
+    def follow(
+        self, message: JointTrajectory, reason: str, on_done: Callable[[Plan | None], object] = lambda _: None
+    ) -> None:
         """Plan the trajectory of the message, then track it in place of the present motion.
 
         reason: passed to `on_replaced`. on_done: called with the plan that is tracked from then on, or with None if the

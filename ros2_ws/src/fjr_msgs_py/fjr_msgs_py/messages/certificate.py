@@ -5,11 +5,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
 from std_msgs.msg import Float64MultiArray
 
 from .cdr.layout import Template, float_array
-from .joint_states import MessageError
 
 SECOND = 1_000_000_000
 
@@ -44,17 +42,6 @@ class CertificateWriter:
         """Return the serialised message of the state with this stamp [ns]."""
         self._template.fields[0][:] = (*divmod(stamp, SECOND), *values)
         return self._template.serialised()
-
-
-def read_certificate(message: Float64MultiArray) -> tuple[int, CertificateValues]:
-    """Return stamp [ns] and values, found by their labels in any order; raises MessageError if a label is missing."""
-    labels = [label for dimension in message.layout.dim for label in dimension.label.split(",")]
-    missing = [label for label in LABELS if label not in labels]
-    if missing or len(labels) != len(message.data):
-        raise MessageError("no certificate", f"labels are {labels}; expected {', '.join(LABELS)}, one for each number")
-    numbers = dict(zip(labels, np.asarray(message.data, dtype=float).tolist(), strict=True))
-    stamp = round(numbers["sec"]) * SECOND + round(numbers["nanosec"])
-    return stamp, CertificateValues(*(numbers[name] for name in CertificateValues._fields))
 
 
 def labelled(message: Float64MultiArray) -> dict[str, float]:

@@ -8,13 +8,9 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from trajectory_msgs.msg import JointTrajectory
 
-from .joint_states import set_stamp
-
-Array = NDArray[np.float64]
+from fjr_core.numerics.checks import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +47,7 @@ class FollowMessages:
     def feedback(self, progress: Progress) -> Any:
         """Return the feedback: desired, actual, and error = desired - actual."""
         message = self.kind.Feedback(joint_names=self._joints)
-        set_stamp(message, progress.stamp)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(progress.stamp, 1_000_000_000)
         rows = {
             "desired": (progress.q_d, progress.dq_d),
             "actual": (progress.q, progress.dq),

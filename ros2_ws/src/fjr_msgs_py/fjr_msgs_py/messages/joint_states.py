@@ -14,11 +14,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_core import FjrError, Measurement
+from fjr_core.numerics.checks import Array
 
 from ..names import state_names
 from .cdr.layout import Template, float_array, joint_state
 
-Array = NDArray[np.float64]
 EMPTY: Array = np.zeros(0)
 FIRST_UNSENDABLE = 2**31 * 10**9  # ns; the seconds of a stamp are a signed 32-bit integer
 
@@ -47,11 +47,6 @@ class JointSample(NamedTuple):
 def nanoseconds(stamp: Time) -> int:
     """Return a stamp as integer nanoseconds."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def set_stamp(message: JointState, stamp: int) -> None:
-    """Set the stamp of a message [ns]."""
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
 
 
 class NamedColumns:

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from .joint_states import MessageError, nanoseconds
+from .joint_states import Array, MessageError, nanoseconds
 
-Array = NDArray[np.float64]
 SECOND = 1_000_000_000  # ns
 
 

@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 from uuid import uuid4
 
 from rclpy.node import Node
@@ -41,7 +40,10 @@ class ConflictingPublishers:
         self._family = self._own_participant()
         self._others: dict[bytes, Other] = {}
         self.publishers = [node.create_publisher(kind, topic, qos) for topic, kind in self._kinds.items()]
-        self._listening = [(topic, kind, self._listen(topic, kind)) for topic, kind in self._kinds.items()]
+        self._listening = [
+            (topic, kind, node.create_subscription(kind, topic, lambda _: None, _ANY))
+            for topic, kind in self._kinds.items()
+        ]
 
     def appeared(self) -> list[str]:
         """Return the topics with a publisher that did not exist at the last call."""
@@ -124,9 +126,6 @@ class ConflictingPublishers:
                 if subscription.handle.take_message(kind, True) is not None:
                     found = topic
         return found
-
-    def _listen(self, topic: str, kind: type) -> Any:
-        return self._node.create_subscription(kind, topic, lambda _: None, _ANY)
 
 
 def _name(namespace: str, node: str) -> str:

@@ -21,7 +21,8 @@ _LIST_TYPES = {float: ParameterType.PARAMETER_DOUBLE_ARRAY, str: ParameterType.P
 def descriptor(parameter: Parameter, managed: bool) -> ParameterDescriptor:
     """Return the ROS descriptor of a parameter; managed: of a lifecycle node."""
     read_only = not parameter.dynamic and not managed
-    message = ParameterDescriptor(name=parameter.name, description=_description(parameter), read_only=read_only)
+    description = f"{parameter.description} [{parameter.unit}]" if parameter.unit else parameter.description
+    message = ParameterDescriptor(name=parameter.name, description=description, read_only=read_only)
     kind = type(parameter.default)
     if isinstance(parameter.default, tuple):
         message.type = _LIST_TYPES[type(parameter.default[0])]
@@ -52,7 +53,3 @@ def _constraints(parameter: Parameter) -> str:
         return f"finite, at least {parameter.minimum}"
     example = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
     return parameter.constraint or ("finite" if isinstance(example, float) else "")
-
-
-def _description(parameter: Parameter) -> str:
-    return f"{parameter.description} [{parameter.unit}]" if parameter.unit else parameter.description

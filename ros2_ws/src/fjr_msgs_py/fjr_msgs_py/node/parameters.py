@@ -23,8 +23,8 @@ _SIM_TIME = "use_sim_time"
 _FOREIGN = (_SIM_TIME, "start_type_description_service", "qos_overrides.")
 
 
-class CheckedParameters(EndingNode):
-    """Mixin of a node whose parameters are declared in fjr_core.config; `values` holds the checked values.
+class ParameterNode(EndingNode):
+    """A node whose parameters are declared in fjr_core.config; `values` holds the checked values.
 
     Given values override the robot file that they name, and the robot file overrides defaults. File paths are
     relative to the current directory. An unknown name is logged and ignored; names of other nodes' parameters are
@@ -207,11 +207,7 @@ class CheckedParameters(EndingNode):
             raise ParameterError(sentence.replace(" is ignored", ""))
 
 
-class ParameterNode(CheckedParameters):
-    """A plain node with checked parameters."""
-
-
-class ManagedParameterNode(CheckedParameters, LifecycleNode):
+class ManagedParameterNode(ParameterNode, LifecycleNode):
     """A managed (lifecycle) node with checked parameters."""
 
     def destroy_node(self) -> None:

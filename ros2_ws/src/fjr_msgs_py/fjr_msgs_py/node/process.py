@@ -21,7 +21,7 @@ from fjr_core import FjrError
 from fjr_core.config.process import process_settings
 
 from .log_folder import ensure_log_folder
-from .parameters import CheckedParameters
+from .parameters import ParameterNode
 from .scheduling import apply_process_settings, freeze_garbage
 
 try:
@@ -61,15 +61,16 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
     ensure_log_folder()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        CheckedParameters.process_arguments = sys.argv if args is None else args
+        ParameterNode.process_arguments = sys.argv if args is None else args
         node = make_node()
         host = _Host(node)
     except (FjrError, *_ROS_ERRORS) as error:
-        print(_sentence(error), file=sys.stderr, flush=True)
+        why = "" if isinstance(error, FjrError) else "ROS 2 refused the arguments or the parameter file: "
+        print(f"cannot start: {why}{' '.join(str(error).split())}", file=sys.stderr, flush=True)
         _end(node)
         return 1
     finally:
-        CheckedParameters.process_arguments = ()
+        ParameterNode.process_arguments = ()
     try:
         host.spin(stopped)
         if host.ended is not None:
@@ -93,7 +94,7 @@ class _Host:
         self._kind = process_settings(node.values).executor
         self._round: Future = Future()
         self.apply_process_settings(node.values)
-        if isinstance(node, CheckedParameters):
+        if isinstance(node, ParameterNode):
             node.host = self
 
     def apply_process_settings(self, values: Mapping[str, Any]) -> None:
@@ -156,10 +157,3 @@ _ROS_ERRORS = (
     rclpy.exceptions.InvalidNodeNameException,
     rclpy.exceptions.InvalidNamespaceException,
 )
-
-
-def _sentence(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    if isinstance(error, FjrError):
-        return f"cannot start: {text}"
-    return f"cannot start: ROS 2 refused the arguments or the parameter file: {text}"

@@ -158,8 +158,5 @@ class LockStep(TimeBase):
         else:
             self._send_again()
 
-    def _begin_advance(self) -> None:
-        self._resume()
-
     def catch_up(self) -> None:
         """Do nothing: the robot is already at the time of its last command."""

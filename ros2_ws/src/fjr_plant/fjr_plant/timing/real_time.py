@@ -4,19 +4,38 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray
 
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import MessageError
 
 from ..state_publisher import Sample
-from .one_shot_timer import OneShotTimer
 from .time_base import NodeParts, TimeBase
 
 LONGEST_BACKLOG = 200_000_000  # ns; longest time integrated at once
 LARGEST_LAG = 1_000_000_000  # ns; largest lag of the stamps behind the clock due to lost time
+
+
+class OneShotTimer:
+    """Timer that calls back once after it was last set."""
+
+    def __init__(self, node: Node, clock: Clock, callback: Callable[[], None]) -> None:
+        self._callback = callback
+        self._timer = node.create_timer(1.0, self._fire, clock=clock)
+        self._timer.cancel()
+
+    def set(self, wait: int) -> None:
+        """Fire after `wait` [ns]."""
+        self._timer.timer_period_ns = max(wait, 1)
+        self._timer.reset()
+
+    def _fire(self) -> None:
+        self._timer.cancel()
+        self._callback()
 
 
 class RealTime(TimeBase):

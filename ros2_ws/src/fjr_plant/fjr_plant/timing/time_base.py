@@ -166,9 +166,9 @@ class TimeBase(ABC):
     def _resume(self) -> None:
         """Resume after a pause."""
 
-    @abstractmethod
     def _begin_advance(self) -> None:
         """Start an advance."""
+        self._resume()
 
 
 def seconds(stamp: int) -> str:

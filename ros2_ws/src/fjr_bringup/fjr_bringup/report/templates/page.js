@@ -95,16 +95,16 @@
   }
 
   function options(spec, width) {
-    const across = { label: spec.xLabel, value: (_plot, value) => written(value) };
+    const across = { label: spec.x_label, value: (_plot, value) => written(value) };
     return {
       width,
       height: heightOf(spec),
       series: [across, ...spec.lines.map(line)],
       scales: {
-        x: { time: false, distr: spec.xLog ? 3 : 1, range: spec.xLog ? (_plot, low, high) => [low, high] : undefined },
-        y: { distr: spec.yLog ? 3 : 1, range: range(spec.yLog, spec.yRange) },
+        x: { time: false, distr: spec.x_log ? 3 : 1, range: spec.x_log ? (_plot, low, high) => [low, high] : undefined },
+        y: { distr: spec.y_log ? 3 : 1, range: range(spec.y_log, spec.y_range) },
       },
-      axes: [axis(spec.xLabel, spec.xLog, true, !spec.legend), axis(spec.yLabel, spec.yLog, false, !spec.legend)],
+      axes: [axis(spec.x_label, spec.x_log, true, !spec.legend), axis(spec.y_label, spec.y_log, false, !spec.legend)],
       cursor: { ...(spec.time ? { sync: { key: sync.key, scales: ["x", null] } } : {}), points: { size: 6 } },
       legend: { show: spec.legend, live: true },
       padding: [10, 14, 0, 0],
@@ -161,7 +161,7 @@
   // Add a button that switches the plot to other units and back.
   function swap(place, spec, name, use) {
     const button = element("button", place, name);
-    const [here, other] = [spec.yLabel.replace(/.*\[(.*)\]/, "$1"), name];
+    const [here, other] = [spec.y_label.replace(/.*\[(.*)\]/, "$1"), name];
     let away = false;
     button.title = `show in ${name}`;
     button.onclick = () => {

@@ -8,12 +8,8 @@ import os
 import threading
 from pathlib import Path
 
-from fjr_bringup.studies.comparison import job as comparison_job
-from fjr_bringup.studies.comparison import markdown as comparison_markdown
-from fjr_bringup.studies.comparison import pool as comparison_pool
-from fjr_bringup.studies.comparison import report as comparison_report
-from fjr_bringup.studies.comparison import results as comparison_results
-from fjr_bringup.studies.comparison import suite
+from fjr_bringup.scenarios import library
+from fjr_bringup.studies.comparison import job, markdown, pool, report, results, suite
 
 PAGE, RESULTS, CACHE = "comparison.html", "comparison.json", "kept"
 
@@ -24,15 +20,15 @@ def compare(name: str, output: Path, cores: int | None, page: Path | None, stop:
     Results go to output/compare_<suite>/: comparison.html, comparison.json, and kept/ with finished jobs, which are not
     run again. page: Markdown document whose table between the markers is replaced.
     """
-    chosen = suite.load(suite.find(name))
+    chosen = suite.load(library.find(name, "suite"))
     if page is not None:
-        comparison_markdown.check(page)
-    jobs = comparison_job.jobs(chosen)
+        markdown.check(page)
+    jobs = job.jobs(chosen)
     folder = output / f"compare_{chosen.name}"
-    results = comparison_pool.run(jobs, folder / CACHE, cores or len(os.sched_getaffinity(0)), stop)
-    document = comparison_results.document(chosen, jobs, results)
+    found = pool.run(jobs, folder / CACHE, cores or len(os.sched_getaffinity(0)), stop)
+    document = results.document(chosen, jobs, found)
     (folder / RESULTS).write_text(json.dumps(document, allow_nan=False) + "\n", encoding="utf-8")
-    comparison_report.write_page(folder / PAGE, document)
+    report.write_page(folder / PAGE, document)
     if page is not None:
-        comparison_markdown.replace(page, document)
-    return f"{comparison_results.extent(document)}\npage and figures: {folder / PAGE}, {RESULTS}"
+        markdown.replace(page, document)
+    return f"{results.extent(document)}\npage and figures: {folder / PAGE}, {RESULTS}"

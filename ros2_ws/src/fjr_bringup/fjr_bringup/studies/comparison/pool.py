@@ -7,23 +7,22 @@ import json
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from fjr_bringup.atomic_file import is_sealed, write_text
 from fjr_bringup.formatting import plural
 from fjr_bringup.interrupt import Interrupted
+from fjr_bringup.progress import progress_bar
 from fjr_bringup.studies.comparison.job import Job, Result, work
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.errors import CompareError
 from fjr_core.files.text_file import read_json
 
+PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total} laws on robots, {elapsed} < {remaining}"
 QUIET = 2.0  # s until the progress bar appears
 POLL = 0.2  # s between checks for finished jobs
 _progress: Any = None
@@ -38,13 +37,10 @@ def run(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event) -> l
     results = {job.key: _read(kept, job) for job in jobs}
     missing = [job for job in jobs if results[job.key] is None]
     if missing:
-        results |= _compute(sorted(missing, key=_size, reverse=True), kept, cores, stop)
+        joints = {job.robot: parse_scenario(job.robot, job.scenarios[0][1]).robot.n for job in missing}
+        longest_first = sorted(missing, key=lambda job: joints[job.robot], reverse=True)
+        results |= _compute(longest_first, kept, cores, stop)
     return [result for job in jobs if (result := results[job.key]) is not None]
-
-
-def _size(job: Job) -> int:
-    """Return the number of joints, by which the longest jobs start first."""
-    return parse_scenario(job.robot, job.scenarios[0][1]).robot.n
 
 
 def _compute(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event) -> dict[str, Result | None]:
@@ -68,7 +64,8 @@ def _compute(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event)
 def _follow(futures: dict[Future[Result], Job], progress: Any, stop: threading.Event, kept: Path) -> None:
     """Wait for all jobs with a progress bar; raise the error of the first that fails."""
     parts: dict[str, float] = dict.fromkeys((job.key for job in futures.values()), 0.0)
-    with _bar(len(futures)) as bar:
+    line = f"compare: {plural(len(futures), 'law on a robot', 'laws on robots')} to run"
+    with progress_bar(line, PROGRESS, total=len(futures), desc="compare", delay=QUIET) as bar:
         while True:
             finished, waiting = wait(futures, POLL)
             while not progress.empty():
@@ -83,15 +80,6 @@ def _follow(futures: dict[Future[Result], Job], progress: Any, stop: threading.E
                 raise failed
             if not waiting:
                 return
-
-
-def _bar(total: int) -> tqdm[Any]:
-    """Return a progress bar for a terminal; print one line elsewhere."""
-    terminal = sys.stderr.isatty()
-    if not terminal:
-        print(f"compare: {plural(total, 'law on a robot', 'laws on robots')} to run", file=sys.stderr, flush=True)
-    form = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total} laws on robots, {elapsed} < {remaining}"
-    return tqdm(total=total, desc="compare", bar_format=form, delay=QUIET, disable=not terminal, file=sys.stderr)
 
 
 def _begin(progress: Any) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 from fjr_bringup.formatting import DASH, number, percent, plural
@@ -31,7 +32,7 @@ def document(suite: Suite, jobs: Sequence[Job], results: Sequence[Result]) -> di
     given = asdict(suite)
     return {
         "suite": {key: value for key, value in given.items() if key not in ("laws", "robots")},
-        "laws": [{**law, "title": _title(law), **_law_data(law["law"])} for law in given["laws"]],
+        "laws": [_described(law) for law in given["laws"]],
         "robots": robots,
         "runs": sum(result["runs"] for result in results),
         "results": by_robot,
@@ -51,16 +52,12 @@ def law_without_additions(law: dict[str, Any]) -> str:
     return VERSIONS.get(str(law["law"]), str(law["law"]))
 
 
-def _title(law: dict[str, Any]) -> str:
-    """Return the heading of a column: the label of the suite, else the title of the law."""
-    name = str(law["law"])
-    return str(law["label"]) if law["label"] != name else SHORT.get(name, LAWS[name].title)
-
-
-def _law_data(name: str) -> dict[str, str]:
-    """Return the data of a law that do not depend on the robot."""
-    kind = LAWS[name]
-    return {"full_title": kind.title, "paper": kind.paper, "measures": kind.measures, "adds": kind.adds}
+def _described(law: dict[str, Any]) -> dict[str, Any]:
+    """Return a law of the suite with its data that do not depend on the robot; title: its label, else the law's."""
+    name, kind = str(law["law"]), LAWS[law["law"]]
+    title = str(law["label"]) if law["label"] != name else SHORT.get(name, kind.title)
+    data = {"full_title": kind.title, "paper": kind.paper, "measures": kind.measures, "adds": kind.adds}
+    return {**law, "title": title, **data}
 
 
 TIE = 0.05  # relative; smaller differences count as equal
@@ -89,16 +86,13 @@ class Row:
     @property
     def best(self) -> tuple[bool, ...]:
         """For each law, whether no other is better by more than TIE; only laws that track count."""
-        costs = self._costs()
+        costs = [_cost(value, self.less) for value in self.values]
         least = min(costs)
         return tuple(cost < math.inf and cost <= least * (1 + TIE) for cost in costs)
 
-    def _costs(self) -> list[float]:
-        """Return a positive cost of each law; infinite if it does not count."""
-        return [_cost(value, self.less) for value in self.values]
-
 
 def _cost(value: Value, less: bool) -> float:
+    """Return a positive cost of a law; infinite if it does not count."""
     if value.number is None or value.state != "tracks":
         return math.inf
     if less:
@@ -119,7 +113,7 @@ def rows(document: dict[str, Any]) -> list[Row]:
 
 def _margins(robot: str, laws: Sequence[Any], axes: Sequence[str]) -> Iterator[Row]:
     for direction in directions(axes):
-        words = _level_words(direction)
+        words = partial(level_words, direction.perturbation.name)
         values = tuple(_margin(law["margins"][direction.name], words, direction) for law in laws)
         yield Row(robot, "margins", direction.name, values, less=direction.perturbation.is_factor and direction.end < 1)
 
@@ -130,10 +124,6 @@ def _margin(edge: dict[str, float | None], words: Words, direction: Direction) -
         return Value(None, DASH, "lost")
     further = "≤ " if direction.end < direction.perturbation.nominal else "≥ "
     return Value(level, (further if edge["beyond"] is None else "") + words(level))
-
-
-def _level_words(direction: Direction) -> Words:
-    return lambda level: level_words(direction.perturbation.name, level)
 
 
 def level_words(axis: str, level: float) -> str:

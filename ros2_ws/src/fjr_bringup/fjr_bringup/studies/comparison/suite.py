@@ -4,13 +4,10 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
-
-from ament_index_python.packages import get_package_share_directory
 
 from fjr_bringup.scenarios import library
 from fjr_core.config import ros_yaml
@@ -67,24 +64,6 @@ class Suite:
     duration: float
     settle_after: float
     tracks: float
-
-
-def find(name: str) -> Path:
-    """Return the path of a suite, given its installed name or a file; raise CompareError."""
-    suites = known_suites()
-    if name in suites:
-        return suites[name]
-    if os.path.isfile(name):
-        return Path(name)
-    raise CompareError(f"unknown suite '{name}': expected a YAML file or one of {', '.join(suites)}")
-
-
-def known_suites() -> dict[str, Path]:
-    """Return the installed suites by name."""
-    library.folder()  # raises if the package is not installed
-    return {
-        path.stem: path for path in sorted(Path(get_package_share_directory("fjr_bringup"), "suites").glob("*.yaml"))
-    }
 
 
 def load(path: Path) -> Suite:
@@ -175,16 +154,15 @@ def _robot(label: str, given: Any) -> RobotChoice:
 def scenario_texts(robot: RobotChoice) -> tuple[tuple[str, str], ...]:
     """Return (reference, scenario text) for each reference of a robot; raise CompareError or FjrError."""
     path = library.find(robot.scenario)
+    texts = []
     try:
-        return tuple((label, _text(path, changes)) for label, changes in robot.references.items())
+        for label, changes in robot.references.items():
+            text, scenario = library.as_run(path, changes)
+            refuse_what_is_left_out(scenario, "a suite sets these itself, use 'imperfections'")
+            texts.append((label, text))
     except FjrError as error:
         raise CompareError(f"robot '{robot.label}': {error}") from None
-
-
-def _text(path: Path, changes: Mapping[str, Any]) -> str:
-    text, scenario = library.as_run(path, changes)
-    refuse_what_is_left_out(scenario, "a suite sets these itself, use 'imperfections'")
-    return text
+    return tuple(texts)
 
 
 def _imperfections(given: Any) -> dict[str, dict[str, float]]:

@@ -31,7 +31,8 @@ def draw(name: str, joints: Sequence[str], measured: Measured, q_ld: Array, foun
         for j, ax in enumerate(np.atleast_1d(left.subplots(shown, 1, sharex=True))):
             _positions(ax, joints[j], measured.x[:, j], q_ld[:, j], found.t, found.x_v[:, :, j])
             ax.set_xlabel("t [s]" if j == shown - 1 else "")
-        np.atleast_1d(left.axes)[0].set_title(_title(found, len(joints), shown))
+        part = "" if shown == len(joints) else f" (first {shown} of {len(joints)} joints)"
+        np.atleast_1d(left.axes)[0].set_title(f"{found.x_v.shape[1]} virtual solutions meet the measured one{part}")
         above, middle, below = right.subplots(3, 1, sharex=True, height_ratios=(3, 3, 2))
         _distances(above, found)
         _storage(middle, found)
@@ -39,11 +40,6 @@ def draw(name: str, joints: Sequence[str], measured: Measured, q_ld: Array, foun
         title = f"{name}: the virtual system contracts along the measured trajectory"
         figure.suptitle(title, fontsize=13, x=0.01, ha="left")
         figure.savefig(path)
-
-
-def _title(found: Contraction, n: int, shown: int) -> str:
-    part = "" if n == shown else f" (first {shown} of {n} joints)"
-    return f"{found.x_v.shape[1]} virtual solutions meet the measured one{part}"
 
 
 def _positions(ax: Axes, joint: str, q_l: Array, q_ld: Array, t: Array, q_lv: Array) -> None:
@@ -61,9 +57,8 @@ def _distances(ax: Axes, found: Contraction) -> None:
     relative = found.distance / found.distance[0]
     for pair in relative.T:
         ax.semilogy(found.t, np.where(pair > FLOOR, pair, np.nan), color=COLOURS[0], lw=0.8, alpha=0.6)
-    _bound(
-        ax, found.t, found.bound, f"$e^{{-\\beta t}}$, $\\beta$ = {found.beta:.3g} 1/s", max(FLOOR, relative.min() / 10)
-    )
+    text = f"$e^{{-\\beta t}}$, $\\beta$ = {found.beta:.3g} 1/s"
+    _bound(ax, found.t, found.bound, text, max(FLOOR, relative.min() / 10))
     ax.set(title="Distance of each pair in the metric P, relative to the start", ylabel="$d(t)/d(0)$")
 
 

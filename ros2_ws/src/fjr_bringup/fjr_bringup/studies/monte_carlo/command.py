@@ -8,15 +8,13 @@ import os
 import sys
 import threading
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from fjr_bringup.formatting import number, percent, plural
 from fjr_bringup.interrupt import Interrupted
+from fjr_bringup.progress import progress_bar
 from fjr_bringup.scenarios import library
 from fjr_bringup.studies.monte_carlo import sweep_file
 from fjr_bringup.studies.monte_carlo.picture import draw
@@ -29,6 +27,7 @@ from fjr_core.errors import ParameterError
 from fjr_core.experiments.monte_carlo.sensitivity import Summary, summarised
 from fjr_core.experiments.monte_carlo.sweep import Sweep
 
+PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n}/{total} runs, {rate_fmt}, {remaining} left"
 SLOW = "no C compiler found: the runs are interpreted, about a thousand times slower; expected a compiler, e.g. gcc"
 
 
@@ -48,11 +47,13 @@ def planned(name: str | None, options: Options) -> Sweep:
     path = _file(name)
     document = ros_yaml.read(path, "sweep")
     if not sweep_file.is_one(document):
-        text, scenario = library.as_run(path, options.overrides)
-        return _sweep(path.stem, text, sweep_file.usual(path.stem, scenario.sample_period), options)
+        text, loaded = library.as_run(path, options.overrides)
+        return _sweep(path.stem, text, sweep_file.usual(path.stem, loaded.sample_period), options)
     try:
         file = sweep_file.read(document)
-        text, _ = library.as_run(_scenario(file.scenario, path.parent), {**file.changes, **options.overrides})
+        neighbour = path.parent / file.scenario
+        scenario = neighbour if os.path.isfile(neighbour) else library.find(file.scenario)
+        text, _ = library.as_run(scenario, {**file.changes, **options.overrides})
         return _sweep(path.stem, text, file, options)
     except ParameterError as error:
         raise ParameterError(f"sweep {path.stem} {error}") from None
@@ -66,14 +67,10 @@ def sweep(name: str | None, options: Options, stop: threading.Event) -> str:
         print(f"fjr: {SLOW}", file=sys.stderr)
     folder = options.output / plan.name
     with open_store(folder, plan, plan.loop.fingerprint) as store:
-        with _workers(options) as workers:
+        with cluster(options.scheduler) if options.scheduler else threads(options.cores) as workers:
             _carry_out(store, workers, stop)
         store.complete()
         return _shown(store)
-
-
-def _workers(options: Options) -> AbstractContextManager[Workers]:
-    return cluster(options.scheduler) if options.scheduler else threads(options.cores)
 
 
 def _carry_out(store: Store, workers: Workers, stop: threading.Event) -> None:
@@ -82,14 +79,8 @@ def _carry_out(store: Store, workers: Workers, stop: threading.Event) -> None:
         print(f"{store.sweep.name}: {there} of {total} runs are finished already", file=sys.stderr, flush=True)
     if there == total:
         return
-    terminal = sys.stderr.isatty()
-    if not terminal:
-        where = f"on {plural(workers.count, 'core')}"
-        print(f"{store.sweep.name}: {plural(total - there, 'run')} {where}", file=sys.stderr, flush=True)
-    form = "{desc}: {percentage:3.0f}% |{bar}| {n}/{total} runs, {rate_fmt}, {remaining} left"
-    with tqdm(
-        total=total, initial=there, desc=store.sweep.name, bar_format=form, unit=" runs", disable=not terminal
-    ) as bar:
+    line = f"{store.sweep.name}: {plural(total - there, 'run')} on {plural(workers.count, 'core')}"
+    with progress_bar(line, PROGRESS, total=total, initial=there, desc=store.sweep.name, unit=" runs") as bar:
         whole = run_missing(store, workers, bar.update, stop)
     if not whole:
         raise Interrupted(store.folder)
@@ -128,19 +119,13 @@ UNITS = {"rms": "rad", "peak": "rad", "final": "rad", "settling": "s", "effort_p
 
 def _file(name: str | None) -> Path:
     """Return the path of an installed sweep or scenario, given its name, or of a file."""
-    folder = library.folder().parent / "sweeps"
-    installed = {path.stem: path for path in sorted(folder.glob("*.yaml"))}
-    if name in installed:
-        return installed[name]
+    sweeps = library.installed("sweeps")
+    if name in sweeps:
+        return sweeps[name]
     try:
         return library.find(name)
     except library.ScenarioError as error:
-        raise library.ScenarioError(f"{error}; or of the sweeps {', '.join(installed)}") from None
-
-
-def _scenario(name: str, folder: Path) -> Path:
-    neighbour = folder / name
-    return neighbour if os.path.isfile(neighbour) else library.find(name)
+        raise library.ScenarioError(f"{error}; or of the sweeps {', '.join(sweeps)}") from None
 
 
 def _sweep(name: str, text: str, file: SweepFile, options: Options) -> Sweep:

@@ -29,8 +29,8 @@ GOOD, BAD = COLOURS[0], COLOURS[1]
 
 def draw(store: Store, summary: Summary, path: Path) -> Path:
     """Write the figure; the most influential parameters come first."""
-    effects = summary.effects[:SHOWN]
-    rms, success = np.array(_rms(store)), store.column("success")
+    effects, success = summary.effects[:SHOWN], store.column("success")
+    rms = np.max([store.column(f"rms.{joint}") for joint in store.sweep.scenario.joints], axis=0)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(3.1 * (len(effects) + 1), 6.4), layout="constrained")
         axes = figure.subplots(2, len(effects) + 1, squeeze=False)
@@ -45,7 +45,9 @@ def draw(store: Store, summary: Summary, path: Path) -> Path:
         axes[1, 0].set_ylabel("RMS error, worst joint [rad]")
         _indices(axes[0, -1], summary)
         _distribution(axes[1, -1], rms, success)
-        figure.suptitle(_title(store, summary), fontsize=13, x=0.01, ha="left")
+        share = f"{percent(summary.succeeded / summary.runs)} of {summary.runs:,} runs succeed"
+        title = f"{store.sweep.name}: {share}, each of {store.sweep.duration:g} s"
+        figure.suptitle(title, fontsize=13, x=0.01, ha="left")
         figure.savefig(path)
     return path
 
@@ -57,21 +59,6 @@ def _logarithmic(axes: Iterable[Axes], effect: Effect) -> None:
         ax.set_xscale("log")
         ax.xaxis.set_minor_locator(NullLocator())
         ax.set_xticks(ticks, [number(tick, digits=2) for tick in ticks.tolist()])
-
-
-def _title(store: Store, summary: Summary) -> str:
-    share = percent(summary.succeeded / summary.runs)
-    return f"{store.sweep.name}: {share} of {summary.runs:,} runs succeed, each of {store.sweep.duration:g} s"
-
-
-def _labelled(name: str) -> str:
-    unit = UNITS.get(name.partition(".")[0])
-    return f"{name} [{unit}]" if unit else f"{name} (factor)"
-
-
-def _rms(store: Store) -> Array:
-    columns = [store.column(f"rms.{joint}") for joint in store.sweep.scenario.joints]
-    return np.asarray(np.max(columns, axis=0))
 
 
 def _share(ax: Axes, effect: Effect) -> None:
@@ -89,7 +76,9 @@ def _dots(ax: Axes, values: Array, rms: Array, success: NDArray[np.bool_], effec
         ax.plot(values[which], rms[which], ".", ms=2.2, color=colour, alpha=0.5, rasterized=True)
     lost = values[~stable]
     ax.plot(lost, np.full(len(lost), 0.985), "x", ms=3, color=BAD, alpha=0.6, transform=ax.get_xaxis_transform())
-    ax.set(yscale="log", xlim=(effect.edges[0], effect.edges[-1]), xlabel=_labelled(effect.name))
+    unit = UNITS.get(effect.name.partition(".")[0])
+    label = f"{effect.name} [{unit}]" if unit else f"{effect.name} (factor)"
+    ax.set(yscale="log", xlim=(effect.edges[0], effect.edges[-1]), xlabel=label)
 
 
 def _indices(ax: Axes, summary: Summary) -> None:

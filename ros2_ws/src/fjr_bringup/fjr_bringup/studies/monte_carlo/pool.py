@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 
 from fjr_bringup.studies.monte_carlo.store import Store
 from fjr_core.errors import FjrError
@@ -74,7 +75,7 @@ def run_missing(store: Store, workers: Workers, on_progress: Callable[[int], obj
     pending: dict[Future[Columns], tuple[int, int]] = {}
     try:
         while not stop.is_set():
-            for part in _next(missing, AHEAD * workers.count - len(pending)):
+            for part in islice(missing, AHEAD * workers.count - len(pending)):
                 pending[workers.executor.submit(run_part, text, *part, compiled)] = part
             if not pending:
                 return True
@@ -102,7 +103,3 @@ def _result(future: Future[Columns], remote: bool) -> Columns:
         raise ClusterError(
             f"a worker of the cluster failed ({what}); expected this version of fjr_core on its Python path"
         ) from None
-
-
-def _next(missing: Iterator[tuple[int, int]], count: int) -> list[tuple[int, int]]:
-    return [part for _, part in zip(range(count), missing, strict=False)]

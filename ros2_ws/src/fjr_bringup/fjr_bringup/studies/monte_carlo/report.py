@@ -35,6 +35,9 @@ def write_page(store: Store, summary: Summary, picture: Path, path: Path) -> Pat
     sweep = store.sweep
     title = f"{sweep.name}: {percent(summary.succeeded / summary.runs)} of {summary.runs:,} runs succeed"
     image = b64encode(picture.read_bytes()).decode()
+    outcomes = [
+        [what, *(number(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in ROWS.items()
+    ]
     html.write_page(
         path,
         "monte_carlo.html",
@@ -45,7 +48,7 @@ def write_page(store: Store, summary: Summary, picture: Path, path: Path) -> Pat
         tiles=_tiles(summary),
         picture=image,
         tables=[
-            ("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], _outcomes(summary)),
+            ("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], outcomes),
             (
                 "Drawn parameters and their influence",
                 ["", "from", "to", "success", "log RMS error"],
@@ -77,10 +80,6 @@ def _tiles(summary: Summary) -> list[tuple[str, str]]:
         (percent(summary.stable / summary.runs), "are stable"),
         (number(summary.quantiles["rms"][1], "rad"), "RMS error that 95 % of the stable runs keep"),
     ]
-
-
-def _outcomes(summary: Summary) -> list[list[str]]:
-    return [[what, *(number(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in ROWS.items()]
 
 
 def _unit(name: str) -> str:

@@ -13,10 +13,9 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
-Array = NDArray[np.float64]
+from fjr_core.numerics.checks import Array
 
 HEADER = 4
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # CDR header of every message written here

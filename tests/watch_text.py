@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The display of `fjr watch` as plain text."""
+
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+
+from fjr_bringup.monitor.state import View
+from fjr_bringup.monitor.terminal import WIDE, render
+
+
+def text(view: View, width: int = WIDE) -> str:
+    stream = io.StringIO()
+    Console(file=stream, width=width, no_color=True, force_terminal=False).print(render(view, width))
+    return stream.getvalue()
