@@ -56,6 +56,7 @@ class FaultyLoop(LockStepLoop):
 
     def __init__(self, scenario: Scenario, fault: Fault) -> None:
         self._fault, self._line = fault, _DelayLine()
+        self.stopped_after = 0  # answered samples when the wiring stopped the tracker; 0: not stopped
         super().__init__(scenario)
         self._B_m = scenario.plant.robot.B_m
         self._command: Array = np.zeros(scenario.robot.n)
@@ -86,6 +87,8 @@ class FaultyLoop(LockStepLoop):
 
     def _answer(self, sample: Sample) -> None:
         super()._answer(sample)
+        if not self.stopped_after and self._tracker.counters.get("stops: wiring"):
+            self.stopped_after = len(self.log.commands) - 1
         if self._fault.effort is not None:
             self._robot.u = self._fault.effort(self.log.commands[-1][1])
         self._command = self._robot.u
