@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every exchanged joint and wrong sign of every robot stops the controller within 20 samples; healthy starts never do."""
+"""Exchanged joints and wrong signs stop the controller within 20 samples on every robot; healthy starts never do."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from diagnosis_benchmark.fault_runs import PAIRS, ROBOTS, WIRING  # noqa: E402
-from diagnosis_benchmark.wiring_runs import HEALTHY_LASTING, Stop, healthy, wrong  # noqa: E402
+from diagnosis_benchmark.fault_runs import PAIRS, ROBOTS, WIRING
+from diagnosis_benchmark.wiring_runs import HEALTHY_LASTING, Stop, healthy, wrong
 
 pytestmark = pytest.mark.system
 FIRST = 20

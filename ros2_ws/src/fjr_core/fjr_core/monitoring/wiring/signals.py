@@ -113,8 +113,9 @@ class _Means:
     @classmethod
     def of(cls, window: Window) -> _Means:
         h, q, dq = np.diff(window.t)[:, None], window.q, window.dq
-        means, slopes = ((v[1:] + v[:-1]) / 2 for v in (q, dq)), (np.diff(v, axis=0) / h for v in (q, dq))
-        return cls(*means, *slopes, _noise(q), _noise(dq), float(1 / h.mean() ** 2))
+        slope, ddq = np.diff(q, axis=0) / h, np.diff(dq, axis=0) / h
+        rate = float(1 / h.mean() ** 2)
+        return cls((q[1:] + q[:-1]) / 2, (dq[1:] + dq[:-1]) / 2, slope, ddq, _noise(q), _noise(dq), rate)
 
 
 _Part = tuple[Array, Array, Array, Array, Array]
@@ -163,7 +164,7 @@ def _weights(robot: Robot, q_l: Array) -> Array:
 
 
 def _effort(robot: Robot, window: Window) -> Array:
-    """Return B_m u (LAGS + 1, m - 1, n) [N m] of the intervals, delayed by 0 to LAGS samples; zero before the window."""
+    """Return B_m u (LAGS + 1, m - 1, n) [N m], delayed by 0 to LAGS samples; zero before the window."""
     given = np.vstack([np.zeros((LAGS, robot.n)), window.u[:-1] @ robot.B_m.T])
     return np.stack([given[LAGS - late : len(given) - late] for late in range(LAGS + 1)])
 
