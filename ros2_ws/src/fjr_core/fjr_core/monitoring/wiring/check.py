@@ -34,6 +34,8 @@ CLOSER = 2.0
 
 A motor that gives less than commanded still moves in the right direction.
 """
+COARSE = 0.5
+"""Largest share of intervals in which a position may repeat exactly; else its encoder is too coarse for a slope."""
 CONFIRMED = 2
 """Number of consecutive comparisons that must agree on the first joint of a fault."""
 EARLY, RARER = 2, 1.1
@@ -140,11 +142,12 @@ def _decided(found: list[tuple[float, WiringFault]], full: bool) -> WiringFault 
 def _wrong_velocity(rows: Rows, failing: Flags, count: int, full: bool) -> WiringFault | None:
     """Return the fault of a velocity that follows the slope of another position, or of its own with changed sign."""
     n, misfit = len(failing) // 4, rows.misfit()
-    for row in np.flatnonzero(failing[2 * n :]) + 2 * n:
+    coarse = (rows.x == 0.0).mean(axis=1) > COARSE
+    for row in np.flatnonzero((failing & ~coarse)[2 * n :]) + 2 * n:
         side, j, first = ("link", "motor")[row // n - 2], int(row % n), row - row % n
         slopes = rows.x[first : first + n].copy()
         slopes[j] *= -1.0
-        left = distances(rows.root[row], rows.y[row] - slopes)
+        left = np.where(coarse[first : first + n], np.inf, distances(rows.root[row], rows.y[row] - slopes))
         k = int(np.argmin(left))
         clear = full or bool((np.delete(left, k) > left[k] + CLEARER).all())
         if clear and left[k] < FOLLOWS * count and misfit[row] > left[k] + EVIDENCE:
