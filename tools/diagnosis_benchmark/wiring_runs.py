@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples until wrong wiring stops the controller, for every joint, and healthy starts that must not stop it.
+
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.wiring_runs        # 15 min: the table
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fjr_core.config.scenario import Scenario
+from fjr_core.numerics.checks import Array
+
+from .fault_runs import HEALTHY, NOISE, PAIRS, ROBOTS, TORQUE, WIRING, FaultCase, _Draw, _noise
+from .faulty_loop import Fault, FaultyLoop
+from .loop import record
+from .runs import JOINTS, STARTS, Case, _start
+
+SEED = 5
+LASTING, HEALTHY_LASTING = 0.15, 0.08  # s
+LIMITS = {"paper_k31": 0.9, "two_link": 1.5}  # N m that motors give at most, unknown to the controller
+HEAVIEST = {"paper_k31": 0.15, "two_link": 0.3, "arm7": 3.0}  # kg
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Answered samples until the wiring stopped the controller (0: never), reason, travel [rad], peak effort [N m]."""
+
+    samples: int
+    reason: str
+    travel: float
+    effort: float
+
+    @classmethod
+    def of(cls, case: FaultCase, duration: float) -> Stop:
+        """Simulate a case in lock-step. Travel and effort are those up to the stop."""
+        scenario = case.case.loaded()
+        loop = FaultyLoop(scenario, case.fault)
+        log, found = loop.run(duration), loop.stopped_after
+        run = record(log, scenario)
+        ended = found + 1 if found else len(run.u)
+        travel = np.abs(run.position[:ended] - run.position[0]).max()
+        return cls(found, loop.reason, float(travel), float(np.nanmax(np.abs(run.u[:ended]))))
+
+
+def wrong(scenario: str, kind: str, seed: int = SEED) -> Iterator[FaultCase]:
+    """Return the runs with one wiring fault of a kind, on every joint and side, with noise on all sensors."""
+    rng, n, values = np.random.default_rng(seed), JOINTS[scenario], Case("", scenario, "").loaded().plant_values
+    sides, maker = WIRING[kind]
+    twice = n == 2 and kind.endswith("exchanged")
+    for side in () if n == 1 and kind in PAIRS else sides:
+        for j in range(1 if twice else n):
+            fault: Fault = maker(_Draw(scenario, values, j, side, n, 1.0))["fault"]
+            seeded = {"imperfections.seed": int(rng.integers(1000)), **_noise(n)}
+            case = Case(f"{scenario} {kind} {side} {j + 1}", scenario, kind, seeded, start=_start(scenario, rng))
+            yield FaultCase(case.name, kind, j, side, 1.0, case, fault)
+
+
+def healthy(scenario: str, seed: int) -> FaultCase:
+    """Draw a robot that is wired as it should be, but differs from its model and starts anywhere.
+
+    Stiffness and inertia within 30 %, payload, friction, sensor noise from a tenth to ten times NOISE, encoder steps,
+    delays of up to 3 ms, lag, weak motors, states that are lost; starts at rest or moving, springs not in equilibrium.
+    """
+    rng, loaded = np.random.default_rng([seed, JOINTS[scenario]]), Case("", scenario, "").loaded()
+    robot = {
+        key: (
+            np.array(loaded.plant_values[f"robot.{key}"], dtype=float) * rng.uniform(0.7, 1.3, loaded.robot.n)
+        ).tolist()
+        for key in ("joint_stiffness", "motor_inertia", "link_inertia")
+        if f"robot.{key}" in loaded.plant_values and (scenario != "arm7" or not key.startswith("link"))
+    }
+    changes = {"seed": seed, **_sensors(scenario, rng), **_loads(scenario, rng), **_lateness(loaded.robot.n, rng)}
+    named = {f"imperfections.{key}": value for key, value in changes.items()}
+    case = Case(f"{scenario} healthy {seed}", scenario, HEALTHY, named, robot, _initial(scenario, loaded, rng))
+    return FaultCase(case.name, HEALTHY, -1, "", 0.0, case)
+
+
+def _sensors(scenario: str, rng: np.random.Generator) -> dict[str, Any]:
+    n, (position, velocity), changes = JOINTS[scenario], 10 ** rng.uniform(-1, 1, 2), {}
+    for name, deviation in NOISE.items():
+        changes[name] = [float(deviation * (position if "position" in name else velocity))] * n
+    if rng.random() < 0.4:
+        bits = [float(rng.integers(14, 24))] * n
+        changes.update(link_encoder_bits=bits, motor_encoder_bits=bits)
+    return changes
+
+
+def _loads(scenario: str, rng: np.random.Generator) -> dict[str, Any]:
+    n, changes = JOINTS[scenario], {}
+    if rng.random() < 0.5:
+        friction = (rng.uniform(0, 0.1) * np.array(TORQUE[scenario])).tolist()
+        changes = {"link_coulomb_friction": friction, "motor_coulomb_friction": friction}
+        changes.update({"friction_smoothing_velocity": [0.05] * n} if scenario == "arm7" else {})
+    if rng.random() < 0.5:
+        place = [0.05, 0.0, 0.1] if scenario == "arm7" else [0.2, 0.0, 0.0]
+        changes.update(payload_mass=float(rng.uniform(0, HEAVIEST[scenario])), payload_position=place)
+    if rng.random() < 0.1 and scenario in LIMITS:
+        changes["effort_limit"] = [LIMITS[scenario]] * n
+    return changes
+
+
+def _lateness(n: int, rng: np.random.Generator) -> dict[str, Any]:
+    drawn: dict[str, tuple[float, Any]] = {
+        "state_delay": (0.6, float(rng.uniform(0, 2e-3))),
+        "command_delay": (0.6, float(rng.uniform(0, 1e-3))),
+        "actuator_lag": (0.2, [float(rng.uniform(0, 2.5e-3))] * n),
+        "state_loss": (0.2, 0.1),
+        "period_jitter": (0.2, 3e-4),
+    }
+    return {key: value for key, (share, value) in drawn.items() if rng.random() < share}
+
+
+def _initial(scenario: str, loaded: Scenario, rng: np.random.Generator) -> dict[str, list[float]]:
+    n, values = loaded.robot.n, loaded.plant_values
+    if scenario == "arm7":
+        q_l = np.array(values["initial_link_position"], dtype=float) + rng.uniform(-0.04, 0.04, n)
+        q_m = q_l + np.linalg.solve(
+            loaded.robot.K, loaded.robot.grad_P_l(q_l) + rng.uniform(-1, 1, n) * rng.choice([0, 3])
+        )
+    else:
+        q_l = STARTS[scenario] + rng.uniform(-0.5, 0.5, n)
+        q_m = q_l + rng.uniform(-0.02, 0.02, n)
+    dq: Array = rng.uniform(-1, 1, n) * rng.choice([0.0, 0.2 if scenario == "arm7" else 1.0])
+    sides = {"link_position": q_l, "motor_position": q_m, "link_velocity": dq, "motor_velocity": dq}
+    return {f"initial_{side}": value.tolist() for side, value in sides.items()}
+
+
+def main() -> None:
+    """Print the table of docs/fault_isolation.md and the number of healthy starts that were stopped."""
+    for scenario in ROBOTS:
+        for kind in WIRING:
+            stops = [Stop.of(case, LASTING) for case in wrong(scenario, kind)]
+            if stops:
+                samples = sorted(stop.samples for stop in stops)
+                travel, effort = max(stop.travel for stop in stops), max(stop.effort for stop in stops)
+                print(f"| {scenario} | {kind} | {len(stops)} | {samples[len(samples) // 2]} | {samples[-1]} |"
+                      f" {travel:.3f} | {effort:.0f} |", flush=True)  # fmt: skip
+        stopped = [seed for seed in range(200) if Stop.of(healthy(scenario, seed), HEALTHY_LASTING).samples]
+        print(f"{scenario}: 200 healthy starts, stopped by the wiring: {stopped}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
