@@ -10,7 +10,6 @@ Paper: R. Reyes-Baez, A. van der Schaft, B. Jayawardhana, "Virtual Differential 
 Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstrings are its.
 """
 
-
 import warnings
 
 from .control.vdpbc.convergence_rate import Rate
