@@ -10,7 +10,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -22,6 +22,11 @@ from fjr_msgs_py.names import LATEST
 from fjr_plant.plant_node import PlantNode
 from patience import Limit
 
+try:
+    from rclpy.experimental.events_executor import EventsExecutor  # a quarter of the processor time
+except ImportError:  # an older rclpy
+    EventsExecutor = SingleThreadedExecutor
+
 TIME_LIMIT = 30.0  # s on a free machine; a test that waits longer for an event has failed
 PATIENCE = 60.0  # s; a state_timeout that passes in no test, however busy the machine is
 
@@ -32,7 +37,7 @@ class Ros:
     def __init__(self) -> None:
         self.context = Context()
         rclpy.init(context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor: Executor = EventsExecutor(context=self.context)
         self._nodes: list[Node] = []
 
     def add(self, node: Node) -> Any:
