@@ -12,7 +12,7 @@ import socket
 import tempfile
 from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import pytest
 from hypothesis import settings
@@ -46,18 +46,79 @@ settings.register_profile("any machine", settings(), deadline=None)  # no exampl
 settings.load_profile("any machine")
 
 TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
+QUEUE = TURN.with_suffix(".queue")
+_turn: list[TextIO] = []  # the lock of this process, kept from one real_time test to the next
+
+LONGEST_FIRST = (
+    "faults/test_faults.py",
+    "docs/test_blocks.py",
+    "system/test_fjr_sweep.py",
+    "system/test_echo_and_record.py",
+    "system/test_pages.py",
+    "system/test_fjr_command.py",
+    "system/test_labelled_set.py",
+    "system/test_other_laws.py",
+    "system/test_fjr_check.py",
+    "system/test_export_command.py",
+    "system/test_executables.py",
+    "system/test_fjr_report.py",
+    "core/numerics/test_jit.py",
+    "nodes/test_malformed.py",
+    "system/test_closed_loop.py",
+    "system/test_arm_scenarios.py",
+    "nodes/test_certificate.py",
+    "docs/test_build.py",
+    "core/tuning/test_gain_synthesis.py",
+    "core/stability/test_check_of_what_runs.py",
+    "system/test_two_arms.py",
+    "system/test_compare.py",
+    "nodes/test_other_laws.py",
+    "nodes/test_robust_action.py",
+    "docs/test_code_names.py",
+    "system/test_report.py",
+    "system/test_network_namespaces.py",
+)
+"""Files that take long: they start first, so that no worker is left alone with one (a file runs on one worker)."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort files by duration where it is known; within a file the order stays."""
+    tests = Path(__file__).parent
+    place = {tests / name: number for number, name in enumerate(LONGEST_FIRST)}
+    assert all(file.is_file() for file in place), "LONGEST_FIRST names a file that is not there"
+    items.sort(key=lambda item: place.get(item.path, len(place)))
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, object, object]:
     """Tests whose nodes must keep up with the clock have the machine for themselves, among all test processes.
 
     Where real-time scheduling is allowed their nodes leave little to others, and wait for locks of Fast DDS that others
-    hold. Waiting for the turn is not part of a test's timeout.
+    hold. Waiting for the turn is not part of a test's timeout. A process keeps its turn while its next test is of the
+    same kind, so that others finish their tests once for all of them.
     """
-    with TURN.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX if item.get_closest_marker("real_time") else fcntl.LOCK_SH)
+    alone = _needs_the_clock(item)
+    turn = _turn.pop() if _turn else _next_turn(alone)
+    try:
         return (yield)
+    finally:
+        if alone and nextitem is not None and _needs_the_clock(nextitem):
+            _turn.append(turn)
+        else:
+            turn.close()
+
+
+def _needs_the_clock(item: pytest.Item) -> bool:
+    return item.get_closest_marker("real_time") is not None
+
+
+def _next_turn(alone: bool) -> TextIO:
+    """Wait for a turn, alone or with others, in the order of asking: who waits to be alone is not passed by others."""
+    turn = TURN.open("w")
+    with QUEUE.open("w") as queue:
+        fcntl.flock(queue, fcntl.LOCK_EX)
+        fcntl.flock(turn, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+    return turn
 
 
 @pytest.hookimpl(trylast=True)

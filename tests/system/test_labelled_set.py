@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -23,6 +26,15 @@ pytestmark = pytest.mark.system
 SET = cases(VALIDATION_SEED)
 
 
+def marked() -> Iterator[Any]:
+    """Return the set; of each imperfection's two strengths the second is for the full suite alone."""
+    tried: Counter[frozenset[str]] = Counter()
+    for case in SET:
+        words = frozenset(word for word in case.changes if word.startswith("imperfections."))
+        yield pytest.param(case, id=case.name, marks=pytest.mark.full if tried[words] % 2 else ())
+        tried[words] += bool(words)
+
+
 def test_the_set_holds_what_it_should() -> None:
     assert len(SET) >= 40
     assert len({case.name for case in SET}) == len(SET)
@@ -39,7 +51,7 @@ def test_the_set_holds_what_it_should() -> None:
     assert VALIDATION_SEED != TUNING_SEED
 
 
-@pytest.mark.parametrize("case", SET, ids=lambda case: case.name)
+@pytest.mark.parametrize("case", list(marked()))
 def test_the_verdict_on_each_bag_is_its_label(case: Case, tmp_path: Path) -> None:
     label, verdict = diagnosed(case, tmp_path / "bag")
     assert right(label, verdict), (label, verdict)
