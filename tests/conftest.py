@@ -17,6 +17,8 @@ from typing import Any, TextIO
 import pytest
 from hypothesis import settings
 
+from longest_first import LONGEST_FIRST
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: more threads only wait on small matrices
 
 LEASE_PORTS = range(47001, 47100)  # one TCP port on 127.0.0.1 per domain id 1..99; the kernel frees it on any death
@@ -49,43 +51,11 @@ TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
 QUEUE = TURN.with_suffix(".queue")
 _turn: list[TextIO] = []  # the lock of this process, kept from one real_time test to the next
 
-LONGEST_FIRST = (
-    "faults/test_faults.py",
-    "docs/test_blocks.py",
-    "system/test_fjr_sweep.py",
-    "system/test_echo_and_record.py",
-    "system/test_pages.py",
-    "system/test_fjr_command.py",
-    "system/test_labelled_set.py",
-    "system/test_other_laws.py",
-    "system/test_fjr_check.py",
-    "system/test_export_command.py",
-    "system/test_executables.py",
-    "system/test_fjr_report.py",
-    "core/numerics/test_jit.py",
-    "nodes/test_malformed.py",
-    "system/test_closed_loop.py",
-    "system/test_arm_scenarios.py",
-    "nodes/test_certificate.py",
-    "docs/test_build.py",
-    "core/tuning/test_gain_synthesis.py",
-    "core/stability/test_check_of_what_runs.py",
-    "system/test_two_arms.py",
-    "system/test_compare.py",
-    "nodes/test_other_laws.py",
-    "nodes/test_robust_action.py",
-    "docs/test_code_names.py",
-    "system/test_report.py",
-    "system/test_network_namespaces.py",
-)
-"""Files that take long: they start first, so that no worker is left alone with one (a file runs on one worker)."""
-
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Sort files by duration where it is known; within a file the order stays."""
     tests = Path(__file__).parent
     place = {tests / name: number for number, name in enumerate(LONGEST_FIRST)}
-    assert all(file.is_file() for file in place), "LONGEST_FIRST names a file that is not there"
     items.sort(key=lambda item: place.get(item.path, len(place)))
 
 
