@@ -26,7 +26,7 @@ from fjr_core.errors import CompareError, FjrError
 from fjr_core.numerics import jit_cache
 from patience import HANG, Limit
 from system.browser import Browser
-from system.executables import TIME_LIMIT, Executable, fjr
+from system.executables import TIME_LIMIT, Executable, fjr, fjr_here
 
 pytestmark = pytest.mark.system
 QUICK: dict[str, Any] = {
@@ -357,7 +357,7 @@ def test_a_robot_that_cannot_be_is_one_sentence(
     ],
 )
 def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
-    said = fjr("compare", *arguments, "--output", str(tmp_path), code=2)
+    said = fjr_here("compare", *arguments, "--output", str(tmp_path), code=2)
     assert words in said
     assert list(tmp_path.iterdir()) == []
 
@@ -365,6 +365,6 @@ def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[
 def test_a_broken_file_is_named(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("laws: [v_dpbc\n", encoding="utf-8")
-    said = fjr("compare", str(file), "--output", str(tmp_path), code=2)
+    said = fjr_here("compare", str(file), "--output", str(tmp_path), code=2)
     assert str(file) in said
     assert "is not valid YAML" in said

@@ -19,7 +19,7 @@ from fjr_bringup.analysis.run_data import RunData, run_data
 from fjr_bringup.recording.reader import header_stamp, read_bag
 from fjr_core.config.scenario import Scenario, load_scenario
 from system.bags import STORE, rewritten
-from system.executables import fjr, scenario
+from system.executables import fjr, fjr_here, scenario
 
 pytestmark = pytest.mark.system
 STATES, ANSWERS, EFFORTS = "/joint_states", "/joint_commands", "/effort_controller/commands"
@@ -47,7 +47,9 @@ def whole(run: Path, model: Scenario) -> RunData:
 
 def report(bag: Path, run: Path, tmp_path: Path, *arguments: str) -> dict[str, Any]:
     """What `fjr report` writes of a bag, with the scenario of the run."""
-    fjr("report", str(bag), "--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"), *arguments)
+    fjr_here(
+        "report", str(bag), "--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"), *arguments
+    )
     (file,) = (tmp_path / "out").glob("*/report.json")
     assert file.with_suffix(".html").stat().st_size > 60_000
     return json.loads(file.read_text())
@@ -73,7 +75,7 @@ def without(keep: Callable[[str], bool], *fields: str) -> Callable[[str, Any], A
 
 def test_the_report_of_a_run_is_made_again_from_its_folder_alone(run: Path) -> None:
     made, page = json.loads((run / "report.json").read_text()), (run / "report.html").read_text()
-    fjr("report", str(run))
+    fjr_here("report", str(run))
     assert json.loads((run / "report.json").read_text()) == made
     assert (run / "report.html").read_text() == page
 
@@ -184,12 +186,12 @@ def test_topics_in_a_namespace_are_found_and_of_two_one_is_named(run: Path, tmp_
             for raw in read_bag(bag).topic(STATES).messages[:100]:
                 writer.write(added, raw.log_time, raw.data)
     arguments = ("report", str(tmp_path / "two"), "--scenario", str(run / "scenario.yaml"))
-    assert "/left/joint_states and /right/joint_states: name one" in fjr(*arguments, code=1)
-    assert "two_report/report.html" in fjr(*arguments, "--namespace", "left")
+    assert "/left/joint_states and /right/joint_states: name one" in fjr_here(*arguments, code=1)
+    assert "two_report/report.html" in fjr_here(*arguments, "--namespace", "left")
 
 
 def test_another_robots_bag_is_named_and_its_timing_shown(run: Path, tmp_path: Path) -> None:
-    said = fjr("report", str(run), "--scenario", scenario("paper_k31"), "--output", str(tmp_path))
+    said = fjr_here("report", str(run), "--scenario", scenario("paper_k31"), "--output", str(tmp_path))
     assert "the states name shoulder, elbow" in said
     assert "the scenario's robot has joint1" in said
     made = json.loads((tmp_path / "two_link" / "report.json").read_text())
@@ -213,7 +215,7 @@ def test_a_bag_cut_off_while_it_was_written_gives_what_is_in_it(
 
 
 def test_two_bags_of_a_name_have_a_page_each(run: Path, tmp_path: Path) -> None:
-    said = fjr("report", str(run), str(run), "--output", str(tmp_path))
+    said = fjr_here("report", str(run), str(run), "--output", str(tmp_path))
     assert sorted(path.parent.name for path in tmp_path.glob("*/report.html")) == ["two_link", "two_link-2"]
     assert f"{tmp_path / 'two_link-2'} (lock-step)" in said
     assert (tmp_path / "comparison.html").read_text().count('href="two_link-2/report.html"') == 1
@@ -223,7 +225,7 @@ def test_what_gives_nothing_is_one_sentence_and_the_others_are_reported(run: Pat
     given = ("--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"))
     nothing = tmp_path / "nothing.mcap"
     nothing.write_bytes(b"")
-    said = fjr("report", str(run), str(nothing), *given, code=1)
+    said = fjr_here("report", str(run), str(nothing), *given, code=1)
     assert f"{nothing} holds no message of {STATES}; it holds nothing, and was not closed" in said
     assert (tmp_path / "out" / "two_link" / "report.html").is_file()
 
@@ -263,7 +265,7 @@ def strange(tmp_path: Path, kind: str, run: Path) -> Path:
 )
 def test_what_is_no_bag_of_ours_is_explained(run: Path, tmp_path: Path, kind: str, words: str) -> None:
     path = strange(tmp_path, kind, run)
-    said = fjr("report", str(path), "--scenario", str(run / "scenario.yaml"), code=1).strip()
+    said = fjr_here("report", str(path), "--scenario", str(run / "scenario.yaml"), code=1).strip()
     assert words in said
     assert str(path) in said
     assert said.count("\n") == 0
@@ -271,5 +273,5 @@ def test_what_is_no_bag_of_ours_is_explained(run: Path, tmp_path: Path, kind: st
 
 def test_a_bag_without_a_scenario_asks_for_one(run: Path, tmp_path: Path) -> None:
     bag = rewritten(run / "bag", tmp_path / "copy", topics=OURS)
-    assert "expected scenario.yaml next to the bag, or --scenario" in fjr("report", str(bag), code=1)
-    assert "unknown scenario 'paper_k99'" in fjr("report", str(bag), "--scenario", "paper_k99", code=1)
+    assert "expected scenario.yaml next to the bag, or --scenario" in fjr_here("report", str(bag), code=1)
+    assert "unknown scenario 'paper_k99'" in fjr_here("report", str(bag), "--scenario", "paper_k99", code=1)

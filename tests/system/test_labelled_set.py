@@ -19,8 +19,9 @@ from diagnosis_benchmark.runs import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, 
 from diagnosis_benchmark.table import BEGIN, NAMES, diagnosed, diagnosed_cause, right, table  # noqa: E402
 from fjr_bringup.cli.exit_codes import Exit  # noqa: E402
 from fjr_core.config.scenario import load_scenario  # noqa: E402
-from fjr_core.monitoring.diagnosis import diagnose  # noqa: E402
+from fjr_core.monitoring.diagnosis import Diagnosis, diagnose  # noqa: E402
 from system.executables import fjr  # noqa: E402
+from system.shared_runs import shared_run  # noqa: E402
 
 pytestmark = pytest.mark.system
 SET = cases(VALIDATION_SEED)
@@ -71,7 +72,6 @@ def test_the_page_shows_the_set() -> None:
 @pytest.mark.parametrize(
     ("assignments", "wanted"),
     [
-        ((), "holding"),
         (("imperfections.motor_coulomb_friction:=[0.05]",), "model mismatch"),
         (("imperfections.command_delay:=0.002",), "delay"),
         (("imperfections.command_loss:=0.4",), "loss"),
@@ -87,7 +87,15 @@ def test_the_verdict_on_bags_of_the_real_nodes(assignments: tuple[str, ...], wan
     duration = "0.5" if wanted == "sampling" else "2.5"
     arguments = ["run", "paper_k31", "--lockstep", "--duration", duration, "--output", str(tmp_path)]
     fjr(*arguments, *changes, *force, codes=(Exit.DONE, Exit.VIOLATED))
-    folder = tmp_path / "paper_k31"
-    scenario = load_scenario(folder / "scenario.yaml")
-    verdict = diagnose(read_record(folder / "bag", scenario), scenario.law)
+    verdict = verdict_on(tmp_path / "paper_k31")
     assert diagnosed_cause(verdict) == wanted, verdict
+
+
+def test_real_nodes_as_they_are_hold_the_bound(tmp_path_factory: pytest.TempPathFactory) -> None:
+    verdict = verdict_on(shared_run(tmp_path_factory, "paper_k31"))
+    assert diagnosed_cause(verdict) == "holding", verdict
+
+
+def verdict_on(folder: Path) -> Diagnosis:
+    scenario = load_scenario(folder / "scenario.yaml")
+    return diagnose(read_record(folder / "bag", scenario), scenario.law)

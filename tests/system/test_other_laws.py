@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fjr_core.control.registry import LAWS
-from system.executables import fjr
+from system.executables import fjr, fjr_here
 
 pytestmark = pytest.mark.system
 
@@ -31,7 +31,7 @@ def test_a_run_with_another_law_is_reported_without_v(tmp_path: Path, name: str)
 
 @pytest.mark.parametrize("name", [name for name in LAWS if name != "v_dpbc"])
 def test_check_tells_the_law_its_gains_and_the_sampled_loop(name: str) -> None:
-    said = fjr("check", "paper_k31", "--set", f"law.type:={name}")
+    said = fjr_here("check", "paper_k31", "--set", f"law.type:={name}")
     assert f"{name}: {LAWS[name].title}" in said
     assert "the same bandwidth" in said
     assert "spectral radius" in said
@@ -41,5 +41,5 @@ def test_check_tells_the_law_its_gains_and_the_sampled_loop(name: str) -> None:
 
 
 def test_what_is_about_v_dpbc_alone_refuses_another_law(tmp_path: Path) -> None:
-    said = fjr("contraction", "paper_k31", "--set", "law.type:=lqr", "--output", str(tmp_path), code=2)
+    said = fjr_here("contraction", "paper_k31", "--set", "law.type:=lqr", "--output", str(tmp_path), code=2)
     assert "'law.type' is 'lqr'; expected 'v_dpbc'" in said

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from system.browser import Browser
-from system.executables import fjr
+from system.executables import fjr_here
 from system.shared_runs import DURATION, shared_run
 
 pytestmark = pytest.mark.system
@@ -24,7 +24,7 @@ DRAWN = 150  # coloured pixels, at least: a line across a plot has more
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a page of each scenario and one of all, made by `fjr report` from bags of shared runs."""
     output = tmp_path_factory.mktemp("reports")
-    said = fjr("report", *(str(shared_run(tmp_path_factory, name)) for name in SCENARIOS), "--output", str(output))
+    said = fjr_here("report", *(str(shared_run(tmp_path_factory, name)) for name in SCENARIOS), "--output", str(output))
     assert "side by side" in said
     return output
 
