@@ -12,12 +12,14 @@ import socket
 import tempfile
 from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import pytest
 from hypothesis import settings
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: more threads only add delay for small matrices
+from longest_first import LONGEST_FIRST
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: more threads only wait on small matrices
 
 LEASE_PORTS = range(47001, 47100)  # one TCP port on 127.0.0.1 per domain id 1..99; the kernel frees it on any death
 
@@ -46,18 +48,47 @@ settings.register_profile("any machine", settings(), deadline=None)  # no deadli
 settings.load_profile("any machine")
 
 TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
+QUEUE = TURN.with_suffix(".queue")
+_turn: list[TextIO] = []  # the lock of this process, kept from one real_time test to the next
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort files by duration where it is known; within a file the order stays."""
+    tests = Path(__file__).parent
+    place = {tests / name: number for number, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: place.get(item.path, len(place)))
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Run tests with the marker real_time alone among all test processes.
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, object, object]:
+    """Tests whose nodes must keep up with the clock have the machine for themselves, among all test processes.
 
-    With real-time scheduling their nodes would starve other processes and wait for locks of Fast DDS that those hold.
-    Waiting for the lock does not count for the timeout of a test.
+    Where real-time scheduling is allowed their nodes leave little to others, and wait for locks of Fast DDS that others
+    hold. Waiting for the turn is not part of a test's timeout. A process keeps its turn while its next test is of the
+    same kind, so that others finish their tests once for all of them.
     """
-    with TURN.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX if item.get_closest_marker("real_time") else fcntl.LOCK_SH)
+    alone = _needs_the_clock(item)
+    turn = _turn.pop() if _turn else _next_turn(alone)
+    try:
         return (yield)
+    finally:
+        if alone and nextitem is not None and _needs_the_clock(nextitem):
+            _turn.append(turn)
+        else:
+            turn.close()
+
+
+def _needs_the_clock(item: pytest.Item) -> bool:
+    return item.get_closest_marker("real_time") is not None
+
+
+def _next_turn(alone: bool) -> TextIO:
+    """Wait for a turn, alone or with others, in the order of asking: who waits to be alone is not passed by others."""
+    turn = TURN.open("w")
+    with QUEUE.open("w") as queue:
+        fcntl.flock(queue, fcntl.LOCK_EX)
+        fcntl.flock(turn, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+    return turn
 
 
 @pytest.hookimpl(trylast=True)

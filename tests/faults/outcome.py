@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -30,25 +32,58 @@ class Outcome:
 
 
 def outcome(row: Row) -> Outcome:
-    """Run a row and measure; repeat it, at most TRIES times, if the machine stalled during the run."""
-    for _ in range(TRIES):
-        seen, stalled = _tried(row)
-        if not stalled:
-            break
-    return seen
+    """Do what the row says to a pair of nodes of its own and measure; for tries see Pair."""
+    pair = Pair()
+    try:
+        return pair.outcome(row)
+    finally:
+        pair.close()
 
 
-def _tried(row: Row) -> tuple[Outcome, bool]:
-    with Rig(row.setting, row.mode) as rig:
-        rig.start_both()
+class Pair:
+    """A pair of nodes that rows of the same setting and mode disturb one after the other, as each recovers."""
+
+    def __init__(self) -> None:
+        self._rig: Rig | None = None
+        self._before: Counter[str] = Counter()
+
+    def outcome(self, row: Row) -> Outcome:
+        """Do what the row says and measure; if the machine stood still, again with new nodes, at most TRIES times."""
+        for _ in range(TRIES):
+            try:
+                seen, stalled = self._tried(row, self._rig or self._started(row))
+            except BaseException:
+                self.close()
+                raise
+            if stalled or math.isinf(seen.recovery):
+                self.close()
+            if not stalled:
+                break
+        return seen
+
+    def close(self) -> None:
+        """End the nodes; the next row starts new ones."""
+        if self._rig:
+            self._rig.close()
+        self._rig, self._before = None, Counter()
+
+    def _started(self, row: Row) -> Rig:
+        self._rig = Rig(row.setting, row.mode)
+        self._rig.start_both()
+        return self._rig
+
+    def _tried(self, row: Row, rig: Rig) -> tuple[Outcome, bool]:
         begin, end = row.act(rig)
         rig.until_stamp(end + SECOND // 10)
         rig.until_calm(1.0 + (row.recovery or 0.0))
         counters = rig.last_report("controller")
         motion, efforts, stalled = rig.motion(), rig.efforts(), _stalled(rig, begin, end)
-    largest = max(abs(u) for effort in efforts for u in effort)
-    bad = sum(not fits(effort, row.setting.limit) for effort in efforts)
-    return Outcome(motion.peak(begin), motion.recovery(end), len(efforts), bad, largest, counters), stalled
+        largest = max(abs(u) for effort in efforts for u in effort)
+        bad = sum(not fits(effort, row.setting.limit) for effort in efforts)
+        new = Counter({name: count - self._before[name] for name, count in counters.items()})
+        rig.forget()
+        self._before = Counter(counters)
+        return Outcome(motion.peak(begin), motion.recovery(end), len(efforts), bad, largest, new), stalled
 
 
 def _stalled(rig: Rig, begin: int, end: int) -> bool:

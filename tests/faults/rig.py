@@ -94,7 +94,7 @@ class Process(Executable):
 
 
 class Rig:
-    """A watched pair of nodes; a context manager that leaves no process behind."""
+    """A watched pair of nodes; close() leaves no process behind."""
 
     def __init__(self, setting: Setting, mode: str) -> None:
         self._environment = mock.patch.dict(os.environ, {"FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE)})
@@ -288,16 +288,19 @@ class Rig:
         stamps = np.array([heard.stamp for heard in states])
         return Motion(stamps, q_l, tuple(self.anchors), self.setting.reference)
 
+    def forget(self) -> None:
+        """Leave what was heard so far out of all that follows, but for the newest message of each topic."""
+        for heard in self.watcher.heard.values():
+            del heard[:-1]
+
     def efforts(self) -> list[list[float]]:
         """Return all efforts sent on both topics."""
         self.watcher.look()
         plain = [list(message.data) for message in self.watcher.messages(EFFORTS)]
         return plain + [list(message.effort) for message in self.watcher.messages(COMMANDS)]
 
-    def __enter__(self) -> Rig:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """End the nodes and all that watched them."""
         self._cleanup.close()
         for executable in (*self._running.values(), *self._ended):
             executable.kill()

@@ -24,14 +24,12 @@ except ImportError:
 
 @pytest.fixture(params=["single-threaded", "events"])
 def ros(request, ros: Ros) -> Ros:
-    """Provide the fixture `ros` with each executor."""
-    if request.param == "events":
-        if EventsExecutor is None:
-            pytest.skip("this rclpy has no events executor")
+    """The nodes of a test on each executor."""
+    if request.param == "single-threaded":
         ros.executor.shutdown()
-        ros.executor = EventsExecutor(context=ros.context)
-    else:
-        assert isinstance(ros.executor, SingleThreadedExecutor)
+        ros.executor = SingleThreadedExecutor(context=ros.context)
+    elif EventsExecutor is None:
+        pytest.skip("this rclpy has no events executor")
     return ros
 
 

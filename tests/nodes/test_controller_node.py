@@ -192,7 +192,7 @@ def test_use_sim_time_changes_only_while_unconfigured(ros: Ros) -> None:
     assert manager.set(use_sim_time=True)[0]
     manager.meet_controller()
     manager.ask(stamped(0.0))
-    manager.ask(stamped(0.6))
+    manager.answer(stamped(0.6))  # a stop comes with it
     ros.until(lambda: "silences" in manager.kinds(), "the silence by the stamps")
 
 

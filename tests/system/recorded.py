@@ -33,7 +33,11 @@ class Recorded:
 def record(name: str, duration: float, output: Path, *overrides: str) -> Recorded:
     changes = [part for override in overrides for part in ("--set", override)]
     said = fjr("run", name, "--lockstep", "--duration", str(duration), "--output", str(output), *changes)
-    folder = output / name
+    return recorded_run(output / name, said)
+
+
+def recorded_run(folder: Path, said: str) -> Recorded:
+    """Read the bag of a run."""
     with reader(folder) as bag:
         u = columns(bag, "/joint_commands", "effort")
         n = len(next(iter(u.values())))

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
+from system import shared_runs
 from system.executables import scenario
-from system.recorded import Recorded, record
+from system.recorded import Recorded, record, recorded_run
+from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
 
@@ -21,7 +23,9 @@ DURATION = 3.2  # s
 
 @pytest.fixture(scope="module", params=ARMS)
 def recorded(request, tmp_path_factory) -> Recorded:
-    return record(request.param, DURATION, tmp_path_factory.mktemp("runs"))
+    assert shared_runs.DURATION[request.param] == DURATION
+    folder = shared_run(tmp_path_factory, request.param)
+    return recorded_run(folder, (folder.parent / "said").read_text())
 
 
 def test_all_links_reach_the_reference_within_3_s(recorded: Recorded) -> None:

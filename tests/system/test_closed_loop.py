@@ -10,24 +10,22 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
+from system import shared_runs
 from system.executables import fjr, scenario
-from system.recorded import Recorded, reader, record
+from system.recorded import Recorded, reader, recorded_run
+from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
 
 PEAK = {"paper_k31": 26.203, "paper_k3p1": 255.762}  # N m, by an independent integration
 DURATION = 2.5  # s
-TRIES = 3
 
 
 @pytest.fixture(scope="module", params=PEAK)
 def recorded(request, tmp_path_factory) -> Recorded:
-    """Return a run whose bag is complete; a recorder without processor time may miss messages, which it reports."""
-    for _ in range(TRIES):
-        run = record(request.param, DURATION, tmp_path_factory.mktemp("runs"))
-        if json.loads((run.folder / "report.json").read_text())["counts"]["missing"] == 0:
-            break
-    return run
+    assert shared_runs.DURATION[request.param] == DURATION
+    folder = shared_run(tmp_path_factory, request.param)
+    return recorded_run(folder, (folder.parent / "said").read_text())
 
 
 def test_bag_contains_every_sample_of_the_run(recorded: Recorded) -> None:

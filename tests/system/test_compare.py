@@ -27,7 +27,7 @@ from fjr_core.errors import CompareError, FjrError
 from fjr_core.numerics import jit_cache
 from patience import HANG, Limit
 from system.browser import Browser
-from system.executables import TIME_LIMIT, Executable, fjr
+from system.executables import TIME_LIMIT, Executable, fjr, fjr_here
 
 pytestmark = pytest.mark.system
 QUICK: dict[str, Any] = {
@@ -359,8 +359,8 @@ def test_invalid_robot_is_refused_in_one_sentence(
         (["quick", "--document", "nowhere.md"], "cannot read nowhere.md"),
     ],
 )
-def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
-    said = fjr("compare", *arguments, "--output", str(tmp_path), code=2)
+def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
+    said = fjr_here("compare", *arguments, "--output", str(tmp_path), code=2)
     assert words in said
     assert list(tmp_path.iterdir()) == []
 
@@ -368,6 +368,6 @@ def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, arguments
 def test_invalid_file_is_named(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("laws: [v_dpbc\n", encoding="utf-8")
-    said = fjr("compare", str(file), "--output", str(tmp_path), code=2)
+    said = fjr_here("compare", str(file), "--output", str(tmp_path), code=2)
     assert str(file) in said
     assert "is not valid YAML" in said

@@ -9,7 +9,8 @@ from pathlib import Path
 import matplotlib.image
 import pytest
 
-from system.executables import fjr
+from system.executables import fjr_here
+from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
 
@@ -20,7 +21,7 @@ def figures(folder: Path, name: str) -> dict[str, float]:
 
 @pytest.mark.parametrize("name", ["paper_k31", "two_link"])
 def test_distances_of_a_scenario_stay_below_the_bound(tmp_path: Path, name: str) -> None:
-    said = fjr("contraction", name, "--duration", "0.5", "--output", str(tmp_path))
+    said = fjr_here("contraction", name, "--duration", "0.5", "--output", str(tmp_path))
     found = figures(tmp_path, name)
     assert "stay below exp(-beta t)" in said
     assert found["beta_is_proven"]
@@ -32,12 +33,11 @@ def test_distances_of_a_scenario_stay_below_the_bound(tmp_path: Path, name: str)
     assert picture[..., :3].std() > 0.05
 
 
-def test_recorded_run_gives_the_results_of_its_simulation(tmp_path: Path) -> None:
-    """In lock-step the bag contains exactly the numbers of the simulation."""
-    fjr("run", "paper_k31", "--lockstep", "--duration", "0.3", "--output", str(tmp_path))
+def test_along_a_recorded_run_as_along_its_simulation(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """In lock-step the bag holds the very numbers of the simulation."""
     arguments = ("contraction", "paper_k31", "--duration", "0.25", "--starts", "3", "--output")
-    fjr(*arguments, str(tmp_path / "simulated"))
-    fjr(*arguments, str(tmp_path / "recorded"), "--run", str(tmp_path / "paper_k31"))
+    fjr_here(*arguments, str(tmp_path / "simulated"))
+    fjr_here(*arguments, str(tmp_path / "recorded"), "--run", str(shared_run(tmp_path_factory, "paper_k31")))
     recorded, simulated = (figures(tmp_path / how, "paper_k31") for how in ("recorded", "simulated"))
     for key in ("largest_distance_at_start", "largest_distance_at_end", "distance_to_measured_at_end"):
         assert recorded[key] == pytest.approx(simulated[key], rel=0.02)
@@ -53,7 +53,5 @@ def test_recorded_run_gives_the_results_of_its_simulation(tmp_path: Path) -> Non
         (["paper_k31", "--run", "nowhere"], "does not exist; expected the folder of a bag", 1),
     ],
 )
-def test_invalid_arguments_are_refused_in_one_sentence(
-    tmp_path: Path, arguments: list[str], words: str, code: int
-) -> None:
-    assert words in fjr("contraction", *arguments, "--output", str(tmp_path), code=code)
+def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str, code: int) -> None:
+    assert words in fjr_here("contraction", *arguments, "--output", str(tmp_path), code=code)

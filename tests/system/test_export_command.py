@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from patience import HANG
-from system.executables import fjr
+from system.executables import fjr_here
 
 pytestmark = pytest.mark.system
 
@@ -34,7 +34,7 @@ def run(*command: str | Path) -> str:
 
 def test_cmake_builds_and_ctest_passes(tmp_path: Path) -> None:
     folder, build = tmp_path / "two_link", tmp_path / "build"
-    output = fjr("export-c", "two_link", str(folder), "--set", "gains.Lambda_m:=[17.0, 18.0]")
+    output = fjr_here("export-c", "two_link", str(folder), "--set", "gains.Lambda_m:=[17.0, 18.0]")
     assert "ctest --test-dir" in output
     assert "17.0, 18.0" in (folder / "two_link.c").read_text()
     run(tool("cmake"), "-S", folder, "-B", build)
@@ -62,9 +62,9 @@ extern "C" int effort(const double *q, const double *dq, double t, double *u)
 """
 
 
-def test_export_links_into_a_cpp_plugin(tmp_path: Path) -> None:
-    """The plugin is a shared object like the controllers of ros2_control."""
-    fjr("export-c", "paper_k31", str(tmp_path / "law"), "--prefix", "arm")
+def test_as_a_part_of_a_plugin_in_cpp(tmp_path: Path) -> None:
+    """A shared object, as ros2_control's controllers are."""
+    fjr_here("export-c", "paper_k31", str(tmp_path / "law"), "--prefix", "arm")
     (tmp_path / "CMakeLists.txt").write_text(CONSUMER)
     (tmp_path / "controller.cpp").write_text(CONTROLLER)
     run(tool("cmake"), "-S", tmp_path, "-B", tmp_path / "build")
@@ -72,21 +72,23 @@ def test_export_links_into_a_cpp_plugin(tmp_path: Path) -> None:
     assert list((tmp_path / "build").glob("libcontroller.*"))
 
 
-def test_only_an_earlier_export_is_replaced_and_only_with_force(tmp_path: Path) -> None:
-    fjr("export-c", "paper_k31", str(tmp_path / "new" / "folder"))
+def test_an_export_is_replaced_only_when_asked_and_nothing_else_is(tmp_path: Path) -> None:
+    fjr_here("export-c", "paper_k31", str(tmp_path / "new" / "folder"))
     folder = tmp_path / "new" / "folder"
     (folder / "mine.txt").write_text("mine")
     before = (folder / "paper_k31.c").read_text()
     change = ("--set", "gains.K_ld:=[0.7]")
-    assert "is not empty; expected a new or empty folder" in fjr("export-c", "paper_k31", str(folder), *change, code=1)
+    assert "is not empty; expected a new or empty folder" in fjr_here(
+        "export-c", "paper_k31", str(folder), *change, code=1
+    )
     assert (folder / "paper_k31.c").read_text() == before
-    fjr("export-c", "paper_k31", str(folder), *change, "--force")
+    fjr_here("export-c", "paper_k31", str(folder), *change, "--force")
     assert (folder / "paper_k31.c").read_text() != before
     assert (folder / "mine.txt").read_text() == "mine"
 
 
-def test_omitted_parameters_are_named(tmp_path: Path) -> None:
-    output = fjr("export-c", "paper_k31", str(tmp_path / "c"), "--set", "measurement.velocity:=observer")
+def test_what_is_not_exported_is_named(tmp_path: Path) -> None:
+    output = fjr_here("export-c", "paper_k31", str(tmp_path / "c"), "--set", "measurement.velocity:=observer")
     assert "not exported: what measurement.velocity" in output
     assert "`measurement.velocity`" in (tmp_path / "c" / "README.md").read_text()
 
@@ -109,5 +111,5 @@ def test_invalid_arguments_are_refused_in_one_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broken.yaml").write_text("/**: {ros__parameters: [not, a, mapping")
-    assert words in fjr("export-c", *arguments, code=code)
+    assert words in fjr_here("export-c", *arguments, code=code)
     assert not (tmp_path / "DIR").exists()

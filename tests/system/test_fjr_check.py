@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 import fjr_core
-from fjr_bringup.cli.app import main
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import StartError, refuse_start_outside
 from fjr_bringup.scenarios import library
@@ -19,27 +17,11 @@ from fjr_core.config.scenario import load_scenario
 from fjr_core.control.robust import Robust, sampled_law
 from fjr_core.stability.linear_controller import Sensing
 from fjr_core.stability.sampled_loop import check
-from system.executables import fjr, scenario
+from system.executables import fjr, fjr_here, scenario
 
 pytestmark = pytest.mark.system
 
 SLOW = ("paper_k31", "--set", "publish_rate:=60.0", "--set", "inner_steps:=200")
-
-
-Run = Callable[..., str]
-
-
-@pytest.fixture
-def run_fjr(capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run the command in this process, which saves two seconds of imports; return its output."""
-
-    def run(*arguments: str, code: int = 0) -> str:
-        ended = main(arguments)
-        captured = capsys.readouterr()
-        assert ended == code, captured
-        return captured.out + captured.err
-
-    return run
 
 
 def figures(output: str) -> dict[str, str]:
@@ -48,8 +30,8 @@ def figures(output: str) -> dict[str, str]:
     return {name: text.strip() for name, _, text in rows}
 
 
-def test_the_papers_joint_is_stable_as_sampled_with_a_proven_rate(run_fjr: Run) -> None:
-    rows, made = figures(run_fjr("check", "paper_k31")), load_scenario(scenario("paper_k31"))
+def test_the_papers_joint_is_stable_as_sampled_with_a_proven_rate() -> None:
+    rows, made = figures(fjr_here("check", "paper_k31")), load_scenario(scenario("paper_k31"))
     found, rate = check(made.law, 1e-3), made.law.rate()
     assert rows["beta"].startswith(f"{rate.beta:.4g} 1/s")
     assert rows["beta of eq. (50)"].startswith(f"{rate.beta_paper:.4g} 1/s")
@@ -60,8 +42,8 @@ def test_the_papers_joint_is_stable_as_sampled_with_a_proven_rate(run_fjr: Run) 
     assert rows["as sampled"] == "stable"
 
 
-def test_rates_of_the_arm_are_labelled_sampled_and_its_limits_are_checked(run_fjr: Run) -> None:
-    rows = figures(run_fjr("check", "arm7"))
+def test_rates_of_the_arm_are_labelled_sampled_and_its_limits_are_checked() -> None:
+    rows = figures(fjr_here("check", "arm7"))
     assert "minimum over sampled configurations, not proven" in rows["beta"]
     assert "minimum over sampled configurations, not proven" in rows["beta of eq. (50)"]
     assert rows["reference"] == "within the position limits; within the velocity limits"
@@ -69,17 +51,17 @@ def test_rates_of_the_arm_are_labelled_sampled_and_its_limits_are_checked(run_fj
     assert rows["as sampled"] == "stable"
 
 
-def test_loop_is_also_checked_along_the_reference(run_fjr: Run) -> None:
+def test_the_loop_is_checked_along_the_reference_too() -> None:
     made = load_scenario(scenario("two_link"))
     found = check(made.law, 1e-3, configurations=made.configurations())
-    row = figures(run_fjr("check", "two_link"))["on the reference"]
+    row = figures(fjr_here("check", "two_link"))["on the reference"]
     assert f"spectral radius {found.spectral_radius:.6f}" in row
     assert f"delay margin {found.delay_margin:.2f} samples" in row
 
 
 @pytest.mark.parametrize("everywhere", [(), ("--everywhere",)])
-def test_gains_are_printed_as_a_valid_scenario_block(run_fjr: Run, tmp_path: Path, everywhere: tuple[str, ...]) -> None:
-    block = run_fjr("gains", "two_link", "--beta", "5", "--delay", "1", *everywhere)
+def test_gains_are_printed_as_a_block_that_a_scenario_takes(tmp_path: Path, everywhere: tuple[str, ...]) -> None:
+    block = fjr_here("gains", "two_link", "--beta", "5", "--delay", "1", *everywhere)
     path = tmp_path / "mine.yaml"
     robot = "/**:\n  ros__parameters:\n    robot:\n      file: package://fjr_bringup/robots/two_link.yaml\n"
     path.write_text(f"{robot}/**/fjr_controller:\n  ros__parameters:\n{block}")
@@ -89,40 +71,40 @@ def test_gains_are_printed_as_a_valid_scenario_block(run_fjr: Run, tmp_path: Pat
     assert check(made.law, 1e-3, 1e-3, where).stable
 
 
-def test_gains_out_of_reach_are_refused(run_fjr: Run) -> None:
-    assert "out of reach at 1000 Hz" in run_fjr("gains", "paper_k31", "--beta", "5000", code=1)
+def test_gains_out_of_reach_are_refused() -> None:
+    assert "out of reach at 1000 Hz" in fjr_here("gains", "paper_k31", "--beta", "5000", code=1)
 
 
-def test_no_rate_is_proven_if_the_plant_differs_from_the_model(run_fjr: Run, tmp_path: Path) -> None:
+def test_nothing_is_proven_of_a_plant_that_is_not_the_model(tmp_path: Path) -> None:
     path = tmp_path / "other.yaml"
     path.write_text("/**/fjr_plant:\n  ros__parameters:\n    robot: {motor_inertia: [0.005]}\n")
-    rows = figures(run_fjr("check", str(path)))
+    rows = figures(fjr_here("check", str(path)))
     assert "not proven here, the plant is not the law's model" in rows["beta"]
 
 
-def test_too_few_inner_steps_are_refused(run_fjr: Run) -> None:
-    output = run_fjr("check", "arm7", "--set", "publish_rate:=250.0", "--set", "inner_steps:=1", code=1)
+def test_too_few_inner_steps_are_refused() -> None:
+    output = fjr_here("check", "arm7", "--set", "publish_rate:=250.0", "--set", "inner_steps:=1", code=1)
     assert "inner_steps is 1, too few for rk4" in output
     assert "expected at least " in output
 
 
-def test_a_reference_beyond_the_limits_is_named(run_fjr: Run) -> None:
+def test_a_reference_beyond_the_limits_is_named() -> None:
     amplitude = "reference.amplitude:=[0.3, 2.0, 0.3, 0.3, 0.3, 0.3, 0.3]"
-    rows = figures(run_fjr("check", "arm7", "--set", amplitude))
+    rows = figures(fjr_here("check", "arm7", "--set", amplitude))
     assert rows["reference"] == "BEYOND the position limits of joint2; BEYOND the velocity limits of joint2"
 
 
-def test_the_papers_gains_on_the_stiff_arm_are_unstable_with_exit_code_1(run_fjr: Run) -> None:
+def test_the_papers_gains_on_the_stiff_arm_are_unstable_with_exit_code_1() -> None:
     paper = fjr_core.PAPER_GAINS
     names = ("Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md")
     changes = [part for name in names for part in ("--set", f"gains.{name}:={[float(getattr(paper, name))] * 7}")]
-    output = run_fjr("check", "arm7", *changes, code=1)
+    output = fjr_here("check", "arm7", *changes, code=1)
     assert figures(output)["as sampled"] == "UNSTABLE"
     assert "fjr: scenario arm7 is unstable as sampled at 1000 Hz: spectral radius" in output
 
 
-def test_unstable_scenario_is_refused_without_any_output(tmp_path: Path) -> None:
-    output = fjr("run", *SLOW, "--output", str(tmp_path), code=1)
+def test_an_unstable_scenario_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    output = fjr_here("run", *SLOW, "--output", str(tmp_path), code=1)
     assert "unstable as sampled at 60 Hz" in output
     assert "stable from" in output
     assert not list(tmp_path.iterdir())
@@ -137,12 +119,12 @@ def test_force_runs_an_unstable_scenario(tmp_path: Path) -> None:
     assert report["tracking"]["settling_time_2_percent_s"] is None
 
 
-def test_path_on_the_command_line_is_relative_to_the_current_folder(run_fjr: Run, tmp_path: Path, monkeypatch) -> None:
+def test_a_path_on_the_command_line_is_relative_to_where_it_runs(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     robot = "/**:\n  ros__parameters:\n    joints: [knee]\n    robot: {model: single_link, joint_stiffness: [20.0]}\n"
     (tmp_path / "mine.yaml").write_text(robot)
     assert (
-        figures(run_fjr("check", "paper_k31", "--set", "robot.file:=mine.yaml"))["scenario"]
+        figures(fjr_here("check", "paper_k31", "--set", "robot.file:=mine.yaml"))["scenario"]
         == "paper_k31: knee; 1000 Hz"
     )
 
@@ -159,13 +141,13 @@ def test_path_on_the_command_line_is_relative_to_the_current_folder(run_fjr: Run
         (["gains", "arm7", "--beta", "-1"], "'-1' is not a rate; expected a positive number"),
     ],
 )
-def test_invalid_arguments_are_refused_in_one_sentence(run_fjr: Run, arguments: list[str], words: str) -> None:
-    assert words in run_fjr(*arguments, code=2)
+def test_what_is_not_understood_is_one_sentence(arguments: list[str], words: str) -> None:
+    assert words in fjr_here(*arguments, code=2)
 
 
-def test_robust_action_observer_and_delay_are_in_the_loop(run_fjr: Run) -> None:
+def test_robust_action_observer_and_delay_are_in_the_loop() -> None:
     options = ("robust.integral_gain:=[5.0]", "measurement.velocity:=observer", "imperfections.state_delay:=0.001")
-    rows = figures(run_fjr("check", "paper_k31", *(part for text in options for part in ("--set", text))))
+    rows = figures(fjr_here("check", "paper_k31", *(part for text in options for part in ("--set", text))))
     for part in ("integral action", "velocity observer of 150.0 rad/s", "delay of 1 ms"):
         assert part in rows["in the loop"]
     made = load_scenario(scenario("paper_k31"))
@@ -175,20 +157,20 @@ def test_robust_action_observer_and_delay_are_in_the_loop(run_fjr: Run) -> None:
     assert found.spectral_radius > check(made.law, 1e-3).spectral_radius + 0.01
 
 
-def test_delay_in_the_scenario_can_make_it_unstable(run_fjr: Run) -> None:
-    output = run_fjr("check", "paper_k31", "--set", "imperfections.command_delay:=0.008", code=1)
+def test_a_delay_that_the_scenario_sets_makes_it_unstable() -> None:
+    output = fjr_here("check", "paper_k31", "--set", "imperfections.command_delay:=0.008", code=1)
     assert figures(output)["as sampled"] == "UNSTABLE"
 
 
-def test_too_fast_integral_action_is_refused_with_the_largest_rate(run_fjr: Run) -> None:
-    output = run_fjr("check", "paper_k3p1", "--set", "robust.integral_gain:=[40.0]", code=2)
+def test_an_integral_that_is_too_fast_is_refused_with_the_largest_rate() -> None:
+    output = fjr_here("check", "paper_k3p1", "--set", "robust.integral_gain:=[40.0]", code=2)
     assert (
         "integral_gain is [40] 1/s, which makes the loop unstable at a hold of 0.001 s; expected at most [2" in output
     )
 
 
-def test_radii_with_model_errors_are_listed(run_fjr: Run) -> None:
-    rows = figures(run_fjr("check", "paper_k31", "--set", "publish_rate:=95.0", "--set", "inner_steps:=200"))
+def test_radii_with_model_errors_are_listed() -> None:
+    rows = figures(fjr_here("check", "paper_k31", "--set", "publish_rate:=95.0", "--set", "inner_steps:=200"))
     assert rows["as sampled"] == "stable"
     state, _, worst = rows["with model errors"].partition("; the worst is ")
     kind, _, radius = worst.rpartition(": ")
@@ -206,10 +188,8 @@ def test_radii_with_model_errors_are_listed(run_fjr: Run) -> None:
         ("limits.motor_position_lower:=[0.6]", "joint1: q_m is 0.5 rad; expected 0.6 to inf rad"),
     ],
 )
-def test_initial_position_outside_a_range_names_the_joint_with_exit_code_1(
-    run_fjr: Run, limit: str, words: str
-) -> None:
-    output = run_fjr("check", "paper_k31", "--set", limit, code=1)
+def test_a_start_outside_a_range_names_the_joint_with_exit_code_1(limit: str, words: str) -> None:
+    output = fjr_here("check", "paper_k31", "--set", limit, code=1)
     assert figures(output)["initial position"] == f"BEYOND {words}"
     assert "starts outside a limit" in output
 
@@ -223,6 +203,6 @@ def test_initial_position_outside_the_range_of_the_robot_is_refused() -> None:
             refuse_start_outside(made)
 
 
-def test_gains_are_checked_with_the_scenarios_robust_action(run_fjr: Run) -> None:
-    output = run_fjr("gains", "paper_k31", "--beta", "5", "--set", "robust.residual_gain:=[5000.0]", code=1)
+def test_gains_are_checked_with_the_scenarios_robust_action() -> None:
+    output = fjr_here("gains", "paper_k31", "--beta", "5", "--set", "robust.residual_gain:=[5000.0]", code=1)
     assert "the spectral radius with the scenario's robust.* options and observer is" in output

@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from fjr_bringup.cli.exit_codes import Exit
 from nodes.harness import Listener, Ros
-from system.executables import NODES, Executable, fjr, wait_for
+from system.executables import NODES, Executable, fjr, fjr_here, wait_for
 
 pytestmark = pytest.mark.system
 
@@ -164,8 +164,8 @@ def test_another_plant_that_joins_ends_the_run(ros: Ros, start, tmp_path: Path, 
         (["paper_k31", "--duration", "-1"], "expected seconds"),
     ],
 )
-def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
-    assert words in fjr("run", *arguments, "--output", str(tmp_path), code=2)
+def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
+    assert words in fjr_here("run", *arguments, "--output", str(tmp_path), code=2)
     assert not list(tmp_path.iterdir())
 
 
@@ -174,7 +174,7 @@ def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, arguments
 def test_invalid_scenario_file_is_explained(tmp_path: Path, text: str, changes: tuple[str, ...]) -> None:
     path = tmp_path / "broken.yaml"
     path.write_text(text)
-    said = fjr("run", str(path), *changes, "--output", str(tmp_path / "runs"), code=2)
+    said = fjr_here("run", str(path), *changes, "--output", str(tmp_path / "runs"), code=2)
     assert "broken" in said
 
 
@@ -204,7 +204,7 @@ def test_folder_without_a_run_is_not_replaced(tmp_path: Path) -> None:
     precious = tmp_path / "paper_k31" / "thesis.txt"
     precious.parent.mkdir()
     precious.write_text("do not lose me")
-    assert "not replaced" in fjr("run", "paper_k31", "--output", str(tmp_path), code=1)
+    assert "not replaced" in fjr_here("run", "paper_k31", "--output", str(tmp_path), code=1)
     assert precious.read_text() == "do not lose me"
 
 
@@ -214,5 +214,5 @@ def test_invalid_ros_environment_is_reported_in_one_sentence(tmp_path: Path, mon
 
 
 def test_scenarios_are_listed() -> None:
-    said = fjr("scenarios")
+    said = fjr_here("scenarios")
     assert all(name in said for name in ("paper_k31", "paper_k3p1", "two_link", "arm7"))

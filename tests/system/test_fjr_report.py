@@ -19,7 +19,7 @@ from fjr_bringup.analysis.run_data import RunData, run_data
 from fjr_bringup.recording.reader import header_stamp, read_bag
 from fjr_core.config.scenario import Scenario, load_scenario
 from system.bags import STORE, rewritten
-from system.executables import fjr, scenario
+from system.executables import fjr, fjr_here, scenario
 
 pytestmark = pytest.mark.system
 STATES, ANSWERS, EFFORTS = "/joint_states", "/joint_commands", "/effort_controller/commands"
@@ -46,8 +46,10 @@ def whole(run: Path, model: Scenario) -> RunData:
 
 
 def report(bag: Path, run: Path, tmp_path: Path, *arguments: str) -> dict[str, Any]:
-    """Return the report that `fjr report` writes for a bag with the scenario of the run."""
-    fjr("report", str(bag), "--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"), *arguments)
+    """What `fjr report` writes of a bag, with the scenario of the run."""
+    fjr_here(
+        "report", str(bag), "--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"), *arguments
+    )
     (file,) = (tmp_path / "out").glob("*/report.json")
     assert file.with_suffix(".html").stat().st_size > 60_000
     return json.loads(file.read_text())
@@ -73,7 +75,7 @@ def without(keep: Callable[[str], bool], *fields: str) -> Callable[[str, Any], A
 
 def test_report_is_reproduced_from_the_run_folder_alone(run: Path) -> None:
     made, page = json.loads((run / "report.json").read_text()), (run / "report.html").read_text()
-    fjr("report", str(run))
+    fjr_here("report", str(run))
     assert json.loads((run / "report.json").read_text()) == made
     assert (run / "report.html").read_text() == page
 
@@ -182,12 +184,12 @@ def test_topics_in_a_namespace_are_found_and_two_are_ambiguous(run: Path, tmp_pa
             for raw in read_bag(bag).topic(STATES).messages[:100]:
                 writer.write(added, raw.log_time, raw.data)
     arguments = ("report", str(tmp_path / "two"), "--scenario", str(run / "scenario.yaml"))
-    assert "/left/joint_states and /right/joint_states: name one" in fjr(*arguments, code=1)
-    assert "two_report/report.html" in fjr(*arguments, "--namespace", "left")
+    assert "/left/joint_states and /right/joint_states: name one" in fjr_here(*arguments, code=1)
+    assert "two_report/report.html" in fjr_here(*arguments, "--namespace", "left")
 
 
 def test_another_robots_bag_is_named_and_its_timing_shown(run: Path, tmp_path: Path) -> None:
-    said = fjr("report", str(run), "--scenario", scenario("paper_k31"), "--output", str(tmp_path))
+    said = fjr_here("report", str(run), "--scenario", scenario("paper_k31"), "--output", str(tmp_path))
     assert "the states name shoulder, elbow" in said
     assert "the scenario's robot has joint1" in said
     made = json.loads((tmp_path / "two_link" / "report.json").read_text())
@@ -208,8 +210,8 @@ def test_truncated_bag_is_reported_up_to_its_end(run: Path, tmp_path: Path, stor
     assert 100 < made["counts"]["published"] < 1000
 
 
-def test_two_bags_of_equal_name_have_separate_pages(run: Path, tmp_path: Path) -> None:
-    said = fjr("report", str(run), str(run), "--output", str(tmp_path))
+def test_two_bags_of_a_name_have_a_page_each(run: Path, tmp_path: Path) -> None:
+    said = fjr_here("report", str(run), str(run), "--output", str(tmp_path))
     assert sorted(path.parent.name for path in tmp_path.glob("*/report.html")) == ["two_link", "two_link-2"]
     assert f"{tmp_path / 'two_link-2'} (lock-step)" in said
     assert (tmp_path / "comparison.html").read_text().count('href="two_link-2/report.html"') == 1
@@ -219,7 +221,7 @@ def test_unreadable_bag_is_one_sentence_and_the_others_are_reported(run: Path, t
     given = ("--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"))
     nothing = tmp_path / "nothing.mcap"
     nothing.write_bytes(b"")
-    said = fjr("report", str(run), str(nothing), *given, code=1)
+    said = fjr_here("report", str(run), str(nothing), *given, code=1)
     assert f"{nothing} holds no message of {STATES}; it holds nothing, and was not closed" in said
     assert (tmp_path / "out" / "two_link" / "report.html").is_file()
 
@@ -259,7 +261,7 @@ def strange(tmp_path: Path, kind: str, run: Path) -> Path:
 )
 def test_unsuitable_bag_is_refused_with_the_reason(run: Path, tmp_path: Path, kind: str, words: str) -> None:
     path = strange(tmp_path, kind, run)
-    said = fjr("report", str(path), "--scenario", str(run / "scenario.yaml"), code=1).strip()
+    said = fjr_here("report", str(path), "--scenario", str(run / "scenario.yaml"), code=1).strip()
     assert words in said
     assert str(path) in said
     assert said.count("\n") == 0
@@ -267,5 +269,5 @@ def test_unsuitable_bag_is_refused_with_the_reason(run: Path, tmp_path: Path, ki
 
 def test_a_bag_without_a_scenario_asks_for_one(run: Path, tmp_path: Path) -> None:
     bag = rewritten(run / "bag", tmp_path / "copy", topics=OURS)
-    assert "expected scenario.yaml next to the bag, or --scenario" in fjr("report", str(bag), code=1)
-    assert "unknown scenario 'paper_k99'" in fjr("report", str(bag), "--scenario", "paper_k99", code=1)
+    assert "expected scenario.yaml next to the bag, or --scenario" in fjr_here("report", str(bag), code=1)
+    assert "unknown scenario 'paper_k99'" in fjr_here("report", str(bag), "--scenario", "paper_k99", code=1)

@@ -23,7 +23,7 @@ from fjr_bringup.studies.monte_carlo import command as monte_carlo_command
 from fjr_bringup.studies.monte_carlo.pool import ClusterError, cluster, run_missing
 from fjr_bringup.studies.monte_carlo.store import open_store
 from patience import Limit
-from system.executables import Executable, fjr
+from system.executables import Executable, fjr, fjr_here
 
 pytestmark = pytest.mark.system
 SWEEP = """
@@ -125,23 +125,23 @@ def test_invalid_arguments_are_refused_in_one_sentence(
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         change = [word.format(free=free.getsockname()[1]) for word in change]
-        said = fjr("sweep", name, *change, "--output", str(tmp_path), code=code)
+        said = fjr_here("sweep", name, *change, "--output", str(tmp_path), code=code)
     assert words in said
 
 
 def test_parameter_name_that_is_no_text_is_refused_in_one_sentence(tmp_path: Path) -> None:
     name = sweep_file(tmp_path)
     Path(name).write_text(Path(name).read_text() + "set: {5: 1}\n")
-    said = fjr("sweep", name, "--output", str(tmp_path), code=2)
+    said = fjr_here("sweep", name, "--output", str(tmp_path), code=2)
     assert "the name of a parameter is 5; expected text" in said
     assert "Traceback" not in said
 
 
-def test_unknown_name_and_invalid_file_are_refused_in_one_sentence(tmp_path: Path) -> None:
-    assert "or of the sweeps paper_joint" in fjr("sweep", "no_such", code=2)
+def test_an_unknown_name_and_a_wrong_file_are_one_sentence(tmp_path: Path) -> None:
+    assert "or of the sweeps paper_joint" in fjr_here("sweep", "no_such", code=2)
     wrong = Path(sweep_file(tmp_path))
     wrong.write_text(wrong.read_text().replace("uniform", "unifrom", 1))
-    assert "expected {uniform" in fjr("sweep", str(wrong), code=2)
+    assert "expected {uniform" in fjr_here("sweep", str(wrong), code=2)
 
 
 @pytest.fixture

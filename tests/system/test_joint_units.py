@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,7 @@ from fjr_core.robot.joint_units import PRISMATIC, REVOLUTE
 from fjr_core.trajectories.motion_limits import check_motion
 from fjr_core.trajectories.point_to_point import Hold
 from system.executables import fjr
-from watch_text import text
+from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
 URDF = """<robot name="lift_arm">
@@ -86,8 +87,8 @@ def test_run_names_joint_and_unit_of_each_metric(file: Path, tmp_path: Path) -> 
         assert shown in page, shown
 
 
-def test_single_joint_is_not_named(tmp_path: Path) -> None:
-    fjr("run", "paper_k31", "--lockstep", "--duration", "0.1", "--output", str(tmp_path))
+def test_one_joint_needs_no_name(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    shutil.copytree(shared_run(tmp_path_factory, "paper_k31"), tmp_path / "paper_k31")
     report = report_run("paper_k31", tmp_path / "paper_k31", 0.1).report
     assert headlines.peak_effort_and_share(report) == "26.2 N m"
     assert (headlines.position_unit(report), headlines.effort_unit(report)) == ("rad", "N m")

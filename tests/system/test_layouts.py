@@ -13,7 +13,8 @@ from xml.etree import ElementTree
 import pytest
 from ament_index_python.packages import get_package_share_directory
 
-from system.recorded import reader, record
+from system.recorded import reader
+from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
 
@@ -33,8 +34,7 @@ class Published:
 
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Published:
-    run = record("arm7", 1.2, tmp_path_factory.mktemp("run"))
-    with reader(run.folder) as bag:
+    with reader(shared_run(tmp_path_factory, "arm7")) as bag:
         topics = {connection.topic: connection.msgtype for connection in bag.connections}
         last = {c.topic: bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages()}
     return Published(topics, last)

@@ -13,6 +13,7 @@ from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, CommandLoop
 from system.executables import NODES, Executable
 from system.recorded import reader, record
+from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
 
@@ -54,8 +55,9 @@ def first(stamps: list[int], data: list[bytes]) -> dict[int, bytes]:
 END = START + SAMPLES * PERIOD
 
 
-def test_two_runs_of_two_processes_are_bit_identical(tmp_path: Path) -> None:
-    one, other = (payloads(record("paper_k31", DURATION, tmp_path / name).folder) for name in ("one", "other"))
+def test_two_runs_of_two_processes_are_bit_identical(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    folders = shared_run(tmp_path_factory, "paper_k31"), record("paper_k31", DURATION, tmp_path).folder
+    one, other = map(payloads, folders)
     expected = {START + k * PERIOD for k in range(SAMPLES)}
     for topic in (*STAMPED, EFFORTS):
         assert set(one[topic]) == expected, topic

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from system.browser import Browser
-from system.executables import fjr
+from system.executables import fjr_here
+from system.shared_runs import DURATION, shared_run
 
 pytestmark = pytest.mark.system
 SCENARIOS = ("paper_k31", "paper_k3p1", "two_link", "arm7")
@@ -21,11 +22,9 @@ DRAWN = 150  # coloured pixels; a line across a plot has more
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a page for each scenario and one for all, from bags of short runs."""
-    runs, output = tmp_path_factory.mktemp("runs"), tmp_path_factory.mktemp("reports")
-    for name in SCENARIOS:
-        fjr("run", name, "--lockstep", "--duration", "1.0", "--output", str(runs))
-    said = fjr("report", *(str(runs / name) for name in SCENARIOS), "--output", str(output))
+    """A folder with a page of each scenario and one of all, made by `fjr report` from bags of shared runs."""
+    output = tmp_path_factory.mktemp("reports")
+    said = fjr_here("report", *(str(shared_run(tmp_path_factory, name)) for name in SCENARIOS), "--output", str(output))
     assert "side by side" in said
     return output
 
@@ -89,7 +88,7 @@ def test_pointer_shows_values_and_zooms_all_time_plots(pages: Path, browser: Bro
     browser.mouse("mouseMoved", x + 0.5 * width, y + 50)
     browser.settle()
     time = browser.value("document.querySelector('#storage .u-legend .u-value').textContent")
-    assert 0.4 < float(time) < 0.6  # of one second; the neighbouring plot follows
+    assert 0.4 < float(time) / DURATION["paper_k31"] < 0.6  # the plot next to it follows
     browser.mouse("mouseMoved", x + 0.2 * width, y + 50)
     browser.mouse("mousePressed", x + 0.2 * width, y + 50, held=True)
     for part in (0.3, 0.4):

@@ -20,7 +20,7 @@ import pytest
 from ament_index_python.packages import get_package_prefix
 
 from patience import Limit
-from system.executables import NODES, TIME_LIMIT, Executable, fjr, scenario
+from system.executables import NODES, TIME_LIMIT, Executable, fjr, fjr_here, scenario
 
 pytestmark = pytest.mark.system
 COLUMNS, ROWS = 132, 40
@@ -151,5 +151,5 @@ def test_single_view_is_plain_text(loop: dict[str, Executable]) -> None:
     assert "\x1b" not in said
 
 
-def test_invalid_remap_is_refused() -> None:
-    assert "expected FROM:=TO" in fjr("watch", "--remap", "joint_states", code=2)
+def test_a_remap_that_is_none_is_refused() -> None:
+    assert "expected FROM:=TO" in fjr_here("watch", "--remap", "joint_states", code=2)

@@ -19,7 +19,6 @@ from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Report, make_report
 from fjr_bringup.analysis.power_balance import power
 from fjr_bringup.analysis.run_data import RunData, run_data
-from fjr_bringup.plotting.overview import draw_overview
 from fjr_bringup.recording.reader import Bag, read_bag
 from fjr_bringup.report.run_report import write_run_page
 from fjr_bringup.report.runs_report import Compared, write_comparison
@@ -50,6 +49,8 @@ def report_run(
     scenario, bag = load_scenario(folder / "scenario.yaml"), read_bag(folder / "bag")
     summary = report_bag(name, bag, scenario, folder, duration, skipped, failure)
     if np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
+        from fjr_bringup.plotting.overview import draw_overview  # matplotlib is half a second of imports
+
         with without_warnings():
             write_with_fallback(summary.folder, lambda place: draw_overview(name, summary.data, summary.report, place))
     return summary

@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.special import factorial
 
 from ..numerics.checks import Array
-from .piecewise_polynomial import BEZIER, DEGREE, coefficients, taylor
+from .piecewise_polynomial import BEZIER, DEGREE, coefficients, factorial, taylor
 from .reference import JETS
 
 JERK = 3
@@ -41,6 +39,8 @@ def minimum_jerk(times: Array, jets: Array, free: NDArray[np.bool_]) -> Array:
     The minimum is taken over all piecewise polynomials of degree 9 and class C^4 with knots at times (k,) [s] and the
     given jets. For given positions only, it is the quintic spline except in the first and last segment.
     """
+    from scipy.linalg import cho_solve_banded, cholesky_banded  # loaded on use: see control/vdpbc/gains.py
+
     h = np.diff(times)
     units = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))  # time unit at each knot, for scaling
     roots, chosen = _roots_of_jerk(h, units), free[:, :, None]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,7 +11,6 @@ from math import inf
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import comb, factorial
 
 from ..numerics.checks import Array
 from .bounds import ROWS, MotionBounds, motion_bounds_on
@@ -18,6 +18,9 @@ from .reference import JETS
 
 DEGREE = 2 * JETS - 1
 SAMPLES = 24  # per segment, for the search of extrema
+
+comb = np.vectorize(lambda n, k: math.comb(int(n), int(k)), otypes=[float])
+factorial = np.vectorize(lambda n: math.factorial(int(n)), otypes=[float])
 
 _POWERS = np.arange(DEGREE + 1.0)
 _ORDERS = np.arange(JETS)

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from ..control.registry import V_DPBC, LawKind, law_kind
 from ..control.static_law import StaticLaw
@@ -183,4 +182,6 @@ def _between(family: _Family, low: _Candidate, high: _Candidate) -> _Candidate:
 
 def _root(f: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
     """Return a root of f between low and high to a relative tolerance."""
+    from scipy.optimize import brentq  # loaded on use: see control/vdpbc/gains.py
+
     return float(np.exp(brentq(lambda log: f(float(np.exp(log))), np.log(low), np.log(high), xtol=tolerance)))

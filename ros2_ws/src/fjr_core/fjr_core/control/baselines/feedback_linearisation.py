@@ -18,7 +18,6 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_continuous_lyapunov
 
 from ...errors import GainsError
 from ...numerics import checks
@@ -48,6 +47,8 @@ class LinearErrorGains:
         slowest = float(np.linalg.eigvals(A).real.max())
         if not slowest < 0:
             raise GainsError(f"A_0 .. A_3 give an error that grows as exp({slowest:.4g} t); expected one that decays")
+        from scipy.linalg import solve_continuous_lyapunov  # loaded on use: see control/vdpbc/gains.py
+
         P = solve_continuous_lyapunov(A.T, -weight(arrays["A_0"]))
         return {**arrays, "P": (P + P.T) / 2}
 

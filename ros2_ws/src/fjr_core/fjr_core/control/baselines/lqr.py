@@ -17,7 +17,6 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag, solve_continuous_are
 
 from ...errors import GainsError
 from ...numerics import checks
@@ -39,6 +38,8 @@ class LqrGains:
 
     def arrays(self, robot: Robot) -> dict[str, Array]:
         """Return F (n, 4n) and P (4n, 4n); raise GainsError, also if the Riccati equation has no solution."""
+        from scipy.linalg import solve_continuous_are  # loaded on use: see control/vdpbc/gains.py
+
         n = robot.n
         Q = checks.positive_semidefinite("Q", checks.matrix("Q", self.Q, 4 * n, GainsError), GainsError)
         R = checks.positive_definite("R", checks.matrix("R", self.R, n, GainsError), GainsError)
@@ -91,6 +92,8 @@ def standard(robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period
     causes at omega: u = B_m^-1 S e, S = omega^2 (M_l + M_m) + omega^4 M_m K^-1 M_l. A rigid joint has two poles with
     omega and zeta, zeta at least 2^-1/2; a very compliant joint has a fourth-order Butterworth pattern.
     """
+    from scipy.linalg import block_diag
+
     n, M_l, M_m = robot.n, robot.M_l(q_0), robot.M_m
     S = omega**2 * (M_l + M_m) + omega**4 * M_m @ np.linalg.solve(robot.K, M_l)
     moved, none = np.linalg.solve(S, robot.B_m), np.zeros((n, n))

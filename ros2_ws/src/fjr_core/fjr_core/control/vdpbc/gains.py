@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import sqrtm
 
 from ...errors import GainsError
 from ...numerics import checks
@@ -121,6 +120,8 @@ def critical_damping(M: Array, K: Array) -> Array:
 
     D = 2 M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2 for symmetric positive definite M [kg m^2] and K [N m/rad].
     """
+    from scipy.linalg import sqrtm  # loaded on use: SciPy takes a third of a node's start-up
+
     root = np.real(sqrtm(M))
     inverse = np.linalg.inv(root)
     mean = root @ np.real(sqrtm(inverse @ K @ inverse)) @ root

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from ...errors import ParameterError
 from ...numerics.checks import Array
@@ -49,6 +48,8 @@ class Distribution:
             return np.asarray(low + (high - low) * share)
         if self.kind == LOG_UNIFORM:
             return np.asarray(low * (high / low) ** share)
+        from scipy.special import ndtr, ndtri  # loaded on use: see control/vdpbc/gains.py
+
         outside = ndtr(-WIDEST)
         return np.asarray(low + high * ndtri(outside + (1 - 2 * outside) * share))
 
@@ -59,6 +60,8 @@ class Distribution:
             return np.asarray((value - low) / (high - low))
         if self.kind == LOG_UNIFORM:
             return np.asarray(np.log(value / low) / np.log(high / low))
+        from scipy.special import ndtr  # loaded on use: see control/vdpbc/gains.py
+
         outside = ndtr(-WIDEST)
         return np.asarray((ndtr((value - low) / high) - outside) / (1 - 2 * outside))
 

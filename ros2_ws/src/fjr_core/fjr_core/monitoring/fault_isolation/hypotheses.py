@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from ...numerics.checks import Array
 from .added_body import SECOND_MOMENTS, body_torques
@@ -134,6 +133,8 @@ def _largest(own: Array) -> Callable[[Array], float]:
 
 def _point_mass(A: Array, c: Array) -> Array:
     """Fit a point mass of either sign, at most LONGEST_ARM away; return its ten inertial parameters."""
+    from scipy.optimize import least_squares  # loaded on use: see control/vdpbc/gains.py
+
     scale = np.sqrt(np.diag(A).max()) or 1.0
     values, vectors = np.linalg.eigh(A / scale**2)
     kept = values > 1e-12 * values.max()

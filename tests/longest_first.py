@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that take long. They start first, so that no worker is left alone with one: a file runs on one worker."""
+
+LONGEST_FIRST = (
+    "faults/test_faults.py",
+    "docs/test_blocks.py",
+    "system/test_fjr_sweep.py",
+    "system/test_echo_and_record.py",
+    "system/test_pages.py",
+    "system/test_fjr_command.py",
+    "system/test_labelled_set.py",
+    "system/test_other_laws.py",
+    "system/test_fjr_check.py",
+    "system/test_export_command.py",
+    "system/test_executables.py",
+    "system/test_fjr_report.py",
+    "core/numerics/test_jit.py",
+    "nodes/test_malformed.py",
+    "system/test_closed_loop.py",
+    "system/test_arm_scenarios.py",
+    "nodes/test_certificate.py",
+    "docs/test_build.py",
+    "core/tuning/test_gain_synthesis.py",
+    "core/stability/test_check_of_what_runs.py",
+    "system/test_two_arms.py",
+    "system/test_compare.py",
+    "nodes/test_other_laws.py",
+    "nodes/test_robust_action.py",
+    "docs/test_code_names.py",
+    "system/test_report.py",
+    "system/test_network_namespaces.py",
+)
