@@ -19,7 +19,7 @@ from hypothesis import settings
 
 from longest_first import LONGEST_FIRST
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: more threads only wait on small matrices
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: more threads only add delay for small matrices
 
 LEASE_PORTS = range(47001, 47100)  # one TCP port on 127.0.0.1 per domain id 1..99; the kernel frees it on any death
 
@@ -61,11 +61,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, object, object]:
-    """Tests whose nodes must keep up with the clock have the machine for themselves, among all test processes.
+    """Run tests with the marker real_time alone among all test processes.
 
-    Where real-time scheduling is allowed their nodes leave little to others, and wait for locks of Fast DDS that others
-    hold. Waiting for the turn is not part of a test's timeout. A process keeps its turn while its next test is of the
-    same kind, so that others finish their tests once for all of them.
+    With real-time scheduling their nodes would starve other processes and wait for locks of Fast DDS that those hold.
+    Waiting for the lock does not count for the timeout of a test. A process keeps its turn while its next test has the
+    marker too, so that the other processes wait only once.
     """
     alone = _needs_the_clock(item)
     turn = _turn.pop() if _turn else _next_turn(alone)

@@ -32,7 +32,7 @@ def cases() -> Iterator[Any]:
 
 
 @pytest.mark.parametrize(("pair", "row"), list(cases()), indirect=["pair"])
-def test_a_fault_is_survived(pair: Pair, row: Row) -> None:
+def test_fault_causes_no_bad_effort_and_tracking_recovers(pair: Pair, row: Row) -> None:
     seen = pair.outcome(row)
     assert seen.bad == 0, f"{seen.bad} of {seen.efforts} efforts are not finite or over the limit"
     assert all(seen.counters[kind] for kind in row.counted), dict(seen.counters)

@@ -28,8 +28,8 @@ try:
 except ImportError:  # an older rclpy
     EventsExecutor = SingleThreadedExecutor
 
-TIME_LIMIT = 30.0  # s on a free machine; a test that waits longer for an event has failed
-PATIENCE = 60.0  # s; a state_timeout that passes in no test, however busy the machine is
+TIME_LIMIT = 30.0  # s on an idle machine; a longer wait for an event fails the test
+PATIENCE = 60.0  # s; a state_timeout that never expires in a test, even on a busy machine
 
 
 class Ros:

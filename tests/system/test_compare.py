@@ -359,7 +359,7 @@ def test_invalid_robot_is_refused_in_one_sentence(
         (["quick", "--document", "nowhere.md"], "cannot read nowhere.md"),
     ],
 )
-def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
+def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
     said = fjr_here("compare", *arguments, "--output", str(tmp_path), code=2)
     assert words in said
     assert list(tmp_path.iterdir()) == []

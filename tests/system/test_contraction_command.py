@@ -33,8 +33,10 @@ def test_distances_of_a_scenario_stay_below_the_bound(tmp_path: Path, name: str)
     assert picture[..., :3].std() > 0.05
 
 
-def test_along_a_recorded_run_as_along_its_simulation(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """In lock-step the bag holds the very numbers of the simulation."""
+def test_recorded_run_gives_the_results_of_its_simulation(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """In lock-step the bag contains exactly the numbers of the simulation."""
     arguments = ("contraction", "paper_k31", "--duration", "0.25", "--starts", "3", "--output")
     fjr_here(*arguments, str(tmp_path / "simulated"))
     fjr_here(*arguments, str(tmp_path / "recorded"), "--run", str(shared_run(tmp_path_factory, "paper_k31")))
@@ -53,5 +55,7 @@ def test_along_a_recorded_run_as_along_its_simulation(tmp_path: Path, tmp_path_f
         (["paper_k31", "--run", "nowhere"], "does not exist; expected the folder of a bag", 1),
     ],
 )
-def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str, code: int) -> None:
+def test_invalid_arguments_are_refused_in_one_sentence(
+    tmp_path: Path, arguments: list[str], words: str, code: int
+) -> None:
     assert words in fjr_here("contraction", *arguments, "--output", str(tmp_path), code=code)

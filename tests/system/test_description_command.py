@@ -14,12 +14,12 @@ pytestmark = pytest.mark.system
 
 
 @pytest.mark.parametrize("name", ["paper_k31", "two_link", "arm7"])
-def test_a_scenarios_robot_has_its_joints(name: str) -> None:
+def test_urdf_has_the_joints_of_the_scenario(name: str) -> None:
     robot = ElementTree.fromstring(fjr_here("description", name))
     assert set(load_scenario(scenario(name)).joints) <= {joint.get("name") for joint in robot.iter("joint")}
 
 
-def test_what_is_set_is_in_it() -> None:
+def test_urdf_includes_parameters_of_the_command_line() -> None:
     light, heavy = (fjr_here("description", "two_link", "--set", f"robot.link_mass:=[{m}, 0.8]") for m in (1.2, 2.5))
     assert '<mass value="1.2"' in light
     assert '<mass value="2.5"' in heavy

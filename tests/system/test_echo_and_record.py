@@ -76,7 +76,7 @@ def test_record_keeps_the_named_topics(loop: None, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("loop", [LOCKSTEP], indirect=True, ids=["lock-step"])
-def test_record_of_everything_ends_with_ctrl_c(loop: None, tmp_path: Path) -> None:
+def test_record_of_all_topics_ends_with_ctrl_c(loop: None, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     command = Executable("fjr_bringup", "fjr", "record", "--output", str(bag))
     try:
@@ -128,5 +128,5 @@ def test_force_runs_the_command_despite_ros2(tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.parametrize("command", ["echo", "record"])
 @pytest.mark.parametrize("name", ["//bad//", "/joint states", "/1st", "/"])
-def test_a_name_that_no_topic_can_have_is_one_sentence(command: str, name: str) -> None:
+def test_invalid_topic_name_is_refused_in_one_sentence(command: str, name: str) -> None:
     assert f"'{name}' is not a topic name; expected" in fjr_here(command, name, code=1)

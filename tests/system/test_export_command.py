@@ -62,8 +62,8 @@ extern "C" int effort(const double *q, const double *dq, double t, double *u)
 """
 
 
-def test_as_a_part_of_a_plugin_in_cpp(tmp_path: Path) -> None:
-    """A shared object, as ros2_control's controllers are."""
+def test_export_links_into_a_cpp_plugin(tmp_path: Path) -> None:
+    """The plugin is a shared object like the controllers of ros2_control."""
     fjr_here("export-c", "paper_k31", str(tmp_path / "law"), "--prefix", "arm")
     (tmp_path / "CMakeLists.txt").write_text(CONSUMER)
     (tmp_path / "controller.cpp").write_text(CONTROLLER)
@@ -72,7 +72,7 @@ def test_as_a_part_of_a_plugin_in_cpp(tmp_path: Path) -> None:
     assert list((tmp_path / "build").glob("libcontroller.*"))
 
 
-def test_an_export_is_replaced_only_when_asked_and_nothing_else_is(tmp_path: Path) -> None:
+def test_only_an_earlier_export_is_replaced_and_only_with_force(tmp_path: Path) -> None:
     fjr_here("export-c", "paper_k31", str(tmp_path / "new" / "folder"))
     folder = tmp_path / "new" / "folder"
     (folder / "mine.txt").write_text("mine")
@@ -87,7 +87,7 @@ def test_an_export_is_replaced_only_when_asked_and_nothing_else_is(tmp_path: Pat
     assert (folder / "mine.txt").read_text() == "mine"
 
 
-def test_what_is_not_exported_is_named(tmp_path: Path) -> None:
+def test_omitted_parameters_are_named(tmp_path: Path) -> None:
     output = fjr_here("export-c", "paper_k31", str(tmp_path / "c"), "--set", "measurement.velocity:=observer")
     assert "not exported: what measurement.velocity" in output
     assert "`measurement.velocity`" in (tmp_path / "c" / "README.md").read_text()

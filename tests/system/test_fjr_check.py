@@ -51,7 +51,7 @@ def test_rates_of_the_arm_are_labelled_sampled_and_its_limits_are_checked() -> N
     assert rows["as sampled"] == "stable"
 
 
-def test_the_loop_is_checked_along_the_reference_too() -> None:
+def test_loop_is_also_checked_along_the_reference() -> None:
     made = load_scenario(scenario("two_link"))
     found = check(made.law, 1e-3, configurations=made.configurations())
     row = figures(fjr_here("check", "two_link"))["on the reference"]
@@ -60,7 +60,7 @@ def test_the_loop_is_checked_along_the_reference_too() -> None:
 
 
 @pytest.mark.parametrize("everywhere", [(), ("--everywhere",)])
-def test_gains_are_printed_as_a_block_that_a_scenario_takes(tmp_path: Path, everywhere: tuple[str, ...]) -> None:
+def test_gains_are_printed_as_a_valid_scenario_block(tmp_path: Path, everywhere: tuple[str, ...]) -> None:
     block = fjr_here("gains", "two_link", "--beta", "5", "--delay", "1", *everywhere)
     path = tmp_path / "mine.yaml"
     robot = "/**:\n  ros__parameters:\n    robot:\n      file: package://fjr_bringup/robots/two_link.yaml\n"
@@ -75,7 +75,7 @@ def test_gains_out_of_reach_are_refused() -> None:
     assert "out of reach at 1000 Hz" in fjr_here("gains", "paper_k31", "--beta", "5000", code=1)
 
 
-def test_nothing_is_proven_of_a_plant_that_is_not_the_model(tmp_path: Path) -> None:
+def test_no_rate_is_proven_if_the_plant_differs_from_the_model(tmp_path: Path) -> None:
     path = tmp_path / "other.yaml"
     path.write_text("/**/fjr_plant:\n  ros__parameters:\n    robot: {motor_inertia: [0.005]}\n")
     rows = figures(fjr_here("check", str(path)))
@@ -103,7 +103,7 @@ def test_the_papers_gains_on_the_stiff_arm_are_unstable_with_exit_code_1() -> No
     assert "fjr: scenario arm7 is unstable as sampled at 1000 Hz: spectral radius" in output
 
 
-def test_an_unstable_scenario_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+def test_unstable_scenario_is_refused_without_any_output(tmp_path: Path) -> None:
     output = fjr_here("run", *SLOW, "--output", str(tmp_path), code=1)
     assert "unstable as sampled at 60 Hz" in output
     assert "stable from" in output
@@ -119,7 +119,7 @@ def test_force_runs_an_unstable_scenario(tmp_path: Path) -> None:
     assert report["tracking"]["settling_time_2_percent_s"] is None
 
 
-def test_a_path_on_the_command_line_is_relative_to_where_it_runs(tmp_path: Path, monkeypatch) -> None:
+def test_path_on_the_command_line_is_relative_to_the_current_folder(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     robot = "/**:\n  ros__parameters:\n    joints: [knee]\n    robot: {model: single_link, joint_stiffness: [20.0]}\n"
     (tmp_path / "mine.yaml").write_text(robot)
@@ -141,7 +141,7 @@ def test_a_path_on_the_command_line_is_relative_to_where_it_runs(tmp_path: Path,
         (["gains", "arm7", "--beta", "-1"], "'-1' is not a rate; expected a positive number"),
     ],
 )
-def test_what_is_not_understood_is_one_sentence(arguments: list[str], words: str) -> None:
+def test_invalid_arguments_are_refused_in_one_sentence(arguments: list[str], words: str) -> None:
     assert words in fjr_here(*arguments, code=2)
 
 
@@ -157,12 +157,12 @@ def test_robust_action_observer_and_delay_are_in_the_loop() -> None:
     assert found.spectral_radius > check(made.law, 1e-3).spectral_radius + 0.01
 
 
-def test_a_delay_that_the_scenario_sets_makes_it_unstable() -> None:
+def test_delay_in_the_scenario_can_make_it_unstable() -> None:
     output = fjr_here("check", "paper_k31", "--set", "imperfections.command_delay:=0.008", code=1)
     assert figures(output)["as sampled"] == "UNSTABLE"
 
 
-def test_an_integral_that_is_too_fast_is_refused_with_the_largest_rate() -> None:
+def test_too_fast_integral_action_is_refused_with_the_largest_rate() -> None:
     output = fjr_here("check", "paper_k3p1", "--set", "robust.integral_gain:=[40.0]", code=2)
     assert (
         "integral_gain is [40] 1/s, which makes the loop unstable at a hold of 0.001 s; expected at most [2" in output
@@ -188,7 +188,7 @@ def test_radii_with_model_errors_are_listed() -> None:
         ("limits.motor_position_lower:=[0.6]", "joint1: q_m is 0.5 rad; expected 0.6 to inf rad"),
     ],
 )
-def test_a_start_outside_a_range_names_the_joint_with_exit_code_1(limit: str, words: str) -> None:
+def test_initial_position_outside_a_range_names_the_joint_with_exit_code_1(limit: str, words: str) -> None:
     output = fjr_here("check", "paper_k31", "--set", limit, code=1)
     assert figures(output)["initial position"] == f"BEYOND {words}"
     assert "starts outside a limit" in output

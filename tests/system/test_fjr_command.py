@@ -164,7 +164,7 @@ def test_another_plant_that_joins_ends_the_run(ros: Ros, start, tmp_path: Path, 
         (["paper_k31", "--duration", "-1"], "expected seconds"),
     ],
 )
-def test_what_is_not_understood_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
+def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
     assert words in fjr_here("run", *arguments, "--output", str(tmp_path), code=2)
     assert not list(tmp_path.iterdir())
 

@@ -46,7 +46,7 @@ def whole(run: Path, model: Scenario) -> RunData:
 
 
 def report(bag: Path, run: Path, tmp_path: Path, *arguments: str) -> dict[str, Any]:
-    """What `fjr report` writes of a bag, with the scenario of the run."""
+    """Return the report that `fjr report` writes for a bag with the scenario of the run."""
     fjr_here(
         "report", str(bag), "--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"), *arguments
     )
@@ -210,7 +210,7 @@ def test_truncated_bag_is_reported_up_to_its_end(run: Path, tmp_path: Path, stor
     assert 100 < made["counts"]["published"] < 1000
 
 
-def test_two_bags_of_a_name_have_a_page_each(run: Path, tmp_path: Path) -> None:
+def test_two_bags_of_equal_name_have_separate_pages(run: Path, tmp_path: Path) -> None:
     said = fjr_here("report", str(run), str(run), "--output", str(tmp_path))
     assert sorted(path.parent.name for path in tmp_path.glob("*/report.html")) == ["two_link", "two_link-2"]
     assert f"{tmp_path / 'two_link-2'} (lock-step)" in said

@@ -26,6 +26,7 @@ from fjr_core.trajectories.motion_limits import check_motion
 from fjr_core.trajectories.point_to_point import Hold
 from system.executables import fjr
 from system.shared_runs import shared_run
+from watch_text import text
 
 pytestmark = pytest.mark.system
 URDF = """<robot name="lift_arm">
@@ -87,7 +88,7 @@ def test_run_names_joint_and_unit_of_each_metric(file: Path, tmp_path: Path) -> 
         assert shown in page, shown
 
 
-def test_one_joint_needs_no_name(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_single_joint_is_not_named(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     shutil.copytree(shared_run(tmp_path_factory, "paper_k31"), tmp_path / "paper_k31")
     report = report_run("paper_k31", tmp_path / "paper_k31", 0.1).report
     assert headlines.peak_effort_and_share(report) == "26.2 N m"

@@ -36,7 +36,7 @@ def marked() -> Iterator[Any]:
         tried[words] += bool(words)
 
 
-def test_the_set_holds_what_it_should() -> None:
+def test_set_covers_all_causes_and_robots() -> None:
     assert len(SET) >= 40
     assert len({case.name for case in SET}) == len(SET)
     assert {case.scenario for case in SET if not case.changes and not case.robot} == {
@@ -53,7 +53,7 @@ def test_the_set_holds_what_it_should() -> None:
 
 
 @pytest.mark.parametrize("case", list(marked()))
-def test_the_verdict_on_each_bag_is_its_label(case: Case, tmp_path: Path) -> None:
+def test_diagnosis_of_each_bag_is_its_label(case: Case, tmp_path: Path) -> None:
     label, verdict = diagnosed(case, tmp_path / "bag")
     assert right(label, verdict), (label, verdict)
 

@@ -30,7 +30,7 @@ def test_a_run_with_another_law_is_reported_without_v(tmp_path: Path, name: str)
 
 
 @pytest.mark.parametrize("name", [name for name in LAWS if name != "v_dpbc"])
-def test_check_tells_the_law_its_gains_and_the_sampled_loop(name: str) -> None:
+def test_check_reports_the_law_its_gains_and_the_sampled_loop(name: str) -> None:
     said = fjr_here("check", "paper_k31", "--set", f"law.type:={name}")
     assert f"{name}: {LAWS[name].title}" in said
     assert "the same bandwidth" in said
@@ -40,6 +40,6 @@ def test_check_tells_the_law_its_gains_and_the_sampled_loop(name: str) -> None:
     assert "beta" not in said
 
 
-def test_what_is_about_v_dpbc_alone_refuses_another_law(tmp_path: Path) -> None:
+def test_commands_specific_to_v_dpbc_refuse_another_law(tmp_path: Path) -> None:
     said = fjr_here("contraction", "paper_k31", "--set", "law.type:=lqr", "--output", str(tmp_path), code=2)
     assert "'law.type' is 'lqr'; expected 'v_dpbc'" in said

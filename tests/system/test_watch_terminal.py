@@ -151,5 +151,5 @@ def test_single_view_is_plain_text(loop: dict[str, Executable]) -> None:
     assert "\x1b" not in said
 
 
-def test_a_remap_that_is_none_is_refused() -> None:
+def test_invalid_remap_is_refused() -> None:
     assert "expected FROM:=TO" in fjr_here("watch", "--remap", "joint_states", code=2)

@@ -64,7 +64,7 @@ class FaultyLoop(LockStepLoop):
 
     def _answer(self, sample: Sample) -> None:
         super()._answer(sample)
-        if not self.stopped_after and self._tracker.counters.get("stops: wiring"):
+        if not self.stopped_after and self.tracker.counters.get("stops: wiring"):
             self.stopped_after = len(self.log.commands) - 1
         if self._fault.effort is not None:
             self._robot.u = self._fault.effort(self.log.commands[-1][1])

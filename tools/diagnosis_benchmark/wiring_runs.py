@@ -44,7 +44,7 @@ class Stop:
         run = record(log, scenario)
         ended = found + 1 if found else len(run.u)
         travel = np.abs(run.position[:ended] - run.position[0]).max()
-        return cls(found, loop.reason, float(travel), float(np.nanmax(np.abs(run.u[:ended]))))
+        return cls(found, loop.tracker.reason, float(travel), float(np.nanmax(np.abs(run.u[:ended]))))
 
 
 def wrong(scenario: str, kind: str, seed: int = SEED) -> Iterator[FaultCase]:

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 from rclpy.node import Node
@@ -120,6 +121,8 @@ class Planner:
         self._node, self._tracker, self._is_active = node, tracker, is_active
         simulated = bool(node.get_parameter("use_sim_time").value)
         self._worker = None if simulated else ThreadPoolExecutor(1, "fjr_planning")
+        if self._worker:
+            import_module("scipy.linalg")  # which splines need; later it would delay commands
         self._request: Request | None = None
 
     def apply(self, rules: PlanningRules) -> None:
