@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from system.executables import fjr
+
+TRIES = 3
 
 
 @dataclass(frozen=True)
@@ -31,9 +34,19 @@ class Recorded:
 
 
 def record(name: str, duration: float, output: Path, *overrides: str) -> Recorded:
+    """Run a scenario in lock-step and read its bag; again, at most TRIES times, where the recorder missed messages."""
     changes = [part for override in overrides for part in ("--set", override)]
-    said = fjr("run", name, "--lockstep", "--duration", str(duration), "--output", str(output), *changes)
+    for _ in range(TRIES):
+        said = fjr("run", name, "--lockstep", "--duration", str(duration), "--output", str(output), *changes)
+        if is_complete(output / name):
+            break
     return recorded_run(output / name, said)
+
+
+def is_complete(folder: Path) -> bool:
+    """Whether the recorder of a run heard every message; one that gets no core for long may miss some."""
+    counts = json.loads((folder / "report.json").read_text())["counts"]
+    return counts["missing"] == 0 and not any(counts["lost_by_recorder"].values())
 
 
 def recorded_run(folder: Path, said: str) -> Recorded:

@@ -4,16 +4,15 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 from pathlib import Path
 
 import pytest
 
 from system.executables import fjr
+from system.recorded import TRIES, is_complete
 
 DURATION = {"paper_k31": 2.5, "paper_k3p1": 2.5, "two_link": 3.2, "arm7": 3.2}  # s
-TRIES = 3
 
 
 def shared_run(factory: pytest.TempPathFactory, name: str) -> Path:
@@ -37,6 +36,6 @@ def _recorded(folder: Path, name: str) -> Path:
         output = folder / str(number)
         said = fjr("run", name, "--lockstep", "--duration", str(DURATION[name]), "--output", str(output))
         (output / "said").write_text(said)
-        if json.loads((output / name / "report.json").read_text())["counts"]["missing"] == 0:
+        if is_complete(output / name):
             break
     return output
