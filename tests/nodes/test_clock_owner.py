@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from fjr_msgs_py.names import LATEST
+from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from fjr_plant.plant_node import PlantNode
 from fjr_plant.timing import clock_owner
 from fjr_plant.timing.clock_owner import ClockError
@@ -22,9 +23,10 @@ SENTENCE = "node /other publishes on /clock; expected one owner of the time: .* 
 
 
 @contextmanager
-def other_clock(ros: Ros, peer: Peer) -> Iterator[None]:
-    """Publish the time like another process; yield once the publisher is discovered."""
-    other, quiet = Ros(), threading.Event()
+def other_clock(ros: Ros, peer: Peer, seconds: int = 0) -> Iterator[None]:
+    """Publish the time `seconds` like another process; yield once the publisher is discovered."""
+    other, quiet, message = Ros(), threading.Event(), Clock()
+    message.clock.sec = seconds
     publisher = other.add(Node("other", context=other.context)).create_publisher(Clock, "/clock", LATEST)
 
     def named() -> bool:
@@ -32,7 +34,7 @@ def other_clock(ros: Ros, peer: Peer) -> Iterator[None]:
 
     def talk() -> None:
         while not quiet.wait(0.01):
-            publisher.publish(Clock())
+            publisher.publish(message)
 
     thread = threading.Thread(target=talk)
     thread.start()
@@ -77,3 +79,21 @@ def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, peer: Peer, monke
     node.stop()
     ros.until(lambda: peer.count("other clocks", "fjr_plant") == 1, "the diagnostics")
     assert node.ended is None
+
+
+@pytest.mark.parametrize(("seconds", "ends"), [(0, False), (1000, True)], ids=["behind", "ahead"])
+def test_new_owner_with_commands_ends_only_if_the_other_time_is_ahead(
+    ros: Ros, peer: Peer, monkeypatch: pytest.MonkeyPatch, seconds: int, ends: bool
+) -> None:
+    monkeypatch.setattr(clock_owner, "SETTLING", 1e6)
+    monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 0.01)
+    node = ros.plant(lockstep=True)
+    peer.meet_plant(lockstep=True)
+    CommandLoop(peer).listen()
+    ros.until(lambda: node._time_base._robot.time > 0, "motion")
+    checks: list[bool] = []
+    heard = ConflictingPublishers.heard
+    monkeypatch.setattr(ConflictingPublishers, "heard", lambda self: (heard(self), checks.append(True))[0])
+    with other_clock(ros, peer, seconds):
+        ros.until(lambda: node.ended or len(checks) > 1, "the checks")
+        assert isinstance(node.ended, ClockError) is ends

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 
 import rclpy
+from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import SetBool
@@ -38,6 +39,22 @@ class PlantClient:
     def ready(self) -> bool:
         """Return whether the plant's service is available."""
         return self._client.service_is_ready()
+
+    def discovered_by(self, node: str) -> bool:
+        """Return whether a node has discovered all subscriptions made in this context so far; waits RETRY_AFTER.
+
+        A participant announces its endpoints in the order of their creation. A node that responds to a client made now
+        has therefore discovered what was made before. A subscription that is matched here may still be unknown there.
+        """
+        client = self._node.create_client(GetParameters, f"/{node}/get_parameters")
+        try:
+            if not client.wait_for_service(RETRY_AFTER):
+                return False
+            future = client.call_async(GetParameters.Request())
+            self._executor.spin_until_future_complete(future, RETRY_AFTER)
+            return bool(future.done())
+        finally:
+            self._node.destroy_client(client)
 
     def resume(self) -> None:
         """Call the service until it responds; raises PlantClientError if it refuses or does not respond."""

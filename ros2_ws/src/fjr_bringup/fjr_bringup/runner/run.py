@@ -141,6 +141,7 @@ class _Run:
         try:
             self._wait(lambda: signature in self.client.published_by(node), STARTUP_LIMIT, f"{node} to appear")
             self._wait(lambda: not self._unconnected(node), STARTUP_LIMIT, f"the recorder to be connected to {node}")
+            self._wait(lambda: self.client.discovered_by(node), STARTUP_LIMIT, f"{node} to discover the recorder")
         except RunError as error:
             head, _, logs = str(error).partition("\n")
             raise RunError(f"{head}; {self._graph(node)}\n{logs}") from None

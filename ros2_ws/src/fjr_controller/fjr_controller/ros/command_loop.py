@@ -193,9 +193,9 @@ class CommandLoop:
         Raise CommandConflictError if one publishes.
         """
         appeared = self._conflicts.appeared()
-        topic = self._conflicts.heard() if appeared else ""
-        if topic:
-            raise CommandConflictError(f"{self._conflicts.named(topic)} publishes on {topic}; {ALONE}")
+        heard = self._conflicts.heard() if appeared else None
+        if heard:
+            raise CommandConflictError(f"{self._conflicts.named(heard[0])} publishes on {heard[0]}; {ALONE}")
         return bool(appeared)
 
     def _look_for_conflicts(self) -> None:

@@ -5,6 +5,13 @@ from __future__ import annotations
 
 from rosgraph_msgs.msg import Clock
 
+from .joint_states import nanoseconds
+
+
+def time_of(message: Clock) -> int:
+    """Return the time of a message [ns]."""
+    return nanoseconds(message.clock)
+
 
 class ClockWriter:
     """Writer of one reused Clock message; it is valid until the next fill."""

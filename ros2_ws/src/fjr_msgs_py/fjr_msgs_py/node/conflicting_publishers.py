@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 from uuid import uuid4
 
 from rclpy.node import Node
@@ -61,8 +62,8 @@ class ConflictingPublishers:
         nodes = sorted({other.node for other in others.values() if other.topic in topics} - {""})
         return f"{'node' if len(nodes) == 1 else 'one of the nodes'} {', '.join(nodes)}" if nodes else "an unknown node"
 
-    def heard(self) -> str:
-        """Return the topic of the first message within LISTENING seconds, "" for none; the call blocks.
+    def heard(self) -> tuple[str, Any] | None:
+        """Return topic and content of the first message within LISTENING seconds, None for none; the call blocks.
 
         The time starts when all publishers are connected, at most MATCHING seconds after the call. It is counted in
         polls of _POLL, so that it extends on busy cores, where another publisher is late as well. If two processes
@@ -77,10 +78,10 @@ class ConflictingPublishers:
         while looks:
             if time.monotonic() > latest or self._connected():
                 looks, latest = looks - 1, -math.inf
-            if topic := self._taken():
-                return topic
+            if taken := self._taken():
+                return taken
             time.sleep(_POLL)
-        return ""
+        return None
 
     def trust(self) -> None:
         """Destroy the subscriptions; `appeared` still detects publishers by discovery."""
@@ -118,13 +119,13 @@ class ConflictingPublishers:
         counts = ((heard.get_publisher_count(), topic) for topic, _, heard in self._listening)
         return all(count >= self._node.count_publishers(topic) for count, topic in counts)
 
-    def _taken(self) -> str:
-        """Take the message of each queue (depth 1); return the topic of one that held a message, or ""."""
-        found = ""
+    def _taken(self) -> tuple[str, Any] | None:
+        """Empty all queues (depth 1); return topic and content of a message, None if there was none."""
+        found = None
         for topic, kind, subscription in self._listening:
             with subscription.handle:
-                if subscription.handle.take_message(kind, True) is not None:
-                    found = topic
+                if taken := subscription.handle.take_message(kind, False):
+                    found = topic, taken[0]
         return found
 
 

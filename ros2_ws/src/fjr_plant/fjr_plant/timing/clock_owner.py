@@ -10,7 +10,7 @@ from rosgraph_msgs.msg import Clock
 
 from fjr_core import FjrError
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.clock import ClockWriter
+from fjr_msgs_py.messages.clock import ClockWriter, time_of
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from fjr_msgs_py.node.diagnostics import Health
 
@@ -26,10 +26,10 @@ class ClockError(FjrError):
 class ClockOwner:
     """Publisher of the time, unless another process publishes it.
 
-    The topic is checked when the node starts, before the first command is accepted, and twice per second. A new owner
-    (younger than SETTLING, or without a command so far) that receives another time raises ClockError; it listens at
-    every check while another publisher exists, because a busy one may be late. An established owner continues and
-    reports the other one.
+    The topic is checked when the node starts, before the first command is accepted, and twice per second. An owner
+    without a command so far that receives another time raises ClockError; it listens at every check while another
+    publisher exists, because a busy one may be late. An owner with commands does so only while it is younger than
+    SETTLING, and only if the other time is ahead of its own; later it continues and reports the other one.
     """
 
     def __init__(self, node: Node, health: Health) -> None:
@@ -41,16 +41,19 @@ class ClockOwner:
         self._writer = ClockWriter()
         self._settled = time.monotonic() + SETTLING
         self._next_look = 0.0
+        self._shown = 0
         self.refuse_others()
 
     def show(self, stamp: int) -> None:
         """Publish the time [ns]."""
+        self._shown = stamp
         self._publisher.publish(self._writer.fill(stamp))
 
-    def refuse_others(self) -> None:
-        """Raise ClockError if another process publishes the time now."""
+    def refuse_others(self, ahead_of: int = 0) -> None:
+        """Raise ClockError if another process publishes a time of at least `ahead_of` [ns] now."""
         self._conflicts.appeared()
-        if self._conflicts.others and self._conflicts.heard():
+        heard = self._conflicts.heard() if self._conflicts.others else None
+        if heard and time_of(heard[1]) >= ahead_of:
             raise ClockError(self._sentence("publishes"))
 
     def look(self, established: bool) -> None:
@@ -60,7 +63,7 @@ class ClockOwner:
             return
         self._next_look = now + LOOK_PERIOD
         if not established or now <= self._settled:
-            self.refuse_others()
+            self.refuse_others(ahead_of=self._shown if established else 0)
         elif self._conflicts.appeared():
             self._health.error(OTHERS, self._sentence("has begun to publish"))
 
