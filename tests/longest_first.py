@@ -21,7 +21,7 @@ LONGEST_FIRST = (
     "nodes/test_certificate.py",
     "docs/test_build.py",
     "core/tuning/test_gain_synthesis.py",
-    "core/stability/test_check_of_what_runs.py",
+    "core/stability/test_complete_loop_check.py",
     "system/test_two_arms.py",
     "system/test_compare.py",
     "nodes/test_other_laws.py",

@@ -22,7 +22,7 @@ from fjr_bringup.studies.comparison import suite
 from fjr_bringup.studies.monte_carlo import sweep_file
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
-from patience import HANG
+from time_limits import HANG
 
 LINKED = ("ros2_ws", "examples")  # folders that commands name relative to the checkout
 ENVIRONMENT = {

@@ -11,7 +11,7 @@ import pytest
 
 import fjr_core
 from docs.pages import PAGES, ROOT
-from patience import HANG
+from time_limits import HANG
 
 PUBLIC_NODES = ("fjr_plant.plant_node.PlantNode", "fjr_controller.controller_node.ControllerNode")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from patience import HANG
+from time_limits import HANG
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.py"))
 

@@ -13,8 +13,8 @@ TESTS = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(TESTS))
 
 import conftest  # noqa: E402, F401 (a ROS domain of its own)
+from faults.fault_rows import ROWS, Row  # noqa: E402
 from faults.outcome import Outcome, outcome  # noqa: E402
-from faults.rows import ROWS, Row  # noqa: E402
 from faults.table import table, written  # noqa: E402
 
 DOCUMENT = TESTS.parent / "docs" / "faults.md"

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from faults.fault_rows import Row
 from faults.measures import fits
 from faults.rig import SECOND, STEPPED, Rig
-from faults.rows import Row
 from faults.watcher import STATES
 
 STALL = SECOND // 20  # half of state_timeout: a longer silence is a fault that no row injected

@@ -27,8 +27,8 @@ from faults.remote import Remote
 from faults.watcher import COMMANDS, DIAGNOSTICS, EFFORTS, REFERENCE, STATES, TRUE_STATES, Heard, Watcher
 from fjr_msgs_py.node.scheduling import prioritised
 from fjr_plant.timing.lock_step import START as LOCKSTEP_START
-from patience import Limit
 from system.executables import NODES, Executable, scenario
+from time_limits import Limit
 
 LIMIT = 40.0  # s on an idle machine; a longer wait for an event is a failure
 LOOK = 0.002  # s between polls of the queues

@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from faults.fault_rows import Row
 from faults.outcome import Outcome
-from faults.rows import Row
 
 BEGIN = "<!-- faults: written by python -m tests.faults -->"
 END = "<!-- end of faults -->"

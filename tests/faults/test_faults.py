@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from faults.fault_rows import ROWS, Row
 from faults.outcome import Pair
 from faults.rig import STEPPED
-from faults.rows import ROWS, Row
 
 pytestmark = pytest.mark.system
 

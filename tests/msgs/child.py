@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 
-from patience import HANG
+from time_limits import HANG
 
 
 def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:

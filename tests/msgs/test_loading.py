@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from patience import HANG
+from time_limits import HANG
 
 LOADING = """
 import time

@@ -21,7 +21,7 @@ from fjr_controller.controller_node import ControllerNode
 from fjr_msgs_py.messages.certificate import CertificateValues, labelled
 from fjr_msgs_py.names import LATEST
 from fjr_plant.plant_node import PlantNode
-from patience import Limit
+from time_limits import Limit
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor  # a quarter of the processor time

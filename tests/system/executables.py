@@ -17,7 +17,7 @@ from typing import IO
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
 
 from fjr_bringup.cli.app import main
-from patience import HANG, Limit
+from time_limits import HANG, Limit
 
 TIME_LIMIT = 60.0  # s on an idle machine
 

@@ -28,7 +28,7 @@ from fjr_bringup.recording import message_types
 from fjr_bringup.recording.reader import Bag, BagError, header_stamp, read_bag
 from fjr_bringup.recording.recorder import Recorder, Track
 from fjr_bringup.runner.run import JOINT_COMMANDS, _Run
-from patience import Limit
+from time_limits import Limit
 
 LIMIT = 20.0  # s
 COUNT = 300

@@ -13,8 +13,8 @@ import pytest
 
 from fjr_bringup.cli.app import fjr, main
 from fjr_bringup.cli.exit_codes import Exit
-from patience import HANG
 from system.executables import fjr as run_fjr
+from time_limits import HANG
 
 pytestmark = pytest.mark.system
 SLOW = ("numpy", "casadi", "rclpy", "matplotlib", "scipy", "pyarrow")

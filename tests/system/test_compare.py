@@ -25,9 +25,9 @@ from fjr_bringup.studies.comparison.results import Row, Value, extent, rows
 from fjr_core.control.registry import LAWS, V_DPBC
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.numerics import jit_cache
-from patience import HANG, Limit
 from system.browser import Browser
 from system.executables import TIME_LIMIT, Executable, fjr, fjr_here
+from time_limits import HANG, Limit
 
 pytestmark = pytest.mark.system
 QUICK: dict[str, Any] = {

@@ -14,8 +14,8 @@ import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from patience import Limit
 from system.executables import NODES, TIME_LIMIT, Executable, fjr, fjr_here
+from time_limits import Limit
 
 pytestmark = pytest.mark.system
 HANG = "600"  # s

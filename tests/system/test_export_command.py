@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from patience import HANG
 from system.executables import fjr_here
+from time_limits import HANG
 
 pytestmark = pytest.mark.system
 

@@ -22,8 +22,8 @@ from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.studies.monte_carlo import command as monte_carlo_command
 from fjr_bringup.studies.monte_carlo.pool import ClusterError, cluster, run_missing
 from fjr_bringup.studies.monte_carlo.store import open_store
-from patience import Limit
 from system.executables import Executable, fjr, fjr_here
+from time_limits import Limit
 
 pytestmark = pytest.mark.system
 SWEEP = """

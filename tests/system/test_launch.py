@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 
 from fjr_core.config import builders
 from fjr_core.config.scenario import load_scenario
-from patience import Limit
+from time_limits import Limit
 
 LIMIT = 40.0  # s on a free machine
 OWN_PARAMETERS = {"fjr_plant": builders.plant_parameters, "fjr_controller": builders.controller_parameters}

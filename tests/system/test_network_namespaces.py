@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from fjr_bringup.runner.run import set_ros_environment
-from patience import HANG
 from system.executables import NODES, scenario
 from system.network import Network, RefusedError, installed
+from time_limits import HANG
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 

@@ -16,7 +16,7 @@ from envsetup.console import SetupError
 from envsetup.machine import Machine, has_wheels, uses_sourced_ros
 from envsetup.virtualenv import Environment
 from envsetup.workspace import Workspace, remove_dangling_links
-from patience import HANG
+from time_limits import HANG
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Machine("Linux", "x86_64", "glibc", (2, 36), "cpython", "")

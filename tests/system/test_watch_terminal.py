@@ -19,8 +19,8 @@ import pyte
 import pytest
 from ament_index_python.packages import get_package_prefix
 
-from patience import Limit
 from system.executables import NODES, TIME_LIMIT, Executable, fjr, fjr_here, scenario
+from time_limits import Limit
 
 pytestmark = pytest.mark.system
 COLUMNS, ROWS = 132, 40

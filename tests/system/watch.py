@@ -13,7 +13,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from faults.watcher import EFFORTS, REFERENCE, STATES, Watcher
-from patience import Limit
+from time_limits import Limit
 
 LIMIT = 40.0  # s on an idle machine
 

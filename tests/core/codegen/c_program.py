@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fjr_core.codegen import Loop, export, loop_of, prefix_of, write
 from fjr_core.config.scenario import load_scenario
-from patience import HANG
+from time_limits import HANG
 
 SCENARIOS = Path(__file__).parents[3] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
 SHIPPED = sorted(path.stem for path in SCENARIOS.glob("*.yaml"))

@@ -18,7 +18,7 @@ import fjr_core as fjr
 from core.oracles.cases import LOOPS, Arm, GainSet, random_point
 from core.oracles.chains import arm7, scaled_gains
 from fjr_core.numerics import jit as compiling
-from patience import HANG
+from time_limits import HANG
 
 EQUAL = 1e-9
 with_a_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")

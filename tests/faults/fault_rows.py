@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from faults import acts
-from faults.acts import Act
+from faults import fault_injection
+from faults.fault_injection import Act
 from faults.rig import DIRECT, RELAYED, STEPPED, Setting
 
 STATE_TIMEOUT, JOIN_TIME = 0.1, 0.5  # s
@@ -47,28 +47,28 @@ class Row:
 
 
 def lossy(share: float) -> Act:
-    return acts.plant_set(2.0, state_loss=share, command_loss=share)
+    return fault_injection.plant_set(2.0, state_loss=share, command_loss=share)
 
 
 def late(seconds: float) -> Act:
-    return acts.plant_set(2.0, state_delay=seconds)
+    return fault_injection.plant_set(2.0, state_delay=seconds)
 
 
 FALLS = "swings down without effort; a 0.5 s transition leads back to the reference"
 LATER = ("silences", "recoveries")
 ROWS = [
-    Row("no fault", "tracks", acts.nothing, 0.1),
-    Row("kill -9 of the controller, then restart", FALLS, acts.controller_killed, 2.5, mode=DIRECT),
+    Row("no fault", "tracks", fault_injection.nothing, 0.1),
+    Row("kill -9 of the controller, then restart", FALLS, fault_injection.controller_killed, 2.5, mode=DIRECT),
     Row(
         "kill -9 of the plant, then restart",
         "restarts in its initial state; a transition leads to the reference",
-        acts.plant_killed,
+        fault_injection.plant_killed,
         2.5,
         counted=LATER,
         mode=DIRECT,
     ),
-    Row("no states for 200 ms", FALLS, acts.silence(0.2), 1.0, counted=LATER),
-    Row("no states for 2 s", FALLS, acts.silence(2.0), 2.0, counted=LATER),
+    Row("no states for 200 ms", FALLS, fault_injection.silence(0.2), 1.0, counted=LATER),
+    Row("no states for 2 s", FALLS, fault_injection.silence(2.0), 2.0, counted=LATER),
     Row("1 % of states and of commands lost, 2 s", "tracks", lossy(0.01), 1e-3, 0.0, mode=STEPPED),
     Row("10 % of states and of commands lost, 2 s", "tracks", lossy(0.1), 1e-3, 0.0, mode=STEPPED),
     Row("states 1 ms late, 2 s", "tracks", late(0.001), 1e-3, 0.0, mode=STEPPED),
@@ -86,50 +86,50 @@ ROWS = [
     Row(
         "NaN and infinity in every state, 200 ms",
         FALLS,
-        acts.not_a_number(0.2),
+        fault_injection.not_a_number(0.2),
         1.0,
         counted=("state refused: not finite", *LATER),
     ),
     Row(
         "joint names of another arm, 200 ms",
         FALLS,
-        acts.renamed(0.2),
+        fault_injection.renamed(0.2),
         1.0,
         counted=("state refused: missing joints", *LATER),
     ),
-    Row("every state sent twice, 1 s", "tracks", acts.twice(1.0), 0.1, counted=("states repeated",)),
+    Row("every state sent twice, 1 s", "tracks", fault_injection.twice(1.0), 0.1, counted=("states repeated",)),
     Row(
         "one state repeated, 200 ms",
         "holds the effort of that state; a transition leads back to the reference",
-        acts.frozen(0.2),
+        fault_injection.frozen(0.2),
         1.0,
         counted=("states repeated", "forward jumps", "recoveries"),
     ),
     Row(
         "each state preceded by one 50 ms older, 1 s",
         "tracks",
-        acts.aged(1.0, 50),
+        fault_injection.aged(1.0, 50),
         0.1,
         counted=("states older than the last",),
     ),
     Row(
         "stamps jump 10 s forward, then back after 0.5 s",
         "recovers to the reference at the new time; after the jump back the reference restarts",
-        acts.clock_jumped(0.5, 10),
+        fault_injection.clock_jumped(0.5, 10),
         2.5,
         counted=("forward jumps", "recoveries", "reference restarts"),
     ),
     Row(
         "a second controller is started",
         "tracks; the second controller refuses to start and exits",
-        acts.second_controller,
+        fault_injection.second_controller,
         0.1,
         mode=DIRECT,
     ),
     Row(
         "another node sends zero efforts, 1 s",
         "tracks less accurately; the controller reports the other node",
-        acts.intruder(1.0),
+        fault_injection.intruder(1.0),
         1.0,
         counted=("other controllers",),
         mode=DIRECT,
@@ -137,14 +137,14 @@ ROWS = [
     Row(
         "parameters set to invalid values",
         "tracks; each value is refused, the old one stays",
-        acts.nonsense,
+        fault_injection.nonsense,
         0.1,
         mode=DIRECT,
     ),
     Row(
         "arm7: no states for 200 ms",
         "holds its weight; a 1 s transition leads back to the reference",
-        acts.silence(0.2),
+        fault_injection.silence(0.2),
         1.0,
         counted=LATER,
         setting=ARM,
@@ -152,7 +152,7 @@ ROWS = [
     Row(
         "arm7: no states for 2 s",
         "falls (it has no brakes); outside its range the controller stops and holds the weight",
-        acts.silence(2.0),
+        fault_injection.silence(2.0),
         10.0,
         None,
         counted=("silences", "stops"),
@@ -161,7 +161,7 @@ ROWS = [
     Row(
         "arm7: kill -9 of the plant, then restart",
         "a transition leads to the reference",
-        acts.plant_killed,
+        fault_injection.plant_killed,
         1.5,
         counted=("silences",),
         mode=DIRECT,

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from faults import tampering
+from faults import message_faults
 from faults.relay import Tamper
 from faults.rig import SECOND, Rig
 from faults.watcher import EVENTS
@@ -33,27 +33,27 @@ def tampered(seconds: float, how: Callable[[], Tamper]) -> Act:
 
 
 def silence(seconds: float) -> Act:
-    return tampered(seconds, lambda: tampering.dropped)
+    return tampered(seconds, lambda: message_faults.dropped)
 
 
 def not_a_number(seconds: float) -> Act:
-    return tampered(seconds, lambda: tampering.not_a_number)
+    return tampered(seconds, lambda: message_faults.not_a_number)
 
 
 def renamed(seconds: float) -> Act:
-    return tampered(seconds, lambda: tampering.renamed)
+    return tampered(seconds, lambda: message_faults.renamed)
 
 
 def twice(seconds: float) -> Act:
-    return tampered(seconds, lambda: tampering.twice)
+    return tampered(seconds, lambda: message_faults.twice)
 
 
 def frozen(seconds: float) -> Act:
-    return tampered(seconds, tampering.frozen)
+    return tampered(seconds, message_faults.frozen)
 
 
 def aged(seconds: float, samples: int) -> Act:
-    return tampered(seconds, lambda: tampering.aged(samples))
+    return tampered(seconds, lambda: message_faults.aged(samples))
 
 
 def clock_jumped(seconds: float, jump: int) -> Act:
@@ -62,7 +62,7 @@ def clock_jumped(seconds: float, jump: int) -> Act:
     def act(rig: Rig) -> tuple[int, int]:
         begin, zero = rig.full_motion, rig.anchors[-1].zero
         rig.anchor(zero - jump * SECOND, begin)
-        end = rig.tamper(begin, seconds, tampering.jumped(jump))
+        end = rig.tamper(begin, seconds, message_faults.jumped(jump))
         begun = rig.first_stamp_from(end)
         rig.anchor(begun, begun)
         return begin, end
