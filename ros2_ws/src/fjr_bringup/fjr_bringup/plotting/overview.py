@@ -49,7 +49,7 @@ def error(ax: Axes, data: RunData, report: Report) -> None:
         ax.hlines(worst, STEADY_AFTER, data.t[-1], color=GREY, lw=1.0, ls="--")
         label = f"at most {headlines.steady_error(report, _power_of)} after 2 s"
         ax.annotate(label, (data.t[-1], worst), (0, 4), textcoords="offset points", ha="right", color=GREY)
-        title = f"The error falls from {headlines.initial_error(report)} to {headlines.steady_error(report, _power_of)}"
+        title = f"Error: from {headlines.initial_error(report)} to {headlines.steady_error(report, _power_of)}"
     ax.set(title=title, xlabel="t [s]", ylabel=f"$|q_l - q_{{ld}}|$ [{headlines.position_unit(report)}]")
 
 
@@ -108,7 +108,7 @@ def effort(ax: Axes, data: RunData, report: Report) -> None:
         zoom.set_xlim(-0.005, 0.25)
         zoom.set_title("first 0.25 s", fontsize=8, fontweight="normal", color=GREY, loc="center", pad=2)
         zoom.tick_params(labelsize=7)
-    title = f"The effort peaks at {headlines.peak_effort_and_share(report)}"
+    title = f"Effort: {headlines.peak_effort_and_share(report)}"
     ax.set(title=title, xlabel="t [s]", ylabel=f"u [{headlines.effort_unit(report)}]")
 
 
@@ -186,8 +186,9 @@ STYLE = {
 @mpl.rc_context(STYLE)
 def draw_overview(name: str, data: RunData, report: Report, folder: Path) -> Path:
     """Write overview.png into the folder and return its path."""
-    figure = Figure(figsize=(14.0, 7.2), layout="constrained")
-    axes = figure.subplots(2, 3)
+    figure = Figure(figsize=(14.0, 7.2))
+    margins = {"left": 0.05, "right": 0.99, "bottom": 0.07, "top": 0.89, "wspace": 0.26, "hspace": 0.32}
+    axes = figure.subplots(2, 3, gridspec_kw=margins)  # an automatic layout takes as long as the drawing
     tracking(axes[0, 0], data)
     error(axes[0, 1], data, report)
     storage(axes[0, 2], data, report)
@@ -196,7 +197,7 @@ def draw_overview(name: str, data: RunData, report: Report, folder: Path) -> Pat
     latency(axes[1, 2], data, report)
     clock = "in lock-step" if report.lockstep else "in real time"
     rate = f"{1.0 / data.sample_period:g} Hz"
-    figure.suptitle(f"{name}: plant and controller as two ROS 2 nodes, {rate} {clock}", fontsize=13, x=0.01, ha="left")
+    figure.suptitle(f"{name}: plant and controller as two ROS 2 nodes, {rate} {clock}", fontsize=13, x=0.01, y=0.98, ha="left")
     path = folder / "overview.png"
     figure.savefig(path)
     return path
