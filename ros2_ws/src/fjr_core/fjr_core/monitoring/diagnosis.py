@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnose a recorded run: whether V decayed as guaranteed and, if not, which causes prevented it.
+"""Diagnose a recorded run as holding, degraded, violated or unknown: whether V decayed as guaranteed, else the causes.
 
 Only measured states and sent efforts are used.
 """

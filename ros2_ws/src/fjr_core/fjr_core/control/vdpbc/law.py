@@ -44,8 +44,9 @@ class Evaluation:
 
 
 class TrackingLaw(StaticLaw):
-    """The v-dPBC tracking law of a robot, eqs. (30)-(33) and (39)-(42), as pure functions of (x_v, x, jets, omega).
+    """The v-dPBC tracking law of a robot, as pure functions of (x_v, x, jets, omega).
 
+    Eqs. (30)-(33) are in link_stage, eqs. (39)-(42) in motor_stage; the storage V is here.
     The controller applies u(x, x, t); analysis uses x_v != x. x_v and x are states (4n,) with momenta,
     jets (5, n) holds q_ld .. d4q_ld, omega (n,) [N m] is the external input of eq. (42).
     compile: compile to machine code if a C compiler is available (numerics.jit); results agree to rounding.
