@@ -197,7 +197,8 @@ def draw_overview(name: str, data: RunData, report: Report, folder: Path) -> Pat
     latency(axes[1, 2], data, report)
     clock = "in lock-step" if report.lockstep else "in real time"
     rate = f"{1.0 / data.sample_period:g} Hz"
-    figure.suptitle(f"{name}: plant and controller as two ROS 2 nodes, {rate} {clock}", fontsize=13, x=0.01, y=0.98, ha="left")
+    title = f"{name}: plant and controller as two ROS 2 nodes, {rate} {clock}"
+    figure.suptitle(title, fontsize=13, x=0.01, y=0.98, ha="left")
     path = folder / "overview.png"
     figure.savefig(path)
     return path
