@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from diagnosis_benchmark.fault_runs import PAIRS, ROBOTS, WIRING
+from diagnosis_benchmark.fault_runs import JOINTS, PAIRS, ROBOTS, WIRING
+from diagnosis_benchmark.faulty_loop import Fault
 from diagnosis_benchmark.wiring_runs import HEALTHY_LASTING, Stop, healthy, wrong
 
 pytestmark = pytest.mark.system
@@ -33,3 +36,11 @@ def test_healthy_starts_are_never_stopped(robot: str) -> None:
     """With wrong stiffness and inertia, payload, friction, noise, delay, weak motors; at rest and at speed."""
     for seed in range(1000, 1008):
         assert Stop.of(healthy(robot, seed), HEALTHY_LASTING).samples == 0, seed
+
+
+@pytest.mark.parametrize("robot", ["two_link", "arm7"])
+@pytest.mark.parametrize("delay", [2, 4])
+def test_late_velocities_are_not_taken_for_those_of_other_joints(robot: str, delay: int) -> None:
+    late = Fault(delay=delay, delayed=np.ones(2 * JOINTS[robot], dtype=bool))
+    for seed in range(2):
+        assert Stop.of(replace(healthy(robot, seed), fault=late), HEALTHY_LASTING).samples == 0, seed

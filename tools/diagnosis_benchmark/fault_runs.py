@@ -22,7 +22,7 @@ from .faulty_loop import Fault, FaultyLoop
 from .loop import record
 from .runs import JOINTS, Case, _start
 
-TUNING_SEEDS, VALIDATION_SEED = (11, 12, 13, 14), 15
+TUNING_SEEDS, VALIDATION_SEED = (11, 12, 13, 14, 15), 16
 DURATION, STARTING = 3.0, 0.3  # s
 ROBOTS = ("paper_k31", "two_link", "arm7")
 HEALTHY = "healthy"

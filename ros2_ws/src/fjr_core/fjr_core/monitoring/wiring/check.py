@@ -15,7 +15,7 @@ import numpy as np
 from ...numerics.checks import Array
 from ...robot.robot import Robot
 from .hypotheses import Window, WiringFault, hypotheses
-from .signals import Flags, Rows, distances, torque_tolerance
+from .signals import Flags, Rows, delayed, distances, torque_tolerance
 
 WINDOW, FEWEST = 21, 9
 """Largest and smallest number of states compared; 21 states are the first 20 samples and what follows the last."""
@@ -24,7 +24,7 @@ FULL = WINDOW - 2
 EVIDENCE = 2 * math.log(1e5)
 """Smallest evidence for a fault against the right wiring: a false alarm has probability 1e-5 (Wald)."""
 CLEARER = 2 * math.log(1e2)
-"""Smallest evidence for a fault against another one before the window is full."""
+"""Smallest evidence for a fault against another one before the window is full, and for a velocity that is late."""
 FAILS = 1.25
 """Smallest misfit per interval of a suspected row; its mean is at most 1 / DOUBT if the row is right."""
 FITS, FOLLOWS = 1.6, 3.0
@@ -140,8 +140,11 @@ def _decided(found: list[tuple[float, WiringFault]], full: bool) -> WiringFault 
 
 
 def _wrong_velocity(rows: Rows, failing: Flags, count: int, full: bool) -> WiringFault | None:
-    """Return the fault of a velocity that follows the slope of another position, or of its own with changed sign."""
-    n, misfit = len(failing) // 4, rows.misfit()
+    """Return the fault of a velocity that follows the slope of another position, or of its own with changed sign.
+
+    A velocity that follows its own slope late, such as a filter's, is right. It is assumed to be 100 times rarer.
+    """
+    n = len(failing) // 4
     coarse = (rows.x == 0.0).mean(axis=1) > COARSE
     for row in np.flatnonzero((failing & ~coarse)[2 * n :]) + 2 * n:
         side, j, first = ("link", "motor")[row // n - 2], int(row % n), row - row % n
@@ -150,7 +153,9 @@ def _wrong_velocity(rows: Rows, failing: Flags, count: int, full: bool) -> Wirin
         left = np.where(coarse[first : first + n], np.inf, distances(rows.root[row], rows.y[row] - slopes))
         k = int(np.argmin(left))
         clear = full or bool((np.delete(left, k) > left[k] + CLEARER).all())
-        if clear and left[k] < FOLLOWS * count and misfit[row] > left[k] + EVIDENCE:
+        late = distances(rows.root[row], rows.y[row] - delayed(rows.x[row], rows.y[row, 0]))
+        own = min(late[0], late[1:].min() + CLEARER)
+        if clear and left[k] < FOLLOWS * count and own > left[k] + EVIDENCE:
             kind, joints = ("velocity sign", (j,)) if k == j else ("velocity of another joint", (j, k))
             return WiringFault(kind, joints, side)
     return None

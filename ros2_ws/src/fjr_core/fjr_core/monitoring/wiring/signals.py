@@ -27,7 +27,7 @@ TOLERANCE = 0.15
 SCALE = 0.08
 """Relative error of a velocity."""
 LAGS, LAG = 5, 0.5
-"""Longest delay of an effort in samples, and weight of each earlier effort."""
+"""Longest delay of an effort or a velocity in samples, and weight of each earlier effort."""
 LATE = 1.0
 """Delay of a velocity in samples."""
 WEIGHT, OFFSET = 0.1, 1e-3
@@ -165,7 +165,12 @@ def _weights(robot: Robot, q_l: Array) -> Array:
 
 def _effort(robot: Robot, window: Window) -> Array:
     """Return B_m u (LAGS + 1, m - 1, n) [N m], delayed by 0 to LAGS samples; zero before the window."""
-    given = np.vstack([np.zeros((LAGS, robot.n)), window.u[:-1] @ robot.B_m.T])
+    return delayed(window.u[:-1] @ robot.B_m.T, np.zeros(robot.n))
+
+
+def delayed(values: Array, before: Array | float) -> Array:
+    """Return values (m, ...) delayed by 0 to LAGS samples (LAGS + 1, m, ...); before: value before the first one."""
+    given = np.concatenate([np.broadcast_to(before, (LAGS, *values.shape[1:])), values])
     return np.stack([given[LAGS - late : len(given) - late] for late in range(LAGS + 1)])
 
 
