@@ -66,6 +66,8 @@ def test_missing_or_unknown_arguments_exit_with_the_usage_error_code(arguments: 
     [
         (["run", "--duration", "nan"], "'nan' is not a duration; expected seconds"),
         (["run", "--duration", "3601"], "'3601' is not a duration"),
+        (["watch", "--namespace", "a b"], "'a b' is not a ROS name; expected letters"),
+        (["watch", "--controller", "1st"], "'1st' is not a ROS name"),
         (["gains", "arm7", "--beta", "inf"], "'inf' is not a rate; expected a positive number"),
         (["sweep", "--runs", "1.5"], "'1.5' is not a number of runs; expected 1 or more"),
         (["sweep", "--cores", "0"], "'0' is not a number of cores; expected 1 or more, or all"),

@@ -221,8 +221,10 @@ def record(**given: Any) -> Any:
 
 @COMMANDS.command()
 @scenario_argument
-@click.option("--namespace", metavar="NS", default="/", help="Namespace of the nodes.")
-@click.option("--controller", metavar="NAME", default="fjr_controller", help="Name of the controller node.")
+@click.option("--namespace", type=options.ros_name, metavar="NS", default="/", help="Namespace of the nodes.")
+@click.option(
+    "--controller", type=options.ros_name, metavar="NAME", default="fjr_controller", help="Name of the controller node."
+)
 @click.option("--once", is_flag=True, help="Print the state once as plain text.")
 @click.option(
     "--remap",

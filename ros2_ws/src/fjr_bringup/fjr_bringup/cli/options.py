@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,13 @@ def remap(text: str) -> str:
     """Check a remap FROM:=TO."""
     if not all(text.partition(":=")[::2]):
         raise click.BadParameter(f"'{text}' is not a remap; expected FROM:=TO")
+    return text
+
+
+def ros_name(text: str) -> str:
+    """Check the name of a node or a namespace."""
+    if not re.fullmatch(r"/|/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", text, re.ASCII):
+        raise click.BadParameter(f"'{text}' is not a ROS name; expected letters, digits, _ and single /, e.g. /left")
     return text
 
 
