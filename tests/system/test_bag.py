@@ -28,6 +28,7 @@ from fjr_bringup.recording import message_types
 from fjr_bringup.recording.reader import Bag, BagError, header_stamp, read_bag
 from fjr_bringup.recording.recorder import Recorder, Track
 from fjr_bringup.runner.run import JOINT_COMMANDS, _Run
+from system.talker import TALKER
 from time_limits import Limit
 
 LIMIT = 20.0  # s
@@ -250,18 +251,7 @@ def test_missing_content_is_named(recorded: tuple[Path, list[bytes]], tmp_path: 
         read_bag(tmp_path / "nothing")
 
 
-TALKING_RECORDER = """
-import sys, time
-from pathlib import Path
-import rclpy
-from std_msgs.msg import String
-from fjr_bringup.recording.recorder import Recorder, Track
-recorder = Recorder(Path(sys.argv[1])).start()
-rclpy.init()
-node = rclpy.create_node("talker")
-publisher = node.create_publisher(String, "/words", 10)
-while not (publisher.get_subscription_count() and recorder.matched("/words")):
-    time.sleep(0.005)
+TALKING_RECORDER = f"""{TALKER}
 for k in range(100000):
     publisher.publish(String(data=str(k)))
     print(k, time.monotonic(), flush=True)

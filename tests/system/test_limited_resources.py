@@ -16,21 +16,12 @@ from fjr_bringup.atomic_file import write_text
 from fjr_bringup.recording.reader import read_bag
 from fjr_bringup.report.write import write_with_fallback
 from fjr_msgs_py.node.log_folder import ensure_log_folder
+from system.talker import TALKER
 
 LIMIT, SENT = 100_000, 1500  # bytes; limit on the file size, for messages of 100 bytes and more
 
-RECORDER = f"""
-import resource, sys, time
-from pathlib import Path
-import rclpy
-from std_msgs.msg import String
-from fjr_bringup.recording.recorder import Recorder
-recorder = Recorder(Path(sys.argv[1])).start()
-rclpy.init()
-node = rclpy.create_node("talker")
-publisher = node.create_publisher(String, "/words", 10)
-while not (publisher.get_subscription_count() and recorder.matched("/words")):
-    time.sleep(0.005)
+RECORDER = f"""{TALKER}
+import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, ({LIMIT}, {LIMIT}))
 for k in range({SENT}):
     publisher.publish(String(data=f"{{k:0100}}"))
