@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.monitoring.diagnosis import Diagnosis, diagnose
+from fjr_core.monitoring.fault_isolation import isolation
 from fjr_core.monitoring.fault_isolation.added_body import SECOND_MOMENTS, body_torques
 from fjr_core.monitoring.fault_isolation.velocity_consistency import velocity_faults
 from fjr_core.monitoring.grading import Axes
@@ -122,3 +124,9 @@ def test_body_torques_of_a_point_mass_equal_those_of_a_payload() -> None:
     found = body_torques(MODEL.links, 1, q_l, np.zeros((4, 2)), ddq_l) @ theta
     wanted = [M(a).full() @ b + g(a).full().ravel() for a, b in zip(q_l, ddq_l, strict=True)]
     assert found == pytest.approx(np.array(wanted), abs=1e-12)
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.05, False), (0.3, True)])
+def test_nearest_kind_is_named_only_if_it_explains_a_tenth(share: float, named: bool) -> None:
+    best = SimpleNamespace(fault=SimpleNamespace(kind="inertia", side="motor", joint=0))
+    assert ("inertia (motor of a)" in isolation._unknown(best, share, ["a"]).sentence) is named

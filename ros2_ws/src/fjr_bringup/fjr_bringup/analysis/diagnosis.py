@@ -14,7 +14,7 @@ from fjr_core.monitoring.diagnosis import Diagnosis, diagnose, unknown
 
 
 def diagnosis(data: RunData, scenario: Scenario) -> Diagnosis:
-    """Return whether V decayed as proven, and the causes if it did not."""
+    """Return whether V decayed as guaranteed, and the causes if it did not."""
     if not isinstance(scenario.law, TrackingLaw):
         return unknown(f"the law {scenario.controller_values['law.type']} has no certificate")
     if not np.isfinite(data.V).any():

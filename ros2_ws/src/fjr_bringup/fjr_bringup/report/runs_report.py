@@ -50,7 +50,7 @@ ROWS: dict[str, tuple[Row, ...]] = {
         ("unexplained power, of that supplied", lambda r: percent(_of(r.energy, "rms_residual_of_supplied"))),
     ),
     "Timing": (
-        ("states missing", lambda r: f"{r.counts.missing} of {r.counts.nominal}"),
+        ("states missing", lambda r: f"{max(r.counts.missing, 0)} of {r.counts.nominal}"),
         ("answered in time", lambda r: percent(r.counts.answered_in_time_fraction)),
         ("state to command, 50 %", lambda r: milliseconds(r.timing.latency_p50_us)),
         ("state to command, 99 %", lambda r: milliseconds(r.timing.latency_p99_us)),

@@ -34,7 +34,7 @@ CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
 class Diagnosis:
     """Result of comparing V with its guaranteed decay.
 
-    kind: "holding": V decayed as proven, down to the floor that hold and noise predict. "degraded": V exceeds the floor
+    kind: "holding": V decayed as guaranteed, to the floor that hold and noise predict. "degraded": V exceeds the floor
     and the resulting tracking error is within the tolerance. "violated": it is not, or V grew. "unknown": too few
     data. causes: of the violating blocks, the strongest first, out of "model mismatch", "saturation",
     "delay", "loss", "sampling"; empty if none is known. sentence: kind and causes as text. figures: the underlying
@@ -129,7 +129,7 @@ def conclude(
         return graded(causes, found, axes, figures)
     if share > thresholds.SHARE_OF_FEW:
         return unknown(f"V exceeds its floor in {above} of {judged} blocks; expected more blocks", figures)
-    sentence = "V decays as proven, down to the floor that hold and noise predict"
+    sentence = "V decays as guaranteed, down to the floor that hold and noise predict"
     return Diagnosis("holding", (), sentence, figures, found.errors)
 
 
@@ -171,13 +171,14 @@ def graded(causes: tuple[str, ...], found: Grade, axes: Axes, figures: dict[str,
     if causes and found.within and SATURATION not in causes:
         sentence = f"{size}, within the tolerance: {why}"
         return Diagnosis("degraded", causes, sentence, figures, found.errors, size)
-    sentence = f"V does not decay as proven: {why}" + (f"; {size}" if size else "")
+    sentence = f"V does not decay as guaranteed: {why}" + (f"; {size}" if size else "")
     return Diagnosis("violated", causes, sentence, figures, found.errors, size)
 
 
 def violated(causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
     """Return "violated" with the causes, the strongest first."""
-    return Diagnosis("violated", causes, f"V does not decay as proven: {_why(causes)}", figures, {}, ", ".join(causes))
+    sentence = f"V does not decay as guaranteed: {_why(causes)}"
+    return Diagnosis("violated", causes, sentence, figures, {}, ", ".join(causes))
 
 
 def diverged(causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:

@@ -28,6 +28,8 @@ EXPLAINED = 0.8
 """Share of the residual (R^2 without noise) that a fault must explain to be reported."""
 ADVANTAGE = 0.7
 """Report a fault only if it leaves less than this fraction of what the next best kind or joint leaves."""
+NEAREST = 0.1
+"""Smallest share of the residual that the nearest kind must explain to be named where no fault is reported."""
 
 LONGEST = 10_000
 """Largest number of states used."""
@@ -179,9 +181,11 @@ def _finding(fit: Fit, share: float, names: list[str]) -> Finding:
 
 
 def _unknown(best: Fit, share: float, names: list[str]) -> Finding:
-    where = _where(best.fault.side, names[best.fault.joint])
-    sentence = f"no single fault explains the residual torque; the nearest, {best.fault.kind} ({where}), explains "
-    return Finding(UNKNOWN, "", "", float("nan"), "", share, f"{sentence}{100 * share:.0f} %")
+    sentence = "no single fault explains the residual torque"
+    if share >= NEAREST:
+        where = _where(best.fault.side, names[best.fault.joint])
+        sentence += f"; the nearest, {best.fault.kind} ({where}), explains {100 * share:.0f} %"
+    return Finding(UNKNOWN, "", "", float("nan"), "", share, sentence)
 
 
 def _where(side: str, joint: str) -> str:
