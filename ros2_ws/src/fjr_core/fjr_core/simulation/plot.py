@@ -47,7 +47,7 @@ def draw(run: Trajectory) -> Figure:
         axes.set_xlabel("t [s]")
     position.set_title("links (dashed: reference)", fontsize="medium")
     if n > 1:
-        effort.legend([f"joint {i + 1}" for i in range(n)], fontsize="small")
+        figure.legend(effort.lines, [f"joint {i + 1}" for i in range(n)], loc="outside right upper", fontsize="small")
     return figure
 
 
