@@ -7,6 +7,9 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from runpy import run_path
 
 import click
 
@@ -73,11 +76,11 @@ def _log_to_stderr() -> None:
 
 
 def _show_version(ctx: click.Context, _parameter: click.Parameter, asked: bool) -> None:
-    """Print the version and end the program."""
-    if asked:
-        from fjr_core.version import __version__
-
-        click.echo(f"fjr {__version__}")
+    """Print the version of fjr_core, without loading the package, and end the program."""
+    package = find_spec("fjr_core") if asked else None
+    if package is not None and package.origin is not None:
+        version = run_path(str(Path(package.origin).with_name("version.py")))["__version__"]
+        click.echo(f"fjr {version}")
         ctx.exit()
 
 

@@ -30,7 +30,7 @@ def draw(run: Trajectory) -> Figure:
         from matplotlib import pyplot
     except ImportError as error:
         raise PlotError(f"Matplotlib cannot be imported ({error}); expected it from: pip install matplotlib") from None
-    figure, ((position, effort), (error, storage)) = pyplot.subplots(
+    figure, ((position, effort), (deviation, storage)) = pyplot.subplots(
         2, 2, sharex=True, figsize=(9, 5), layout="constrained"
     )
     n = run.u.shape[1]
@@ -38,12 +38,12 @@ def draw(run: Trajectory) -> Figure:
     _lines(position, "q_l [rad]", run.t, q_l)
     for joint, line in enumerate(position.lines[:]):
         position.plot(run.t, q_ld[:, joint], "--", color=line.get_color(), alpha=0.6)
-    _lines(error, "q_l - q_ld [rad]", run.t, q_l - q_ld)
+    _lines(deviation, "q_l - q_ld [rad]", run.t, q_l - q_ld)
     _lines(effort, "u [N m]", run.t, run.u)
     _lines(storage, "V [J]", run.t, run.V[:, None])
     if np.any(run.V > 0):
         storage.set_yscale("log")
-    for axes in (error, storage):
+    for axes in (deviation, storage):
         axes.set_xlabel("t [s]")
     position.set_title("links (dashed: reference)", fontsize="medium")
     if n > 1:
