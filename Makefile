@@ -28,7 +28,7 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
-.PHONY: help demo test test-all bench faults compare docs lint build check clean
+.PHONY: help demo test test-all bench faults compare docs lint wheels build check clean
 .DEFAULT_GOAL := help
 
 help:  ## print this list
@@ -68,6 +68,10 @@ lint: ## ruff and mypy on all packages
 	@"$(VENV)/bin/python" -m ruff check .
 	@"$(VENV)/bin/python" -m ruff format --check .
 	@"$(VENV)/bin/python" -m mypy
+
+wheels: ## build a wheel of each package, and `fjr` with all of them, into build/wheels
+	$(SETUP) build
+	@"$(VENV)/bin/python" tools/build_wheels.py
 
 build: ## set up the environment and build ros2_ws (then: . ros2_ws/install/setup.sh)
 	$(SETUP) build

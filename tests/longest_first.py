@@ -14,6 +14,7 @@ LONGEST_FIRST = (
     "system/test_export_command.py",
     "system/test_executables.py",
     "system/test_fjr_report.py",
+    "system/test_wheels.py",
     "core/numerics/test_jit.py",
     "nodes/test_malformed.py",
     "system/test_closed_loop.py",

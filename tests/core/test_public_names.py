@@ -1,11 +1,127 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Renamed public names keep working for one version with a warning that names the successor."""
+"""Public names: what dir() shows, how objects describe themselves, and names that were renamed."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
 import pytest
 
 import fjr_core as fjr
+
+SOURCES = Path(__file__).parents[2] / "ros2_ws" / "src"
+ARM = fjr.planar_two_link()
+LAW = fjr.TrackingLaw(ARM, fjr.PAPER_GAINS)
+MOTION = fjr.Sine([0.1, 0.2], 1.0)
+START = ARM.state(*np.zeros((4, 2)))
+RUN = fjr.simulate(fjr.Plant(ARM), LAW, MOTION, START, 0.01, 1e-3)
+MANY = np.linspace(-1.0, 1.0, 40)
+OBJECTS = {
+    "Body": fjr.Body(np.eye(3), np.zeros(3), [0, 0, 1], 1.0, np.zeros(3), np.eye(3)),
+    "Certificate": fjr.Certificate(LAW),
+    "Circle": fjr.Circle([0.1, 0.2], 0.3, 1.0),
+    "Diagnosis": fjr.Diagnosis("holding", (), "V decays as proven", {}),
+    "Evaluation": LAW.evaluate(START, START, MOTION.jets(0.0)),
+    "Gains": fjr.Gains(MANY, MANY, MANY, MANY, MANY, MANY),
+    "Hold": fjr.Hold(MANY),
+    "JointLimits": fjr.JointLimits(*(np.full(40, v) for v in (-1.0, 1.0, 2.0, 3.0))),
+    "Measurement": fjr.Measurement(2, velocity="observer"),
+    "MotionLimits": fjr.MotionLimits(-1.0, MANY + 1.0),
+    "MultiSine": fjr.MultiSine(np.ones((20, 2)), 1.0),
+    "Plant": fjr.Plant(ARM),
+    "PointToPoint": fjr.PointToPoint(MANY, -MANY, 2.0),
+    "Rate": LAW.rate(),
+    "Record": fjr.Record(
+        RUN.t, RUN.x[:, :4], RUN.x[:, 4:], RUN.jets, RUN.u, None, None, None, 1e-3, np.full(2, np.inf)
+    ),
+    "Robot": ARM,
+    "SampledCheck": fjr.check(LAW, 1e-3, configurations=np.zeros((40, 2))),
+    "Sine": fjr.Sine(MANY, 1.0),
+    "Spline": fjr.Spline(np.arange(40.0), np.zeros((40, 2))),
+    "TrackingLaw": LAW,
+    "Trajectory": RUN,
+    "VelocityObserver": fjr.VelocityObserver(ARM, 100.0),
+    "VirtualSystem": fjr.VirtualSystem(ARM),
+}
+"""An object of each public class."""
+MADE = [fjr.transition(MOTION.jets(0.0), 0.0, MOTION, 1.0), fjr.time_shifted(MOTION, 1.0), LAW.gains, ARM.links]
+"""Objects that public functions and attributes return."""
+
+
+def test_an_object_of_each_public_class_is_tried() -> None:
+    classes = {name for name in fjr.__all__ if inspect.isclass(getattr(fjr, name))}
+    errors = {name for name in classes if issubclass(getattr(fjr, name), Exception)}
+    assert classes - errors - {"Reference"} == set(OBJECTS)
+    assert all(type(value).__name__ == name for name, value in OBJECTS.items())
+
+
+@pytest.mark.parametrize("value", [*OBJECTS.values(), *MADE], ids=lambda value: type(value).__name__)
+def test_repr_is_one_line_that_begins_with_the_type(value: object) -> None:
+    text = repr(value)
+    assert text.startswith(f"{type(value).__name__}(")
+    assert "\n" not in text
+    assert "array([" not in text
+    assert len(text) < 250
+
+
+def test_repr_names_joints_law_and_gains() -> None:
+    assert repr(fjr.PAPER_GAINS) == "Gains(Lambda_l=10, Pi_l=20, K_ld=0.6, Lambda_m=15, Pi_m=60, K_md=0.3)"
+    assert repr(fjr.single_link(stiffness=31.0)) == "Robot(1 joint, K=31, M_m=0.004)"
+    assert repr(LAW).startswith("TrackingLaw(2 joints, CheckedGains(Lambda_l=10,")
+    assert repr(MOTION) == "Sine(amplitude=[0.1, 0.2], frequency=1)"
+    assert repr(RUN).startswith("Trajectory(2 joints, 11 instants, 0 to 0.01 s,")
+
+
+def test_dir_shows_the_public_names_only() -> None:
+    assert dir(fjr) == sorted(fjr.__all__)
+    assert all(not name.startswith("_") or name == "__version__" for name in dir(fjr))
+
+
+def test_all_packages_have_the_version_of_fjr_core() -> None:
+    versions = {file.parent.name: ElementTree.parse(file).findtext("version") for file in SOURCES.glob("*/package.xml")}
+    assert len(versions) == 5
+    assert set(versions.values()) == {fjr.__version__}
+
+
+def never(*_: object) -> float:
+    raise AssertionError
+
+
+@pytest.mark.parametrize(
+    "law", [never, lambda x: x, fjr.TrackingLaw, None], ids=["function", "lambda", "class", "None"]
+)
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda law: fjr.simulate(fjr.Plant(ARM), law, MOTION, START, 0.1, 1e-3),
+        lambda law: fjr.check(law, 1e-3),
+        lambda law: fjr.spectral_radius(law, 1e-3),
+    ],
+    ids=["simulate", "check", "spectral_radius"],
+)
+def test_something_else_than_a_law_is_refused_by_kind(use: Callable[[object], object], law: object) -> None:
+    with pytest.raises(fjr.StateError, match=r"^law is (a|the) .*; expected a law of fjr_core"):
+        use(law)
+
+
+@pytest.mark.parametrize("reference", [lambda t: t, fjr.Sine, 1.0], ids=["lambda", "class", "number"])
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda reference: fjr.simulate(fjr.Plant(ARM), LAW, reference, START, 0.1, 1e-3),
+        lambda reference: fjr.check_motion(reference, fjr.MotionLimits([-1.0, -1.0], 1.0)),
+        lambda reference: fjr.transition(np.zeros((5, 2)), 0.0, reference, 1.0),
+        lambda reference: fjr.time_shifted(reference, 1.0),
+    ],
+    ids=["simulate", "check_motion", "transition", "time_shifted"],
+)
+def test_something_else_than_a_reference_is_refused_by_kind(use: Callable[[object], object], reference: object) -> None:
+    with pytest.raises(fjr.TrajectoryError, match=r"^reference is (a|the) .*; expected a reference"):
+        use(reference)
 
 
 @pytest.mark.parametrize(("old", "new"), fjr._RENAMED.items())

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A signal during the loading of a node's process ends it without output."""
+"""What happens before a process loads ROS 2: signals end it without output, and ament learns where wheels are."""
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from fjr_msgs_py.node.loading import ament_index_of_wheels
 from time_limits import HANG
 
 LOADING = """
@@ -35,3 +38,24 @@ def test_the_loading_module_imports_no_heavy_package() -> None:
     code = "import sys, fjr_msgs_py.node.loading, fjr_plant.executable, fjr_controller.executable; print(*sys.modules)"
     modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not {"rclpy", "numpy", "casadi", "fjr_core"} & set(modules)
+
+
+@pytest.mark.parametrize(("before", "after"), [("", "{here}"), ("/ros:/own", "/ros:/own:{here}")])
+def test_packages_installed_as_wheels_come_last_in_the_ament_index(
+    before: str, after: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packages = tmp_path / "share" / "ament_index" / "resource_index" / "packages"
+    packages.mkdir(parents=True)
+    (packages / "fjr_msgs_py").touch()
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", before)
+    for _ in range(2):
+        ament_index_of_wheels()
+    assert os.environ["AMENT_PREFIX_PATH"] == after.format(here=tmp_path)
+
+
+def test_ament_index_stays_without_wheels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "/ros")
+    ament_index_of_wheels()
+    assert os.environ["AMENT_PREFIX_PATH"] == "/ros"

@@ -10,10 +10,10 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 LEVELS = {
-    "run": ("run",),
-    "bench": ("run", "bench"),
-    "docs": ("run", "docs"),
-    "test": ("run", "bench", "docs", "cluster", "test"),
+    "run": ("run", "colcon"),
+    "bench": ("run", "colcon", "bench"),
+    "docs": ("run", "colcon", "docs"),
+    "test": ("run", "colcon", "bench", "docs", "cluster", "test"),
 }
 """Levels of the environment and the files in requirements/ they take."""
 FILES_ONLY = "pages.txt"

@@ -86,7 +86,9 @@ def source_files(folder: Path) -> list[Path]:
 
 def is_source(name: str) -> bool:
     """Return whether a file or folder of this name belongs to a package."""
-    return not name.startswith((".", "__pycache__")) and not name.endswith((".egg-info", ".pyc", "~"))
+    return (
+        name != "build" and not name.startswith((".", "__pycache__")) and not name.endswith((".egg-info", ".pyc", "~"))
+    )
 
 
 def remove_dangling_links(folder: Path) -> None:

@@ -4,6 +4,19 @@ from glob import glob
 from setuptools import find_packages, setup
 
 package_name = "fjr_bringup"
+libraries = [
+    "PyYAML>=6.0.1",
+    "click>=8.2",
+    "jinja2>=3.1",
+    "matplotlib>=3.6",
+    "mcap>=1.1",
+    "numpy>=1.26",
+    "pyarrow>=15",
+    "rich>=13",
+    "rosbags>=0.10",
+    "tqdm>=4.66",
+    "uplot-python>=1.1",
+]
 
 setup(
     name=package_name,
@@ -22,7 +35,14 @@ setup(
         (f"share/{package_name}/config", glob("config/*")),
         ("bin", ["scripts/fjr"]),
     ],
-    install_requires=["setuptools"],
+    python_requires=">=3.10",
+    install_requires=[
+        "fjr_core",
+        "fjr_controller",
+        "fjr_msgs_py",
+        "fjr_plant",
+        *libraries,
+    ],  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

@@ -1,18 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
+from pathlib import Path
+from runpy import run_path
+
 from setuptools import find_packages, setup
 
 package_name = "fjr_core"
+version = run_path(str(Path(__file__).parent / package_name / "version.py"))["__version__"]
+extras = {
+    "urdf": ["pin>=3"],  # Pinocchio, which reads a URDF
+    "sweep": ["pyarrow>=15"],  # reads the tables that `fjr sweep` writes
+    "plot": ["matplotlib>=3.6"],
+}
 
 setup(
     name=package_name,
-    version="0.1.0",
+    version=version,
     packages=find_packages(),
     package_data={package_name: ["py.typed", "simulation/batch/*.c", "codegen/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    python_requires=">=3.10",
+    install_requires=["numpy>=1.26", "scipy>=1.11", "casadi>=3.6.5", "PyYAML>=6.0.1"],
+    extras_require={**extras, "all": sorted(sum(extras.values(), []))},
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

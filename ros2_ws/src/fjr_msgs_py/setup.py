@@ -12,7 +12,8 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    python_requires=">=3.10",
+    install_requires=["fjr_core", "numpy>=1.26"],  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

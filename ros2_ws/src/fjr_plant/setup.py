@@ -13,7 +13,8 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
         (f"lib/{package_name}", ["scripts/plant_node"]),
     ],
-    install_requires=["setuptools"],
+    python_requires=">=3.10",
+    install_requires=["fjr_core", "fjr_msgs_py", "numpy>=1.26"],  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

@@ -371,6 +371,15 @@ def test_missing_pinocchio_error_says_what_to_install(monkeypatch: pytest.Monkey
         read(TWO)
 
 
+def test_missing_openmp_error_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(name: str) -> None:
+        raise ImportError("libgomp.so.1: cannot open shared object file: No such file or directory")
+
+    monkeypatch.setattr("fjr_core.robot.urdf_import.importlib.import_module", fails)
+    with pytest.raises(fjr.RobotError, match="Debian package libgomp1"):
+        fjr.robot_from_urdf(ARM7, ARM7_JOINTS, 1e4, 0.5)
+
+
 def test_fjr_core_does_not_import_pinocchio() -> None:
     program = "import sys, fjr_core; sys.exit('pinocchio' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -39,6 +39,7 @@ from .trajectories.sine import MultiSine, Sine
 from .trajectories.spline import Spline
 from .trajectories.transition import time_shifted, transition
 from .tuning.gain_synthesis import synthesize
+from .version import __version__
 
 __all__ = [
     "PAPER_GAINS",
@@ -72,6 +73,7 @@ __all__ = [
     "TrajectoryError",
     "VelocityObserver",
     "VirtualSystem",
+    "__version__",
     "check",
     "check_motion",
     "diagnose",
@@ -103,3 +105,8 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
     warnings.warn(f"fjr_core.{name} is now fjr_core.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
     return globals()[_RENAMED[name]]
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted(__all__)

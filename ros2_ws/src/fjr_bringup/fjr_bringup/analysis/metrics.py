@@ -36,7 +36,7 @@ from fjr_bringup.recording.reader import Array, Bag
 from fjr_core.config.scenario import Scenario
 
 DECAYED = 1e-4  # of V(0): the decay rate is measured down to this value
-VERSIONS = ("fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
+VERSIONS = ("fjr", "fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
 
 
 @dataclass(frozen=True)

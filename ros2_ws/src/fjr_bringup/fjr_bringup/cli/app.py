@@ -7,13 +7,16 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from runpy import run_path
 
 import click
 
 from fjr_bringup.cli.commands import COMMANDS
 from fjr_bringup.cli.exit_codes import HELP, Exit
 from fjr_bringup.interrupt import interruptible, uninterruptible
-from fjr_msgs_py.node.loading import end_on_signals, without_blas_threads
+from fjr_msgs_py.node.loading import ament_index_of_wheels, end_on_signals, without_blas_threads
 
 
 def program() -> int:
@@ -28,6 +31,7 @@ def main(arguments: Sequence[str] | None = None, loaded: Callable[[], None] = la
     arguments: default sys.argv[1:]. loaded: called when the modules of the command are imported.
     """
     without_blas_threads()
+    ament_index_of_wheels()
     try:
         return int(fjr.main(arguments, prog_name="fjr", standalone_mode=False, obj=loaded) or Exit.DONE)
     except click.ClickException as error:
@@ -71,12 +75,23 @@ def _log_to_stderr() -> None:
     log.setLevel(logging.INFO)
 
 
+def _show_version(ctx: click.Context, _parameter: click.Parameter, asked: bool) -> None:
+    """Print the version of fjr_core, without loading the package, and end the program."""
+    package = find_spec("fjr_core") if asked else None
+    if package is not None and package.origin is not None:
+        version = run_path(str(Path(package.origin).with_name("version.py")))["__version__"]
+        click.echo(f"fjr {version}")
+        ctx.exit()
+
+
 @click.group(
     cls=Application,
     commands=COMMANDS.commands,
     epilog=f"\b\n{HELP}",
     context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
 )
-@click.version_option(None, "--version", package_name="fjr_bringup", message="%(prog)s %(version)s")
+@click.option(
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_show_version, help="Show the version."
+)
 def fjr() -> None:
     """Simulate, control, record and report flexible-joint robots on ROS 2 nodes."""

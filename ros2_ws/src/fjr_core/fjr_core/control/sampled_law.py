@@ -11,8 +11,10 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
+from ..errors import StateError
 from ..numerics.casadi_function import bind, dense_function
-from ..numerics.checks import Array
+from ..numerics.checks import Array, kind_of
+from ..numerics.one_line import one_line
 from ..robot.robot import Robot
 from ..trajectories.reference import JETS
 from .static_law import StaticLaw
@@ -66,6 +68,8 @@ class AsSampledLaw:
     law: StaticLaw
     lead: float = 0.0
 
+    __repr__ = one_line
+
     @property
     def robot(self) -> Robot:
         """The robot model of the law."""
@@ -87,6 +91,16 @@ class AsSampledLaw:
         s = step_symbols(self)
         u, V = self.law.measured_expression(s["position"], s["velocity"], s["jets"], s["gains"])
         return dense_function("sampled_law", s, {"u": u, "V": V, "next": s["memory"]})
+
+
+def check_law(law: object) -> None:
+    """Raise StateError unless `law` is a StaticLaw or has the members of a SampledLaw; a function has not."""
+    if isinstance(law, StaticLaw) or all(hasattr(law, name) for name in ("robot", "step_function", "gain_values")):
+        return
+    raise StateError(
+        f"law is {kind_of(law)}; expected a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), "
+        "or an object with the members of control.sampled_law.SampledLaw"
+    )
 
 
 @dataclass(frozen=True, eq=False)

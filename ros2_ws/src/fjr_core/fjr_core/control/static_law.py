@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from ..numerics.casadi_function import NumericFunction, bind, dense_function
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
+from ..numerics.one_line import joints, one_line
 from ..robot.robot import Robot
 from ..trajectories.reference import JETS
 from .lie_derivative import Flow
@@ -41,6 +42,9 @@ class StaticLaw(ABC):
     gains: named as in the paper; `arrays(robot)` returns the arrays of the law's equations by name, and raises
     GainsError if the paper's conditions are violated.
     """
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({joints(self.robot.n)}, {one_line(self.gains)})"
 
     def __init__(self, robot: Robot, gains: Any, compile: bool = False) -> None:
         self.robot = robot

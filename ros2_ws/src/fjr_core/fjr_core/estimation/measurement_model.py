@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import ParameterError
 from ..numerics import checks
 from ..numerics.checks import Array
+from ..numerics.one_line import one_line
 from ..numerics.parameter_field import VECTOR, parameter_field
 
 MEASURED, OBSERVER = "measured", "observer"
@@ -48,6 +49,8 @@ class Measurement:
         constraint="not 0",
     )
     K: Array | None = None
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         _one_of("measurement.velocity", self.velocity, MEASURED, OBSERVER)

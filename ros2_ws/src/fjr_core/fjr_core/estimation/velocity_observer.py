@@ -38,6 +38,7 @@ from ..errors import ParameterError
 from ..numerics.casadi_function import bind
 from ..numerics.checks import Array, positive
 from ..numerics.jit import compiled
+from ..numerics.one_line import brief
 from ..numerics.symbolic import symbols
 from ..robot.configuration_sampling import checked_configurations
 from ..robot.coordinates import Coordinates
@@ -72,6 +73,9 @@ class VelocityObserver:
     The first sample gives zero velocity, the second the difference quotient. The gains then decrease from
     first_corrections to those of the bandwidth, so that the estimate of a moving robot settles within a few samples.
     """
+
+    def __repr__(self) -> str:
+        return f"VelocityObserver({self.robot!r}, bandwidth={brief(self.bandwidth)} rad/s)"
 
     def __init__(self, robot: Robot, bandwidth: float, compile: bool = False) -> None:
         positive("bandwidth", bandwidth, ParameterError, "rad/s")

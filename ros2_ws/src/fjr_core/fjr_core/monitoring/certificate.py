@@ -22,6 +22,7 @@ from ..errors import StateError
 from ..numerics import checks
 from ..numerics.casadi_function import NumericFunction, dense_function
 from ..numerics.checks import Array
+from ..numerics.one_line import one_line
 from ..trajectories.reference import JETS
 
 OUTPUTS = ("V", "H", "dissipation", "dissipated", "u_law", "drive", "slope")
@@ -47,6 +48,8 @@ class CertificateSample:
     drive: Array
     dissipation: float
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True)
 class CertificateSeries:
@@ -65,6 +68,8 @@ class CertificateSeries:
     drive: Array
     dissipation: Array
 
+    __repr__ = one_line
+
     def held_rate(self, u: Array) -> Array:
         """Return the mean dV/dt (k - 1,) [W] of each step under the effort u (k, n) [N m] held from its start.
 
@@ -82,6 +87,9 @@ class Certificate:
 
     The functions are built once per law; they are machine code where the law is compiled.
     """
+
+    def __repr__(self) -> str:
+        return f"Certificate({self.law!r})"
 
     def __init__(self, law: TrackingLaw) -> None:
         self.law = law

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..control.vdpbc.law import TrackingLaw
 from ..numerics.checks import Array
+from ..numerics.one_line import brief
 from ..stability.linearization import linearize
 from . import thresholds
 from .cause_errors import CauseErrors, cause_errors, closed_loop
@@ -50,6 +51,9 @@ class Diagnosis:
     errors: dict[str, Array] = field(default_factory=dict, compare=False)
     detail: str = ""
     findings: tuple[Finding, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Diagnosis({self.kind}: {brief(self.sentence)})"
 
 
 def diagnose(

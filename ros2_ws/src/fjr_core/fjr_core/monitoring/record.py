@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import StateError
 from ..numerics.checks import Array, positive
+from ..numerics.one_line import joints, span
 from ..trajectories.reference import JETS
 
 
@@ -34,6 +35,10 @@ class Record:
     sample_period: float
     effort_limit: Array
     lockstep: bool = False
+
+    def __repr__(self) -> str:
+        n = joints(self.u.shape[1])
+        return f"Record({n}, {len(self.t)} instants, {span(self.t)}, sample_period={self.sample_period:.4g} s)"
 
     def __post_init__(self) -> None:
         k, n = np.shape(self.u) if np.ndim(self.u) == 2 else (-1, -1)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import numpy as np
@@ -92,6 +93,13 @@ def positive(name: str, value: float, error: type[FjrError] = TrajectoryError, u
     """Raise `error` unless `value` is positive and finite."""
     if not (np.isfinite(value) and value > 0):
         raise error(f"{name} is {value} {unit}; expected a positive finite number")
+
+
+def kind_of(value: object) -> str:
+    """Return what `value` is, for the message of an error: a function, a class, or an object of a type."""
+    if inspect.isclass(value):
+        return f"the class {value.__name__}"
+    return "a function" if inspect.isroutine(value) else f"a {type(value).__name__}"
 
 
 def freeze(owner: object, name: str, array: NDArray[Any]) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import RobotError
 from ..numerics.checks import Array, floats, freeze
+from ..numerics.one_line import one_line
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +23,8 @@ class JointLimits:
     upper: Array
     velocity: Array
     effort: Array
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -93,6 +93,9 @@ class Plant:
     ParameterError for an unknown integrator.
     """
 
+    def __repr__(self) -> str:
+        return f"Plant({self.robot!r}, integrator={self.integrator!r})"
+
     def __init__(self, robot: Robot, integrator: str = "rk4", compile: bool = False) -> None:
         self.robot = robot
         self.integrator = integrator

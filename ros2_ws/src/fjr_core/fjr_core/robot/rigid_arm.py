@@ -11,6 +11,7 @@ from typing import Protocol
 import casadi as ca
 
 from ..numerics.checks import Array
+from ..numerics.one_line import joints
 from ..numerics.symbolic import directional
 
 
@@ -62,6 +63,9 @@ class ArmDynamics:
     grad_T: ca.Function
     M_l_vertices: tuple[Array, ...] | None = None
     end_effector: EndEffector | None = None
+
+    def __repr__(self) -> str:
+        return f"ArmDynamics({joints(self.n)})"
 
     @cached_property
     def dM(self) -> ca.Function:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ..errors import RobotError
 from ..numerics import checks
 from ..numerics.checks import Array
+from ..numerics.one_line import one_line
 
 EXACT = 1e-12  # tolerance: entries of rotations this close to 0, 1 or -1 are rounded
 
@@ -33,6 +34,8 @@ class Body:
     com: ArrayLike
     inertia: ArrayLike
     prismatic: bool = False
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         for name in ("translation", "axis", "com"):

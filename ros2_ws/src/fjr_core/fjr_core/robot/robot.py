@@ -15,6 +15,7 @@ from ..errors import RobotError, StateError
 from ..numerics import checks, symbolic
 from ..numerics.casadi_function import NumericFunction, numeric
 from ..numerics.checks import Array
+from ..numerics.one_line import brief, joints
 from .joint_limits import JointLimits
 from .joint_units import PRISMATIC, REVOLUTE, Units
 from .rigid_arm import ArmDynamics, RigidArm
@@ -43,6 +44,9 @@ class Robot:
     B_m: Array
     limits: JointLimits | None = None
     prismatic: tuple[bool, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Robot({joints(self.n)}, K={brief(self.K)}, M_m={brief(self.M_m)})"
 
     def __post_init__(self) -> None:
         for name in ("M_m", "K", "D_l", "D_m", "B_m"):

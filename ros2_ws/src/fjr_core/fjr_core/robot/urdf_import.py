@@ -125,6 +125,8 @@ def _reduced_model(tree: UrdfTree, joints: Sequence[str], positions: dict[str, f
         pin = importlib.import_module("pinocchio")
     except ImportError as error:
         wanted = "expected it for reading a URDF: pip install pin, or ros-jazzy-pinocchio"
+        if "libgomp" in str(error):
+            wanted = "expected this library, of the Debian package libgomp1"
         raise RobotError(f"Pinocchio cannot be imported ({error}); {wanted}") from None
     try:
         model = pin.buildModelFromXML(tree.skeleton)

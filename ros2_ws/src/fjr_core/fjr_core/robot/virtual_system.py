@@ -39,6 +39,9 @@ class VirtualSystem:
     Gamma(x, x, u) is the time derivative of the plant state. Raises StateError for wrong shapes.
     """
 
+    def __repr__(self) -> str:
+        return f"VirtualSystem({self.robot!r})"
+
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
 

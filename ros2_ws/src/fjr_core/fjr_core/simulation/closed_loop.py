@@ -6,22 +6,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.sampled_law import SampledLaw, bound_step
+from ..control.sampled_law import SampledLaw, bound_step, check_law
 from ..control.static_law import StaticLaw
 from ..errors import StateError
 from ..numerics import checks
 from ..numerics.casadi_function import NumericFunction, bind, not_converged, numeric
 from ..numerics.checks import Array
 from ..numerics.integrators import INNER_STEP, rk4_expression
+from ..numerics.one_line import brief, joints, span
 from ..robot.coordinates import Coordinates, law_view
 from ..robot.port_hamiltonian import Plant
 from ..robot.robot import Robot
-from ..trajectories.reference import JETS, Reference
+from ..trajectories.reference import JETS, Reference, check_reference
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
 
@@ -35,6 +40,21 @@ class Trajectory:
     u: Array
     jets: Array
     V: Array
+
+    def __repr__(self) -> str:
+        effort, V = np.max(np.abs(self.u), initial=0.0), brief(self.V[[0, -1]])
+        return (
+            f"Trajectory({joints(self.u.shape[1])}, {len(self.t)} instants, {span(self.t)}, |u| <= {effort:.4g}, V={V})"
+        )
+
+    def plot(self) -> Figure:
+        """Draw positions, tracking errors, efforts and V over time; return the Matplotlib figure.
+
+        Raises PlotError if Matplotlib is not installed.
+        """
+        from .plot import draw  # loaded on use: Matplotlib is optional
+
+        return draw(self)
 
 
 def simulate(
@@ -57,9 +77,11 @@ def simulate(
     law: a SampledLaw (e.g. robust.RobustLaw) requires a sample_period; it receives the reference at t + law.lead.
     The robots of plant and law may differ (model mismatch). The law then receives the positions and velocities of the
     plant with momenta by its own inertia, and V is its own; Trajectory.x is the state of the plant.
-    Raises StateError for wrong shapes or numbers, and if the state is no longer finite.
+    Raises StateError for wrong shapes or numbers, a law that is none, and if the state is no longer finite;
+    TrajectoryError for a reference that is none, such as a function of time.
     """
     x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
+    check_law(law)
     check_joints(plant.robot, law.robot, reference)
     if inner_step is not None:
         checks.positive("inner_step", inner_step, StateError)
@@ -81,6 +103,7 @@ def simulate(
 
 def check_joints(plant: Robot, law: Robot, reference: Reference) -> None:
     """Raise StateError unless plant, law and reference have equally many joints."""
+    check_reference(reference)
     n = plant.n, law.n, reference.n
     if len(set(n)) != 1:
         raise StateError(f"plant, law and reference have {n[0]}, {n[1]} and {n[2]} joints; expected equal")

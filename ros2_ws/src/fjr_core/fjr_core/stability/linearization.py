@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.sampled_law import AsSampledLaw, SampledLaw
+from ..control.sampled_law import AsSampledLaw, SampledLaw, check_law
 from ..control.static_law import StaticLaw
 from ..control.vdpbc.gains import CheckedGains
 from ..control.vdpbc.law import TrackingLaw
@@ -63,6 +63,7 @@ def on_plant(at: At, own: Equilibria, real: Equilibria, sensing: Sensing) -> Sam
 
 def as_static(law: StaticLaw | SampledLaw) -> StaticLaw | SampledLaw:
     """Return the static law inside a sampled law without state; any other law unchanged."""
+    check_law(law)
     return law.law if isinstance(law, AsSampledLaw) and isinstance(law.law, StaticLaw) else law
 
 

@@ -22,6 +22,7 @@ from ..control.static_law import StaticLaw
 from ..control.vdpbc.law import TrackingLaw
 from ..errors import StateError
 from ..numerics.checks import Array, positive
+from ..numerics.one_line import one_line
 from ..robot.equilibrium import Indices
 from ..robot.port_hamiltonian import Plant
 from .linear_controller import Sensing
@@ -64,6 +65,8 @@ class SampledCheck:
     delay: float
     configurations: int
     closely: Array
+
+    __repr__ = one_line
 
 
 def spectral_radius(

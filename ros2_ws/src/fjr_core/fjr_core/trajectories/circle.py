@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
 from ..numerics.checks import Array, freeze, joint_vector, number, positive
+from ..numerics.one_line import one_line
 from .bounds import MotionBounds, motion_bounds_on
 from .piecewise_polynomial import SAMPLES, PiecewisePolynomial
 from .point_to_point import standing
@@ -32,6 +33,8 @@ class Circle(Reference):
     frequency: float
     phase: float = 0.0
     ramp: float = 1.0
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         freeze(self, "centre", joint_vector("centre", self.centre))

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
 from ..numerics.checks import Array, floats, freeze
+from ..numerics.one_line import one_line
 from ..robot.joint_limits import JointLimits
 from ..robot.joint_units import REVOLUTE, Units
 from .piecewise_polynomial import PiecewisePolynomial
-from .reference import Reference
+from .reference import Reference, check_reference
 from .spline import Spline
 
 ROUNDING = 1e-9  # relative tolerance of a limit
@@ -34,6 +35,8 @@ class MotionLimits:
     velocity: ArrayLike = np.inf
     acceleration: ArrayLike = np.inf
     units: tuple[Units, ...] = ()
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         n = max(int(np.size(getattr(self, name))) for name in _NUMBERS)
@@ -84,6 +87,7 @@ def check_motion(
     limit. The given points are checked first, then the bounds of the motion. Polynomials whose convex hull is within
     the limits need no further check.
     """
+    check_reference(reference)
     if limits.n != reference.n:
         raise TrajectoryError(f"limits are of {limits.n} joints; expected those of the reference, {reference.n}")
     if isinstance(reference, Spline):

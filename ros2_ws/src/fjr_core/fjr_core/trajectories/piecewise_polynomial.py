@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numerics.checks import Array
+from ..numerics.one_line import joints, span
 from .bounds import ROWS, MotionBounds, motion_bounds_on
 from .reference import JETS
 
@@ -60,6 +61,9 @@ class PiecewisePolynomial:
     _origins: Array = field(init=False, repr=False)
     _rates: Array = field(init=False, repr=False)
     _tables: Array = field(init=False, repr=False)
+
+    def __repr__(self) -> str:
+        return f"PiecewisePolynomial({joints(self.n)}, {len(self.times) - 1} pieces, {span(self.times)})"
 
     def __post_init__(self) -> None:
         with np.errstate(all="ignore"):  # checked by `finite`

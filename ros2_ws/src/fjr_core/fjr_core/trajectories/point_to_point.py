@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze, joint_vector, positive
+from ..numerics.one_line import one_line
 from .bounds import ROWS, MotionBounds
 from .piecewise_polynomial import PiecewisePolynomial
 from .reference import JETS
@@ -30,6 +31,8 @@ class Hold:
     """Constant reference q_ld(t) = q (n,) [rad]. Raises TrajectoryError unless q is a vector of finite numbers."""
 
     q: ArrayLike
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         freeze(self, "q", joint_vector("q", self.q))
@@ -76,6 +79,8 @@ class PointToPoint:
     duration: float
     dwell: float = 0.0
     returns: bool = False
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         freeze(self, "q0", joint_vector("q0", self.q0))

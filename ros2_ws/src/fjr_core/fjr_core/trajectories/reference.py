@@ -8,7 +8,8 @@ from typing import Protocol
 
 from numpy.typing import ArrayLike
 
-from ..numerics.checks import Array
+from ..errors import TrajectoryError
+from ..numerics.checks import Array, kind_of
 from .bounds import MotionBounds
 
 REFERENCE_DERIVATIVES = 4  # q_ld .. d4q_ld: the law has relative degree four
@@ -35,3 +36,12 @@ class Reference(Protocol):
 
     def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]; t1 may be infinite."""
+
+
+def check_reference(reference: object) -> None:
+    """Raise TrajectoryError unless `reference` has the members n and jets of a Reference; a function has not."""
+    if isinstance(reference, type) or not (hasattr(reference, "n") and hasattr(reference, "jets")):
+        raise TrajectoryError(
+            f"reference is {kind_of(reference)}; expected a reference, e.g. fjr.Sine(1.0, 1.0) or "
+            "fjr.Spline(times, positions): the law needs four exact derivatives"
+        )

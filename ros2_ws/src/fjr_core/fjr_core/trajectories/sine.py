@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
+from ..numerics.one_line import one_line
 from .bounds import ROWS, MotionBounds
 from .reference import JETS, Reference
 
@@ -30,6 +31,8 @@ class Sine(Reference):
     frequency: ArrayLike
     offset: ArrayLike = 0.0
     phase: ArrayLike = 0.0
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         names = ("amplitude", "frequency", "offset", "phase")
@@ -94,6 +97,8 @@ class MultiSine(Reference):
     frequency: ArrayLike
     phase: ArrayLike = 0.0
     offset: ArrayLike = 0.0
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         amplitude = checks.finite("amplitude", self.amplitude, TrajectoryError)

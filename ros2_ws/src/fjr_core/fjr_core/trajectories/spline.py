@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
+from ..numerics.one_line import joints, span
 from .bounds import MotionBounds
 from .minimum_jerk import minimum_jerk, without_overshoot
 from .piecewise_polynomial import PiecewisePolynomial
@@ -41,6 +42,9 @@ class Spline:
     start: ArrayLike | None = None
     moving_end: bool = False
     pieces: PiecewisePolynomial = field(init=False, repr=False)
+
+    def __repr__(self) -> str:
+        return f"Spline({joints(self.n)}, {np.size(self.times)} points, {span(self.pieces.times)})"
 
     def __post_init__(self) -> None:
         positions = _points("positions", self.positions)

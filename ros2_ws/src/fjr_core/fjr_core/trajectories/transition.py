@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, number, positive
+from ..numerics.one_line import one_line, span
 from .bounds import MotionBounds
 from .piecewise_polynomial import PiecewisePolynomial
-from .reference import JETS, Reference
+from .reference import JETS, Reference, check_reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +23,9 @@ class Transition:
 
     segment: PiecewisePolynomial
     target: Reference
+
+    def __repr__(self) -> str:
+        return f"Transition({span(self.segment.times)}, then {self.target!r})"
 
     @property
     def n(self) -> int:
@@ -66,6 +70,7 @@ def transition(jets0: ArrayLike, t0: float, target: Reference, duration: float) 
     The transition is one polynomial of degree 9, so the reference is of class C^4; before t0 it is constant. Raises
     TrajectoryError if jets0 has a wrong shape or is not finite, or the duration is not positive.
     """
+    check_reference(target)
     jets0 = checks.finite("jets0", jets0, TrajectoryError)
     if jets0.shape != (JETS, target.n):
         raise TrajectoryError(f"jets0 has shape {jets0.shape}; expected ({JETS}, {target.n}), value and derivatives")
@@ -86,6 +91,8 @@ class TimeShifted:
 
     reference: Reference
     t0: float
+
+    __repr__ = one_line
 
     @property
     def n(self) -> int:
@@ -112,6 +119,7 @@ class TimeShifted:
 
 def time_shifted(reference: Reference, t0: float) -> Reference:
     """Return `reference` with its time 0 at t0 [s]. Raises TrajectoryError if t0 is not finite."""
+    check_reference(reference)
     t0 = number("t0", t0)
     while isinstance(reference, TimeShifted):
         t0 += reference.t0

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -12,6 +13,17 @@ from contextlib import contextmanager
 def without_blas_threads() -> None:
     """Limit NumPy's linear algebra to one thread, unless the environment sets a number; more threads only add delay."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def ament_index_of_wheels() -> None:
+    """Append this Python environment to AMENT_PREFIX_PATH if it holds these packages as wheels.
+
+    Without it ament finds neither scenarios nor nodes; a sourced workspace stays first.
+    """
+    marker = os.path.join(sys.prefix, "share", "ament_index", "resource_index", "packages", "fjr_msgs_py")
+    known = [path for path in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if path]
+    if sys.prefix not in known and os.path.isfile(marker):
+        os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join([*known, sys.prefix])
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import GainsError
 from ...numerics.casadi_function import dense_function
 from ...numerics.checks import Array
+from ...numerics.one_line import one_line
 from ...numerics.packed_vector import PackedVector
 from ...robot.robot import Robot
 from ..sampled_law import AsSampledLaw, BoundStep, SampledLaw, bound_step, step_symbols
@@ -44,6 +45,8 @@ class RobustLaw:
 
     law: StaticLaw
     robust: Robust
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "robust", self.robust.checked(self.robot.n))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...numerics.one_line import one_line
 from ...robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from ...robot.robot import Robot
 from .gains import CheckedGains, relative_eigenvalues
@@ -29,6 +30,8 @@ class Rate:
     beta_sigma_l: float
     beta_sigma_m: float
     proven: bool
+
+    __repr__ = one_line
 
 
 NO_RATE = Rate(*(float("nan"),) * 6, proven=False)

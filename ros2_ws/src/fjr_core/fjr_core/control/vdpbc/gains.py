@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ...errors import GainsError
 from ...numerics import checks
 from ...numerics.checks import Array
+from ...numerics.one_line import one_line
 from ...numerics.parameter_field import MATRIX, parameter_field
 from ...robot.robot import Robot
 
@@ -49,6 +50,8 @@ class Gains:
         0.0, "Cubic part of phi_m", "1/(s rad^2)", constraint="condition (41): Pi_m Gamma_m diagonal and nonnegative"
     )
 
+    __repr__ = one_line
+
     def checked(self, n: int) -> CheckedGains:
         """Return the gains as matrices (n, n) for n joints.
 
@@ -81,6 +84,8 @@ class CheckedGains:
     Gamma_m: Array
     beta_l: float
     beta_m: float
+
+    __repr__ = one_line
 
     def arrays(self, _robot: Robot | None = None) -> dict[str, Array]:
         """Return the arrays of the law's equations by name: the matrices and the inverse of Pi_m."""

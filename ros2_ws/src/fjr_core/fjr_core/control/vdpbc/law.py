@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ...numerics.casadi_function import NumericFunction, dense_function
 from ...numerics.checks import Array
 from ...numerics.jit_cache import compiled_from_inputs
+from ...numerics.one_line import one_line
 from ...robot.robot import Robot
 from ..lie_derivative import Flow, flow
 from ..static_law import StaticLaw
@@ -41,6 +42,8 @@ class Evaluation:
     V: float
     dissipation: float
     dV: float
+
+    __repr__ = one_line
 
 
 class TrackingLaw(StaticLaw):

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Describe objects in one line, for their repr: numbers with four digits, long arrays by range or shape."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+LONGEST_LIST = 3
+"""Longest vector whose entries are listed."""
+
+
+def brief(value: Any) -> str:
+    """Return a value as short text without a line break.
+
+    A vector with equal entries, and a diagonal matrix with equal entries, appear as one number; other vectors and
+    diagonals with more than LONGEST_LIST entries as their range, other arrays by their shape.
+    """
+    if isinstance(value, (bool, np.bool_, str)) or value is None:
+        return repr(value)
+    if isinstance(value, (int, float, np.number)):
+        return f"{value:.4g}"
+    if isinstance(value, (list, tuple, np.ndarray)):
+        try:
+            return _brief_array(np.asarray(value, dtype=float))
+        except (TypeError, ValueError):
+            return f"{len(value)} items"
+    if isinstance(value, Mapping):
+        return f"{len(value)} items"
+    return " ".join(repr(value).split())
+
+
+def one_line(owner: Any) -> str:
+    """Return the repr of a dataclass: its fields in brief, without those left at a default of None, 0 or inf.
+
+    Assign it in the body of the class: `__repr__ = one_line`.
+    """
+    shown = [(each.name, each.default, getattr(owner, each.name)) for each in fields(owner) if each.repr]
+    texts = [f"{name}={brief(value)}" for name, default, value in shown if not _is_default(value, default)]
+    return f"{type(owner).__name__}({', '.join(texts)})"
+
+
+def joints(n: int) -> str:
+    """Return a number of joints as text."""
+    return f"{n} joint" if n == 1 else f"{n} joints"
+
+
+def span(t: Any) -> str:
+    """Return the range of instants (k,) [s] as text."""
+    t = np.asarray(t)
+    return f"{t[0]:.4g} to {t[-1]:.4g} s" if t.size else "no instants"
+
+
+def _is_default(value: Any, default: Any) -> bool:
+    return (
+        not isinstance(default, str) and brief(value) in ("None", "0", "inf", "()") and brief(value) == brief(default)
+    )
+
+
+def _brief_array(array: Any) -> str:
+    if not array.size:
+        return "()"
+    if array.ndim == 2 and array.shape[0] == array.shape[1] and np.array_equal(array, np.diag(np.diag(array))):
+        array = np.diag(array)
+    if array.ndim > 1:
+        return f"array {array.shape}"
+    low, high = np.min(array), np.max(array)
+    if array.ndim == 0 or low == high:
+        return f"{low:.4g}"
+    if array.size <= LONGEST_LIST:
+        return f"[{', '.join(f'{entry:.4g}' for entry in array)}]"
+    return f"[{low:.4g} .. {high:.4g}]"

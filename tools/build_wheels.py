@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build a wheel of each package in ros2_ws/src, and the wheel `fjr` with all of them: `build_wheels.py [FOLDER]`.
+
+`fjr` requires ROS 2 Jazzy's wheels at the versions of constraints.txt, everything else from its lower bound on.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from envsetup import pins
+from envsetup.console import clean_environment
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("fjr_core", "fjr_msgs_py", "fjr_plant", "fjr_controller", "fjr_bringup")
+COPIED = ("README.md", "LICENSE", "pyproject.toml", "requirements", "ros2_ws/src")
+"""What the wheels are made of; they are built in a copy, so that no file of an earlier build enters."""
+OPTIONS = ("--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check", "--quiet")
+
+
+def build(target: Path) -> list[Path]:
+    """Build all wheels into a folder, which loses its old wheels; return their paths."""
+    target.mkdir(parents=True, exist_ok=True)
+    for old in target.glob("fjr*.whl"):
+        old.unlink()
+    with tempfile.TemporaryDirectory(prefix="fjr-wheels-") as scratch:
+        source = Path(scratch)
+        copy_sources(source)
+        pin_ros(source / "requirements" / "ros-wheels.txt")
+        folders = [str(source), *(str(source / "ros2_ws" / "src" / name) for name in PACKAGES)]
+        command = [sys.executable, "-m", "pip", "wheel", *OPTIONS, "--wheel-dir", str(target), *folders]
+        subprocess.run(command, check=True, env=clean_environment(sourced_ros=False))
+    return sorted(target.glob("fjr*.whl"))
+
+
+def copy_sources(target: Path) -> None:
+    """Copy COPIED without the outputs of earlier builds."""
+    without = shutil.ignore_patterns("build", "*.egg-info", "__pycache__")
+    for name in COPIED:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, target / name, ignore=without)
+        else:
+            shutil.copy(ROOT / name, target / name)
+
+
+def pin_ros(requirements: Path) -> None:
+    """Rewrite a requirements file with the pinned versions of the distributions of ROS 2."""
+    pinned = pins.pins((ROOT / "constraints.txt").read_text(encoding="utf-8"))
+    entries = pins.entries(requirements.read_text(encoding="utf-8"))
+    names = [pins.requirement_name(entry) for entry in entries]
+    lines = [f"{e}=={pinned[n]}" if n.startswith("ros-") else e for e, n in zip(entries, names, strict=True)]
+    requirements.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def main() -> int:
+    """Build the wheels and print their paths; return the exit code."""
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "build" / "wheels"
+    try:
+        wheels = build(target)
+    except subprocess.CalledProcessError as error:
+        print(f"pip could not build the wheels (exit code {error.returncode})", file=sys.stderr)
+        return 1
+    for wheel in wheels:
+        print(wheel)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
