@@ -27,7 +27,7 @@ from ..robot.robot import Robot
 from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
 from ..trajectories.reference import Reference
-from . import builders, parameter, robot_file, ros_yaml
+from . import builders, parameter, reference_file, robot_file, ros_yaml
 from .builders import control_law, robust_action
 from .measurement import OBSERVER_BANDWIDTH, measurement_parameters
 from .nonidealities import channel_errors, imperfection_parameters
@@ -158,6 +158,7 @@ def parse_scenario(name: str, text: str) -> Scenario:
 def _scenario(name: str, document: Any, folder: Path) -> Scenario:
     warnings: list[str] = []
     checked = {}
+    reference_file.read_again()
     for node, own in OWN_PARAMETERS.items():
         given = robot_file.merged(ros_yaml.values_for(node, document), node, folder)
         known = builders.all_parameters(own, given)
@@ -165,7 +166,7 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
         own_names = set(given) - _for_other_nodes(node, own, document)
         warnings += [f"{node}: {sentence}" for sentence in parameter.unknown(known, own_names)]
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
-    warnings += _hold_warnings(scenario)
+    warnings += _hold_warnings(scenario) + _file_warnings(scenario)
     scenario = replace(scenario, warnings=tuple(warnings))
     joints = [checked[node]["joints"] for node in OWN_PARAMETERS]
     if joints[0] != joints[1]:
@@ -189,6 +190,14 @@ def _hold_warnings(scenario: Scenario) -> list[str]:
     if not (robust.predicts or robust.integrates) or math.isclose(robust.hold, period, rel_tol=1e-6):
         return []
     return [f"{CONTROLLER}: parameter 'robust.hold' is {values['robust.hold']} s; the states' period is {period:g} s"]
+
+
+def _file_warnings(scenario: Scenario) -> list[str]:
+    """Return a warning for each property of a reference from a file that asks for large efforts."""
+    values = scenario.controller_values
+    if values["reference.type"] != "file":
+        return []
+    return [f"{CONTROLLER}: {sentence}" for sentence in reference_file.file_warnings(values, scenario.robot)]
 
 
 def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:
