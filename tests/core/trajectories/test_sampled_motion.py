@@ -12,6 +12,7 @@ from fjr_core.control.effort_demand import effort_demand
 from fjr_core.control.inverse_dynamics import inverse_dynamics
 from fjr_core.trajectories.piecewise_polynomial import PiecewisePolynomial
 from fjr_core.trajectories.smoothing import least_squares_fit
+from fjr_core.trajectories.waypoints import waypoints
 
 T = np.arange(10_001) / 1000  # s: 10 s at 1 kHz
 RNG = np.random.default_rng(3)
@@ -133,3 +134,14 @@ def test_pieces_are_few_where_samples_are_smooth() -> None:
     motion = MOTIONS["rounded sine"]
     assert isinstance(motion.pieces, PiecewisePolynomial)
     assert len(motion.pieces.times) < 40
+
+
+@pytest.mark.parametrize("name", [name for name in MOTIONS if name != "noise"])
+def test_a_spline_through_its_waypoints_is_the_motion(name: str) -> None:
+    motion = MOTIONS[name]
+    points = waypoints(motion, 1e-6)
+    t = np.linspace(0.0, motion.end, 3001)[1:]
+    spline = fjr.Spline(*points)
+    assert np.abs(spline.jets(t)[:, 0] - motion.jets(t)[:, 0]).max() < 2e-6
+    np.testing.assert_array_equal(points.velocities[-1], 0.0)
+    assert len(points.times) < 2000

@@ -10,6 +10,7 @@ import numpy as np
 from ..control.effort_demand import EffortDemand, effort_demand
 from ..errors import ParameterError, TrajectoryError
 from ..files.motion_table import read_motion
+from ..numerics.checks import Array
 from ..robot.robot import Robot
 from ..trajectories.sampled_motion import SampledMotion
 from .parameter import Values, names, number
@@ -50,13 +51,16 @@ def file_warnings(values: Values, robot: Robot) -> list[str]:
     """Return a sentence for each property of the file of reference.file.path that asks for large efforts."""
     joints = names(values, "joints")
     motion = motion_of_file(str(values[PATH]), number(values, TOLERANCE), joints)
+    return motion_warnings(motion, robot, joints, effort_limits(values, robot))
+
+
+def effort_limits(values: Values, robot: Robot) -> Array:
+    """Return the effort limits (n,) [N m]: the tighter of limits.effort and those of the robot, infinite for none."""
     limit = np.asarray(safety(values, robot).effort)
-    if robot.limits is not None:
-        limit = np.minimum(limit, robot.limits.effort)
-    return motion_warnings(motion, robot, joints, limit)
+    return limit if robot.limits is None else np.minimum(limit, robot.limits.effort)
 
 
-def motion_warnings(motion: SampledMotion, robot: Robot, joints: tuple[str, ...], limit: object) -> list[str]:
+def motion_warnings(motion: SampledMotion, robot: Robot, joints: tuple[str, ...], limit: Array) -> list[str]:
     """Return a sentence for each property of a motion that asks for large efforts.
 
     limit (n,) [N m]: effort limits of the joints, infinite for none.
@@ -64,7 +68,7 @@ def motion_warnings(motion: SampledMotion, robot: Robot, joints: tuple[str, ...]
     demand = effort_demand(robot, motion)
     raw = SampledMotion(motion.times, motion.positions, 0.0) if motion.smoothed else motion
     found = [
-        _beyond(demand, robot, joints, np.asarray(limit, dtype=float)),
+        _beyond(demand, robot, joints, limit),
         _smoothing(motion, raw, robot, joints) if motion.smoothed else _no_fit(motion, demand, robot, joints),
         _start_at_speed(motion, raw, demand, robot, joints),
         _velocities(motion, robot, joints),
@@ -72,7 +76,7 @@ def motion_warnings(motion: SampledMotion, robot: Robot, joints: tuple[str, ...]
     return [sentence for sentence in found if sentence]
 
 
-def _beyond(demand: EffortDemand, robot: Robot, joints: tuple[str, ...], limit: np.ndarray) -> str:
+def _beyond(demand: EffortDemand, robot: Robot, joints: tuple[str, ...], limit: Array) -> str:
     j = int(np.argmax(demand.peak / limit))
     if demand.peak[j] <= limit[j]:
         return ""
