@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_core.config import ros_yaml
+from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario, self_contained
 from fjr_core.simulation.closed_loop import simulate
 
 T = np.arange(5001) / 1000  # s: 5 s at 1 kHz
@@ -53,6 +54,15 @@ def test_the_path_is_relative_to_the_scenario_and_the_tolerance_is_kept(load: Lo
 def test_a_changed_file_is_read_again(load: Load) -> None:
     first, second = (load(factor * np.sin(T)).reference.jets(1.0) for factor in (1.0, 2.0))
     np.testing.assert_allclose(second, 2 * first, rtol=1e-3)
+
+
+def test_a_self_contained_scenario_holds_the_motion(load: Load, tmp_path: Path) -> None:
+    expected = load(1 - np.cos(T)).reference.jets(T)
+    document = ros_yaml.read(tmp_path / "own.yaml", "scenario")
+    given = {node: ros_yaml.values_for(node, document) for node in ("fjr_plant", "fjr_controller")}
+    text = ros_yaml.dump(self_contained(given, tmp_path))
+    (tmp_path / "motion.csv").unlink()
+    np.testing.assert_array_equal(parse_scenario("own", text).reference.jets(T), expected)
 
 
 def test_a_robot_tracks_the_file(load: Load) -> None:

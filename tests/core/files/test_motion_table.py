@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fjr_core as fjr
-from fjr_core.files.motion_table import parse_motion, read_motion
+from fjr_core.files.motion_table import MotionTable, motion_text, parse_motion, read_motion
 from fuzzing import answer, fuzzed
 
 JOINTS = ("a", "b")
@@ -35,6 +35,14 @@ def test_a_joint_may_be_called_a_velocity() -> None:
     table = parse_motion("time,a,a_velocity\n0,1,2\n1,3,4\n", ("a", "a_velocity"))
     np.testing.assert_array_equal(table.positions, [[1.0, 2.0], [3.0, 4.0]])
     assert table.velocities is None
+
+
+def test_a_written_motion_is_read_back_to_the_last_bit() -> None:
+    rows = np.random.default_rng(0).normal(size=(2, 9, 2))
+    table = MotionTable(np.arange(9) / 7, rows[0], rows[1])
+    found = parse_motion(motion_text(table, JOINTS), JOINTS)
+    for name in ("times", "positions", "velocities"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(table, name))
 
 
 BAD = {

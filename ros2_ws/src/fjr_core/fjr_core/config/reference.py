@@ -61,7 +61,10 @@ _CIRCLE = {
 }
 _FILE = {
     "path": Parameter(
-        reference_file.PATH, "", "CSV file of a motion: columns time [s], each joint, optionally each joint_velocity"
+        reference_file.PATH,
+        "",
+        "Motion of reference.type file: a CSV or Parquet path, package:// or the CSV text itself; "
+        "columns time [s], each joint, optionally each joint_velocity",
     ),
     "tolerance": Parameter(
         reference_file.TOLERANCE,

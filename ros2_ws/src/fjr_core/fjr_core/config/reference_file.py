@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
 
 from ..control.effort_demand import EffortDemand, effort_demand
 from ..errors import ParameterError, TrajectoryError
-from ..files.motion_table import read_motion
+from ..files.motion_table import is_text, motion_text, read_motion
 from ..numerics.checks import Array
 from ..robot.robot import Robot
 from ..trajectories.sampled_motion import SampledMotion
@@ -36,10 +37,18 @@ def motion_of_file(path: str, tolerance: float, joints: tuple[str, ...]) -> Samp
 @lru_cache(maxsize=8)
 def _motion(path: str, tolerance: float, joints: tuple[str, ...]) -> SampledMotion:
     table = read_motion(path, joints)
+    return SampledMotion(table.times, table.positions, tolerance, table.velocities)
+
+
+def inlined(values: Mapping[str, object], joints: tuple[str, ...]) -> dict[str, object]:
+    """Return the values with the text of the motion in place of its path; raise ParameterError."""
+    path = values.get(PATH)
+    if not isinstance(path, str) or not path or is_text(path):
+        return dict(values)
     try:
-        return SampledMotion(table.times, table.positions, tolerance, table.velocities)
+        return {**values, PATH: motion_text(read_motion(path, joints), joints)}
     except TrajectoryError as error:
-        raise TrajectoryError(f"{path}: {error}") from None
+        raise ParameterError(f"parameter '{PATH}': {error}") from None
 
 
 def read_again() -> None:

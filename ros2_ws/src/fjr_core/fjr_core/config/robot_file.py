@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..errors import ParameterError
+from ..files.motion_table import is_text
 from ..files.text_file import read_text
 from . import ros_yaml
 
@@ -89,7 +90,7 @@ def absolute(given: Mapping[str, object], folder: Path) -> dict[str, object]:
     values = dict(given)
     for name in (FILE, URDF, MOTION):
         reference = values.get(name)
-        if isinstance(reference, str) and reference and not is_xml(reference):
+        if isinstance(reference, str) and reference and not is_xml(reference) and not is_text(reference):
             try:
                 values[name] = str(resolve(reference, folder))
             except ParameterError as error:

@@ -31,6 +31,7 @@ from . import builders, parameter, reference_file, robot_file, ros_yaml
 from .builders import control_law, robust_action
 from .measurement import OBSERVER_BANDWIDTH, measurement_parameters
 from .nonidealities import channel_errors, imperfection_parameters
+from .robot import JOINTS
 
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
 OWN_PARAMETERS = {PLANT: builders.plant_parameters, CONTROLLER: builders.controller_parameters}
@@ -201,12 +202,12 @@ def _file_warnings(scenario: Scenario) -> list[str]:
 
 
 def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:
-    """Return a parameter file of the values given to each node that needs no robot file and no URDF file.
+    """Return a parameter file of the values given to each node that needs no other file: robot, URDF, motion.
 
     Values that the nodes share are in the section /**, which is also the section of `-p` on a command line.
     Relative paths in `given` start at `folder`. Raises ParameterError.
     """
-    whole = {node: robot_file.inlined(robot_file.merged(values, node, folder)) for node, values in given.items()}
+    whole = {node: _inlined(robot_file.merged(values, node, folder)) for node, values in given.items()}
     shared: dict[str, object] = {}
     for values in whole.values():
         shared |= {name: value for name, value in values.items() if _is_common(name, value, whole)}
@@ -214,6 +215,12 @@ def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> d
     for node, values in whole.items():
         sections[f"/**/{node}"] = {name: value for name, value in values.items() if name not in shared}
     return {section: {"ros__parameters": ros_yaml.tree_of(values)} for section, values in sections.items() if values}
+
+
+def _inlined(values: Mapping[str, object]) -> dict[str, object]:
+    """Return merged values with the texts of URDF and motion in place of their paths."""
+    joints = parameter.names(parameter.complete([JOINTS], values), JOINTS.name)
+    return reference_file.inlined(robot_file.inlined(values), joints)
 
 
 def _is_common(name: str, value: object, given: Mapping[str, Mapping[str, object]]) -> bool:

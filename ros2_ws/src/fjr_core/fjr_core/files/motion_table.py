@@ -38,9 +38,12 @@ class MotionTable:
 def read_motion(path: str | os.PathLike[str], joints: Sequence[str]) -> MotionTable:
     """Return the motion of the joints from a CSV file, or from a Parquet file if the name ends with .parquet.
 
+    A path with a line break is the text of a CSV file.
     Raises TrajectoryError, which names file, line (or row) and column.
     """
     name = os.fspath(path)
+    if is_text(name):
+        return parse_motion(name, joints)
     if name.endswith(PARQUET):
         return _named(name, lambda: _parquet_motion(name, joints))
     try:
@@ -65,6 +68,22 @@ def parse_motion(text: str, joints: Sequence[str]) -> MotionTable:
         numbers.append(number)
     values = np.array(rows, dtype=float).reshape(len(rows), len(columns))
     return motion_table(values, joints, lambda i: f"line {numbers[i]}")
+
+
+def is_text(path: str) -> bool:
+    """Return True if a value is the text of a CSV file, not a path."""
+    return "\n" in path
+
+
+def motion_text(table: MotionTable, joints: Sequence[str]) -> str:
+    """Return the text of a CSV file from which `parse_motion` reads the same numbers."""
+    columns = [table.times[:, None], table.positions]
+    header = [TIME, *joints]
+    if table.velocities is not None:
+        columns.append(table.velocities)
+        header += [name + VELOCITY for name in joints]
+    lines = (",".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist())
+    return "\n".join([",".join(header), *lines, ""])
 
 
 def motion_columns(header: Sequence[str], joints: Sequence[str]) -> dict[str, int]:
