@@ -72,7 +72,7 @@ def test_a_robot_tracks_the_file(load: Load) -> None:
 
 
 def test_rounding_is_reported_with_both_efforts(load: Load) -> None:
-    (sentence, *_) = load(np.sin(T)).warnings
+    (sentence, *_) = load(np.sin(T)).motion_warnings
     assert "through every sample the motion of the file would ask for" in sentence
     raw, _, deviation, smooth = numbers(sentence)[:4]
     assert raw > 100.0
@@ -81,14 +81,14 @@ def test_rounding_is_reported_with_both_efforts(load: Load) -> None:
 
 
 def test_a_start_at_speed_is_reported_with_the_effort_from_rest(load: Load) -> None:
-    sentence = next(each for each in load(np.sin(T)).warnings if "starts at" in each)
+    sentence = next(each for each in load(np.sin(T)).motion_warnings if "starts at" in each)
     velocity, effort = numbers(sentence)
     assert velocity == pytest.approx(1.0, rel=0.01)
     assert effort == pytest.approx(517_000, rel=0.05)
 
 
 def test_a_jump_is_reported_with_its_place_and_effort(load: Load) -> None:
-    (sentence,) = load(np.sin(T) ** 5 + 0.5 * (T > 2.0)).warnings
+    (sentence,) = load(np.sin(T) ** 5 + 0.5 * (T > 2.0)).motion_warnings
     assert "no smooth motion is within reference.file.tolerance, 0.001 rad, of the samples" in sentence
     assert "at 2 s to" in sentence
     assert numbers(sentence.split("asks for")[1])[0] > 1e6
@@ -96,7 +96,7 @@ def test_a_jump_is_reported_with_its_place_and_effort(load: Load) -> None:
 
 def test_noise_is_reported_with_the_deviation_that_removes_it(load: Load) -> None:
     noise = 0.01 * np.random.default_rng(1).normal(size=len(T))
-    (sentence,) = load(np.sin(T) + noise).warnings
+    (sentence,) = load(np.sin(T) + noise).motion_warnings
     deviation = numbers(sentence.split("deviates by")[1])[0]
     assert 0.02 < deviation < 0.1
     scenario = load(np.sin(T) + noise, **{"reference.file.tolerance": 1.01 * deviation})
@@ -105,21 +105,21 @@ def test_noise_is_reported_with_the_deviation_that_removes_it(load: Load) -> Non
 
 def test_an_effort_beyond_the_limit_is_reported(load: Load) -> None:
     q = 1 - np.cos(T)
-    assert not [each for each in load(q, **{"limits.effort": [5.0]}).warnings if "effort limit" in each]
-    (sentence,) = (each for each in load(q, **{"limits.effort": [0.2]}).warnings if "effort limit" in each)
+    assert not [each for each in load(q, **{"limits.effort": [5.0]}).motion_warnings if "effort limit" in each]
+    (sentence,) = (each for each in load(q, **{"limits.effort": [0.2]}).motion_warnings if "effort limit" in each)
     assert "of joint1 at" in sentence
     assert sentence.endswith("its effort limit is 0.2 N m")
 
 
 def test_velocities_that_contradict_the_positions_are_reported(load: Load) -> None:
-    right, wrong = (load(1 - np.cos(T), velocity=sign * np.sin(T)).warnings for sign in (1.0, -1.0))
+    right, wrong = (load(1 - np.cos(T), velocity=sign * np.sin(T)).motion_warnings for sign in (1.0, -1.0))
     assert not [each for each in right if "joint1_velocity" in each]
     (sentence,) = (each for each in wrong if "joint1_velocity" in each)
     assert numbers(sentence)[0] == pytest.approx(2.0, rel=0.01)
 
 
 def test_waypoints_cause_no_warning(load: Load) -> None:
-    assert load(np.array([0.0, 0.5, 0.2]), np.array([0.0, 2.0, 4.0])).warnings == ()
+    assert load(np.array([0.0, 0.5, 0.2]), np.array([0.0, 2.0, 4.0])).motion_warnings == ()
 
 
 BAD = {

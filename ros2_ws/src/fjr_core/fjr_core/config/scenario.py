@@ -108,6 +108,13 @@ class Scenario:
         return builders.reference(self.controller_values, self.robot.n)
 
     @cached_property
+    def motion_warnings(self) -> tuple[str, ...]:
+        """A sentence for each property of a reference from a file that asks for large efforts (docs/references.md)."""
+        if self.controller_values["reference.type"] != "file":
+            return ()
+        return tuple(reference_file.file_warnings(self.controller_values, self.robot))
+
+    @cached_property
     def plant(self) -> Plant:
         """The simulated robot, from the plant's own parameters."""
         robot, integrator = builders.robot(self.plant_values), str(self.plant_values["integrator"])
@@ -167,7 +174,7 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
         own_names = set(given) - _for_other_nodes(node, own, document)
         warnings += [f"{node}: {sentence}" for sentence in parameter.unknown(known, own_names)]
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
-    warnings += _hold_warnings(scenario) + _file_warnings(scenario)
+    warnings += _hold_warnings(scenario)
     scenario = replace(scenario, warnings=tuple(warnings))
     joints = [checked[node]["joints"] for node in OWN_PARAMETERS]
     if joints[0] != joints[1]:
@@ -191,14 +198,6 @@ def _hold_warnings(scenario: Scenario) -> list[str]:
     if not (robust.predicts or robust.integrates) or math.isclose(robust.hold, period, rel_tol=1e-6):
         return []
     return [f"{CONTROLLER}: parameter 'robust.hold' is {values['robust.hold']} s; the states' period is {period:g} s"]
-
-
-def _file_warnings(scenario: Scenario) -> list[str]:
-    """Return a warning for each property of a reference from a file that asks for large efforts."""
-    values = scenario.controller_values
-    if values["reference.type"] != "file":
-        return []
-    return [f"{CONTROLLER}: {sentence}" for sentence in reference_file.file_warnings(values, scenario.robot)]
 
 
 def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:
