@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..numerics.checks import Array
 from ..robot.robot import Robot
@@ -13,8 +14,9 @@ from ..trajectories.sampled_motion import SampledMotion
 from .inverse_dynamics import inverse_dynamics
 
 SUBDIVISIONS = 4, 4096
-"""Instants per piece of the reference, and instants in all, at least; short pieces are where efforts peak."""
-BLOCK = 4096
+"""Instants per piece of the motion, and instants in all, at least."""
+EVENLY, LARGEST = 1024, 64
+"""Instants at which efforts are evaluated: spread evenly, and those of the largest derivatives of each joint."""
 
 
 class EffortDemand(NamedTuple):
@@ -34,13 +36,22 @@ def effort_demand(robot: Robot, motion: SampledMotion, t0: float = 0.0, t1: floa
     parts = max(SUBDIVISIONS[0], -(-SUBDIVISIONS[1] // len(times)))
     inner = times[:-1, None] + np.diff(times)[:, None] * np.arange(parts) / parts
     instants = np.append(inner.ravel(), np.nextafter(times[-1], -np.inf))
-    torque = inverse_dynamics(robot)
-    blocks = []
-    for block in np.array_split(instants, -(-len(instants) // BLOCK)):
-        jets = motion.jets(block)
-        rows = torque.map(len(block))(*(jets[:, order].T for order in range(jets.shape[1])))[-1].full()
-        blocks.append(np.abs(np.linalg.solve(robot.B_m, rows)))
-    effort = np.concatenate(blocks, axis=1)
+    jets = motion.jets(instants)
+    chosen = _chosen(jets)
+    jets, instants = jets[chosen], instants[chosen]
+    motor_torque = inverse_dynamics(robot).map(len(instants))(*(row.T for row in jets.swapaxes(0, 1)))[-1].full()
+    effort = np.abs(np.linalg.solve(robot.B_m, motor_torque))
     effort[np.isnan(effort)] = np.inf
     largest = effort.argmax(axis=1)
     return EffortDemand(effort[np.arange(robot.n), largest], instants[largest])
+
+
+def _chosen(jets: Array) -> NDArray[np.intp]:
+    """Return the indices of the instants at which to evaluate the efforts of jets (k, 5, n).
+
+    Efforts vary slowly with position, velocity and acceleration, and peak with the derivatives that peak.
+    """
+    k = len(jets)
+    derivatives = np.abs(jets[:, 2:]).reshape(k, -1)
+    peaks = np.argpartition(derivatives, -min(LARGEST, k), axis=0)[-min(LARGEST, k) :]
+    return np.unique(np.concatenate([np.linspace(0, k - 1, min(EVENLY, k)).astype(int), peaks.ravel()]))
