@@ -16,7 +16,8 @@ PACKAGES = ("fjr_core", "fjr_msgs_py", "fjr_plant fjr_controller", "fjr_bringup"
 """Packages from the bottom up; packages in one entry do not import each other."""
 LAYERS = {
     "fjr_core": (
-        "errors files version",
+        "errors version",
+        "files",
         "numerics",
         "robot",
         "estimation trajectories",

@@ -15,7 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 import fjr_core as fjr
 from fjr_controller.trajectory.planner import PlanningProblem
 from fjr_msgs_py.messages.joint_states import MessageError
-from fjr_msgs_py.messages.trajectories import TrajectoryReader
+from fjr_msgs_py.messages.trajectories import TrajectoryReader, trajectory_message
 from nodes.harness import Ros, stamped
 from nodes.managed import Manager, trajectory
 
@@ -48,6 +48,15 @@ def test_joints_are_mapped_by_name() -> None:
     assert waypoints.accelerations is None
     assert waypoints.times.tolist() == [SECOND, 2 * SECOND]
     assert waypoints.start is None
+
+
+def test_a_written_message_is_read_back() -> None:
+    rows = np.arange(18.0).reshape(3, 3, 2)
+    rows[1, -1] = 0.0
+    waypoints = TrajectoryReader(TWO).read(trajectory_message(TWO, np.array([0.5, 1.25, 2.000000001]), *rows))
+    assert waypoints.times.tolist() == [SECOND // 2, 5 * SECOND // 4, 2 * SECOND + 1]
+    for found, row in zip((waypoints.positions, waypoints.velocities, waypoints.accelerations), rows, strict=True):
+        np.testing.assert_array_equal(found, row)
 
 
 def test_omitted_joints_hold_if_partial_trajectories_are_allowed() -> None:

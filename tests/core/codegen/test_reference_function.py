@@ -28,6 +28,7 @@ REFERENCES: dict[str, Reference] = {
     "circle": fjr.Circle((0.4, -0.3), 0.3, -2.0, 0.4, 1.7),
     "hold": fjr.Hold((0.4, -0.3)),
     "spline": SPLINE,
+    "samples": fjr.SampledMotion(np.arange(90) / 30, np.sin(np.arange(180).reshape(90, 2) / 30), 1e-3),
     "moving end": fjr.Spline([1.0, 2.0], RNG.normal(size=(2, 2)), RNG.normal(size=(2, 2)), moving_end=True),
     "joined": fjr.transition(SPLINE.jets(1.0), 1.0, SINE, 2.0),
     "shifted": fjr.time_shifted(SPLINE, 0.3),

@@ -10,7 +10,7 @@ import numpy as np
 from rclpy.node import Node
 
 from fjr_core import ParameterError, Reference, TrackingLaw
-from fjr_core.config import builders
+from fjr_core.config import builders, reference_file
 from fjr_core.config.builders import control_law, robust_action
 from fjr_core.config.description import robot_name
 from fjr_core.config.diagnosis import axes
@@ -49,6 +49,7 @@ class Control:
     ) -> None:
         self._values, joints = values, values["joints"]
         self._robot = robot = builders.robot(values)
+        self._read_motion(node)
         self._settings = settings = safety(values, robot)
         allowed = tolerances(values, robot.units)
         reader = StateReader(joints, measurement(values, robot))
@@ -116,6 +117,13 @@ class Control:
         if self._certificate_publisher is not None and isinstance(self._law, TrackingLaw):
             self._certificate_publisher.use(self._law, np.asarray(settings.effort))
         self.reports.publish_events()
+
+    def _read_motion(self, node: Node) -> None:
+        """Read the file of reference.file.*, so that a change of reference.type need not; log what it asks for."""
+        reference_file.read_again()
+        if self._values[reference_file.PATH]:
+            for sentence in reference_file.file_warnings(self._values, self._robot):
+                node.get_logger().warning(sentence)
 
     def _built_in(self) -> Reference:
         """Return the reference that the parameters describe. Raise ParameterError if it violates its limits."""

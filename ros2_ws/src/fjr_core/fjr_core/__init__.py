@@ -35,6 +35,7 @@ from .trajectories.circle import Circle
 from .trajectories.motion_limits import MotionLimits, check_motion
 from .trajectories.point_to_point import Hold, PointToPoint, standing
 from .trajectories.reference import Reference
+from .trajectories.sampled_motion import SampledMotion
 from .trajectories.sine import MultiSine, Sine
 from .trajectories.spline import Spline
 from .trajectories.transition import time_shifted, transition
@@ -65,6 +66,7 @@ __all__ = [
     "Robot",
     "RobotError",
     "SampledCheck",
+    "SampledMotion",
     "Sine",
     "Spline",
     "StateError",

@@ -38,7 +38,7 @@ def check_scenario(scenario: str | None, assignments: Sequence[str]) -> None:
     loaded = library.load(scenario, assignments)
     found = checked(loaded)
     print(table(loaded, found), flush=True)
-    for warning in loaded.warnings:
+    for warning in (*loaded.warnings, *loaded.motion_warnings):
         print(f"fjr: {warning}", file=sys.stderr)
     refuse_coarse_steps(loaded)
     refuse_unstable(loaded, found)

@@ -220,6 +220,27 @@ def record(**given: Any) -> Any:
 
 
 @COMMANDS.command()
+@click.argument("motion", metavar="FILE", type=options.PATH)
+@click.option("--scenario", metavar="NAME", help="Scenario of the robot, to check the efforts: a name or a file.")
+@click.option("--lead", type=options.SECONDS, metavar="S", default=2.0, help="Time in which to reach the first sample.")
+@click.option(
+    "--tolerance",
+    type=options.DISTANCE,
+    metavar="RAD",
+    default=1e-3,
+    help="Largest distance of the smoothed motion from the samples; 0: interpolate them.",
+)
+@click.option("--namespace", metavar="NS", default="/", help="Namespace of the nodes.")
+@click.option("--controller", metavar="NAME", default="fjr_controller", help="Name of the controller node.")
+def send(**given: Any) -> Any:
+    """Send a motion to a running controller.
+
+    FILE is CSV or Parquet with the columns time [s] and each joint. The motion is smoothed, see docs/references.md.
+    """
+    return implementation("send").send_motion(**given)
+
+
+@COMMANDS.command()
 @scenario_argument
 @click.option("--namespace", type=options.ros_name, metavar="NS", default="/", help="Namespace of the nodes.")
 @click.option(

@@ -58,9 +58,14 @@ def _demonstrate(name: str, duration: float, output: Path) -> RunSummary:
 
 
 def _plan(name: str | None, overrides: Mapping[str, Any], duration: float, output: Path, force: bool = False) -> Plan:
-    """Return what to run; raises UnstableError for a scenario that is unstable as sampled, unless forced."""
+    """Return what to run, and print the warnings of a motion from a file.
+
+    Raises UnstableError for a scenario that is unstable as sampled, unless forced.
+    """
     path = library.find(name)
     text, scenario = library.as_run(path, overrides)
+    for warning in scenario.motion_warnings:
+        print(f"fjr: {warning}", file=sys.stderr)
     if not force:
         refuse_coarse_steps(scenario)
         refuse_unstable(scenario, checked(scenario))

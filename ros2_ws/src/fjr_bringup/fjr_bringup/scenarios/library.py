@@ -86,8 +86,10 @@ def _self_contained(path: Path, overrides: Mapping[str, Any]) -> str:
     document = ros_yaml.read(path, "scenario")
     given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
     for name, value in overrides.items():
-        for node in _nodes_with(name, given, path.parent):
-            given[node] |= robot_file.absolute({name: value}, Path.cwd())  # relative to the current folder
+        nodes = _nodes_with(name, given, path.parent)
+        for node in given:
+            if node in nodes or name in given[node]:  # the section for all nodes gives it to every node
+                given[node] |= robot_file.absolute({name: value}, Path.cwd())  # relative to the current folder
     changes = "".join(f"\n#   {name}:={_brief(value)}" for name, value in overrides.items())
     header = f"# {path.name} as it was run" + (f", with{changes}" if changes else "")
     return f"{header}\n{ros_yaml.dump(self_contained(given, path.parent))}"

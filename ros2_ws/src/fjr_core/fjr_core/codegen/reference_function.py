@@ -19,12 +19,13 @@ from ..trajectories.circle import Circle
 from ..trajectories.piecewise_polynomial import DEGREE, PiecewisePolynomial
 from ..trajectories.point_to_point import Hold, PointToPoint
 from ..trajectories.reference import JETS, Reference
+from ..trajectories.sampled_motion import SampledMotion
 from ..trajectories.sine import MultiSine, Sine
 from ..trajectories.spline import Spline
 from ..trajectories.transition import TimeShifted, Transition
 
 FAR = 1e300  # s; larger times are equivalent
-KNOWN = "Sine, MultiSine, PointToPoint, Circle, Hold, Spline, joined or shifted"
+KNOWN = "Sine, MultiSine, PointToPoint, Circle, Hold, Spline, SampledMotion, joined or shifted"
 
 
 def jets_function(reference: Reference) -> ca.Function:
@@ -80,8 +81,9 @@ def _(reference: Circle, t: ca.MX) -> ca.MX:
     return along_circle(jets_expression(reference.angle, t).T)
 
 
-@jets_expression.register
-def _(reference: Spline, t: ca.MX) -> ca.MX:
+@jets_expression.register(Spline)
+@jets_expression.register(SampledMotion)
+def _(reference: Spline | SampledMotion, t: ca.MX) -> ca.MX:
     return jets_expression(reference.pieces, t)
 
 

@@ -15,7 +15,8 @@ from ..trajectories.motion_limits import MotionLimits
 from ..trajectories.point_to_point import Hold, PointToPoint
 from ..trajectories.reference import Reference
 from ..trajectories.sine import MultiSine, Sine
-from .parameter import ROWS, SCALAR, VECTOR, Parameter, Values, read, vector
+from . import reference_file
+from .parameter import ROWS, SCALAR, VECTOR, Parameter, Values, names, read, vector
 
 
 def _own(
@@ -58,12 +59,28 @@ _CIRCLE = {
     "phase": _own("circle.phase", 0.0, "Initial angle on the circle", "rad"),
     "ramp": _own("circle.ramp", 1.0, "Acceleration time from rest to the angular frequency", "s", 1e-3),
 }
+_FILE = {
+    "path": Parameter(
+        reference_file.PATH,
+        "",
+        "Motion of reference.type file: a CSV or Parquet path, package:// or the CSV text itself; "
+        "columns time [s], each joint, optionally each joint_velocity",
+    ),
+    "tolerance": Parameter(
+        reference_file.TOLERANCE,
+        1e-3,
+        "Largest distance of the smoothed motion from the samples of the file; 0: interpolate them",
+        "rad",
+        0.0,
+    ),
+}
 _TYPES: dict[str, tuple[Callable[..., Reference], Mapping[str, Parameter]]] = {
     "sine": (Sine, _SINE),
     "multi_sine": (MultiSine, _MULTI_SINE),
     "point_to_point": (PointToPoint, _POINT_TO_POINT),
     "circle": (Circle, _CIRCLE),
     "hold": (Hold, {"q": _OFFSET}),
+    "file": (reference_file.motion_of_file, _FILE),
 }
 _TYPE = Parameter("reference.type", "sine", "Type of the reference trajectory", choices=tuple(_TYPES), dynamic=True)
 
@@ -128,6 +145,8 @@ def reference(values: Values, n: int) -> Reference:
     arguments = read(declared, values, n)
     if kind == "multi_sine":
         _check_lengths(arguments)
+    if kind == "file":
+        arguments["joints"] = names(values, "joints")
     return build(**arguments)
 
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot files: resolve and merge the files that `robot.file` and `robot.urdf` name, without ROS."""
+"""Robot files: resolve and merge the files that `robot.file` and `robot.urdf` name, without ROS.
+
+The path of `reference.file.path` is resolved here, too.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..errors import ParameterError
+from ..files.motion_table import is_text
 from ..files.text_file import read_text
 from . import ros_yaml
 
-FILE, URDF = "robot.file", "robot.urdf"
+FILE, URDF, MOTION = "robot.file", "robot.urdf", "reference.file.path"
 _SCHEME = "package://"
 
 
@@ -82,11 +86,11 @@ def resolve(reference: str, folder: Path) -> Path:
 
 
 def absolute(given: Mapping[str, object], folder: Path) -> dict[str, object]:
-    """Return the values with robot.file and robot.urdf as absolute paths; relative paths start at `folder`."""
+    """Return the values with the paths of files as absolute paths; relative paths start at `folder`."""
     values = dict(given)
-    for name in (FILE, URDF):
+    for name in (FILE, URDF, MOTION):
         reference = values.get(name)
-        if isinstance(reference, str) and reference and not is_xml(reference):
+        if isinstance(reference, str) and reference and not is_xml(reference) and not is_text(reference):
             try:
                 values[name] = str(resolve(reference, folder))
             except ParameterError as error:

@@ -27,10 +27,11 @@ from ..robot.robot import Robot
 from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
 from ..trajectories.reference import Reference
-from . import builders, parameter, robot_file, ros_yaml
+from . import builders, parameter, reference_file, robot_file, ros_yaml
 from .builders import control_law, robust_action
 from .measurement import OBSERVER_BANDWIDTH, measurement_parameters
 from .nonidealities import channel_errors, imperfection_parameters
+from .robot import JOINTS
 
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
 OWN_PARAMETERS = {PLANT: builders.plant_parameters, CONTROLLER: builders.controller_parameters}
@@ -107,6 +108,13 @@ class Scenario:
         return builders.reference(self.controller_values, self.robot.n)
 
     @cached_property
+    def motion_warnings(self) -> tuple[str, ...]:
+        """A sentence for each property of a reference from a file that asks for large efforts (docs/references.md)."""
+        if self.controller_values["reference.type"] != "file":
+            return ()
+        return tuple(reference_file.file_warnings(self.controller_values, self.robot))
+
+    @cached_property
     def plant(self) -> Plant:
         """The simulated robot, from the plant's own parameters."""
         robot, integrator = builders.robot(self.plant_values), str(self.plant_values["integrator"])
@@ -158,6 +166,7 @@ def parse_scenario(name: str, text: str) -> Scenario:
 def _scenario(name: str, document: Any, folder: Path) -> Scenario:
     warnings: list[str] = []
     checked = {}
+    reference_file.read_again()
     for node, own in OWN_PARAMETERS.items():
         given = robot_file.merged(ros_yaml.values_for(node, document), node, folder)
         known = builders.all_parameters(own, given)
@@ -192,12 +201,12 @@ def _hold_warnings(scenario: Scenario) -> list[str]:
 
 
 def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:
-    """Return a parameter file of the values given to each node that needs no robot file and no URDF file.
+    """Return a parameter file of the values given to each node that needs no other file: robot, URDF, motion.
 
     Values that the nodes share are in the section /**, which is also the section of `-p` on a command line.
     Relative paths in `given` start at `folder`. Raises ParameterError.
     """
-    whole = {node: robot_file.inlined(robot_file.merged(values, node, folder)) for node, values in given.items()}
+    whole = {node: _inlined(robot_file.merged(values, node, folder)) for node, values in given.items()}
     shared: dict[str, object] = {}
     for values in whole.values():
         shared |= {name: value for name, value in values.items() if _is_common(name, value, whole)}
@@ -205,6 +214,12 @@ def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> d
     for node, values in whole.items():
         sections[f"/**/{node}"] = {name: value for name, value in values.items() if name not in shared}
     return {section: {"ros__parameters": ros_yaml.tree_of(values)} for section, values in sections.items() if values}
+
+
+def _inlined(values: Mapping[str, object]) -> dict[str, object]:
+    """Return merged values with the texts of URDF and motion in place of their paths."""
+    joints = parameter.names(parameter.complete([JOINTS], values), JOINTS.name)
+    return reference_file.inlined(robot_file.inlined(values), joints)
 
 
 def _is_common(name: str, value: object, given: Mapping[str, Mapping[str, object]]) -> bool:

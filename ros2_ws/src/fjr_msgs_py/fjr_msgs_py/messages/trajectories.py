@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""trajectory_msgs/JointTrajectory -> NumPy, by the conventions of ros2_control's joint_trajectory_controller.
+"""trajectory_msgs/JointTrajectory <-> NumPy, by the conventions of ros2_control's joint_trajectory_controller.
 
 As there: joints may come in any order; some may be missing if that is allowed, and these hold; header.stamp zero
 means now; times increase strictly; every point has positions and may have velocities and accelerations. Efforts, a
@@ -74,6 +74,18 @@ class Waypoints:
             velocities=None if self.velocities is None else np.where(self.moves, self.velocities, 0.0),
             accelerations=None if self.accelerations is None else np.where(self.moves, self.accelerations, 0.0),
         )
+
+
+def trajectory_message(
+    joints: Sequence[str], times: Array, positions: Array, velocities: Array, accelerations: Array
+) -> JointTrajectory:
+    """Return a message that starts now, from times (k,) [s] and rows (k, n) in the order of the joints."""
+    message = JointTrajectory(joint_names=list(joints))
+    for t, q, dq, ddq in zip(times, positions, velocities, accelerations, strict=True):
+        point = JointTrajectoryPoint(positions=q.tolist(), velocities=dq.tolist(), accelerations=ddq.tolist())
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(t * SECOND), SECOND)
+        message.points.append(point)
+    return message
 
 
 class TrajectoryReader:

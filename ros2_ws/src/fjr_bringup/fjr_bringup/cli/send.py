@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr send`: smooth the motion of a file and send it to a running controller."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from fjr_bringup.interrupt import stoppable
+from fjr_bringup.recording.echo import absolute
+from fjr_bringup.runner.run import discover_quickly
+from fjr_bringup.runner.trajectory_client import connected
+from fjr_bringup.scenarios import library
+from fjr_core.config.reference_file import effort_limits, motion_of_file, motion_warnings
+from fjr_core.errors import ParameterError
+from fjr_core.trajectories.sampled_motion import SampledMotion
+from fjr_core.trajectories.waypoints import waypoints
+from fjr_msgs_py.messages.trajectories import trajectory_message
+
+EXACT = 1e-6  # rad; largest difference between the smoothed motion and that of the transmitted points
+
+
+def send_motion(
+    motion: Path, scenario: str | None, lead: float, tolerance: float, namespace: str, controller: str
+) -> None:
+    """Send the motion; its first sample is reached `lead` [s] after the controller accepts it.
+
+    Print the warnings of docs/references.md if a scenario is given. Raises ParameterError for a file that is not valid,
+    TrajectoryClientError if the controller does not respond or refuses.
+    """
+    discover_quickly()
+    node = absolute(f"{namespace.strip('/')}/{controller}".lstrip("/"))
+    with stoppable() as stop, connected(node, stop) as client:
+        smooth = motion_of_file(str(motion), tolerance, client.joints)
+        for sentence in _warnings(smooth, scenario, client.joints):
+            print(f"fjr: {sentence}", file=sys.stderr)
+        points = waypoints(smooth, EXACT)
+        client.send(trajectory_message(client.joints, points.times + lead, *points[1:]))
+    sent = f"{len(points.times)} points, first sample after {lead:g} s, at rest after {lead + smooth.end:.6g} s"
+    print(f"accepted: {_described(smooth)}; {sent}")
+
+
+def _warnings(motion: SampledMotion, scenario: str | None, joints: tuple[str, ...]) -> list[str]:
+    """Return the warnings of a motion for the robot of a scenario; none without a scenario."""
+    if scenario is None:
+        return []
+    loaded = library.load(scenario)
+    if loaded.joints != joints:
+        raise ParameterError(
+            f"scenario {loaded.name} has the joints {loaded.joints}; expected {joints}, as the controller"
+        )
+    return motion_warnings(motion, loaded.robot, joints, effort_limits(loaded.controller_values, loaded.robot))
+
+
+def _described(motion: SampledMotion) -> str:
+    if motion.smoothed:
+        return f"smoothed within {np.max(motion.deviation):.2g} of the samples"
+    return f"interpolated, {len(np.asarray(motion.times))} samples"

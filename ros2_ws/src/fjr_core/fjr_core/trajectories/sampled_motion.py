@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reference along the samples of a motion: smoothed where they are dense, interpolated where they are waypoints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import TrajectoryError
+from ..numerics.checks import Array, freeze
+from .bounds import MotionBounds
+from .minimum_jerk import minimum_jerk
+from .piecewise_polynomial import PiecewisePolynomial
+from .reference import JETS
+from .smoothing import least_squares_fit
+from .spline import Spline
+
+
+@dataclass(frozen=True, eq=False)
+class SampledMotion:
+    """Reference of class C^4 from samples: positions (k, n) [rad] at increasing times (k,) [s], the first at 0.
+
+    Dense samples are smoothed by the least-squares spline whose largest deviation is at most `tolerance` [rad] in every
+    joint. If there is none, or with tolerance 0, the samples are waypoints: a Spline interpolates them, and the
+    velocities (k, n) [rad/s] if given. A motion that starts at speed is at that speed at t = 0. A motion that ends at
+    speed is continued until it is at rest, with about the largest acceleration of the samples.
+    Raises TrajectoryError as Spline does, and for a tolerance that is negative or NaN.
+    """
+
+    times: ArrayLike
+    positions: ArrayLike
+    tolerance: float
+    velocities: ArrayLike | None = None
+    pieces: PiecewisePolynomial = field(init=False, repr=False)
+    deviation: Array = field(init=False, repr=False)
+    """Largest distance (n,) [rad] of the reference from the samples."""
+    smoothed: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        if not self.tolerance >= 0:
+            raise TrajectoryError(f"tolerance is {self.tolerance} rad; expected 0 or more")
+        waypoints = Spline(self.times, self.positions, self.velocities, moving_end=self.velocities is not None)
+        for name in ("times", "positions", "velocities"):
+            if getattr(waypoints, name) is not None:
+                freeze(self, name, np.array(getattr(waypoints, name)))
+        t, q = np.asarray(self.times), np.asarray(self.positions)
+        fit = least_squares_fit(t, q, self.tolerance) if self.tolerance > 0 else None
+        if fit is None:
+            knots, jets = waypoints.pieces.times, waypoints.pieces.knots
+        else:
+            knots, jets = fit.times, fit.jets
+        object.__setattr__(self, "pieces", PiecewisePolynomial(*_brought_to_rest(knots, jets)))
+        object.__setattr__(self, "smoothed", fit is not None)
+        freeze(self, "deviation", np.zeros(q.shape[1]) if fit is None else fit.deviation)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.pieces.n
+
+    @property
+    def end(self) -> float:
+        """Time [s] from which on the reference is constant."""
+        return float(self.pieces.times[-1])
+
+    @property
+    def initial_velocity(self) -> Array:
+        """Velocity (n,) [rad/s] at t = 0."""
+        return self.pieces.knots[0, 1]
+
+    @cached_property
+    def velocity_error(self) -> Array:
+        """Largest difference (n,) [rad/s] from the given velocities; zero if there are none."""
+        if self.velocities is None:
+            return np.zeros(self.n)
+        return np.asarray(np.abs(self.jets(self.times)[:, 1] - np.asarray(self.velocities)).max(axis=0))
+
+    def jets(self, t: ArrayLike) -> Array:
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        return self.pieces.jets(t)
+
+    def configurations(self, k: int) -> Array:
+        """Return k configurations (k, n) [rad], equally spaced in time."""
+        return self.jets(np.linspace(0.0, self.end, k))[:, 0]
+
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
+        return self.pieces.motion_bounds(t0, t1)
+
+    def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
+        """Return conservative bounds lower, upper (3, n) of position, velocity and acceleration from t0 to t1 [s]."""
+        return self.pieces.hull(t0, t1)
+
+
+def _brought_to_rest(times: Array, jets: Array) -> tuple[Array, Array]:
+    """Append a knot at rest after times (k,) [s] and jets (k, 5, n) that end in motion."""
+    last = jets[-1]
+    if not last[1:].any():
+        return times, jets
+    speed, acceleration = np.abs(last[1]), np.abs(jets[:, 2]).max(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        duration = np.nanmax(np.append(3 * speed / acceleration, np.diff(times)[-1]))
+    duration = float(np.clip(duration, np.diff(times)[-1], times[-1] - times[0]))
+    free = np.zeros((2, JETS), dtype=bool)
+    free[1, 0] = True  # the position at rest, which minimises the jerk
+    ends = minimum_jerk(np.array([0.0, duration]), np.stack([last, np.zeros_like(last)]), free)
+    return np.append(times, times[-1] + duration), np.concatenate([jets, ends[1:]])

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr send`: a controller in a running loop tracks the motion of a file, or refuses it with its reason."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nodes.harness import Listener, Ros, seconds
+from system.executables import NODES, Executable, fjr
+
+pytestmark = pytest.mark.system
+T = np.arange(1001) / 1000  # s
+MOTION = 0.5 * (1 - np.cos(3 * T)) ** 3
+OPTIONS = {
+    "plant": ("-p", "lockstep:=true"),
+    "controller": ("-p", "use_sim_time:=true", "-p", "reference.type:=hold", "-p", "limits.acceleration:=[200.0]"),
+}
+
+
+def motion_file(folder: Path, q: np.ndarray, header: str = "time,joint1") -> str:
+    np.savetxt(folder / "motion.csv", np.stack([T, q], axis=1), "%.6f", ",", header=header, comments="")
+    return str(folder / "motion.csv")
+
+
+@pytest.fixture
+def listener(ros: Ros) -> Iterator[Listener]:
+    """Plant and controller as processes in lock-step, and a listener in this process."""
+    heard = Listener(ros, only=["fjr_controller/reference", "fjr_controller/tracking_error"])
+    started = [Executable(*NODES[node], "--ros-args", *OPTIONS[node]) for node in NODES]
+    ros.until(lambda: heard.references, "the controller")
+    yield heard
+    for executable in started:
+        executable.kill()
+
+
+def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, listener: Listener, tmp_path: Path) -> None:
+    file = motion_file(tmp_path, MOTION)
+    with ThreadPoolExecutor(1) as worker:
+        sent = worker.submit(fjr, "send", file, "--lead", "0.5", "--scenario", "paper_k31")
+        ros.until(sent.done, "the end of fjr send")
+        assert "accepted: smoothed within" in sent.result()
+        assert "through every sample the motion of the file would ask for" in sent.result()
+    ros.until(lambda: listener.references[-1].position[0] > 0.4 and _rests(listener), "the end of the motion")
+    t, q = (np.array(each) for each in zip(*((seconds(m), m.position[0]) for m in listener.references), strict=True))
+    begin = t[np.argmax(q > MOTION[600])] - T[601]
+    inside = (t > begin + 0.05) & (t < begin + 0.95)
+    assert np.count_nonzero(inside) > 100
+    np.testing.assert_allclose(q[inside], np.interp(t[inside] - begin, T, MOTION), atol=0.01)
+
+
+def _rests(listener: Listener) -> bool:
+    return bool(listener.references[-1].velocity[0] == 0.0)
+
+
+REFUSED = {
+    "beyond a limit": ("time,joint1", 1, "trajectory refused: joint 'joint1' would reach"),
+    "another joint": (
+        "time,elbow",
+        2,
+        "the header is 'time, elbow', without joint1; expected the columns time, joint1",
+    ),
+}
+
+
+@pytest.mark.parametrize(("header", "code", "reason"), REFUSED.values(), ids=REFUSED)
+def test_a_motion_is_refused_with_the_reason(
+    ros: Ros, listener: Listener, tmp_path: Path, header: str, code: int, reason: str
+) -> None:
+    file = motion_file(tmp_path, MOTION + 1.0, header)
+    with ThreadPoolExecutor(1) as worker:
+        sent = worker.submit(fjr, "send", file, "--lead", "0.05", code=code)
+        ros.until(sent.done, "the end of fjr send")
+        assert reason in sent.result()
