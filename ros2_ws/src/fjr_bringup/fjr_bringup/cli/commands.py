@@ -69,7 +69,7 @@ def demo(**given: Any) -> Any:
 @scenario_argument
 @click.option("--lockstep", is_flag=True, help="Simulate one sample per command, independently of the clock.")
 @click.option("--force", is_flag=True, help="Run a scenario even if it is unstable as sampled.")
-@click.option("--report/--no-report", default=True, help="Write page and picture; report.json is always written.")
+@click.option("--no-report", is_flag=True, help="Write report.json only, no page and no picture.")
 @set_option
 @stamped_duration
 @runs_folder

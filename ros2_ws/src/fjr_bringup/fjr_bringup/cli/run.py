@@ -41,16 +41,16 @@ def run_scenario(
     output: Path,
     lockstep: bool,
     force: bool,
-    report: bool,
+    no_report: bool,
 ) -> Result:
     """Run one scenario for `duration` [s] and report it; force: even if it is unstable as sampled.
 
-    report: false for report.json without page and picture.
+    no_report: write report.json without page and picture.
     """
     overrides = library.parse_assignments(assignments)
     if lockstep:
         overrides = {**LOCKSTEP, **overrides, "lockstep": True}
-    return _result([_record_and_report(_plan(scenario, overrides, duration, output, force), report)])
+    return _result([_record_and_report(_plan(scenario, overrides, duration, output, force), not no_report)])
 
 
 def _demonstrate(name: str, duration: float, output: Path) -> RunSummary:
