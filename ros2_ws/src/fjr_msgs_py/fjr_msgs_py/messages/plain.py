@@ -43,7 +43,7 @@ def fill(message: Any, values: Any) -> None:
 
 
 def _converted(kind: str, value: Any) -> Any:
-    """Return a value as the setter of a field of this type takes it: messages built, integers as floats."""
+    """Return a value as the setter of a field of this type takes it: messages built, integers as floats or a byte."""
     element = re.fullmatch(r"sequence<([^,>]*)(?:, \d+)?>|(.*)\[\d+\]", kind)
     if element and isinstance(value, list):
         return [_converted(element[1] or element[2], entry) for entry in value]
@@ -52,6 +52,8 @@ def _converted(kind: str, value: Any) -> Any:
         nested = getattr(import_module(f"{package}.msg"), name)(check_fields=True)
         fill(nested, value)
         return nested
+    if kind == "octet" and isinstance(value, int) and 0 <= value < 256:
+        return bytes([value])
     if kind in ("double", "float") and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     return value
