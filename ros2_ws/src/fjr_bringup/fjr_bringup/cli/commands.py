@@ -16,6 +16,7 @@ import click
 
 from fjr_bringup.cli import options
 from fjr_bringup.cli.options import duration_option, output_option, scenario_argument, set_option
+from fjr_bringup.progress import phase
 
 
 def implementation(name: str) -> ModuleType:
@@ -62,7 +63,9 @@ def demo(**given: Any) -> Any:
     The scenarios are the paper's two and a 7-joint arm. A run that fails because the computer is too busy for real
     time is repeated in lock-step.
     """
-    return implementation("run").demo(**given)
+    with phase("loading ROS 2 and CasADi"):
+        module = implementation("run")
+    return module.demo(**given)
 
 
 @command()
