@@ -20,7 +20,7 @@ from fjr_core.config import ros_yaml
 TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 ALONE = {"bag": ("record", "play", "info"), "lifecycle": ("get", "list"), "node": ("list", "info")}
 """Verbs without project names in their arguments."""
-OPTIONS = ("--all", "--once", "--storage", "mcap", "--output")
+OPTIONS = ("--all", "--once", "--storage", "mcap", "--output", "--force")
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,9 @@ class Graph:
         return cls(named, topics, services)
 
     def check(self, words: list[str]) -> None:
-        """Check a line that starts with `ros2`; fail if a name does not exist or a value has the wrong type."""
+        """Check a line of `ros2`, or of `fjr` for running nodes; fail for a missing name or a wrong value."""
+        if words[0] == "fjr":
+            words = self._as_ros2(*[word for word in words[1:] if word not in OPTIONS])
         _, verb, *rest = words
         checks: dict[str, Callable[..., None]] = {
             "run": self._run,
@@ -59,6 +61,15 @@ class Graph:
             assert (verb, rest[0], rest[2]) == ("lifecycle", "set", rest[2]), words
             assert rest[1] in self.nodes
             assert rest[2] in TRANSITIONS
+
+    def _as_ros2(self, verb: str, name: str, *rest: str) -> list[str]:
+        """Return the line of `ros2` that does what `fjr call`, `fjr set` or `fjr lifecycle` does."""
+        if verb == "call":
+            return ["ros2", "service", "call", name, self.services[name], *rest]
+        if verb == "set":
+            return ["ros2", "param", "set", name, *rest]
+        assert verb == "lifecycle"
+        return ["ros2", "lifecycle", *(["set", name, *rest] if rest else ["get", name])]
 
     def _run(self, package: str, name: str, *arguments: str) -> None:
         assert (Path(get_package_prefix(package)) / "lib" / package / name).is_file()

@@ -22,6 +22,9 @@ NOT_RUN = {
     "cd": "precedes commands that are not run",
     ".venv/bin/python": "takes minutes and writes into docs/",
     "python": "takes minutes and writes into docs/",
+    "fjr call": "needs a running node",
+    "fjr set": "needs a running node",
+    "fjr lifecycle": "needs a running node",
 }
 """First words of commands that no test runs; test_names.py checks the names in them."""
 
@@ -46,9 +49,15 @@ def words(command: str) -> list[str]:
     return [re.sub(r"@(\d+)@", lambda found: kept[int(found[1])], word) for word in split]
 
 
+def program(command: str) -> str:
+    """Return the first word of a command, or the first two if NOT_RUN has them."""
+    first, *rest = words(command)
+    return " ".join([first, *rest[:1]]) if f"{first} {rest[0] if rest else ''}" in NOT_RUN else first
+
+
 def is_run(command: str) -> bool:
-    """Return whether a command is run."""
-    return words(command)[0] not in NOT_RUN
+    """Return whether a command is run; with --force also one that needs a node, which the page has started."""
+    return program(command) not in NOT_RUN or words(command)[-1] == "--force"
 
 
 def script(text: str) -> str:

@@ -12,7 +12,7 @@ import pytest
 from bench.__main__ import parser as bench_parser
 from docs.pages import PAGES, ROOT, blocks, inline
 from docs.ros2_lines import Graph
-from docs.shell import NOT_RUN, commands, is_run, words
+from docs.shell import NOT_RUN, commands, is_run, program, words
 from fjr_bringup.cli.app import fjr
 from nodes.harness import Ros
 
@@ -36,7 +36,7 @@ def graph(ros: Ros) -> Iterator[Graph]:
 
 
 def test_commands_not_run_are_those_listed() -> None:
-    assert {words(command)[0] for command in HELD} <= set(NOT_RUN)
+    assert {program(command) for command in HELD} <= set(NOT_RUN)
 
 
 def test_names_in_ros2_lines_exist(graph: Graph) -> None:
@@ -46,9 +46,20 @@ def test_names_in_ros2_lines_exist(graph: Graph) -> None:
         graph.check(line)
 
 
+def test_names_in_fjr_lines_for_running_nodes_exist(graph: Graph) -> None:
+    lines = [line for line in starting("fjr") if len(line) > 2 and " ".join(line[:2]) in NOT_RUN]
+    assert len(lines) > 5
+    for line in lines:
+        graph.check(line)
+
+
 @pytest.mark.parametrize(
     "line",
     [
+        "fjr call /fjr_plant/no_service",
+        "fjr call /fjr_plant/pause '{dat: true}'",
+        "fjr set /fjr_plant no_parameter 1.0",
+        "fjr lifecycle /fjr_controller start",
         "ros2 run fjr_plant no_node",
         "ros2 launch fjr_bringup tracking.launch.py no_argument:=1",
         "ros2 param set /fjr_plant no_parameter 1.0",

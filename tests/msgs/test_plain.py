@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, UInt8MultiArray
 
-from fjr_msgs_py.messages.plain import plain
+from fjr_core.errors import ParameterError
+from fjr_msgs_py.messages.plain import fill, plain
 
 
 def test_fields_keep_their_order_and_arrays_are_lists() -> None:
@@ -30,3 +32,35 @@ def test_nested_messages_and_bytes_survive_yaml() -> None:
     assert plain(status)["level"] == 1
     assert plain(array)["layout"]["dim"] == [{"label": "V", "size": 1, "stride": 1}]
     assert plain(UInt8MultiArray(data=bytes([1, 2, 3])))["data"] == [1, 2, 3]
+
+
+def test_fill_is_the_inverse_of_plain() -> None:
+    state = JointState(name=["a", "b"], position=[1.0, -2.0])
+    state.header.stamp.sec = 7
+    status = DiagnosticArray(status=[DiagnosticStatus(level=DiagnosticStatus.WARN, values=[KeyValue(key="k")])])
+    for message in (state, status, UInt8MultiArray(data=bytes([1, 2, 3]))):
+        made = type(message)(check_fields=True)
+        fill(made, plain(message))
+        assert made == message
+
+
+def test_fill_takes_integers_as_floats() -> None:
+    message = Float64MultiArray(check_fields=True)
+    fill(message, {"data": [1, 2]})
+    assert list(message.data) == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"nam": ["a"]}, "'nam' is not a field of JointState; expected header (std_msgs/Header), "),
+        ({"name": "a"}, "name is 'a'; expected sequence<string>"),
+        ({"name": [1]}, r"name is \[1\]; expected sequence<string>"),
+        ({"position": ["a"]}, "expected sequence<double>"),
+        ({"header": {"stamp": {"sec": 2**40}}}, "sec is 1099511627776; expected int32"),
+        ([1], "expected a mapping with header"),
+    ],
+)
+def test_values_that_do_not_fit_are_refused(values: object, sentence: str) -> None:
+    with pytest.raises(ParameterError, match=sentence.replace("(", r"\(").replace(")", r"\)")):
+        fill(JointState(check_fields=True), values)

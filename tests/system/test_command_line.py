@@ -26,8 +26,11 @@ def given(*words: str) -> dict[str, object]:
     return dict(command.make_context(words[0], list(words[1:]), obj=lambda: None).params)
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["run", "--help"], ["run", "--duration", "no"]])
-def test_help_version_and_usage_errors_import_nothing_slow(arguments: Sequence[str]) -> None:
+@pytest.mark.parametrize(
+    "arguments",
+    [["--help"], ["--version"], ["run", "--help"], ["run", "--duration", "no"], ["scenarios"], ["scenarios", "--json"]],
+)
+def test_help_scenarios_and_usage_errors_import_nothing_slow(arguments: Sequence[str]) -> None:
     code = f"import sys; from fjr_bringup.cli.app import main; main({arguments!r}); "
     code += f"print('loaded:', *sorted(set({SLOW!r}) & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG, check=True)

@@ -104,6 +104,11 @@ def test_record_does_not_overwrite(tmp_path: Path) -> None:
         (["echo", "/joint_states"], "ros2 topic echo /joint_states"),
         (["record"], "ros2 bag record --storage mcap --all"),
         (["record", "/a", "/b"], "ros2 bag record --storage mcap /a /b"),
+        (["play", "bag", "/a"], "ros2 bag play bag --topics /a"),
+        (["call", "/a", "{data: true}"], "ros2 service call /a TYPE '{data: true}'"),
+        (["set", "/a", "b", "-0.5"], "ros2 param set /a b -0.5"),
+        (["lifecycle", "/a"], "ros2 lifecycle get /a"),
+        (["lifecycle", "/a", "activate"], "ros2 lifecycle set /a activate"),
     ],
 )
 def test_installed_ros2_is_recommended_instead(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -33,6 +33,7 @@ from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.analysis.timing import Counts, Timing, counts, timing
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.recording.reader import Array, Bag
+from fjr_bringup.result import finite
 from fjr_core.config.scenario import Scenario
 
 DECAYED = 1e-4  # of V(0): the decay rate is measured down to this value
@@ -121,7 +122,7 @@ class Report:
 
     def as_json(self) -> dict[str, Any]:
         """Return the metrics as JSON values; non-finite numbers become None."""
-        return dict(_finite(asdict(self)))
+        return dict(finite(asdict(self)))
 
     def write(self, path: Path) -> None:
         """Write the report as JSON."""
@@ -227,16 +228,3 @@ def _versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def _finite(value: Any) -> Any:
-    """Return the value with null for numbers that are not finite, and arrays as lists."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

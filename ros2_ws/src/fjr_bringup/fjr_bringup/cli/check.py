@@ -4,12 +4,16 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import (
+    StartError,
+    UnstableError,
     as_list,
     checked,
     checked_at,
@@ -20,6 +24,7 @@ from fjr_bringup.cli.preflight import (
     refuse_unstable,
     start_outside,
 )
+from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_core.config.builders import tuning
 from fjr_core.config.safety import safety
@@ -33,22 +38,55 @@ from fjr_core.stability.model_errors import FACTORS, QUANTITIES, radii_with_mode
 from fjr_core.stability.sampled_loop import SampledCheck
 
 
-def check_scenario(scenario: str | None, assignments: Sequence[str]) -> None:
-    """Print the check of a scenario and its warnings; raise UnstableError or StartError if it cannot run."""
+def check_scenario(scenario: str | None, assignments: Sequence[str]) -> Result:
+    """Return the check of a scenario; print its warnings and why it cannot run on standard error."""
     loaded = library.load(scenario, assignments)
     found = checked(loaded)
-    print(table(loaded, found), flush=True)
+    rows = _rows(loaded, found)
     for warning in (*loaded.warnings, *loaded.motion_warnings):
         print(f"fjr: {warning}", file=sys.stderr)
-    refuse_coarse_steps(loaded)
-    refuse_unstable(loaded, found)
-    refuse_start_outside(loaded)
+    refusal = _refusal(loaded, found)
+    if refusal:
+        print(f"fjr: {refusal}", file=sys.stderr)
+    return Result(table(rows), _values(loaded, found, rows, refusal), Exit.FAILED if refusal else Exit.DONE)
 
 
-def table(scenario: Scenario, found: SampledCheck) -> str:
+def _refusal(scenario: Scenario, found: SampledCheck) -> str:
+    """Return why the scenario cannot run; empty if it can."""
+    try:
+        refuse_coarse_steps(scenario)
+        refuse_unstable(scenario, found)
+        refuse_start_outside(scenario)
+    except (UnstableError, StartError) as error:
+        return str(error)
+    return ""
+
+
+def _values(scenario: Scenario, found: SampledCheck, rows: Mapping[str, str], refusal: str) -> dict[str, Any]:
+    """Return the numbers of a check, and its rows as printed."""
+    return {
+        "scenario": scenario.name,
+        "stable": found.stable,
+        "spectral_radius": found.spectral_radius,
+        "delay_margin_samples": found.delay_margin,
+        "lowest_stable_rate_hz": found.lowest_stable_rate,
+        "sample_period_s": found.sample_period,
+        "warnings": [*scenario.warnings, *scenario.motion_warnings],
+        "refused": refusal or None,
+        "rows": {name.strip(): text for name, text in rows.items()},
+    }
+
+
+def table(rows: Mapping[str, str]) -> str:
     """Return the results of a check, one quantity a line."""
+    width = max(len(name) for name in rows)
+    return "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows.items())
+
+
+def _rows(scenario: Scenario, found: SampledCheck) -> dict[str, str]:
+    """Return the results of a check as text by quantity."""
     lowest = "none" if found.lowest_stable_rate is None else f"{found.lowest_stable_rate:.4g} Hz"
-    rows = {
+    return {
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
         **_in_the_loop(scenario),
         **_decay(scenario),
@@ -62,8 +100,6 @@ def table(scenario: Scenario, found: SampledCheck) -> str:
         **_start(scenario),
         "as sampled": "stable" if found.stable else "UNSTABLE",
     }
-    width = max(len(name) for name in rows)
-    return "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows.items())
 
 
 def _decay(scenario: Scenario) -> dict[str, str]:

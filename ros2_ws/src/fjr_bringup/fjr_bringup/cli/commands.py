@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Declare the commands of `fjr`: names, arguments, options and help. The code behind each is imported when it runs."""
+"""Declare the commands of `fjr`: names, arguments, options and help. The code behind each is imported when it runs.
+
+A command returns a Result, which is printed as text or, with --json, as JSON.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -11,6 +16,7 @@ import click
 
 from fjr_bringup.cli import options
 from fjr_bringup.cli.options import duration_option, output_option, scenario_argument, set_option
+from fjr_bringup.progress import phase
 
 
 def implementation(name: str) -> ModuleType:
@@ -22,12 +28,33 @@ def implementation(name: str) -> ModuleType:
 
 COMMANDS = click.Group()
 """All commands, in the order of the help."""
+
+
+def command(name: str | None = None, **settings: Any) -> Callable[[Callable[..., Any]], click.Command]:
+    """Return a decorator that declares a command with --json; settings: as of click. The function returns a Result."""
+
+    def declare(function: Callable[..., Any]) -> click.Command:
+        @wraps(function)
+        def shown(as_json: bool, **given: Any) -> int:
+            return int(function(**given).show(as_json))
+
+        made = COMMANDS.command(name, **settings)(shown)
+        made.params.append(click.Option(["--json", "as_json"], is_flag=True, help="Print the result as JSON."))
+        return made
+
+    return declare
+
+
+json_lines = click.option("--json", "as_json", is_flag=True, help="Print each as JSON in one line.")
 stamped_duration = duration_option("Duration of a run in seconds of stamped time.", 5.0)
 runs_folder = output_option("Folder for the folders of runs.", "runs")
+service_timeout = click.option(
+    "--timeout", type=options.SECONDS, metavar="S", default=30.0, help="Longest wait for the node and for its response."
+)
 force_over_ros2 = click.option("--force", is_flag=True, help="Run although ros2 is on the PATH.")
 
 
-@COMMANDS.command()
+@command()
 @stamped_duration
 @runs_folder
 def demo(**given: Any) -> Any:
@@ -36,13 +63,16 @@ def demo(**given: Any) -> Any:
     The scenarios are the paper's two and a 7-joint arm. A run that fails because the computer is too busy for real
     time is repeated in lock-step.
     """
-    return implementation("run").demo(**given)
+    with phase("loading ROS 2 and CasADi"):
+        module = implementation("run")
+    return module.demo(**given)
 
 
-@COMMANDS.command()
+@command()
 @scenario_argument
 @click.option("--lockstep", is_flag=True, help="Simulate one sample per command, independently of the clock.")
 @click.option("--force", is_flag=True, help="Run a scenario even if it is unstable as sampled.")
+@click.option("--no-report", is_flag=True, help="Write report.json only, no page and no picture.")
 @set_option
 @stamped_duration
 @runs_folder
@@ -54,7 +84,7 @@ def run(**given: Any) -> Any:
     return implementation("run").run_scenario(**given)
 
 
-@COMMANDS.command()
+@command()
 @click.argument("bags", nargs=-1, required=True, metavar="BAG...", type=options.PATH)
 @click.option("--scenario", metavar="NAME", help="Scenario of the robot: a name or a file. [default: next to the bag]")
 @output_option("Folder for the reports. [default: next to the bag]")
@@ -73,7 +103,7 @@ def report(**given: Any) -> Any:
     return implementation("report").report(**given)
 
 
-@COMMANDS.command()
+@command()
 @scenario_argument
 @set_option
 def check(**given: Any) -> Any:
@@ -84,7 +114,7 @@ def check(**given: Any) -> Any:
     return implementation("check").check_scenario(**given)
 
 
-@COMMANDS.command()
+@command()
 @scenario_argument
 @click.option("--beta", type=options.RATE, metavar="B", required=True, help="Required rate of convergence [1/s].")
 @click.option("--delay", type=options.SAMPLES, metavar="D", default=0.0, help="Delay of the loop in samples.")
@@ -95,16 +125,16 @@ def gains(**given: Any) -> Any:
 
     SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
     """
-    return implementation("gains").print_gains(**given)
+    return implementation("gains").synthesised(**given)
 
 
-@COMMANDS.command()
+@command()
 def scenarios() -> Any:
     """List the installed scenarios."""
-    return implementation("report").list_scenarios()
+    return implementation("scenarios").list_scenarios()
 
 
-@COMMANDS.command()
+@command()
 @scenario_argument
 @click.option("--run", "run_folder", type=options.PATH, metavar="DIR", help="Folder of a recorded run to follow.")
 @duration_option("Duration in seconds.", 1.0)
@@ -123,7 +153,7 @@ def contraction(**given: Any) -> Any:
     return implementation("studies").contraction(**given)
 
 
-@COMMANDS.command()
+@command()
 @scenario_argument
 @set_option
 def description(**given: Any) -> Any:
@@ -131,10 +161,10 @@ def description(**given: Any) -> Any:
 
     SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
     """
-    return implementation("export").print_description(**given)
+    return implementation("export").describe(**given)
 
 
-@COMMANDS.command()
+@command()
 @scenario_argument
 @click.option("--runs", type=options.RUNS, metavar="N", help="Number of runs. [default: the sweep's, else 1000]")
 @click.option("--seed", type=int, metavar="N", help="Seed of all random numbers. [default: the sweep's, else 0]")
@@ -153,7 +183,7 @@ def sweep(**given: Any) -> Any:
     return implementation("studies").sweep(**given)
 
 
-@COMMANDS.command("export-c")
+@command("export-c")
 @click.argument("scenario", shell_complete=options.complete_scenario)
 @click.argument("folder", metavar="DIR", type=options.PATH)
 @click.option("--prefix", metavar="NAME", help="Prefix of all names in C. [default: the scenario's name]")
@@ -167,7 +197,7 @@ def export_c(**given: Any) -> Any:
     return implementation("export").export_scenario(**given)
 
 
-@COMMANDS.command()
+@command()
 @click.argument("suite", default="paper")
 @output_option("Folder in which compare_SUITE/ is written.", "runs")
 @click.option("--cores", type=options.cores, metavar="N", help="Cores of this machine, or `all`. [default: all]")
@@ -201,22 +231,78 @@ def compare(**given: Any) -> Any:
 @click.option("--count", type=options.MESSAGES, metavar="N", help="Print only N messages.")
 @click.option("--timeout", type=options.SECONDS, metavar="S", help="Give up after S seconds without a message.")
 @force_over_ros2
+@json_lines
 def echo(**given: Any) -> Any:
-    """Print the messages of a topic without `ros2 topic echo`."""
+    """Print the messages of a topic, as `ros2 topic echo`."""
     return implementation("live").echo_topic(**given)
 
 
-@COMMANDS.command()
+@command()
 @click.argument("topics", nargs=-1, metavar="[TOPIC]...")
 @output_option("A new folder. [default: bag_ and the time]")
 @duration_option("Duration in seconds. [default: until Ctrl-C]")
 @force_over_ros2
 def record(**given: Any) -> Any:
-    """Record topics to an MCAP bag without `ros2 bag record`.
+    """Record topics to an MCAP bag, as `ros2 bag record`.
 
     All topics are recorded unless some are named.
     """
     return implementation("live").record_topics(**given)
+
+
+@command()
+@click.argument("bag", type=options.PATH)
+@click.argument("topics", nargs=-1, metavar="[TOPIC]...")
+@click.option("--rate", type=options.SPEED, metavar="R", default=1.0, help="Speed relative to the recording.")
+@click.option("--efforts", is_flag=True, help="Publish commands to a robot too; they move it.")
+@force_over_ros2
+def play(**given: Any) -> Any:
+    """Publish the messages of a bag, as `ros2 bag play`.
+
+    BAG is the folder of a run, the folder of a bag, or an .mcap or .db3 file. All topics but the commands to a robot
+    are played unless some are named. Ctrl-C ends.
+    """
+    return implementation("live").play_bag(**given)
+
+
+@command()
+@click.argument("service")
+@click.argument("request", default="")
+@service_timeout
+@force_over_ros2
+def call(**given: Any) -> Any:
+    """Call a service, as `ros2 service call`.
+
+    REQUEST holds the fields of the request as YAML, e.g. "{data: true}", or the value of the only field.
+    """
+    return implementation("services").call_service(**given)
+
+
+@command("set", context_settings={"ignore_unknown_options": True})  # such as -0.5
+@click.argument("node")
+@click.argument("parameter")
+@click.argument("value")
+@service_timeout
+@force_over_ros2
+def set_parameter(**given: Any) -> Any:
+    """Set a parameter of a node, as `ros2 param set`.
+
+    VALUE is YAML of the type that the node declares, e.g. 0.05 or "[0.1, 0.2]".
+    """
+    return implementation("services").set_value(**given)
+
+
+@command()
+@click.argument("node")
+@click.argument("transition", required=False)
+@service_timeout
+@force_over_ros2
+def lifecycle(**given: Any) -> Any:
+    """Show or change the state of a node, as `ros2 lifecycle`.
+
+    TRANSITION is configure, activate, deactivate, cleanup or shutdown; without it the state is printed.
+    """
+    return implementation("services").change_state(**given)
 
 
 @COMMANDS.command()
@@ -255,6 +341,7 @@ def send(**given: Any) -> Any:
     multiple=True,
     help="Remap a topic, e.g. joint_states:=/robot/joint_states; may be repeated.",
 )
+@json_lines
 def watch(**given: Any) -> Any:
     """Watch a running control loop in the terminal.
 

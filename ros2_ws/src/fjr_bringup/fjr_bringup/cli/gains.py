@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_core.config import builders
 from fjr_core.config.builders import robust_action
@@ -20,8 +21,10 @@ DIGITS = 4
 INDENT = " " * 6
 
 
-def print_gains(scenario: str | None, assignments: Sequence[str], beta: float, delay: float, everywhere: bool) -> None:
-    """Print gains for a scenario's robot as YAML: rate beta [1/s] at its sample rate and a loop delay [samples].
+def synthesised(
+    scenario: str | None, assignments: Sequence[str], beta: float, delay: float, everywhere: bool
+) -> Result:
+    """Return gains for a scenario's robot as YAML: rate beta [1/s] at its sample rate and a loop delay [samples].
 
     The rate holds along the scenario's reference, or everywhere within the joints' range. Raises GainsError
     if no such gains exist.
@@ -34,14 +37,17 @@ def print_gains(scenario: str | None, assignments: Sequence[str], beta: float, d
     found, rate = _checked(loaded, law, delay * period, where), law.rate(where)
     place = "everywhere" if everywhere else "along its reference"
     basis = "proven" if rate.proven else "sampled"
-    print(
+    head = (
         f"# for {loaded.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / period:g} Hz "
         f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples\n"
         "# in place of `gains` below ros__parameters:\n"
         "    gains:"
     )
-    for name, entries in builders.gain_values(gains, robot.n).items():
-        print(_assignment(name.partition(".")[2], entries, robot.n))
+    values = {name.partition(".")[2]: entries for name, entries in builders.gain_values(gains, robot.n).items()}
+    numbers = {"beta_per_s": rate.beta, "beta_is_proven": rate.proven, "spectral_radius": found.spectral_radius}
+    numbers["delay_margin_samples"] = found.delay_margin
+    text = "\n".join([head, *(_assignment(name, entries, robot.n) for name, entries in values.items())])
+    return Result(text, {"scenario": loaded.name, **numbers, "gains": values})
 
 
 def _checked(scenario: Scenario, law: TrackingLaw, delay: float, where: Array | None) -> SampledCheck:

@@ -60,6 +60,7 @@ def ros_name(text: str) -> str:
 
 SECONDS = number("a duration", "seconds, more than 0, at most 3600", lambda value: 0 < value <= 3600)
 RATE = number("a rate", "a positive number", lambda value: 0 < value < math.inf)
+SPEED = number("a speed", "0.001 to 1000", lambda value: 1e-3 <= value <= 1e3)
 SAMPLES = number("a delay", "samples, 0 to 20", lambda value: 0 <= value <= 20)
 ANGLE = number("an angle", "rad, more than 0, at most 3", lambda value: 0 < value <= 3)
 DISTANCE = number("a distance", "0 or a positive number", lambda value: 0 <= value < math.inf)

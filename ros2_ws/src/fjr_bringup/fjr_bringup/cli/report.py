@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr report` and `fjr scenarios`: write pages from bags; list what is installed."""
+"""`fjr report`: write pages from bags."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.recording.formats import files_of
 from fjr_bringup.recording.reader import read_bag
 from fjr_bringup.report.write import METRICS, RunSummary, compare, output_paths, report_bag, table
+from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import FjrError
@@ -36,19 +38,17 @@ class Source:
     folder: Path
 
 
-def report(bags: Sequence[Path], scenario: str | None, output: Path | None, namespace: str) -> None:
-    """Report each bag, and compare them if there are several; raise ReportError if any bag failed."""
+def report(bags: Sequence[Path], scenario: str | None, output: Path | None, namespace: str) -> Result:
+    """Report each bag, and compare them if there are several; the result has failed if any bag failed."""
     namespace = namespace.strip("/")
     summaries, failures = _report_all(bags, scenario, output, f"/{namespace}" if namespace else "")
-    _print(summaries, failures[:-1], output)
-    if failures:
+    _print_losses(summaries, failures)
+    if not summaries:
         raise ReportError(failures[-1])
-
-
-def list_scenarios() -> None:
-    """Print the installed scenarios with a summary of each."""
-    for name, path in library.installed("scenarios").items():
-        print(f"{name:12}  {library.summary(path)}")
+    page = _comparison(summaries, output) if len(summaries) > 1 else None
+    lines = [table(summaries), output_paths(summaries), *([f"side by side: {page}"] if page else [])]
+    values = {"runs": [each.values for each in summaries], "comparison": page, "failures": failures}
+    return Result("\n".join(lines), values, Exit.FAILED if failures else Exit.DONE)
 
 
 def _report_all(
@@ -66,20 +66,19 @@ def _report_all(
     return _labelled(summaries), failures
 
 
-def _print(summaries: Sequence[RunSummary], failures: Sequence[str], output: Path | None) -> None:
-    """Print failures and missing data on stderr, then the table and the paths of the pages."""
-    for failure in failures:
+def _print_losses(summaries: Sequence[RunSummary], failures: Sequence[str]) -> None:
+    """Print failures and missing data on stderr; without any report the last failure is raised instead."""
+    for failure in failures if summaries else failures[:-1]:
         print(f"fjr: {failure}", file=sys.stderr)
     for each in summaries:
         for note in each.report.missing:
             print(f"fjr: {each.label}: {note}", file=sys.stderr)
-    if not summaries:
-        return
-    print(table(summaries))
-    print(output_paths(summaries))
-    if len(summaries) > 1:
-        common = Path(os.path.commonpath([each.folder.resolve().parent for each in summaries]))
-        print(f"side by side: {compare(summaries, output or common)}")
+
+
+def _comparison(summaries: Sequence[RunSummary], output: Path | None) -> Path:
+    """Write the page that compares the runs; return its path."""
+    common = Path(os.path.commonpath([each.folder.resolve().parent for each in summaries]))
+    return compare(summaries, output or common)
 
 
 def _report(source: Source, namespace: str) -> RunSummary:

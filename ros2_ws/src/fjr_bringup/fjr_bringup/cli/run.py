@@ -9,11 +9,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from fjr_bringup.analysis.headlines import KEEPS_UP
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
 from fjr_bringup.formatting import percent
 from fjr_bringup.interrupt import stoppable
-from fjr_bringup.report.write import RunSummary, compare, output_paths, play_command, report_run, stops, table
+from fjr_bringup.progress import phase
+from fjr_bringup.report.write import RunSummary, compare, output_paths, play_hint, report_run, stops, table
+from fjr_bringup.result import Result
 from fjr_bringup.runner.run import Plan, RunError
 from fjr_bringup.runner.run import run as run_plan
 from fjr_bringup.scenarios import library
@@ -21,27 +24,33 @@ from fjr_core.errors import FjrError
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")
 LOCKSTEP = {"realtime_priority": 0, "lockstep": True}
-KEEPS_UP = 0.9  # fraction of states answered in time below which a real-time run shows the computer, not the law
 
 
-def demo(duration: float, output: Path) -> Exit:
-    """Run the demonstration scenarios in real time, print a table and write a page that compares them."""
+def demo(duration: float, output: Path) -> Result:
+    """Run the demonstration scenarios in real time and write a page that compares them."""
     summaries = [_demonstrate(name, duration, output) for name in DEMO]
-    _print(summaries)
-    print(f"side by side: {compare(summaries, output)}")
-    return _exit_code(summaries)
+    with phase("comparing the runs"):
+        page = compare(summaries, output)
+    return _result(summaries, page)
 
 
 def run_scenario(
-    scenario: str | None, assignments: Sequence[str], duration: float, output: Path, lockstep: bool, force: bool
-) -> Exit:
-    """Run one scenario for `duration` [s] and report it; force: even if it is unstable as sampled."""
+    scenario: str | None,
+    assignments: Sequence[str],
+    duration: float,
+    output: Path,
+    lockstep: bool,
+    force: bool,
+    no_report: bool,
+) -> Result:
+    """Run one scenario for `duration` [s] and report it; force: even if it is unstable as sampled.
+
+    no_report: write report.json without page and picture.
+    """
     overrides = library.parse_assignments(assignments)
     if lockstep:
         overrides = {**LOCKSTEP, **overrides, "lockstep": True}
-    summary = _record_and_report(_plan(scenario, overrides, duration, output, force))
-    _print([summary])
-    return _exit_code([summary])
+    return _result([_record_and_report(_plan(scenario, overrides, duration, output, force), not no_report)])
 
 
 def _demonstrate(name: str, duration: float, output: Path) -> RunSummary:
@@ -52,7 +61,8 @@ def _demonstrate(name: str, duration: float, output: Path) -> RunSummary:
         return summary
     print(
         f"{name}: this computer answered {percent(in_time, 0)} of the states in time, too few to track in real time; "
-        "repeated in lock-step, where the robot waits for each command"
+        "repeated in lock-step, where the robot waits for each command",
+        file=sys.stderr,
     )
     return _record_and_report(_plan(name, LOCKSTEP, duration, output))
 
@@ -63,17 +73,18 @@ def _plan(name: str | None, overrides: Mapping[str, Any], duration: float, outpu
     Raises UnstableError for a scenario that is unstable as sampled, unless forced.
     """
     path = library.find(name)
-    text, scenario = library.as_run(path, overrides)
-    for warning in scenario.motion_warnings:
-        print(f"fjr: {warning}", file=sys.stderr)
-    if not force:
-        refuse_coarse_steps(scenario)
-        refuse_unstable(scenario, checked(scenario))
-    scenario.warm_up()
+    with phase(f"{path.stem}: checking and compiling the law"):
+        text, scenario = library.as_run(path, overrides)
+        for warning in scenario.motion_warnings:
+            print(f"fjr: {warning}", file=sys.stderr)
+        if not force:
+            refuse_coarse_steps(scenario)
+            refuse_unstable(scenario, checked(scenario))
+        scenario.warm_up()
     return Plan(path.stem, text, duration, output / path.stem, bool(scenario.plant_values["lockstep"]))
 
 
-def _record_and_report(plan: Plan) -> RunSummary:
+def _record_and_report(plan: Plan, pages: bool = True) -> RunSummary:
     try:
         with stoppable() as stop:
             recorded = run_plan(plan, stop)
@@ -81,7 +92,8 @@ def _record_and_report(plan: Plan) -> RunSummary:
         if error.kept:
             _report_failure(plan.name, error.kept, error)
         raise
-    return report_run(plan.name, recorded.folder, plan.duration, recorded.skipped)
+    with phase(f"{plan.name}: writing the report"):
+        return report_run(plan.name, recorded.folder, plan.duration, recorded.skipped, pages=pages)
 
 
 def _report_failure(name: str, folder: Path, error: RunError) -> None:
@@ -91,10 +103,12 @@ def _report_failure(name: str, folder: Path, error: RunError) -> None:
         print("\n".join([*stops([summary]), output_paths([summary])]), file=sys.stderr)
 
 
-def _print(summaries: Sequence[RunSummary]) -> None:
-    print(table(summaries))
-    print(output_paths(summaries))
-    print(play_command(Path(summaries[0].report.bag)))
+def _result(summaries: Sequence[RunSummary], page: Path | None = None) -> Result:
+    """Return table and files of finished runs; page: the page that compares them."""
+    lines = [table(summaries), output_paths(summaries), play_hint(Path(summaries[0].report.bag))]
+    lines += [f"side by side: {page}"] if page else []
+    values = {"runs": [each.values for each in summaries], **({"comparison": page} if page else {})}
+    return Result("\n".join(lines), values, _exit_code(summaries))
 
 
 def _exit_code(summaries: Sequence[RunSummary]) -> Exit:

@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 
 from fjr_bringup.interrupt import stoppable
+from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_bringup.studies.comparison import command as comparison
 from fjr_bringup.studies.contraction import run as contraction_study
@@ -23,12 +24,12 @@ def contraction(
     spread: float,
     seed: int,
     output: Path,
-) -> None:
+) -> Result:
     """Simulate solutions of the virtual system along a run and draw how they converge."""
     loaded = library.load(scenario, assignments)
     wish = contraction_study.Options(duration, starts, spread, seed)
     with stoppable() as stop:
-        print(contraction_study.run_and_draw(loaded, wish, run_folder, output / "contraction", stop))
+        return contraction_study.run_and_draw(loaded, wish, run_folder, output / "contraction", stop)
 
 
 def sweep(
@@ -40,7 +41,7 @@ def sweep(
     cores: int,
     scheduler: str | None,
     output: Path,
-) -> None:
+) -> Result:
     """Run a Monte-Carlo study; None keeps the number of the study."""
     # loads pyarrow, which other commands do not need
     monte_carlo = import_module("fjr_bringup.studies.monte_carlo.command")
@@ -48,12 +49,13 @@ def sweep(
     numbers = {name: value for name, value in given.items() if value is not None}
     wish = monte_carlo.Options(cores, scheduler, output, library.parse_assignments(assignments), numbers)
     with stoppable() as stop:
-        print(monte_carlo.sweep(scenario, wish, stop))
+        found: Result = monte_carlo.sweep(scenario, wish, stop)
+        return found
 
 
-def compare(suite: str, output: Path, cores: int | None, document: Path | None, readme: Path | None) -> None:
+def compare(suite: str, output: Path, cores: int | None, document: Path | None, readme: Path | None) -> Result:
     """Compare control laws; document: page to which the table is written; readme: deprecated name of document."""
     if readme is not None:
         print("fjr: --readme is deprecated; use --document", file=sys.stderr)
     with stoppable() as stop:
-        print(comparison.compare(suite, output, cores, document or readme, stop))
+        return comparison.compare(suite, output, cores, document or readme, stop)

@@ -6,8 +6,8 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from rich.console import Console
@@ -17,6 +17,7 @@ from fjr_bringup.monitor.node import FjrWatch
 from fjr_bringup.monitor.state import View, Watched
 from fjr_bringup.monitor.terminal import render
 from fjr_bringup.recording.echo import listening
+from fjr_bringup.result import json_text
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 
@@ -29,12 +30,16 @@ PATIENCE = 2.0  # s until a notice that it is waiting
 
 @dataclass(frozen=True)
 class Options:
-    """What to watch: namespace, remaps FROM:=TO, name of the controller; once: show one view and exit."""
+    """What to watch: namespace, remaps FROM:=TO, name of the controller; once: show one view and exit.
+
+    as_json: print one JSON document a view.
+    """
 
     namespace: str = "/"
     remaps: tuple[str, ...] = ()
     controller: str = "fjr_controller"
     once: bool = False
+    as_json: bool = False
 
     @property
     def arguments(self) -> list[str]:
@@ -55,15 +60,23 @@ def watch(options: Options, limits: Mapping[str, float], stop: threading.Event) 
     console = Console(highlight=False)
     with listening("fjr_watch", options.arguments) as node:
         listener = FjrWatch(node, watched, options.controller)
+        show = _as_json if options.as_json else lambda view: console.print(render(view, console.width))
         if options.once:
-            _once(listener, watched, console, stop)
+            _once(listener, watched, show, stop)
+        elif options.as_json:
+            for view in _views(listener, watched, PLAIN_PERIOD, stop):
+                show(view)
         elif console.is_terminal:
             with Live(console=console, screen=True, auto_refresh=False) as live:
                 for view in _views(listener, watched, PERIOD, stop):
                     live.update(render(view, console.width), refresh=True)
         else:
             for view in _views(listener, watched, PLAIN_PERIOD, stop):
-                console.print(render(view, console.width))
+                show(view)
+
+
+def _as_json(view: View) -> None:
+    print(json_text(asdict(view)), flush=True)
 
 
 def _views(listener: FjrWatch, watched: Watched, period: float, stop: threading.Event) -> Iterator[View]:
@@ -79,12 +92,12 @@ def _views(listener: FjrWatch, watched: Watched, period: float, stop: threading.
             return
 
 
-def _once(listener: FjrWatch, watched: Watched, console: Console, stop: threading.Event) -> None:
+def _once(listener: FjrWatch, watched: Watched, show: Callable[[View], None], stop: threading.Event) -> None:
     begin, notified = time.monotonic(), False
     for view in _views(listener, watched, PERIOD, stop):
         if time.monotonic() - begin > PATIENCE and not notified:
             notified = True
             print("fjr: waiting for states and diagnostics", file=sys.stderr, flush=True)
         if (view.timing is not None and view.health) or time.monotonic() - begin > FIRST:
-            console.print(render(replace(view, missing=tuple(listener.missing())), console.width))
+            show(replace(view, missing=tuple(listener.missing())))
             return

@@ -18,8 +18,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from fjr_bringup.recording.message_types import message_class
+from fjr_bringup.recording.message_types import interface_class
 from fjr_bringup.recording.recorder import adapted_qos
+from fjr_bringup.result import json_text
 from fjr_core.errors import FjrError
 from fjr_msgs_py.messages.plain import plain
 
@@ -31,30 +32,31 @@ class TopicError(FjrError):
     """An invalid topic name, or no message arrived on the topic."""
 
 
-def echo(topic: str, count: int | None, timeout: float, stop: threading.Event) -> int:
+def echo(topic: str, count: int | None, timeout: float, stop: threading.Event, as_json: bool = False) -> int:
     """Print messages until `count` have arrived or `stop` is set; return their number.
 
+    as_json: one JSON document a line instead of YAML.
     Raise TopicError after `timeout` [s] without a message, SchemaError if the type is not installed.
     """
     topic = absolute(topic)
     shown = 0
     with listening() as node:
         for message in _messages(node, topic, timeout, stop):
-            print(text(message), flush=True)
+            print(json_text(plain(message)) if as_json else text(message), flush=True)
             shown += 1
             if shown == count:
                 break
     return shown
 
 
-def absolute(topic: str) -> str:
-    """Return the absolute name of a topic; raise TopicError if the name is invalid."""
-    name = topic if topic.startswith("/") else f"/{topic}"
+def absolute(given: str, kind: str = "topic", example: str = "/joint_states") -> str:
+    """Return the absolute name of a topic, service or node (kind); raise TopicError if the name is invalid."""
+    name = given if given.startswith("/") else f"/{given}"
     try:
         validate_full_topic_name(name)
     except InvalidTopicNameException:
         raise TopicError(
-            f"'{topic}' is not a topic name; expected letters, digits, _ and single /, e.g. /joint_states"
+            f"'{given}' is not a {kind} name; expected letters, digits, _ and single /, e.g. {example}"
         ) from None
     return name
 
@@ -86,7 +88,7 @@ def _messages(node: Node, topic: str, timeout: float, stop: threading.Event) -> 
     while not stop.wait(POLL):
         publishers = node.get_publishers_info_by_topic(topic)
         if subscription is None and publishers:
-            kind = message_class(publishers[0].topic_type)
+            kind = interface_class(publishers[0].topic_type)
             subscription = node.create_subscription(kind, topic, lambda _: None, adapted_qos(publishers))
         while subscription is not None and (taken := subscription.handle.take_message(kind, False)) is not None:
             received = time.monotonic()

@@ -17,7 +17,6 @@ from pathlib import Path
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Schema
-from rosbags.highlevel import AnyReader
 
 from fjr_bringup.formatting import plural
 from fjr_bringup.recording.mcap_reader import MAGIC, MESSAGE, UNREADABLE, File, inner, unpacked
@@ -154,6 +153,8 @@ def _with_actual_page_count(path: Path, folder: Path) -> Path:
 
 def read_compressed(folder: Path, contents: Contents) -> bool:
     """Add the messages of a folder compressed by rosbag2, read by the rosbags library; raise BagError."""
+    from rosbags.highlevel import AnyReader  # loads its readers of ROS 1 and 2, which other bags do not need
+
     try:
         with AnyReader([folder], default_typestore=typestore()) as reader:
             for connection, time, data in reader.messages():

@@ -29,13 +29,16 @@ def typestore() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def message_class(type_name: str) -> Any:
-    """Return the rclpy message class of a type name such as ``sensor_msgs/msg/JointState``; raise SchemaError."""
-    package, _, name = type_name.partition("/msg/")
+def interface_class(type_name: str) -> Any:
+    """Return the rclpy class of a type name such as ``sensor_msgs/msg/JointState`` or ``std_srvs/srv/Trigger``.
+
+    Raise SchemaError if it is not installed.
+    """
+    package, _, name = type_name.rpartition("/")
     try:
-        return getattr(import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError) as error:
-        raise SchemaError(f"message type {type_name} is not installed here ({error})") from error
+        return getattr(import_module(package.replace("/", ".")), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise SchemaError(f"type {type_name} is not installed here ({error})") from error
 
 
 def definition(type_name: str) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 from fjr_bringup.recording.echo import absolute
 from fjr_bringup.recording.recorder import Recorder
 from fjr_bringup.recording.run_folder import FolderError
+from fjr_bringup.result import Result
 from fjr_core.errors import FjrError
 
 POLL = 0.05  # s
@@ -22,8 +23,8 @@ class RecordError(FjrError):
     """The recorder failed."""
 
 
-def record(topics: Sequence[str], folder: Path | None, duration: float | None, stop: threading.Event) -> str:
-    """Record the named topics, or all, for `duration` [s] or until `stop`; return a summary.
+def record(topics: Sequence[str], folder: Path | None, duration: float | None, stop: threading.Event) -> Result:
+    """Record the named topics, or all, for `duration` [s] or until `stop`; return what was recorded.
 
     folder: new folder of the bag; None: one named after the time. Raise FjrError.
     """
@@ -46,7 +47,7 @@ def _wait(recorder: Recorder, duration: float | None, stop: threading.Event) -> 
             raise RecordError(f"the recorder failed: {recorder.failure}")
 
 
-def _summary(recorder: Recorder, wanted: Sequence[str], folder: Path) -> str:
+def _summary(recorder: Recorder, wanted: Sequence[str], folder: Path) -> Result:
     """Return one line per topic, then missing topics and the total."""
     channels = sorted(recorder.writer.channels, key=lambda channel: channel.topic)
     lines = [f"{each.count:9} {each.topic} ({each.type_name})" for each in channels if each.count]
@@ -55,4 +56,6 @@ def _summary(recorder: Recorder, wanted: Sequence[str], folder: Path) -> str:
     lines += [f"not complete: {recorder.loss}"] if recorder.loss else []
     lines += [f"nothing came on {topic}" for topic in wanted if topic not in recorded | set(recorder.skipped)]
     total = sum(channel.count for channel in channels)
-    return "\n".join([*lines, f"{total} messages of {len(recorded)} topics in {folder}"])
+    text = "\n".join([*lines, f"{total} messages of {len(recorded)} topics in {folder}"])
+    counts = {channel.topic: channel.count for channel in channels}
+    return Result(text, {"folder": folder, "messages": counts, "not_recorded": recorder.skipped, "loss": recorder.loss})

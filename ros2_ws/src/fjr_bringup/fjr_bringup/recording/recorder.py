@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from fjr_bringup.recording.message_types import SchemaError, message_class, type_hash
+from fjr_bringup.recording.message_types import SchemaError, interface_class, type_hash
 from fjr_bringup.recording.writer import BagWriter, Channel
 
 QUEUE_DEPTH = 5000  # messages per topic between two drains: 5 s at 1 kHz
@@ -149,7 +149,7 @@ class Recorder:
 
     def _subscribe(self, topic: str, type_name: str, publishers: list[TopicEndpointInfo]) -> None:
         try:
-            subscription = self._subscription(message_class(type_name), topic, publishers)
+            subscription = self._subscription(interface_class(type_name), topic, publishers)
             digest = str(publishers[0].topic_type_hash)
             digest = digest if digest.startswith("RIHS") else type_hash(type_name)
             offered = [info.qos_profile for info in publishers]

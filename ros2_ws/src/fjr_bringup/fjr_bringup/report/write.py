@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import errno
-import shlex
 import sys
 import tempfile
 import warnings
@@ -12,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from fjr_bringup.analysis.run_data import RunData, run_data
 from fjr_bringup.recording.reader import Bag, read_bag
 from fjr_bringup.report.run_report import write_run_page
 from fjr_bringup.report.runs_report import Compared, write_comparison
+from fjr_bringup.ros2_tools import play_command
 from fjr_core.config.scenario import Scenario, load_scenario
 
 PAGE, METRICS, COMPARISON = "report.html", "report.json", "comparison.html"
@@ -30,25 +31,52 @@ UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A reported run: the folder of its report, the report and the run's data. label: unique among several runs."""
+    """A reported run: the folder of its report, the report and the run's data. label: unique among several runs.
+
+    has_page: whether report.html was written.
+    """
 
     folder: Path
     report: Report
     data: RunData
     label: str = ""
+    has_page: bool = True
+
+    @property
+    def files(self) -> list[Path]:
+        """Return the paths of page and metrics."""
+        return [self.folder / name for name in ((PAGE, METRICS) if self.has_page else (METRICS,))]
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Return the run as JSON values: its files and the content of report.json."""
+        late = headlines.machine_was_late(self.report)
+        page = self.folder / PAGE if self.has_page else None
+        return {
+            "name": self.label,
+            "folder": self.folder,
+            "page": page,
+            "machine_was_late": late,
+            **self.report.as_json(),
+        }
 
 
 def report_run(
-    name: str, folder: Path, duration: float | None, skipped: Mapping[str, str] | None = None, failure: str = ""
+    name: str,
+    folder: Path,
+    duration: float | None,
+    skipped: Mapping[str, str] | None = None,
+    failure: str = "",
+    pages: bool = True,
 ) -> RunSummary:
     """Write report.json, report.html and overview.png into a run's folder, also if the run diverged or ended early.
 
     duration: planned duration [s]; None: up to the last answered state. skipped: topics that could not be recorded.
-    failure: why the run ended early.
+    failure: why the run ended early. pages: false for report.json only.
     """
     scenario, bag = load_scenario(folder / "scenario.yaml"), read_bag(folder / "bag")
-    summary = report_bag(name, bag, scenario, folder, duration, skipped, failure)
-    if np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
+    summary = report_bag(name, bag, scenario, folder, duration, skipped, failure, pages)
+    if pages and np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
         from fjr_bringup.plotting.overview import draw_overview  # matplotlib is half a second of imports
 
         with without_warnings():
@@ -64,6 +92,7 @@ def report_bag(
     duration: float | None = None,
     skipped: Mapping[str, str] | None = None,
     failure: str = "",
+    pages: bool = True,
 ) -> RunSummary:
     """Write report.json and report.html of any bag into a folder; for the arguments see report_run."""
     with without_warnings():
@@ -78,10 +107,11 @@ def report_bag(
 
         def write(place: Path) -> None:
             report.write(place / METRICS)
-            write_run_page(place / PAGE, data, report, flow)
+            if pages:
+                write_run_page(place / PAGE, data, report, flow)
 
         folder = write_with_fallback(folder, write)
-    return RunSummary(folder, report, data, name)
+    return RunSummary(folder, report, data, name, pages)
 
 
 def write_with_fallback(folder: Path, write: Callable[[Path], object]) -> Path:
@@ -124,7 +154,12 @@ def table(summaries: Sequence[RunSummary]) -> str:
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     found = [f"{each.label}: {finding.sentence}" for each in summaries for finding in each.report.verdict.findings]
-    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:], *found])
+    late = [
+        f"{each.label}: {headlines.late_machine(each.report)}"
+        for each in summaries
+        if headlines.machine_was_late(each.report)
+    ]
+    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:], *found, *late])
 
 
 def stops(summaries: Sequence[RunSummary]) -> list[str]:
@@ -148,6 +183,8 @@ def _row(label: str, report: Report) -> tuple[str, ...]:
 def _verdict(report: Report) -> str:
     if report.stop:
         return "stopped"
+    if headlines.machine_was_late(report):
+        return "none: the machine was late"
     return report.verdict.kind + (f": {report.verdict.detail}" if report.verdict.detail else "")
 
 
@@ -176,10 +213,10 @@ def _number(value: float | None, form: str) -> str:
 
 def output_paths(summaries: Sequence[RunSummary]) -> str:
     """Return the paths of the pages and the JSON files."""
-    return "\n".join(["", *(f"{each.label}: {each.folder / PAGE}, {each.folder / METRICS}" for each in summaries)])
+    return "\n".join(["", *(f"{each.label}: {', '.join(map(str, each.files))}" for each in summaries)])
 
 
-def play_command(bag: Path) -> str:
-    """Return the command that plays a bag."""
+def play_hint(bag: Path) -> str:
+    """Return a line with the command that plays a bag."""
     storage = next(bag.glob("*.mcap"), bag)
-    return f"play a bag: ros2 bag play {shlex.quote(str(bag))}   (or open {storage} in Foxglove or PlotJuggler)"
+    return f"play a bag: {play_command(bag)}   (or open {storage} in Foxglove or PlotJuggler)"

@@ -15,11 +15,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from ament_index_python.packages import get_package_share_directory
 
 from fjr_bringup.interrupt import Interrupted
-from fjr_bringup.progress import progress_bar
+from fjr_bringup.progress import heartbeat, phase, progress_bar
 from fjr_bringup.recording.reader import header_stamp
 from fjr_bringup.recording.recorder import Recorder
 from fjr_bringup.recording.run_folder import RunFolder
@@ -112,15 +113,8 @@ class _Run:
     def execute(self, on_go: Callable[[], None]) -> None:
         """Start, run and stop the nodes; `on_go` is called when the plant is about to be resumed."""
         try:
-            self._start(PLANT, "fjr_plant", "plant_node", "-p", "start_paused:=true")
-            self._wait_for(PLANT, STATES)
-            self._refuse_others()
-            clock = ("-p", "use_sim_time:=true") if self.plan.lockstep else ()
-            self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)
-            self._wait_for(CONTROLLER, JOINT_COMMANDS)
-            self._wait(self._matched, STARTUP_LIMIT, "plant and controller to find each other")
-            self._refuse_others()
-            self._wait(self.client.ready, STARTUP_LIMIT, "the plant's pause service")
+            with phase(f"{self.plan.name}: starting the nodes"):
+                self._start_nodes()
             on_go()
             self.going = True
             with prioritised(RECORDER_PRIORITY if self.plan.lockstep else 0):
@@ -131,6 +125,18 @@ class _Run:
             raise RunError(f"{error}{kept}", self.plan.folder if self.going else None) from None
         finally:
             self._end()
+
+    def _start_nodes(self) -> None:
+        """Start plant and controller, and wait until both are connected with each other and with the recorder."""
+        self._start(PLANT, "fjr_plant", "plant_node", "-p", "start_paused:=true")
+        self._wait_for(PLANT, STATES)
+        self._refuse_others()
+        clock = ("-p", "use_sim_time:=true") if self.plan.lockstep else ()
+        self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)
+        self._wait_for(CONTROLLER, JOINT_COMMANDS)
+        self._wait(self._matched, STARTUP_LIMIT, "plant and controller to find each other")
+        self._refuse_others()
+        self._wait(self.client.ready, STARTUP_LIMIT, "the plant's pause service")
 
     def _start(self, node: str, package: str, name: str, *arguments: str) -> None:
         log = self.plan.folder / f"{name}.log"
@@ -189,19 +195,28 @@ class _Run:
         name, duration = self.plan.name, self.plan.duration
         line = f"{name}: running for {duration:g} s of stamped time"
         with progress_bar(line, PROGRESS, desc=name, total=duration) as bar:
-            last, deadline, look = 0.0, time.monotonic() + SILENCE_LIMIT, 0.0
-            while last < duration:
-                self._pause()
-                if time.monotonic() > look:
-                    self._refuse_others()  # a node with another discovery profile may appear only after 3 s
-                    look = time.monotonic() + GRAPH_PERIOD
-                elapsed = self._elapsed()
-                if elapsed > last:
-                    last, deadline = elapsed, time.monotonic() + SILENCE_LIMIT
-                    bar.update(min(elapsed, duration) - bar.n)
-                elif time.monotonic() > deadline:
-                    raise RunError(f"no command to a new state for {SILENCE_LIMIT:g} s\n{self._logs()}")
+            if bar.disable:  # not a terminal
+                with heartbeat(lambda: f"{name}: {min(self._elapsed(), duration):.1f} of {duration:g} s"):
+                    self._watch(bar)
+            else:
+                self._watch(bar)
         self._refuse_others()
+
+    def _watch(self, bar: Any) -> None:
+        """Wait until the duration is recorded; raise RunError if no command to a new state comes for SILENCE_LIMIT."""
+        duration = self.plan.duration
+        last, deadline, look = 0.0, time.monotonic() + SILENCE_LIMIT, 0.0
+        while last < duration:
+            self._pause()
+            if time.monotonic() > look:
+                self._refuse_others()  # a node with another discovery profile may appear only after 3 s
+                look = time.monotonic() + GRAPH_PERIOD
+            elapsed = self._elapsed()
+            if elapsed > last:
+                last, deadline = elapsed, time.monotonic() + SILENCE_LIMIT
+                bar.update(min(elapsed, duration) - bar.n)
+            elif time.monotonic() > deadline:
+                raise RunError(f"no command to a new state for {SILENCE_LIMIT:g} s\n{self._logs()}")
 
     def _elapsed(self) -> float:
         """Return the stamped time [s] from the first to the latest state with a command."""

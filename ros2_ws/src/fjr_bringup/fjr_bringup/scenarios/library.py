@@ -9,8 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-
+from fjr_bringup.scenarios.installed import installed
 from fjr_core.config import builders, robot_file, ros_yaml
 from fjr_core.config.scenario import OWN_PARAMETERS, Scenario, parse_scenario, self_contained
 from fjr_core.errors import FjrError, ParameterError
@@ -18,25 +17,6 @@ from fjr_core.errors import FjrError, ParameterError
 
 class ScenarioError(FjrError):
     """A scenario does not exist, or no workspace is sourced."""
-
-
-def installed(kind: str) -> dict[str, Path]:
-    """Return the installed files of a kind (scenarios, sweeps, suites) by name; raises ScenarioError."""
-    try:
-        folder = Path(get_package_share_directory("fjr_bringup"), kind)
-    except (PackageNotFoundError, OSError) as error:  # OSError: no workspace is sourced
-        raise ScenarioError(
-            "package fjr_bringup is not installed here: build with `colcon build` in ros2_ws, "
-            "then `. ros2_ws/install/setup.sh`"
-        ) from error
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
-
-
-def summary(path: Path) -> str:
-    """Return the first sentence of the first comment of a scenario file."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    comments = [line.lstrip("# ") for line in lines if line.startswith("#") and "SPDX" not in line]
-    return comments[0].partition(". ")[0] if comments else ""
 
 
 def find(name: str | None, kind: str = "scenario") -> Path:

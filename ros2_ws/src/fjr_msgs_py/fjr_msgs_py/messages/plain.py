@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Convert any message to plain Python values."""
+"""Convert any message to plain Python values, and fill a message from them."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
+
+from fjr_core.errors import ParameterError
 
 
 def plain(value: Any) -> Any:
@@ -17,3 +22,38 @@ def plain(value: Any) -> Any:
     if hasattr(value, "tolist"):  # array.array and NumPy's
         return value.tolist()
     return [plain(entry) for entry in value]
+
+
+def fill(message: Any, values: Any) -> None:
+    """Set the fields of a message that are named in a mapping.
+
+    Raise ParameterError for a wrong name, and for a wrong type if the message was made with check_fields.
+    """
+    kinds = message.get_fields_and_field_types()
+    expected = ", ".join(f"{name} ({kind})" for name, kind in kinds.items()) or "nothing"
+    if not isinstance(values, Mapping):
+        raise ParameterError(f"{type(message).__name__} is {values!r}; expected a mapping with {expected}")
+    for field, value in values.items():
+        if field not in kinds:
+            raise ParameterError(f"{field!r} is not a field of {type(message).__name__}; expected {expected}")
+        try:
+            setattr(message, field, _converted(kinds[field], value))
+        except (AssertionError, TypeError, OverflowError):
+            raise ParameterError(f"{field} is {value!r}; expected {kinds[field]}") from None
+
+
+def _converted(kind: str, value: Any) -> Any:
+    """Return a value as the setter of a field of this type takes it: messages built, integers as floats or a byte."""
+    element = re.fullmatch(r"sequence<([^,>]*)(?:, \d+)?>|(.*)\[\d+\]", kind)
+    if element and isinstance(value, list):
+        return [_converted(element[1] or element[2], entry) for entry in value]
+    if "/" in kind and isinstance(value, Mapping):
+        package, _, name = kind.partition("/")
+        nested = getattr(import_module(f"{package}.msg"), name)(check_fields=True)
+        fill(nested, value)
+        return nested
+    if kind == "octet" and isinstance(value, int) and 0 <= value < 256:
+        return bytes([value])
+    if kind in ("double", "float") and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    return value

@@ -8,13 +8,14 @@ import os
 import threading
 from pathlib import Path
 
+from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_bringup.studies.comparison import job, markdown, pool, report, results, suite
 
 PAGE, RESULTS, CACHE = "comparison.html", "comparison.json", "kept"
 
 
-def compare(name: str, output: Path, cores: int | None, page: Path | None, stop: threading.Event) -> str:
+def compare(name: str, output: Path, cores: int | None, page: Path | None, stop: threading.Event) -> Result:
     """Compare the laws of a suite; return a summary. Raise FjrError, and Interrupted when `stop` is set.
 
     Results go to output/compare_<suite>/: comparison.html, comparison.json, and kept/ with finished jobs, which are not
@@ -31,4 +32,5 @@ def compare(name: str, output: Path, cores: int | None, page: Path | None, stop:
     report.write_page(folder / PAGE, document)
     if page is not None:
         markdown.replace(page, document)
-    return f"{results.extent(document)}\npage and figures: {folder / PAGE}, {RESULTS}"
+    text = f"{results.extent(document)}\npage and figures: {folder / PAGE}, {RESULTS}"
+    return Result(text, {"page": folder / PAGE, **document})

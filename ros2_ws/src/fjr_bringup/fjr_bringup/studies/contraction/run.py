@@ -17,6 +17,7 @@ from fjr_bringup.analysis.commands import ANSWERS
 from fjr_bringup.analysis.run_data import STATES
 from fjr_bringup.interrupt import Interrupted
 from fjr_bringup.recording.reader import Array, read_bag
+from fjr_bringup.result import Result
 from fjr_bringup.studies.contraction.picture import draw
 from fjr_core.config.scenario import Scenario
 from fjr_core.stability.contraction import Contraction, Measured, contraction, scattered
@@ -37,7 +38,9 @@ class Options:
     seed: int
 
 
-def run_and_draw(scenario: Scenario, options: Options, folder: Path | None, output: Path, stop: threading.Event) -> str:
+def run_and_draw(
+    scenario: Scenario, options: Options, folder: Path | None, output: Path, stop: threading.Event
+) -> Result:
     """Run along a simulated or recorded run (its folder), write <name>.png and .json; return a summary.
 
     Raise FjrError, and Interrupted when `stop` is set.
@@ -48,9 +51,11 @@ def run_and_draw(scenario: Scenario, options: Options, folder: Path | None, outp
     picture = output / f"{scenario.name}.png"
     labels = [f"{joint} [{units.position}]" for joint, units in zip(scenario.joints, scenario.robot.units, strict=True)]
     draw(scenario.name, labels, measured, scenario.reference.jets(measured.t)[:, 0], found, picture)
-    picture.with_suffix(".json").write_text(json.dumps(metrics(found), indent=2) + "\n", encoding="utf-8")
+    numbers = picture.with_suffix(".json")
+    numbers.write_text(json.dumps(metrics(found), indent=2) + "\n", encoding="utf-8")
     warning = "" if scenario.plant_is_the_model else MISMATCH
-    return f"{summary(found, scenario.name)}\n{warning}picture and figures: {picture}, {picture.stem}.json"
+    text = f"{summary(found, scenario.name)}\n{warning}picture and figures: {picture}, {picture.stem}.json"
+    return Result(text, {"scenario": scenario.name, **metrics(found), "picture": picture, "metrics": numbers})
 
 
 def simulated(scenario: Scenario, duration: float) -> Measured:

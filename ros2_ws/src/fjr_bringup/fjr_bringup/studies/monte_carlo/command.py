@@ -15,7 +15,9 @@ from typing import Any
 from fjr_bringup.formatting import number, percent, plural
 from fjr_bringup.interrupt import Interrupted
 from fjr_bringup.progress import progress_bar
+from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
+from fjr_bringup.scenarios.installed import installed
 from fjr_bringup.studies.monte_carlo import sweep_file
 from fjr_bringup.studies.monte_carlo.picture import draw
 from fjr_bringup.studies.monte_carlo.pool import Workers, cluster, run_missing, threads
@@ -59,7 +61,7 @@ def planned(name: str | None, options: Options) -> Sweep:
         raise ParameterError(f"sweep {path.stem} {error}") from None
 
 
-def sweep(name: str | None, options: Options, stop: threading.Event) -> str:
+def sweep(name: str | None, options: Options, stop: threading.Event) -> Result:
     """Run the study, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted."""
     plan = planned(name, options)
     plan.refuse_stiff_friction()
@@ -86,13 +88,14 @@ def _carry_out(store: Store, workers: Workers, stop: threading.Event) -> None:
         raise Interrupted(store.folder)
 
 
-def _shown(store: Store) -> str:
+def _shown(store: Store) -> Result:
     summary = summarised(store.sweep, store.column)
     figures = store.folder / "summary.json"
     figures.write_text(json.dumps(summary.as_json(), indent=1) + "\n", encoding="utf-8")
     picture = draw(store, summary, store.folder / "overview.png")
     page = write_page(store, summary, picture, store.folder / "report.html")
-    return f"{table(store.sweep, summary)}\nopen {page}; all runs: {store.table}"
+    text = f"{table(store.sweep, summary)}\nopen {page}; all runs: {store.table}"
+    return Result(text, {**summary.as_json(), "page": page, "table": store.table})
 
 
 def table(plan: Sweep, summary: Summary) -> str:
@@ -119,7 +122,7 @@ UNITS = {"rms": "rad", "peak": "rad", "final": "rad", "settling": "s", "effort_p
 
 def _file(name: str | None) -> Path:
     """Return the path of an installed sweep or scenario, given its name, or of a file."""
-    sweeps = library.installed("sweeps")
+    sweeps = installed("sweeps")
     if name in sweeps:
         return sweeps[name]
     try:

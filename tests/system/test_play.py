@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr play` publishes bags of both storages, written by the rosbags library."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.node import Node
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from fjr_bringup.recording.echo import listening
+from fjr_bringup.recording.play import due_times
+from fjr_msgs_py.names import LATCHED
+from system.executables import TIME_LIMIT, Executable, fjr_here
+from time_limits import Limit
+
+pytestmark = pytest.mark.system
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STATES, EFFORTS, MODEL = "/left/joint_states", "/left/joint_commands", "/left/robot_description"
+PERIOD = 10_000_000  # ns
+
+
+def written(folder: Path, storage: StoragePlugin, count: int) -> Path:
+    """Write numbered states and commands, and one text."""
+    types = STORE.types
+    with Writer(folder, version=9, storage_plugin=storage) as writer:
+        topics = {name: writer.add_connection(name, JointState_, typestore=STORE) for name in (STATES, EFFORTS)}
+        model = writer.add_connection(MODEL, "std_msgs/msg/String", typestore=STORE)
+        text = types["std_msgs/msg/String"](data="robot")
+        writer.write(model, PERIOD, STORE.serialize_cdr(text, "std_msgs/msg/String"))
+        for k in range(count):
+            stamp = types["builtin_interfaces/msg/Time"](sec=k, nanosec=0)
+            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+            none = np.zeros(0)
+            message = types[JointState_](header=header, name=[], position=none, velocity=none, effort=none)
+            for connection in topics.values():
+                writer.write(connection, (1 + k) * PERIOD, STORE.serialize_cdr(message, JointState_))
+    return folder
+
+
+JointState_ = "sensor_msgs/msg/JointState"
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=lambda each: each.name)
+def test_bag_is_played_in_order_until_ctrl_c_without_commands_to_the_robot(
+    tmp_path: Path, storage: StoragePlugin
+) -> None:
+    bag = written(tmp_path / "bag", storage, 100_000)
+    with listening("test_play") as node:
+        subscription = node.create_subscription(JointState, STATES, lambda _: None, 1000)
+        command = Executable("fjr_bringup", "fjr", "play", str(bag))
+        try:
+            numbers = received(subscription, 5)
+            assert node.count_publishers(EFFORTS) == 0
+            command.signal(signal.SIGINT)
+            code, said = command.end()
+        finally:
+            command.kill()
+    assert code == 0, said
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    assert f"{EFFORTS} not played: --efforts commands a robot" in said
+    assert "stopped before the end of the bag" in said
+
+
+def received(subscription: object, count: int) -> list[int]:
+    """Return the seconds of the stamps of the first messages."""
+    found: list[int] = []
+    limit = Limit(TIME_LIMIT)
+    while len(found) < count:
+        assert not limit.passed()
+        while (taken := subscription.handle.take_message(JointState, False)) is not None:  # type: ignore[attr-defined]
+            found.append(taken[0].header.stamp.sec)
+        time.sleep(0.01)
+    return found
+
+
+def test_named_topics_and_efforts_are_played_to_the_end(tmp_path: Path) -> None:
+    bag = written(tmp_path / "bag", StoragePlugin.MCAP, 5)
+    said = fjr_here("play", str(bag), STATES, EFFORTS, "--efforts", "--rate", "100")
+    assert "10 messages of 2 topics played" in said
+
+
+def test_description_is_latched_without_metadata(tmp_path: Path) -> None:
+    bag = written(tmp_path / "bag", StoragePlugin.MCAP, 100_000)
+    (bag / "metadata.yaml").unlink()
+    command = Executable("fjr_bringup", "fjr", "play", str(bag))
+    try:
+        with listening("test_play") as node:
+            wait_for_publisher(node)
+            late = node.create_subscription(String, MODEL, lambda _: None, LATCHED)
+            limit, taken = Limit(TIME_LIMIT), None
+            while taken is None:
+                assert not limit.passed()
+                taken = late.handle.take_message(String, False)
+                time.sleep(0.01)
+        assert taken[0].data == "robot"
+    finally:
+        command.kill()
+
+
+def wait_for_publisher(node: Node) -> None:
+    limit = Limit(TIME_LIMIT)
+    while not node.count_publishers(MODEL):
+        assert not limit.passed()
+        time.sleep(0.01)
+
+
+def test_times_are_the_recorded_ones_divided_by_the_rate() -> None:
+    assert due_times([5_000_000_000, 6_000_000_000, 8_000_000_000], 2.0) == [0.0, 0.5, 1.5]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("/left/other",), "holds no message of /left/other; it holds /left/joint_commands, /left/joint_states"),
+        ((EFFORTS,), f"{EFFORTS} commands a robot; expected --efforts"),
+    ],
+)
+def test_topics_that_are_not_played_are_refused(tmp_path: Path, arguments: tuple[str, ...], sentence: str) -> None:
+    bag = written(tmp_path / "bag", StoragePlugin.MCAP, 1)
+    assert sentence in fjr_here("play", str(bag), *arguments, code=1)
+
+
+def test_hint_names_the_installed_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fjr_bringup.ros2_tools import play_command
+
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert play_command(Path("my bag")) == "fjr play 'my bag'"
+    (tmp_path / "ros2").write_text("#!/bin/sh\n")
+    (tmp_path / "ros2").chmod(0o755)
+    assert play_command(Path("my bag")) == "ros2 bag play 'my bag'"

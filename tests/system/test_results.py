@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results of `fjr` as JSON, runs without pages, progress of long steps, and what a slow machine is told."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fjr_bringup import progress
+from fjr_bringup.analysis.headlines import machine_was_late
+from fjr_bringup.cli.app import fjr as application
+from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.cli.report import report as report_bags
+from fjr_bringup.recording.reader import read_bag
+from fjr_bringup.report.write import RunSummary, report_bag, table
+from fjr_bringup.result import json_text
+from fjr_core.config.scenario import load_scenario
+from system.executables import fjr_here
+from system.shared_runs import shared_run
+from time_limits import Limit
+
+pytestmark = pytest.mark.system
+
+
+@pytest.fixture(scope="module")
+def summary(tmp_path_factory: pytest.TempPathFactory) -> RunSummary:
+    """A report of a run in lock-step."""
+    run = shared_run(tmp_path_factory, "paper_k31")
+    scenario = load_scenario(run / "scenario.yaml")
+    return report_bag("paper_k31", read_bag(run / "bag"), scenario, tmp_path_factory.mktemp("report"))
+
+
+@pytest.mark.parametrize("name", application.commands)
+def test_every_command_offers_json(name: str) -> None:
+    assert "--json" in {option for each in application.commands[name].params for option in each.opts}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "key", "value"),
+    [
+        (["scenarios"], "scenarios", None),
+        (["check", "paper_k31"], "stable", True),
+        (["gains", "paper_k31", "--beta", "5"], "scenario", "paper_k31"),
+        (["description", "paper_k31"], "urdf", None),
+    ],
+    ids=lambda each: each[0] if isinstance(each, list) else "",
+)
+def test_result_is_one_json_document(arguments: list[str], key: str, value: object) -> None:
+    said = json.loads(fjr_here(*arguments, "--json"))
+    assert said[key] == value if value is not None else said[key]
+
+
+def test_failed_check_prints_its_numbers_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert application.main(
+        ["check", "paper_k31", "--set", "publish_rate:=20.0", "--json"], standalone_mode=False, obj=lambda: None
+    ) == (Exit.FAILED)
+    printed = capsys.readouterr()
+    said = json.loads(printed.out)
+    assert said["stable"] is False
+    assert said["refused"] in printed.err
+
+
+def test_report_without_pages_is_the_same(summary: RunSummary, tmp_path: Path) -> None:
+    run = Path(summary.report.bag).parent
+    bare = report_bag("paper_k31", read_bag(run / "bag"), load_scenario(run / "scenario.yaml"), tmp_path, pages=False)
+    assert [each.name for each in tmp_path.iterdir()] == ["report.json"]
+    assert bare.report.as_json() == summary.report.as_json()
+    assert [each.name for each in bare.files] == ["report.json"]
+
+
+def test_result_of_a_report_holds_the_metrics_of_each_run(summary: RunSummary, tmp_path: Path) -> None:
+    found = report_bags([Path(summary.report.bag)], None, tmp_path, "")
+    said = json.loads(json_text(found.values))
+    (run,) = said["runs"]
+    assert json.loads((Path(run["folder"]) / "report.json").read_text()).items() <= run.items()
+    assert Path(run["page"]).is_file()
+
+
+def test_numbers_that_are_not_finite_are_null() -> None:
+    values = {"a": math.nan, "b": [math.inf, 1.0], "c": np.array([1.0, np.nan]), "d": np.float64(2.0), "e": Path("x")}
+    assert json.loads(json_text(values)) == {"a": None, "b": [None, 1.0], "c": [1.0, None], "d": 2.0, "e": "x"}
+
+
+def with_answers(summary: RunSummary, in_time: float, causes: tuple[str, ...], lockstep: bool = False) -> RunSummary:
+    """Return the summary of a violated run with a share of states answered in time."""
+    report = summary.report
+    counts = replace(report.counts, answered_in_time_fraction=in_time)
+    verdict = replace(report.verdict, kind="violated", causes=causes)
+    return replace(summary, report=replace(report, counts=counts, verdict=verdict, lockstep=lockstep))
+
+
+@pytest.mark.parametrize(("in_time", "causes"), [(0.5, ("model mismatch",)), (0.97, ("delay",)), (0.97, ("loss",))])
+def test_slow_machine_is_told_to_use_lock_step(summary: RunSummary, in_time: float, causes: tuple[str, ...]) -> None:
+    said = table([with_answers(summary, in_time, causes)])
+    assert "your machine answered late" in said
+    assert "try --lockstep" in said
+    assert "violated" not in said
+
+
+@pytest.mark.parametrize(
+    ("in_time", "causes", "lockstep"),
+    [(0.97, ("model mismatch",), False), (1.0, ("delay",), False), (0.5, ("delay",), True)],
+)
+def test_violation_that_the_machine_does_not_explain_stays(
+    summary: RunSummary, in_time: float, causes: tuple[str, ...], lockstep: bool
+) -> None:
+    found = with_answers(summary, in_time, causes, lockstep)
+    assert not machine_was_late(found.report)
+    assert "violated" in table([found])
+
+
+def test_long_step_reports_until_it_ends(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(progress, "BEAT", 0.001)
+    said, limit = "", Limit(60.0)
+    with progress.phase("a long step"):
+        while said.count("a long step: ") < 2:
+            assert not limit.passed()
+            said += capsys.readouterr().err
+    assert said.startswith("a long step\n")

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr call`, `fjr set` and `fjr lifecycle` with running nodes under a namespace."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter_client import AsyncParameterClient
+
+from fjr_bringup.recording.echo import listening
+from system.executables import NODES, TIME_LIMIT, Executable, fjr_here
+from time_limits import Limit
+
+pytestmark = pytest.mark.system
+WAIT = ("--timeout", "600")
+CONTROLLER, PLANT = "/left/fjr_controller", "/left/fjr_plant"
+
+
+@pytest.fixture(scope="module")
+def loop() -> Iterator[None]:
+    """Plant and controller under a namespace, in lock-step, for little processor time."""
+    lockstep = {"plant": ("-p", "lockstep:=true"), "controller": ("-p", "use_sim_time:=true")}
+    space = ("-r", "__ns:=/left", "-r", "/clock:=/left/clock")
+    started = [Executable(*NODES[node], "--ros-args", *lockstep[node], *space) for node in NODES]
+    yield
+    for executable in started:
+        executable.kill()
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    with listening("test_services") as made:
+        yield made
+
+
+def value_of(node: Node, of: str, parameter: str) -> Any:
+    """Read a parameter by rclpy's own client."""
+    client, executor = AsyncParameterClient(node, of), SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    limit = Limit(TIME_LIMIT)
+    while not limit.passed():
+        if client.wait_for_services(1.0):
+            future = client.get_parameters([parameter])
+            executor.spin_until_future_complete(future, 2.0)
+            if future.done():
+                return future.result().values[0]
+    raise AssertionError(f"{of} did not respond")
+
+
+def test_trigger_returns_the_response(loop: None) -> None:
+    said = json.loads(fjr_here("call", f"{CONTROLLER}/hold", "--json", *WAIT))
+    assert said["success"] is True
+    assert said["message"]
+
+
+@pytest.mark.parametrize("request_text", ["{data: true}", "true"])
+def test_request_is_a_mapping_or_the_only_value(loop: None, request_text: str) -> None:
+    assert "paused" in fjr_here("call", "left/fjr_plant/pause", request_text, *WAIT)
+    assert "running" in fjr_here("call", "left/fjr_plant/pause", "false", *WAIT)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("3", "data is 3; expected boolean"),
+        ("{dat: true}", "'dat' is not a field of SetBool_Request; expected data (boolean)"),
+    ],
+)
+def test_request_of_the_wrong_kind_is_not_sent(loop: None, text: str, sentence: str) -> None:
+    assert sentence in fjr_here("call", f"{PLANT}/pause", text, *WAIT, code=2)
+
+
+def test_refused_request_fails_with_the_message_of_the_server(loop: None) -> None:
+    said = fjr_here("call", f"{PLANT}/advance", *WAIT, code=1)  # the robot is not paused
+    assert f"fjr: {PLANT}/advance refused: " in said
+
+
+@pytest.mark.parametrize(
+    ("parameter", "text", "sent"),
+    [
+        ("imperfections.state_loss", "0", 0.0),  # an integer where the node declares a double
+        ("imperfections.motor_coulomb_friction", "[0.01]", [0.01]),
+        ("advance_samples", "7", 7),
+    ],
+)
+def test_parameter_takes_the_value_in_the_declared_type(
+    loop: None, node: Node, parameter: str, text: str, sent: object
+) -> None:
+    said = json.loads(fjr_here("set", PLANT, parameter, text, "--json", *WAIT))
+    assert said == {"node": PLANT, "parameter": parameter, "value": sent}
+    found = value_of(node, PLANT, parameter)
+    values = (found.double_value, list(found.double_array_value), found.integer_value)
+    assert sent in values
+
+
+@pytest.mark.parametrize(
+    ("parameter", "text", "code", "sentence"),
+    [
+        ("imperfections.state_loss", "1.5", 1, f"{PLANT} refused imperfections.state_loss: "),
+        ("imperfections.state_loss", "-0.5", 1, f"{PLANT} refused imperfections.state_loss: "),
+        ("no_parameter", "1", 1, f"{PLANT} refused no_parameter: unknown parameter 'no_parameter'"),
+        ("imperfections.state_loss", "lots", 2, "imperfections.state_loss is lots; expected a number"),
+        ("imperfections.motor_coulomb_friction", "0.1", 2, "expected a list of numbers, e.g. [0.5]"),
+    ],
+)
+def test_refused_value_ends_in_one_sentence(loop: None, parameter: str, text: str, code: int, sentence: str) -> None:
+    said = fjr_here("set", PLANT, parameter, text, *WAIT, code=code)
+    assert sentence in said
+    assert len(said.strip().splitlines()) == 1
+
+
+def test_lifecycle_reads_and_changes_the_state(loop: None) -> None:
+    assert f"{CONTROLLER} is active; transitions: deactivate, shutdown" in fjr_here("lifecycle", CONTROLLER, *WAIT)
+    for transition, state in (("deactivate", "inactive"), ("activate", "active")):
+        assert json.loads(fjr_here("lifecycle", CONTROLLER, transition, "--json", *WAIT))["state"] == state
+
+
+def test_transition_that_is_not_offered_is_refused(loop: None) -> None:
+    said = fjr_here("lifecycle", CONTROLLER, "configure", *WAIT, code=1)
+    assert f"{CONTROLLER} is active and has no transition 'configure'; expected deactivate, shutdown" in said
+
+
+@pytest.mark.parametrize(
+    "arguments", [["call", "/nobody/hold"], ["set", "/nobody", "a", "1"], ["lifecycle", "/nobody"]], ids=lambda a: a[0]
+)
+def test_wait_for_a_node_that_is_not_there_ends(arguments: list[str]) -> None:
+    assert "no node offers the service /nobody/" in fjr_here(*arguments, "--timeout", "0.3", code=1)
+
+
+@pytest.mark.parametrize(
+    "arguments", [["call", "/a b"], ["set", "/a b", "a", "1"], ["lifecycle", "/a b"]], ids=lambda a: a[0]
+)
+def test_invalid_name_is_refused(arguments: list[str]) -> None:
+    assert "'/a b' is not a " in fjr_here(*arguments, code=1)
