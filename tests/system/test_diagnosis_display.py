@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fjr_bringup.analysis.metrics import _finite
 from fjr_bringup.monitor.state import Health
 from fjr_bringup.monitor.terminal import _status
 from fjr_bringup.report import html, runs_report
+from fjr_bringup.result import finite
 from fjr_core.monitoring.diagnosis import Diagnosis
 from fjr_msgs_py.messages.diagnosis import LEVELS
 
@@ -56,4 +56,4 @@ def test_the_terminal_shows_a_degraded_verdict_in_yellow() -> None:
 
 
 def test_errors_by_cause_are_lists_in_the_report_and_null_where_not_finite() -> None:
-    assert json.loads(json.dumps(_finite(DEGRADED.errors))) == {"delay": [1e-4, 1.4e-4], "loss": [None, 0.0]}
+    assert json.loads(json.dumps(finite(DEGRADED.errors))) == {"delay": [1e-4, 1.4e-4], "loss": [None, 0.0]}

@@ -17,7 +17,8 @@ from fjr_bringup.services.parameters import set_parameter
 
 def call_service(service: str, request: str, timeout: float, force: bool) -> Result:
     """Call a service with the fields of its request as YAML; return its response."""
-    refuse_over_ros2(f"ros2 service call {service} TYPE {shlex.quote(request)}".rstrip(" '"), "with any type", force)
+    command = shlex.join(["ros2", "service", "call", service, "TYPE", *filter(None, [request])])
+    refuse_over_ros2(command, "with any type", force)
     discover_quickly()
     response = call(service, request, timeout)
     return Result(yaml.safe_dump(response, sort_keys=False).rstrip(), response)
