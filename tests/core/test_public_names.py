@@ -40,6 +40,7 @@ OBJECTS = {
     ),
     "Robot": ARM,
     "SampledCheck": fjr.check(LAW, 1e-3, configurations=np.zeros((40, 2))),
+    "SampledMotion": fjr.SampledMotion(np.arange(40.0), np.zeros((40, 2)), 1e-3),
     "Sine": fjr.Sine(MANY, 1.0),
     "Spline": fjr.Spline(np.arange(40.0), np.zeros((40, 2))),
     "TrackingLaw": LAW,

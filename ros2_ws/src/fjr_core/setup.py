@@ -8,7 +8,7 @@ package_name = "fjr_core"
 version = run_path(str(Path(__file__).parent / package_name / "version.py"))["__version__"]
 extras = {
     "urdf": ["pin>=3"],  # Pinocchio, which reads a URDF
-    "sweep": ["pyarrow>=15"],  # reads the tables that `fjr sweep` writes
+    "sweep": ["pyarrow>=15"],  # reads Parquet: the tables of `fjr sweep`, motions
     "plot": ["matplotlib>=3.6"],
 }
 

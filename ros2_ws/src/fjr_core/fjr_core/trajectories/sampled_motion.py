@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
 from ..numerics.checks import Array, freeze
+from ..numerics.one_line import joints, span
 from .bounds import MotionBounds
 from .minimum_jerk import minimum_jerk
 from .piecewise_polynomial import PiecewisePolynomial
@@ -38,6 +39,11 @@ class SampledMotion:
     deviation: Array = field(init=False, repr=False)
     """Largest distance (n,) [rad] of the reference from the samples."""
     smoothed: bool = field(init=False)
+
+    def __repr__(self) -> str:
+        kind = f"smoothed within {self.deviation.max():.2g}" if self.smoothed else "interpolated"
+        samples = f"{np.size(self.times)} samples {kind}"
+        return f"SampledMotion({joints(self.n)}, {samples}, {span(self.pieces.times)})"
 
     def __post_init__(self) -> None:
         if not self.tolerance >= 0:
