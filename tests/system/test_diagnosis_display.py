@@ -43,7 +43,8 @@ def test_the_page_shows_the_number_in_amber() -> None:
 
 def test_every_verdict_has_a_level_a_heading_and_a_colour() -> None:
     kinds = {"holding", "degraded", "violated", "unknown"}
-    assert set(html.HEADINGS) == set(runs_report.COLOURED) == set(LEVELS) == kinds
+    assert set(html.HEADINGS) == set(runs_report.COLOURED) == {*kinds, "late"}
+    assert set(LEVELS) == kinds
 
 
 def test_the_terminal_shows_a_degraded_verdict_in_yellow() -> None:

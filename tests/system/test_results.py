@@ -12,12 +12,15 @@ import numpy as np
 import pytest
 
 from fjr_bringup import progress
-from fjr_bringup.analysis.headlines import machine_was_late
+from fjr_bringup.analysis.power_balance import power
 from fjr_bringup.cli.app import fjr as application
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.report import report as report_bags
+from fjr_bringup.cli.run import _result
 from fjr_bringup.recording.reader import read_bag
-from fjr_bringup.report.write import RunSummary, report_bag, table
+from fjr_bringup.report import html
+from fjr_bringup.report.run_report import write_run_page
+from fjr_bringup.report.write import RunSummary, compare, report_bag, table
 from fjr_bringup.result import json_text
 from fjr_core.config.scenario import load_scenario
 from system.executables import fjr_here
@@ -96,10 +99,26 @@ def with_answers(summary: RunSummary, in_time: float, causes: tuple[str, ...], l
 
 @pytest.mark.parametrize(("in_time", "causes"), [(0.5, ("model mismatch",)), (0.97, ("delay",)), (0.97, ("loss",))])
 def test_slow_machine_is_told_to_use_lock_step(summary: RunSummary, in_time: float, causes: tuple[str, ...]) -> None:
-    said = table([with_answers(summary, in_time, causes)])
-    assert "your machine answered late" in said
-    assert "try --lockstep" in said
-    assert "violated" not in said
+    found = with_answers(summary, in_time, causes)
+    said = _result([found])
+    assert "your machine answered late" in said.text
+    assert "try --lockstep" in said.text
+    assert "violated" not in said.text
+    assert said.code == Exit.LATE
+    (run,) = said.values["runs"]
+    assert (run["status"], run["verdict"]["kind"]) == ("late", "violated")
+    assert run["advice"] in said.text
+
+
+def test_pages_of_a_slow_machine_advise_lock_step(summary: RunSummary, tmp_path: Path) -> None:
+    found = with_answers(summary, 0.5, ("delay",))
+    flow = power(found.data, load_scenario(Path(found.report.bag).parent / "scenario.yaml").robot.B_m)
+    write_run_page(tmp_path / "report.html", found.data, found.report, flow)
+    for page in (tmp_path / "report.html", compare([found, found], tmp_path)):
+        said = page.read_text(encoding="utf-8")
+        assert html.HEADINGS["late"] in said
+        assert found.report.advice in said
+        assert html.HEADINGS["violated"] not in said
 
 
 @pytest.mark.parametrize(
@@ -110,8 +129,16 @@ def test_violation_that_the_machine_does_not_explain_stays(
     summary: RunSummary, in_time: float, causes: tuple[str, ...], lockstep: bool
 ) -> None:
     found = with_answers(summary, in_time, causes, lockstep)
-    assert not machine_was_late(found.report)
+    assert (found.report.status, found.report.advice) == ("violated", "")
     assert "violated" in table([found])
+    assert _result([found]).code == Exit.VIOLATED
+
+
+def test_a_violation_counts_before_a_late_machine(summary: RunSummary) -> None:
+    runs = [with_answers(summary, 0.5, ("delay",)), with_answers(summary, 1.0, ("delay",)), summary]
+    assert [each.report.status for each in runs] == ["late", "violated", "holding"]
+    assert _result(runs).code == Exit.VIOLATED
+    assert _result(runs[2:]).code == Exit.DONE
 
 
 def test_long_step_reports_until_it_ends(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

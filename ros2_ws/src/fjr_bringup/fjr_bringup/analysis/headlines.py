@@ -10,9 +10,6 @@ from fjr_bringup.analysis.metrics import Report
 from fjr_bringup.formatting import number, percent
 from fjr_core.robot.joint_units import joined
 
-KEEPS_UP = 0.9  # fraction of states answered in time below which a real-time run shows the computer, not the law
-IN_TIME = 0.99  # the same, if delay or loss is the first cause
-
 Formatter = Callable[[float, str], str]  # (value, unit) -> text
 
 
@@ -52,22 +49,6 @@ def initial_error(report: Report) -> str:
     """Return the largest initial error, e.g. 0.5 rad (joint2)."""
     worst = max(report.joints, key=lambda each: each.initial_error_rad)
     return number(worst.initial_error_rad, worst.position_unit) + _of(report, worst.joint)
-
-
-def machine_was_late(report: Report) -> bool:
-    """Return whether a violated run shows the computer, which answered late in real time, instead of the law."""
-    in_time, verdict = report.counts.answered_in_time_fraction, report.verdict
-    if report.lockstep or verdict.kind != "violated" or in_time is None:
-        return False
-    return in_time < KEEPS_UP or (in_time < IN_TIME and verdict.causes[:1] in (("delay",), ("loss",)))
-
-
-def late_machine(report: Report) -> str:
-    """Return the advice for such a run."""
-    share = percent(report.counts.answered_in_time_fraction, 0)
-    return (
-        f"your machine answered late ({share} of the states in time): this run does not judge the law; try --lockstep"
-    )
 
 
 def position_unit(report: Report) -> str:

@@ -30,6 +30,7 @@ from fjr_bringup.analysis.joint_metrics import (
 )
 from fjr_bringup.analysis.power_balance import Power
 from fjr_bringup.analysis.run_data import RunData
+from fjr_bringup.analysis.status import Status, advice_on, status_of
 from fjr_bringup.analysis.timing import Counts, Timing, counts, timing
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.recording.reader import Array, Bag
@@ -116,13 +117,23 @@ class Report:
     failure: str = ""  # why the run ended early
     planned_s: float | None = None  # planned duration; null: unknown
 
+    @property
+    def status(self) -> Status:
+        """Return the run in one word: the verdict, unless the controller stopped or the computer was too late."""
+        return status_of(self.stop, self.verdict, self.counts, self.lockstep)
+
+    @property
+    def advice(self) -> str:
+        """Return what to do about the status, as a sentence; may be empty."""
+        return advice_on(self.status, self.counts)
+
     def of_joint(self, joint: str | None) -> JointMetrics:
         """Return the metrics of a joint, of the first one for None."""
         return next((each for each in self.joints if each.joint == joint), self.joints[0])
 
     def as_json(self) -> dict[str, Any]:
         """Return the metrics as JSON values; non-finite numbers become None."""
-        return dict(finite(asdict(self)))
+        return dict(finite({"status": self.status, "advice": self.advice, **asdict(self)}))
 
     def write(self, path: Path) -> None:
         """Write the report as JSON."""

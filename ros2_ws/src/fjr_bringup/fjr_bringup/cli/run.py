@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from fjr_bringup.analysis.headlines import KEEPS_UP
+from fjr_bringup.analysis.status import KEEPS_UP
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
 from fjr_bringup.formatting import percent
@@ -112,7 +112,7 @@ def _result(summaries: Sequence[RunSummary], page: Path | None = None) -> Result
 
 
 def _exit_code(summaries: Sequence[RunSummary]) -> Exit:
-    """Return the exit code of finished runs: FAILED before VIOLATED before DONE."""
-    if any(each.report.stop for each in summaries):
-        return Exit.FAILED
-    return Exit.VIOLATED if any(each.report.verdict.kind == "violated" for each in summaries) else Exit.DONE
+    """Return the exit code of finished runs, the first that applies: FAILED, VIOLATED, LATE, DONE."""
+    found = {each.report.status for each in summaries}
+    codes = {"stopped": Exit.FAILED, "violated": Exit.VIOLATED, "late": Exit.LATE}
+    return next((code for status, code in codes.items() if status in found), Exit.DONE)

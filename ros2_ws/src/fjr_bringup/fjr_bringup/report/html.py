@@ -27,6 +27,7 @@ HEADINGS = {
     "degraded": "Degraded",
     "violated": "Violated",
     "unknown": "No verdict",
+    "late": "No verdict: the machine was late",
 }
 
 

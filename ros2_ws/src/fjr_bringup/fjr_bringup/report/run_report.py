@@ -24,7 +24,7 @@ def write_run_page(path: Path, data: RunData, report: Report, flow: Power) -> No
     html.write_page(
         path,
         "run.html",
-        f"{report.scenario}: {report.stop.heading if report.stop else html.HEADINGS[report.verdict.kind]}",
+        f"{report.scenario}: {report.stop.heading if report.stop else html.HEADINGS[report.status]}",
         run_plots(data, report, flow),
         report=report,
         kicker=f"Tracking report · {report.bag} · {number(report.duration_s, 's')}",

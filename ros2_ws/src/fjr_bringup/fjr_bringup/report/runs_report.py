@@ -19,7 +19,7 @@ from fjr_bringup.report import html
 from fjr_bringup.report.figure import DRAWN, Line, Plot, colour, decimated, drawable
 from fjr_core.robot.joint_units import joined
 
-COLOURED = {"holding": "ok", "degraded": "maybe", "violated": "no", "unknown": "maybe"}
+COLOURED = {"holding": "ok", "degraded": "maybe", "violated": "no", "unknown": "maybe", "late": "maybe"}
 FOOTER = (
     "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. "
     "The names of the runs lead to their own pages. Needs no network."

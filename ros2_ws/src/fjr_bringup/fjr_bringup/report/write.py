@@ -50,15 +50,8 @@ class RunSummary:
     @property
     def values(self) -> dict[str, Any]:
         """Return the run as JSON values: its files and the content of report.json."""
-        late = headlines.machine_was_late(self.report)
         page = self.folder / PAGE if self.has_page else None
-        return {
-            "name": self.label,
-            "folder": self.folder,
-            "page": page,
-            "machine_was_late": late,
-            **self.report.as_json(),
-        }
+        return {"name": self.label, "folder": self.folder, "page": page, **self.report.as_json()}
 
 
 def report_run(
@@ -154,12 +147,8 @@ def table(summaries: Sequence[RunSummary]) -> str:
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     found = [f"{each.label}: {finding.sentence}" for each in summaries for finding in each.report.verdict.findings]
-    late = [
-        f"{each.label}: {headlines.late_machine(each.report)}"
-        for each in summaries
-        if headlines.machine_was_late(each.report)
-    ]
-    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:], *found, *late])
+    advised = [f"{each.label}: {each.report.advice}" for each in summaries if each.report.advice]
+    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:], *found, *advised])
 
 
 def stops(summaries: Sequence[RunSummary]) -> list[str]:
@@ -181,9 +170,9 @@ def _row(label: str, report: Report) -> tuple[str, ...]:
 
 
 def _verdict(report: Report) -> str:
-    if report.stop:
+    if report.status == "stopped":
         return "stopped"
-    if headlines.machine_was_late(report):
+    if report.status == "late":
         return "none: the machine was late"
     return report.verdict.kind + (f": {report.verdict.detail}" if report.verdict.detail else "")
 
