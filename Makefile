@@ -36,7 +36,7 @@ help:  ## print this list
 
 demo: ## run the paper's joint and a 7-joint arm on two ROS 2 nodes, record and report them in runs/ (DEMO_ARGS="...")
 	$(SETUP) build
-	@$(ENTER) && exec fjr demo $(DEMO_ARGS)
+	@$(ENTER) && echo fjr demo $(DEMO_ARGS) && exec fjr demo $(DEMO_ARGS)
 
 test: ## run the suite; the labelled bags at one strength (PYTEST_ARGS="...", TEST_WORKERS=3)
 	$(SETUP) test

@@ -66,12 +66,12 @@ def script(text: str) -> str:
 
 
 def _shortened(command: str) -> str:
-    """Return a recording command with a short duration; it may end `violated`, depending on the machine."""
+    """Return a recording command with a short duration; it may end `violated` or `late`, depending on the machine."""
     parts = words(command)
     if parts[:2] not in (["fjr", "run"], ["fjr", "demo"]) or parts[-1] == "&":
         return command
     short = command if "--duration" in parts else shlex.join([*parts, "--duration", SHORT])
-    return f"{short.partition(' #')[0]} || [ $? -eq {Exit.VIOLATED:d} ]"
+    return f"{short.partition(' #')[0]} || case $? in {Exit.VIOLATED:d} | {Exit.LATE:d}) ;; *) exit 1 ;; esac"
 
 
 def syntax_error(text: str) -> str:

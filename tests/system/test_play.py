@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import signal
+import threading
 import time
+import tracemalloc
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +18,11 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from fjr_bringup.recording import stream
 from fjr_bringup.recording.echo import listening
-from fjr_bringup.recording.play import due_times
+from fjr_bringup.recording.play import due
+from fjr_bringup.recording.stream import in_order, overview
+from fjr_bringup.recording.topic import BagError
 from fjr_msgs_py.names import LATCHED
 from system.executables import TIME_LIMIT, Executable, fjr_here
 from time_limits import Limit
@@ -113,7 +119,60 @@ def wait_for_publisher(node: Node) -> None:
 
 
 def test_times_are_the_recorded_ones_divided_by_the_rate() -> None:
-    assert due_times([5_000_000_000, 6_000_000_000, 8_000_000_000], 2.0) == [0.0, 0.5, 1.5]
+    assert [due(each, 5_000_000_000, 2.0) for each in (5_000_000_000, 6_000_000_000, 8_000_000_000)] == [0.0, 0.5, 1.5]
+
+
+def test_overview_counts_the_messages_of_each_topic(tmp_path: Path) -> None:
+    found = overview(written(tmp_path / "bag", StoragePlugin.MCAP, 7)).held
+    assert {name: (each.count, each.first, each.last) for name, each in found.items()} == {
+        STATES: (7, PERIOD, 7 * PERIOD),
+        EFFORTS: (7, PERIOD, 7 * PERIOD),
+        MODEL: (1, PERIOD, PERIOD),
+    }
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=lambda each: each.name)
+def test_messages_come_by_receive_time(tmp_path: Path, storage: StoragePlugin) -> None:
+    texts(tmp_path / "bag", storage, [3, 1, 2, 5, 4])
+    assert [message.log_time for _, message in in_order(tmp_path / "bag", {MODEL})] == [1, 2, 3, 4, 5]
+    assert not list(in_order(tmp_path / "bag", {STATES}))
+
+
+@pytest.mark.parametrize("limit", ["AHEAD_MESSAGES", "AHEAD_BYTES"])
+def test_a_bag_is_read_only_a_few_messages_ahead(tmp_path: Path, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    texts(tmp_path / "bag", StoragePlugin.SQLITE3, range(1000), "x" * 10_000)
+    monkeypatch.setattr(stream, limit, 100)
+    tracemalloc.start()
+    try:
+        messages = in_order(tmp_path / "bag", {MODEL})
+        next(messages)
+        tracemalloc.reset_peak()  # opening a file may take a large buffer
+        assert sum(1 for _ in messages) == 999
+        assert tracemalloc.get_traced_memory()[1] < 5e6  # of 10 MB
+    finally:
+        tracemalloc.stop()
+
+
+def test_the_reader_ends_with_the_one_who_reads(tmp_path: Path) -> None:
+    texts(tmp_path / "bag", StoragePlugin.MCAP, range(1000))
+    messages = in_order(tmp_path / "bag", {MODEL})
+    next(messages)
+    messages.close()
+    assert not [thread for thread in threading.enumerate() if thread.name == "bag reader"]
+
+
+def test_an_error_of_the_reader_is_raised(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="is not a bag"):
+        list(in_order(tmp_path, {MODEL}))
+
+
+def texts(folder: Path, storage: StoragePlugin, times: Iterable[int], text: str = "robot") -> None:
+    """Write a text at each of the receive times [ns]."""
+    with Writer(folder, version=9, storage_plugin=storage) as writer:
+        model = writer.add_connection(MODEL, "std_msgs/msg/String", typestore=STORE)
+        content = STORE.serialize_cdr(STORE.types["std_msgs/msg/String"](data=text), "std_msgs/msg/String")
+        for each in times:
+            writer.write(model, each, content)
 
 
 @pytest.mark.parametrize(

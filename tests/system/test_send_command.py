@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -41,10 +42,10 @@ def listener(ros: Ros) -> Iterator[Listener]:
 def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, listener: Listener, tmp_path: Path) -> None:
     file = motion_file(tmp_path, MOTION)
     with ThreadPoolExecutor(1) as worker:
-        sent = worker.submit(fjr, "send", file, "--lead", "0.5", "--scenario", "paper_k31")
+        sent = worker.submit(fjr, "send", file, "--lead", "0.5", "--scenario", "paper_k31", "--json")
         ros.until(sent.done, "the end of fjr send")
-        assert "accepted: smoothed within" in sent.result()
         assert "through every sample the motion of the file would ask for" in sent.result()
+        assert json.JSONDecoder().raw_decode(sent.result())[0]["lead_s"] == 0.5
     ros.until(lambda: listener.references[-1].position[0] > 0.4 and _rests(listener), "the end of the motion")
     t, q = (np.array(each) for each in zip(*((seconds(m), m.position[0]) for m in listener.references), strict=True))
     begin = t[np.argmax(q > MOTION[600])] - T[601]

@@ -66,6 +66,7 @@ def set_up(target: str, sourced_ros: bool) -> None:
         say(f"Python {sys.version.split()[0]} ({base_interpreter()}), ROS 2 Jazzy: {source}")
         say(f"environment {environment.path}")
         return
+    say(f"checking {environment.path.name}")
     with alone(ROOT / ".setup"):
         environment.ensure(LEVELS[target])
         if target != "lint":

@@ -16,6 +16,7 @@ from types import TracebackType
 
 PREFIX = "[setup]"
 TAIL_LINES = 25
+BEAT = 2.0  # s; no step is silent for longer
 
 
 class SetupError(Exception):
@@ -34,40 +35,52 @@ def say(text: str) -> None:
 class Step:
     """`with Step("colcon build"): ...` prints the title at once and the elapsed seconds at the end.
 
-    On a terminal the elapsed time and the latest word of the running command are refreshed in place.
+    Meanwhile it prints the elapsed time and the latest line of the running command: on a terminal in place, elsewhere
+    as a line every BEAT.
     """
 
     def __init__(self, title: str) -> None:
         self.title = title
         self.note = ""
         self._live = sys.stdout.isatty()
+        self._open = True  # whether the cursor is behind the title
         self._stop = threading.Event()
-        self._ticker = threading.Thread(target=self._refresh, daemon=True)
+        self._ticker = threading.Thread(target=self._refresh if self._live else self._report, daemon=True)
 
     def __enter__(self) -> Step:
         self._start = time.monotonic()
-        if self._live:
-            self._ticker.start()
-        else:
+        if not self._live:
             print(f"{PREFIX} {self.title} ...", end="", flush=True)
+        self._ticker.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop.set()
+        self._ticker.join()
         if self._live:
-            self._ticker.join()
-            print(f"\r\033[K{PREFIX} {self.title} ...", end="")
+            print("\r\033[K", end="")
+        if self._live or not self._open:
+            print(f"{PREFIX} {self.title} ...", end="")
         outcome = "" if kind is None else "failed after "
         print(f" {outcome}{time.monotonic() - self._start:.1f} s", flush=True)
 
+    def _line(self) -> str:
+        """Return title, elapsed time and note, in the width of the terminal."""
+        line = f"{PREFIX} {self.title} ... {time.monotonic() - self._start:.0f} s  {self.note}"
+        return line[: shutil.get_terminal_size().columns - 1]
+
     def _refresh(self) -> None:
         while True:
-            line = f"{PREFIX} {self.title} ... {time.monotonic() - self._start:.0f} s  {self.note}"
-            print("\r\033[K" + line[: shutil.get_terminal_size().columns - 1], end="", flush=True)
+            print("\r\033[K" + self._line(), end="", flush=True)
             if self._stop.wait(0.5):
                 return
+
+    def _report(self) -> None:
+        while not self._stop.wait(BEAT):
+            print("\n" * self._open + self._line(), flush=True)
+            self._open = False
 
 
 def run_logged(

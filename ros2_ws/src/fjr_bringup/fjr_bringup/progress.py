@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-BEAT = 2.5  # s
+BEAT = 2.0  # s
 
 
 def progress_bar(line: str, form: str, **options: Any) -> Any:

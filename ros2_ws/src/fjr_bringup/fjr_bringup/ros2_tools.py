@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choose between a command of ROS 2 and that of `fjr` by what is installed here."""
+"""Name what works on this installation: a command of ROS 2 or that of `fjr`, and how to install what is missing."""
 
 from __future__ import annotations
 
 import shlex
 import shutil
 from pathlib import Path
+
+INSTALLATION = (
+    "expected the wheel fjr in this Python environment, or a workspace that is built (make build) and sourced "
+    "(. ros2_ws/install/setup.sh)"
+)
 
 
 def ros2_path() -> str | None:

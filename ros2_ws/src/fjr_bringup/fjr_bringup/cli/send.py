@@ -10,6 +10,7 @@ import numpy as np
 
 from fjr_bringup.interrupt import stoppable
 from fjr_bringup.recording.echo import absolute
+from fjr_bringup.result import Result
 from fjr_bringup.runner.run import discover_quickly
 from fjr_bringup.runner.trajectory_client import connected
 from fjr_bringup.scenarios import library
@@ -24,7 +25,7 @@ EXACT = 1e-6  # rad; largest difference between the smoothed motion and that of 
 
 def send_motion(
     motion: Path, scenario: str | None, lead: float, tolerance: float, namespace: str, controller: str
-) -> None:
+) -> Result:
     """Send the motion; its first sample is reached `lead` [s] after the controller accepts it.
 
     Print the warnings of docs/references.md if a scenario is given. Raises ParameterError for a file that is not valid,
@@ -34,12 +35,14 @@ def send_motion(
     node = absolute(f"{namespace.strip('/')}/{controller}".lstrip("/"))
     with stoppable() as stop, connected(node, stop) as client:
         smooth = motion_of_file(str(motion), tolerance, client.joints)
-        for sentence in _warnings(smooth, scenario, client.joints):
+        warnings = _warnings(smooth, scenario, client.joints)
+        for sentence in warnings:
             print(f"fjr: {sentence}", file=sys.stderr)
         points = waypoints(smooth, EXACT)
         client.send(trajectory_message(client.joints, points.times + lead, *points[1:]))
     sent = f"{len(points.times)} points, first sample after {lead:g} s, at rest after {lead + smooth.end:.6g} s"
-    print(f"accepted: {_described(smooth)}; {sent}")
+    values = {"controller": node, "points": len(points.times), "lead_s": lead, "rest_s": lead + smooth.end}
+    return Result(f"accepted: {_described(smooth)}; {sent}", {**values, "warnings": warnings})
 
 
 def _warnings(motion: SampledMotion, scenario: str | None, joints: tuple[str, ...]) -> list[str]:

@@ -86,7 +86,7 @@ class _McapReader:
             message = Message(number, log_time, content[MESSAGE.size :], publish_time, sequence)
             topic = self._topic(number)
             if topic is not None and has_times(message):
-                topic.messages.append(message)
+                self._contents.add(topic, message)
             else:
                 self.invalid += 1
         elif kind == Opcode.SCHEMA:
@@ -161,7 +161,7 @@ def read_compressed(folder: Path, contents: Contents) -> bool:
                 topic = contents.topic(connection.topic, connection.msgtype, connection.msgdef.data)
                 message = Message(connection.id, time, data, time, 0)
                 if has_times(message):
-                    topic.messages.append(message)
+                    contents.add(topic, message)
     except Exception as error:  # any error of the library
         raise BagError(f"{folder} is not a readable compressed bag: {error or type(error).__name__}") from error
     return True

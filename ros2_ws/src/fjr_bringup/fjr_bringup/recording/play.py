@@ -10,14 +10,17 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from mcap.records import Message
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from fjr_bringup.progress import heartbeat
 from fjr_bringup.recording.echo import absolute, listening
 from fjr_bringup.recording.message_types import SchemaError, interface_class
-from fjr_bringup.recording.reader import read_bag
-from fjr_bringup.recording.topic import BagError, Topic
+from fjr_bringup.recording.reader import bag_folder
+from fjr_bringup.recording.stream import Held, in_order, overview
+from fjr_bringup.recording.topic import BagError
 from fjr_bringup.result import Result
 from fjr_core.config import ros_yaml
 from fjr_core.errors import FjrError
@@ -36,24 +39,27 @@ def play(path: Path, wanted: Sequence[str], rate: float, efforts: bool, stop: th
 
     rate: speed relative to the recording. efforts: also the topics that command a robot.
     """
-    bag = read_bag(path)
+    path = bag_folder(path)
+    with heartbeat(lambda: f"fjr: reading {path}"):
+        bag = overview(path)
     for note in bag.notes:
         print(f"fjr: {note}", file=sys.stderr)
-    topics = selected(bag.topics, wanted, efforts, bag.path)
-    latched = latched_topics(bag.path, topics)
+    topics = selected(bag.held, wanted, efforts, path)
     with listening("fjr_play") as node:
-        publishers = _publishers(node, topics, latched)
+        publishers = _publishers(node, topics, latched_topics(path, topics))
         if not publishers:
-            raise BagError(f"{bag.path} holds no topic that can be played; its message types are not installed here")
-        length = _length([topics[name] for name in publishers]) / rate
+            raise BagError(f"{path} holds no topic that can be played; its message types are not installed here")
+        played = [topics[name] for name in publishers]
+        first, last = min(each.first for each in played), max(each.last for each in played)
+        length = due(last, first, rate)
         print(f"fjr: plays {len(publishers)} topics for {length:.3g} s; Ctrl-C ends", file=sys.stderr, flush=True)
         counts = dict.fromkeys(publishers, 0)
-        stopped = stop.wait(DISCOVERY)
-        for name, data in () if stopped else _in_time([topics[name] for name in publishers], rate, stop):
+        stop.wait(DISCOVERY)
+        for name, data in _in_time(in_order(path, publishers), first, rate, stop):
             publishers[name].publish(data)
             counts[name] += 1
         flush(*publishers.values(), seconds=0.0 if stop.is_set() else ACKNOWLEDGED)
-    return _played(counts, sum(counts.values()) == sum(len(topics[name].messages) for name in publishers))
+    return _played(counts, sum(counts.values()) == sum(each.count for each in played))
 
 
 def _played(counts: dict[str, int], complete: bool) -> Result:
@@ -64,12 +70,11 @@ def _played(counts: dict[str, int], complete: bool) -> Result:
     return Result(text, {"messages": counts, "complete": complete})
 
 
-def selected(topics: dict[str, Topic], wanted: Sequence[str], efforts: bool, path: Path) -> dict[str, Topic]:
-    """Return the topics to play by name; raise BagError if a wanted topic holds no message or commands a robot.
+def selected(held: dict[str, Held], wanted: Sequence[str], efforts: bool, path: Path) -> dict[str, Held]:
+    """Return the held topics to play by name; raise BagError if a wanted topic holds no message or commands a robot.
 
     Without `wanted` the topics that command a robot are left out with a notice, unless `efforts`.
     """
-    held = {name: topic for name, topic in topics.items() if topic.messages}
     commanding = sorted(name for name in held if name.endswith(EFFORTS))
     for name in map(absolute, wanted):
         if name not in held:
@@ -86,9 +91,9 @@ def selected(topics: dict[str, Topic], wanted: Sequence[str], efforts: bool, pat
     return held
 
 
-def due_times(log_times: Sequence[int], rate: float) -> list[float]:
-    """Return the time [s] of each message after the first, from receive times [ns] in ascending order."""
-    return [(each - log_times[0]) * 1e-9 / rate for each in log_times]
+def due(log_time: int, first: int, rate: float) -> float:
+    """Return the time [s] of a message after the first, from the receive times [ns] of both."""
+    return (log_time - first) * 1e-9 / rate
 
 
 def latched_topics(folder: Path, topics: Collection[str]) -> frozenset[str]:
@@ -107,7 +112,7 @@ def _is_latched(metadata: dict[str, Any]) -> bool:
     return any(profile["durability"] in ("transient_local", 1) for profile in found or ())
 
 
-def _publishers(node: Node, topics: dict[str, Topic], latched: Collection[str]) -> dict[str, Publisher]:
+def _publishers(node: Node, topics: dict[str, Held], latched: Collection[str]) -> dict[str, Publisher]:
     """Return a publisher for each topic of an installed type."""
     publishers = {}
     for name, topic in topics.items():
@@ -121,18 +126,12 @@ def _publishers(node: Node, topics: dict[str, Topic], latched: Collection[str]) 
     return publishers
 
 
-def _in_time(topics: Sequence[Topic], rate: float, stop: threading.Event) -> Iterator[tuple[str, bytes]]:
-    """Yield the topic and content of each message when it is due, until `stop`."""
-    every = [(message.log_time, topic.name, message.data) for topic in topics for message in topic.messages]
-    every.sort(key=lambda each: each[0])
+def _in_time(
+    messages: Iterator[tuple[str, Message]], first: int, rate: float, stop: threading.Event
+) -> Iterator[tuple[str, bytes]]:
+    """Yield the topic and content of each message when it is due, until `stop`; first: the first receive time [ns]."""
     start = time.monotonic()
-    for due, (_, name, data) in zip(due_times([each[0] for each in every], rate), every, strict=True):
-        if stop.wait(max(0.0, start + due - time.monotonic())):
+    for name, message in messages:
+        if stop.wait(max(0.0, start + due(message.log_time, first, rate) - time.monotonic())):
             return
-        yield name, data
-
-
-def _length(topics: Sequence[Topic]) -> float:
-    """Return the time [s] from the first to the last message."""
-    times = [message.log_time for topic in topics for message in topic.messages]
-    return (max(times) - min(times)) * 1e-9
+        yield name, message.data

@@ -93,11 +93,15 @@ def read_bag(path: str | Path, namespace: str = "") -> Bag:
 
     namespace: of the topics, empty or with a leading slash.
     """
-    path = Path(path)
-    path = path / "bag" if (path / "bag").is_dir() else path
+    path = bag_folder(Path(path))
     contents = Contents()
     complete = [read_file(file, contents) for file in files_of(path)]
     return Bag(path, contents.topics, all(complete), namespace, tuple(contents.notes))
+
+
+def bag_folder(path: Path) -> Path:
+    """Return the folder of the bag of a run; any other path as it is."""
+    return path / "bag" if (path / "bag").is_dir() else path
 
 
 def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array:

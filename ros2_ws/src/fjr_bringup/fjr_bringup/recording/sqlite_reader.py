@@ -102,7 +102,7 @@ class _Reader:
         if isinstance(topic, int) and topic in self._topics and isinstance(time, int) and isinstance(data, bytes):
             message = Message(topic, time, data, time, 0)
             if has_times(message):
-                self._topics[topic].messages.append(message)
+                self._contents.add(self._topics[topic], message)
                 return number
         self._invalid += 1
         return number

@@ -72,9 +72,13 @@ class Contents:
         """Return the topic of this name; add it if it is new."""
         return self.topics.setdefault(name, Topic(name, type_name, definition))
 
+    def add(self, topic: Topic, message: Message) -> None:
+        """Take a message of a topic."""
+        topic.messages.append(message)
+
     @property
     def count(self) -> int:
-        """Number of messages."""
+        """Number of messages taken."""
         return sum(len(topic.messages) for topic in self.topics.values())
 
 

@@ -20,8 +20,6 @@ from fjr_bringup.analysis.metrics import Report, make_report
 from fjr_bringup.analysis.power_balance import power
 from fjr_bringup.analysis.run_data import RunData, run_data
 from fjr_bringup.recording.reader import Bag, read_bag
-from fjr_bringup.report.run_report import write_run_page
-from fjr_bringup.report.runs_report import Compared, write_comparison
 from fjr_bringup.ros2_tools import play_command
 from fjr_core.config.scenario import Scenario, load_scenario
 
@@ -101,6 +99,8 @@ def report_bag(
         def write(place: Path) -> None:
             report.write(place / METRICS)
             if pages:
+                from fjr_bringup.report.run_report import write_run_page  # Jinja2 takes a tenth of a second
+
                 write_run_page(place / PAGE, data, report, flow)
 
         folder = write_with_fallback(folder, write)
@@ -135,6 +135,8 @@ def without_warnings() -> Iterator[None]:
 
 def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
     """Write comparison.html of several runs into a folder."""
+    from fjr_bringup.report.runs_report import Compared, write_comparison
+
     with without_warnings():
         runs = [Compared(each.label, each.data, each.report, each.folder / PAGE) for each in summaries]
         return write_with_fallback(folder, lambda place: write_comparison(place / COMPARISON, runs)) / COMPARISON

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
+from fjr_bringup.ros2_tools import INSTALLATION
 from fjr_core.errors import FjrError
 from fjr_msgs_py.node.loading import signals_blocked
 
@@ -41,10 +42,7 @@ def executable(package: str, name: str) -> Path:
     except (PackageNotFoundError, OSError):  # OSError: no workspace is sourced
         path = Path()
     if not path.is_file():
-        raise NodeError(
-            f"executable {name} of package {package} is not installed: build with `colcon build` in ros2_ws, "
-            "then `. ros2_ws/install/setup.sh`"
-        )
+        raise NodeError(f"executable {name} of package {package} is not installed; {INSTALLATION}")
     return path
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
+from fjr_bringup.ros2_tools import INSTALLATION
+
 
 def installed(kind: str) -> dict[str, Path]:
     """Return the installed files of a kind (scenarios, sweeps, suites) by name; raises ScenarioError."""
@@ -15,10 +17,7 @@ def installed(kind: str) -> dict[str, Path]:
     except (PackageNotFoundError, OSError) as error:  # OSError: no workspace is sourced
         from fjr_bringup.scenarios.library import ScenarioError  # loads CasADi
 
-        raise ScenarioError(
-            "package fjr_bringup is not installed here: build with `colcon build` in ros2_ws, "
-            "then `. ros2_ws/install/setup.sh`"
-        ) from error
+        raise ScenarioError(f"package fjr_bringup is not installed here; {INSTALLATION}") from error
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 

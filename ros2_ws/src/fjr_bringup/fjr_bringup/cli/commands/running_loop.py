@@ -98,7 +98,7 @@ def lifecycle(**given: Any) -> Any:
     return implementation("services").change_state(**given)
 
 
-@COMMANDS.command()
+@command()
 @click.argument("motion", metavar="FILE", type=options.PATH)
 @click.option("--scenario", metavar="NAME", help="Scenario of the robot, to check the efforts: a name or a file.")
 @click.option("--lead", type=options.SECONDS, metavar="S", default=2.0, help="Time in which to reach the first sample.")

@@ -49,8 +49,8 @@ def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
         from distributed import Client
     except ModuleNotFoundError:
         raise ClusterError(
-            "dask.distributed is not installed here; expected it for --scheduler: "
-            "pip install --constraint constraints.txt --requirement requirements/cluster.txt"
+            "dask.distributed is not installed here; expected it for --scheduler, at the version of the cluster: "
+            "pip install distributed"
         ) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors are reported here, in one sentence
     try:
