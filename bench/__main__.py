@@ -37,7 +37,7 @@ from bench.figures import Figure, table
 RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
 LONG = ("memory", "sweep-memory")
 USUAL = (
-    *("law", "dynamics", "step", "loop", "virtual-machine", "start", "node", "real-time"),
+    *("law", "dynamics", "step", "loop", "virtual-machine", "start", "node", "command", "real-time"),
     *("round-trip", "certificate", "periods", "lock-step", "campaign"),
 )
 NAMES = (*USUAL, *LONG)
@@ -82,6 +82,7 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         peers.virtual_machine_over_c,
         start_up.library,
         start_up.node,
+        start_up.command,
         real_time.tracking,
         lambda: round_trip.over_echo(arm, *((3,) if quick else ())),
         lambda: certificate.with_and_without(arm, *((3,) if quick else ())),

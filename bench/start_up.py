@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start-up time to the first effort: with empty and filled cache, and of the controller node."""
+"""Start-up time to the first effort, with empty and filled cache and of the controller node, and of `fjr`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from resource import RUSAGE_CHILDREN, getrusage
 from tempfile import TemporaryDirectory
 from time import perf_counter
 from unittest.mock import patch
@@ -22,7 +23,7 @@ from fjr_bringup.runner.node_process import NodeProcess
 from fjr_bringup.runner.run import set_ros_environment
 from fjr_msgs_py import names
 
-COLD_REPEATS, WARM_REPEATS, NODE_REPEATS = 3, 3, 7
+COLD_REPEATS, WARM_REPEATS, NODE_REPEATS, COMMAND_REPEATS = 3, 3, 7, 5
 LONGEST = 60.0  # s
 DOMAIN = "100"  # outside the ids used by the tests
 
@@ -48,6 +49,32 @@ def node() -> list[Figure]:
         _first_command(cache)
         seconds = [_first_command(cache) for _ in range(NODE_REPEATS)]
     return [_figure("controller node, spawn to first command", seconds, bound=1.0)]
+
+
+def command() -> list[Figure]:
+    """Measure the processor time of `fjr` and the nodes that it starts, with filled caches."""
+    os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
+    with TemporaryDirectory(prefix="fjr-bench-") as folder:
+        run = ("run", "paper_k31", "--lockstep", "--duration", "0.2", "--output", folder)
+        _processor_time(folder, *run)  # fills the cache
+        lines = {
+            "fjr --help": (("--help",), 0.4),
+            "fjr scenarios": (("scenarios",), 0.4),
+            "fjr run, 0.2 s in lock-step": (run, 4.0),
+            "fjr run --no-report, 0.2 s in lock-step": ((*run, "--no-report"), 4.0),
+        }
+        return [
+            _figure(f"{name}, processor time", [_processor_time(folder, *line) for _ in range(COMMAND_REPEATS)], bound)
+            for name, (line, bound) in lines.items()
+        ]
+
+
+def _processor_time(cache: str, *arguments: str) -> float:
+    """Return the time [s] that the processors spend on `fjr` and its nodes: unlike that of a clock, for any load."""
+    before = getrusage(RUSAGE_CHILDREN)
+    subprocess.run(["fjr", *arguments], env=_environment(cache), check=True, capture_output=True, timeout=LONGEST)
+    after = getrusage(RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
 
 def _first_effort(cache: str) -> float:

@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
@@ -19,6 +20,7 @@ from fjr_bringup.recording.reader import Array
 from fjr_core.robot.joint_units import joined
 
 GREY = "#666666"
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 ENLARGED = 2  # joints; with more, an inset would hide the lines
 HEALTHY = 1e-3  # of V(0): leaving the bound above this value is not explained by the sample and hold
 
@@ -33,7 +35,7 @@ def tracking(ax: Axes, data: RunData) -> None:
     follows, many = error[-1] <= error[0], len(data.joints) > 1
     verb = ("follow" if many else "follows") if follows else ("do not follow" if many else "does not follow")
     title = f"The {'links' if many else 'link'} {verb} the reference (grey)"
-    ax.set(title=title, xlabel="t [s]", ylabel=f"$q_l$, $q_{{ld}}$ [{joined(each.position for each in data.units)}]")
+    ax.set(title=title, xlabel="t [s]", ylabel=f"q_l, q_ld [{joined(each.position for each in data.units)}]")
 
 
 def error(ax: Axes, data: RunData, report: Report) -> None:
@@ -50,7 +52,7 @@ def error(ax: Axes, data: RunData, report: Report) -> None:
         label = f"at most {headlines.steady_error(report, _power_of)} after 2 s"
         ax.annotate(label, (data.t[-1], worst), (0, 4), textcoords="offset points", ha="right", color=GREY)
         title = f"Error: from {headlines.initial_error(report)} to {headlines.steady_error(report, _power_of)}"
-    ax.set(title=title, xlabel="t [s]", ylabel=f"$|q_l - q_{{ld}}|$ [{headlines.position_unit(report)}]")
+    ax.set(title=title, xlabel="t [s]", ylabel=f"|q_l − q_ld| [{headlines.position_unit(report)}]")
 
 
 def storage(ax: Axes, data: RunData, report: Report) -> None:
@@ -66,13 +68,13 @@ def storage(ax: Axes, data: RunData, report: Report) -> None:
     ax.semilogy(data.t, relative, color=COLOURS[0], lw=1.0)
     ax.set_ylim(floor, 30.0 * float(shown.max(initial=1.0)))
     at, height = int(np.searchsorted(-bound, -(floor ** (1 / 3)))), floor ** (1 / 3)
-    text = f"bound $e^{{-2\\beta t}}$,\n$\\beta$ = {data.beta:.3g} 1/s"
+    text = f"bound exp(−2βt),\nβ = {data.beta:.3g} 1/s"
     ax.annotate(text, (data.t[min(at, len(data.t) - 1)], height), (8, 2), textcoords="offset points", color=GREY)
     _mark_departure(ax, data, report)
     rate = None if report.storage is None else report.storage.measured_decay_rate_per_s
     basis = "proven" if data.beta_is_proven else "sampled"
     title = f"V falls at {rate:.3g} 1/s; {basis}: at least {2 * data.beta:.3g} 1/s" if rate else "V and its bound"
-    ax.set(title=title, xlabel="t [s]", ylabel="$V(t)\\,/\\,V(0)$")
+    ax.set(title=title, xlabel="t [s]", ylabel="V(t) / V(0)")
 
 
 def _mark_departure(ax: Axes, data: RunData, report: Report) -> None:
@@ -168,9 +170,18 @@ def _power_of(value: float, unit: str) -> str:
 
 
 def _power(value: float) -> str:
-    """Typeset 1.5e-05 as 1.5 x 10^-5."""
+    """Typeset 1.5e-05 as 1.5 x 10^-5 in plain text; Matplotlib's own formulas take a tenth of the drawing."""
     mantissa, exponent = f"{value:.1e}".split("e")
-    return f"${mantissa}\\times10^{{{int(exponent)}}}$"
+    return f"{mantissa}×{_power_of_ten(int(exponent))}"
+
+
+def _power_of_ten(exponent: int) -> str:
+    return "10" + str(exponent).translate(SUPERSCRIPTS)
+
+
+def _label_powers(axis: Axis) -> None:
+    """Label the ticks of a logarithmic axis with powers of ten in plain text."""
+    axis.set_major_formatter(lambda value, _: _power_of_ten(round(np.log10(value))))
 
 
 STYLE = {
@@ -207,6 +218,8 @@ def draw_overview(name: str, data: RunData, report: Report, folder: Path) -> Pat
     figure.suptitle(title, fontsize=13, x=0.01, y=0.98, ha="left")
     path = folder / "overview.png"
     for ax in figure.axes:
+        if ax.get_yscale() == "log":
+            _label_powers(ax.yaxis)
         ax.minorticks_off()  # on log axes each is drawn by five artists, a third of the drawing time
     figure.savefig(path, pil_kwargs={"compress_level": 3})
     return path

@@ -8,6 +8,7 @@ is read in the same way, with or without metadata.yaml. Contents.notes lists the
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -23,8 +24,6 @@ from fjr_bringup.recording.mcap_reader import MAGIC, MESSAGE, UNREADABLE, File, 
 from fjr_bringup.recording.message_types import typestore
 from fjr_bringup.recording.sqlite_reader import read_tables
 from fjr_bringup.recording.topic import BagError, Contents, Topic, has_times
-from fjr_core.config import ros_yaml
-from fjr_core.errors import FjrError
 
 
 def read_mcap(path: Path, contents: Contents) -> bool:
@@ -167,6 +166,7 @@ def read_compressed(folder: Path, contents: Contents) -> bool:
     return True
 
 
+COMPRESSED = re.compile(r"^\s+compression_mode: *[\"']?(file|message)\b", re.IGNORECASE | re.MULTILINE)
 READERS: dict[str, Callable[[Path, Contents], bool]] = {".mcap": read_mcap, ".db3": read_sqlite}
 
 
@@ -187,12 +187,12 @@ def files_of(path: Path) -> list[Path]:
 
 
 def _is_compressed(folder: Path) -> bool:
-    """Return whether rosbag2 compressed the files or messages of a bag."""
+    """Return whether rosbag2 compressed the files or messages of a bag; parsing all metadata would take longer."""
     try:
-        found = ros_yaml.read(folder / "metadata.yaml", "metadata")
-        return bool(found["rosbag2_bagfile_information"].get("compression_mode", ""))
-    except (FjrError, LookupError, TypeError, AttributeError):
+        text = (folder / "metadata.yaml").read_text(encoding="utf-8", errors="replace")
+    except OSError:
         return False
+    return COMPRESSED.search(text) is not None
 
 
 def read_file(path: Path, contents: Contents) -> bool:

@@ -23,6 +23,7 @@ from fjr_bringup.recording import message_types
 
 METADATA_VERSION = 9
 ROS_DISTRO = "jazzy"
+DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # in C where PyYAML was built with libyaml
 
 
 @dataclass
@@ -59,7 +60,7 @@ class BagWriter:
             text = message_types.definition(type_name).encode()
             self._schemas[type_name] = self._mcap.register_schema(type_name, "ros2msg", text)
         qos = [qos_as_dict(profile) for profile in offered]
-        metadata = {"offered_qos_profiles": yaml.safe_dump(qos), "topic_type_hash": type_hash}
+        metadata = {"offered_qos_profiles": yaml.dump(qos, Dumper=DUMPER), "topic_type_hash": type_hash}
         number = self._mcap.register_channel(topic, "cdr", self._schemas[type_name], metadata)
         self.channels.append(Channel(number, topic, type_name, type_hash, qos))
         return self.channels[-1]
@@ -80,11 +81,11 @@ class BagWriter:
     def close(self) -> None:
         """Write index, summary and metadata.yaml."""
         metadata = self._metadata()
-        text = yaml.safe_dump(metadata, sort_keys=False)
+        text = yaml.dump(metadata, Dumper=DUMPER, sort_keys=False)
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
         self._mcap.finish()
         self._stream.close()
-        text = yaml.safe_dump({"rosbag2_bagfile_information": metadata}, sort_keys=False)
+        text = yaml.dump({"rosbag2_bagfile_information": metadata}, Dumper=DUMPER, sort_keys=False)
         write_text(self.folder / "metadata.yaml", text)
 
     def abandon(self) -> None:
