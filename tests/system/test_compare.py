@@ -26,6 +26,7 @@ from fjr_core.control.registry import LAWS, V_DPBC
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.numerics import jit_cache
 from system.browser import Browser
+from system.documented import documented_keys
 from system.executables import TIME_LIMIT, Executable, fjr, fjr_here
 from time_limits import HANG, Limit
 
@@ -63,7 +64,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def found(folder: Path) -> dict[str, Any]:
-    return compared(folder, QUICK, "--cores", "2")[0]
+    document, said = compared(folder, QUICK, "--cores", "2", "--json")
+    result, _ = json.JSONDecoder().raw_decode(said)
+    assert set(result) == documented_keys()["compare"]
+    assert result.items() >= document.items()
+    return document
 
 
 @pytest.fixture(scope="module")

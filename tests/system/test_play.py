@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import threading
 import time
@@ -24,6 +25,7 @@ from fjr_bringup.recording.play import due
 from fjr_bringup.recording.stream import in_order, overview
 from fjr_bringup.recording.topic import BagError
 from fjr_msgs_py.names import LATCHED
+from system.documented import documented_keys
 from system.executables import TIME_LIMIT, Executable, fjr_here
 from time_limits import Limit
 
@@ -58,7 +60,7 @@ JointState_ = "sensor_msgs/msg/JointState"
 def test_bag_is_played_in_order_until_ctrl_c_without_commands_to_the_robot(
     tmp_path: Path, storage: StoragePlugin
 ) -> None:
-    bag = written(tmp_path / "bag", storage, 100_000)
+    bag = written(tmp_path / "bag", storage, 20_000)
     with listening("test_play") as node:
         subscription = node.create_subscription(JointState, STATES, lambda _: None, 1000)
         command = Executable("fjr_bringup", "fjr", "play", str(bag))
@@ -89,12 +91,14 @@ def received(subscription: object, count: int) -> list[int]:
 
 def test_named_topics_and_efforts_are_played_to_the_end(tmp_path: Path) -> None:
     bag = written(tmp_path / "bag", StoragePlugin.MCAP, 5)
-    said = fjr_here("play", str(bag), STATES, EFFORTS, "--efforts", "--rate", "100")
-    assert "10 messages of 2 topics played" in said
+    said = fjr_here("play", str(bag), STATES, EFFORTS, "--efforts", "--rate", "100", "--json")
+    found, _ = json.JSONDecoder().raw_decode(said)
+    assert found == {"messages": {STATES: 5, EFFORTS: 5}, "complete": True}
+    assert set(found) == documented_keys()["play"]
 
 
 def test_description_is_latched_without_metadata(tmp_path: Path) -> None:
-    bag = written(tmp_path / "bag", StoragePlugin.MCAP, 100_000)
+    bag = written(tmp_path / "bag", StoragePlugin.MCAP, 20_000)
     (bag / "metadata.yaml").unlink()
     command = Executable("fjr_bringup", "fjr", "play", str(bag))
     try:

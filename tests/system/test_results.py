@@ -14,6 +14,7 @@ import pytest
 from fjr_bringup import progress
 from fjr_bringup.analysis.power_balance import power
 from fjr_bringup.cli.app import fjr as application
+from fjr_bringup.cli.app import main
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.report import report as report_bags
 from fjr_bringup.cli.run import _result
@@ -23,7 +24,7 @@ from fjr_bringup.report.run_report import write_run_page
 from fjr_bringup.report.write import RunSummary, compare, report_bag, table
 from fjr_bringup.result import json_text
 from fjr_core.config.scenario import load_scenario
-from system.executables import fjr_here
+from system.documented import documented_keys
 from system.shared_runs import shared_run
 from time_limits import Limit
 
@@ -44,18 +45,35 @@ def test_every_command_offers_json(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "key", "value"),
+    "line",
     [
-        (["scenarios"], "scenarios", None),
-        (["check", "paper_k31"], "stable", True),
-        (["gains", "paper_k31", "--beta", "5"], "scenario", "paper_k31"),
-        (["description", "paper_k31"], "urdf", None),
+        "scenarios",
+        "check paper_k31",
+        "gains paper_k31 --beta 5",
+        "description paper_k31",
+        "contraction paper_k31 --duration 0.05 --starts 2 --output .",
+        "sweep paper_joint --runs 8 --duration 1.2 --output .",
+        "export-c paper_k31 c",
+        "record /nothing --duration 0.1 --output bag --force",
     ],
-    ids=lambda each: each[0] if isinstance(each, list) else "",
+    ids=lambda line: line.partition(" ")[0],
 )
-def test_result_is_one_json_document(arguments: list[str], key: str, value: object) -> None:
-    said = json.loads(fjr_here(*arguments, "--json"))
-    assert said[key] == value if value is not None else said[key]
+def test_result_is_one_json_document_with_the_documented_keys(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([*line.split(), "--json"]) == Exit.DONE
+    assert set(json.loads(capsys.readouterr().out)) == documented_keys()[line.partition(" ")[0]]
+
+
+def test_every_command_is_documented() -> None:
+    assert {*documented_keys(), "echo", "watch"} == set(application.commands)
+
+
+def test_result_of_a_run_has_the_documented_keys(summary: RunSummary) -> None:
+    found = json.loads(json_text(_result([summary]).values))
+    assert set(found) == documented_keys()["run"]
+    assert {"name", "folder", "page", "status", "advice", "verdict"} <= set(found["runs"][0])
 
 
 def test_failed_check_prints_its_numbers_as_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -79,6 +97,7 @@ def test_report_without_pages_is_the_same(summary: RunSummary, tmp_path: Path) -
 def test_result_of_a_report_holds_the_metrics_of_each_run(summary: RunSummary, tmp_path: Path) -> None:
     found = report_bags([Path(summary.report.bag)], None, tmp_path, "")
     said = json.loads(json_text(found.values))
+    assert set(said) == documented_keys()["report"]
     (run,) = said["runs"]
     assert json.loads((Path(run["folder"]) / "report.json").read_text()).items() <= run.items()
     assert Path(run["page"]).is_file()

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from nodes.harness import Listener, Ros, seconds
+from system.documented import documented_keys
 from system.executables import NODES, Executable, fjr
 
 pytestmark = pytest.mark.system
@@ -45,7 +46,7 @@ def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, listener: Liste
         sent = worker.submit(fjr, "send", file, "--lead", "0.5", "--scenario", "paper_k31", "--json")
         ros.until(sent.done, "the end of fjr send")
         assert "through every sample the motion of the file would ask for" in sent.result()
-        assert json.JSONDecoder().raw_decode(sent.result())[0]["lead_s"] == 0.5
+        assert set(json.JSONDecoder().raw_decode(sent.result())[0]) == documented_keys()["send"]
     ros.until(lambda: listener.references[-1].position[0] > 0.4 and _rests(listener), "the end of the motion")
     t, q = (np.array(each) for each in zip(*((seconds(m), m.position[0]) for m in listener.references), strict=True))
     begin = t[np.argmax(q > MOTION[600])] - T[601]

@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.parameter_client import AsyncParameterClient
 
 from fjr_bringup.recording.echo import listening
+from system.documented import documented_keys
 from system.executables import NODES, TIME_LIMIT, Executable, fjr_here
 from time_limits import Limit
 
@@ -93,6 +94,7 @@ def test_parameter_takes_the_value_in_the_declared_type(
 ) -> None:
     said = json.loads(fjr_here("set", PLANT, parameter, text, "--json", *WAIT))
     assert said == {"node": PLANT, "parameter": parameter, "value": sent}
+    assert set(said) == documented_keys()["set"]
     found = value_of(node, PLANT, parameter)
     values = (found.double_value, list(found.double_array_value), found.integer_value)
     assert sent in values
@@ -117,7 +119,9 @@ def test_refused_value_ends_in_one_sentence(loop: None, parameter: str, text: st
 def test_lifecycle_reads_and_changes_the_state(loop: None) -> None:
     assert f"{CONTROLLER} is active; transitions: deactivate, shutdown" in fjr_here("lifecycle", CONTROLLER, *WAIT)
     for transition, state in (("deactivate", "inactive"), ("activate", "active")):
-        assert json.loads(fjr_here("lifecycle", CONTROLLER, transition, "--json", *WAIT))["state"] == state
+        said = json.loads(fjr_here("lifecycle", CONTROLLER, transition, "--json", *WAIT))
+        assert said["state"] == state
+        assert set(said) == documented_keys()["lifecycle"]
 
 
 def test_transition_that_is_not_offered_is_refused(loop: None) -> None:

@@ -107,7 +107,7 @@ def _result(summaries: Sequence[RunSummary], page: Path | None = None) -> Result
     """Return table and files of finished runs; page: the page that compares them."""
     lines = [table(summaries), output_paths(summaries), play_hint(Path(summaries[0].report.bag))]
     lines += [f"side by side: {page}"] if page else []
-    values = {"runs": [each.values for each in summaries], **({"comparison": page} if page else {})}
+    values = {"runs": [each.values for each in summaries], "comparison": page}
     return Result("\n".join(lines), values, _exit_code(summaries))
 
 

@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The keys of the JSON that each command prints, as docs/reports.md lists them."""
+
+from __future__ import annotations
+
+import re
+
+from docs.pages import ROOT
+
+ROW = re.compile(r"^\| (`fjr [^|]*) \| ([^|]*) \|$", re.MULTILINE)
+CODE = re.compile(r"`([^`]*)`")
+
+
+def documented_keys() -> dict[str, set[str]]:
+    """Return the keys in the second column of the table by command."""
+    page = (ROOT / "docs" / "reports.md").read_text(encoding="utf-8")
+    section = page.partition("## Results as JSON\n")[2].partition("\n## ")[0]
+    rows = {names: set(CODE.findall(keys)) for names, keys in ROW.findall(section)}
+    return {name.removeprefix("fjr "): keys for names, keys in rows.items() for name in CODE.findall(names)}
