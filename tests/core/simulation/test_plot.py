@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fjr_core.robot.joint_units import PRISMATIC, REVOLUTE
 from fjr_core.simulation.plot import PlotError
 
 mpl.use("Agg")
@@ -31,6 +33,12 @@ def test_lines_are_the_arrays_of_the_run(run: fjr.Trajectory) -> None:
     np.testing.assert_array_equal(drawn["u [N m]"], run.u)
     np.testing.assert_array_equal(drawn["V [J]"], run.V[:, None])
     assert all(np.array_equal(line.get_xdata(), run.t) for each in axes.values() for line in each.lines)
+
+
+def test_labels_name_the_units_of_all_joints(run: fjr.Trajectory) -> None:
+    lift = replace(run, units=(PRISMATIC, REVOLUTE))
+    labels = {each.get_ylabel() for each in lift.plot().axes}
+    assert labels == {"q_l [m, rad]", "q_l - q_ld [m, rad]", "u [N, N m]", "V [J]"}
 
 
 def test_missing_matplotlib_is_one_sentence(run: fjr.Trajectory, monkeypatch: pytest.MonkeyPatch) -> None:

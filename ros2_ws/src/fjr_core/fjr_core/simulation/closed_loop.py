@@ -21,6 +21,7 @@ from ..numerics.checks import Array
 from ..numerics.integrators import INNER_STEP, rk4_expression
 from ..numerics.one_line import brief, joints, span
 from ..robot.coordinates import Coordinates, law_view
+from ..robot.joint_units import Units
 from ..robot.port_hamiltonian import Plant
 from ..robot.robot import Robot
 from ..trajectories.reference import JETS, Reference, check_reference
@@ -33,13 +34,17 @@ CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Closed-loop run at k instants: t (k,), x (k, 4n), u (k, n), jets (k, 5, n), V (k,); SI units."""
+    """Closed-loop run at k instants: t (k,), x (k, 4n), u (k, n), jets (k, 5, n), V (k,); SI units.
+
+    units: of each joint, rad and N m or m and N.
+    """
 
     t: Array
     x: Array
     u: Array
     jets: Array
     V: Array
+    units: tuple[Units, ...]
 
     def __repr__(self) -> str:
         effort, V = np.max(np.abs(self.u), initial=0.0), brief(self.V[[0, -1]])
@@ -140,7 +145,7 @@ def _sampled(
     plant: Plant, x0: Array, t: Array, jets: Array, segments: list[_Segment], bound: Callable[..., BoundLaw]
 ) -> Trajectory:
     n = plant.robot.n
-    run = _empty_trajectory(n, t, jets)
+    run = _empty_trajectory(plant.robot, t, jets)
     x, u, x_next, V = x0.copy(), np.zeros(n), np.zeros_like(x0), np.zeros(1)
     evaluate_law = bound(x, u, V)
     held = [np.zeros(n) for _ in segments]
@@ -201,7 +206,7 @@ def _with_state(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, 
 
 def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t: Array, dt: float) -> Trajectory:
     step = _closed_loop_step(plant, law)
-    run = _empty_trajectory(law.robot.n, t, reference.jets(t))
+    run = _empty_trajectory(plant.robot, t, reference.jets(t))
     run.x[0] = x0
     instants = (t[:-1], t[:-1] + dt / 2, t[1:])
     for k, stages in enumerate(zip(*(reference.jets(instant) for instant in instants), strict=True)):
@@ -243,5 +248,6 @@ def _diverged(t: float) -> StateError:
     return StateError(f"the closed loop diverged: the state is not finite at t = {t:.6g} s")
 
 
-def _empty_trajectory(n: int, t: Array, jets: Array) -> Trajectory:
-    return Trajectory(t, np.empty((len(t), 4 * n)), np.empty((len(t), n)), jets, np.empty(len(t)))
+def _empty_trajectory(robot: Robot, t: Array, jets: Array) -> Trajectory:
+    x, u, V = np.empty((len(t), 4 * robot.n)), np.empty((len(t), robot.n)), np.empty(len(t))
+    return Trajectory(t, x, u, jets, V, robot.units)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import FjrError
 from ..numerics.checks import Array
+from ..robot.joint_units import joined
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,11 +36,12 @@ def draw(run: Trajectory) -> Figure:
     )
     n = run.u.shape[1]
     q_l, q_ld = run.x[:, :n], run.jets[:, 0]
-    _lines(position, "q_l [rad]", run.t, q_l)
+    length, force = (joined(getattr(each, name) for each in run.units) for name in ("position", "effort"))
+    _lines(position, f"q_l [{length}]", run.t, q_l)
     for joint, line in enumerate(position.lines[:]):
         position.plot(run.t, q_ld[:, joint], "--", color=line.get_color(), alpha=0.6)
-    _lines(deviation, "q_l - q_ld [rad]", run.t, q_l - q_ld)
-    _lines(effort, "u [N m]", run.t, run.u)
+    _lines(deviation, f"q_l - q_ld [{length}]", run.t, q_l - q_ld)
+    _lines(effort, f"u [{force}]", run.t, run.u)
     _lines(storage, "V [J]", run.t, run.V[:, None])
     if np.any(run.V > 0):
         storage.set_yscale("log")
