@@ -21,6 +21,7 @@ LIMIT = 300.0  # s
 FLAGS = (
     "--headless=new",
     "--disable-gpu",
+    "--enable-unsafe-swiftshader",  # WebGL by the processor
     "--no-first-run",
     "--disable-background-networking",
     "--disable-component-update",
@@ -29,8 +30,9 @@ FLAGS = (
     "--remote-debugging-port=0",
     "--host-resolver-rules=MAP * ~NOTFOUND",
 )
-# Count the pixels of each canvas that are neither grey nor transparent, i.e. not axes or grid.
-COLOURED = """[...document.querySelectorAll("canvas")].map((canvas) => {
+SOFTWARE = "GL Driver Message (OpenGL, Performance"  # logged because the processor draws
+# Count the pixels of each plot that are neither grey nor transparent, i.e. not axes or grid.
+COLOURED = """[...document.querySelectorAll(".uplot canvas")].map((canvas) => {
   const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
   let coloured = 0;
   for (let i = 0; i < data.length; i += 4) {
@@ -129,7 +131,7 @@ class Browser:
             self.said.append(str(parameters["exceptionDetails"]))
         elif message.get("method") == "Runtime.consoleAPICalled":
             self.said.append(" ".join(str(each.get("value")) for each in parameters["args"]))
-        elif message.get("method") == "Log.entryAdded":
+        elif message.get("method") == "Log.entryAdded" and SOFTWARE not in parameters["entry"]["text"]:
             self.said.append(parameters["entry"]["text"])
         elif message.get("method") == "Network.requestWillBeSent":
             self.asked.append(parameters["request"]["url"])

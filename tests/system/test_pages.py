@@ -128,4 +128,4 @@ def test_narrow_window_needs_no_horizontal_scrolling(pages: Path, browser: Brows
 
 
 def pictures(browser: Browser) -> list[str]:
-    return list(browser.value("[...document.querySelectorAll('canvas')].map((canvas) => canvas.toDataURL())"))
+    return list(browser.value("[...document.querySelectorAll('.uplot canvas')].map((canvas) => canvas.toDataURL())"))

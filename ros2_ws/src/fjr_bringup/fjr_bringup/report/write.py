@@ -20,6 +20,7 @@ from fjr_bringup.analysis.metrics import Report, make_report
 from fjr_bringup.analysis.power_balance import power
 from fjr_bringup.analysis.run_data import RunData, run_data
 from fjr_bringup.recording.reader import Bag, read_bag
+from fjr_bringup.report.arm_replay import arm_replay
 from fjr_bringup.report.run_report import write_run_page
 from fjr_bringup.report.runs_report import Compared, write_comparison
 from fjr_bringup.ros2_tools import play_command
@@ -108,7 +109,7 @@ def report_bag(
         def write(place: Path) -> None:
             report.write(place / METRICS)
             if pages:
-                write_run_page(place / PAGE, data, report, flow)
+                write_run_page(place / PAGE, data, report, flow, arm_replay(data, scenario))
 
         folder = write_with_fallback(folder, write)
     return RunSummary(folder, report, data, name, pages)
