@@ -28,7 +28,7 @@ FLAGS = (
     "--disable-dev-shm-usage",
     "--hide-scrollbars",
     "--remote-debugging-port=0",
-    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )
 SOFTWARE = "GL Driver Message (OpenGL, Performance"  # logged because the processor draws
 # Count the pixels of each plot that are neither grey nor transparent, i.e. not axes or grid.
@@ -83,14 +83,14 @@ class Browser:
                 assert "error" not in message, message
                 return message["result"]
 
-    def open(self, path: Path, width: int = 1280, height: int = 900, dark: bool = False) -> None:
-        """Open a file from disk, as a double click does, and wait until it is drawn."""
+    def open(self, page: Path | str, width: int = 1280, height: int = 900, dark: bool = False) -> None:
+        """Open a file from disk, as a double click does, or an address, and wait until it is drawn."""
         self.said.clear()
         self.asked.clear()
         self.size(width, height)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
-        self.call("Page.navigate", url=path.absolute().as_uri())
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.absolute().as_uri())
         while self._receive().get("method") != "Page.loadEventFired":
             pass
         self.settle()
