@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio
 import pytest
 
+from fjr_bringup.scene.urdf_scene import scene
 from fjr_core.config.description import description
 from fjr_core.config.scenario import load_scenario
 from system.browser import Browser
@@ -88,24 +89,45 @@ def test_a_narrow_window_shows_all_controls(pages: Path, browser: Browser, dark:
     is_sound(browser)
 
 
-def test_the_links_are_posed_as_by_forward_kinematics(pages: Path, browser: Browser) -> None:
-    q = [0.3, -0.7, 1.1, 0.4, -1.3, 0.9, 0.2]
+# Turned origins and axes, and every kind of joint; the last follows the first.
+ALL_KINDS = """<robot name="all">
+  <link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/><link name="f"/>
+  <joint name="turn" type="continuous"><parent link="a"/><child link="b"/><axis xyz="1 2 -1"/>
+    <origin xyz="0.1 0.2 0.3" rpy="0.4 -0.5 2.6"/></joint>
+  <joint name="slide" type="prismatic"><parent link="b"/><child link="c"/><axis xyz="0 3 1"/>
+    <origin xyz="0 0.2 0.3" rpy="-1.2 0.3 0.2"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="stiff" type="fixed"><parent link="c"/><child link="d"/><origin xyz="0.3 0 0" rpy="0.7 0.8 0.9"/></joint>
+  <joint name="locked" type="revolute"><parent link="d"/><child link="e"/><axis xyz="0 0 1"/>
+    <origin xyz="0.1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="follower" type="revolute"><parent link="e"/><child link="f"/><axis xyz="1 0 0"/>
+    <origin xyz="0 0 0.2"/><limit lower="-3" upper="3" effort="1" velocity="1"/>
+    <mimic joint="turn" multiplier="-2" offset="0.1"/></joint>
+</robot>"""
+REVOLUTE = ('type="continuous">', 'type="revolute"><limit lower="-1" upper="1" effort="1" velocity="1"/>')
+SEVEN = [0.3, -0.7, 1.1, 0.4, -1.3, 0.9, 0.2]
+ARM7 = description(load_scenario(scenario("arm7")).controller_values)
+KINEMATICS = {  # URDF, positions of the joints that move, of those that do not, of all in the order of the chain
+    "arm7": (ARM7, {f"joint{i + 1}": q for i, q in enumerate(SEVEN)}, {}, SEVEN),
+    "every kind of joint": (ALL_KINDS, {"turn": 0.6, "slide": -0.4}, {"locked": 0.5}, [0.6, -0.4, 0.5, -1.1]),
+}
+
+
+@pytest.mark.parametrize("name", KINEMATICS)
+def test_the_links_are_posed_as_by_forward_kinematics(pages: Path, browser: Browser, name: str) -> None:
+    urdf, moving, locked, q = KINEMATICS[name]
     browser.open(pages / "arm7" / "report.html")
     found = browser.value(f"""(() => {{
-      const {{ arm }} = JSON.parse(document.getElementById("plots").textContent);
-      const chain = new Arm.Chain(arm.scene, [], () => new THREE.Material());
-      chain.pose(Object.fromEntries(arm.joints.map((name, i) => [name, {q}[i]])));
+      const chain = new Arm.Chain({json.dumps(scene(urdf, locked))}, [], () => new THREE.Material());
+      chain.pose({json.dumps(moving)});
       chain.group.updateMatrixWorld(true);
-      return chain.joints.map(({{ name }}) => [name, chain.frames[name].matrixWorld.elements]);
+      return Object.fromEntries(chain.joints.map(({{ name }}) => [name, chain.frames[name].matrixWorld.elements]));
     }})()""")
-    model = pinocchio.buildModelFromXML(description(load_scenario(scenario("arm7")).controller_values))
+    model = pinocchio.buildModelFromXML(urdf.replace(*REVOLUTE))
     at = model.createData()
     pinocchio.forwardKinematics(model, at, np.array(q))
-    for name, columns in found:
-        if model.existJointName(name):
-            expected = at.oMi[model.getJointId(name)].homogeneous
-            np.testing.assert_allclose(np.reshape(columns, (4, 4)).T, expected, atol=1e-12, err_msg=name)
-    assert {name for name, _ in found} >= set(model.names[1:])
+    for joint in model.names[1:]:
+        expected = at.oMi[model.getJointId(joint)].homogeneous
+        np.testing.assert_allclose(np.reshape(found[joint], (4, 4)).T, expected, atol=1e-12, err_msg=joint)
 
 
 def test_slider_moves_arm_and_cursors(pages: Path, browser: Browser) -> None:
