@@ -7,6 +7,8 @@ LONGEST_FIRST = (
     "system/test_fjr_sweep.py",
     "system/test_echo_and_record.py",
     "system/test_pages.py",
+    "system/test_arm_replay.py",
+    "system/test_watch_browser.py",
     "system/test_fjr_command.py",
     "system/test_labelled_set.py",
     "system/test_other_laws.py",

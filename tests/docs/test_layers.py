@@ -32,7 +32,7 @@ LAYERS = {
     "fjr_controller": ("tracking", "ros", "trajectory", "components", "controller_node", "executable"),
     "fjr_bringup": (
         "atomic_file formatting interrupt progress result ros2_tools",
-        "recording",
+        "recording scene",
         "analysis",
         "plotting",
         "report",

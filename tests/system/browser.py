@@ -21,16 +21,18 @@ LIMIT = 300.0  # s
 FLAGS = (
     "--headless=new",
     "--disable-gpu",
+    "--enable-unsafe-swiftshader",  # WebGL by the processor
     "--no-first-run",
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-dev-shm-usage",
     "--hide-scrollbars",
     "--remote-debugging-port=0",
-    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )
-# Count the pixels of each canvas that are neither grey nor transparent, i.e. not axes or grid.
-COLOURED = """[...document.querySelectorAll("canvas")].map((canvas) => {
+SOFTWARE = "GL Driver Message (OpenGL, Performance"  # logged because the processor draws
+# Count the pixels of each plot that are neither grey nor transparent, i.e. not axes or grid.
+COLOURED = """[...document.querySelectorAll(".uplot canvas")].map((canvas) => {
   const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
   let coloured = 0;
   for (let i = 0; i < data.length; i += 4) {
@@ -81,14 +83,14 @@ class Browser:
                 assert "error" not in message, message
                 return message["result"]
 
-    def open(self, path: Path, width: int = 1280, height: int = 900, dark: bool = False) -> None:
-        """Open a file from disk, as a double click does, and wait until it is drawn."""
+    def open(self, page: Path | str, width: int = 1280, height: int = 900, dark: bool = False) -> None:
+        """Open a file from disk, as a double click does, or an address, and wait until it is drawn."""
         self.said.clear()
         self.asked.clear()
         self.size(width, height)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
-        self.call("Page.navigate", url=path.absolute().as_uri())
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.absolute().as_uri())
         while self._receive().get("method") != "Page.loadEventFired":
             pass
         self.settle()
@@ -129,7 +131,7 @@ class Browser:
             self.said.append(str(parameters["exceptionDetails"]))
         elif message.get("method") == "Runtime.consoleAPICalled":
             self.said.append(" ".join(str(each.get("value")) for each in parameters["args"]))
-        elif message.get("method") == "Log.entryAdded":
+        elif message.get("method") == "Log.entryAdded" and SOFTWARE not in parameters["entry"]["text"]:
             self.said.append(parameters["entry"]["text"])
         elif message.get("method") == "Network.requestWillBeSent":
             self.asked.append(parameters["request"]["url"])

@@ -51,17 +51,26 @@ def test_a_value_that_a_template_lacks_is_an_error(tmp_path: Path) -> None:
         page(tmp_path / "page.html")
 
 
-def test_a_missing_plotting_library_is_one_sentence_and_leaves_no_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(html, "DISTRIBUTION", "no-such-distribution")
+@pytest.mark.parametrize("name", [html.SCRIPT, html.THREE])
+def test_a_missing_library_is_one_sentence(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(html.ASSETS, name, ("no-such-distribution", ""))
     html.asset.cache_clear()
     try:
         with pytest.raises(
-            html.UPlotError, match=r"is not installed; expected it from: pip install --no-deps"
+            html.AssetError, match=f"^{name} .* is not installed; expected it from: pip install"
         ) as error:
-            page(tmp_path / "page.html", **VALUES)
+            html.asset(name)
     finally:
         html.asset.cache_clear()
     assert "\n" not in str(error.value)
+
+
+def test_without_a_library_no_page_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(html.ASSETS, html.SCRIPT, ("no-such-distribution", ""))
+    html.asset.cache_clear()
+    try:
+        with pytest.raises(html.AssetError):
+            page(tmp_path / "page.html", **VALUES)
+    finally:
+        html.asset.cache_clear()
     assert list(tmp_path.iterdir()) == []

@@ -82,6 +82,7 @@ def test_comparison_draws_all_runs_and_links_to_their_pages(pages: Path, browser
 
 def test_pointer_shows_values_and_zooms_all_time_plots(pages: Path, browser: Browser) -> None:
     browser.open(pages / "paper_k31" / "report.html")
+    browser.value("document.querySelector('#error').scrollIntoView()")
     over = "document.querySelector('#error .u-over').getBoundingClientRect()"
     x, y, width = (browser.value(f"{over}.{what}") for what in ("left", "top", "width"))
     before = pictures(browser)
@@ -128,4 +129,4 @@ def test_narrow_window_needs_no_horizontal_scrolling(pages: Path, browser: Brows
 
 
 def pictures(browser: Browser) -> list[str]:
-    return list(browser.value("[...document.querySelectorAll('canvas')].map((canvas) => canvas.toDataURL())"))
+    return list(browser.value("[...document.querySelectorAll('.uplot canvas')].map((canvas) => canvas.toDataURL())"))

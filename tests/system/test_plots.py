@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fjr_bringup.formatting import milliseconds, number, percent
-from fjr_bringup.report.figure import Pool, decimated, drawable
+from fjr_bringup.report.figure import STORED, Line, Plot, Pool, decimated, drawable
 from fjr_bringup.report.run_figures import HALF, bins
 
 VALUES = st.floats(-1e6, 1e6, width=32)
@@ -27,6 +27,17 @@ def test_decimated_lines_keep_minima_maxima_and_ends(columns: list[np.ndarray], 
     for column in columns:
         assert column[rows].max() == column.max()
         assert column[rows].min() == column.min()
+
+
+def test_a_plot_of_many_lines_stores_no_more_values_and_keeps_the_peaks() -> None:
+    values = np.random.default_rng(1).normal(size=(24, 20_000))
+    values[5, 7_777] = 9.0
+    plot = Plot("many", "", "", np.arange(20_000.0), [Line("", row) for row in values])
+    pool = Pool()
+    packed = plot.packed(pool)
+    columns = [unpacked(pool.arrays[line["values"]]) for line in packed["lines"]]
+    assert 0.5 * STORED < sum(map(len, columns)) <= STORED
+    assert columns[5].max() == 9.0
 
 
 def test_short_lines_are_not_decimated() -> None:

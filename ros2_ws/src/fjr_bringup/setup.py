@@ -8,6 +8,7 @@ libraries = [
     "PyYAML>=6.0.1",
     "click>=8.2",
     "jinja2>=3.1",
+    "jupyter-threejs-sage>=130",
     "matplotlib>=3.6",
     "mcap>=1.1",
     "numpy>=1.26",

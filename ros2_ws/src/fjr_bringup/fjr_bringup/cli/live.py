@@ -7,6 +7,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import click
+
 from fjr_bringup.cli.ros2_first import refuse_over_ros2
 from fjr_bringup.interrupt import stoppable
 from fjr_bringup.monitor import app as monitor_app
@@ -45,11 +47,20 @@ def play_bag(bag: Path, topics: Sequence[str], rate: float, efforts: bool, force
 
 
 def watch_loop(
-    scenario: str | None, namespace: str, controller: str, once: bool, remaps: tuple[str, ...], as_json: bool
+    scenario: str | None,
+    namespace: str,
+    controller: str,
+    once: bool,
+    remaps: tuple[str, ...],
+    browser: bool,
+    port: int,
+    as_json: bool,
 ) -> None:
-    """Display a running control loop; scenario: source of the displayed effort limits."""
-    limits = dict(monitor_app.effort_limits(library.load(scenario))) if scenario else {}
+    """Display a running control loop; scenario: source of the displayed effort limits and of the arm in a browser."""
+    if browser and (once or as_json):
+        raise click.UsageError("--browser shows the loop until Ctrl-C; expected it without --once and --json")
+    robot = monitor_app.known(library.load(scenario)) if scenario else monitor_app.Known()
     discover_quickly()
-    wish = monitor_app.Options(namespace, remaps, controller, once, as_json)
+    wish = monitor_app.Options(namespace, remaps, controller, once, as_json, port if browser else None)
     with stoppable() as stop:
-        monitor_app.watch(wish, limits, stop)
+        monitor_app.watch(wish, robot, stop)

@@ -65,6 +65,7 @@ SAMPLES = number("a delay", "samples, 0 to 20", lambda value: 0 <= value <= 20)
 ANGLE = number("an angle", "rad, more than 0, at most 3", lambda value: 0 < value <= 3)
 DISTANCE = number("a distance", "0 or a positive number", lambda value: 0 <= value < math.inf)
 MESSAGES = integer("a number of messages", "1 or more", 1, 1e15)
+PORT = integer("a port", "0 to 65535", 0, 65535)
 RUNS = integer("a number of runs", "1 or more", 1, 1e9)
 SOLUTIONS = integer("a number of solutions", "2 to 64", 2, 64)
 

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
+import webbrowser
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from rich.console import Console
@@ -18,10 +20,12 @@ from fjr_bringup.monitor.state import View, Watched
 from fjr_bringup.monitor.terminal import render
 from fjr_bringup.recording.echo import listening
 from fjr_bringup.result import json_text
+from fjr_core.config.description import description, locked_positions
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 
 PERIOD = 0.1  # s between updates of a terminal
+FRAME = 0.04  # s between updates of a browser
 PLAIN_PERIOD = 1.0  # s between updates of other outputs
 LOOK = 1.0  # s between queries of the ROS graph
 FIRST = 60.0  # s; longest wait of a single view for states and diagnostics
@@ -32,7 +36,7 @@ PATIENCE = 2.0  # s until a notice that it is waiting
 class Options:
     """What to watch: namespace, remaps FROM:=TO, name of the controller; once: show one view and exit.
 
-    as_json: print one JSON document a view.
+    as_json: print one JSON document a view. port: show the loop in a browser, at this port of localhost, 0: any.
     """
 
     namespace: str = "/"
@@ -40,6 +44,7 @@ class Options:
     controller: str = "fjr_controller"
     once: bool = False
     as_json: bool = False
+    port: int | None = None
 
     @property
     def arguments(self) -> list[str]:
@@ -48,21 +53,41 @@ class Options:
         return [part for rule in (*rules, *self.remaps) for part in ("-r", rule)]
 
 
+@dataclass(frozen=True)
+class Known:
+    """What a scenario tells about the robot: effort limits [N m] by joint, URDF, positions of locked joints [rad, m].
+
+    Without a scenario the robot description tells it.
+    """
+
+    limits: Mapping[str, float] = field(default_factory=dict)
+    urdf: str = ""
+    locked: Mapping[str, float] = field(default_factory=dict)
+
+
+def known(scenario: Scenario) -> Known:
+    """Return what a scenario tells about the robot of its controller."""
+    values = scenario.controller_values
+    return Known(effort_limits(scenario), description(values), locked_positions(values))
+
+
 def effort_limits(scenario: Scenario) -> Mapping[str, float]:
     """Return the effort limits [N m] of the controller of a scenario, by joint."""
     limits = np.asarray(safety(scenario.controller_values, scenario.robot).effort)
     return {joint: float(limit) for joint, limit in zip(scenario.joints, limits, strict=True) if np.isfinite(limit)}
 
 
-def watch(options: Options, limits: Mapping[str, float], stop: threading.Event) -> None:
+def watch(options: Options, robot: Known, stop: threading.Event) -> None:
     """Show the view until `stop`, or once."""
-    watched = Watched(f"fjr watch {options.namespace}", limits)
+    watched = Watched(f"fjr watch {options.namespace}", robot.limits)
     console = Console(highlight=False)
     with listening("fjr_watch", options.arguments) as node:
         listener = FjrWatch(node, watched, options.controller)
         show = _as_json if options.as_json else lambda view: console.print(render(view, console.width))
         if options.once:
             _once(listener, watched, show, stop)
+        elif options.port is not None:
+            _in_browser(listener, watched, robot, options, stop)
         elif options.as_json:
             for view in _views(listener, watched, PLAIN_PERIOD, stop):
                 show(view)
@@ -73,6 +98,17 @@ def watch(options: Options, limits: Mapping[str, float], stop: threading.Event) 
         else:
             for view in _views(listener, watched, PLAIN_PERIOD, stop):
                 show(view)
+
+
+def _in_browser(listener: FjrWatch, watched: Watched, robot: Known, options: Options, stop: threading.Event) -> None:
+    from fjr_bringup.monitor.browser import BrowserPage  # Jinja2 and the mesh reader
+
+    with BrowserPage(options.port or 0, f"fjr watch {options.namespace}", robot.locked) as page:
+        print(f"watch the arm at {page.url} until Ctrl-C", flush=True)
+        if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+            webbrowser.open(page.url)
+        for view in _views(listener, watched, FRAME, stop):
+            page.show(asdict(view), robot.urdf or watched.urdf)
 
 
 def _as_json(view: View) -> None:

@@ -98,6 +98,7 @@ class Watched:
     def __init__(self, title: str, effort_limits: Values | None = None) -> None:
         """effort_limits [N m] by joint: take precedence over those of the robot description."""
         self._title = title
+        self.urdf = ""  # as last received
         self._given_limits = dict(effort_limits or {})
         self._limits: dict[str, float] = {}
         self._prismatic: set[str] = set()
@@ -162,7 +163,8 @@ class Watched:
         self._events.appendleft((now, Event(0.0, level, kind, sentence)))
 
     def description(self, urdf: str) -> None:
-        """Read effort limits and prismatic joints from a URDF; an invalid URDF is ignored."""
+        """Store a URDF, and read effort limits and prismatic joints from it; in an invalid one none is found."""
+        self.urdf = urdf
         try:
             joints = list(ElementTree.fromstring(urdf).iter("joint"))
         except ElementTree.ParseError:

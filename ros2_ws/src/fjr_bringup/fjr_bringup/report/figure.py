@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from fjr_bringup.recording.reader import Array
 
-DRAWN = 6000  # points of a line; longer lines are decimated to the minimum and maximum of each bucket
+DRAWN = 4000  # points of a line; longer lines are decimated to the minimum and maximum of each bucket
+STORED = 40_000  # values of all lines of a plot, so that pages of many joints stay small
 DRAWABLE = 1e12  # larger magnitudes are not drawn
 COLOURS = 7  # --c1 .. --c7 of page.css
 
@@ -66,7 +67,7 @@ class Plot:
 
     def packed(self, pool: Pool) -> dict[str, Any]:
         """Return the plot as a value for page.js; its arrays are added to the pool."""
-        rows = decimated([line.values for line in self.lines], DRAWN)
+        rows = decimated([line.values for line in self.lines], min(DRAWN, STORED // max(1, len(self.lines))))
         return {
             **vars(self),
             "x": pool.add(self.x[rows], np.float64),
@@ -85,19 +86,29 @@ def colour(number: int) -> str:
 def decimated(columns: Sequence[Array], limit: int) -> NDArray[np.intp]:
     """Return the sorted indices to draw: all, or the minimum and maximum of each column in each bucket.
 
-    columns: arrays (k,). limit: number of points above which they are decimated.
+    columns: arrays (k,). limit: number of points above which they are decimated, to as many buckets as it permits.
     """
     k = len(columns[0]) if columns else 0
     if k <= limit:
         return np.arange(k)
-    edges = np.linspace(0, k, max(2, limit // (2 * len(columns)))).astype(int)
-    chosen = {0, k - 1}
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
-        for column in columns:
-            part = column[begin:end]
-            if np.isfinite(part).any():
-                chosen |= {begin + int(np.nanargmin(part)), begin + int(np.nanargmax(part))}
-    return np.array(sorted(chosen))
+    values, buckets = np.array(columns), max(1, limit // 2)
+    rows = _extremes(values, buckets)
+    while len(rows) > limit and buckets > 1:
+        buckets = 4 * buckets // 5
+        rows = _extremes(values, buckets)
+    return rows
+
+
+def _extremes(values: Array, buckets: int) -> NDArray[np.intp]:
+    """Return the first and the last index, and those of the least and the largest finite values in each bucket."""
+    k, width = values.shape[1], -(-values.shape[1] // buckets)
+    padded = np.full((len(values), buckets * width), np.nan)
+    padded[:, :k] = values
+    parts = padded.reshape(len(values), buckets, width)
+    finite, begin = np.isfinite(parts), width * np.arange(buckets)
+    highest, lowest = (np.where(finite, sign * parts, -np.inf).argmax(axis=2) + begin for sign in (1, -1))
+    known = finite.any(axis=2)
+    return np.unique(np.concatenate([[0, k - 1], highest[known], lowest[known]]))
 
 
 class Pool:

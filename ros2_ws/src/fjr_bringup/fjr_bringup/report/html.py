@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Render pages from the Jinja2 templates. A page is one self-contained file: uPlot draws its plots in the browser."""
+"""Render pages from the Jinja2 templates.
+
+A page is one self-contained file: uPlot draws its plots in the browser, and three.js the arm.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,17 @@ from markupsafe import Markup
 
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.formatting import number, percent
+from fjr_bringup.report.arm_replay import ArmReplay
 from fjr_bringup.report.figure import Plot, Pool, colour
 from fjr_core.errors import FjrError
 
 TEMPLATES = "report/templates"
-DISTRIBUTION = "uplot-python"  # its script and style are read; its package is not imported
-SCRIPT, STYLE = "uPlot.iife.js", "uPlot.min.css"
+SCRIPT, STYLE, THREE = "uPlot.iife.js", "uPlot.min.css", "three.min.js"
+ASSETS = {  # file -> distribution, whose package is not imported, and folder
+    SCRIPT: ("uplot-python", "uplot/static"),
+    STYLE: ("uplot-python", "uplot/static"),
+    THREE: ("jupyter-threejs-sage", "jupyter_threejs_sage/static/r130"),
+}
 HEADINGS = {
     "holding": "The certificate holds",
     "degraded": "Degraded",
@@ -31,20 +39,20 @@ HEADINGS = {
 }
 
 
-class UPlotError(FjrError):
-    """uPlot is not installed."""
+class AssetError(FjrError):
+    """uPlot or three.js is not installed."""
 
 
 @cache
 def asset(name: str) -> str:
-    """Return the text of SCRIPT or STYLE; raises UPlotError."""
+    """Return the text of a file of ASSETS; raises AssetError."""
+    package, folder = ASSETS[name]
     try:
-        path = Path(str(distribution(DISTRIBUTION).locate_file(f"uplot/static/{name}")))
-        return path.read_text(encoding="utf-8")
+        return Path(str(distribution(package).locate_file(f"{folder}/{name}"))).read_text(encoding="utf-8")
     except (PackageNotFoundError, OSError):
-        raise UPlotError(
-            f"{name} of the Python package {DISTRIBUTION}, which draws the plots of a page, is not installed; "
-            f"expected it from: pip install --no-deps {DISTRIBUTION}"
+        raise AssetError(
+            f"{name} of the Python package {package}, which draws in a page, is not installed; "
+            f"expected it from: pip install --no-deps {package}"
         ) from None
 
 
@@ -60,7 +68,7 @@ def environment() -> Environment:
         keep_trailing_newline=True,
     )
     made.filters |= {"number": number, "percent": percent}
-    made.globals |= {"HEADINGS": HEADINGS, "SCRIPT": SCRIPT, "STYLE": STYLE}
+    made.globals |= {"HEADINGS": HEADINGS, "SCRIPT": SCRIPT, "STYLE": STYLE, "THREE": THREE}
     static = files("fjr_bringup") / TEMPLATES  # files that go into a page as they are, like those of uPlot
     made.globals["static"] = lambda name: Markup((static / name).read_text(encoding="utf-8"))
     made.globals |= {"colour": colour, "asset": lambda name: Markup(asset(name))}
@@ -68,12 +76,16 @@ def environment() -> Environment:
     return made
 
 
-def write_page(path: Path, template: str, title: str, plots: Sequence[Plot], **values: Any) -> None:
-    """Render a template with its values and the plots, if any; raises UPlotError if uPlot is needed but missing."""
+def write_page(
+    path: Path, template: str, title: str, plots: Sequence[Plot], arm: ArmReplay | None = None, **values: Any
+) -> None:
+    """Render a template with its values, the plots and the arm, if any; raises AssetError if a library is missing."""
     pool = Pool()
     packed = [plot.packed(pool) for plot in plots]
+    moved = arm.packed(pool) if arm else None
     page = environment().get_template(template)
-    write_text(path, page.render(values, title=title, plots={"arrays": pool.arrays, "plots": packed}))
+    data = {"arrays": pool.arrays, "plots": packed, "arm": moved}
+    write_text(path, page.render(values, title=title, plots=data, arm=arm))
 
 
 def as_json(value: object) -> str:

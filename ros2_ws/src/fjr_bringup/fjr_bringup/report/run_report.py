@@ -11,6 +11,7 @@ from fjr_bringup.analysis.power_balance import Power
 from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.formatting import milliseconds, number, percent
 from fjr_bringup.report import html
+from fjr_bringup.report.arm_replay import ArmReplay
 from fjr_bringup.report.run_figures import run_plots
 
 FOOTER = (
@@ -19,13 +20,14 @@ FOOTER = (
 )
 
 
-def write_run_page(path: Path, data: RunData, report: Report, flow: Power) -> None:
-    """Write the page of a run; raises UPlotError."""
+def write_run_page(path: Path, data: RunData, report: Report, flow: Power, arm: ArmReplay | None = None) -> None:
+    """Write the page of a run, with the arm in 3D if it is given; raises AssetError."""
     html.write_page(
         path,
         "run.html",
         f"{report.scenario}: {report.stop.heading if report.stop else html.HEADINGS[report.status]}",
         run_plots(data, report, flow),
+        arm,
         report=report,
         kicker=f"Tracking report · {report.bag} · {number(report.duration_s, 's')}",
         heading=title(report),

@@ -60,7 +60,7 @@ ROWS: dict[str, tuple[Row, ...]] = {
 
 
 def write_comparison(path: Path, runs: Sequence[Compared]) -> None:
-    """Write the page of two runs or more; raises UPlotError."""
+    """Write the page of two runs or more; raises AssetError."""
     html.write_page(
         path,
         "runs.html",

@@ -99,9 +99,10 @@ def report_bag(
         def write(place: Path) -> None:
             report.write(place / METRICS)
             if pages:
+                from fjr_bringup.report.arm_replay import arm_replay
                 from fjr_bringup.report.run_report import write_run_page  # Jinja2 takes a tenth of a second
 
-                write_run_page(place / PAGE, data, report, flow)
+                write_run_page(place / PAGE, data, report, flow, arm_replay(data, scenario))
 
         folder = write_with_fallback(folder, write)
     return RunSummary(folder, report, data, name, pages)

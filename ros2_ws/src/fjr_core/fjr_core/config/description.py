@@ -22,6 +22,15 @@ def description(values: Values) -> str:
     return urdf_of_rods(str(values[MODEL.name]), names(values, "joints"), build(values))
 
 
+def locked_positions(values: Values) -> dict[str, float]:
+    """Return the positions [rad, m] of the locked joints of the URDF by name; all other joints are locked at 0."""
+    if values[MODEL.name] != "urdf":
+        return {}
+    positions = vector(values, "robot.locked_positions", len(names(values, "robot.locked_joints")))
+    locked = zip(names(values, "robot.locked_joints"), positions, strict=True)
+    return {name: float(position) for name, position in locked if name}
+
+
 def robot_name(values: Values) -> str:
     """Return the name of the robot in its URDF."""
     return str(ElementTree.fromstring(description(values)).get("name", ""))

@@ -14,6 +14,7 @@ from ..errors import ParameterError
 from ..files.motion_table import is_text
 from ..files.text_file import read_text
 from . import ros_yaml
+from .mesh_paths import located
 
 FILE, URDF, MOTION = "robot.file", "robot.urdf", "reference.file.path"
 _SCHEME = "package://"
@@ -50,12 +51,12 @@ def _own_values(path: Path, node: str) -> dict[str, object]:
 
 
 def inlined(values: Mapping[str, object]) -> dict[str, object]:
-    """Return merged values that need no other file: the text of the URDF replaces its path."""
+    """Return merged values that need no other file: the URDF's text, with absolute mesh paths, replaces its path."""
     alone = {name: value for name, value in values.items() if name != FILE}
     urdf = alone.get(URDF)
     if isinstance(urdf, str) and not is_xml(urdf):
         try:
-            alone[URDF] = read_text(urdf)
+            alone[URDF] = located(read_text(urdf), Path(urdf).parent)
         except (OSError, UnicodeDecodeError) as error:
             raise ParameterError(f"parameter '{URDF}': cannot read {urdf} ({error}); expected a URDF") from None
     return alone

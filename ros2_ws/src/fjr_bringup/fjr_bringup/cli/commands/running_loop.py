@@ -134,10 +134,13 @@ def send(**given: Any) -> Any:
     multiple=True,
     help="Remap a topic, e.g. joint_states:=/robot/joint_states; may be repeated.",
 )
+@click.option("--browser", is_flag=True, help="Show the arm in 3D on a page of this computer.")
+@click.option("--port", type=options.PORT, metavar="N", default=0, help="Port of the page.  [default: any free one]")
 @json_lines
 def watch(**given: Any) -> Any:
     """Watch a running control loop in the terminal.
 
-    The displayed effort limits are those of SCENARIO, by default those of the URDF.
+    The displayed effort limits are those of SCENARIO, by default those of the URDF on /robot_description. So is the arm
+    of --browser.
     """
     return implementation("live").watch_loop(**given)

@@ -124,7 +124,12 @@
   function draw(spec, place, width) {
     const plot = new uPlot(options(spec, width), data(spec), place);
     hideUnnamed(plot);
-    if (spec.time) sync.sub(plot);
+    if (spec.time) {
+      sync.sub(plot);
+      plot.over.addEventListener("mousemove", () => {
+        document.dispatchEvent(new CustomEvent("plot-time", { detail: plot.posToVal(plot.cursor.left, "x") }));
+      });
+    }
     return plot;
   }
 
@@ -137,15 +142,19 @@
 
   const drawn = [];
 
-  function show(spec) {
+  // Add the figure of a plot without the plot itself: the widths of all figures count on how many there are.
+  function frame(spec) {
     const figure = element("figure", document.getElementById(spec.place), "", spec.wide ? "wide" : "");
     figure.id = spec.name;
     const views = Object.keys(spec.views);
     const buttons = views.length ? element("span", figure, "", "views") : null;
     element("h2", figure, spec.title);
     element("figcaption", figure, spec.caption);
-    const place = element("div", figure);
-    const entry = { place, plot: null, height: heightOf(spec) };
+    return { spec, buttons, place: element("div", figure) };
+  }
+
+  function show({ spec, buttons, place }) {
+    const entry = { place, plot: null, height: heightOf(spec), time: spec.time };
     const use = (chosen) => {
       if (entry.plot) {
         sync.unsub(entry.plot);
@@ -154,7 +163,7 @@
       entry.plot = draw(chosen, place, Math.floor(place.clientWidth));
     };
     use(spec);
-    if (buttons) swap(buttons, spec, views[0], use);
+    if (buttons) swap(buttons, spec, Object.keys(spec.views)[0], use);
     drawn.push(entry);
   }
 
@@ -171,12 +180,20 @@
     };
   }
 
-  page.plots.forEach(show);
+  page.plots.map(frame).forEach(show);
   addEventListener("resize", () =>
     drawn.forEach(({ place, plot, height }) => plot.setSize({ width: Math.floor(place.clientWidth), height })),
   );
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () =>
     drawn.forEach(({ plot }) => plot.redraw(false, true)),
+  );
+  // Move the cursors to a time; a plot whose range lacks it shows none.
+  document.addEventListener("arm-time", ({ detail }) =>
+    drawn.filter(({ time }) => time).forEach(({ plot }) => {
+      const left = plot.valToPos(detail, "x");
+      const inside = left >= 0 && left <= plot.over.clientWidth;
+      plot.setCursor({ left: inside ? left : -10, top: -10 }, true, false);
+    }),
   );
   document.body.dataset.drawn = String(drawn.length);
 })();

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scene of a URDF: primitives, meshes, else a skeleton and a sentence on what is missing."""
+
+from __future__ import annotations
+
+import base64
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fjr_bringup.scene import urdf_scene
+from fjr_bringup.scene.mesh import Mesh, decimated, read_mesh
+from fjr_bringup.scene.urdf_scene import scene
+from fjr_core.config.description import description
+from fjr_core.config.scenario import load_scenario
+from fjr_core.errors import RobotError
+from system.executables import scenario
+
+INERTIAL = """<inertial><origin xyz="0 0 0.2"/><mass value="1"/>
+  <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
+
+
+def arm(visual: str = "", material: str = "") -> str:
+    """A URDF of two links: `visual` is that of the first."""
+    return f"""<robot name="arm">{material}
+      <link name="base">{visual}</link><link name="tip">{INERTIAL}</link>
+      <joint name="turn" type="revolute"><parent link="base"/><child link="tip"/><origin xyz="0 0 0.5"/>
+      <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def visual(geometry: str) -> str:
+    return (
+        f'<visual><origin xyz="1 2 3" rpy="0.1 0.2 0.3"/><geometry>{geometry}</geometry><material name="red"/></visual>'
+    )
+
+
+def ball(path: Path, rings: int) -> Path:
+    """Write a unit sphere as binary STL, whose triangles share no vertex."""
+    polar, around = np.linspace(0, np.pi, rings), np.linspace(0, 2 * np.pi, 2 * rings)
+    grid = np.array([[np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)] for a in polar for b in around])
+    corner = np.arange(len(grid)).reshape(rings, 2 * rings)
+    squares = [corner[i : rings - 1 + i, j : 2 * rings - 1 + j].ravel() for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    triangles = np.vstack([np.stack([squares[i] for i in order], 1) for order in ((0, 1, 2), (0, 2, 3))])
+    body = b"".join(struct.pack("<12fH", 0, 0, 0, *grid[each].ravel(), 0) for each in triangles)
+    path.write_bytes(b" " * 80 + struct.pack("<I", len(triangles)) + body)
+    return path
+
+
+def kinds(found: dict[str, Any], link: str) -> list[str]:
+    return [shape["kind"] for shape in found["links"][link]]
+
+
+@pytest.mark.parametrize(
+    ("geometry", "size"),
+    [
+        ('<box size="1 2 3"/>', [1, 2, 3]),
+        ('<sphere radius="2"/>', [2]),
+        ('<cylinder radius="1" length="4"/>', [1, 4]),
+    ],
+)
+def test_a_primitive_keeps_size_origin_and_colour(geometry: str, size: list[float]) -> None:
+    found = scene(arm(visual(geometry), '<material name="red"><color rgba="1 0.5 0 1"/></material>'))
+    (shape,) = found["links"]["base"]
+    assert shape["size"] == size
+    assert (shape["xyz"], shape["rpy"], shape["colour"]) == ([1, 2, 3], [0.1, 0.2, 0.3], "#ff8000")
+    assert found["links"]["tip"] == []  # who drew one link drew all
+    assert found["notes"] == []
+
+
+def test_joints_keep_their_axes_and_where_they_are_locked() -> None:
+    (joint,) = scene(arm(), {"turn": 0.7})["joints"]
+    assert (joint["parent"], joint["child"], joint["xyz"], joint["axis"]) == ("base", "tip", [0, 0, 0.5], [0, 1, 0])
+    assert joint["position"] == 0.7
+
+
+def test_a_urdf_without_visuals_is_a_skeleton() -> None:
+    found = scene(arm())
+    assert kinds(found, "base") == ["capsule"]
+    assert found["links"]["base"][0]["to"] == [0, 0, 0.5]  # to the joint
+    assert kinds(found, "tip") == ["capsule", "hub"]
+    assert found["links"]["tip"][0]["to"] == [0, 0, 0.4]  # through the centre of mass
+    assert np.cross(found["links"]["tip"][1]["to"], [0, 1, 0]).tolist() == [0, 0, 0]  # along the joint's axis
+
+
+@pytest.mark.parametrize(
+    ("geometry", "reason"),
+    [
+        ('<mesh filename="package://nowhere/link.stl"/>', "nowhere"),
+        ('<mesh filename="/nowhere/link.stl"/>', "does not exist"),
+        ('<mesh filename="{empty}"/>', "cannot be read as a mesh"),
+        ('<box size="1 2"/>', "not valid"),
+        ('<box size="1 2 nan"/>', "not valid"),
+        ("<torus/>", "not valid"),
+        ("", "not valid"),
+    ],
+)
+def test_a_link_that_cannot_be_drawn_is_a_skeleton_with_a_sentence(tmp_path: Path, geometry: str, reason: str) -> None:
+    (tmp_path / "empty.stl").write_text("nothing")
+    found = scene(arm(visual(geometry.replace("{empty}", str(tmp_path / "empty.stl")))))
+    (note,) = found["notes"]
+    assert note.startswith("a visual of link 'base' is not shown: ")
+    assert reason in note
+    assert "\n" not in note
+    assert kinds(found, "base") == ["capsule"]
+
+
+@pytest.mark.parametrize("text", ["<robot/>", "hello", "<!DOCTYPE robot><robot/>"])
+def test_what_is_no_urdf_is_refused(text: str) -> None:
+    with pytest.raises(RobotError):
+        scene(text)
+
+
+def test_a_mesh_is_scaled_packed_and_shared(tmp_path: Path) -> None:
+    name = ball(tmp_path / "ball.stl", 20)
+    same = visual(f'<mesh filename="file://{name}" scale="2 2 2"/>')
+    found = scene(arm(same + same))
+    assert [shape["mesh"] for shape in found["links"]["base"]] == [0, 0]
+    (mesh,) = found["meshes"]
+    steps = np.frombuffer(base64.b64decode(mesh["vertices"]), "<u2").reshape(-1, 3)
+    radii = np.linalg.norm(mesh["low"] + steps * mesh["step"], axis=1)
+    assert radii == pytest.approx(2.0, abs=1e-4)
+    corners = np.frombuffer(base64.b64decode(mesh["triangles"]), "<u2")
+    assert corners.max() < len(steps)
+
+
+def test_a_large_mesh_is_reduced_and_keeps_its_size(tmp_path: Path) -> None:
+    mesh = read_mesh(ball(tmp_path / "ball.stl", 60), (1.0, 1.0, 1.0))
+    assert len(mesh.triangles) > 10_000
+    reduced = decimated(mesh, 2000)
+    assert 500 < len(reduced.triangles) <= 2000
+    assert np.linalg.norm(reduced.vertices, axis=1) == pytest.approx(1.0, abs=0.05)
+    assert np.ptp(reduced.vertices, axis=0) == pytest.approx(2.0, abs=0.05)
+
+
+def test_all_meshes_together_stay_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(urdf_scene, "TRIANGLES", 1000)
+    paths = [ball(tmp_path / f"{i}.stl", 30) for i in range(3)]
+    found = scene(arm("".join(visual(f'<mesh filename="{path}"/>') for path in paths)))
+    assert sum(len(base64.b64decode(each["triangles"])) / 6 for each in found["meshes"]) <= 1000
+
+
+def test_joining_equal_vertices_changes_no_triangle() -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    joined = decimated(Mesh(corners, np.arange(6).reshape(2, 3)), 10)
+    assert len(joined.vertices) == 4
+    shape = joined.vertices[joined.triangles]
+    assert np.linalg.norm(np.cross(shape[:, 1] - shape[:, 0], shape[:, 2] - shape[:, 0]), axis=1) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", ["paper_k31", "two_link", "arm7"])
+def test_the_scenarios_have_shapes_on_every_link(name: str) -> None:
+    found = scene(description(load_scenario(scenario(name)).controller_values))
+    assert found["notes"] == []
+    assert all(found["links"].values())
