@@ -11,12 +11,20 @@ from ..errors import GainsError
 from ..numerics.checks import Array
 from ..robot.robot import Robot
 from ..stability.sampled_loop import SampledCheck, check
-from .gain_synthesis import synthesize
+from .gain_synthesis import GainSearch, gain_search
 
 ALONG, EVERYWHERE = "along the reference", "everywhere"
-TRIALS = ((6.0, ALONG), (3.0, ALONG), (3.0, EVERYWHERE), (1.5, EVERYWHERE), (0.7, EVERYWHERE), (0.3, EVERYWHERE))
+TRIALS = (
+    (6.0, ALONG),
+    (4.0, ALONG),
+    (2.5, ALONG),
+    (2.5, EVERYWHERE),
+    (1.5, EVERYWHERE),
+    (0.7, EVERYWHERE),
+    (0.3, EVERYWHERE),
+)
 """Rate [1/s] and where it holds, in the order of the trials."""
-DELAY_MARGIN = 1.0  # samples; gains that tolerate it everywhere end the search
+DELAY_MARGIN = 0.5  # samples; gains that tolerate it everywhere end the search
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,15 +38,17 @@ class FirstGains:
 
 
 def first_gains(robot: Robot, sample_period: float, configurations: Array) -> FirstGains:
-    """Return the first gains whose loop tolerates a sample of delay in the whole range; else those of the best margin.
+    """Return the first gains whose loop tolerates DELAY_MARGIN in the whole range, else the most tolerant ones.
 
     configurations (k, n) [rad]: of the reference. Raises GainsError if no trial is stable in the whole range.
     """
     best: FirstGains | None = None
+    searches: dict[str, GainSearch] = {}
     for beta, where in TRIALS:
-        try:
-            gains = synthesize(robot, beta, sample_period, 0.0, configurations if where == ALONG else None)
-        except GainsError:
+        if where not in searches:
+            searches[where] = gain_search(robot, sample_period, 0.0, configurations if where == ALONG else None)
+        gains = searches[where].best(beta)
+        if gains is None:
             continue
         found = check(TrackingLaw(robot, gains), sample_period)
         if found.stable and (best is None or found.delay_margin > best.check.delay_margin):
