@@ -26,7 +26,8 @@ def new(urdf: Path, joints: Sequence[str], chain: int | None, output: Path, name
             raise ScenarioError(f"{there[0]} exists; expected a new file, another --name or --output, or --force")
         proposal = proposal_of(arm)
     except FjrError as error:
-        raise type(error)(f"{urdf.name}: {error}") from None
+        error.args = (f"{urdf.name}: {error}",)
+        raise
     output.mkdir(parents=True, exist_ok=True)
     write_text(files[0], robot_text(arm, output))
     write_text(files[1], scenario_text(stem, robot_file, arm, proposal))

@@ -75,8 +75,10 @@ def _rigid(
             robot = robot_from_urdf(urdf, kept, 1.0, 1.0, locked=_locked(tree, kept))
             break
         except MasslessJointError as error:
-            if not drop or error.joint == kept[0]:
+            if not drop:
                 raise
+            if error.joint == kept[0]:
+                raise RobotError(f"no link that joint '{kept[0]}' moves has an inertia; expected some") from None
             kept = kept[: kept.index(error.joint)]
     lost = joints[len(kept) :]
     note = f"no link beyond {kept[-1]} has an inertia: {', '.join(lost)} locked"
