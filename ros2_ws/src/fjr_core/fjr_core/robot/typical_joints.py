@@ -2,7 +2,7 @@
 """Guess the stiffness and the motor inertia of joints from the size of each joint; no data of one robot.
 
     tau   effort limit; without a limit twice the largest gravity torque plus a moderate acceleration
-    K   = min(tau / delta, omega_l^2 M)    delta: 1 degree, 1 mm; M: mean inertia that the joint carries
+    K   = min(tau / delta, omega_l^2 M)    delta: 1 degree, 1 mm; M: least inertia that the joint carries
     M_m = K / omega_m^2
 
 A degree at the effort limit gives 10^3 to 2 10^4 N m/rad for arms of 20 to 300 N m, the order of harmonic drives with
@@ -22,7 +22,7 @@ from .configuration_sampling import sample_configurations
 from .robot import Robot
 
 LARGEST_DEFLECTION = np.deg2rad(1.0), 1e-3  # rad, m; delta of revolute and prismatic joints at the effort limit
-FASTEST_LINK = 400.0  # rad/s, omega_l: the mean inertia on its spring, the motor at rest
+FASTEST_LINK = 400.0  # rad/s, omega_l: the least inertia on its spring, the motor at rest
 MOTOR_FREQUENCY = 90.0  # rad/s, omega_m: the motor on its spring, the link at rest
 ACCELERATION = 10.0  # rad/s^2, m/s^2
 CONFIGURATIONS = 128
@@ -40,9 +40,10 @@ class TypicalJoints:
 def typical_joints(robot: Robot) -> TypicalJoints:
     """Return guesses for the joints of a rigid arm; the robot's own stiffness and motor inertia are not used."""
     where = sample_configurations(robot, CONFIGURATIONS)
-    inertia = np.mean([np.diag(robot.M_l(q_l)) for q_l in where], axis=0)
+    inertia = np.array([np.diag(robot.M_l(q_l)) for q_l in where])
     deflection = np.array([LARGEST_DEFLECTION[slides] for slides in robot.prismatic or (False,) * robot.n])
-    stiffness = np.minimum(effort_sizes(robot, where, inertia) / deflection, FASTEST_LINK**2 * inertia)
+    by_effort = effort_sizes(robot, where, inertia.mean(axis=0)) / deflection
+    stiffness = np.minimum(by_effort, FASTEST_LINK**2 * inertia.min(axis=0))
     return TypicalJoints(_rounded(stiffness), _rounded(stiffness / MOTOR_FREQUENCY**2))
 
 

@@ -18,13 +18,13 @@ TRIALS = (
     (6.0, ALONG),
     (4.0, ALONG),
     (2.5, ALONG),
-    (2.5, EVERYWHERE),
-    (1.5, EVERYWHERE),
-    (0.7, EVERYWHERE),
+    (1.5, ALONG),
+    (1.0, ALONG),
+    (1.0, EVERYWHERE),
     (0.3, EVERYWHERE),
 )
 """Rate [1/s] and where it holds, in the order of the trials."""
-DELAY_MARGIN = 0.5  # samples; gains that tolerate it everywhere end the search
+DELAY_MARGIN = 0.4  # samples; gains that tolerate it everywhere end the search
 
 
 @dataclass(frozen=True, eq=False)
