@@ -37,7 +37,7 @@ LAYERS = {
         "plotting",
         "report",
         "scenarios runner monitor services",
-        "studies",
+        "studies scaffold",
         "cli",
     ),
 }

@@ -297,6 +297,7 @@ WIRED_BY_GROUP = (
     "allow_partial_joints",  # test_trajectories
     "law.",  # test_other_laws, tests/core/tuning/test_equal_bandwidth.py
     "robust.",  # test_robust_action
+    "robot.guesses.",  # tests/core/config/test_guesses.py
 )
 
 

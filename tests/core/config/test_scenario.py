@@ -107,11 +107,10 @@ def blocks(document: Path) -> list[str]:
 
 
 def test_files_of_your_robot_md_form_a_valid_scenario(tmp_path: Path) -> None:
-    robot, mine, gains, _ros2_control, limits = blocks(BRINGUP.parents[2] / "docs" / "your_robot.md")
+    robot, mine, _ros2_control, limits = blocks(BRINGUP.parents[2] / "docs" / "your_robot.md")
     (tmp_path / "my_arm.yaml").write_text(robot)
     scenario, key = yaml.safe_load(mine), "ros__parameters"
-    for part in (gains, limits):
-        scenario["/**"][key] |= yaml.safe_load(part)["/**"][key]
+    scenario["/**"][key] |= yaml.safe_load(limits)["/**"][key]
     (tmp_path / "my_scenario.yaml").write_text(yaml.safe_dump(scenario))
     chain = ["shoulder", "elbow", "wrist", "gripper"]
     parts = [link("base_link", 1.0, 0.1, 0.01)]

@@ -238,6 +238,29 @@ def with_limits(xml: str) -> str:
     return xml.replace("</joint>", '<limit lower="0" upper="0" effort="0" velocity="0"/></joint>')
 
 
+def test_a_bad_inertia_that_no_chosen_joint_moves_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    bad = link("antenna", inertia=ZERO.replace('iyy="0"', 'iyy="-1"')) + link("hub", mass=-2.0)
+    arms = joint("mast", "base", "antenna", "fixed") + joint("wheel", "base", "hub", "continuous")
+    found = read(TWO.replace("</robot>", bad + arms + "</robot>"))
+    q = np.array([0.4, -0.7])
+    assert np.array_equal(found.M_l(q), read(TWO).M_l(q))
+    assert [record.getMessage() for record in caplog.records] == [
+        "link 'antenna' has the principal inertia -1; expected 0 or more; "
+        "link 'hub' has the mass -2.0; expected 0 or more; ignored, since no chosen joint moves them"
+    ]
+
+
+def test_a_bad_inertia_below_a_locked_joint_of_the_arm_is_refused() -> None:
+    bad = link("hook", inertia=ZERO.replace('iyy="0"', 'iyy="-1"')) + joint("wrist", "lower", "hook")
+    with pytest.raises(fjr.RobotError, match="link 'hook' has the principal inertia -1; expected 0 or more"):
+        read(TWO.replace("</robot>", bad + "</robot>"))
+
+
+def test_an_extension_with_an_undeclared_prefix_is_ignored() -> None:
+    extended = TWO.replace("</robot>", "<gazebo><sim:sensor sim:rate='1'/></gazebo></robot>")
+    assert np.array_equal(read(extended).M_l([0.1, 0.2]), read(TWO).M_l([0.1, 0.2]))
+
+
 # Invalid input: one sentence, nothing printed.
 
 POINT = link("lower", 1.0, 0.0, ZERO)

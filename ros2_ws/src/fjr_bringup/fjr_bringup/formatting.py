@@ -29,6 +29,11 @@ def percent(fraction: float | None, digits: int = 2) -> str:
     return f"{100 * fraction:.{digits}f} %"
 
 
+def sentence(text: str) -> str:
+    """Return a clause as a sentence: with a capital and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}."
+
+
 def milliseconds(microseconds: float | None) -> str:
     """Return microseconds as milliseconds, as 0.28 ms."""
     return number(None if microseconds is None else microseconds * 1e-3, "ms")

@@ -116,6 +116,7 @@ class Report:
     not_recorded: dict[str, str] = field(default_factory=dict)  # topic -> why it was not recorded
     failure: str = ""  # why the run ended early
     planned_s: float | None = None  # planned duration; null: unknown
+    guesses: tuple[str, ...] = ()  # values of the robot that are guesses, a sentence for each kind
 
     @property
     def status(self) -> Status:
@@ -160,6 +161,7 @@ def make_report(name: str, bag: Bag, scenario: Scenario, data: RunData, flow: Po
         counts=counts(data, duration, bag.lost()),
         diagnostics=bag.counters(),
         versions=_versions(),
+        guesses=scenario.guess_warnings,
     )
 
 

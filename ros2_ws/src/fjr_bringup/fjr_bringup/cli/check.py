@@ -43,12 +43,16 @@ def check_scenario(scenario: str | None, assignments: Sequence[str]) -> Result:
     loaded = library.load(scenario, assignments)
     found = checked(loaded)
     rows = _rows(loaded, found)
-    for warning in (*loaded.warnings, *loaded.motion_warnings):
+    for warning in _warnings(loaded):
         print(f"fjr: {warning}", file=sys.stderr)
     refusal = _refusal(loaded, found)
     if refusal:
         print(f"fjr: {refusal}", file=sys.stderr)
     return Result(table(rows), _values(loaded, found, rows, refusal), Exit.FAILED if refusal else Exit.DONE)
+
+
+def _warnings(scenario: Scenario) -> list[str]:
+    return [*scenario.warnings, *scenario.motion_warnings, *scenario.guess_warnings]
 
 
 def _refusal(scenario: Scenario, found: SampledCheck) -> str:
@@ -71,7 +75,7 @@ def _values(scenario: Scenario, found: SampledCheck, rows: Mapping[str, str], re
         "delay_margin_samples": found.delay_margin,
         "lowest_stable_rate_hz": found.lowest_stable_rate,
         "sample_period_s": found.sample_period,
-        "warnings": [*scenario.warnings, *scenario.motion_warnings],
+        "warnings": _warnings(scenario),
         "refused": refusal or None,
         "rows": {name.strip(): text for name, text in rows.items()},
     }

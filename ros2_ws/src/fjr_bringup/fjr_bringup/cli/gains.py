@@ -1,34 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr gains`: synthesise gains and print them as a block of YAML for a scenario."""
+"""`fjr gains`: synthesise gains, print them as a block of YAML for a scenario or write them into its file."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
+from fjr_bringup.atomic_file import write_text
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
+from fjr_bringup.scenarios.gains_block import GainValues, gain_lines, with_gains
+from fjr_bringup.scenarios.installed import installed
+from fjr_bringup.scenarios.library import ScenarioError
 from fjr_core.config import builders
 from fjr_core.config.builders import robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.robust import sampled_law
 from fjr_core.control.vdpbc.law import TrackingLaw
-from fjr_core.errors import GainsError
+from fjr_core.errors import GainsError, ParameterError
+from fjr_core.files.text_file import read_text
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.sampled_loop import SampledCheck, check
 from fjr_core.tuning.gain_synthesis import synthesize
 
-DIGITS = 4
-INDENT = " " * 6
-
 
 def synthesised(
-    scenario: str | None, assignments: Sequence[str], beta: float, delay: float, everywhere: bool
+    scenario: str | None, assignments: Sequence[str], beta: float, delay: float, everywhere: bool, write: bool
 ) -> Result:
     """Return gains for a scenario's robot as YAML: rate beta [1/s] at its sample rate and a loop delay [samples].
 
-    The rate holds along the scenario's reference, or everywhere within the joints' range. Raises GainsError
-    if no such gains exist.
+    The rate holds along the scenario's reference, or everywhere within the joints' range. write: replace the gains in
+    the scenario's file. Raises GainsError if no such gains exist.
     """
+    path = library.find(scenario)
+    if write and scenario in installed("scenarios"):
+        raise ScenarioError(f"'{scenario}' is an installed scenario; expected a file of your own for --write")
     loaded = library.load(scenario, assignments)
     robot, period = loaded.robot, loaded.sample_period
     where = None if everywhere else loaded.configurations()
@@ -40,14 +46,25 @@ def synthesised(
     head = (
         f"# for {loaded.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / period:g} Hz "
         f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples\n"
-        "# in place of `gains` below ros__parameters:\n"
-        "    gains:"
     )
     values = {name.partition(".")[2]: entries for name, entries in builders.gain_values(gains, robot.n).items()}
     numbers = {"beta_per_s": rate.beta, "beta_is_proven": rate.proven, "spectral_radius": found.spectral_radius}
     numbers["delay_margin_samples"] = found.delay_margin
-    text = "\n".join([head, *(_assignment(name, entries, robot.n) for name, entries in values.items())])
-    return Result(text, {"scenario": loaded.name, **numbers, "gains": values})
+    block = "\n".join(["    gains:", *gain_lines(values, robot.n, indent=6)])
+    if write:
+        _write(path, values, robot.n)
+    where_to = f"# written to {path}:" if write else "# in place of `gains` below ros__parameters:"
+    written = {"written": path if write else None}
+    return Result(f"{head}{where_to}\n{block}", {"scenario": loaded.name, **numbers, "gains": values, **written})
+
+
+def _write(path: Path, values: GainValues, n: int) -> None:
+    """Replace the gains in a scenario file; raises ParameterError, which names the file."""
+    try:
+        changed = with_gains(read_text(path), values, n)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from None
+    write_text(path.resolve(), changed)
 
 
 def _checked(scenario: Scenario, law: TrackingLaw, delay: float, where: Array | None) -> SampledCheck:
@@ -60,11 +77,3 @@ def _checked(scenario: Scenario, law: TrackingLaw, delay: float, where: Array | 
             "expected less than 1: try a lower rate, lower robust.* gains or a faster observer"
         )
     return found
-
-
-def _assignment(name: str, entries: Sequence[float], n: int) -> str:
-    """Return the line of one gain; a matrix has one row a line."""
-    head = f"{INDENT}{name}: ["
-    numbers = [repr(float(f"{entry:.{DIGITS}g}")) for entry in entries]
-    rows = [", ".join(numbers[i : i + n]) for i in range(0, len(numbers), n)]
-    return head + f",\n{' ' * len(head)}".join(rows) + "]"

@@ -58,6 +58,11 @@ def ros_name(text: str) -> str:
     return text
 
 
+def names(text: str) -> tuple[str, ...]:
+    """Convert names separated by commas."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
 SECONDS = number("a duration", "seconds, more than 0, at most 3600", lambda value: 0 < value <= 3600)
 RATE = number("a rate", "a positive number", lambda value: 0 < value < math.inf)
 SPEED = number("a speed", "0.001 to 1000", lambda value: 1e-3 <= value <= 1e3)
@@ -66,6 +71,7 @@ ANGLE = number("an angle", "rad, more than 0, at most 3", lambda value: 0 < valu
 DISTANCE = number("a distance", "0 or a positive number", lambda value: 0 <= value < math.inf)
 MESSAGES = integer("a number of messages", "1 or more", 1, 1e15)
 PORT = integer("a port", "0 to 65535", 0, 65535)
+CHAIN = integer("a chain", "its number, 1 or more", 1, 1000)
 RUNS = integer("a number of runs", "1 or more", 1, 1e9)
 SOLUTIONS = integer("a number of solutions", "2 to 64", 2, 64)
 

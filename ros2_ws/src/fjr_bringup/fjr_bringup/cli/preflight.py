@@ -11,11 +11,9 @@ from fjr_core.control.safety_settings import Settings
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import FjrError
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.equilibrium import equilibria_at, plant_matrices
 from fjr_core.robot.joint_units import joined
+from fjr_core.stability.integration_steps import fastest_mode, least_steps
 from fjr_core.stability.sampled_loop import HIGHEST_RATE, SampledCheck, check
-
-RK4_REACH = 2.7  # rad: largest stable product of step and frequency for the Runge-Kutta method of order 4
 
 
 class UnstableError(FjrError):
@@ -45,13 +43,12 @@ def checked_at(scenario: Scenario, where: Array | None) -> SampledCheck:
 def refuse_coarse_steps(scenario: Scenario) -> None:
     """Raise UnstableError if the plant's explicit integrator is unstable for its fastest mode."""
     values, plant = scenario.plant_values, scenario.plant
-    A, _ = plant_matrices(equilibria_at(plant.robot, scenario.configurations()))
-    fastest = float(np.abs(np.linalg.eigvals(A)).max())
-    steps = int(values["inner_steps"])  # type: ignore[arg-type]
-    if plant.integrator == "rk4" and fastest * scenario.sample_period / steps > RK4_REACH:
+    fastest = fastest_mode(plant.robot, scenario.configurations())
+    steps, least = int(values["inner_steps"]), least_steps(fastest, scenario.sample_period)  # type: ignore[arg-type]
+    if plant.integrator == "rk4" and steps < least:
         raise UnstableError(
             f"scenario {scenario.name}: inner_steps is {steps}, too few for rk4 and the plant's fastest mode of "
-            f"{fastest:.4g} rad/s; expected at least {np.ceil(fastest * scenario.sample_period / RK4_REACH):.0f}"
+            f"{fastest:.4g} rad/s; expected at least {least}"
         )
 
 

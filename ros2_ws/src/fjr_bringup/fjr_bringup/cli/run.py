@@ -68,14 +68,14 @@ def _demonstrate(name: str, duration: float, output: Path) -> RunSummary:
 
 
 def _plan(name: str | None, overrides: Mapping[str, Any], duration: float, output: Path, force: bool = False) -> Plan:
-    """Return what to run, and print the warnings of a motion from a file.
+    """Return what to run, and print the warnings of a motion from a file and of guessed values.
 
     Raises UnstableError for a scenario that is unstable as sampled, unless forced.
     """
     path = library.find(name)
     with phase(f"{path.stem}: checking and compiling the law"):
         text, scenario = library.as_run(path, overrides)
-        for warning in scenario.motion_warnings:
+        for warning in (*scenario.motion_warnings, *scenario.guess_warnings):
             print(f"fjr: {warning}", file=sys.stderr)
         if not force:
             refuse_coarse_steps(scenario)

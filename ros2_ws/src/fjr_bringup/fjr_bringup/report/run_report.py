@@ -9,7 +9,7 @@ from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Report
 from fjr_bringup.analysis.power_balance import Power
 from fjr_bringup.analysis.run_data import RunData
-from fjr_bringup.formatting import milliseconds, number, percent
+from fjr_bringup.formatting import milliseconds, number, percent, sentence
 from fjr_bringup.report import html
 from fjr_bringup.report.arm_replay import ArmReplay
 from fjr_bringup.report.run_figures import run_plots
@@ -31,7 +31,11 @@ def write_run_page(path: Path, data: RunData, report: Report, flow: Power, arm: 
         report=report,
         kicker=f"Tracking report · {report.bag} · {number(report.duration_s, 's')}",
         heading=title(report),
-        notes=[*([f"The run ended early: {report.failure}"] if report.failure else []), *report.missing],
+        notes=[
+            *([f"The run ended early: {report.failure}"] if report.failure else []),
+            *report.missing,
+            *map(sentence, report.guesses),
+        ],
         tiles=tiles(report),
         position=headlines.position_unit(report),
         effort=headlines.effort_unit(report),

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from xml.etree import ElementTree
-
 from ..robot.urdf_export import Rod, hanging_rod, urdf_of_rods
+from ..robot.urdf_parser import parse_xml
 from . import robot_file
 from .parameter import Values, names, vector
 from .robot import MODEL
@@ -33,7 +32,7 @@ def locked_positions(values: Values) -> dict[str, float]:
 
 def robot_name(values: Values) -> str:
     """Return the name of the robot in its URDF."""
-    return str(ElementTree.fromstring(description(values)).get("name", ""))
+    return str(parse_xml(description(values)).get("name", ""))
 
 
 def _single_link(values: Values) -> list[Rod]:

@@ -15,6 +15,7 @@ from ..errors import ParameterError
 from ..robot import closed_form_arms
 from ..robot.robot import Robot
 from ..robot.urdf_import import robot_from_urdf
+from .guesses import guess_parameters
 from .parameter import LIST, MATRIX, POINT, VECTOR, Parameter, Values, named, names, read
 
 JOINTS = Parameter("joints", ("joint1",), "Joint names, in the order of all other lists", shape=LIST)
@@ -143,7 +144,7 @@ def robot_parameters(given: Mapping[str, object]) -> list[Parameter]:
     n = joints_of(given)
     arguments = inspect.signature(MODELS[model_of(given)]).parameters.values()
     own = [_parameter(argument, n) for argument in arguments if argument.name != "joints"]
-    return [JOINTS, FILE, MODEL, *own]
+    return [JOINTS, FILE, MODEL, *own, *guess_parameters(n)]
 
 
 def _parameter(argument: inspect.Parameter, n: int) -> Parameter:

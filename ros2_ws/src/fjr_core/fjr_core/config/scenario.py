@@ -27,7 +27,7 @@ from ..robot.robot import Robot
 from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
 from ..trajectories.reference import Reference
-from . import builders, parameter, reference_file, robot_file, ros_yaml
+from . import builders, guesses, parameter, reference_file, robot_file, ros_yaml
 from .builders import control_law, robust_action
 from .measurement import OBSERVER_BANDWIDTH, measurement_parameters
 from .nonidealities import channel_errors, imperfection_parameters
@@ -113,6 +113,11 @@ class Scenario:
         if self.controller_values["reference.type"] != "file":
             return ()
         return tuple(reference_file.file_warnings(self.controller_values, self.robot))
+
+    @property
+    def guess_warnings(self) -> tuple[str, ...]:
+        """A sentence for each kind of robot.* value that is a guess (robot.guesses.*)."""
+        return guesses.guess_sentences(self.controller_values)
 
     @cached_property
     def plant(self) -> Plant:

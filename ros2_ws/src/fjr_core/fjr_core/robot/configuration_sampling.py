@@ -21,7 +21,7 @@ def sample_configurations(robot: Robot, k: int) -> Array:
     The first is zero, clipped to the limits. The others are a Halton sequence, so that a larger set contains every
     smaller one.
     """
-    lower, upper = _bounds(robot)
+    lower, upper = bounds_of(robot)
     halton = np.column_stack([_van_der_corput(k - 1, base) for base in _primes(robot.n)])
     return np.vstack([np.clip(0.0, lower, upper), lower + (upper - lower) * halton])
 
@@ -51,7 +51,8 @@ def checked_configurations(robot: Robot, configurations: ArrayLike | None, k: in
     return samples
 
 
-def _bounds(robot: Robot) -> tuple[Array, Array]:
+def bounds_of(robot: Robot) -> tuple[Array, Array]:
+    """Return the lower and upper position limits (n,) [rad]; a side without a limit is +-pi, or pi beyond the other."""
     limits = getattr(robot, "limits", None)
     if limits is None:
         return np.full(robot.n, -np.pi), np.full(robot.n, np.pi)

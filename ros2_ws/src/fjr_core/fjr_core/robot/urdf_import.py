@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from difflib import get_close_matches
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -21,6 +23,20 @@ from .rigid_arm import ArmDynamics, EndEffector
 from .rigid_body import Body
 from .robot import Robot
 from .urdf_parser import MOVING, UrdfJoint, UrdfTree, read_urdf
+
+_log = logging.getLogger("fjr_core.robot")
+
+
+class MasslessJointError(RobotError):
+    """A joint that can move without moving mass; joint: its name."""
+
+    def __init__(self, joint: str) -> None:
+        super().__init__(
+            f"joint '{joint}' can move without moving mass (M_l is singular); "
+            "expected links with mass and inertia beyond it"
+        )
+        self.joint = joint
+
 
 MOST_CONTROLLED = 64
 """Largest number of joints; the size of the law's expressions grows with its square."""
@@ -47,10 +63,12 @@ def robot_from_urdf(
     input_gain B_m: scalar, (n,) or (n, n), in the named order and on the link side of the gear. With
     gear_ratio r, scalar or (n,), motor_inertia J is that of the rotor and M_m = r J r.
     locked: positions [rad, m] of joints that are not named, 0 by default; mimicking joints follow their leader.
-    The limits of the URDF become robot.limits. Requires Pinocchio. Raises RobotError.
+    The limits of the URDF become robot.limits. Requires Pinocchio. Raises RobotError. A link with an invalid inertia
+    that the named joints do not move is reported by a warning of the logger "fjr_core.robot".
     """
     tree = read_urdf(path_or_xml)
     named = _named(tree, joints)
+    _check_links(tree, joints)
     model = _reduced_model(tree, joints, _locked_positions(tree, joints, dict(locked or {})))
     chain = _chain(model, joints)
     links = serial_chain([_body(model, i, tree.joints[name]) for i, name in enumerate(chain, 1)], gravity)
@@ -80,6 +98,25 @@ def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
         if list(joints).count(name) > 1:
             raise RobotError(f"joint '{name}' is named twice; expected every joint once")
     return [tree.joints[name] for name in joints]
+
+
+def _check_links(tree: UrdfTree, joints: Sequence[str]) -> None:
+    """Raise RobotError for an invalid inertia of a link that the joints move; warn of others, once in a process."""
+    moved = tree.moved_by(joints)
+    for link, fault in tree.faulty.items():
+        if link in moved:
+            raise RobotError(fault)
+    if tree.faulty:
+        _warn(f"{'; '.join(tree.faulty.values())}; ignored, since no chosen joint moves {_it(tree.faulty)}")
+
+
+def _it(links: Sized) -> str:
+    return "it" if len(links) == 1 else "them"
+
+
+@cache
+def _warn(sentence: str) -> None:
+    _log.warning(sentence)
 
 
 def _joint(tree: UrdfTree, name: str) -> UrdfJoint:
@@ -164,15 +201,12 @@ def _body(model: Any, i: int, joint: UrdfJoint) -> Body:
 
 
 def _check_inertia(links: ArmDynamics, chain: list[str]) -> None:
-    """Raise RobotError if the inertia is singular in one of a few configurations, naming the outermost such joint."""
+    """Raise MasslessJointError with the outermost joint if the inertia is singular in one of a few configurations."""
     for q_l in (np.zeros(links.n), np.linspace(0.3, 1.4, links.n), np.linspace(-1.2, 0.7, links.n)):
         M_l = links.M_l(q_l).full()
         for i in reversed(range(links.n)):
             if not np.linalg.eigvalsh(M_l[i:, i:])[0] > 1e-14 * np.max(M_l[i:, i:]):
-                raise RobotError(
-                    f"joint '{chain[i]}' can move without moving mass (M_l is singular); "
-                    "expected links with mass and inertia beyond it"
-                )
+                raise MasslessJointError(chain[i])
 
 
 def _reflected(J: checks.Array, gear_ratio: ArrayLike) -> checks.Array:

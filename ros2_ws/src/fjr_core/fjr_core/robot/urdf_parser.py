@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NoReturn
 from xml.parsers import expat
@@ -23,6 +23,7 @@ KINDS = (*MOVING, "fixed", "floating", "planar")
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 NO_LIMIT = (-np.inf, np.inf, np.inf, np.inf)
 DEEPEST, MOST_JOINTS = 100, 500
+SMALLEST_INERTIA = 1e-15  # kg m^2; below that a negative principal inertia is rounding
 LARGEST_NUMBER = 1e30  # sums and squares of larger numbers may overflow
 
 
@@ -44,10 +45,21 @@ class UrdfJoint:
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """All joints by name, and `skeleton`, the URDF reduced to kinematics and inertia."""
+    """All joints by name, and `skeleton`, the URDF reduced to kinematics and inertia.
+
+    faulty: a sentence for each link whose inertia is invalid; the skeleton has none for it.
+    """
 
     joints: dict[str, UrdfJoint]
     skeleton: str
+    faulty: dict[str, str]
+
+    def moved_by(self, names: Iterable[str]) -> set[str]:
+        """Return the links that these joints move."""
+        moved = {self.joints[name].child for name in names}
+        while more := {joint.child for joint in self.joints.values() if joint.parent in moved} - moved:
+            moved |= more
+        return moved
 
 
 def read_urdf(path_or_xml: str | os.PathLike[str]) -> UrdfTree:
@@ -56,9 +68,8 @@ def read_urdf(path_or_xml: str | os.PathLike[str]) -> UrdfTree:
     links = _by_name(root, "link")
     joints = {name: _joint(name, element) for name, element in _by_name(root, "joint").items()}
     _check_tree(list(links), joints)
-    for name, element in links.items():
-        _check_inertial(f"link '{name}'", element)
-    return UrdfTree(joints, _skeleton(root, joints))
+    faulty = {name: fault for name, element in links.items() if (fault := _inertia_fault(name, element))}
+    return UrdfTree(joints, _skeleton(root, joints, faulty), faulty)
 
 
 def _root(path_or_xml: str | os.PathLike[str]) -> ET.Element:
@@ -66,40 +77,45 @@ def _root(path_or_xml: str | os.PathLike[str]) -> ET.Element:
     source = "the URDF text" if is_text else f"URDF {os.fspath(path_or_xml)}"
     try:
         content = str(path_or_xml).lstrip("\ufeff").strip() if is_text else read_bytes(path_or_xml)
-        _check_size(content)
-        root = ET.fromstring(content)
+        root = parse_xml(content)
     except OSError as error:
         raise RobotError(f"{source} cannot be read ({error.strerror}); expected a file or XML text") from None
     except (ET.ParseError, expat.ExpatError, ValueError, LookupError) as error:
         raise RobotError(f"{source} does not parse as XML ({error}); expected a URDF") from None
     if root.tag != "robot":
         raise RobotError(f"{source} has the root element <{root.tag}>; expected the <robot> of a URDF")
-    if any("/xacro}" in str(element.tag) for element in root.iter()):
+    if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise RobotError(f"{source} contains xacro commands; expected a plain URDF, the output of the program xacro")
     return root
 
 
-def _check_size(content: bytes | str) -> None:
-    """Raise ValueError for XML that is too large, too deeply nested or declares a document type (entities)."""
+def parse_xml(content: bytes | str) -> ET.Element:
+    """Parse XML; prefixes need no declared namespace, as many URDFs have none for the extensions of a simulator.
+
+    Raises ExpatError, and ValueError for XML that is too large, too deep or declares a document type (entities).
+    """
     if len(content) > LARGEST:
         raise ValueError(f"larger than {LARGEST // 2**20} MiB")
-    parser, depth = expat.ParserCreate(), 0
+    parser, tree, depth = expat.ParserCreate(), ET.TreeBuilder(), 0
 
     def declared(*_: object) -> NoReturn:
         raise ValueError("it declares a document type")
 
-    def begun(*_: object) -> None:
+    def begun(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
         if depth > DEEPEST:
             raise ValueError(f"nested more than {DEEPEST} levels deep")
+        tree.start(tag, attributes)
 
-    def ended(*_: object) -> None:
+    def ended(tag: str) -> None:
         nonlocal depth
         depth -= 1
+        tree.end(tag)
 
     parser.StartDoctypeDeclHandler, parser.StartElementHandler, parser.EndElementHandler = declared, begun, ended
     parser.Parse(content, True)
+    return tree.close()
 
 
 def _by_name(root: ET.Element, tag: str) -> dict[str, ET.Element]:
@@ -177,6 +193,15 @@ def _ancestors(link: str, carriers: dict[str, str], joints: dict[str, UrdfJoint]
         yield link
 
 
+def _inertia_fault(name: str, link: ET.Element) -> str:
+    """Return what is wrong with the inertia of a link; empty if nothing is."""
+    try:
+        _check_inertial(f"link '{name}'", link)
+    except RobotError as error:
+        return str(error)
+    return ""
+
+
 def _check_inertial(where: str, link: ET.Element) -> None:
     inertial = link.find("inertial")
     if inertial is None:
@@ -189,7 +214,7 @@ def _check_inertial(where: str, link: ET.Element) -> None:
     if mass == 0 and any((xx, xy, xz, yy, yz, zz)):
         raise RobotError(f"{where} has the mass 0 and an inertia; expected a mass, or neither")
     smallest, _, largest = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if smallest < -1e-12 * abs(largest):
+    if smallest < -max(1e-12 * abs(largest), SMALLEST_INERTIA):
         raise RobotError(f"{where} has the principal inertia {smallest:.3g}; expected 0 or more")
 
 
@@ -232,14 +257,15 @@ def _attribute(where: str, element: ET.Element, tag: str, name: str) -> str:
     return value
 
 
-def _skeleton(root: ET.Element, joints: dict[str, UrdfJoint]) -> str:
+def _skeleton(root: ET.Element, joints: dict[str, UrdfJoint], faulty: Container[str]) -> str:
     """Return the URDF with inertias and placements only; continuous joints become revolute, without limits.
 
     Links are renamed, because Pinocchio keeps links and joints in one list of frames.
     """
     robot = ET.Element("robot", name=root.get("name", "robot"))
     for link in root.findall("link"):
-        ET.SubElement(robot, "link", name=f"link {link.get('name')}").extend(link.findall("inertial"))
+        inertial = [] if link.get("name") in faulty else link.findall("inertial")
+        ET.SubElement(robot, "link", name=f"link {link.get('name')}").extend(inertial)
     for element in root.findall("joint"):
         joint = joints[element.get("name", "")]
         kind = "revolute" if joint.kind == "continuous" else joint.kind

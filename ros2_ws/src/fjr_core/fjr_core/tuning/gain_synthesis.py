@@ -58,7 +58,7 @@ def synthesize(
     """
     checked_times(sample_period, delay)
     positive("beta", beta, GainsError, "1/s")
-    task = _task(robot, sample_period, delay, configurations)
+    task = gain_search(robot, sample_period, delay, configurations)
     gains = task.best(beta)
     if gains is None:
         raise GainsError(
@@ -69,7 +69,7 @@ def synthesize(
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class GainSearch:
     """Equilibria of a robot, its M and s (see the module), and the loop."""
 
     equilibria: Equilibria
@@ -161,17 +161,18 @@ class _Task:
         return len(decays), min(decays)
 
 
-def _task(robot: Robot, sample_period: float, delay: float, configurations: ArrayLike | None) -> _Task:
+def gain_search(robot: Robot, sample_period: float, delay: float, configurations: ArrayLike | None) -> GainSearch:
+    """Return the search of gains for several rates; the arguments are those of `synthesize`."""
     equilibria = equilibria_at(robot, checked_configurations(robot, configurations))
     inertias = list(equilibria.M_l)
     M = np.mean(inertias if configurations is not None else inertias[:RATE_CONFIGURATIONS], axis=0)
     if configurations is None:
         inertias += [np.asarray(vertex) for vertex in robot.links.M_l_vertices or ()]
     s = max(float(relative_eigenvalues(M_l, M)[-1]) for M_l in inertias)
-    return _Task(equilibria, M, s, sample_period, delay)
+    return GainSearch(equilibria, M, s, sample_period, delay)
 
 
-def _reachable(task: _Task, beta: float) -> str:
+def _reachable(task: GainSearch, beta: float) -> str:
     """Describe the largest reachable rate below beta to 5 %, searched at the worst configurations."""
     beta = min(beta, LARGEST_PRODUCT / task.sample_period)
     few = replace(task, equilibria=task.equilibria.at(task.critical(beta)))

@@ -47,6 +47,24 @@ def run(**given: Any) -> Any:
 
 
 @command()
+@click.argument("urdf", type=options.PATH)
+@click.option(
+    "--joints", type=options.names, metavar="A,B,...", default="", help="Joints to move. [default: the longest chain]"
+)
+@click.option("--chain", type=options.CHAIN, metavar="N", help="Number of a chain that the command has listed, from 1.")
+@click.option("--name", metavar="NAME", help="Name of the scenario. [default: of the URDF]")
+@click.option("--force", is_flag=True, help="Replace earlier files of this name.")
+@output_option("Folder for both files.", ".")
+def new(**given: Any) -> Any:
+    """Write a robot file and a scenario from a URDF.
+
+    Grippers and joints off the chain are locked. Joint stiffness and motor inertia, which a URDF lacks, are guesses
+    until you replace them in the robot file.
+    """
+    return implementation("new").new(**given)
+
+
+@command()
 @click.argument("bags", nargs=-1, required=True, metavar="BAG...", type=options.PATH)
 @click.option("--scenario", metavar="NAME", help="Scenario of the robot: a name or a file. [default: next to the bag]")
 @output_option("Folder for the reports. [default: next to the bag]")
@@ -81,6 +99,7 @@ def check(**given: Any) -> Any:
 @click.option("--beta", type=options.RATE, metavar="B", required=True, help="Required rate of convergence [1/s].")
 @click.option("--delay", type=options.SAMPLES, metavar="D", default=0.0, help="Delay of the loop in samples.")
 @click.option("--everywhere", is_flag=True, help="Cover the joints' whole range instead of the reference only.")
+@click.option("--write", is_flag=True, help="Replace the gains in the scenario's file; its comments are kept.")
 @set_option
 def gains(**given: Any) -> Any:
     """Synthesise gains and print them as YAML.

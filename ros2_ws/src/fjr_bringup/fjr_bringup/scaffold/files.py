@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The text of the robot file and the scenario file of an arm."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fjr_bringup.scaffold.arm import Arm
+from fjr_bringup.scaffold.proposal import RATE, Proposal
+from fjr_bringup.scenarios.gains_block import gain_lines
+from fjr_core.config import ros_yaml
+from fjr_core.config.builders import gain_values
+
+UNITS = {"joint_stiffness": "N m/rad, K", "motor_inertia": "kg m^2, M_m, reflected to the link side of the gear"}
+TRACKING_ERROR, START_ERROR = (0.15, 0.03), (0.1, 0.02)  # rad, m; limits of revolute and prismatic joints
+
+
+def robot_text(arm: Arm, folder: Path) -> str:
+    """Return the robot file, for a file in this folder."""
+    stuck = {name: position for name, position in arm.locked.items() if position}
+    lines = [
+        f"# {arm.urdf.stem}: {arm.robot.n} joints of {arm.urdf.name}, from base to tip; written by `fjr new`.",
+        "# A robot file: `robot.file` of a scenario names it. docs/your_robot.md has all parameters.",
+        *([f"# Locked: {_wrapped(arm.locked)}"] if arm.locked else []),
+        *(f"# {note}" for note in arm.notes),
+        "/**:",
+        "  ros__parameters:",
+        f"    joints: {_list(arm.joints)}",
+        "    robot:",
+        "      model: urdf",
+        f"      urdf: {_scalar(_path(arm.urdf, folder))}",
+        "      gravity: [0.0, 0.0, -9.81]   # m/s^2 in the root link of the URDF; differs for a wall-mounted arm",
+        *(
+            [f"      locked_joints: {_list(stuck)}", f"      locked_positions: {_list(stuck.values())}"]
+            if stuck
+            else []
+        ),
+    ]
+    for name, matrix in (("joint_stiffness", arm.robot.K), ("motor_inertia", arm.robot.M_m)):
+        lines.append(f"      {name}: {_list(np.diag(matrix))}   # {UNITS[name]}{_origin(arm, name)}")
+    if arm.guesses:
+        lines += [
+            "      # A URDF has neither. These values are typical for the size of the joints, no data of this robot",
+            "      # (docs/robots.md): replace them above. `fjr` reports each value that still equals its guess here.",
+            "      guesses:",
+            *(f"        {name}: {_list(values)}" for name, values in arm.guesses.items()),
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def scenario_text(name: str, robot_file: str, arm: Arm, proposal: Proposal) -> str:
+    """Return the scenario file, next to this robot file."""
+    motion, gains, n = proposal.motion, proposal.gains, arm.robot.n
+    values = {key.partition(".")[2]: entries for key, entries in gain_values(gains.gains, n).items()}
+    sizes = np.array(
+        [(TRACKING_ERROR[unit.position == "m"], START_ERROR[unit.position == "m"]) for unit in arm.robot.units]
+    )
+    where = " --everywhere" if gains.where == "everywhere" else ""
+    limits = arm.robot.limits is not None
+    return "\n".join(
+        [
+            f"# {name}: {n} joints swing slowly about a pose in their ranges. Written by `fjr new`; change it freely.",
+            "# docs/your_robot.md explains the file, docs/references.md other motions, docs/safety.md the limits.",
+            "/**:",
+            "  ros__parameters:",
+            "    realtime_priority: 50         # SCHED_FIFO where the system allows it, else a warning; 0: ordinary",
+            "    robot:",
+            f"      file: {_scalar(robot_file)}",
+            "",
+            "    # fjr_plant, the simulated arm: at rest next to the reference, the springs loaded by the weight",
+            f"    publish_rate: {RATE}          # Hz",
+            f"    inner_steps: {proposal.inner_steps}                # integrator steps per state",
+            f"    initial_link_position: {_list(proposal.q_l)}   # rad (m)",
+            f"    initial_motor_position: {_list(proposal.q_m)}",
+            "",
+            "    # fjr_controller",
+            f"    gains:   # fjr gains {name}.yaml --beta {gains.beta:g}{where} --write",
+            *gain_lines(values, n, indent=6),
+            "    reference:   # q_ld = offset + amplitude sin(frequency t + phase)",
+            "      type: sine",
+            f"      amplitude: {_list(motion.amplitude)}   # rad (m)",
+            f"      frequency: {_list(motion.frequency)}   # rad/s",
+            f"      offset: {_list(motion.offset)}",
+            f"      phase: {_list(motion.phase)}",
+            "    limits:",
+            f"      from_robot: {str(limits).lower()}            # range, speed and effort of the URDF",
+            f"      tracking_error: {_list(sizes[:, 0])}   # rad (m)",
+            f"      start_error: {_list(sizes[:, 1])}",
+            "    on_stop: gravity_hold         # the weight, with damped motors",
+            "    start: {ramp_time: 0.1}       # s, from on_stop's effort to the law's",
+            "    recovery: {join_time: 1.0}    # s",
+            "    state_timeout: 0.2            # s without a state: on_stop",
+            "",
+        ]
+    )
+
+
+def _origin(arm: Arm, name: str) -> str:
+    """Return where a value comes from: a guess, published data, or both."""
+    known = arm.source if not all(arm.guesses.get(name, (0.0,))) else ""
+    guessed = "GUESS" if name in arm.guesses else ""
+    return "".join(f"; {part}" for part in (guessed, known) if part)
+
+
+def _path(urdf: Path, folder: Path) -> str:
+    """Return the URDF's path relative to the folder if it lies in it or in the current folder, else absolute."""
+    whole, base = urdf.resolve(), folder.resolve()
+    near = any(whole.is_relative_to(place) for place in (base, Path.cwd().resolve()))
+    return os.path.relpath(whole, base) if near else str(whole)
+
+
+def _wrapped(locked: dict[str, float], most: int = 12) -> str:
+    names = [f"{_plain(name)}{f' at {position:g}' if position else ''}" for name, position in locked.items()]
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more + (", at 0" if not any(locked.values()) else ", the others at 0")
+
+
+def _plain(text: str) -> str:
+    """Return a name for a comment: without line breaks."""
+    return re.sub(r"\s+", " ", text)
+
+
+def _list(entries: Iterable[object] | ArrayLike) -> str:
+    return "[" + ", ".join(map(_scalar, entries)) + "]"  # type: ignore[arg-type]
+
+
+def _scalar(value: object) -> str:
+    """Return a text or a number in YAML; numbers have at most nine digits and a decimal point."""
+    if isinstance(value, str):
+        return ros_yaml.dump([value]).strip()[1:-1]
+    return ros_yaml.dump([float(f"{float(value):.9g}")]).strip()[1:-1]  # type: ignore[arg-type]
+
+
+def file_names(arm: Arm, name: str | None) -> tuple[str, str, str]:
+    """Return the name of the arm, its robot file and its scenario file."""
+    stem = re.sub(r"\W+", "_", name or arm.urdf.stem, flags=re.ASCII).strip("_") or "arm"
+    return stem, f"{stem}_robot.yaml", f"{stem}.yaml"
+
+
+def summary(arm: Arm, proposal: Proposal, files: Sequence[Path]) -> list[str]:
+    """Return what was chosen and written, a line for each subject."""
+    gains, robot = proposal.gains, arm.robot
+    K, M_m = np.diag(robot.K), np.diag(robot.M_m)
+    return [
+        f"joints     {', '.join(arm.joints)}",
+        *([f"locked     {_wrapped(arm.locked)}"] if arm.locked else []),
+        *(f"note       {note}" for note in arm.notes),
+        f"stiffness  {K.min():g} to {K.max():g} N m/rad{_origin(arm, 'joint_stiffness')}",
+        f"inertia    {M_m.min():g} to {M_m.max():g} kg m^2 of the motors{_origin(arm, 'motor_inertia')}",
+        f"gains      beta {gains.beta:g} 1/s {gains.where}; delay margin {gains.check.delay_margin:.2f} samples at "
+        f"{RATE:g} Hz in the whole range",
+        f"motion     {float(np.max(proposal.motion.amplitude)):.2g} rad or m at most, at 0.5 Hz",
+        f"written    {', '.join(str(file) for file in files)}",
+        f"next       fjr check {files[-1]}",
+        f"           fjr run {files[-1]} --lockstep",
+    ]

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr new` makes files from URDFs that `fjr check` accepts and `fjr run` tracks; guesses are reported."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from tools.robot_survey.robots import ROBOTS
+
+from fjr_bringup.scaffold.arm import arm_of
+from fjr_bringup.scaffold.joint_data import published
+from fjr_bringup.scenarios import library
+from fjr_core.config.scenario import load_scenario
+from fjr_core.errors import RobotError
+from system.executables import fjr, fjr_here
+from two_link_urdf import joint, two_link_urdf
+
+pytestmark = pytest.mark.system
+
+UR5E = next(robot.urdf for robot in ROBOTS if robot.name == "Universal Robots UR5e")
+GUESS = "joint stiffness of {} is a guess"
+
+
+def rtb(name: str) -> Path:
+    return next(robot.urdf for robot in ROBOTS if robot.name == name)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the files that `fjr new` makes of two joints of a UR5e."""
+    folder = tmp_path_factory.mktemp("new")
+    said = fjr_here(
+        "new", str(UR5E), "--joints", "shoulder_lift_joint,elbow_joint", "--name", "arm", "--output", str(folder)
+    )
+    assert "locked     shoulder_pan_joint, wrist_1_joint, wrist_2_joint, wrist_3_joint, at 0" in said
+    return folder
+
+
+def test_the_files_are_accepted_as_they_are(made: Path) -> None:
+    said = json.loads(fjr_here("check", str(made / "arm.yaml"), "--json").partition("fjr: ")[0])
+    assert said["stable"]
+    assert said["warnings"][0].startswith(GUESS.format("2 joints"))
+    assert said["rows"]["reference"] == "within the position limits; within the velocity limits"
+    assert said["rows"]["first effort"].endswith("within the effort limits")
+    assert said["rows"]["initial position"] == "within the ranges of the joints"
+
+
+def test_the_arm_tracks_over_ros_and_the_report_repeats_the_guesses(made: Path) -> None:
+    output = made / "runs"
+    options = ("--lockstep", "--duration", "2.2", "--set", "compile:=false", "--output", str(output))
+    said = fjr("run", str(made / "arm.yaml"), *options)
+    report = json.loads((output / "arm" / "report.json").read_text(encoding="utf-8"))
+    assert report["tracking"]["max_error_after_2s_rad"] < 1e-4
+    assert report["tracking"]["largest_share_of_effort_limit"] < 0.8
+    assert report["stop"] is None
+    for sentence in report["guesses"]:
+        assert f"fjr: {sentence}" in said
+        assert sentence[1:] in (output / "arm" / "report.html").read_text(encoding="utf-8")
+    assert report["guesses"][0].startswith(GUESS.format("2 joints"))
+
+
+def test_a_replaced_value_is_not_reported_any_more(made: Path) -> None:
+    stiffness, inertia = "robot.joint_stiffness:=[9000.0, {}]", "robot.motor_inertia:=[1.0, 0.9]"
+    (left,) = library.load(str(made / "arm.yaml"), [stiffness.format(8600.0), inertia]).guess_warnings
+    assert left.startswith(GUESS.format("joint elbow_joint"))
+    assert library.load(str(made / "arm.yaml"), [stiffness.format(8000.0), inertia]).guess_warnings == ()
+
+
+def test_files_are_replaced_only_on_request(made: Path) -> None:
+    again = ("new", str(UR5E), "--joints", "elbow_joint", "--name", "arm", "--output", str(made))
+    before = (made / "arm.yaml").read_text(encoding="utf-8")
+    assert "arm_robot.yaml exists; expected a new file" in fjr_here(*again, code=2)
+    assert (made / "arm.yaml").read_text(encoding="utf-8") == before
+
+
+def test_joints_that_a_urdf_locks_and_the_priority_are_written(tmp_path: Path) -> None:
+    text = two_link_urdf(wrist_mass=0.3).replace('<joint name="wrist"', '<joint name="gripper"')
+    (tmp_path / "my arm.urdf").write_text(text.replace('upper="3"', 'upper="3"', 1), encoding="utf-8")
+    fjr_here("new", str(tmp_path / "my arm.urdf"), "--output", str(tmp_path))
+    values = load_scenario(tmp_path / "my_arm.yaml").controller_values
+    assert values["joints"] == ("shoulder", "elbow")
+    assert values["realtime_priority"] == 50
+    assert "# Locked: gripper, at 0" in (tmp_path / "my_arm_robot.yaml").read_text(encoding="utf-8")
+
+
+# Choices, without the synthesis of gains.
+
+
+@pytest.mark.parametrize("name", ["KUKA KR 16-2", "KUKA KR 210", "Universal Robots UR3e"])
+def test_real_arms_have_one_chain_of_six_joints(name: str) -> None:
+    arm = arm_of(rtb(name))
+    assert len(arm.joints) == 6
+    assert len(arm.chains) == 1
+    assert len(arm.guesses["joint_stiffness"]) == 6
+
+
+def test_joints_that_carry_no_mass_are_locked_with_a_note(tmp_path: Path) -> None:
+    flange = '<link name="flange"/>' + joint("roll", "lower", "flange", -0.25)
+    (tmp_path / "arm.urdf").write_text(two_link_urdf().replace("</robot>", flange + "</robot>"), encoding="utf-8")
+    arm = arm_of(tmp_path / "arm.urdf")
+    assert arm.joints == ("shoulder", "elbow")
+    assert arm.notes == ("no link beyond elbow has an inertia: roll locked",)
+
+
+def test_a_urdf_without_inertia_is_refused() -> None:
+    with pytest.raises(RobotError, match="no link that joint 'joint_a1' moves has an inertia; expected some"):
+        arm_of(rtb("KUKA LBR iiwa 14"))
+
+
+def test_a_locked_joint_stays_within_its_range(tmp_path: Path) -> None:
+    wrist = two_link_urdf(wrist_mass=0.3)
+    start = wrist.index('<joint name="wrist"')
+    (tmp_path / "arm.urdf").write_text(wrist[:start] + wrist[start:].replace('lower="-3"', 'lower="0.2"'))
+    arm = arm_of(tmp_path / "arm.urdf", joints=("shoulder", "elbow"))
+    assert arm.locked == {"wrist": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ("--joints", "elbow_joint,elbw_joint"),
+            "ur5e.urdf: the URDF has no joint 'elbw_joint'; did you mean 'elbow_joint'?",
+        ),
+        (
+            ("--chain", "2"),
+            "the URDF has no chain 2; expected 1 to 1: 1: 6 joints, shoulder_pan_joint to wrist_3_joint",
+        ),
+        (("--chain", "0"), "'0' is not a chain; expected its number, 1 or more"),
+    ],
+)
+def test_a_wrong_choice_is_one_sentence(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
+    assert said in fjr_here("new", str(UR5E), *arguments, "--output", str(tmp_path), code=2 if "0" in arguments else 1)
+
+
+def test_a_file_that_is_no_urdf_is_one_sentence(tmp_path: Path) -> None:
+    assert "cannot be read (No such file or directory)" in fjr_here("new", str(tmp_path / "none.urdf"), code=1)
+
+
+def test_published_data_replace_guesses() -> None:
+    data = published(("panda_joint2", "panda_joint1"))
+    assert data is not None
+    assert data.motor_inertia["panda_joint1"] == 0.605721456
+    assert "Drake" in data.source
+    assert published(("panda_joint1", "joint9")) is None

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run `fjr new`, `fjr check` and two seconds in lock-step for each public robot; write the table of docs/robots.md.
+
+. ros2_ws/install/setup.sh
+.venv/bin/python -m pip install --no-deps --constraint constraints.txt --requirement requirements/robots.txt
+.venv/bin/python -m tools.robot_survey.table        # half an hour on two cores; names of robots run these only
+
+No file is edited between the commands. The laws run uncompiled (compile:=false), which spares a minute of compilation a
+robot and gives the same numbers to rounding. Results are kept in runs/survey, so that a second call goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .robots import ROBOTS, PublicRobot
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "robots.md"
+BEGIN = "<!-- survey: written by tools/robot_survey/table.py -->"
+END = "<!-- end of survey -->"
+FOLDER = Path("runs/survey")
+TRACKED = 1e-3  # rad, m: largest error after two seconds of a run that tracks
+DURATION = 2.2  # s
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Results of a robot: those of the three commands as JSON, and the sentence of the one that refused."""
+
+    name: str
+    new: dict[str, Any]
+    check: dict[str, Any]
+    run: dict[str, Any]
+    refusal: str
+
+
+def outcome(robot: PublicRobot) -> Outcome:
+    """Run the three commands, or read the kept result."""
+    stem = robot.name.lower().replace(",", "").replace(" ", "_").replace("-", "_").replace("(", "").replace(")", "")
+    kept = FOLDER / f"{stem}.json"
+    if not kept.exists():
+        FOLDER.mkdir(parents=True, exist_ok=True)
+        found: dict[str, Any] = {"new": {}, "check": {}, "run": {}, "refusal": ""}
+        scenario = str(FOLDER / f"{stem}.yaml")
+        runs = ("--lockstep", "--duration", str(DURATION), "--no-report", "--output", str(FOLDER / "runs"))
+        commands = {
+            "new": ("new", str(robot.urdf), "--name", stem, "--output", str(FOLDER), "--force", *robot.options),
+            "check": ("check", scenario),
+            "run": ("run", scenario, *runs, "--set", "compile:=false"),
+        }
+        for name, command in commands.items():
+            found[name], found["refusal"] = _fjr(*command)
+            if found["refusal"]:
+                break
+        kept.write_text(json.dumps(found), encoding="utf-8")
+    return Outcome(robot.name, **json.loads(kept.read_text(encoding="utf-8")))
+
+
+def _fjr(*command: str) -> tuple[dict[str, Any], str]:
+    """Return the JSON result of a command, and why it failed if it did."""
+    done = subprocess.run(["fjr", *command, "--json"], capture_output=True, text=True)
+    said = [line for line in done.stderr.splitlines() if line.startswith("fjr: ")]
+    refusal = "" if done.returncode == 0 else (said or [f"exit code {done.returncode}"])[-1].removeprefix("fjr: ")
+    return json.loads(done.stdout or "{}"), refusal
+
+
+def row(found: Outcome) -> str:
+    """Return the row of a robot."""
+    joints = len(found.new["joints"]) if found.new else "-"
+    if not found.run:
+        return f"| {found.name} | {joints} | | | | | | refused: {found.refusal} |"
+    result = found.run["runs"][0]
+    tracking, notes = result["tracking"], [*found.new["notes"]]
+    notes += ["published motor inertia"] if found.new["source"] else []
+    notes += [f"the first of {len(found.new['chains'])} chains"] if len(found.new["chains"]) > 1 else []
+    notes += [f"stopped: {result['stop']['reason']}"] if result["stop"] else []
+    share = tracking["largest_share_of_effort_limit"]
+    return (
+        f"| {found.name} | {joints} | {found.new['beta_per_s']:g} | {found.check['delay_margin_samples']:.1f} "
+        f"| {number(tracking['initial_error_rad'])} | {number(tracking['max_error_after_2s_rad'])} "
+        f"| {'-' if share is None else f'{100 * share:.0f} %'} | {'; '.join(notes)} |"
+    )
+
+
+def number(value: float | None) -> str:
+    """Return an error with two digits; a dash for an unknown one."""
+    return "-" if value is None else f"{value:.1e}"
+
+
+def tracks(found: Outcome) -> bool:
+    """Return whether the run ended by itself with an error below TRACKED after two seconds."""
+    runs = found.run.get("runs", [])
+    errors = [each["tracking"]["max_error_after_2s_rad"] for each in runs if not each["stop"]]
+    return bool(errors) and errors[0] is not None and errors[0] < TRACKED
+
+
+def table(outcomes: list[Outcome]) -> list[str]:
+    """Return the Markdown lines: how many track, then a row for each robot."""
+    good = sum(map(tracks, outcomes))
+    lines = [
+        f"{good} of {len(outcomes)} robots track within {1e3 * TRACKED:g} mrad (mm) after two seconds.",
+        "",
+        "| robot | joints | beta, 1/s | delay margin, samples | error at start | after 2 s, rad or m | effort | note |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    return [*lines, *map(row, outcomes)]
+
+
+def main(names: list[str]) -> int:
+    """Run the survey and write the table, or run only the robots whose name contains one of these."""
+    outcomes = []
+    for robot in ROBOTS:
+        if not names or any(name.lower() in robot.name.lower() for name in names):
+            outcomes.append(found := outcome(robot))
+            print(row(found), flush=True)
+    if not names:
+        text = PAGE.read_text(encoding="utf-8")
+        before, after = text.partition(BEGIN)[0], text.partition(END)[2]
+        PAGE.write_text("\n".join([before + BEGIN, *table(outcomes), END + after]), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
