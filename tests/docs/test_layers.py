@@ -31,7 +31,7 @@ LAYERS = {
     "fjr_plant": ("state_publisher", "channel", "sensors", "simulated_robot", "timing", "plant_node", "executable"),
     "fjr_controller": ("tracking", "ros", "trajectory", "components", "controller_node", "executable"),
     "fjr_bringup": (
-        "atomic_file formatting interrupt progress result ros2_tools",
+        "atomic_file formatting interrupt progress provenance result ros2_tools",
         "recording scene",
         "analysis",
         "plotting",

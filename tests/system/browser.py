@@ -118,6 +118,15 @@ class Browser:
         """Return the number of coloured pixels of each plot."""
         return list(self.value(COLOURED))
 
+    def overflows(self) -> list[str]:
+        """Return the ids of figures that are narrower than their plot."""
+        wider = "figure.querySelector('canvas').clientWidth > figure.clientWidth"
+        return list(
+            self.value(
+                f"[...document.querySelectorAll('figure')].filter((figure) => {wider}).map((figure) => figure.id)"
+            )
+        )
+
     def close(self) -> None:
         self._socket.close()
         self._process.terminate()

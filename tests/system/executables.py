@@ -35,6 +35,9 @@ class Executable:
     def signal(self, number: int) -> None:
         self.process.send_signal(number)
 
+    def said_so_far(self) -> str:
+        return os.pread(self._said.fileno(), 1_000_000, 0).decode()  # leaves the position, which the child shares
+
     def end(self) -> tuple[int, str]:
         code = self.process.wait(timeout=HANG)
         self._said.seek(0)

@@ -19,8 +19,9 @@ VALUES: dict[str, Any] = {
     "kicker": HOSTILE,
     "notes": [HOSTILE],
     "tiles": [(HOSTILE, HOSTILE)],
-    "picture": "",
     "tables": [(HOSTILE, ["", HOSTILE], [[HOSTILE, HOSTILE]])],
+    "effects": [(HOSTILE, HOSTILE, HOSTILE, 0.5, 0.5)],
+    "influence_text": HOSTILE,
     "json": html.as_json({HOSTILE: HOSTILE}),
     "footer": HOSTILE,
 }

@@ -45,6 +45,7 @@ def is_sound(browser: Browser) -> None:
     assert browser.said == []
     assert [url for url in browser.asked if not url.startswith(("file:", "data:"))] == []
     assert len(browser.coloured()) == len(names(browser))
+    assert browser.overflows() == []
     assert min(browser.coloured()) > DRAWN, dict(zip(names(browser), browser.coloured(), strict=True))
 
 

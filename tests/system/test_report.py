@@ -89,7 +89,9 @@ def test_the_demo_runs_the_paper_and_an_arm_in_real_time(tmp_path: Path) -> None
         assert (tmp_path / name / "overview.png").is_file()
         assert (tmp_path / name / "report.html").is_file()
         assert name in said
-    assert (tmp_path / "comparison.html").is_file()
+    page = (tmp_path / "comparison.html").read_text()
+    assert "The paper's claim" in said
+    assert "The paper&#39;s claim" in page
 
 
 def test_a_demonstration_that_the_computer_is_too_slow_for_is_repeated_in_lock_step(
@@ -103,4 +105,5 @@ def test_a_demonstration_that_the_computer_is_too_slow_for_is_repeated_in_lock_s
     assert summary.report.stop is not None
     assert summary.report.lockstep
     assert "repeated in lock-step" in capsys.readouterr().err
+    assert ["repeated in lock-step" in note for note in summary.notes] == [True]
     assert len(list((tmp_path / "runs").glob("stopping-*"))) == 2

@@ -33,6 +33,7 @@ from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.analysis.status import Status, advice_on, status_of
 from fjr_bringup.analysis.timing import Counts, Timing, counts, timing
 from fjr_bringup.atomic_file import write_text
+from fjr_bringup.provenance import Provenance
 from fjr_bringup.recording.reader import Array, Bag
 from fjr_bringup.result import finite
 from fjr_core.config.scenario import Scenario
@@ -117,6 +118,7 @@ class Report:
     failure: str = ""  # why the run ended early
     planned_s: float | None = None  # planned duration; null: unknown
     guesses: tuple[str, ...] = ()  # values of the robot that are guesses, a sentence for each kind
+    provenance: Provenance | None = None  # of the command that recorded the run; null: unknown
 
     @property
     def status(self) -> Status:

@@ -16,6 +16,7 @@ import click
 from fjr_bringup.cli.commands import COMMANDS
 from fjr_bringup.cli.exit_codes import HELP, Exit
 from fjr_bringup.interrupt import interruptible, uninterruptible
+from fjr_bringup.provenance import begin_command
 from fjr_msgs_py.node.loading import ament_index_of_wheels, end_on_signals, without_blas_threads
 
 
@@ -32,6 +33,7 @@ def main(arguments: Sequence[str] | None = None, loaded: Callable[[], None] = la
     """
     without_blas_threads()
     ament_index_of_wheels()
+    begin_command(["fjr", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         return int(fjr.main(arguments, prog_name="fjr", standalone_mode=False, obj=loaded) or Exit.DONE)
     except click.ClickException as error:

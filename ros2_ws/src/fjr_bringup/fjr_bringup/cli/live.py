@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import click
+from click import UsageError
 
 from fjr_bringup.cli.ros2_first import refuse_over_ros2
 from fjr_bringup.interrupt import stoppable
@@ -53,14 +53,32 @@ def watch_loop(
     once: bool,
     remaps: tuple[str, ...],
     browser: bool,
-    port: int,
+    foxglove: bool,
+    port: int | None,
     as_json: bool,
 ) -> None:
-    """Display a running control loop; scenario: source of the displayed effort limits and of the arm in a browser."""
-    if browser and (once or as_json):
-        raise click.UsageError("--browser shows the loop until Ctrl-C; expected it without --once and --json")
+    """Display a running control loop, or serve Foxglove; scenario: source of effort limits and of the arm in 3D."""
+    _refuse_conflicts({"--browser": browser, "--foxglove": foxglove}, {"--once": once, "--json": as_json}, port)
     robot = monitor_app.known(library.load(scenario)) if scenario else monitor_app.Known()
     discover_quickly()
-    wish = monitor_app.Options(namespace, remaps, controller, once, as_json, port if browser else None)
+    wish = monitor_app.Options(namespace, remaps, controller, once, as_json, (port or 0) if browser else None)
     with stoppable() as stop:
-        monitor_app.watch(wish, robot, stop)
+        if foxglove:
+            from fjr_bringup.monitor import foxglove as server  # SciPy, which other commands here do not need
+
+            server.serve(wish, robot.locked, server.PORT if port is None else port, stop)
+        else:
+            monitor_app.watch(wish, robot, stop)
+
+
+def _refuse_conflicts(displays: dict[str, bool], terminal: dict[str, bool], port: int | None) -> None:
+    """Raise UsageError for two displays, for options of the terminal with one, and for a port without one.
+
+    displays, terminal: whether each option is given.
+    """
+    any_display = any(displays.values())
+    chosen = [option for option, given in (displays | terminal).items() if given]
+    if any_display and len(chosen) > 1:
+        raise UsageError(f"{chosen[0]} shows the loop until Ctrl-C; expected it without {chosen[1]}")
+    if port is not None and not any_display:
+        raise UsageError(f"--port is given without {' or '.join(displays)}; expected one of them")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.provenance import Provenance
 from fjr_bringup.recording.formats import files_of
 from fjr_bringup.recording.reader import read_bag
 from fjr_bringup.report.write import METRICS, RunSummary, compare, output_paths, report_bag, table
@@ -95,6 +96,7 @@ def _report(source: Source, namespace: str) -> RunSummary:
         duration=known.get("planned_s"),
         skipped=known.get("not_recorded"),
         failure=known.get("failure", ""),
+        recorded=Provenance.read(known.get("provenance")),
     )
 
 
@@ -138,12 +140,18 @@ def _inner(path: Path) -> Path:
 
 
 def _known(path: Path) -> Mapping[str, Any]:
-    """Return the entries of an earlier report that the bag lacks: name, planned duration, losses, failure."""
+    """Return the entries of an earlier report that the bag lacks: name, planned duration, losses, failure, origin."""
     try:
         found = read_json(path)
     except (OSError, ValueError):
         return {}
-    kinds: dict[str, Any] = {"scenario": str, "planned_s": (int, float), "not_recorded": dict, "failure": str}
+    kinds: dict[str, Any] = {
+        "scenario": str,
+        "planned_s": (int, float),
+        "not_recorded": dict,
+        "failure": str,
+        "provenance": dict,
+    }
     return {name: found[name] for name, kind in kinds.items() if isinstance(found.get(name), kind)}
 
 

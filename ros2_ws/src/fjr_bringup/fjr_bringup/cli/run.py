@@ -6,6 +6,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from fjr_bringup.cli.preflight import checked, refuse_coarse_steps, refuse_unsta
 from fjr_bringup.formatting import percent
 from fjr_bringup.interrupt import stoppable
 from fjr_bringup.progress import phase
+from fjr_bringup.report.paper_claim import Claim, paper_claim
 from fjr_bringup.report.write import RunSummary, compare, output_paths, play_hint, report_run, stops, table
 from fjr_bringup.result import Result
 from fjr_bringup.runner.run import Plan, RunError
@@ -22,16 +24,19 @@ from fjr_bringup.runner.run import run as run_plan
 from fjr_bringup.scenarios import library
 from fjr_core.errors import FjrError
 
-DEMO = ("paper_k31", "paper_k3p1", "arm7")
+DEMO = ("paper_k31", "paper_k3p1", "arm7")  # the paper's stiff joint, its soft joint, any arm
 LOCKSTEP = {"realtime_priority": 0, "lockstep": True}
 
 
 def demo(duration: float, output: Path) -> Result:
-    """Run the demonstration scenarios in real time and write a page that compares them."""
+    """Run the demonstration scenarios in real time and write a page that compares them and states the paper's claim."""
     summaries = [_demonstrate(name, duration, output) for name in DEMO]
+    stiff, soft = summaries[:2]
+    stiffness = (float(stiff.scenario.robot.K[0, 0]), float(soft.scenario.robot.K[0, 0]))
+    claim = paper_claim(stiff.report, soft.report, stiffness)
     with phase("comparing the runs"):
-        page = compare(summaries, output)
-    return _result(summaries, page)
+        page = compare(summaries, output, claim)
+    return _result(summaries, page, claim)
 
 
 def run_scenario(
@@ -59,12 +64,12 @@ def _demonstrate(name: str, duration: float, output: Path) -> RunSummary:
     in_time = summary.report.counts.answered_in_time_fraction
     if _exit_code([summary]) == Exit.DONE or in_time is None or in_time >= KEEPS_UP:
         return summary
-    print(
-        f"{name}: this computer answered {percent(in_time, 0)} of the states in time, too few to track in real time; "
-        "repeated in lock-step, where the robot waits for each command",
-        file=sys.stderr,
+    note = (
+        f"this computer answered {percent(in_time, 0)} of the states in time, too few to track in real time; "
+        "repeated in lock-step, where the robot waits for each command"
     )
-    return _record_and_report(_plan(name, LOCKSTEP, duration, output))
+    print(f"{name}: {note}", file=sys.stderr)
+    return replace(_record_and_report(_plan(name, LOCKSTEP, duration, output)), notes=(note,))
 
 
 def _plan(name: str | None, overrides: Mapping[str, Any], duration: float, output: Path, force: bool = False) -> Plan:
@@ -103,11 +108,13 @@ def _report_failure(name: str, folder: Path, error: RunError) -> None:
         print("\n".join([*stops([summary]), output_paths([summary])]), file=sys.stderr)
 
 
-def _result(summaries: Sequence[RunSummary], page: Path | None = None) -> Result:
-    """Return table and files of finished runs; page: the page that compares them."""
+def _result(summaries: Sequence[RunSummary], page: Path | None = None, claim: Claim | None = None) -> Result:
+    """Return table and files of finished runs; page: the page that compares them; claim: what they show together."""
     lines = [table(summaries), output_paths(summaries), play_hint(Path(summaries[0].report.bag))]
     lines += [f"side by side: {page}"] if page else []
-    values = {"runs": [each.values for each in summaries], "comparison": page}
+    lines += [f"{claim.heading}: {claim.sentence}"] if claim else []
+    shown = {"shown": claim.kind == "holding", "sentence": claim.sentence} if claim else None
+    values = {"runs": [each.values for each in summaries], "comparison": page, "claim": shown}
     return Result("\n".join(lines), values, _exit_code(summaries))
 
 

@@ -61,15 +61,15 @@ class FjrWatch:
         """Process all new messages; `now` [s]: the current time."""
         self._now = now
         for subscription, on_times, on_last in self._stamped:
-            taken = _drained(subscription)
+            taken = drained(subscription)
             on_times([(header_stamp(data), info["source_timestamp"]) for data, info in taken])
             for data, _ in taken[-1:]:
                 on_last(deserialize_message(data, subscription.msg_type))
         for subscription, on_newest in self._newest:
-            for data, _ in _drained(subscription)[-1:]:
+            for data, _ in drained(subscription)[-1:]:
                 on_newest(deserialize_message(data, subscription.msg_type))
         for subscription, on_each in self._every:
-            for data, _ in _drained(subscription):
+            for data, _ in drained(subscription):
                 on_each(deserialize_message(data, subscription.msg_type))
 
     def missing(self) -> list[str]:
@@ -114,7 +114,7 @@ def _by_name(message: JointState, values: Sequence[float]) -> dict[str, float]:
     return dict(zip(message.name, values))  # noqa: B905 (a field may be empty)
 
 
-def _drained(subscription: Subscription) -> list[tuple[bytes, Any]]:
+def drained(subscription: Subscription) -> list[tuple[bytes, Any]]:
     """Empty a queue; return the serialised messages with their infos."""
     found = []
     while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:

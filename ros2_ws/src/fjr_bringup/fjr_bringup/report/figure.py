@@ -24,7 +24,7 @@ class Line:
     """One line: values (k,) over the plot's x; NaN is a gap.
 
     colour: name of a colour of page.css (c1 .. c7, grey, bad). dash: pixels on and off. step: hold each value until
-    the next x. fill: fill the area below the line.
+    the next x. fill: fill the area below the line. dots: one dot per value, no line. unseen: only in the legend.
     """
 
     label: str
@@ -34,6 +34,8 @@ class Line:
     dash: tuple[int, ...] = ()
     step: bool = False
     fill: bool = False
+    dots: bool = False
+    unseen: bool = False
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ class Plot:
     """A plot, titled by its result.
 
     time: the abscissa is time; all such plots zoom together. place: id of the element that contains the plot.
-    legend: show names and values below the plot. views: the plot in other units, by the label of a button.
+    legend: show names and values below the plot. band: numbers of two lines to fill between, the upper one first.
+    views: the plot in other units, by the label of a button.
     """
 
     name: str
@@ -58,6 +61,7 @@ class Plot:
     wide: bool = False
     place: str = "figures"
     legend: bool = True
+    band: tuple[int, int] | None = None
     views: dict[str, Plot] = field(default_factory=dict)
 
     @property

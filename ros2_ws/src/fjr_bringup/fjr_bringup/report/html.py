@@ -19,6 +19,7 @@ from markupsafe import Markup
 
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.formatting import number, percent
+from fjr_bringup.provenance import provenance
 from fjr_bringup.report.arm_replay import ArmReplay
 from fjr_bringup.report.figure import Plot, Pool, colour
 from fjr_core.errors import FjrError
@@ -71,7 +72,7 @@ def environment() -> Environment:
     made.globals |= {"HEADINGS": HEADINGS, "SCRIPT": SCRIPT, "STYLE": STYLE, "THREE": THREE}
     static = files("fjr_bringup") / TEMPLATES  # files that go into a page as they are, like those of uPlot
     made.globals["static"] = lambda name: Markup((static / name).read_text(encoding="utf-8"))
-    made.globals |= {"colour": colour, "asset": lambda name: Markup(asset(name))}
+    made.globals |= {"colour": colour, "provenance": provenance, "asset": lambda name: Markup(asset(name))}
     made.policies["json.dumps_kwargs"] = {}
     return made
 

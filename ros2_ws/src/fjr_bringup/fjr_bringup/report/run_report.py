@@ -10,6 +10,7 @@ from fjr_bringup.analysis.metrics import Report
 from fjr_bringup.analysis.power_balance import Power
 from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.formatting import milliseconds, number, percent, sentence
+from fjr_bringup.provenance import without_home
 from fjr_bringup.report import html
 from fjr_bringup.report.arm_replay import ArmReplay
 from fjr_bringup.report.run_figures import run_plots
@@ -29,7 +30,7 @@ def write_run_page(path: Path, data: RunData, report: Report, flow: Power, arm: 
         run_plots(data, report, flow),
         arm,
         report=report,
-        kicker=f"Tracking report · {report.bag} · {number(report.duration_s, 's')}",
+        kicker=f"Tracking report · {without_home(report.bag)} · {number(report.duration_s, 's')}",
         heading=title(report),
         notes=[
             *([f"The run ended early: {report.failure}"] if report.failure else []),

@@ -17,6 +17,7 @@ from fjr_bringup.formatting import milliseconds, number, percent
 from fjr_bringup.recording.reader import Array
 from fjr_bringup.report import html
 from fjr_bringup.report.figure import DRAWN, Line, Plot, colour, decimated, drawable
+from fjr_bringup.report.paper_claim import Claim
 from fjr_core.robot.joint_units import joined
 
 COLOURED = {"holding": "ok", "degraded": "maybe", "violated": "no", "unknown": "maybe", "late": "maybe"}
@@ -59,15 +60,16 @@ ROWS: dict[str, tuple[Row, ...]] = {
 }
 
 
-def write_comparison(path: Path, runs: Sequence[Compared]) -> None:
-    """Write the page of two runs or more; raises AssetError."""
+def write_comparison(path: Path, runs: Sequence[Compared], claim: Claim | None = None) -> None:
+    """Write the page of two runs or more; claim: what the runs show together. Raises AssetError."""
     html.write_page(
         path,
         "runs.html",
         " · ".join(run.label for run in runs),
         side_by_side_plots(runs),
         kicker=f"Comparison of {len(runs)} runs",
-        notes=[f"{run.label}: {note}" for run in runs for note in run.report.missing],
+        notes=[f"{run.label}: {note}" for run in runs for note in (*run.notes, *run.report.missing)],
+        claim=claim,
         runs=runs,
         links=[Path(os.path.relpath(run.page, path.parent)).as_posix() for run in runs],
         groups=ROWS.items(),
@@ -94,12 +96,13 @@ SHORTEST = 1e-3  # ms
 
 @dataclass(frozen=True)
 class Compared:
-    """One of several runs: its unique label, its data and report, and the path of its own page."""
+    """One of several runs: unique label, data and report, path of its own page, notes on how it was made."""
 
     label: str
     data: RunData
     report: Report
     page: Path
+    notes: tuple[str, ...] = ()
 
 
 def side_by_side_plots(runs: Sequence[Compared]) -> list[Plot]:

@@ -19,7 +19,9 @@ from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Report, make_report
 from fjr_bringup.analysis.power_balance import power
 from fjr_bringup.analysis.run_data import RunData, run_data
+from fjr_bringup.provenance import Provenance, provenance
 from fjr_bringup.recording.reader import Bag, read_bag
+from fjr_bringup.report.paper_claim import Claim
 from fjr_bringup.ros2_tools import play_command
 from fjr_core.config.scenario import Scenario, load_scenario
 
@@ -29,16 +31,18 @@ UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A reported run: the folder of its report, the report and the run's data. label: unique among several runs.
+    """A reported run: folder of its report, report, data and scenario. label: unique among several runs.
 
-    has_page: whether report.html was written.
+    has_page: whether report.html was written. notes: how the run was made, for the page that compares it.
     """
 
     folder: Path
     report: Report
     data: RunData
+    scenario: Scenario
     label: str = ""
     has_page: bool = True
+    notes: tuple[str, ...] = ()
 
     @property
     def files(self) -> list[Path]:
@@ -66,7 +70,7 @@ def report_run(
     failure: why the run ended early. pages: false for report.json only.
     """
     scenario, bag = load_scenario(folder / "scenario.yaml"), read_bag(folder / "bag")
-    summary = report_bag(name, bag, scenario, folder, duration, skipped, failure, pages)
+    summary = report_bag(name, bag, scenario, folder, duration, skipped, failure, pages, provenance())
     if pages and np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
         from fjr_bringup.plotting.overview import draw_overview  # matplotlib is half a second of imports
 
@@ -84,8 +88,12 @@ def report_bag(
     skipped: Mapping[str, str] | None = None,
     failure: str = "",
     pages: bool = True,
+    recorded: Provenance | None = None,
 ) -> RunSummary:
-    """Write report.json and report.html of any bag into a folder; for the arguments see report_run."""
+    """Write report.json and report.html of any bag into a folder; for the arguments see report_run.
+
+    recorded: provenance of the command that recorded the bag, if known.
+    """
     with without_warnings():
         data = run_data(bag, scenario, duration or np.inf)
         flow, lasted = power(data, scenario.robot.B_m), duration or float(data.t[-1]) + data.sample_period
@@ -94,6 +102,7 @@ def report_bag(
             not_recorded=dict(skipped or {}),
             failure=failure,
             planned_s=duration,
+            provenance=recorded,
         )
 
         def write(place: Path) -> None:
@@ -105,7 +114,7 @@ def report_bag(
                 write_run_page(place / PAGE, data, report, flow, arm_replay(data, scenario))
 
         folder = write_with_fallback(folder, write)
-    return RunSummary(folder, report, data, name, pages)
+    return RunSummary(folder, report, data, scenario, name, pages)
 
 
 def write_with_fallback(folder: Path, write: Callable[[Path], object]) -> Path:
@@ -134,13 +143,13 @@ def without_warnings() -> Iterator[None]:
         yield
 
 
-def compare(summaries: Sequence[RunSummary], folder: Path) -> Path:
-    """Write comparison.html of several runs into a folder."""
+def compare(summaries: Sequence[RunSummary], folder: Path, claim: Claim | None = None) -> Path:
+    """Write comparison.html of several runs into a folder; claim: what they show together."""
     from fjr_bringup.report.runs_report import Compared, write_comparison
 
     with without_warnings():
-        runs = [Compared(each.label, each.data, each.report, each.folder / PAGE) for each in summaries]
-        return write_with_fallback(folder, lambda place: write_comparison(place / COMPARISON, runs)) / COMPARISON
+        runs = [Compared(each.label, each.data, each.report, each.folder / PAGE, each.notes) for each in summaries]
+        return write_with_fallback(folder, lambda place: write_comparison(place / COMPARISON, runs, claim)) / COMPARISON
 
 
 def table(summaries: Sequence[RunSummary]) -> str:

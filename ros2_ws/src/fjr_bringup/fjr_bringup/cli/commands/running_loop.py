@@ -135,10 +135,16 @@ def send(**given: Any) -> Any:
     help="Remap a topic, e.g. joint_states:=/robot/joint_states; may be repeated.",
 )
 @click.option("--browser", is_flag=True, help="Show the arm in 3D on a page of this computer.")
-@click.option("--port", type=options.PORT, metavar="N", default=0, help="Port of the page.  [default: any free one]")
+@click.option("--foxglove", is_flag=True, help="Serve Foxglove on this computer; needs foxglove-sdk.")
+@click.option(
+    "--port",
+    type=options.PORT,
+    metavar="N",
+    help="Port of the page or of Foxglove; 0: any free one.  [default: page: 0, Foxglove: 8765]",
+)
 @json_lines
 def watch(**given: Any) -> Any:
-    """Watch a running control loop in the terminal.
+    """Watch a running control loop in the terminal, a browser or Foxglove.
 
     The displayed effort limits are those of SCENARIO, by default those of the URDF on /robot_description. So is the arm
     of --browser.

@@ -3,6 +3,7 @@
 "use strict";
 (() => {
   const [HEIGHT, LOW] = [280, 210];
+  const NEAR = 20; // px across, within which the dot next to the pointer is looked for
   const SUPERSCRIPT = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
   const sync = uPlot.sync("time");
 
@@ -54,6 +55,9 @@
     });
   }
 
+  // uPlot's own labels have three decimals only.
+  const labels = (_plot, ticks) => ticks.map((tick) => String(Number(tick.toPrecision(8))));
+
   function axis(label, log, across, small) {
     const look = {
       label,
@@ -64,6 +68,7 @@
       grid: { stroke: () => css("grid"), width: 1 },
       ticks: { show: false },
       size: across ? 28 : small ? 42 : 58,
+      values: labels,
     };
     if (log) Object.assign(look, { splits: logSplits, values: logLabels, filter: (_plot, ticks) => ticks });
     return look;
@@ -78,6 +83,8 @@
     };
   }
 
+  const nothing = () => null;
+
   function line(spec) {
     return {
       label: spec.label || " ",
@@ -86,12 +93,41 @@
       width: spec.width,
       dash: spec.dash.length ? spec.dash : undefined,
       cap: "round",
-      paths: spec.step ? uPlot.paths.stepped({ align: 1 }) : undefined,
-      points: { show: false },
+      paths: spec.dots || spec.unseen ? nothing : spec.step ? uPlot.paths.stepped({ align: 1 }) : undefined,
+      points: { show: spec.dots, size: 3.5, width: 0, fill: () => css(spec.colour) + "90" },
       spanGaps: false,
       value: (_plot, value) => written(value),
-      scale: "y",
+      scale: spec.unseen ? "unseen" : "y",
     };
+  }
+
+  // Return options of uPlot's cursor that choose the dot next to the pointer; uPlot alone looks across only.
+  function cursorOfDots(lines) {
+    const columns = lines.flatMap((each, number) => (each.dots ? [number + 1] : []));
+    let [left, top] = [0, 0];
+    const move = (_plot, ...place) => ([left, top] = place);
+    const dataIdx = (plot, _series, hovered) => {
+      let [best, least] = [hovered, Infinity];
+      const closer = (row) => {
+        const across = plot.valToPos(plot.data[0][row], "x") - left;
+        for (const column of columns) {
+          const value = plot.data[column][row];
+          const distance = value == null ? Infinity : Math.hypot(across, plot.valToPos(value, "y") - top);
+          if (distance < least) [best, least] = [row, distance];
+        }
+        return Math.abs(across) < NEAR;
+      };
+      for (let row = hovered; row < plot.data[0].length && closer(row); row++);
+      for (let row = hovered - 1; row >= 0 && closer(row); row--);
+      return best;
+    };
+    const colour = (_plot, series) => (lines[series - 1].unseen ? "transparent" : css(lines[series - 1].colour));
+    return { move, dataIdx, points: { size: 8, fill: colour, stroke: colour } };
+  }
+
+  function cursor(spec) {
+    if (spec.lines.some((each) => each.dots)) return cursorOfDots(spec.lines);
+    return { ...(spec.time ? { sync: { key: sync.key, scales: ["x", null] } } : {}), points: { size: 6 } };
   }
 
   function options(spec, width) {
@@ -104,10 +140,11 @@
         x: { time: false, distr: spec.x_log ? 3 : 1, range: spec.x_log ? (_plot, low, high) => [low, high] : undefined },
         y: { distr: spec.y_log ? 3 : 1, range: range(spec.y_log, spec.y_range) },
       },
+      bands: spec.band ? [{ series: spec.band.map((number) => number + 1), fill: () => css("c1") + "30" }] : [],
       axes: [axis(spec.x_label, spec.x_log, true, !spec.legend), axis(spec.y_label, spec.y_log, false, !spec.legend)],
-      cursor: { ...(spec.time ? { sync: { key: sync.key, scales: ["x", null] } } : {}), points: { size: 6 } },
+      cursor: cursor(spec),
       legend: { show: spec.legend, live: true },
-      padding: [10, 14, 0, 0],
+      padding: [10, 20, 0, 0],
     };
   }
 

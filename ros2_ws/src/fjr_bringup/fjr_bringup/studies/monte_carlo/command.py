@@ -92,8 +92,8 @@ def _shown(store: Store) -> Result:
     summary = summarised(store.sweep, store.column)
     figures = store.folder / "summary.json"
     figures.write_text(json.dumps(summary.as_json(), indent=1) + "\n", encoding="utf-8")
-    picture = draw(store, summary, store.folder / "overview.png")
-    page = write_page(store, summary, picture, store.folder / "report.html")
+    draw(store, summary, store.folder / "overview.png")
+    page = write_page(store, summary, store.folder / "report.html")
     text = f"{table(store.sweep, summary)}\nopen {page}; all runs: {store.table}"
     return Result(text, {**summary.as_json(), "page": page, "table": store.table})
 

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from pathlib import Path
 
 from fjr_bringup.formatting import number, percent
 from fjr_bringup.report import html
+from fjr_bringup.studies.monte_carlo.report_figures import sweep_plots
 from fjr_bringup.studies.monte_carlo.store import Store
 from fjr_core.experiments.monte_carlo.distributions import FIXED
 from fjr_core.experiments.monte_carlo.sensitivity import Summary
@@ -23,18 +23,20 @@ ROWS = {
     "effort_peak": ("peak effort", "N m"),
     "power": ("mean power", "W"),
 }
+INFLUENCE = (
+    "Share of the variance of success, and of log RMS error, that each parameter explains alone (first-order "
+    "sensitivity)."
+)
 HOW = (
-    "Top row of the figure: success rate over the range of a drawn parameter, with its 95 % interval. Below: one dot "
-    "per run, blue if it succeeds; crosses at the upper edge are unstable runs. Right: share of the variance of "
-    "success and of log RMS error that each parameter explains alone (first-order sensitivity)."
+    "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. The same runs are in "
+    "table.parquet and summary.json in the same folder. Needs no network."
 )
 
 
-def write_page(store: Store, summary: Summary, picture: Path, path: Path) -> Path:
+def write_page(store: Store, summary: Summary, path: Path) -> Path:
     """Write the page as one self-contained file."""
     sweep = store.sweep
     title = f"{sweep.name}: {percent(summary.succeeded / summary.runs)} of {summary.runs:,} runs succeed"
-    image = b64encode(picture.read_bytes()).decode()
     outcomes = [
         [what, *(number(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in ROWS.items()
     ]
@@ -42,19 +44,13 @@ def write_page(store: Store, summary: Summary, picture: Path, path: Path) -> Pat
         path,
         "monte_carlo.html",
         title,
-        [],
+        sweep_plots(store, summary),
         kicker=f"Monte-Carlo study of {summary.runs:,} runs",
         notes=_notes(sweep),
         tiles=_tiles(summary),
-        picture=image,
-        tables=[
-            ("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], outcomes),
-            (
-                "Drawn parameters and their influence",
-                ["", "from", "to", "success", "log RMS error"],
-                _drawn(sweep, summary),
-            ),
-        ],
+        tables=[("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], outcomes)],
+        effects=_drawn(summary),
+        influence_text=INFLUENCE,
         json=html.as_json(summary.as_json()),
         footer=HOW,
     )
@@ -86,14 +82,15 @@ def _unit(name: str) -> str:
     return UNITS.get(name.partition(".")[0], "")
 
 
-def _drawn(sweep: Sweep, summary: Summary) -> list[list[str]]:
+def _drawn(summary: Summary) -> list[tuple[str, str, str, float, float]]:
+    """Return name, range and influence on success and error of each parameter."""
     return [
-        [
+        (
             effect.name,
             number(float(effect.edges[0]), _unit(effect.name)),
             number(float(effect.edges[-1]), _unit(effect.name)),
-            percent(effect.success, 1),
-            percent(effect.error, 1),
-        ]
+            effect.success,
+            effect.error,
+        )
         for effect in summary.effects
     ]

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's claim on the page of the demo: stated with the numbers of two runs, and only if they show it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fjr_bringup.analysis.controller_stop import ControllerStop
+from fjr_bringup.analysis.metrics import Report
+from fjr_bringup.recording.reader import read_bag
+from fjr_bringup.report.paper_claim import Claim, paper_claim
+from fjr_bringup.report.write import RunSummary, compare, report_bag
+from fjr_core.config.scenario import load_scenario
+from system.shared_runs import shared_run
+
+pytestmark = pytest.mark.system
+STIFFNESS = (31.0, 3.1)
+
+
+@pytest.fixture(scope="module")
+def summaries(tmp_path_factory: pytest.TempPathFactory) -> list[RunSummary]:
+    folders = [shared_run(tmp_path_factory, name) for name in ("paper_k31", "paper_k3p1")]
+    output = tmp_path_factory.mktemp("reports")
+    return [
+        report_bag(each.name, read_bag(each / "bag"), load_scenario(each / "scenario.yaml"), output / each.name)
+        for each in folders
+    ]
+
+
+def claim(stiff: Report, soft: Report) -> Claim:
+    return paper_claim(stiff, soft, STIFFNESS)
+
+
+def test_claim_states_the_numbers_of_both_runs(summaries: list[RunSummary], tmp_path: Path) -> None:
+    made = claim(*(each.report for each in summaries))
+    assert made.kind == "holding"
+    for words in ("10 times softer", "31 and 3.1 N m/rad", "proven: at least 20 1/s", "from 26.2 N m to 255.8 N m"):
+        assert words in made.sentence
+    repeated = replace(summaries[1], notes=("repeated in lock-step",))
+    page = compare([summaries[0], repeated], tmp_path, made).read_text()
+    assert made.sentence in page
+    assert "<li>paper_k3p1: repeated in lock-step</li>" in page
+
+
+def test_runs_that_do_not_show_the_claim_give_the_reason(summaries: list[RunSummary]) -> None:
+    stiff, soft = (each.report for each in summaries)
+    slow = replace(soft, tracking=replace(soft.tracking, settling_time_2_percent_s=1.5))
+    never = replace(soft, tracking=replace(soft.tracking, settling_time_2_percent_s=None))
+    assert soft.storage is not None
+    lazy = replace(soft, storage=replace(soft.storage, measured_decay_rate_per_s=5.0))
+    stopped = replace(soft, stop=ControllerStop(0.1, "The controller stopped", "for a reason"))
+    violated = replace(soft, verdict=replace(soft.verdict, kind="violated", sentence="V grows."))
+    expected = {
+        "the transients differ: 0.2 s and 1.5 s": slow,
+        "does not settle": never,
+        "V does not decay at the guaranteed rate": lazy,
+        "paper_k3p1: The controller stopped": stopped,
+        "paper_k3p1: V grows": violated,
+    }
+    for words, report in expected.items():
+        made = claim(stiff, report)
+        assert made.kind == "unknown"
+        assert words in made.sentence
+        assert "N m" not in made.sentence
