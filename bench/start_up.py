@@ -72,7 +72,7 @@ def command() -> list[Figure]:
 def _processor_time(cache: str, *arguments: str) -> float:
     """Return the time [s] that the processors spend on `fjr` and its nodes: unlike that of a clock, for any load."""
     before = getrusage(RUSAGE_CHILDREN)
-    subprocess.run(["fjr", *arguments], env=_environment(cache), check=True, capture_output=True, timeout=LONGEST)
+    subprocess.run(["fjr", *arguments], env=_environment(cache), check=True, capture_output=True, timeout=2 * LONGEST)
     after = getrusage(RUSAGE_CHILDREN)
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
