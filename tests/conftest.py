@@ -11,6 +11,7 @@ import shutil
 import socket
 import tempfile
 from collections.abc import Generator, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -47,13 +48,14 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 settings.register_profile("any machine", settings(), deadline=None)  # no deadline: other processes may use the cores
 settings.load_profile("any machine")
 
+CORE = Path(__file__).parent / "core"
 TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
 QUEUE = TURN.with_suffix(".queue")
 _turn: list[TextIO] = []  # the lock of this process, kept from one real_time test to the next
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Sort files by duration where it is known; within a file the order stays."""
+    """Sort the files that take long as listed; within a file the order stays."""
     tests = Path(__file__).parent
     place = {tests / name: number for number, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: place.get(item.path, len(place)))
@@ -64,9 +66,12 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     """Run tests with the marker real_time alone among all test processes.
 
     With real-time scheduling their nodes would starve other processes and wait for locks of Fast DDS that those hold.
-    Waiting for the lock does not count for the timeout of a test. A process keeps its turn while its next test has the
-    marker too, so that the other processes wait only once.
+    Tests of fjr_core start no node and run meanwhile, if the system lets the nodes take precedence. Waiting for the
+    lock does not count for the timeout of a test. A process keeps its turn while its next test has the marker too, so
+    that the other processes wait only once.
     """
+    if item.path.is_relative_to(CORE) and _nodes_take_precedence():
+        return (yield)
     alone = _needs_the_clock(item)
     turn = _turn.pop() if _turn else _next_turn(alone)
     try:
@@ -76,6 +81,15 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
             _turn.append(turn)
         else:
             turn.close()
+
+
+@cache
+def _nodes_take_precedence() -> bool:
+    """Return whether the nodes may have real-time priority here."""
+    from fjr_msgs_py.node.scheduling import prioritised  # loads NumPy, which the process that distributes tests spares
+
+    with prioritised(1):
+        return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
 
 
 def _needs_the_clock(item: pytest.Item) -> bool:

@@ -17,7 +17,8 @@ JOINT = Setting(
     "paper_k31",
     controller={**SAFE, "reference.frequency": [3.0], "limits.effort": [5.0]},
     limit=(5.0,),
-    full_motion=math.pi / 3,  # sin(3 t) passes zero with 3 rad/s
+    full_motion=math.pi / 3,  # sin(3 t) passes zero with 3 rad/s, alternately up and down
+    again=math.pi / 3,
 )
 ARM = Setting(
     "arm7",
@@ -25,6 +26,7 @@ ARM = Setting(
     controller={**SAFE, "recovery.join_time": 1.0, "limits.from_robot": True, "on_stop": "gravity_hold"},
     limit=(176.0, 176.0, 110.0, 110.0, 110.0, 40.0, 40.0),  # of arm7.urdf
     full_motion=1.5,  # all joints pass their offset with 0.94 rad/s
+    again=2.0,  # a period: gravity bends the arm to one side
 )
 
 

@@ -21,7 +21,10 @@ TRIES = 3
 
 @dataclass(frozen=True)
 class Outcome:
-    """Peak |q_tilde_l| [rad], recovery time [s], number of efforts and of bad ones, largest effort [N m], counters."""
+    """Peak |q_tilde_l| [rad], recovery time [s], number of efforts and of bad ones, largest effort [N m], counters.
+
+    counters: of a row that names some, else empty.
+    """
 
     peak: float
     recovery: float
@@ -45,7 +48,7 @@ class Pair:
 
     def __init__(self) -> None:
         self._rig: Rig | None = None
-        self._before: Counter[str] = Counter()
+        self._before: Counter[str] | None = Counter()  # None: not read since a row changed them
 
     def outcome(self, row: Row) -> Outcome:
         """Do what the row says and measure; if the machine stood still, again with new nodes, at most TRIES times."""
@@ -73,17 +76,23 @@ class Pair:
         return self._rig
 
     def _tried(self, row: Row, rig: Rig) -> tuple[Outcome, bool]:
+        if row.counted and self._before is None:
+            self._before = Counter(rig.last_report("controller"))
         begin, end = row.act(rig)
         rig.until_stamp(end + SECOND // 10)
         rig.until_calm(1.0 + (row.recovery or 0.0))
-        counters = rig.last_report("controller")
+        new = self._counted(rig, row)
         motion, efforts, stalled = rig.motion(), rig.efforts(), _stalled(rig, begin, end)
         largest = max(abs(u) for effort in efforts for u in effort)
         bad = sum(not fits(effort, row.setting.limit) for effort in efforts)
-        new = Counter({name: count - self._before[name] for name, count in counters.items()})
         rig.forget()
-        self._before = Counter(counters)
         return Outcome(motion.peak(begin), motion.recovery(end), len(efforts), bad, largest, new), stalled
+
+    def _counted(self, rig: Rig, row: Row) -> Counter[str]:
+        """Return what the controller counted in this row, if the row asks for it: a report takes up to a second."""
+        before = self._before or Counter()
+        self._before = Counter(rig.last_report("controller")) if row.counted else None
+        return Counter({name: count - before[name] for name, count in (self._before or {}).items()})
 
 
 def _stalled(rig: Rig, begin: int, end: int) -> bool:

@@ -31,7 +31,7 @@ from system.executables import NODES, Executable, scenario
 from time_limits import Limit
 
 LIMIT = 40.0  # s on an idle machine; a longer wait for an event is a failure
-LOOK = 0.002  # s between polls of the queues
+LOOK = 0.005  # s between polls of the queues
 SECOND = 10**9  # ns
 PRIORITY = 10  # of watcher and relay, if the system allows it: below the nodes, above all others
 CALM = 3 * SECOND // 10  # ns of small error until a motion counts as recovered
@@ -54,12 +54,13 @@ STEPS = {"plant": {"lockstep": True, "start_paused": True}, "controller": {"use_
 class Setting:
     """A scenario with additional parameters of each node, by dotted names.
 
-    limit (n,): effort limits [N m]. full_motion [s]: reference time of high speed.
+    limit (n,): effort limits [N m]. full_motion [s]: reference time of high speed; again [s]: time until the next.
     """
 
     scenario: str
     limit: tuple[float, ...]
     full_motion: float
+    again: float
     plant: Mapping[str, Any] = field(default_factory=dict)
     controller: Mapping[str, Any] = field(default_factory=dict)
 
@@ -193,7 +194,7 @@ class Rig:
     @property
     def full_motion(self) -> int:
         """Return the true stamp [ns] of the next time of high reference speed."""
-        period = round(2 * math.pi / self.setting.reference.frequency[0] * SECOND)
+        period = round(self.setting.again * SECOND)
         first = self.anchors[-1].zero + round(self.setting.full_motion * SECOND)
         return first + max(0, math.ceil((self.robot_time - first) / period)) * period
 

@@ -3,7 +3,8 @@
 
 Messages are serialised and passed to the subscription callback of the node, as an executor would do: all are handled
 in order, whereas a queue of depth one would lose most of them. Replies of the node use the middleware, and each
-example ends with a valid message that is answered.
+example ends with a valid message that is answered. Messages take longer to generate than to handle: every message goes
+to all nodes, each in a namespace of its own.
 """
 
 from __future__ import annotations
@@ -167,9 +168,13 @@ def test_efforts_and_torques_are_read_as_finite_numbers_or_refused(plain: Float6
 
 def deliver(node: Node, topic: str, message: Any) -> None:
     """Pass the serialised message to the subscription callback of the node."""
-    subscription = next(s for s in node.subscriptions if s.topic_name == topic)
+    subscription = next(s for s in node.subscriptions if s.topic_name == f"{node.get_namespace()}/{topic}")
     wire = serialize_message(message)
     subscription.callback(wire if subscription.raw else deserialize_message(wire, type(message)))
+
+
+def namespace(name: str) -> list[str]:
+    return ["--ros-args", "-r", f"__ns:=/{name}"]
 
 
 TWO_LINK = {
@@ -190,8 +195,8 @@ GUARDED = {
     "start__join_time": 0.5,
 }
 CONTROLLERS: dict[str, dict[str, Any]] = {
-    "effort limit": {},
-    "all limits": GUARDED,
+    "effort_limit": {},
+    "all_limits": GUARDED,
     "observer": {"measurement__velocity": "observer"},
 }
 
@@ -199,21 +204,21 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
 class Answered:
     """A controller in this process, its output, and valid states for it."""
 
-    def __init__(self, ros: Ros, parameters: dict[str, Any]) -> None:
-        self.ros = ros
-        self.heard = Listener(ros)
-        self.node = ros.controller(**TWO_LINK, **parameters)
+    def __init__(self, ros: Ros, name: str) -> None:
+        self.ros, self.name = ros, name
+        self.heard = Listener(ros, f"/{name}/")
+        self.node = ros.controller(arguments=namespace(name), **TWO_LINK, **CONTROLLERS[name])
         topics = ("effort_controller/commands", "joint_commands")
         ros.until(lambda: all(map(self.heard.heard, topics)), "the controller")
         self._seconds = 200.0
 
     def state(self, message: JointState) -> None:
-        deliver(self.node, "/joint_states", message)
+        deliver(self.node, "joint_states", message)
 
     def plan(self, message: JointTrajectory) -> None:
         """Request a trajectory; return when its outcome is known."""
         known = self._planned
-        deliver(self.node, "/fjr_controller/joint_trajectory", message)
+        deliver(self.node, "fjr_controller/joint_trajectory", message)
         self.ros.until(lambda: self._planned > known, "the trajectory's fate")
 
     @property
@@ -232,31 +237,38 @@ class Answered:
         self.ros.until(lambda: len(self.heard.efforts) == len(commands), "the effort of that answer")
         for effort in (*(m.data for m in self.heard.efforts), *(m.effort for m in commands)):
             assert len(effort) == 2
-            assert all(abs(u) <= limit for u, limit in zip(effort, LIMIT, strict=True)), effort
+            assert all(abs(u) <= limit for u, limit in zip(effort, LIMIT, strict=True)), (self.name, effort)
         self.heard.efforts.clear()
         commands.clear()
 
 
-@pytest.fixture(params=CONTROLLERS)
-def answered(ros: Ros, request) -> Answered:
-    return Answered(ros, CONTROLLERS[request.param])
+@pytest.fixture
+def controllers(ros: Ros) -> list[Answered]:
+    return [Answered(ros, name) for name in CONTROLLERS]
 
 
 @THOUSAND
 @given(messages=st.lists(states(), min_size=EACH, max_size=EACH))
-def test_malformed_states_cause_no_invalid_effort(answered: Answered, messages: list[JointState]) -> None:
-    for message in messages:
-        answered.state(message)
-    answered.answer(1.0)  # beyond state_timeout, so that no earlier stamp makes it old
+def test_malformed_states_cause_no_invalid_effort(controllers: list[Answered], messages: list[JointState]) -> None:
+    for controller in controllers:
+        for message in messages:
+            controller.state(message)
+        controller.answer(1.0)  # beyond state_timeout, so that no earlier stamp makes it old
 
 
 @THOUSAND
 @given(messages=st.lists(trajectories, min_size=EACH, max_size=EACH))
-def test_malformed_trajectories_cause_no_invalid_effort(answered: Answered, messages: list[JointTrajectory]) -> None:
-    answered.answer(0.01)
-    for message in messages:
-        answered.plan(message)
-        answered.answer(0.01)
+def test_malformed_trajectories_cause_no_invalid_effort(
+    controllers: list[Answered], messages: list[JointTrajectory]
+) -> None:
+    for controller in controllers:
+        controller.answer(0.01)
+        for message in messages:
+            controller.plan(message)
+            controller.answer(0.01)
+
+
+PLAIN, NAMED = "effort_controller/commands", "joint_commands"
 
 
 class Commanded:
@@ -265,19 +277,19 @@ class Commanded:
     Without the limit a finite effort of 1e308 N m could make the simulation diverge.
     """
 
-    def __init__(self, ros: Ros, lockstep: bool) -> None:
+    def __init__(self, ros: Ros, name: str, topic: str) -> None:
         self.ros = ros
-        self.heard = Listener(ros)
-        robot = {"joints": list(JOINTS), "robot__model": "planar_two_link"}
+        self.heard = Listener(ros, f"/{name}/")
+        robot = {"joints": list(JOINTS), "robot__model": "planar_two_link", "lockstep": name == "lockstep"}
         limit = {"imperfections__effort_limit": list(LIMIT)}
-        self.node = ros.plant(**robot, **limit, lockstep=lockstep, lockstep_timeout=0.0)
-        self.topic = "/joint_commands" if lockstep else "/effort_controller/commands"
+        self.node = ros.plant(arguments=namespace(name), **robot, **limit, lockstep_timeout=0.0)
+        self.topic = topic
         ros.until(lambda: self.heard.states, "a state")
 
     def answer(self) -> None:
         """Send a valid command for the newest state and check the states until the next one."""
         last = self.heard.states[-1]
-        if self.topic == "/joint_commands":
+        if self.topic == NAMED:
             good: Any = JointState(header=last.header, name=list(JOINTS), effort=[0.0, 0.0])
         else:
             good = Float64MultiArray(data=[0.0, 0.0])
@@ -287,9 +299,10 @@ class Commanded:
         assert all(finite(state.position, state.velocity, state.effort) for state in self.heard.states)
 
 
-@pytest.fixture(params=[False, True], ids=["real time", "lock-step"])
-def commanded(ros: Ros, request) -> Commanded:
-    return Commanded(ros, request.param)
+@pytest.fixture
+def plants(ros: Ros) -> tuple[Commanded, Commanded]:
+    """Return a plant in real time, which obeys plain commands, and one in lock-step, which obeys named ones."""
+    return Commanded(ros, "real_time", PLAIN), Commanded(ros, "lockstep", NAMED)
 
 
 @THOUSAND
@@ -298,8 +311,9 @@ def commanded(ros: Ros, request) -> Commanded:
     named=st.lists(answers(), min_size=EACH, max_size=EACH),
 )
 def test_malformed_commands_leave_the_plant_finite(
-    commanded: Commanded, plain: list[Float64MultiArray], named: list[JointState]
+    plants: tuple[Commanded, Commanded], plain: list[Float64MultiArray], named: list[JointState]
 ) -> None:
-    for message in named if commanded.topic == "/joint_commands" else plain:
-        deliver(commanded.node, commanded.topic, message)
-    commanded.answer()
+    for plant, messages in zip(plants, (plain, named), strict=True):
+        for message in messages:
+            deliver(plant.node, plant.topic, message)
+        plant.answer()

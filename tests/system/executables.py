@@ -8,11 +8,12 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Collection
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from typing import IO
+from unittest import mock
 
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
 
@@ -66,12 +67,12 @@ def fjr(*arguments: str, code: int = 0, codes: Collection[int] = ()) -> str:
     return done.stdout + done.stderr
 
 
-def fjr_here(*arguments: str, code: int = 0) -> str:
-    """Run an `fjr` command that starts no node in this process, which saves a second of imports; return its output."""
+def fjr_here(*arguments: str, code: int = 0, codes: Collection[int] = ()) -> str:
+    """Run `fjr` as above, but in this process, which saves a second of imports; nodes are processes all the same."""
     output, errors = StringIO(), StringIO()
-    with redirect_stdout(output), redirect_stderr(errors):
+    with mock.patch.dict(os.environ), redirect_stdout(output), redirect_stderr(errors):
         ended = main(arguments)
-    assert ended == code, output.getvalue() + errors.getvalue()
+    assert ended in (codes or (code,)), output.getvalue() + errors.getvalue()
     return output.getvalue() + errors.getvalue()
 
 
@@ -80,3 +81,17 @@ def scenario(name: str) -> str:
 
 
 NODES = {"plant": ("fjr_plant", "plant_node"), "controller": ("fjr_controller", "controller_node")}
+LOCKSTEP = {"plant": ("-p", "lockstep:=true"), "controller": ("-p", "use_sim_time:=true")}
+SLOW = {"plant": ("-p", "publish_rate:=200.0"), "controller": ("-p", "state_timeout:=600.0")}
+"""Real time at 200 Hz, for little processor time; a controller that gets no core for long goes on all the same."""
+
+
+@contextmanager
+def running(parameters: Mapping[str, Sequence[str]], *more: str) -> Iterator[None]:
+    """Run plant and controller with ROS arguments of each and `more` of both."""
+    started = [Executable(*NODES[node], "--ros-args", *parameters[node], *more) for node in NODES]
+    try:
+        yield
+    finally:
+        for executable in started:
+            executable.kill()

@@ -11,7 +11,7 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from system.executables import fjr
+from system.executables import fjr_here
 
 TRIES = 3
 
@@ -37,7 +37,8 @@ def record(name: str, duration: float, output: Path, *overrides: str) -> Recorde
     """Run a scenario in lock-step and read its bag; again, at most TRIES times, where the recorder missed messages."""
     changes = [part for override in overrides for part in ("--set", override)]
     for _ in range(TRIES):
-        said = fjr("run", name, "--lockstep", "--duration", str(duration), "--output", str(output), *changes)
+        length = ("--duration", str(duration), "--output", str(output))
+        said = fjr_here("run", name, "--lockstep", "--no-report", *length, *changes)
         if is_complete(output / name):
             break
     return recorded_run(output / name, said)

@@ -11,7 +11,7 @@ import pytest
 
 from fjr_core.config.scenario import load_scenario
 from system import shared_runs
-from system.executables import fjr, scenario
+from system.executables import fjr_here, scenario
 from system.recorded import Recorded, reader, recorded_run
 from system.shared_runs import shared_run
 
@@ -76,9 +76,9 @@ def test_the_last_effort_in_the_bag_is_zero(recorded: Recorded) -> None:
 
 def test_an_override_changes_the_run(tmp_path: Path) -> None:
     """Doubling the stiffness of the soft joint changes plant, law and metrics."""
-    arguments = ("--lockstep", "--duration", "2.5", "--output", str(tmp_path), "--set", "robot.joint_stiffness:=[6.2]")
-    fjr("run", "paper_k3p1", *arguments)
+    arguments = ("--lockstep", "--duration", "0.5", "--output", str(tmp_path), "--set", "robot.joint_stiffness:=[6.2]")
+    fjr_here("run", "paper_k3p1", "--no-report", *arguments)
     report = json.loads((tmp_path / "paper_k3p1" / "report.json").read_text())
     kept = load_scenario(tmp_path / "paper_k3p1" / "scenario.yaml")
     assert kept.robot.K.tolist() == kept.plant.robot.K.tolist() == [[6.2]]
-    assert report["tracking"]["peak_effort_nm"] == pytest.approx(np.max(np.abs(kept.simulate(2.5).u)), rel=1e-6)
+    assert report["tracking"]["peak_effort_nm"] == pytest.approx(np.max(np.abs(kept.simulate(0.5).u)), rel=1e-6)

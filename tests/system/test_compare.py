@@ -27,7 +27,7 @@ from fjr_core.errors import CompareError, FjrError
 from fjr_core.numerics import jit_cache
 from system.browser import Browser
 from system.documented import documented_keys
-from system.executables import TIME_LIMIT, Executable, fjr, fjr_here
+from system.executables import TIME_LIMIT, Executable, fjr_here
 from time_limits import HANG, Limit
 
 pytestmark = pytest.mark.system
@@ -53,7 +53,7 @@ DRAWN = 150  # coloured pixels, at least
 def compared(folder: Path, document: dict[str, Any], *arguments: str) -> tuple[dict[str, Any], str]:
     file = folder / "mine.yaml"
     file.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-    said = fjr("compare", str(file), "--output", str(folder / "runs"), *arguments)
+    said = fjr_here("compare", str(file), "--output", str(folder / "runs"), *arguments)
     return json.loads((folder / "runs" / "compare_mine" / "comparison.json").read_text()), said
 
 
@@ -129,7 +129,7 @@ def test_interrupted_comparison_keeps_finished_results(tmp_path: Path, number: i
     assert "Traceback" not in said
     left = len(QUICK["laws"]) - len(list(kept.glob("*.json")))
     assert left
-    assert f"compare: {left} law" in fjr(*arguments)
+    assert f"compare: {left} law" in fjr_here(*arguments)
 
 
 class Failing:

@@ -14,25 +14,18 @@ import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from system.executables import NODES, TIME_LIMIT, Executable, fjr, fjr_here
+from system.executables import LOCKSTEP, SLOW, TIME_LIMIT, Executable, fjr, fjr_here, running
 from time_limits import Limit
 
 pytestmark = pytest.mark.system
 HANG = "600"  # s
-NAMED = ("-r", "__ns:=/left")
-LOCKSTEP = {"plant": ("-p", "lockstep:=true"), "controller": ("-p", "use_sim_time:=true")}
-SLOW = {"plant": ("-p", "publish_rate:=200.0"), "controller": ("-p", "state_timeout:=600.0")}
-"""In real time, for a fraction of the processor time; a controller that gets no core for long goes on all the same."""
 
 
-@pytest.fixture
-def loop(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Plant and controller under a namespace."""
-    parameters = getattr(request, "param", SLOW)
-    started = [Executable(*NODES[node], "--ros-args", *parameters[node], *NAMED) for node in NODES]
-    yield
-    for executable in started:
-        executable.kill()
+@pytest.fixture(scope="module")
+def loop() -> Iterator[None]:
+    """Plant and controller under /left, which all tests of this file read."""
+    with running(SLOW, "-r", "__ns:=/left"):
+        yield
 
 
 def test_echo_prints_messages_as_yaml(loop: None) -> None:
@@ -47,22 +40,22 @@ def test_echo_prints_messages_as_yaml(loop: None) -> None:
 
 
 def test_echo_prints_latched_messages(loop: None) -> None:
-    fjr("echo", "left/joint_states", "--once", "--timeout", HANG)
-    said = fjr("echo", "left/robot_description", "--once", "--timeout", HANG)
+    fjr_here("echo", "left/joint_states", "--once", "--timeout", HANG)
+    said = fjr_here("echo", "left/robot_description", "--once", "--timeout", HANG)
     assert '<robot name="single_link">' in yaml.safe_load(said.split("---")[0])["data"]
 
 
 def test_echo_without_messages_lists_the_topics(loop: None) -> None:
-    fjr("echo", "left/joint_states", "--once", "--timeout", HANG)
+    fjr_here("echo", "left/joint_states", "--once", "--timeout", HANG)
     limit, said = Limit(TIME_LIMIT), ""
     while "/left/joint_states" not in said:  # topics discovered within 3 s depend on the machine
         assert not limit.passed(), said
-        said = fjr("echo", "/nothing", "--timeout", "3", code=1)
+        said = fjr_here("echo", "/nothing", "--timeout", "3", code=1)
         assert "no message of /nothing for 3 s" in said
 
 
 def test_record_keeps_the_named_topics(loop: None, tmp_path: Path) -> None:
-    fjr("echo", "left/joint_commands", "--once", "--timeout", HANG)
+    fjr_here("echo", "left/joint_commands", "--once", "--timeout", HANG)
     bag = tmp_path / "bag"
     said = fjr("record", "left/joint_states", "/left/joint_commands", "/other", "--duration", "5", "--output", str(bag))
     assert "nothing came on /other" in said
@@ -75,21 +68,21 @@ def test_record_keeps_the_named_topics(loop: None, tmp_path: Path) -> None:
         assert np.isfinite(reader.deserialize(raw, connection.msgtype).effort).all()
 
 
-@pytest.mark.parametrize("loop", [LOCKSTEP], indirect=True, ids=["lock-step"])
-def test_record_of_all_topics_ends_with_ctrl_c(loop: None, tmp_path: Path) -> None:
+def test_record_of_all_topics_ends_with_ctrl_c(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     command = Executable("fjr_bringup", "fjr", "record", "--output", str(bag))
     try:
-        limit = Limit(TIME_LIMIT)
-        while not (bag.is_dir() and any(file.stat().st_size > 1_500_000 for file in bag.glob("*.mcap"))):
-            assert not limit.passed()
-            time.sleep(0.05)
-        command.signal(signal.SIGINT)
-        code, said = command.end()
+        with running(LOCKSTEP, "-r", "__ns:=/right"):
+            limit = Limit(TIME_LIMIT)
+            while not (bag.is_dir() and any(file.stat().st_size > 1_500_000 for file in bag.glob("*.mcap"))):
+                assert not limit.passed()
+                time.sleep(0.05)
+            command.signal(signal.SIGINT)
+            code, said = command.end()
     finally:
         command.kill()
     assert code == 0, said
-    assert "/left/joint_states (sensor_msgs/msg/JointState)" in said
+    assert "/right/joint_states (sensor_msgs/msg/JointState)" in said
     assert (bag / "metadata.yaml").is_file()
 
 

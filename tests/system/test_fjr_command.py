@@ -110,7 +110,7 @@ def test_killed_node_ends_the_run_with_exit_code_1_and_the_bag_is_kept(
 
 def test_diverged_run_has_a_report_and_figures(tmp_path: Path) -> None:
     unstable = ("--force", "--duration", "60", "--set", "publish_rate:=20.0", "--set", "inner_steps:=1")
-    said = fjr("run", "paper_k31", "--lockstep", *unstable, "--output", str(tmp_path), code=1)
+    said = fjr_here("run", "paper_k31", "--lockstep", *unstable, "--output", str(tmp_path), code=1)
     report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
     assert "plant_node" in said
     assert "diverged" in said
@@ -180,8 +180,8 @@ def test_invalid_scenario_file_is_explained(tmp_path: Path, text: str, changes: 
 
 def test_stop_of_the_controller_is_the_headline_and_every_run_is_kept(tmp_path: Path) -> None:
     run = ("run", "paper_k31", "--lockstep", "--duration", "0.1", "--output", str(tmp_path), "--set")
-    refused = fjr(*run, "limits.start_error:=[0.1]", code=Exit.FAILED)
-    stopped = fjr(*run, "limits.tracking_error:=[0.2]", code=Exit.FAILED)
+    refused = fjr_here(*run, "limits.start_error:=[0.1]", code=Exit.FAILED)
+    stopped = fjr_here(*run, "limits.tracking_error:=[0.2]", code=Exit.FAILED)
     assert {path.name for path in tmp_path.iterdir()} == {"paper_k31", "paper_k31-001", "paper_k31-002"}
     assert (tmp_path / "paper_k31").resolve() == tmp_path / "paper_k31-002"
     reasons = {

@@ -19,7 +19,7 @@ from fjr_bringup.analysis.run_data import RunData, run_data
 from fjr_bringup.recording.reader import header_stamp, read_bag
 from fjr_core.config.scenario import Scenario, load_scenario
 from system.bags import STORE, rewritten
-from system.executables import fjr, fjr_here, scenario
+from system.executables import fjr_here, scenario
 
 pytestmark = pytest.mark.system
 STATES, ANSWERS, EFFORTS = "/joint_states", "/joint_commands", "/effort_controller/commands"
@@ -31,7 +31,7 @@ OURS = (STATES, ANSWERS, EFFORTS, REFERENCE)
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a run of the two-link arm, one second in lock-step."""
     output = tmp_path_factory.mktemp("runs")
-    fjr("run", "two_link", "--lockstep", "--duration", "1.0", "--output", str(output))
+    fjr_here("run", "two_link", "--lockstep", "--duration", "1.0", "--output", str(output))
     return output / "two_link"
 
 

@@ -69,13 +69,13 @@ def test_study_writes_a_table_a_figure_and_a_page(tmp_path: Path) -> None:
 
 def test_all_cores_give_the_bytes_of_one_core(tmp_path: Path) -> None:
     name = sweep_file(tmp_path)
-    fjr("sweep", name, "--output", str(tmp_path / "one"))
-    fjr("sweep", name, "--cores", "all", "--output", str(tmp_path / "all"))
+    fjr_here("sweep", name, "--output", str(tmp_path / "one"))
+    fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path / "all"))
     assert table(tmp_path / "one") == table(tmp_path / "all")
 
 
 def test_killed_study_is_resumed(tmp_path: Path) -> None:
-    name = sweep_file(tmp_path, runs=1500, duration=3.0)
+    name = sweep_file(tmp_path, runs=800, duration=3.0)
     running = Executable("fjr_bringup", "fjr", "sweep", name, "--output", str(tmp_path / "killed"))
     parts = tmp_path / "killed" / "joint" / "parts"
     try:
@@ -85,15 +85,15 @@ def test_killed_study_is_resumed(tmp_path: Path) -> None:
     finally:
         running.kill()
     kept = {path: path.stat().st_mtime_ns for path in parts.glob("*.parquet")}
-    assert 3 <= len(kept) < 150
-    said = fjr("sweep", name, "--cores", "all", "--output", str(tmp_path / "killed"))
-    assert f"{10 * len(kept)} of 1500 runs are finished already" in said
-    fjr("sweep", name, "--cores", "all", "--output", str(tmp_path / "whole"))
+    assert 3 <= len(kept) < 80
+    said = fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path / "killed"))
+    assert f"{10 * len(kept)} of 800 runs are finished already" in said
+    fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path / "whole"))
     assert table(tmp_path / "killed") == table(tmp_path / "whole")
 
 
 def test_ctrl_c_keeps_finished_parts(tmp_path: Path) -> None:
-    name = sweep_file(tmp_path, runs=1500, duration=3.0)
+    name = sweep_file(tmp_path, runs=800, duration=3.0)
     running = Executable("fjr_bringup", "fjr", "sweep", name, "--output", str(tmp_path))
     try:
         wait_for(lambda: any((tmp_path / "joint" / "parts").glob("*.parquet")), running)
@@ -158,7 +158,7 @@ def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, l
     from distributed import Client
 
     name = sweep_file(tmp_path, runs=300, duration=3.0)
-    fjr("sweep", name, "--cores", "all", "--output", str(tmp_path))
+    fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path))
     address, killed, after = local_cluster.scheduler_address, [], [0]
 
     def lose_one(runs: int) -> None:
@@ -179,8 +179,10 @@ def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, l
 @pytest.mark.slow
 def test_fjr_sweep_runs_on_an_existing_scheduler(tmp_path: Path, local_cluster: Any) -> None:
     name = sweep_file(tmp_path)
-    fjr("sweep", name, "--output", str(tmp_path / "one"))
-    said = fjr("sweep", name, "--scheduler", local_cluster.scheduler_address, "--output", str(tmp_path / "cluster"))
+    fjr_here("sweep", name, "--output", str(tmp_path / "one"))
+    said = fjr_here(
+        "sweep", name, "--scheduler", local_cluster.scheduler_address, "--output", str(tmp_path / "cluster")
+    )
     assert "120 runs on 2 cores" in said
     assert table(tmp_path / "one") == table(tmp_path / "cluster")
 

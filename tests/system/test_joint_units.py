@@ -24,7 +24,7 @@ from fjr_core.errors import ParameterError, TrajectoryError
 from fjr_core.robot.joint_units import PRISMATIC, REVOLUTE
 from fjr_core.trajectories.motion_limits import check_motion
 from fjr_core.trajectories.point_to_point import Hold
-from system.executables import fjr
+from system.executables import fjr_here
 from system.shared_runs import shared_run
 from watch_text import text
 
@@ -71,7 +71,7 @@ def arm(file: Path) -> Scenario:
 
 def test_run_names_joint_and_unit_of_each_metric(file: Path, tmp_path: Path) -> None:
     run = ("run", str(file), "--lockstep", "--duration", "2.2", "--output", str(tmp_path))
-    said = fjr(*run, codes=(Exit.DONE, Exit.VIOLATED))
+    said = fjr_here(*run, codes=(Exit.DONE, Exit.VIOLATED))
     report = json.loads((tmp_path / "arm" / "report.json").read_text())
     (lift, elbow), tracking = report["joints"], report["tracking"]
     assert (lift["position_unit"], lift["effort_unit"]) == ("m", "N")

@@ -20,7 +20,7 @@ from diagnosis_benchmark.table import BEGIN, NAMES, diagnosed, diagnosed_cause, 
 from fjr_bringup.cli.exit_codes import Exit  # noqa: E402
 from fjr_core.config.scenario import load_scenario  # noqa: E402
 from fjr_core.monitoring.diagnosis import Diagnosis, diagnose  # noqa: E402
-from system.executables import fjr  # noqa: E402
+from system.executables import fjr_here  # noqa: E402
 from system.shared_runs import shared_run  # noqa: E402
 
 pytestmark = pytest.mark.system
@@ -84,9 +84,9 @@ def test_the_page_shows_the_set() -> None:
 def test_diagnosis_of_bags_of_the_real_nodes(assignments: tuple[str, ...], wanted: str, tmp_path: Path) -> None:
     changes = [part for assignment in assignments for part in ("--set", assignment)]
     force = ["--force"] if wanted == "sampling" else []
-    duration = "0.5" if wanted == "sampling" else "2.5"
-    arguments = ["run", "paper_k31", "--lockstep", "--duration", duration, "--output", str(tmp_path)]
-    fjr(*arguments, *changes, *force, codes=(Exit.DONE, Exit.VIOLATED))
+    duration = "0.5" if wanted == "sampling" else "1.25"
+    arguments = ["run", "paper_k31", "--lockstep", "--no-report", "--duration", duration, "--output", str(tmp_path)]
+    fjr_here(*arguments, *changes, *force, codes=(Exit.DONE, Exit.VIOLATED))
     verdict = verdict_on(tmp_path / "paper_k31")
     assert diagnosed_cause(verdict) == wanted, verdict
 

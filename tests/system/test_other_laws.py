@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 
 from fjr_core.control.registry import LAWS
-from system.executables import fjr, fjr_here
+from system.executables import fjr_here
 
 pytestmark = pytest.mark.system
 
 
 @pytest.mark.parametrize("name", ["lqr", "singular_perturbation"])
 def test_a_run_with_another_law_is_reported_without_v(tmp_path: Path, name: str) -> None:
-    fjr("run", "paper_k31", "--lockstep", "--duration", "2.5", "--set", f"law.type:={name}", "--output", str(tmp_path))
+    changed = ("--set", f"law.type:={name}", "--output", str(tmp_path))
+    fjr_here("run", "paper_k31", "--lockstep", "--duration", "2.5", *changed)
     report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
     assert report["verdict"]["kind"] == "unknown"
     assert report["verdict"]["sentence"] == f"no diagnosis: the law {name} has no certificate"

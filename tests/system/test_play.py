@@ -32,7 +32,8 @@ from time_limits import Limit
 pytestmark = pytest.mark.system
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STATES, EFFORTS, MODEL = "/left/joint_states", "/left/joint_commands", "/left/robot_description"
-PERIOD = 10_000_000  # ns
+PERIOD = 50_000_000  # ns
+LONG = 10_000  # messages of a bag whose end no test reaches, in 500 s
 
 
 def written(folder: Path, storage: StoragePlugin, count: int) -> Path:
@@ -60,7 +61,7 @@ JointState_ = "sensor_msgs/msg/JointState"
 def test_bag_is_played_in_order_until_ctrl_c_without_commands_to_the_robot(
     tmp_path: Path, storage: StoragePlugin
 ) -> None:
-    bag = written(tmp_path / "bag", storage, 20_000)
+    bag = written(tmp_path / "bag", storage, LONG)
     with listening("test_play") as node:
         subscription = node.create_subscription(JointState, STATES, lambda _: None, 1000)
         command = Executable("fjr_bringup", "fjr", "play", str(bag))
@@ -98,7 +99,7 @@ def test_named_topics_and_efforts_are_played_to_the_end(tmp_path: Path) -> None:
 
 
 def test_description_is_latched_without_metadata(tmp_path: Path) -> None:
-    bag = written(tmp_path / "bag", StoragePlugin.MCAP, 20_000)
+    bag = written(tmp_path / "bag", StoragePlugin.MCAP, LONG)
     (bag / "metadata.yaml").unlink()
     command = Executable("fjr_bringup", "fjr", "play", str(bag))
     try:

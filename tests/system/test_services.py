@@ -14,7 +14,7 @@ from rclpy.parameter_client import AsyncParameterClient
 
 from fjr_bringup.recording.echo import listening
 from system.documented import documented_keys
-from system.executables import NODES, TIME_LIMIT, Executable, fjr_here
+from system.executables import SLOW, TIME_LIMIT, fjr_here, running
 from time_limits import Limit
 
 pytestmark = pytest.mark.system
@@ -24,13 +24,9 @@ CONTROLLER, PLANT = "/left/fjr_controller", "/left/fjr_plant"
 
 @pytest.fixture(scope="module")
 def loop() -> Iterator[None]:
-    """Plant and controller under a namespace, in lock-step, for little processor time."""
-    lockstep = {"plant": ("-p", "lockstep:=true"), "controller": ("-p", "use_sim_time:=true")}
-    space = ("-r", "__ns:=/left", "-r", "/clock:=/left/clock")
-    started = [Executable(*NODES[node], "--ros-args", *lockstep[node], *space) for node in NODES]
-    yield
-    for executable in started:
-        executable.kill()
+    """Plant and controller under a namespace."""
+    with running(SLOW, "-r", "__ns:=/left"):
+        yield
 
 
 @pytest.fixture

@@ -50,19 +50,15 @@ class Case:
     robot: Mapping[str, Any] = field(default_factory=dict)  # plant parameters that the model of the controller lacks
     start: Mapping[str, Any] = field(default_factory=dict)  # initial state of the plant
 
-    def text(self) -> str:
-        """Return the text of the scenario file."""
-        text, _ = library.as_run(SCENARIOS / f"{self.scenario}.yaml", {**self.start, **self.changes})
+    def loaded(self) -> Scenario:
+        """Return the scenario."""
+        text, scenario = library.as_run(SCENARIOS / f"{self.scenario}.yaml", {**self.start, **self.changes})
         if not self.robot:
-            return text
+            return scenario
         document = ros_yaml.parse(text)
         own = document.setdefault(f"/**/{PLANT}", {}).setdefault("ros__parameters", {})
         own.setdefault("robot", {}).update(self.robot)
-        return ros_yaml.dump(document)
-
-    def loaded(self) -> Scenario:
-        """Return the scenario."""
-        return parse_scenario(self.name, self.text())
+        return parse_scenario(self.name, ros_yaml.dump(document))
 
 
 STARTS = {"paper_k31": 0.5, "paper_k3p1": 0.5, "two_link": 0.0}  # rad, of all joints
