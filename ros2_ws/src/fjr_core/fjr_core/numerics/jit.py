@@ -20,6 +20,7 @@ import casadi as ca
 
 from ..files.private_folder import PrivateFolder
 from .code_cache import code_folder, is_intact, keep, temporary_folder
+from .function_splitting import split_functions
 
 OPTIONS = ("-O3", "-march=native", "-fPIC", "-shared")
 COMPILERS = ("cc", "gcc", "clang")
@@ -139,7 +140,7 @@ def _c_code(name: str, functions: Sequence[ca.Function]) -> str:
     code = str(generator.dump())
     if "#error" in code:
         raise CompileError(f"CasADi cannot write {name} as C")
-    return code
+    return split_functions(code)
 
 
 def _compiler() -> tuple[str, ...]:
