@@ -28,13 +28,15 @@ def pushed(robot: fjr.Robot, torque: Any) -> fjr.Robot:
 def heavier(robot: fjr.Robot, factor: float, gravity: float = 1.0) -> fjr.Robot:
     """Return the robot with scaled link inertia (factor) and gravity torque (gravity)."""
     links, n = robot.links, robot.n
-    q, v, w = (ca.SX.sym(name, n) for name in ("q", "v", "w"))
+    q, v, w, a = (ca.SX.sym(name, n) for name in ("q", "v", "w", "a"))
+    inertial = factor * links.inertial_torque(q, v, w, a)
     return replace(
         robot,
         links=replace(
             links,
             M_l=ca.Function("M_l", [q], [factor * links.M_l(q)]),
             C=ca.Function("C", [q, v, w], [factor * links.C(q, v, w)]),
+            inertial_torque=ca.Function("inertial_torque", [q, v, w, a], [inertial]),
             grad_T=ca.Function("grad_T", [q, v], [factor * links.grad_T(q, v)]),
             P_l=ca.Function("P_l", [q], [gravity * links.P_l(q)]),
             grad_P_l=ca.Function("grad_P_l", [q], [gravity * links.grad_P_l(q)]),

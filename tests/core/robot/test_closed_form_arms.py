@@ -30,6 +30,8 @@ def test_closed_forms_of_inertia_coriolis_and_gravity(arm: Arm, seed: int) -> No
     assert arm.robot.n == arm.n
     assert arm.robot.M_l(q) == pytest.approx(arm.links.M(q), rel=1e-14)
     assert arm.robot.coriolis(q, v, w) == pytest.approx(arm.links.C(q, v) @ w, rel=1e-12, abs=1e-15)
+    inertial = arm.links.M(q) @ w + arm.links.C(q, v) @ q
+    assert arm.robot.links.inertial_torque(q, v, q, w).full().ravel() == pytest.approx(inertial, rel=1e-12, abs=1e-15)
     assert arm.robot.P_l(q) == pytest.approx(arm.links.P(q), rel=1e-14)
     assert arm.robot.grad_P_l(q) == pytest.approx(arm.links.grad_P(q), rel=1e-13)
 

@@ -55,6 +55,14 @@ def test_coriolis_product_agrees_with_pinocchio(chain: tuple[int, int]) -> None:
 
 
 @all_chains
+def test_inertial_torque_agrees_with_pinocchio(chain: tuple[int, int]) -> None:
+    c = random_chain(*chain)
+    q, v, w, a = numbers(c, 4)
+    expected = c.pinocchio.M(q) @ a + c.pinocchio.C(q, v) @ w
+    assert relative(c.links.inertial_torque(q, v, w, a), expected) < 1e-10
+
+
+@all_chains
 def test_gravity_and_potential_agree_with_pinocchio(chain: tuple[int, int]) -> None:
     c = random_chain(*chain)
     q, other = numbers(c, 2)

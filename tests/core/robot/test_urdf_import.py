@@ -32,12 +32,13 @@ def robot_of(case: tuple[int, int]) -> tuple[fjr.Robot, PinocchioLinks]:
 
 
 def agreement(robot: fjr.Robot, oracle: PinocchioLinks, seed: int) -> float:
-    """Return the largest relative difference of M, C w, gravity and potential differences."""
-    q, other, v, w = np.random.default_rng(seed).uniform(-2, 2, (4, robot.n))
+    """Return the largest relative difference of M, C w, M a + C w, gravity and potential differences."""
+    q, other, v, w, a = np.random.default_rng(seed).uniform(-2, 2, (5, robot.n))
     drop = np.array([robot.P_l(q) - robot.P_l(other)]), np.array([oracle.P(q) - oracle.P(other)])
     return max(
         relative(robot.M_l(q), oracle.M(q)),
         relative(robot.coriolis(q, v, w), oracle.C(q, v) @ w),
+        relative(robot.links.inertial_torque(q, v, w, a).full().ravel(), oracle.M(q) @ a + oracle.C(q, v) @ w),
         relative(robot.grad_P_l(q), oracle.grad_P(q)),
         relative(*drop),
     )

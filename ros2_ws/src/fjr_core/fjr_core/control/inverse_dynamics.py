@@ -34,8 +34,7 @@ class MotorMotion:
 
 def spring_torque(robot: Robot, q: ca.SX, dq: ca.SX, ddq: ca.SX) -> ca.SX:
     """Return the joint torque tau (n,) [N m] for a link motion: inverse dynamics of the rigid arm."""
-    links = robot.links
-    return links.M_l(q) @ ddq + links.C(q, dq, dq) + robot.D_l @ dq + links.grad_P_l(q)
+    return robot.links.inertial_torque(q, dq, dq, ddq) + robot.D_l @ dq + robot.links.grad_P_l(q)
 
 
 def motor_motion(robot: Robot, *motion: ca.SX) -> MotorMotion:

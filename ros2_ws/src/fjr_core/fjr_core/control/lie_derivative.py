@@ -123,6 +123,16 @@ class Flow:
         through = ca.jtimes(force, motion.dq_l, symbolic.solve(self.M_l, by_a), True)
         return symbolic.solve(self.M_l, by_v + through)
 
+    def gradient(self, e: ca.SX) -> ca.SX:
+        """Return de/d(q_l, q_m, dq_l, dq_m) (4n,) of a scalar e at x_v = x, without differentiating M_l^-1.
+
+        M_l ddq_l = force(z) gives M_l d(ddq_l)/dz = d(force - M_l ddq_l)/dz at constant ddq_l, z = (q_l, .., dq_m).
+        """
+        motion = self.measured
+        multiplier = symbolic.solve(self.M_l, ca.gradient(e, motion.ddq_l))
+        residual = self._residual(motion, motion.ddq_l)
+        return ca.gradient(e, motion.inputs) + ca.jtimes(residual, motion.inputs, multiplier, True)
+
     def at(self, x_v: ca.SX, x: ca.SX, *expressions: ca.SX) -> list[ca.SX]:
         """Return the expressions as functions of the states x_v and x (4n,), with momenta, and of the jets.
 
@@ -148,12 +158,19 @@ class Flow:
     def _motions(self) -> list[Motion]:
         return [self.measured] if self.virtual is self.measured else [self.virtual, self.measured]
 
+    def inertial_torque(self, w: ca.SX, a: ca.SX) -> ca.SX:
+        """Return M_l a + C_l w (n,), with M_l and C_l at the measured state."""
+        return self.robot.links.inertial_torque(self.measured.q_l, self.measured.dq_l, w, a)
+
     def _force(self, motion: Motion) -> ca.SX:
         """M_l ddq_l (n,) of a motion, eq. (38): C_l and M_l at the measured state, P_l and the spring at its own."""
-        q_l, dq_l, links = self.measured.q_l, self.measured.dq_l, self.robot.links
+        return self._residual(motion, ca.SX.zeros(self.robot.n))
+
+    def _residual(self, motion: Motion, ddq_l: ca.SX) -> ca.SX:
+        """force - M_l ddq_l (n,) of a motion; force: see _force."""
         spring = self.robot.K @ (motion.q_m - motion.q_l)
-        C_l = links.C(q_l, dq_l, motion.dq_l)
-        return spring - C_l - self.robot.D_l @ motion.dq_l - links.grad_P_l(motion.q_l) + self.external
+        inertial, weight = self.inertial_torque(motion.dq_l, ddq_l), self.robot.links.grad_P_l(motion.q_l)
+        return spring - inertial - self.robot.D_l @ motion.dq_l - weight + self.external
 
     @cached_property
     def _rates(self) -> tuple[ca.SX, ca.SX]:
@@ -179,8 +196,7 @@ class Flow:
 
     def _jerk(self, motion: Motion, rates: tuple[ca.SX, ca.SX]) -> ca.SX:
         """d3q_l = M_l^-1 d/dt(force - M_l ddq_l), with ddq_l constant."""
-        q_l = self.measured.q_l
-        (residual,) = self._along(rates, self._force(motion) - self.robot.links.M_l(q_l) @ motion.ddq_l)
+        (residual,) = self._along(rates, self._residual(motion, motion.ddq_l))
         return symbolic.solve(self.M_l, residual)
 
     def _along(self, rates: tuple[ca.SX, ca.SX], *expressions: ca.SX) -> list[ca.SX]:

@@ -32,7 +32,7 @@ def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81))
     if not chain:
         raise RobotError("a chain without bodies; expected at least one")
     n = len(chain)
-    q, v, w = (ca.SX.sym(name, n) for name in ("q_l", "v", "w"))
+    q, v, w, a = (ca.SX.sym(name, n) for name in ("q_l", "v", "w", "a"))
     frames = [_frame(body, q[i]) for i, body in enumerate(chain)]
     composites = _composites(chain, frames)
     return ArmDynamics(
@@ -40,7 +40,8 @@ def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81))
         M_l=ca.Function("M_l", [q], [_inertia(chain, frames, composites)]),
         P_l=ca.Function("P_l", [q], [_potential(frames, composites, g)]),
         grad_P_l=ca.Function("grad_P_l", [q], [_gravity(chain, frames, composites, g)]),
-        C=ca.Function("C", [q, v, w], [_coriolis(chain, frames, v, w)]),
+        C=ca.Function("C", [q, v, w], [_inertial_torque(chain, frames, v, w, ca.SX.zeros(n))]),
+        inertial_torque=ca.Function("inertial_torque", [q, v, w, a], [_inertial_torque(chain, frames, v, w, a)]),
         grad_T=ca.Function("grad_T", [q, v], [_kinetic_gradient(chain, frames, v)]),
         end_effector=EndEffector(_point(q, frames, rotation_to(np.asarray(bodies[-1].axis))), g.full().ravel()),
     )
@@ -142,10 +143,11 @@ def _potential(frames: list[_Frame], composites: list[_Mass], g: ca.DM) -> ca.SX
     return -ca.dot(g, composites[0].in_parent(frames[0]).h)
 
 
-def _coriolis(chain: list[Body], frames: list[_Frame], v: ca.SX, w: ca.SX) -> ca.SX:
-    """Return C(q, v) w with the Christoffel symbols: the polar form of c(q, v) = C(q, v) v, in one recursion.
+def _inertial_torque(chain: list[Body], frames: list[_Frame], v: ca.SX, w: ca.SX, dw: ca.SX) -> ca.SX:
+    """Return M_l dw + C(q, v) w with the Christoffel symbols, in one recursion.
 
-    A point r of a body has the acceleration a + U r. Every product of two velocities is the mean of both orders.
+    C(q, v) w is the polar form of c(q, v) = C(q, v) v: every product of two velocities is the mean of both orders.
+    A point r of a body has the acceleration a + U r.
     """
     omega_v = omega_w = a = alpha = ca.SX.zeros(3)
     U = ca.SX.zeros(3, 3)
@@ -155,9 +157,9 @@ def _coriolis(chain: list[Body], frames: list[_Frame], v: ca.SX, w: ca.SX) -> ca
         omega_v, omega_w, alpha = (frame.R.T @ vector for vector in (omega_v, omega_w, alpha))
         cross = (_cross_z(omega_v) * w[i] + _cross_z(omega_w) * v[i]) / 2
         if body.prismatic:
-            a += 2 * cross
+            a += 2 * cross + _along_z(dw[i])
         else:
-            alpha += cross
+            alpha += cross + _along_z(dw[i])
             omega_v, omega_w = omega_v + _along_z(v[i]), omega_w + _along_z(w[i])
         U = ca.skew(alpha) + _centripetal(omega_v, omega_w)
         mass = _mass(body)

@@ -49,6 +49,7 @@ class ArmDynamics:
 
     M_l: q_l -> inertia (n, n) [kg m^2];  P_l: q_l -> potential energy [J];  grad_P_l: q_l -> (n,) [N m].
     C: (q_l, v, w) -> C(q_l, v) w (n,), with the Christoffel symbols, so that dM_l - 2 C is skew-symmetric.
+    inertial_torque: (q_l, v, w, a) -> M_l(q_l) a + C(q_l, v) w (n,), by one recursion where there is one.
     grad_T: (q_l, v) -> d/dq_l (v' M_l v / 2) (n,), v constant.
     M_l_vertices: matrices whose convex hull contains M_l(q_l) for every q_l, or None if unknown. A rate that holds at
     the vertices holds everywhere, because rates are convex in M_l.
@@ -60,6 +61,7 @@ class ArmDynamics:
     P_l: ca.Function
     grad_P_l: ca.Function
     C: ca.Function
+    inertial_torque: ca.Function
     grad_T: ca.Function
     M_l_vertices: tuple[Array, ...] | None = None
     end_effector: EndEffector | None = None
@@ -89,7 +91,7 @@ def closed_form(
 
     C_ij = sum_k (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) v_k / 2  (Christoffel symbols of the first kind).
     """
-    q_l, v, w = (ca.SX.sym(name, n) for name in ("q_l", "v", "w"))
+    q_l, v, w, a = (ca.SX.sym(name, n) for name in ("q_l", "v", "w", "a"))
     M_l, P_l = inertia(q_l), potential(q_l)
     dM_w, dM_v = directional(M_l @ w, q_l, v), directional(M_l @ v, q_l, w)
     C_w = (dM_w + dM_v - ca.gradient(ca.dot(v, M_l @ w), q_l)) / 2
@@ -99,6 +101,7 @@ def closed_form(
         P_l=ca.Function("P_l", [q_l], [P_l]),
         grad_P_l=ca.Function("grad_P_l", [q_l], [ca.gradient(P_l, q_l)]),
         C=ca.Function("C", [q_l, v, w], [C_w]),
+        inertial_torque=ca.Function("inertial_torque", [q_l, v, w, a], [M_l @ a + C_w]),
         grad_T=ca.Function("grad_T", [q_l, v], [ca.gradient(ca.dot(v, M_l @ v) / 2, q_l)]),
         M_l_vertices=vertices,
         end_effector=end_effector,

@@ -132,7 +132,8 @@ class Robot:
 
     def fingerprint(self) -> bytes:
         """Return a digest of the equations of motion; equal for robots with the same equations."""
-        parts = [getattr(self.links, name).serialize() for name in ("M_l", "P_l", "grad_P_l", "C", "grad_T")]
+        functions = ("M_l", "P_l", "grad_P_l", "C", "inertial_torque", "grad_T")
+        parts = [getattr(self.links, name).serialize() for name in functions]
         digest = hashlib.sha256("\n".join(parts).encode())
         for name in ("M_m", "K", "D_l", "D_m", "B_m"):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())

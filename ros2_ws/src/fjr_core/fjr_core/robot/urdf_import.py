@@ -221,8 +221,8 @@ def _in_order(links: ArmDynamics, order: list[int]) -> ArmDynamics:
     """Return the links with joint k equal to joint order[k] of the chain."""
     if order == list(range(links.n)):
         return links
-    named = [ca.SX.sym(name, links.n) for name in ("q_l", "v", "w")]
-    q, v, w = (vector[[order.index(i) for i in range(links.n)]] for vector in named)
+    named = [ca.SX.sym(name, links.n) for name in ("q_l", "v", "w", "a")]
+    q, v, w, a = (vector[[order.index(i) for i in range(links.n)]] for vector in named)
     assert links.end_effector is not None  # every serial chain has one
     r = ca.SX.sym("r", 3)
     return ArmDynamics(
@@ -230,7 +230,8 @@ def _in_order(links: ArmDynamics, order: list[int]) -> ArmDynamics:
         M_l=ca.Function("M_l", named[:1], [links.M_l(q)[order, order]]),
         P_l=ca.Function("P_l", named[:1], [links.P_l(q)]),
         grad_P_l=ca.Function("grad_P_l", named[:1], [links.grad_P_l(q)[order]]),
-        C=ca.Function("C", named, [links.C(q, v, w)[order]]),
+        C=ca.Function("C", named[:3], [links.C(q, v, w)[order]]),
+        inertial_torque=ca.Function("inertial_torque", named, [links.inertial_torque(q, v, w, a)[order]]),
         grad_T=ca.Function("grad_T", named[:2], [links.grad_T(q, v)[order]]),
         end_effector=EndEffector(
             ca.Function("position", [named[0], r], [links.end_effector.position(q, r)]), links.end_effector.gravity

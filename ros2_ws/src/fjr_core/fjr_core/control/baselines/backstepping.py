@@ -46,12 +46,12 @@ def link_stage(f: Flow, g: SimpleNamespace) -> LinkStage:
 
     tau_d = M_l ddq_r + C_l dq_r + D_l dq_r + grad P_l - K_1 s, dq_r = dq_d - Lambda e.
     """
-    links, m = f.robot.links, f.measured
+    m = f.measured
     e, de = m.q_l - f.jets[:, 0], m.dq_l - f.jets[:, 1]
     dq_r = f.jets[:, 1] - g.Lambda * e
     ddq_r = f.jets[:, 2] - g.Lambda * de
     s = m.dq_l - dq_r
-    tau_d = f.M_l @ ddq_r + links.C(m.q_l, m.dq_l, dq_r) + f.robot.D_l @ dq_r + links.grad_P_l(m.q_l) - g.K_1 @ s
+    tau_d = f.inertial_torque(dq_r, ddq_r) + f.robot.D_l @ dq_r + f.robot.links.grad_P_l(m.q_l) - g.K_1 @ s
     return LinkStage(e, de, s, tau_d)
 
 

@@ -91,16 +91,20 @@ class TrackingLaw(StaticLaw):
         return self.ready(self._function("command", {"u", "V"}, diagonal=True))
 
     def measured_expressions(
-        self, f: Flow | None = None, omega: ca.SX | None = None
+        self, f: Flow | None = None, omega: ca.SX | None = None, slope: bool = False
     ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
         """Return the arguments of measured_function, and expressions of the fields of Evaluation, s_m and port_l.
 
         f: flow at x_v = x, e.g. with a load. omega (n,) [N m]: input of eq. (42), zero by default.
         port_l = dV/dp_l (n,) [rad/s], defined if the flow has a load with integral action.
+        slope: also return slope = dV/d(position, velocity) (4n,) at a constant reference.
         """
         f = flow(self.robot, diagonal=True) if f is None else f
         omega = ca.SX.zeros(self.robot.n) if omega is None else omega
-        return self.at_measured(f, self._expressions(f, GainTerms(**self.symbols.by_name), omega))
+        outputs = self._expressions(f, GainTerms(**self.symbols.by_name), omega)
+        if slope:
+            outputs["slope"] = f.gradient(outputs["V"])
+        return self.at_measured(f, outputs)
 
     def derived(self, name: str, build: Callable[[], ca.Function]) -> ca.Function:
         """Return build(), a function of the robot and the gain pattern; if the law is compiled, from the code cache."""

@@ -28,8 +28,6 @@ def link_stage(flow: Flow, gains: GainTerms) -> LinkStage:
     dp_lr + E_l v_lr = M_l dv_lr + (dM_l + E_l) v_lr = M_l dv_lr + C_l v_lr.
     The load torque (Flow.load) is subtracted.
     """
-    links, D_l = flow.robot.links, flow.robot.D_l
-    q_l, dq_l = flow.measured.q_l, flow.measured.dq_l
     q_lv, dq_lv = flow.virtual.q_l, flow.virtual.dq_l
     q_ld, dq_ld = flow.jets[:, 0], flow.jets[:, 1]
 
@@ -39,6 +37,6 @@ def link_stage(flow: Flow, gains: GainTerms) -> LinkStage:
     sigma_l = flow.M_l @ s_l
 
     (dv_lr,) = flow.d(v_lr)
-    u_lff = flow.M_l @ dv_lr + links.C(q_l, dq_l, v_lr) + links.grad_P_l(q_lv) + D_l @ v_lr  # (33)
+    u_lff = flow.inertial_torque(v_lr, dv_lr) + flow.robot.links.grad_P_l(q_lv) + flow.robot.D_l @ v_lr  # (33)
     u_lfb = -gains.Pi_l @ q_tilde_l - gains.K_ld @ s_l
     return LinkStage(q_tilde_l, s_l, sigma_l, u_l=u_lff + u_lfb - flow.external)
