@@ -19,6 +19,7 @@ import pinocchio
 from tqdm import tqdm
 
 from bench import (
+    build,
     campaign,
     campaign_memory,
     certificate,
@@ -37,7 +38,7 @@ from bench.figures import Figure, table
 RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
 LONG = ("memory", "sweep-memory")
 USUAL = (
-    *("law", "dynamics", "step", "loop", "virtual-machine", "start", "node", "command", "real-time"),
+    *("law", "dynamics", "step", "loop", "virtual-machine", "build", "start", "node", "command", "real-time"),
     *("round-trip", "certificate", "periods", "lock-step", "campaign"),
 )
 NAMES = (*USUAL, *LONG)
@@ -80,6 +81,7 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         lambda: peers.step_over_mujoco(arm),
         lambda: closed_loop.times_real_time(arm),
         peers.virtual_machine_over_c,
+        build.arms,
         start_up.library,
         start_up.node,
         start_up.command,

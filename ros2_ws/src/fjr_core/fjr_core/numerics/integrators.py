@@ -10,14 +10,18 @@ import casadi as ca
 from ..errors import ParameterError
 
 INNER_STEP = 2.5e-4  # s; integrator step under a hold
+LONGEST_COPIED = 500  # operations of a vector field; a longer one is called by the compiled step, not copied into it
 
 Field = Callable[[ca.SX, ca.SX], ca.SX]
 """Vector field dx/dt = f(x, u) on expressions, for example a CasADi function."""
 
 
-def rk4(f: ca.Function) -> ca.Function:
-    """Return the classical Runge-Kutta step of order 4 as a CasADi function (x, u, dt) -> x_next."""
-    x, u, dt = _symbols(f, ca.SX)
+def rk4(f: ca.Function, kind: type = ca.SX) -> ca.Function:
+    """Return the classical Runge-Kutta step of order 4 as a CasADi function (x, u, dt) -> x_next.
+
+    kind: ca.SX makes one function with four copies of f, ca.MX one that calls f four times.
+    """
+    x, u, dt = _symbols(f, kind)
     return _step("rk4", x, u, dt, rk4_expression(f, x, (u, u, u), dt))
 
 
@@ -54,6 +58,11 @@ def step(name: str, f: ca.Function) -> ca.Function:
     if name not in INTEGRATORS:
         raise ParameterError(f"integrator is {name!r}; expected one of {', '.join(INTEGRATORS)}")
     return INTEGRATORS[name](f)
+
+
+def step_to_compile(name: str, f: ca.Function) -> ca.Function:
+    """Return the step of the integrator `name` with little code: rk4 calls a long f and copies a short one."""
+    return rk4(f, ca.MX) if name == "rk4" and f.n_instructions() > LONGEST_COPIED else step(name, f)
 
 
 def step_as_c(name: str, f: ca.Function) -> ca.Function:

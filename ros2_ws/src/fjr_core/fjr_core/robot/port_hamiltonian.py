@@ -111,7 +111,7 @@ class Plant:
     @cached_property
     def step_function(self) -> ca.Function:
         """The CasADi function (x, u, dt) -> x_next; compiled if requested."""
-        return compiled(self._vm_step) if self.compiles else self._vm_step
+        return compiled(integrators.step_to_compile(self.integrator, self.dynamics)) if self.compiles else self._vm_step
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
         """Return dx/dt (4n,) at state x (4n,) and effort u (n,) [N m], eq. (36)."""

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Time to build law, certificate, prediction and plant for arms of 2 to 12 joints with an empty cache.
+
+Times are processor times of this process and its C compilers, which run one after the other: wall times on a free core.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from tempfile import TemporaryDirectory
+from unittest.mock import patch
+
+import casadi as ca
+
+from bench.chain_urdf import chain_urdf, joint_names
+from bench.figures import Figure
+from bench.measure import one_core
+from fjr_core import Gains, Plant, Robot, TrackingLaw, robot_from_urdf
+from fjr_core.monitoring.certificate import Certificate
+from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_core.numerics.jit import compiled
+
+JOINTS = (2, 4, 6, 7, 8, 10, 12)
+GAINS = Gains(Lambda_l=8.0, Pi_l=20.0, K_ld=10.0, Lambda_m=20.0, Pi_m=200.0, K_md=2.0)
+BOUND = 10.0  # s, law of 12 joints
+LARGEST_RATIO = 2.5  # operations of the certificate, which contains the law, relative to those of the law
+
+
+@dataclass(frozen=True)
+class Build:
+    """Processor time [s] to derive a function and to compile it, and its number of operations."""
+
+    derive: float
+    compile: float
+    operations: int
+
+    @property
+    def seconds(self) -> float:
+        """Total processor time [s]."""
+        return self.derive + self.compile
+
+
+def arms() -> list[Figure]:
+    """Measure arms of all sizes."""
+    return [figure for n in JOINTS for figure in _arm(n)]
+
+
+def _arm(n: int) -> Iterator[Figure]:
+    with one_core(), _empty_cache():
+        start = _processor_time()
+        robot = robot_from_urdf(chain_urdf(n), joint_names(n), stiffness=5000.0, motor_inertia=0.3)
+        law = TrackingLaw(robot, GAINS)
+        loaded = _processor_time() - start
+        builds = {name: _built(build) for name, build in _functions(robot, law).items()}
+    law_build, certificate = builds["law"], builds["certificate"]
+    total = loaded + sum(build.seconds for build in builds.values())
+    bound = BOUND if n == max(JOINTS) else None
+    yield Figure(
+        f"{n} joints, URDF to law, nothing cached", loaded + law_build.seconds, "s", bound, parts=_parts(law_build)
+    )
+    yield Figure(f"{n} joints, certificate, nothing cached", certificate.seconds, "s", parts=_parts(certificate))
+    yield Figure(f"{n} joints, law, certificate, prediction and plant", total, "s")
+    ratio = certificate.operations / law_build.operations
+    yield Figure(f"{n} joints, operations of the certificate / law", ratio, "", bound=LARGEST_RATIO)
+
+
+def _functions(robot: Robot, law: TrackingLaw) -> dict[str, Callable[[], ca.Function]]:
+    """Return the functions that `fjr run` compiles before it starts the nodes."""
+    plant = Plant(robot, compile=True)
+    return {
+        "law": lambda: law.measured_expression,
+        "certificate": lambda: Certificate(law).function,
+        "prediction": lambda: Prediction(law).function,
+        "plant": lambda: plant.step_function,
+    }
+
+
+def _built(build: Callable[[], ca.Function]) -> Build:
+    start = _processor_time()
+    function = build()
+    derived = _processor_time()
+    if function.class_name() != "External" and compiled(function).class_name() != "External":
+        raise RuntimeError(f"{function.name()} was not compiled; expected a C compiler")
+    operations = function.n_instructions() if function.is_a("SXFunction") else 0
+    return Build(derived - start, _processor_time() - derived, operations)
+
+
+def _processor_time() -> float:
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system
+
+
+def _parts(build: Build) -> dict[str, float]:
+    return {"derivation [s]": build.derive, "C and compiler [s]": build.compile, "operations": build.operations}
+
+
+@contextmanager
+def _empty_cache() -> Iterator[None]:
+    with TemporaryDirectory(prefix="fjr-bench-") as folder, patch.dict(os.environ, {"XDG_CACHE_HOME": folder}):
+        yield
