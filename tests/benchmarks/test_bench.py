@@ -16,18 +16,28 @@ import pinocchio as pin
 import pytest
 
 import bench.__main__ as command
-from bench import campaign, campaign_peers, driver, lock_step, memory, periods
+from bench import build, campaign, campaign_peers, driver, lock_step, memory, periods
 from bench.arm import Arm, arm7, random_motion
+from bench.chain_urdf import chain_urdf, joint_names
 from bench.figures import Figure, table
 from bench.measure import in_turns, ratio
 from bench.mujoco_arm import MujocoArm
 from bench.tap import Seen
-from fjr_core import Plant
+from fjr_core import Plant, TrackingLaw, robot_from_urdf
+from fjr_core.monitoring.certificate import Certificate
 
 
 @pytest.fixture(scope="module")
 def arm() -> Arm:
     return arm7()
+
+
+@pytest.mark.parametrize("n", [3, 8])
+def test_certificate_has_a_constant_multiple_of_the_operations_of_the_law(n: int) -> None:
+    robot = robot_from_urdf(chain_urdf(n), joint_names(n), stiffness=5000.0, motor_inertia=0.3)
+    law = TrackingLaw(robot, build.GAINS)
+    operations = law.measured_expression.n_instructions()
+    assert Certificate(law).function.n_instructions() <= build.LARGEST_RATIO * operations
 
 
 @pytest.mark.parametrize("seed", range(5))
