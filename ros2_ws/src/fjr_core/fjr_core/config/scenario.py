@@ -28,10 +28,13 @@ from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
 from ..trajectories.reference import Reference
 from . import builders, guesses, parameter, reference_file, robot_file, ros_yaml
+from . import law as law_parameters
+from . import plant as plant_parameters
 from .builders import control_law, robust_action
 from .measurement import OBSERVER_BANDWIDTH, measurement_parameters
 from .nonidealities import channel_errors, imperfection_parameters
 from .robot import JOINTS
+from .user_options import in_python
 
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
 OWN_PARAMETERS = {PLANT: builders.plant_parameters, CONTROLLER: builders.controller_parameters}
@@ -122,8 +125,7 @@ class Scenario:
     @cached_property
     def plant(self) -> Plant:
         """The simulated robot, from the plant's own parameters."""
-        robot, integrator = builders.robot(self.plant_values), str(self.plant_values["integrator"])
-        return Plant(robot, integrator, compile=bool(self.plant_values["compile"]))
+        return builders.plant(self.plant_values, builders.robot(self.plant_values))
 
     @cached_property
     def x0(self) -> Array:
@@ -179,7 +181,7 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
         own_names = set(given) - _for_other_nodes(node, own, document)
         warnings += [f"{node}: {sentence}" for sentence in parameter.unknown(known, own_names)]
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
-    warnings += _hold_warnings(scenario)
+    warnings += _hold_warnings(scenario) + _python_warnings(scenario)
     scenario = replace(scenario, warnings=tuple(warnings))
     joints = [checked[node]["joints"] for node in OWN_PARAMETERS]
     if joints[0] != joints[1]:
@@ -193,7 +195,8 @@ def _scenario(name: str, document: Any, folder: Path) -> Scenario:
 def _for_other_nodes(node: str, own: builders.OwnParameters, document: Any) -> set[str]:
     """Return the names in the section for all nodes that only other nodes declare."""
     private = {section: content for section, content in document.items() if section != ros_yaml.SHARED}
-    return set(builders.names_of_others(own)) - set(ros_yaml.values_for(node, private))
+    shared = set(ros_yaml.values_for(node, document)) - set(ros_yaml.values_for(node, private))
+    return {name for name in shared if builders.is_of_others(own, name)}
 
 
 def _hold_warnings(scenario: Scenario) -> list[str]:
@@ -203,6 +206,12 @@ def _hold_warnings(scenario: Scenario) -> list[str]:
     if not (robust.predicts or robust.integrates) or math.isclose(robust.hold, period, rel_tol=1e-6):
         return []
     return [f"{CONTROLLER}: parameter 'robust.hold' is {values['robust.hold']} s; the states' period is {period:g} s"]
+
+
+def _python_warnings(scenario: Scenario) -> list[str]:
+    """Return a sentence for a law and a plant that are evaluated in Python."""
+    law = [in_python(law_parameters.TYPE, scenario.controller_values)] if scenario.law.in_python else []
+    return law + ([in_python(plant_parameters.TYPE, scenario.plant_values)] if scenario.plant.in_python else [])
 
 
 def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:
@@ -230,7 +239,7 @@ def _inlined(values: Mapping[str, object]) -> dict[str, object]:
 def _is_common(name: str, value: object, given: Mapping[str, Mapping[str, object]]) -> bool:
     """Return True if every node that has the parameter is given this value."""
     return all(
-        _same(value, values[name]) if name in values else name in builders.names_of_others(OWN_PARAMETERS[node])
+        _same(value, values[name]) if name in values else builders.is_of_others(OWN_PARAMETERS[node], name)
         for node, values in given.items()
     )
 

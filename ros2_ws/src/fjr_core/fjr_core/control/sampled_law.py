@@ -103,6 +103,18 @@ def check_law(law: object) -> None:
     )
 
 
+def raise_failure(law: StaticLaw | SampledLaw) -> None:
+    """Raise the error of an evaluation since the last call; only a law in Python fails (StaticLaw.raise_failure)."""
+    static = getattr(law, "law", law)
+    if isinstance(static, StaticLaw):
+        static.raise_failure()
+
+
+def in_python(law: StaticLaw | SampledLaw) -> bool:
+    """Return whether the law is evaluated in Python, so that nothing that contains it can be compiled."""
+    return bool(getattr(getattr(law, "law", law), "in_python", False))
+
+
 @dataclass(frozen=True, eq=False)
 class BoundStep:
     """One sample of a law, bound to arrays: `evaluate` writes u (n,), V (1,) and next (m,).

@@ -106,7 +106,7 @@ class ParameterNode(EndingNode):
             for name in self.get_parameters_by_prefix("")
             if not name.startswith(_FOREIGN)
         }
-        for name in given.keys() & builders.names_of_others(self._own):
+        for name in [name for name in given if builders.is_of_others(self._own, name)]:
             self.undeclare_parameter(name)
             del given[name]
         return given
