@@ -52,7 +52,7 @@ class PythonLaw(StaticLaw):
     """An OwnLaw as a StaticLaw; V is nan if it has no storage. It is not compiled.
 
     An effort of a failed evaluation is nan; `raise_failure` then raises UserCodeError. Raises ParameterError if `own`
-    is no OwnLaw, and UserCodeError if it fails at rest at 0.
+    is no OwnLaw, and UserCodeError if it fails or is not finite at rest at 0.
     """
 
     in_python = True
@@ -63,7 +63,9 @@ class PythonLaw(StaticLaw):
         python_class.check_method(own, "effort", ARGUMENTS)
         if hasattr(own, "storage"):
             python_class.check_method(own, "storage", ARGUMENTS)
-        self.measured_command(np.zeros(2 * robot.n), np.zeros(2 * robot.n), np.zeros((JETS, robot.n)))
+        u, _ = self.measured_command(np.zeros(2 * robot.n), np.zeros(2 * robot.n), np.zeros((JETS, robot.n)))
+        if not np.isfinite(u).all():
+            raise UserCodeError(f"u of {self.title} is {u.tolist()} at rest at 0; expected finite numbers")
 
     def __repr__(self) -> str:
         return f"PythonLaw({self.title}, {self.robot.n} joints)"
@@ -134,7 +136,7 @@ def own_law(name: str, robot: Robot, options: Mapping[str, Any], compile: bool =
     """Return the law of the class `module:Class`, built for the robot with these options.
 
     An object that is a StaticLaw itself is made of expressions and compiled on request. Raises ParameterError, and
-    UserCodeError if the law fails at rest at 0.
+    UserCodeError if the law fails or is not finite at rest at 0.
     """
     own = python_class.build(name, robot, options)
     if not isinstance(own, StaticLaw):

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..errors import ParameterError
+from ..errors import ParameterError, UserCodeError
 from ..files import python_class
 from ..numerics.checks import Array
 from ..numerics.python_function import PythonFunction, checked
@@ -37,7 +37,7 @@ class PythonPlant(Plant):
 
     A state after a failed evaluation is nan; `raise_failure` then raises UserCodeError. gradient and structure are
     those of the robot, eq. (36). Raises ParameterError if `own` is no OwnPlant and for another integrator, and
-    UserCodeError if it fails at rest at 0.
+    UserCodeError if it fails or is not finite at rest at 0.
     """
 
     in_python = True
@@ -48,7 +48,9 @@ class PythonPlant(Plant):
             raise ParameterError(f"integrator is {integrator!r}; expected {INTEGRATOR!r} for the plant {self.title}")
         python_class.check_method(own, "derivative", ("x", "u"))
         super().__init__(robot, integrator)
-        self.derivative(np.zeros(4 * robot.n), np.zeros(robot.n))
+        dx = self.derivative(np.zeros(4 * robot.n), np.zeros(robot.n))
+        if not np.isfinite(dx).all():
+            raise UserCodeError(f"dx of {self.title} is {dx.tolist()} at rest at 0; expected finite numbers")
 
     def __repr__(self) -> str:
         return f"PythonPlant({self.title}, {self.robot!r})"
@@ -77,7 +79,7 @@ class PythonPlant(Plant):
         """The CasADi function (x, u, dt) -> x_next, one call for the four evaluations of a step."""
         n = self.robot.n
         inputs = {"x": (4 * n,), "u": (n,), "dt": ()}
-        return PythonFunction(f"{self.title}_step", self._rk4, inputs, {"x_next": (4 * n,)})
+        return PythonFunction(self.title, self._rk4, inputs, {"x_next": (4 * n,)})
 
     def _rk4(self, x: Array, u: Array, dt: Array) -> tuple[Array]:
         """Return the Runge-Kutta step of order 4 with u held, as integrators.rk4_expression."""
