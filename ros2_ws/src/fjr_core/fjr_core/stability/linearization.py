@@ -43,7 +43,7 @@ def linearize(
     in Python is replaced by the model of its robot. Raises StateError for wrong shapes, UserCodeError.
     """
     law, sensing = as_static(law), sensing or Sensing()
-    plant = plant or Plant(law.robot)
+    plant = Plant(law.robot if plant is None else plant.robot) if plant is None or plant.in_python else plant
     if plant.robot.n != law.robot.n:
         raise StateError(f"plant and law have {plant.robot.n} and {law.robot.n} joints; expected equal")
     q_l = loop_configurations(law, configurations)
