@@ -27,8 +27,8 @@ from .robot.closed_form_arms import planar_two_link, single_link
 from .robot.joint_limits import JointLimits
 from .robot.newton_euler import serial_chain
 from .robot.port_hamiltonian import Plant
-from .robot.rigid_body import Body
 from .robot.python_plant import PythonPlant
+from .robot.rigid_body import Body
 from .robot.robot import Robot
 from .robot.urdf_import import robot_from_urdf
 from .robot.virtual_system import VirtualSystem

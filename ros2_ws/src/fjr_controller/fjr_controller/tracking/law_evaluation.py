@@ -79,8 +79,8 @@ class LawEvaluation:
     def use(self, law: StaticLaw) -> None:
         """Replace the law by one with other gains; its controller state is kept.
 
-        Raise GainsError if its effort is not finite at the measured state, or with every position and velocity at 1;
-        then nothing is replaced. Raise UserCodeError if a law in Python fails there.
+        Raise GainsError if its effort is not finite at the measured state, or with every position and velocity at 1
+        (not for a law in Python); then nothing is replaced. Raise UserCodeError if a law in Python fails there.
         """
         arrays = self._state.position, self._state.velocity, self._jets
         if not isinstance(self._sampled, RobustLaw):
@@ -128,7 +128,8 @@ class LawEvaluation:
         """Raise GainsError if the effort is not finite at 1 or at the measured state (0 if that is not finite)."""
         values = self._state.values
         measured, finite = values.copy(), True
-        for point in (np.ones_like(values), measured if self._state.finite else 0.0):
+        here = measured if self._state.finite else 0.0
+        for point in (here,) if law.in_python else (np.ones_like(values), here):  # its domain may be smaller
             values[...] = point
             bound.evaluate()
             finite = finite and bool(bound.u.dot(bound.u) < np.inf)

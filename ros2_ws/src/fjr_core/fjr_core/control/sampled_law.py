@@ -98,8 +98,8 @@ def check_law(law: object) -> None:
     if isinstance(law, StaticLaw) or all(hasattr(law, name) for name in ("robot", "step_function", "gain_values")):
         return
     raise StateError(
-        f"law is {kind_of(law)}; expected a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), fjr.PythonLaw(own, robot) "
-        "or an object with the members of control.sampled_law.SampledLaw"
+        f"law is {kind_of(law)}; expected a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), "
+        "fjr.PythonLaw(own, robot), or an object with the members of control.sampled_law.SampledLaw"
     )
 
 
