@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 import fjr_core as fjr
 import own_code
-from fjr_core.config.scenario import parse_scenario
+from fjr_core.config.scenario import load_scenario, parse_scenario
 
 INTEGERS = np.array([1, 2])
 FILE = """
@@ -64,6 +65,27 @@ def test_an_invalid_value_is_refused_in_one_sentence(old: str, new: str, sentenc
         parse_scenario("mine", FILE.replace(old, new))
     assert sentence in str(found.value)
     assert "\n" not in str(found.value)
+
+
+def test_a_report_reads_a_scenario_without_importing_the_code_that_it_names(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(FILE.replace("own_code:", "not_there:"))
+    scenario = load_scenario(file, user_code=False)
+    assert scenario.controller_values["law.type"] == "not_there:Pd"
+    assert scenario.certified_law is None
+    assert not scenario.plant_is_the_model
+    with pytest.raises(fjr.ParameterError, match="module not_there of 'not_there:"):
+        load_scenario(file)
+
+
+def test_no_rate_is_proven_with_another_plant() -> None:
+    ideal, own = (
+        parse_scenario("ideal", "/**: {ros__parameters: {joints: [joint1]}}"),
+        parse_scenario("own", FILE.replace("own_code:Pd", "v_dpbc")),
+    )
+    assert ideal.plant_is_the_model
+    assert not own.plant_is_the_model
+    assert own.certified_law is own.law
 
 
 def test_an_unknown_option_is_a_warning() -> None:

@@ -55,8 +55,8 @@ class Control:
         allowed = tolerances(values, robot.units)
         reader = StateReader(joints, measurement(values, robot))
         self._law = control_law(values, robot)
-        if self._law.in_python:
-            node.get_logger().info(in_python(law.TYPE, values))
+        if sentence := in_python(law.TYPE, values):
+            node.get_logger().info(sentence)
         simulated = bool(node.get_parameter("use_sim_time").value)
         robust = robust_action(values, self._law)
         self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated, robust)

@@ -41,10 +41,13 @@ OwnParameters = Callable[[int], Sequence[Parameter]]
 """Makes a node's own parameters for n joints: plant_parameters or controller_parameters."""
 
 
-def all_parameters(own: OwnParameters, given: Mapping[str, object]) -> list[Parameter]:
-    """Return all parameters of a node for the given model and joints: those of the robot, its `own`, and options."""
+def all_parameters(own: OwnParameters, given: Mapping[str, object], user_code: bool = True) -> list[Parameter]:
+    """Return all parameters of a node for the given model and joints: those of the robot, its `own`, and options.
+
+    user_code: import the classes of the user that the values name; false: leave out their options.
+    """
     parameters = own(joints_of(given))
-    return [*robot_parameters(given), *parameters, *option_parameters(parameters, given)]
+    return [*robot_parameters(given), *parameters, *(option_parameters(parameters, given) if user_code else ())]
 
 
 def is_of_others(own: OwnParameters, name: str) -> bool:

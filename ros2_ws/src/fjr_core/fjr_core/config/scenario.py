@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..control.registry import V_DPBC
 from ..control.robust import RobustLaw, sampled_law
 from ..control.sampled_law import SampledLaw
 from ..control.static_law import StaticLaw
@@ -19,6 +20,7 @@ from ..control.vdpbc.gains import Gains
 from ..control.vdpbc.law import TrackingLaw
 from ..errors import ParameterError
 from ..estimation.measurement_model import OBSERVER, TORQUE
+from ..files.python_class import is_named
 from ..monitoring.certificate import Certificate
 from ..monitoring.one_step_prediction import Prediction
 from ..numerics.checks import Array
@@ -63,7 +65,9 @@ class Scenario:
     def plant_is_the_model(self) -> bool:
         """True if plant and controller have the same robot parameters, as the proof assumes."""
         names = {name for name in (*self.plant_values, *self.controller_values) if name.startswith("robot.")}
-        return all(self.plant_values.get(name) == self.controller_values.get(name) for name in names - {"robot.file"})
+        own = self.plant_values[plant_parameters.TYPE.name] != plant_parameters.FLEXIBLE_JOINT
+        same = (self.plant_values.get(name) == self.controller_values.get(name) for name in names - {"robot.file"})
+        return not own and all(same)
 
     @property
     def loop_delay(self) -> float:
@@ -92,6 +96,13 @@ class Scenario:
     def law(self) -> StaticLaw:
         """The control law."""
         return control_law(self.controller_values, self.robot)
+
+    @property
+    def certified_law(self) -> TrackingLaw | None:
+        """The control law if it is v-dPBC, which has a certificate, else None; a law of the user is not imported."""
+        if self.controller_values[law_parameters.TYPE.name] != V_DPBC:
+            return None
+        return self.tracking_law
 
     @property
     def tracking_law(self) -> TrackingLaw:
@@ -155,12 +166,15 @@ class Scenario:
         return simulate(self.plant, law, self.reference, self.x0, duration, self.sample_period, inner)
 
 
-def load_scenario(path: str | Path) -> Scenario:
-    """Read a scenario file; raises ParameterError, which names the file."""
+def load_scenario(path: str | Path, user_code: bool = True) -> Scenario:
+    """Read a scenario file; raises ParameterError, which names the file.
+
+    user_code: import a law and a plant of the user that it names. The report of a run needs neither: false.
+    """
     path = Path(path)
     document = ros_yaml.read(path, "scenario")
     try:
-        return _scenario(path.stem, document, path.parent)
+        return _scenario(path.stem, document, path.parent, user_code)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
 
@@ -170,26 +184,35 @@ def parse_scenario(name: str, text: str) -> Scenario:
     return _scenario(name, ros_yaml.parse(text), Path.cwd())
 
 
-def _scenario(name: str, document: Any, folder: Path) -> Scenario:
+def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) -> Scenario:
     warnings: list[str] = []
     checked = {}
     reference_file.read_again()
     for node, own in OWN_PARAMETERS.items():
         given = robot_file.merged(ros_yaml.values_for(node, document), node, folder)
-        known = builders.all_parameters(own, given)
+        known = builders.all_parameters(own, given, user_code)
         checked[node] = parameter.complete(known, given)
         own_names = set(given) - _for_other_nodes(node, own, document)
         warnings += [f"{node}: {sentence}" for sentence in parameter.unknown(known, own_names)]
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
-    warnings += _hold_warnings(scenario) + _python_warnings(scenario)
+    warnings += _hold_warnings(scenario) + (_python_warnings(scenario) if user_code else [])
     scenario = replace(scenario, warnings=tuple(warnings))
     joints = [checked[node]["joints"] for node in OWN_PARAMETERS]
     if joints[0] != joints[1]:
         raise ParameterError(
             f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
         )
-    _ = scenario.sampled_law, scenario.reference, scenario.plant, scenario.x0  # raises if an object cannot be built
+    _build(scenario, user_code)
     return scenario
+
+
+def _build(scenario: Scenario, user_code: bool) -> None:
+    """Build the objects of the values, of classes of the user on request; raises ParameterError."""
+    _ = scenario.reference
+    if user_code or not is_named(scenario.controller_values[law_parameters.TYPE.name]):
+        _ = scenario.sampled_law
+    if user_code or not is_named(scenario.plant_values[plant_parameters.TYPE.name]):
+        _ = scenario.plant, scenario.x0
 
 
 def _for_other_nodes(node: str, own: builders.OwnParameters, document: Any) -> set[str]:
@@ -210,8 +233,11 @@ def _hold_warnings(scenario: Scenario) -> list[str]:
 
 def _python_warnings(scenario: Scenario) -> list[str]:
     """Return a sentence for a law and a plant that are evaluated in Python."""
-    law = [in_python(law_parameters.TYPE, scenario.controller_values)] if scenario.law.in_python else []
-    return law + ([in_python(plant_parameters.TYPE, scenario.plant_values)] if scenario.plant.in_python else [])
+    found = (
+        in_python(law_parameters.TYPE, scenario.controller_values),
+        in_python(plant_parameters.TYPE, scenario.plant_values),
+    )
+    return [sentence for sentence in found if sentence]
 
 
 def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:

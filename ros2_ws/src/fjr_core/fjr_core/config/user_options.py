@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..control.static_law import StaticLaw
 from ..errors import ParameterError
 from ..files import python_class
 from .parameter import LIST, SCALAR, Parameter, Value, Values
@@ -30,8 +31,13 @@ def options(parameter: Parameter, values: Values) -> dict[str, Value]:
 
 
 def in_python(parameter: Parameter, values: Values) -> str:
-    """Return the sentence that says that the class which this parameter names is not compiled."""
-    name = values[parameter.name]
+    """Return the sentence that a class which this parameter names is not compiled; empty for anything else.
+
+    A class made of expressions, which derives from StaticLaw, is compiled.
+    """
+    name = str(values[parameter.name])
+    if not python_class.is_named(name) or issubclass(python_class.load(name), StaticLaw):
+        return ""
     return (
         f"{parameter.name} {name} is evaluated in Python: sweeps and comparisons are not compiled, so they take longer"
     )
