@@ -9,6 +9,7 @@ from rclpy.parameter import Parameter
 
 import fjr_core as fjr
 import own_code
+from fjr_controller.controller_node import SUCCESS
 from nodes.harness import Listener, Peer, Ros, stamped
 
 
@@ -49,6 +50,17 @@ def test_options_are_ignored_by_the_other_node_and_fixed_while_the_node_is_activ
     (result,) = node.set_parameters([Parameter("law.options.K_p", value=40.0)])
     assert not result.successful
     assert "'law.options.K_p' can be set only while the node is unconfigured" in result.reason
+
+
+def test_law_and_options_change_while_the_node_is_unconfigured(ros: Ros) -> None:
+    node = ros.controller(autostart=False)
+    for name, value in {"law.type": "own_code:Pd", "law.options.K_p": 30.0}.items():
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        assert result.successful, result.reason
+    (result,) = node.set_parameters([Parameter("law.option.K_p", value=30.0)])
+    assert "unknown parameter 'law.option.K_p'" in result.reason
+    assert node.trigger_configure() == SUCCESS
+    assert (node.values["law.options.K_p"], node.values["law.options.K_d"]) == (30.0, 2.0)
 
 
 @pytest.mark.parametrize(
