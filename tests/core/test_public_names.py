@@ -20,6 +20,18 @@ MOTION = fjr.Sine([0.1, 0.2], 1.0)
 START = ARM.state(*np.zeros((4, 2)))
 RUN = fjr.simulate(fjr.Plant(ARM), LAW, MOTION, START, 0.01, 1e-3)
 MANY = np.linspace(-1.0, 1.0, 40)
+
+
+class Own:
+    """A law and a plant of the user."""
+
+    def effort(self, position: np.ndarray, velocity: np.ndarray, jets: np.ndarray) -> np.ndarray:
+        return np.zeros(2)
+
+    def derivative(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return np.zeros(8)
+
+
 OBJECTS = {
     "Body": fjr.Body(np.eye(3), np.zeros(3), [0, 0, 1], 1.0, np.zeros(3), np.eye(3)),
     "Certificate": fjr.Certificate(LAW),
@@ -34,6 +46,8 @@ OBJECTS = {
     "MultiSine": fjr.MultiSine(np.ones((20, 2)), 1.0),
     "Plant": fjr.Plant(ARM),
     "PointToPoint": fjr.PointToPoint(MANY, -MANY, 2.0),
+    "PythonLaw": fjr.PythonLaw(Own(), ARM),
+    "PythonPlant": fjr.PythonPlant(Own(), ARM),
     "Rate": LAW.rate(),
     "Record": fjr.Record(
         RUN.t, RUN.x[:, :4], RUN.x[:, 4:], RUN.jets, RUN.u, None, None, None, 1e-3, np.full(2, np.inf)

@@ -29,6 +29,7 @@ ENVIRONMENT = {
     **os.environ,
     "PATH": f"{os.environ['PATH']}:{Path(sys.executable).parent}",
 }  # includes CMake from its wheel
+IN_PYTHON = "is evaluated in Python"  # of a law of the user
 BACKGROUND: list[subprocess.Popen[bytes]] = []
 ALL = [block for page in PAGES for block in blocks(page)]
 WITH_BLOCKS = [page for page in PAGES if any(block.language in ("python", "sh", "yaml") for block in blocks(page))]
@@ -50,7 +51,8 @@ def test_every_shell_block_is_valid_bash(block: Block) -> None:
 @pytest.mark.timeout(3600)
 @pytest.mark.usefixtures("background_processes_ended")
 @pytest.mark.parametrize("page", WITH_BLOCKS, ids=lambda page: page.stem)
-def test_blocks_of_a_page_run_in_order(page: Path, tmp_path: Path) -> None:
+def test_blocks_of_a_page_run_in_order(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # classes that the files name are looked up there, as by `fjr`
     for name in LINKED:
         (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / "my_arm.urdf").write_text(my_arm_urdf(), encoding="utf-8")
@@ -60,7 +62,12 @@ def test_blocks_of_a_page_run_in_order(page: Path, tmp_path: Path) -> None:
 
 
 def do_python(block: Block, folder: Path, _said: str) -> str:
-    return run(block, [sys.executable, "-c", block.text], folder)
+    """Run the block, as the file that it names if it names one."""
+    if "file" not in block.marks:
+        return run(block, [sys.executable, "-c", block.text], folder)
+    file = folder / block.marks["file"]
+    file.write_text(block.text, encoding="utf-8")
+    return run(block, [sys.executable, str(file)], folder)
 
 
 def do_sh(block: Block, folder: Path, _said: str) -> str:
@@ -145,7 +152,7 @@ def do_yaml(block: Block, folder: Path, said: str) -> str:
         return said
     before = ros_yaml.parse(file.read_text(encoding="utf-8")) if file.exists() else {}
     file.write_text(ros_yaml.dump(merged(before, ros_yaml.parse(block.text))), encoding="utf-8")
-    assert load_scenario(file).warnings == (), str(block)
+    assert [one for one in load_scenario(file).warnings if IN_PYTHON not in one] == [], str(block)
     return said
 
 

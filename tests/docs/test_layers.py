@@ -25,7 +25,7 @@ LAYERS = {
         "stability simulation",
         "tuning monitoring",
         "config",
-        "experiments codegen",
+        "experiments codegen testing",
     ),
     "fjr_msgs_py": ("names", "messages", "node"),
     "fjr_plant": ("state_publisher", "channel", "sensors", "simulated_robot", "timing", "plant_node", "executable"),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -73,6 +74,20 @@ def test_gains_are_printed_as_a_valid_scenario_block(tmp_path: Path, everywhere:
 
 def test_gains_out_of_reach_are_refused() -> None:
     assert "out of reach at 1000 Hz" in fjr_here("gains", "paper_k31", "--beta", "5000", code=1)
+
+
+def test_a_law_of_the_user_is_checked_with_its_options_and_its_time() -> None:
+    """The law is v-dPBC with the gains of the scenario, evaluated in Python."""
+    own = ("--set", "law.type:=own_code:Wrapped", "--set", "law.options.claimed:=0.5")
+    said, expected = fjr_here("check", "paper_k31", *own), figures(fjr_here("check", "paper_k31"))
+    rows = figures(said)
+    assert rows["law"] == "own_code:Wrapped: Wrapped (law of the user)"
+    assert rows["options"] == "claimed 0.5"
+    assert re.fullmatch(r"in Python, \d+ us a sample", rows["evaluated"])
+    assert rows["spectral radius"].partition(",")[0] in expected["on the reference"]
+    for name in ("delay margin", "lowest stable rate", "as sampled"):
+        assert rows[name] == expected[name]
+    assert said.count("is evaluated in Python: sweeps and comparisons are not compiled, so they take longer") == 1
 
 
 def test_no_rate_is_proven_if_the_plant_differs_from_the_model(tmp_path: Path) -> None:

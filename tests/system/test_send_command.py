@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nodes.harness import Listener, Ros, seconds
+from fjr_bringup.runner import trajectory_client
+from fjr_controller.controller_node import ControllerNode
+from nodes.harness import PATIENCE, Listener, Peer, Ros, seconds, stamped
 from system.documented import documented_keys
-from system.executables import NODES, Executable, fjr
+from system.executables import NODES, Executable, fjr, fjr_here
 
 pytestmark = pytest.mark.system
 T = np.arange(1001) / 1000  # s
@@ -57,6 +59,27 @@ def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, listener: Liste
 
 def _rests(listener: Listener) -> bool:
     return bool(listener.references[-1].velocity[0] == 0.0)
+
+
+def test_a_controller_in_a_namespace_takes_the_motion(ros: Ros, tmp_path: Path) -> None:
+    peer = Peer(ros, prefix="left/")
+    options = {"compile": False, "state_timeout": PATIENCE, "limits__acceleration": [200.0]}
+    ros.start(ControllerNode, ["--ros-args", "-r", "__ns:=/left"], **options)
+    peer.meet_controller()
+    peer.ask(stamped(0.0))
+    file = motion_file(tmp_path, MOTION)
+    with ThreadPoolExecutor(1) as worker:
+        sent = worker.submit(fjr, "send", file, "--namespace", "left", "--tolerance", "0.002")
+        ros.until(sent.done, "the end of fjr send")
+        assert "accepted: smoothed within" in sent.result()
+
+
+def test_without_a_controller_the_command_ends_with_one_sentence(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(trajectory_client, "RESPONSE_LIMIT", 0.5)
+    said = fjr_here("send", motion_file(tmp_path, MOTION), "--namespace", "left", code=1)
+    assert said == (
+        "fjr: /left/fjr_controller is not running, or its parameters are not available; expected an active controller\n"
+    )
 
 
 REFUSED = {

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+import own_code
 from core.codegen.c_program import C99, CPP, SHIPPED, built, changed, exported, loop, program_output, replayed
 from fjr_core.codegen import Loop, export, loop_of, prefix_of
 from fjr_core.codegen.c_code import casadi_code, checked_prefix, numbers, quoted
@@ -292,6 +293,9 @@ def test_unsupported_loops_are_refused_with_the_reason() -> None:
         export(changed("paper_k3p1", sample_period=0.05, inner_steps=1), "p")
     with pytest.raises(fjr.TrajectoryError, match="cannot be exported to C; expected one of Sine"):
         _ = changed("paper_k31", reference=Unknown()).functions
+    own = fjr.PythonLaw(own_code.Pd(fjr.single_link()), fjr.single_link())
+    with pytest.raises(fjr.StateError, match="the law is written in Python; expected one made of expressions"):
+        changed("paper_k31", law=AsSampledLaw(own))
 
 
 class Unknown:

@@ -48,7 +48,7 @@ def test_the_path_is_relative_to_the_scenario_and_the_tolerance_is_kept(load: Lo
     assert isinstance(reference, fjr.SampledMotion)
     assert np.abs(reference.jets(T)[:, 0, 0] - (1 - np.cos(T) ** 9)).max() < 2e-6
     assert reference.tolerance == 1e-3
-    assert load(np.sin(T), **{"reference.file.tolerance": 0.0}).reference.deviation == 0.0
+    assert load(np.sin(T), **{"reference.file.tolerance": [0.0]}).reference.deviation == 0.0
 
 
 def test_a_changed_file_is_read_again(load: Load) -> None:
@@ -99,7 +99,7 @@ def test_noise_is_reported_with_the_deviation_that_removes_it(load: Load) -> Non
     (sentence,) = load(np.sin(T) + noise).motion_warnings
     deviation = numbers(sentence.split("deviates by")[1])[0]
     assert 0.02 < deviation < 0.1
-    scenario = load(np.sin(T) + noise, **{"reference.file.tolerance": 1.01 * deviation})
+    scenario = load(np.sin(T) + noise, **{"reference.file.tolerance": [1.01 * deviation]})
     assert np.abs(scenario.reference.jets(T)[:, 0, 0] - np.sin(T)).max() < 0.01
 
 

@@ -124,9 +124,28 @@ def test_motion_limits_see_a_sampled_motion() -> None:
         fjr.check_motion(MOTIONS["rounded sine"], fjr.MotionLimits([-0.5], [0.5]))
 
 
-@pytest.mark.parametrize("tolerance", [-1.0, float("nan")])
-def test_an_invalid_tolerance_is_rejected(tolerance: float) -> None:
-    with pytest.raises(fjr.TrajectoryError, match="tolerance is .* rad; expected 0 or more"):
+def test_each_joint_has_a_tolerance_of_its_own() -> None:
+    """A prismatic joint with 0.1 mm of noise beside a revolute one with 10 mrad."""
+    noise = RNG.normal(size=(1001, 2)) * [0.01, 1e-4]
+    q = np.stack([np.sin(T[::10]), 0.1 * np.sin(T[::10])], axis=1)
+    motion = fjr.SampledMotion(T[::10], q + noise, [0.05, 5e-4])
+    assert motion.smoothed
+    assert np.all(motion.deviation <= [0.05, 5e-4])
+    assert np.all(np.abs(motion.jets(T[::10])[:, 0] - q).max(axis=0) < [0.01, 1e-4])
+    for tolerance in ([0.05, 1e-5], [0.05, 0.0], 5e-4):
+        assert not fjr.SampledMotion(T[::10], q + noise, tolerance).smoothed
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "sentence"),
+    [
+        (-1.0, r"tolerance is -1.0; expected 0 or more"),
+        (float("nan"), r"tolerance is nan; expected 0 or more"),
+        ([1e-3, 1e-3], r"tolerance has 2 entries; expected 1$"),
+    ],
+)
+def test_an_invalid_tolerance_is_rejected(tolerance: float, sentence: str) -> None:
+    with pytest.raises(fjr.TrajectoryError, match=sentence):
         fjr.SampledMotion([0.0, 1.0], [[0.0], [1.0]], tolerance)
 
 

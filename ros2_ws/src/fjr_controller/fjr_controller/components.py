@@ -10,7 +10,7 @@ import numpy as np
 from rclpy.node import Node
 
 from fjr_core import ParameterError, Reference, TrackingLaw
-from fjr_core.config import builders, reference_file
+from fjr_core.config import builders, law, reference_file
 from fjr_core.config.builders import control_law, robust_action
 from fjr_core.config.description import robot_name
 from fjr_core.config.diagnosis import axes
@@ -18,6 +18,7 @@ from fjr_core.config.measurement import measurement, observer
 from fjr_core.config.parameter import named
 from fjr_core.config.reference import motion_limits
 from fjr_core.config.safety import safety
+from fjr_core.config.user_options import in_python
 from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.motion_limits import check_motion
 from fjr_msgs_py.messages.events import EventWriter
@@ -54,6 +55,8 @@ class Control:
         allowed = tolerances(values, robot.units)
         reader = StateReader(joints, measurement(values, robot))
         self._law = control_law(values, robot)
+        if sentence := in_python(law.TYPE, values):
+            node.get_logger().info(sentence)
         simulated = bool(node.get_parameter("use_sim_time").value)
         robust = robust_action(values, self._law)
         self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated, robust)

@@ -12,10 +12,12 @@ Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstr
 
 import warnings
 
+from . import testing
+from .control.python_law import PythonLaw
 from .control.vdpbc.convergence_rate import Rate
 from .control.vdpbc.gains import PAPER_GAINS, Gains
 from .control.vdpbc.law import Evaluation, TrackingLaw
-from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError
+from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError, UserCodeError
 from .estimation.measurement_model import Measurement
 from .estimation.velocity_observer import VelocityObserver
 from .monitoring.certificate import Certificate
@@ -25,6 +27,7 @@ from .robot.closed_form_arms import planar_two_link, single_link
 from .robot.joint_limits import JointLimits
 from .robot.newton_euler import serial_chain
 from .robot.port_hamiltonian import Plant
+from .robot.python_plant import PythonPlant
 from .robot.rigid_body import Body
 from .robot.robot import Robot
 from .robot.urdf_import import robot_from_urdf
@@ -60,6 +63,8 @@ __all__ = [
     "ParameterError",
     "Plant",
     "PointToPoint",
+    "PythonLaw",
+    "PythonPlant",
     "Rate",
     "Record",
     "Reference",
@@ -73,6 +78,7 @@ __all__ = [
     "TrackingLaw",
     "Trajectory",
     "TrajectoryError",
+    "UserCodeError",
     "VelocityObserver",
     "VirtualSystem",
     "__version__",
@@ -87,6 +93,7 @@ __all__ = [
     "spectral_radius",
     "standing",
     "synthesize",
+    "testing",
     "time_shifted",
     "transition",
 ]

@@ -34,3 +34,7 @@ class ParameterError(FjrError):
 
 class CompareError(FjrError):
     """Invalid comparison: unknown law or disturbance, or inconsistent specification."""
+
+
+class UserCodeError(FjrError):
+    """Failure of code of the user, a law or a plant: an exception, or a result of the wrong shape."""

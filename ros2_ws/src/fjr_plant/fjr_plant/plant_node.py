@@ -9,7 +9,7 @@ from typing import Any
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from fjr_core import FjrError, Plant
+from fjr_core import FjrError
 from fjr_core.config import builders, nonidealities
 from fjr_core.config.description import description, robot_name
 from fjr_msgs_py import names
@@ -53,7 +53,7 @@ class PlantNode(ParameterNode):
         joints = self.values["joints"]
         self._model = builders.robot(self.values)
         self._health = Health(self, EXPECTED, robot_name(self.values))
-        plant = Plant(self._model, self.values["integrator"], compile=self.values["compile"])
+        plant = builders.plant(self.values, self._model)
         x0 = builders.initial_state(self.values, self._model)
         self._robot, self._transport = simulated(self.values, plant, x0)
         self._robot.warm_up()

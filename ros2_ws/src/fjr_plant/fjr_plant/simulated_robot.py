@@ -133,7 +133,10 @@ class SimulatedRobot:
             self._sensors.change(sensor_errors)
 
     def advance_to(self, time: int) -> None:
-        """Integrate in whole inner steps up to, and never past, `time` [ns]; raises StateError on divergence."""
+        """Integrate in whole inner steps up to, and never past, `time` [ns].
+
+        Raises StateError on divergence and UserCodeError for a failure of a plant in Python.
+        """
         steps = max((time - self.time) // self._inner_step, 0)
         if self._perfect and not self._loaded:
             self.x = self._step.after(steps, self.x, self.u)
@@ -141,6 +144,7 @@ class SimulatedRobot:
             state = np.concatenate([self.x, self._applied() if self._perfect else self._output])
             state = self._imperfect_step.after(steps, state, self.u, self.external, self._parameters)
             self.x, self._output = np.split(state, [4 * self._n])
+        self._plant.raise_failure()
         self.time += steps * self._inner_step
         if not self.x.dot(self.x) < np.inf and not np.isfinite(self.x).all():  # the squares may overflow
             raise StateError(

@@ -205,8 +205,8 @@ def _sample_period(scenario: Scenario, t: Array) -> tuple[float, tuple[str, ...]
 
 def _certificate(scenario: Scenario, states: States, jets: Array, u: Array) -> CertificateSeries:
     """Return the certificate along the states; of another law than v-dPBC only what the robot alone determines."""
-    law = scenario.law
-    if isinstance(law, TrackingLaw):
+    law = scenario.certified_law
+    if law is not None:
         return Certificate(law).along(states.position, states.velocity, jets, u)
     found = Certificate(TrackingLaw(scenario.robot, scenario.gains)).along(states.position, states.velocity, jets, u)
     return replace(found, V=np.nan * found.V, dV=np.nan * found.dV)
@@ -214,8 +214,9 @@ def _certificate(scenario: Scenario, states: States, jets: Array, u: Array) -> C
 
 def _rate(scenario: Scenario, q_l: Array) -> Rate:
     """Return the convergence rate of v-dPBC: proven, else sampled at visited configurations q_l (k, n)."""
-    if not isinstance(scenario.law, TrackingLaw):
+    law = scenario.certified_law
+    if law is None:
         return NO_RATE
-    rate = scenario.law.rate()
+    rate = law.rate()
     visited = q_l[:: max(1, len(q_l) // VISITED)]
-    return rate if rate.proven or not np.isfinite(visited).all() else scenario.law.rate(visited)
+    return rate if rate.proven or not np.isfinite(visited).all() else law.rate(visited)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -27,15 +28,20 @@ from fjr_bringup.cli.preflight import (
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_core.config.builders import tuning
+from fjr_core.config.law import TYPE
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
+from fjr_core.config.user_options import options
 from fjr_core.control.registry import law_kind
 from fjr_core.control.robust import Robust
 from fjr_core.control.vdpbc.convergence_rate import Rate
 from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.files.python_class import is_named
 from fjr_core.robot.joint_units import joined
 from fjr_core.stability.model_errors import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_core.stability.sampled_loop import SampledCheck
+
+EVALUATIONS = 100  # of a law in Python, whose time is measured
 
 
 def check_scenario(scenario: str | None, assignments: Sequence[str]) -> Result:
@@ -123,13 +129,30 @@ def _other_law(scenario: Scenario) -> dict[str, str]:
     values = scenario.controller_values
     kind = law_kind(str(values["law.type"]))
     rows = {"law": f"{kind.name}: {kind.title} ({kind.paper})"}
-    if values["law.tuned"]:
+    if is_named(kind.name):
+        given = ", ".join(f"{name} {value}" for name, value in options(TYPE, values).items())
+        rows["options"] = given or "none"
+    elif values["law.tuned"]:
         found = tuning(values)
         rows["tuned"] = (
             f"natural frequency {found.omega:.4g} rad/s, damping ratio {found.damping:.3g}: bandwidth "
             f"{found.bandwidth:.4g} rad/s, peak effort {found.peak:.4g}; {found.sentence}"
         )
+    if scenario.law.in_python:
+        rows["evaluated"] = f"in Python, {1e6 * _evaluation_time(scenario):.0f} us a sample"
     return {**rows, "certificate": "none for this law"}
+
+
+def _evaluation_time(scenario: Scenario) -> float:
+    """Return the median time [s] that one evaluation of the law takes here."""
+    n = scenario.robot.n
+    bound = scenario.law.bound(scenario.x0[: 2 * n], np.zeros(2 * n), np.array(scenario.reference.jets(0.0)))
+    times = []
+    for _ in range(EVALUATIONS):
+        begin = time.perf_counter()
+        bound.evaluate()
+        times.append(time.perf_counter() - begin)
+    return float(np.median(times))
 
 
 def _basis(rate: Rate, scenario: Scenario) -> str:

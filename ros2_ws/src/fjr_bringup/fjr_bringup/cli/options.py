@@ -69,12 +69,18 @@ SPEED = number("a speed", "0.001 to 1000", lambda value: 1e-3 <= value <= 1e3)
 SAMPLES = number("a delay", "samples, 0 to 20", lambda value: 0 <= value <= 20)
 ANGLE = number("an angle", "rad, more than 0, at most 3", lambda value: 0 < value <= 3)
 DISTANCE = number("a distance", "0 or a positive number", lambda value: 0 <= value < math.inf)
+
 MESSAGES = integer("a number of messages", "1 or more", 1, 1e15)
 PORT = integer("a port", "0 to 65535", 0, 65535)
 CHAIN = integer("a chain", "its number, 1 or more", 1, 1000)
 RUNS = integer("a number of runs", "1 or more", 1, 1e9)
 PORT = integer("a port", "0 to 65535", 0, 65535)
 SOLUTIONS = integer("a number of solutions", "2 to 64", 2, 64)
+
+
+def distances(text: str) -> tuple[float, ...]:
+    """Convert one distance, or several with commas between them."""
+    return tuple(DISTANCE(part) for part in text.split(","))
 
 
 def complete_scenario(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:

@@ -91,7 +91,7 @@ def _report(source: Source, namespace: str) -> RunSummary:
     return report_bag(
         source.name,
         bag,
-        load_scenario(source.scenario),
+        load_scenario(source.scenario, user_code=False),
         source.folder,
         duration=known.get("planned_s"),
         skipped=known.get("not_recorded"),

@@ -24,10 +24,11 @@ EXACT = 1e-6  # rad; largest difference between the smoothed motion and that of 
 
 
 def send_motion(
-    motion: Path, scenario: str | None, lead: float, tolerance: float, namespace: str, controller: str
+    motion: Path, scenario: str | None, lead: float, tolerance: tuple[float, ...], namespace: str, controller: str
 ) -> Result:
     """Send the motion; its first sample is reached `lead` [s] after the controller accepts it.
 
+    tolerance [rad, m]: largest distance from the samples, for all joints or for each.
     Print the warnings of docs/references.md if a scenario is given. Raises ParameterError for a file that is not valid,
     TrajectoryClientError if the controller does not respond or refuses.
     """

@@ -69,7 +69,7 @@ def report_run(
     duration: planned duration [s]; None: up to the last answered state. skipped: topics that could not be recorded.
     failure: why the run ended early. pages: false for report.json only.
     """
-    scenario, bag = load_scenario(folder / "scenario.yaml"), read_bag(folder / "bag")
+    scenario, bag = load_scenario(folder / "scenario.yaml", user_code=False), read_bag(folder / "bag")
     summary = report_bag(name, bag, scenario, folder, duration, skipped, failure, pages, provenance())
     if pages and np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
         from fjr_bringup.plotting.overview import draw_overview  # matplotlib is half a second of imports

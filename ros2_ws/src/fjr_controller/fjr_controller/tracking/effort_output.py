@@ -8,6 +8,7 @@ import math
 from fjr_core.control.robust import Robust
 from fjr_core.control.safety_settings import Settings
 from fjr_core.control.static_law import StaticLaw
+from fjr_core.errors import UserCodeError
 from fjr_core.numerics.checks import Array
 
 from .effort_limits import EffortLimits
@@ -47,13 +48,17 @@ class EffortOutput:
         """Return the effort (n,) [N m] before transfer and limits, with V [J]: nan unless it is the law's.
 
         jets (5, n): reference at the stamp [ns], dt [ns] after the last accepted sample. While stopped it is the stop
-        policy's effort; while velocities settle it is the last effort, or at a start the stop policy's.
+        policy's effort; while velocities settle it is the last effort, or at a start the stop policy's. Stop if a law
+        in Python fails.
         """
         state = self._state
         if not (supervisor.reason or supervisor.settling):
             lead = self.law.lead
             ahead = supervisor.reference.jets(stamp + lead) if lead else jets
-            return self.law.evaluate(ahead, order, dt, self.limits.left)
+            try:
+                return self.law.evaluate(ahead, order, dt, self.limits.left)
+            except UserCodeError as error:
+                supervisor.refuse_law(str(error))
         self.law.reset()
         if supervisor.reason:
             return self.policy.moving(state.q_l, state.dq_m), math.nan

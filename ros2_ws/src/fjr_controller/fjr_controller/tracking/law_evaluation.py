@@ -79,26 +79,32 @@ class LawEvaluation:
     def use(self, law: StaticLaw) -> None:
         """Replace the law by one with other gains; its controller state is kept.
 
-        Raise GainsError if its effort is not finite at the measured state, or with every position and velocity at 1;
-        then nothing is replaced.
+        Raise GainsError if its effort is not finite at the measured state, or with every position and velocity at 1
+        (not for a law in Python); then nothing is replaced. Raise UserCodeError if a law in Python fails there.
         """
         arrays = self._state.position, self._state.velocity, self._jets
         if not isinstance(self._sampled, RobustLaw):
             bound = law.bound(*arrays)
-            self._check_finite(bound, "'gains.*'")
+            self._check_finite(law, bound, "'law.options.*'" if law.in_python else "'gains.*'")
             self.law, self._bound = law, bound
             return
         sampled = self._sampled.with_law(law)
         step = sampled.bound(*arrays)
-        self._check_finite(step, "'gains.*' and 'robust.*'")
+        self._check_finite(law, step, "'gains.*' and 'robust.*'")
         self._law_state = LawState(step) if self._law_state is None else self._law_state.moved_to(step)
         self.law, self._sampled, self._bound = law, sampled, step
 
     def evaluate(self, jets: Array, order: Order, dt: int, sent: Array) -> tuple[Array, float]:
         """Return u (n,) [N m], nan if the next controller state is not finite, and V [J] for reference jets (5, n).
 
-        dt [ns]: time since the last accepted sample. sent (n,) [N m]: last effort that was sent.
+        dt [ns]: time since the last accepted sample. sent (n,) [N m]: last effort that was sent. Raise UserCodeError
+        if a law in Python fails.
         """
+        found = self._evaluate(jets, order, dt, sent)
+        self.law.raise_failure()
+        return found
+
+    def _evaluate(self, jets: Array, order: Order, dt: int, sent: Array) -> tuple[Array, float]:
         np.copyto(self._jets, jets)
         if self._law_state is None:
             self._bound.evaluate()
@@ -118,14 +124,16 @@ class LawEvaluation:
         if self._law_state is not None:
             self._law_state.reset()
 
-    def _check_finite(self, bound: BoundCommand | BoundStep, parameters: str) -> None:
+    def _check_finite(self, law: StaticLaw, bound: BoundCommand | BoundStep, parameters: str) -> None:
         """Raise GainsError if the effort is not finite at 1 or at the measured state (0 if that is not finite)."""
         values = self._state.values
         measured, finite = values.copy(), True
-        for point in (np.ones_like(values), measured if self._state.finite else 0.0):
+        here = measured if self._state.finite else 0.0
+        for point in (here,) if law.in_python else (np.ones_like(values), here):  # its domain may be smaller
             values[...] = point
             bound.evaluate()
             finite = finite and bool(bound.u.dot(bound.u) < np.inf)
         values[...] = measured
+        law.raise_failure()
         if not finite:
             raise GainsError(f"parameters {parameters} give an effort that is not finite; expected smaller gains")

@@ -30,7 +30,8 @@ class Supervisor:
     start.join_time, or without one refuse the start if |q_l - q_ld| exceeds limits.start_error.
     Recovery (after a gap of the samples, or resume()): transition of the reference from the measured state over
     recovery.join_time, and blend of the effort over BLEND of that time. The clock of the reference continues.
-    Stop: at a violated limit, latched until resume(). Outside the limits nothing is started or resumed.
+    Stop: at a violated limit, or where a law in Python fails, latched until resume(). Outside the limits nothing is
+    started or resumed.
 
     reason: why tracking is stopped, one sentence; empty otherwise. settling: samples left before the velocities of an
     observer that was reset are used; until then their limits and that of the tracking error are not checked. starting:
@@ -76,6 +77,11 @@ class Supervisor:
         """Stop because of a wiring fault, which the sentence describes."""
         self._journal.count("stops: wiring")
         self._stop("stops", f"stopped: {sentence}", joint)
+
+    def refuse_law(self, sentence: str) -> None:
+        """Stop because a law in Python failed, which the sentence describes."""
+        self._journal.count("stops: law")
+        self._stop(STOPS, f"stopped: {sentence}")
 
     def continues(self, order: Order, stamp: int, settling: int) -> bool:
         """Return True if this sample triggers no state transition."""
@@ -220,9 +226,12 @@ class Supervisor:
             self._journal.count(f"stops: {v.kind}")
             self._stop(STOPS, f"stopped: {v.sentence}", v.joint, v.value, v.limit)
 
-    def _stop(self, kind: str, sentence: str, joint: str, value: float = math.nan, limit: float = math.nan) -> None:
+    def _stop(
+        self, kind: str, sentence: str, joint: str = "", value: float = math.nan, limit: float = math.nan
+    ) -> None:
         self.reason = sentence
         self.transfer.stop()
         self.bound_start = None
         numbers = {} if math.isnan(value) else {"value": value, "limit": limit}
-        self._journal.report(ERROR, kind, sentence, joint=joint, **numbers)
+        where = {"joint": joint} if joint else {}
+        self._journal.report(ERROR, kind, sentence, **where, **numbers)

@@ -55,8 +55,8 @@ class Tracker:
     """Compute the command for each stamped sample.
 
     States. waiting: before the first sample. joining: transition from the measured state to the reference. tracking.
-    stopped: a limit was violated, the start was refused, or the wiring is wrong; latched until resume() or start().
-    The stop policy (on_stop) then gives the effort, zero after a wiring fault.
+    stopped: a limit was violated, the start was refused, the wiring is wrong, or a law in Python failed; latched until
+    resume() or start(). The stop policy (on_stop) then gives the effort, zero after a wiring fault.
 
     Samples. One that is older than the last, or an unconfirmed jump, gets no command (None); one with a repeated stamp
     is evaluated again. A jump back starts the reference again, as start() does, but a stop stays latched. After a
@@ -74,7 +74,8 @@ class Tracker:
     "states older than the last", "states repeated", "jumps doubted", "reference restarts", "silences",
     "forward jumps", "observer restarts", "recoveries",
     "starts refused", "stops" and of these "stops: wiring", "stops: link position", "stops: motor position",
-    "stops: link velocity", "stops: motor velocity", "stops: deflection", "stops: tracking error"; "resumes",
+    "stops: link velocity", "stops: motor velocity", "stops: deflection", "stops: tracking error",
+    "stops: law"; "resumes",
     "efforts not finite",
     "efforts saturated" and of these "efforts saturated: <joint>", "efforts rate limited", "gains changed",
     "settings changed", "references changed", "holds".

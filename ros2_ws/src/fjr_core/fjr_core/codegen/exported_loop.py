@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ..config.scenario import Scenario
-from ..control.sampled_law import SampledLaw
+from ..control.sampled_law import SampledLaw, in_python
 from ..errors import StateError
 from ..numerics import integrators
 from ..numerics.casadi_function import dense_function
@@ -24,7 +24,8 @@ from .reference_function import jets_function
 class Loop:
     """Sampled closed loop: names of n joints, initial state x0 (4n,) of the plant, times in seconds.
 
-    Raises StateError if law, reference, plant and names differ in the number of joints.
+    Raises StateError if law, reference, plant and names differ in the number of joints, and for a law or plant in
+    Python.
     """
 
     name: str
@@ -40,6 +41,11 @@ class Loop:
         n = [self.law.robot.n, self.reference.n, self.plant.robot.n, len(self.joints), np.size(self.x0) / 4]
         if len(set(n)) != 1:
             raise StateError(f"law, reference, plant, names and x0 have {n} joints; expected equal numbers")
+        for what, there in (("law", in_python(self.law)), ("plant", self.plant.in_python)):
+            if there:
+                raise StateError(
+                    f"the {what} is written in Python; expected one made of expressions, to export it to C"
+                )
 
     @property
     def n(self) -> int:

@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from ..control.python_law import own_law
 from ..control.registry import V_DPBC, law_kind
 from ..control.robust import Robust, sampled_law
 from ..control.static_law import StaticLaw
 from ..control.vdpbc.law import TrackingLaw
-from ..errors import GainsError, ParameterError
+from ..errors import FjrError, GainsError, ParameterError
+from ..files.python_class import is_named
 from ..robot.robot import Robot
 from ..stability.integral_bound import refuse_fast_integral
 from ..stability.linearization import rest_position
@@ -29,35 +31,63 @@ from .gains import gains
 from .law import robust
 from .parameter import Parameter, Value, Values, number, vector
 from .plant import initial_state as initial_state
+from .plant import plant as plant
 from .plant import plant_parameters
 from .reference import reference
 from .robot import joints_of, robot, robot_parameters
+from .user_options import is_option, option_parameters, options
 
 OwnParameters = Callable[[int], Sequence[Parameter]]
 """Makes a node's own parameters for n joints: plant_parameters or controller_parameters."""
 
 
-def all_parameters(own: OwnParameters, given: Mapping[str, object]) -> list[Parameter]:
-    """Return all parameters of a node for the given model and joints: those of the robot, then its `own`."""
-    return [*robot_parameters(given), *own(joints_of(given))]
+def all_parameters(own: OwnParameters, given: Mapping[str, object], user_code: bool = True) -> list[Parameter]:
+    """Return all parameters of a node for the given model and joints: those of the robot, its `own`, and options.
+
+    user_code: import the classes of the user that the values name; false: leave out their options.
+    """
+    parameters = own(joints_of(given))
+    return [*robot_parameters(given), *parameters, *(option_parameters(parameters, given) if user_code else ())]
+
+
+def is_of_others(own: OwnParameters, name: str) -> bool:
+    """Return whether only other nodes declare a parameter of this name; a shared parameter file may contain it."""
+    mine, others = _tables(own)
+    return name not in {each.name for each in mine} and (
+        name in {each.name for each in others} or is_option(others, name)
+    )
 
 
 @cache
-def names_of_others(own: OwnParameters) -> frozenset[str]:
-    """Return the parameter names that only other nodes declare, which a shared parameter file may contain."""
-    others = {parameter.name for node in (plant_parameters, controller_parameters) for parameter in node(1)}
-    return frozenset(others - {parameter.name for parameter in own(1)})
+def _tables(own: OwnParameters) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
+    """Return the parameters of one joint of the node with this table, and those that only other nodes have."""
+    mine = tuple(own(1))
+    names = {parameter.name for parameter in mine}
+    both = (parameter for node in (plant_parameters, controller_parameters) for parameter in node(1))
+    return mine, tuple(parameter for parameter in both if parameter.name not in names)
 
 
 def control_law(values: Values, robot: Robot) -> StaticLaw:
     """Return the control law of the values; raises ParameterError."""
-    kind, compile = law_kind(str(values[law.TYPE.name])), bool(values["compile"])
+    name, compile = str(values[law.TYPE.name]), bool(values["compile"])
+    if is_named(name):
+        return _own_law(values, robot)
+    kind = law_kind(name)
     if kind.name == V_DPBC:
         return TrackingLaw(robot, gains(values, robot.n), compile=compile)
     try:
         return kind.make(robot, _baseline_gains(values, robot), compile)
     except GainsError as error:
         raise ParameterError(f"parameter '{law.TYPE.name}' is {kind.name!r}: {error}") from None
+
+
+def _own_law(values: Values, robot: Robot) -> StaticLaw:
+    """Return the law of the class that law.type names, with law.options.*; raises ParameterError."""
+    name = str(values[law.TYPE.name])
+    try:
+        return own_law(name, robot, options(law.TYPE, values), compile=bool(values["compile"]))
+    except FjrError as error:
+        raise ParameterError(f"parameter '{law.TYPE.name}' is {name!r}: {error}") from None
 
 
 def robust_action(values: Values, static_law: StaticLaw) -> Robust:

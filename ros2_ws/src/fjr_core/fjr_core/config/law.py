@@ -9,12 +9,18 @@ from ..numerics.parameter_field import declared
 from ..tuning.bandwidth import START_ERROR
 from .parameter import VECTOR, Parameter, Values, named, read
 
-TYPE = Parameter("law.type", V_DPBC, "Control law; the gains of v_dpbc are gains.*", choices=tuple(LAWS))
+TYPE = Parameter(
+    "law.type",
+    V_DPBC,
+    "Control law; the gains of v_dpbc are gains.*, the options of a class module:Class are law.options.*",
+    choices=tuple(LAWS),
+    options="law.options.",
+)
 TUNED = Parameter(
     "law.tuned",
     True,
     "true: tune the selected law to the bandwidth that v_dpbc has with gains.* (docs/baselines.md); false: "
-    "compute its gains from law.natural_frequency and law.damping_ratio. v_dpbc always uses gains.*",
+    "compute its gains from law.natural_frequency and law.damping_ratio. v_dpbc always uses gains.*, a class options",
 )
 NATURAL_FREQUENCY = Parameter(
     "law.natural_frequency",

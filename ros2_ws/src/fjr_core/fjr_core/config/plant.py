@@ -3,20 +3,33 @@
 
 from __future__ import annotations
 
+from ..errors import FjrError, ParameterError
 from ..numerics.checks import Array
 from ..numerics.integrators import INTEGRATORS
+from ..robot.port_hamiltonian import Plant
+from ..robot.python_plant import own_plant
 from ..robot.robot import Robot
 from .nonidealities import imperfection_parameters
 from .parameter import VECTOR, Parameter, Values, read
 from .process import process_parameters
+from .user_options import options
 
+FLEXIBLE_JOINT = "flexible_joint"
 _INITIAL_STATE = {
     "q_l": Parameter("initial_link_position", 0.5, "q_l at the start and after a reset", "rad", shape=VECTOR),
     "q_m": Parameter("initial_motor_position", 0.5, "q_m at the start and after a reset", "rad", shape=VECTOR),
     "dq_l": Parameter("initial_link_velocity", 0.0, "dq_l at the start and after a reset", "rad/s", shape=VECTOR),
     "dq_m": Parameter("initial_motor_velocity", 0.0, "dq_m at the start and after a reset", "rad/s", shape=VECTOR),
 }
+TYPE = Parameter(
+    "plant.type",
+    FLEXIBLE_JOINT,
+    "Equations of motion: eq. (36) with robot.*, or a class module:Class with the options plant.options.*",
+    choices=(FLEXIBLE_JOINT,),
+    options="plant.options.",
+)
 _OWN = (
+    TYPE,
     Parameter("publish_rate", 1000.0, "Rate of /joint_states", "Hz", minimum=1.0, maximum=10000.0),
     Parameter("inner_steps", 4, "Integrator steps per published state", minimum=1, maximum=1000),
     Parameter("integrator", "rk4", "Integrator", choices=tuple(INTEGRATORS)),
@@ -64,6 +77,17 @@ def plant_parameters(n: int) -> list[Parameter]:
     """Return the plant node's own parameters for n joints."""
     own = [parameter.for_joints(n) for parameter in _OWN]
     return [*own, *imperfection_parameters(n), *process_parameters()]
+
+
+def plant(values: Values, robot: Robot) -> Plant:
+    """Return the simulated robot of the values; raises ParameterError."""
+    name, integrator = str(values[TYPE.name]), str(values["integrator"])
+    if name == FLEXIBLE_JOINT:
+        return Plant(robot, integrator, compile=bool(values["compile"]))
+    try:
+        return own_plant(name, robot, options(TYPE, values), integrator)
+    except FjrError as error:
+        raise ParameterError(f"parameter '{TYPE.name}' is {name!r}: {error}") from None
 
 
 def initial_state(values: Values, robot: Robot) -> Array:

@@ -72,6 +72,7 @@ _FILE = {
         "Largest distance of the smoothed motion from the samples of the file; 0: interpolate them",
         "rad",
         0.0,
+        shape=VECTOR,
     ),
 }
 _TYPES: dict[str, tuple[Callable[..., Reference], Mapping[str, Parameter]]] = {

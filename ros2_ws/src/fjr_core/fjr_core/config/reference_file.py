@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..control.effort_demand import EffortDemand, effort_demand
 from ..errors import ParameterError, TrajectoryError
@@ -14,7 +15,7 @@ from ..files.motion_table import is_text, motion_text, read_motion
 from ..numerics.checks import Array
 from ..robot.robot import Robot
 from ..trajectories.sampled_motion import SampledMotion
-from .parameter import Values, names, number
+from .parameter import Values, names, vector
 from .safety import safety
 
 PATH, TOLERANCE = "reference.file.path", "reference.file.tolerance"
@@ -24,18 +25,21 @@ MARGIN, FIRST = 20, 10
 """Share of the samples at each end that the comparison of efforts leaves out; samples at which the start is judged."""
 
 
-def motion_of_file(path: str, tolerance: float, joints: tuple[str, ...]) -> SampledMotion:
-    """Return the motion of a CSV file; raise ParameterError. A file is read once until `read_again` is called."""
+def motion_of_file(path: str, tolerance: ArrayLike, joints: tuple[str, ...]) -> SampledMotion:
+    """Return the motion of a file; raise ParameterError. A file is read once until `read_again` is called.
+
+    tolerance: one number or (n,) [rad, m], see SampledMotion.
+    """
     if not path:
         raise ParameterError(f"parameter '{PATH}' is empty; expected a CSV file with the columns time and each joint")
     try:
-        return _motion(path, tolerance, joints)
+        return _motion(path, tuple(np.atleast_1d(tolerance).tolist()), joints)
     except TrajectoryError as error:
         raise ParameterError(f"parameter '{PATH}': {error}") from None
 
 
 @lru_cache(maxsize=8)
-def _motion(path: str, tolerance: float, joints: tuple[str, ...]) -> SampledMotion:
+def _motion(path: str, tolerance: tuple[float, ...], joints: tuple[str, ...]) -> SampledMotion:
     table = read_motion(path, joints)
     return SampledMotion(table.times, table.positions, tolerance, table.velocities)
 
@@ -59,7 +63,7 @@ def read_again() -> None:
 def file_warnings(values: Values, robot: Robot) -> list[str]:
     """Return a sentence for each property of the file of reference.file.path that asks for large efforts."""
     joints = names(values, "joints")
-    motion = motion_of_file(str(values[PATH]), number(values, TOLERANCE), joints)
+    motion = motion_of_file(str(values[PATH]), vector(values, TOLERANCE, len(joints)), joints)
     return motion_warnings(motion, robot, joints, effort_limits(values, robot))
 
 
@@ -119,7 +123,7 @@ def _no_fit(motion: SampledMotion, demand: EffortDemand, robot: Robot, joints: t
         return ""
     unit = robot.units[j]
     return (
-        f"no smooth motion is within {TOLERANCE}, {motion.tolerance:g} {unit.position}, of the samples"
+        f"no smooth motion is within {TOLERANCE}, {np.asarray(motion.tolerance)[j]:g} {unit.position}, of the samples"
         f"{_step(motion, joints)}; through every sample the motion asks for {demand.peak[j]:.3g} {unit.effort} of "
         f"{joints[j]} at {demand.at[j]:.4g} s; the best fit deviates by {fit.deviation[j]:.2g} {unit.position} and "
         f"asks for {smooth.peak[j]:.3g} {unit.effort}"

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..control.registry import V_DPBC
 from ..control.robust import RobustLaw, sampled_law
 from ..control.sampled_law import SampledLaw
 from ..control.static_law import StaticLaw
@@ -19,6 +20,7 @@ from ..control.vdpbc.gains import Gains
 from ..control.vdpbc.law import TrackingLaw
 from ..errors import ParameterError
 from ..estimation.measurement_model import OBSERVER, TORQUE
+from ..files.python_class import is_named
 from ..monitoring.certificate import Certificate
 from ..monitoring.one_step_prediction import Prediction
 from ..numerics.checks import Array
@@ -28,10 +30,13 @@ from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
 from ..trajectories.reference import Reference
 from . import builders, guesses, parameter, reference_file, robot_file, ros_yaml
+from . import law as law_parameters
+from . import plant as plant_parameters
 from .builders import control_law, robust_action
 from .measurement import OBSERVER_BANDWIDTH, measurement_parameters
 from .nonidealities import channel_errors, imperfection_parameters
 from .robot import JOINTS
+from .user_options import in_python
 
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
 OWN_PARAMETERS = {PLANT: builders.plant_parameters, CONTROLLER: builders.controller_parameters}
@@ -60,7 +65,9 @@ class Scenario:
     def plant_is_the_model(self) -> bool:
         """True if plant and controller have the same robot parameters, as the proof assumes."""
         names = {name for name in (*self.plant_values, *self.controller_values) if name.startswith("robot.")}
-        return all(self.plant_values.get(name) == self.controller_values.get(name) for name in names - {"robot.file"})
+        own = self.plant_values[plant_parameters.TYPE.name] != plant_parameters.FLEXIBLE_JOINT
+        same = (self.plant_values.get(name) == self.controller_values.get(name) for name in names - {"robot.file"})
+        return not own and all(same)
 
     @property
     def loop_delay(self) -> float:
@@ -89,6 +96,13 @@ class Scenario:
     def law(self) -> StaticLaw:
         """The control law."""
         return control_law(self.controller_values, self.robot)
+
+    @property
+    def certified_law(self) -> TrackingLaw | None:
+        """The control law if it is v-dPBC, which has a certificate, else None; a law of the user is not imported."""
+        if self.controller_values[law_parameters.TYPE.name] != V_DPBC:
+            return None
+        return self.tracking_law
 
     @property
     def tracking_law(self) -> TrackingLaw:
@@ -122,8 +136,7 @@ class Scenario:
     @cached_property
     def plant(self) -> Plant:
         """The simulated robot, from the plant's own parameters."""
-        robot, integrator = builders.robot(self.plant_values), str(self.plant_values["integrator"])
-        return Plant(robot, integrator, compile=bool(self.plant_values["compile"]))
+        return builders.plant(self.plant_values, builders.robot(self.plant_values))
 
     @cached_property
     def x0(self) -> Array:
@@ -153,12 +166,15 @@ class Scenario:
         return simulate(self.plant, law, self.reference, self.x0, duration, self.sample_period, inner)
 
 
-def load_scenario(path: str | Path) -> Scenario:
-    """Read a scenario file; raises ParameterError, which names the file."""
+def load_scenario(path: str | Path, user_code: bool = True) -> Scenario:
+    """Read a scenario file; raises ParameterError, which names the file.
+
+    user_code: import a law and a plant of the user that it names. The report of a run needs neither: false.
+    """
     path = Path(path)
     document = ros_yaml.read(path, "scenario")
     try:
-        return _scenario(path.stem, document, path.parent)
+        return _scenario(path.stem, document, path.parent, user_code)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
 
@@ -168,32 +184,42 @@ def parse_scenario(name: str, text: str) -> Scenario:
     return _scenario(name, ros_yaml.parse(text), Path.cwd())
 
 
-def _scenario(name: str, document: Any, folder: Path) -> Scenario:
+def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) -> Scenario:
     warnings: list[str] = []
     checked = {}
     reference_file.read_again()
     for node, own in OWN_PARAMETERS.items():
         given = robot_file.merged(ros_yaml.values_for(node, document), node, folder)
-        known = builders.all_parameters(own, given)
+        known = builders.all_parameters(own, given, user_code)
         checked[node] = parameter.complete(known, given)
         own_names = set(given) - _for_other_nodes(node, own, document)
         warnings += [f"{node}: {sentence}" for sentence in parameter.unknown(known, own_names)]
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
-    warnings += _hold_warnings(scenario)
+    warnings += _hold_warnings(scenario) + (_python_warnings(scenario) if user_code else [])
     scenario = replace(scenario, warnings=tuple(warnings))
     joints = [checked[node]["joints"] for node in OWN_PARAMETERS]
     if joints[0] != joints[1]:
         raise ParameterError(
             f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
         )
-    _ = scenario.sampled_law, scenario.reference, scenario.plant, scenario.x0  # raises if an object cannot be built
+    _build(scenario, user_code)
     return scenario
+
+
+def _build(scenario: Scenario, user_code: bool) -> None:
+    """Build the objects of the values, of classes of the user on request; raises ParameterError."""
+    _ = scenario.reference
+    if user_code or not is_named(scenario.controller_values[law_parameters.TYPE.name]):
+        _ = scenario.sampled_law
+    if user_code or not is_named(scenario.plant_values[plant_parameters.TYPE.name]):
+        _ = scenario.plant, scenario.x0
 
 
 def _for_other_nodes(node: str, own: builders.OwnParameters, document: Any) -> set[str]:
     """Return the names in the section for all nodes that only other nodes declare."""
     private = {section: content for section, content in document.items() if section != ros_yaml.SHARED}
-    return set(builders.names_of_others(own)) - set(ros_yaml.values_for(node, private))
+    shared = set(ros_yaml.values_for(node, document)) - set(ros_yaml.values_for(node, private))
+    return {name for name in shared if builders.is_of_others(own, name)}
 
 
 def _hold_warnings(scenario: Scenario) -> list[str]:
@@ -203,6 +229,15 @@ def _hold_warnings(scenario: Scenario) -> list[str]:
     if not (robust.predicts or robust.integrates) or math.isclose(robust.hold, period, rel_tol=1e-6):
         return []
     return [f"{CONTROLLER}: parameter 'robust.hold' is {values['robust.hold']} s; the states' period is {period:g} s"]
+
+
+def _python_warnings(scenario: Scenario) -> list[str]:
+    """Return a sentence for a law and a plant that are evaluated in Python."""
+    found = (
+        in_python(law_parameters.TYPE, scenario.controller_values),
+        in_python(plant_parameters.TYPE, scenario.plant_values),
+    )
+    return [sentence for sentence in found if sentence]
 
 
 def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:
@@ -230,7 +265,7 @@ def _inlined(values: Mapping[str, object]) -> dict[str, object]:
 def _is_common(name: str, value: object, given: Mapping[str, Mapping[str, object]]) -> bool:
     """Return True if every node that has the parameter is given this value."""
     return all(
-        _same(value, values[name]) if name in values else name in builders.names_of_others(OWN_PARAMETERS[node])
+        _same(value, values[name]) if name in values else builders.is_of_others(OWN_PARAMETERS[node], name)
         for node, values in given.items()
     )
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from ..errors import ParameterError
+from ..errors import GainsError, ParameterError
+from ..files.python_class import is_named, load
 from .baselines import backstepping, feedback_linearisation, lqr, pd_gravity, singular_perturbation, torque_feedback
+from .python_law import own_law
 from .static_law import StaticLaw
 from .vdpbc import two_scale_gains
 from .vdpbc.law import TrackingLaw
@@ -23,7 +26,7 @@ class LawKind:
 
     make: (robot, gains, compile=False) -> law. measures: the joint signals the law needs.
     standard: tuning rule (robot, configuration (n,), natural frequency [rad/s], damping ratio, sample period [s])
-    -> gains. usual: default damping ratio; damping: its range.
+    -> gains. usual: default damping ratio; damping: its range. The gains of a law of the user are options: no rule.
     storage: description of V, "" if the law has no storage (V is nan). adds: extension that the paper does not have.
     """
 
@@ -125,11 +128,25 @@ _KINDS = (
         damping=(0.5**0.5, 2.0),
     ),
 )
+
+
+def _own_kind(name: str) -> LawKind:
+    """Return the description of a law of the user, module:Class, whose gains are its options."""
+    title, storage = load(name).__name__, "given by the law" if hasattr(load(name), "storage") else ""
+
+    def not_tuned(*_: Any) -> Any:
+        raise GainsError(f"{title} has no tuning rule; expected its options instead")
+
+    return LawKind(name, title, "law of the user", partial(own_law, name), not_tuned, storage=storage)
+
+
 LAWS: dict[str, LawKind] = {kind.name: kind for kind in _KINDS}
 
 
 def law_kind(name: str) -> LawKind:
-    """Return the law of this name; raise ParameterError if unknown."""
+    """Return the law of this name, also of a class module:Class; raise ParameterError if unknown."""
+    if is_named(name):
+        return _own_kind(name)
     if name not in LAWS:
         raise ParameterError(f"law is {name!r}; expected one of {', '.join(LAWS)}")
     return LAWS[name]

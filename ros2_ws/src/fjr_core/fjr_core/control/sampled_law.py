@@ -99,8 +99,20 @@ def check_law(law: object) -> None:
         return
     raise StateError(
         f"law is {kind_of(law)}; expected a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), "
-        "or an object with the members of control.sampled_law.SampledLaw"
+        "fjr.PythonLaw(own, robot), or an object with the members of control.sampled_law.SampledLaw"
     )
+
+
+def raise_failure(law: StaticLaw | SampledLaw) -> None:
+    """Raise the error of an evaluation since the last call; only a law in Python fails (StaticLaw.raise_failure)."""
+    static = getattr(law, "law", law)
+    if isinstance(static, StaticLaw):
+        static.raise_failure()
+
+
+def in_python(law: StaticLaw | SampledLaw) -> bool:
+    """Return whether the law is evaluated in Python, so that nothing that contains it can be compiled."""
+    return bool(getattr(getattr(law, "law", law), "in_python", False))
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,10 @@ class StaticLaw(ABC):
     with_gains builds and compiles nothing. Efforts are neither saturated nor checked for finite values.
     gains: named as in the paper; `arrays(robot)` returns the arrays of the law's equations by name, and raises
     GainsError if the paper's conditions are violated.
+    in_python: True for a law that is evaluated in Python and cannot be compiled.
     """
+
+    in_python = False
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({joints(self.robot.n)}, {one_line(self.gains)})"
@@ -62,6 +65,10 @@ class StaticLaw(ABC):
         other.measured_expression, other.measured_function = self.measured_expression, self.measured_function
         other.gain_values = self.symbols.values(other.arrays)
         return other
+
+    def raise_failure(self) -> None:
+        """Raise the error of an evaluation since the last call; only a law in Python fails."""
+        return
 
     @abstractmethod
     def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from ..errors import ParameterError
+from ..files.python_class import is_named
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
@@ -38,6 +39,9 @@ class Parameter:
     infinite: bool = False
     """True if entries may be infinite, which disables the limit."""
     shape: str = SCALAR
+    options: str = ""
+    """If not empty, the name of a class of the user, module:Class, is accepted beside the choices; this is the prefix
+    of the parameters that are its options."""
 
     def for_joints(self, n: int) -> Parameter:
         """Return the parameter of a robot with n joints: a scalar default fills the list, the shape is described."""
@@ -77,9 +81,14 @@ class Parameter:
             )
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             self._check_range(value)
-        if self.choices and value not in self.choices:
-            raise ParameterError(f"parameter '{self.name}' is {value!r}; expected one of {', '.join(self.choices)}")
+        if self.choices and value not in self.choices and not (self.options and is_named(value)):
+            raise ParameterError(f"parameter '{self.name}' is {value!r}; expected one of {self.listed_choices}")
         return value  # type: ignore[return-value]
+
+    @property
+    def listed_choices(self) -> str:
+        """The choices as text."""
+        return ", ".join(self.choices) + (", or module:Class of your own" if self.options else "")
 
     def _check_range(self, value: float) -> None:
         if not math.isfinite(value) and not (self.infinite and math.isinf(value)):

@@ -91,7 +91,10 @@ class Plant:
     compile: compile the step to machine code if a C compiler is available (numerics.jit).
     Units: positions rad, momenta N m s, effort u N m. Raises StateError for wrong shapes and
     ParameterError for an unknown integrator.
+    in_python: True for a plant that is evaluated in Python and cannot be compiled.
     """
+
+    in_python = False
 
     def __repr__(self) -> str:
         return f"Plant({self.robot!r}, integrator={self.integrator!r})"
@@ -100,7 +103,11 @@ class Plant:
         self.robot = robot
         self.integrator = integrator
         self.compiles = compile
-        self._vm_step = integrators.step(integrator, self.dynamics)
+        if not self.in_python:
+            self._vm_step = integrators.step(integrator, self.dynamics)
+
+    def raise_failure(self) -> None:
+        """Raise the error of an evaluation since the last call; only a plant in Python fails."""
 
     @cached_property
     def dynamics(self) -> ca.Function:

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.sampled_law import SampledLaw, bound_step, check_law
+from ..control.sampled_law import SampledLaw, bound_step, check_law, raise_failure
 from ..control.static_law import StaticLaw
 from ..errors import StateError
 from ..numerics import checks
@@ -83,8 +83,27 @@ def simulate(
     The robots of plant and law may differ (model mismatch). The law then receives the positions and velocities of the
     plant with momenta by its own inertia, and V is its own; Trajectory.x is the state of the plant.
     Raises StateError for wrong shapes or numbers, a law that is none, and if the state is no longer finite;
-    TrajectoryError for a reference that is none, such as a function of time.
+    TrajectoryError for a reference that is none, such as a function of time; UserCodeError for a failure of a law or
+    plant in Python.
     """
+    try:
+        return _simulate(plant, law, reference, x0, duration, sample_period, inner_step, delay)
+    finally:
+        if isinstance(plant, Plant):
+            plant.raise_failure()
+        raise_failure(law)
+
+
+def _simulate(
+    plant: Plant,
+    law: StaticLaw | SampledLaw,
+    reference: Reference,
+    x0: ArrayLike,
+    duration: float,
+    sample_period: float | None,
+    inner_step: float | None,
+    delay: float,
+) -> Trajectory:
     x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
     check_law(law)
     check_joints(plant.robot, law.robot, reference)

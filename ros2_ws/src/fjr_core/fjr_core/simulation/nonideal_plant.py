@@ -25,6 +25,7 @@ from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
 from ..numerics.packed_vector import PackedVector
 from ..numerics.symbolic import blocks, symbols
+from ..robot.coordinates import Coordinates
 from ..robot.payload import PayloadArm
 from ..robot.port_hamiltonian import Plant, derivative_expression, gradient_expression, spring_expression
 from ..robot.rigid_arm import ArmDynamics, RigidArm
@@ -50,6 +51,9 @@ class NonidealPlant:
             raise ParameterError(f"imperfections have {imperfections.n} joints; expected {self.robot.n}")
         if self.robot.links.end_effector is None and np.any(imperfections.payload_mass):
             raise ParameterError("payload_mass is not 0 for links without an end-effector frame; expected 0")
+        for name in ("payload_mass", "cubic") if self.plant.in_python else ():
+            if np.any(getattr(imperfections, name)):
+                raise ParameterError(f"{name} is not 0 for a plant in Python; expected 0: it is part of that plant")
 
     def step(self, state: ArrayLike, u: ArrayLike, external: ArrayLike, parameters: ArrayLike, dt: float) -> Array:
         """Return the state (5n,) after dt [s] under the command u (n,) and external torques (n,) [N m] on the links."""
@@ -76,18 +80,25 @@ class NonidealPlant:
     def dynamics(self) -> ca.Function:
         """Return the function (x, inputs) -> dx/dt (4n,); inputs: actuator outputs, external torques, parameters."""
         n = self.robot.n
-        s = symbols(x=4 * n, inputs=2 * n + layout(n).size)
+        s = symbols(ca.MX if self.plant.in_python else ca.SX, x=4 * n, inputs=2 * n + layout(n).size)
         x, inputs = s.values()
         applied, external, parameters = ca.vertsplit(inputs, [0, n, 2 * n, inputs.numel()])
         p, q_m = layout(n).named(parameters), x[n : 2 * n]
-        dH = gradient_expression(self.robot, x, self._links(p), p.cubic)
-        _, _, dq_l, dq_m = blocks(dH, n)
+        dx, dq_l, dq_m = self._motion(x, applied, p)
         F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing)
         F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing)
         ripple = p.ripple * ca.sin(p.ripple_periods * q_m + p.ripple_phase)
-        dx = derivative_expression(self.robot, x, applied, dH)
-        dx += ca.vertcat(ca.SX.zeros(2 * n), external - F_l, ripple - F_m)
+        dx += ca.vertcat(ca.DM.zeros(2 * n), external - F_l, ripple - F_m)
         return dense_function("nonideal_dynamics", s, {"dx": dx}, cse=True)
+
+    def _motion(self, x: ca.SX, applied: ca.SX, p: SimpleNamespace) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return dx/dt (4n,) without friction, ripple and external torques, and the velocities dq_l, dq_m (n,)."""
+        n = self.robot.n
+        if self.plant.in_python:
+            return self.plant.dynamics(x, applied), *ca.vertsplit(Coordinates(self.robot).to_velocities(x), n)
+        dH = gradient_expression(self.robot, x, self._links(p), p.cubic)
+        _, _, dq_l, dq_m = blocks(dH, n)
+        return derivative_expression(self.robot, x, applied, dH), dq_l, dq_m
 
     @cached_property
     def step_function(self) -> ca.Function:

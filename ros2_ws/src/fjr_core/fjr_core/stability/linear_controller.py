@@ -18,7 +18,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from ..control.sampled_law import ARGUMENTS, AsSampledLaw, SampledLaw
+from ..control.sampled_law import ARGUMENTS, AsSampledLaw, SampledLaw, raise_failure
 from ..control.vdpbc.law import TrackingLaw
 from ..control.vdpbc.linearized import feedback
 from ..estimation.velocity_observer import LONGEST_CALL, corrections, steps_of
@@ -136,6 +136,7 @@ def _linearised(law: SampledLaw, equilibria: Equilibria, T: float) -> Controller
     for x, u in zip(equilibria.x, equilibria.u, strict=True):
         at = [x[: 2 * n], np.zeros(2 * n), _standing(x[:n]), law.gain_values, _state_at_rest(law, step, x, u, T), u, T]
         blocks.append(np.split(_jacobian(step, at), [n]))
+    raise_failure(law)
     of_u, of_next = (np.array(rows) for rows in zip(*blocks, strict=True))
     parts = [np.split(rows, [4 * n, 4 * n + m], axis=2) for rows in (of_u, of_next)]
     return _without_constant_states(Controller(*parts[0], *parts[1]))

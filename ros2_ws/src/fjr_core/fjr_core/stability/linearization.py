@@ -16,7 +16,7 @@ from ..control.vdpbc.law import TrackingLaw
 from ..control.vdpbc.linearized import error_matrices, feedback, metric_roots
 from ..errors import StateError
 from ..numerics.checks import Array
-from ..numerics.symbolic import directional
+from ..numerics.symbolic import directional, symbols
 from ..robot.configuration_sampling import checked_configurations
 from ..robot.equilibrium import Equilibria, equilibria_at, plant_matrices
 from ..robot.port_hamiltonian import Plant
@@ -39,15 +39,16 @@ def linearize(
     The links of the plant and the reference are at rest at the configuration; the steady-state error of another plant
     is neglected. z contains the momenta of the law, computed from the velocities of the plant; for another law than
     v-dPBC z is the state itself. A law with a controller state or with sensing (observer, torque sensors) is linearised
-    at the equilibrium of its own robot, with z = (q_l, q_m, dq_l, dq_m). Raises StateError for wrong shapes.
+    at the equilibrium of its own robot, with z = (q_l, q_m, dq_l, dq_m); so is a law in Python, by differences. A plant
+    in Python is replaced by the model of its robot. Raises StateError for wrong shapes, UserCodeError.
     """
     law, sensing = as_static(law), sensing or Sensing()
-    plant = plant or Plant(law.robot)
+    plant = Plant(law.robot if plant is None else plant.robot) if plant is None or plant.in_python else plant
     if plant.robot.n != law.robot.n:
         raise StateError(f"plant and law have {plant.robot.n} and {law.robot.n} joints; expected equal")
     q_l = loop_configurations(law, configurations)
     own, real = equilibria_at(law.robot, q_l), equilibria_at(plant.robot, q_l)
-    if not isinstance(law, StaticLaw) or not sensing.plain:
+    if not isinstance(law, StaticLaw) or law.in_python or not sensing.plain:
         return on_plant(controller(as_sampled(law), own, sensing), own, real, sensing)
     A, B, F = _jacobians(law, plant, real)
     A, B = in_momenta_of(own, real, A, B)
@@ -146,7 +147,10 @@ def _law_slope(law: StaticLaw) -> ca.Function:
 def slope_at_rest(law: StaticLaw, q_l: Array) -> tuple[Array, Array]:
     """Return F (n, 4n), G (n, n): du = F d(q_l, q_m, dq_l, dq_m) + G dq_ld, links and reference at rest at q_l (n,)."""
     n, position = law.robot.n, rest_position(law.robot, q_l)
-    found = _slope(law.measured_expression)(position, np.zeros(2 * n), q_l, law.gain_values, np.eye(5 * n)).full()
+    at_rest = np.concatenate([position, np.zeros(2 * n), q_l])
+    slope = _slope(law.measured_expression, ca.MX if law.in_python else ca.SX)
+    found = slope(at_rest, law.gain_values, np.eye(5 * n)).full()
+    law.raise_failure()
     return found[:, : 4 * n], found[:, 4 * n :]
 
 
@@ -156,11 +160,10 @@ def rest_position(robot: Robot, q_l: Array) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _slope(measured: ca.Function) -> ca.Function:
-    """Build (position, velocity, q_ld, gains, d) -> derivative of u along d (5n,), the reference at rest at q_ld."""
+def _slope(measured: ca.Function, kind: type) -> ca.Function:
+    """Build (z, gains, d) -> derivative of u along d (5n,) at z = (position, velocity, q_ld), the reference at rest."""
     n = measured.size1_in("jets")
-    sizes = {"position": 2 * n, "velocity": 2 * n, "q_ld": n, "gains": measured.size1_in("gains"), "d": 5 * n}
-    position, velocity, q_ld, gains, d = symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
-    u, _ = measured(position, velocity, ca.horzcat(q_ld, ca.SX.zeros(n, JETS - 1)), gains)
-    slope = directional(u, ca.vertcat(position, velocity, q_ld), d)
-    return ca.Function("slope", symbols, [ca.densify(slope)], {"cse": True})
+    z, gains, d = symbols(kind, z=5 * n, gains=measured.size1_in("gains"), d=5 * n).values()
+    position, velocity, q_ld = ca.vertsplit(z, [0, 2 * n, 4 * n, 5 * n])
+    u, _ = measured(position, velocity, ca.horzcat(q_ld, ca.DM(n, JETS - 1)), gains)
+    return ca.Function("slope", [z, gains, d], [ca.densify(directional(u, z, d))], {"cse": True})

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
-from ..numerics.checks import Array, freeze
+from ..numerics.checks import Array, floats, freeze
 from ..numerics.one_line import joints, span
 from .bounds import MotionBounds
 from .minimum_jerk import minimum_jerk
@@ -24,16 +24,17 @@ from .spline import Spline
 class SampledMotion:
     """Reference of class C^4 from samples: positions (k, n) [rad] at increasing times (k,) [s], the first at 0.
 
-    Dense samples are smoothed by the least-squares spline whose largest deviation is at most `tolerance` [rad] in every
-    joint. If there is none, or with tolerance 0, the samples are waypoints: a Spline interpolates them, and the
-    velocities (k, n) [rad/s] if given. A motion that starts at speed is at that speed at t = 0. A motion that ends at
-    speed is continued until it is at rest, with about the largest acceleration of the samples.
-    Raises TrajectoryError as Spline does, and for a tolerance that is negative or NaN.
+    Dense samples are smoothed by the least-squares spline whose largest deviation is at most `tolerance`, one number
+    for all joints or (n,) [rad, m]. If there is none, or with tolerance 0 of a joint, the samples are waypoints: a
+    Spline interpolates them, and the velocities (k, n) [rad/s] if given. A motion that starts at speed is at that speed
+    at t = 0. A motion that ends at speed is continued until it is at rest, with about the largest acceleration of the
+    samples.
+    Raises TrajectoryError as Spline does, and for a tolerance that is negative, NaN or of another length.
     """
 
     times: ArrayLike
     positions: ArrayLike
-    tolerance: float
+    tolerance: ArrayLike
     velocities: ArrayLike | None = None
     pieces: PiecewisePolynomial = field(init=False, repr=False)
     deviation: Array = field(init=False, repr=False)
@@ -46,14 +47,14 @@ class SampledMotion:
         return f"SampledMotion({joints(self.n)}, {samples}, {span(self.pieces.times)})"
 
     def __post_init__(self) -> None:
-        if not self.tolerance >= 0:
-            raise TrajectoryError(f"tolerance is {self.tolerance} rad; expected 0 or more")
         waypoints = Spline(self.times, self.positions, self.velocities, moving_end=self.velocities is not None)
         for name in ("times", "positions", "velocities"):
             if getattr(waypoints, name) is not None:
                 freeze(self, name, np.array(getattr(waypoints, name)))
         t, q = np.asarray(self.times), np.asarray(self.positions)
-        fit = least_squares_fit(t, q, self.tolerance) if self.tolerance > 0 else None
+        tolerance = _tolerance(self.tolerance, q.shape[1])
+        freeze(self, "tolerance", tolerance)
+        fit = least_squares_fit(t, q, tolerance) if np.all(tolerance > 0) else None
         if fit is None:
             knots, jets = waypoints.pieces.times, waypoints.pieces.knots
         else:
@@ -99,6 +100,17 @@ class SampledMotion:
     def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
         """Return conservative bounds lower, upper (3, n) of position, velocity and acceleration from t0 to t1 [s]."""
         return self.pieces.hull(t0, t1)
+
+
+def _tolerance(given: ArrayLike, n: int) -> Array:
+    """Return the tolerance of each joint (n,); raise TrajectoryError."""
+    array = floats("tolerance", given, TrajectoryError)
+    if array.shape not in ((), (1,), (n,)):
+        expected = "1" if n == 1 else f"1 or {n}, one per joint"
+        raise TrajectoryError(f"tolerance has {array.size} entries; expected {expected}")
+    if not np.all(array >= 0):
+        raise TrajectoryError(f"tolerance is {array.tolist()}; expected 0 or more")
+    return np.array(np.broadcast_to(array, n))
 
 
 def _brought_to_rest(times: Array, jets: Array) -> tuple[Array, Array]:

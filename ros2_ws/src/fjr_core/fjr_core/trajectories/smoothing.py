@@ -43,9 +43,10 @@ class Fit(NamedTuple):
         return len(self.times) - 1
 
 
-def least_squares_fit(times: Array, positions: Array, tolerance: float) -> Fit | None:
-    """Return the fit of samples (k, n) [rad] at increasing times (k,) [s]; None if none is within the tolerance [rad].
+def least_squares_fit(times: Array, positions: Array, tolerance: float | Array) -> Fit | None:
+    """Return the fit of samples (k, n) [rad] at increasing times (k,) [s]; None if none is within the tolerance.
 
+    tolerance: largest deviation [rad, m], one number or (n,).
     At an end where the samples rest, to the resolution of the fit, all derivatives of the fit are exactly zero.
     """
     best = None

@@ -45,7 +45,7 @@ def _when(parameter: Parameter, managed: bool) -> str:
 
 def _constraints(parameter: Parameter) -> str:
     if parameter.choices:
-        return f"one of {', '.join(parameter.choices)}"
+        return f"one of {parameter.listed_choices}"
     if parameter.infinite:
         least = f"at least {parameter.minimum}, " if math.isfinite(parameter.minimum) else ""
         return f"{least}infinite for none"

@@ -14,6 +14,7 @@ from rclpy.parameter import Parameter as RosParameter
 from fjr_core import FjrError, ParameterError
 from fjr_core.config import builders, robot_file
 from fjr_core.config.parameter import Parameter, Value, complete, unknown
+from fjr_core.config.user_options import is_option
 
 from .command_line import overruled, same_value
 from .descriptor import descriptor
@@ -106,7 +107,7 @@ class ParameterNode(EndingNode):
             for name in self.get_parameters_by_prefix("")
             if not name.startswith(_FOREIGN)
         }
-        for name in given.keys() & builders.names_of_others(self._own):
+        for name in [name for name in given if builders.is_of_others(self._own, name)]:
             self.undeclare_parameter(name)
             del given[name]
         return given
@@ -177,7 +178,7 @@ class ParameterNode(EndingNode):
         try:
             self._check_clock(parameters)
             if new and self.is_open():
-                self._refuse_unknown(new)
+                self._refuse_unknown({name: value for name, value in new.items() if not self._may_be_option(name)})
             elif new:
                 values = {**self.values, **self._checked_change(new)}
                 self.changed(values, set(new))
@@ -200,6 +201,10 @@ class ParameterNode(EndingNode):
             if not self._parameters_by_name[name].dynamic:
                 raise ParameterError(f"parameter '{name}' can be set only {self._when_open}")
         return {name: self._parameters_by_name[name].check(value) for name, value in new.items()}
+
+    def _may_be_option(self, name: str) -> bool:
+        """Return True for the name of an option of a class of the user that may be named before the next `recheck`."""
+        return is_option(getattr(self, "_parameters_by_name", {}).values(), name)
 
     def _refuse_unknown(self, new: Mapping[str, object]) -> None:
         known = getattr(self, "_parameters_by_name", None)

@@ -104,10 +104,10 @@ def lifecycle(**given: Any) -> Any:
 @click.option("--lead", type=options.SECONDS, metavar="S", default=2.0, help="Time in which to reach the first sample.")
 @click.option(
     "--tolerance",
-    type=options.DISTANCE,
-    metavar="RAD",
-    default=1e-3,
-    help="Largest distance of the smoothed motion from the samples; 0: interpolate them.",
+    type=options.distances,
+    metavar="D[,D..]",
+    default="0.001",
+    help="Largest distance [rad, m] of the smoothed motion from the samples, one or one per joint; 0: interpolate.",
 )
 @click.option("--namespace", metavar="NS", default="/", help="Namespace of the nodes.")
 @click.option("--controller", metavar="NAME", default="fjr_controller", help="Name of the controller node.")

@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import threading
 from pathlib import Path
 
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_bringup.studies.comparison import job, markdown, pool, report, results, suite
+from fjr_core.control.static_law import StaticLaw
+from fjr_core.files.python_class import is_named, load
 
 PAGE, RESULTS, CACHE = "comparison.html", "comparison.json", "kept"
 
@@ -24,6 +27,12 @@ def compare(name: str, output: Path, cores: int | None, page: Path | None, stop:
     chosen = suite.load(library.find(name, "suite"))
     if page is not None:
         markdown.check(page)
+    for law in chosen.laws:
+        if is_named(law.law) and not issubclass(load(law.law), StaticLaw):
+            print(
+                f"fjr: {law.law} is evaluated in Python: its runs are not compiled, so they take longer",
+                file=sys.stderr,
+            )
     jobs = job.jobs(chosen)
     folder = output / f"compare_{chosen.name}"
     found = pool.run(jobs, folder / CACHE, cores or len(os.sched_getaffinity(0)), stop)

@@ -18,6 +18,7 @@ from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.experiments.comparison import MotionDemand, Trial, directions, motion_demand
 from fjr_core.experiments.comparison.tuned_law import TunedLaw, tuned_law
+from fjr_core.files.python_class import is_named, load, source_digest
 from fjr_core.numerics.jit import can_compile
 from fjr_core.numerics.jit_cache import program_digest
 from fjr_core.simulation.batch import ClosedLoop
@@ -48,8 +49,9 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Cache key: hash of this job, fjr_core, CasADi, the compiler and this module."""
-        return hashlib.sha256((json.dumps(asdict(self)) + _source()).encode()).hexdigest()[:32]
+        """Cache key: hash of this job, fjr_core, CasADi, the compiler, this module and that of a law of the user."""
+        own = source_digest(load(self.law.law)) if is_named(self.law.law) else ""
+        return hashlib.sha256((json.dumps(asdict(self)) + _source() + own).encode()).hexdigest()[:32]
 
 
 def jobs(suite: Suite) -> list[Job]:
@@ -65,7 +67,7 @@ def work(job: Job, on_progress: OnProgress) -> Result:
     first = next(iter(scenarios.values()))
     wanted = {label: _needs(job, label, scenario) for label, scenario in scenarios.items()}
     try:
-        chosen = tuned_law(job.law.law, job.law.robust, first, job.law.retune)
+        chosen = tuned_law(job.law.law, job.law.robust, first, job.law.retune, job.law.options)
     except FjrError as error:
         raise CompareError(f"{job.name}: {error}") from None
     cells: Result = {}
@@ -118,6 +120,7 @@ def _trial(job: Job, scenario: Scenario, chosen: TunedLaw, wanted: MotionDemand)
         inner_steps=int(scenario.plant_values["inner_steps"]),  # type: ignore[arg-type]
         settle_after=job.settle_after,
         band=SETTLED * wanted.motion,
+        plant=scenario.plant,
     )
     return Trial(loop, wanted, chosen.effort_limit, job.tracks)
 

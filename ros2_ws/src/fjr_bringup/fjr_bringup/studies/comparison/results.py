@@ -12,7 +12,7 @@ from typing import Any
 from fjr_bringup.formatting import DASH, number, percent, plural
 from fjr_bringup.studies.comparison.job import Job, Result
 from fjr_bringup.studies.comparison.suite import NOMINAL, Suite
-from fjr_core.control.registry import LAWS
+from fjr_core.control.registry import law_kind
 from fjr_core.experiments.comparison.perturbations import PERTURBATIONS, Direction, directions
 
 SHORT = {
@@ -54,7 +54,7 @@ def law_without_additions(law: dict[str, Any]) -> str:
 
 def _described(law: dict[str, Any]) -> dict[str, Any]:
     """Return a law of the suite with its data that do not depend on the robot; title: its label, else the law's."""
-    name, kind = str(law["law"]), LAWS[law["law"]]
+    name, kind = str(law["law"]), law_kind(law["law"])
     title = str(law["label"]) if law["label"] != name else SHORT.get(name, kind.title)
     data = {"full_title": kind.title, "paper": kind.paper, "measures": kind.measures, "adds": kind.adds}
     return {**law, "title": title, **data}

@@ -17,6 +17,8 @@ from fjr_core.errors import CompareError, FjrError
 from fjr_core.experiments.comparison.perturbations import directions, known
 from fjr_core.experiments.comparison.trial import TRACKS
 from fjr_core.experiments.monte_carlo.sweep import refuse_what_is_left_out
+from fjr_core.files.python_class import is_named
+from fjr_core.files.python_class import load as load_class
 
 REQUIRED = ("laws", "robots")
 KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks")
@@ -31,12 +33,14 @@ class LawChoice:
     """A column: label, law, robust options.
 
     retune: v-dPBC with gains by the rule of docs/baselines.md; otherwise with the gains of the scenario.
+    options: arguments of the constructor of a law of the user, module:Class.
     """
 
     label: str
     law: str
     robust: Mapping[str, float] = field(default_factory=dict)
     retune: bool = False
+    options: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -113,24 +117,28 @@ def _law(given: Any) -> LawChoice:
     options = {**_mapping("a law", given)}
     label, law = str(options.pop("label", options.get("law"))), _known_law(options.pop("law", None))
     robust = _mapping(f"'robust' of {label}", options.pop("robust", {}))
-    gains = options.pop("gains", None)
+    gains, own = options.pop("gains", None), _mapping(f"'options' of {label}", options.pop("options", {}))
+    if own and not is_named(law):
+        raise CompareError(f"law '{label}' has options; expected them for a law of your own, module:Class")
     if gains not in (None, *GAINS) or (gains and law != V_DPBC):
         raise CompareError(
             f"'gains' of {label} is {gains!r}; expected {' or '.join(GAINS)}, for {V_DPBC} only, other laws are tuned"
         )
     for key in options:
-        raise CompareError(f"law '{label}' has an unknown key '{key}'; expected label, law, robust, gains")
+        raise CompareError(f"law '{label}' has an unknown key '{key}'; expected label, law, robust, gains, options")
     for key in robust:
         if key not in ROBUST:
             raise CompareError(f"law '{label}' has an unknown robust option '{key}'; expected {', '.join(ROBUST)}")
     numbers = {key: _number(f"robust.{key}", value, lambda v: v >= 0) for key, value in robust.items()}
-    return LawChoice(label, law, numbers, gains == TUNED)
+    return LawChoice(label, law, numbers, gains == TUNED, own)
 
 
 def _known_law(name: Any) -> str:
-    if not isinstance(name, str) or name not in LAWS:
-        raise CompareError(f"unknown law '{name}': expected one of {', '.join(LAWS)}")
-    return name
+    if is_named(name):
+        load_class(name)
+    elif not isinstance(name, str) or name not in LAWS:
+        raise CompareError(f"unknown law '{name}': expected one of {', '.join(LAWS)}, or module:Class of your own")
+    return str(name)
 
 
 def _robot(label: str, given: Any) -> RobotChoice:

@@ -32,6 +32,8 @@ from fjr_core.experiments.monte_carlo.sweep import Sweep
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n}/{total} runs, {rate_fmt}, {remaining} left"
 SLOW = "no C compiler found: the runs are interpreted, about a thousand times slower; expected a compiler, e.g. gcc"
 
+IN_PYTHON = "law or plant are evaluated in Python: the runs are not compiled, and --cores does not speed them up"
+
 
 @dataclass(frozen=True)
 class Options:
@@ -65,8 +67,10 @@ def sweep(name: str | None, options: Options, stop: threading.Event) -> Result:
     """Run the study, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted."""
     plan = planned(name, options)
     plan.refuse_stiff_friction()
-    if options.scheduler is None and not plan.loop.compiled:
+    if options.scheduler is None and not (plan.loop.compiled or plan.loop.in_python):
         print(f"fjr: {SLOW}", file=sys.stderr)
+    if plan.loop.in_python:
+        print(f"fjr: {IN_PYTHON}", file=sys.stderr)
     folder = options.output / plan.name
     with open_store(folder, plan, plan.loop.fingerprint) as store:
         with cluster(options.scheduler) if options.scheduler else threads(options.cores) as workers:

@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 
 from ...config.scenario import Scenario
+from ...control.python_law import own_law
 from ...control.robust import Robust, sampled_law
 from ...control.sampled_law import SampledLaw
+from ...control.static_law import StaticLaw
+from ...files.python_class import is_named
 from ...numerics.checks import Array
 from ...stability.sampled_loop import spectral_radius
 from ...tuning.equal_bandwidth import BaselineTarget, tune
@@ -32,19 +35,39 @@ class TunedLaw:
     tuning: str
 
 
-def tuned_law(name: str, robust: Mapping[str, float], scenario: Scenario, retune: bool = False) -> TunedLaw:
+def tuned_law(
+    name: str,
+    robust: Mapping[str, float],
+    scenario: Scenario,
+    retune: bool = False,
+    options: Mapping[str, Any] | None = None,
+) -> TunedLaw:
     """Return the law of this name for robot, start and reference of the scenario.
 
     v-dPBC keeps the gains of the scenario unless retune. robust: fields of Robust except hold, which is the sample
-    period. Raises FjrError if there is no such law or no stable gains.
+    period. A law of the user, module:Class, is not tuned: it has its options, arguments of its constructor. Raises
+    FjrError if there is no such law or no stable gains.
     """
     robot, n = scenario.robot, scenario.robot.n
     start = scenario.x0[: 2 * n], np.hstack(robot.velocities(scenario.x0))
     baseline_target = BaselineTarget(robot, scenario.reference, scenario.gains, start, scenario.sample_period)
+    hold = Robust(**robust, hold=scenario.sample_period)
+    if is_named(name):
+        own, options = own_law(name, robot, options or {}, compile=False), options or {}
+        law = sampled_law(own, hold)
+        return TunedLaw(
+            law, baseline_target.effort_limit, dict(options), _own(own, baseline_target) + _unstable(law, scenario)
+        )
     found = tune(name, baseline_target, retune=retune)
-    law = sampled_law(found.law, Robust(**robust, hold=scenario.sample_period))
+    law = sampled_law(found.law, hold)
     gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}
     return TunedLaw(law, found.effort_limit, gains, found.sentence + _unstable(law, scenario))
+
+
+def _own(law: StaticLaw, target: BaselineTarget) -> str:
+    """Return bandwidth and peak effort of a law that is not tuned."""
+    bandwidth, peak = target.bandwidth_of(law) / target.bandwidth, target.peak_of(law) / target.peak
+    return f"not tuned: bandwidth {bandwidth:.2g} times the target, peak effort {peak:.2g} times the target"
 
 
 def _unstable(law: SampledLaw, scenario: Scenario) -> str:

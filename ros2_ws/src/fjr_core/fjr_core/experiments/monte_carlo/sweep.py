@@ -88,7 +88,7 @@ class Sweep:
         s = self.scenario
         return ClosedLoop(
             s.plant.robot, s.sampled_law, s.reference, s.x0, self.duration, s.sample_period,
-            int(s.plant_values["inner_steps"]), self.settle_after, self.band, self.lost,  # type: ignore[arg-type]
+            int(s.plant_values["inner_steps"]), self.settle_after, self.band, self.lost, s.plant,  # type: ignore[arg-type]
         )  # fmt: skip
 
     def refuse_stiff_friction(self) -> None:

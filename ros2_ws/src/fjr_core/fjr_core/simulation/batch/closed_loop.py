@@ -15,6 +15,7 @@ from ...control.sampled_law import SampledLaw
 from ...errors import StateError
 from ...numerics import checks
 from ...numerics.checks import Array
+from ...robot.port_hamiltonian import Plant
 from ...robot.robot import Robot
 from ...trajectories.reference import Reference
 from ..closed_loop import check_joints
@@ -43,8 +44,9 @@ class ClosedLoop:
     sample_period [s]. inner_steps: Runge-Kutta steps of order 4 per sample (more if a delay divides the sample).
     settle_after [s], band [rad]: see Outcomes. lost [rad]: a run ends as not stable if a link error exceeds it or a
     number is not finite. The loop is compiled once and cached; without a C compiler it runs in Python, some thousand
-    times slower. The results of a run depend only on its own draws, to the last bit. Raises StateError and
-    ParameterError.
+    times slower. plant: a plant in Python that replaces the equations of motion of the robot. Neither it nor a law in
+    Python is compiled. The results of a run depend only on its own draws, to the last bit. Raises StateError and
+    ParameterError, and UserCodeError for a failure of a law or plant in Python.
     """
 
     robot: Robot
@@ -57,6 +59,7 @@ class ClosedLoop:
     settle_after: float = 1.0
     band: float = 0.01
     lost: float = np.pi / 2
+    plant: Plant | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "x0", checks.vector("x0", self.x0, 4 * self.robot.n, StateError))
@@ -78,6 +81,11 @@ class ClosedLoop:
     def compiled(self) -> bool:
         """Return whether runs are compiled here; compiles them."""
         return self._program.library is not None
+
+    @property
+    def in_python(self) -> bool:
+        """Return whether law or plant are in Python, so that runs are never compiled."""
+        return self._program.in_python
 
     @property
     def fingerprint(self) -> str:
@@ -102,6 +110,7 @@ class ClosedLoop:
         values["ring"] = int(ages.max(initial=0)) + 1
         if self._program.library is None:
             python_loop.run(self._program, values)
+            self._program.raise_failure()
             return rows
         ring = np.zeros((LANES, values["ring"], self.robot.n))
         filled = batch(**values)
@@ -112,6 +121,8 @@ class ClosedLoop:
     def _drawn(self, draws: Draws) -> dict[str, NDArray[Any]]:
         n = self.robot.n
         parts = {name: draws.columns(name, n) for name in uncertain_robot.NAMES}
+        if self.plant is not None and self.plant.in_python:
+            uncertain_robot.refuse(parts)
         full = np.hstack([parts[name] != 0 for name in (*uncertain_robot.FRICTION, "payload_mass")]).any(axis=1)
         sensing = [draws.columns(name, n) for name in ("position_noise", "velocity_noise", "resolution")]
         segments, dt = _segments(draws.columns("delay", n)[:, 0], self.sample_period, self.inner_steps)
@@ -159,7 +170,7 @@ class ClosedLoop:
 
     @cached_property
     def _program(self) -> Program:
-        return Program(self.robot, self.law)
+        return Program(self.robot, self.law, self.plant)
 
 
 def _segments(delay: Array, period: float, inner_steps: int) -> tuple[NDArray[np.int64], Array]:

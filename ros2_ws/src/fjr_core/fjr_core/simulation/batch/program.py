@@ -14,12 +14,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ...control.sampled_law import ARGUMENTS, SampledLaw
+from ...control.sampled_law import ARGUMENTS, SampledLaw, in_python, raise_failure
+from ...files.python_class import source_digest
 from ...numerics.casadi_function import dense_function
-from ...numerics.jit import loaded
+from ...numerics.jit import compiled, loaded
 from ...numerics.jit_cache import program_digest
+from ...robot.port_hamiltonian import Plant
 from ...robot.robot import Robot
-from .uncertain_robot import UncertainPlant, layout
+from .uncertain_robot import UncertainPlant, UncertainPythonPlant, layout
 
 LANES = 4
 """Number of interleaved runs."""
@@ -55,30 +57,60 @@ def batch(**values: object) -> Batch:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """CasADi functions of law and plants without V, and the library compiled from them."""
+    """CasADi functions of law and plants without V, and the library compiled from them.
+
+    plant: replaces the equations of motion of the robot if it is in Python.
+    """
 
     robot: Robot
     law: SampledLaw
+    plant: Plant | None = None
+
+    @property
+    def in_python(self) -> bool:
+        """Return whether law or plant are evaluated in Python, so that no library can be compiled."""
+        return in_python(self.law) or (self.plant is not None and self.plant.in_python)
+
+    def raise_failure(self) -> None:
+        """Raise the error of an evaluation in Python since the last call."""
+        raise_failure(self.law)
+        if self.plant is not None:
+            self.plant.raise_failure()
 
     @cached_property
     def functions(self) -> Mapping[str, ca.Function]:
         """Return the functions by their names in loop.c."""
-        plants = {"plain": UncertainPlant(self.robot, False, False), "full": UncertainPlant(self.robot, True, True)}
-        made = [self._law()]
+        made, plants = [self._law()], self._plants()
         for name, plant in plants.items():
             made += [plant.step(f"{name}_step"), plant.velocity(f"{name}_velocity"), plant.state(f"{name}_state")]
         return {function.name(): function for function in made}
+
+    @cached_property
+    def bindable(self) -> Mapping[str, ca.Function]:
+        """Return the functions for the loop in Python; beside a law in Python the plants are machine code."""
+        if not self.in_python or (self.plant is not None and self.plant.in_python):
+            return self.functions
+        return {name: f if name == "law" else compiled(f) for name, f in self.functions.items()}
+
+    def _plants(self) -> dict[str, UncertainPlant]:
+        if self.plant is not None and self.plant.in_python:
+            return dict.fromkeys(("plain", "full"), UncertainPythonPlant(self.plant))
+        return {"plain": UncertainPlant(self.robot, False, False), "full": UncertainPlant(self.robot, True, True)}
 
     @cached_property
     def fingerprint(self) -> str:
         """Return a hash that differs for programs whose results may differ, also with and without machine code."""
         around = program_digest(self.library is not None)
         parts = [function.serialize() for function in self.functions.values()] + [around]
+        owners = (getattr(part, "own", None) for part in (getattr(self.law, "law", self.law), self.plant))
+        parts += [source_digest(type(own)) for own in owners if own is not None]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     @cached_property
     def library(self) -> ctypes.CDLL | None:
-        """Return the compiled library; None without a C compiler."""
+        """Return the compiled library; None without a C compiler, and with a law or a plant in Python."""
+        if self.in_python:
+            return None
         library = loaded("batch", list(self.functions.values()), self._around)
         if library is not None:
             library.run_batch.argtypes = [ctypes.POINTER(Batch), ctypes.c_longlong, ctypes.c_longlong, _DOUBLES]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Python equivalent of loop.c for machines without a C compiler: same results, some thousand times slower."""
+"""Python equivalent of loop.c, for a law or plant in Python and machines without a C compiler: same results, slower."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...numerics.casadi_function import NumericFunction
 from ...numerics.checks import Array
 from . import counter_rng
 from .outcomes import FIELDS
@@ -28,10 +29,11 @@ class _One:
         self.c, self.i, self.n = c, i, program.robot.n
         kind = "full" if c["full"][i] else "plain"
         self.law, self.step, self.velocity, state = (
-            program.functions[name] for name in ("law", f"{kind}_step", f"{kind}_velocity", f"{kind}_state")
+            NumericFunction(program.bindable[name])
+            for name in ("law", f"{kind}_step", f"{kind}_velocity", f"{kind}_state")
         )
         self.parameters = c["parameters"][i]
-        self.x = _vector(state(c["position"], c["velocity"], self.parameters))
+        self.x = state(c["position"], c["velocity"], self.parameters)[0]
         self.memory = c["memory"].copy()
         self.sent: list[NDArray[Any]] = [np.zeros(self.n)]
         self.errors: list[NDArray[Any]] = []
@@ -69,11 +71,10 @@ class _One:
         self.errors.append(error)
         if not (np.all(error <= c["lost"]) and self.x @ self.x < np.inf):
             return False
-        exact = _vector(self.velocity(self.x, self.parameters))
+        exact = self.velocity(self.x, self.parameters)[0]
         position, velocity = self._measured(k, self.x[: 2 * n].copy(), exact.copy())
         dt = c["period"] if k else 0.0
-        u, memory = self.law(position, velocity, c["jets"][k].T, c["gains"], self.memory, self.sent[-1], dt)
-        wanted, self.memory = _vector(u), _vector(memory)
+        wanted, self.memory = self.law(position, velocity, c["jets"][k], c["gains"], self.memory, self.sent[-1], dt)
         if not wanted @ wanted < np.inf:
             return False
         u = np.clip(wanted, -c["limit"][self.i], c["limit"][self.i])
@@ -99,7 +100,7 @@ class _One:
         for (age, steps), dt in zip(self.c["segments"][self.i], self.c["dt"][self.i], strict=True):
             u = self.sent[k - age + 1] if k >= age else np.zeros(self.n)
             for _ in range(steps):
-                self.x = _vector(self.step(self.x, u, self.parameters, dt))
+                self.x = self.step(self.x, u, self.parameters, dt)[0]
 
 
 def normals(seed: int, sample: int, n: int) -> Array:
@@ -108,7 +109,3 @@ def normals(seed: int, sample: int, n: int) -> Array:
     first, second = np.moveaxis(counter_rng.unit(drawn).reshape(n, 2, 2), 2, 0)
     radius, angle = np.sqrt(-2 * np.log(1 - first)), 2 * np.pi * second
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=2).reshape(n, 4)
-
-
-def _vector(value: Any) -> Array:
-    return np.asarray(value.full().ravel(), dtype=float)

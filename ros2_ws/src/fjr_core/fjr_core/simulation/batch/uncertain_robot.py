@@ -15,12 +15,14 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 
+from ...errors import ParameterError
 from ...numerics import integrators, symbolic
 from ...numerics.casadi_function import dense_function
 from ...numerics.checks import Array
 from ...numerics.packed_vector import PackedVector
+from ...robot.coordinates import Coordinates
 from ...robot.payload import PayloadArm
-from ...robot.port_hamiltonian import derivative_expression, gradient_expression
+from ...robot.port_hamiltonian import Plant, derivative_expression, gradient_expression
 from ...robot.rigid_arm import ArmDynamics, RigidArm
 from ...robot.robot import Robot
 from ..nonideal_plant import friction
@@ -158,7 +160,47 @@ class UncertainPlant:
 
     @staticmethod
     def _torque(v: ca.SX, level: ca.SX, p: SimpleNamespace) -> ca.SX:
-        return friction(v, level, level, ca.SX(1), p.smoothing)
+        return friction(v, level, level, ca.DM(1), p.smoothing)
+
+
+class UncertainPythonPlant(UncertainPlant):
+    """A plant in Python with drawn friction and external torques; its own parameters are not drawn (see `refuse`)."""
+
+    def __init__(self, plant: Plant) -> None:
+        super().__init__(plant.robot, friction=True, payload=False)
+        self._plant = plant
+
+    @cached_property
+    def dynamics(self) -> ca.Function:
+        """Return UncertainPlant.dynamics, of MX symbols."""
+        n = self.robot.n
+        s = symbolic.symbols(ca.MX, x=4 * n, inputs=n + layout(n).size)
+        x, inputs = s.values()
+        u, parameters = ca.vertsplit(inputs, [0, n, inputs.numel()])
+        p = layout(n).named(parameters)
+        dq_l, dq_m = ca.vertsplit(Coordinates(self.robot).to_velocities(x), n)
+        links, motors = p.external - self._torque(dq_l, p.coulomb_l, p), -self._torque(dq_m, p.coulomb_m, p)
+        dx = self._plant.dynamics(x, u) + ca.vertcat(ca.DM.zeros(2 * n), links, motors)
+        return dense_function("uncertain_dynamics", s, {"dx": dx})
+
+    def step(self, name: str) -> ca.Function:
+        """Return UncertainPlant.step, of MX symbols."""
+        n = self.robot.n
+        s = symbolic.symbols(ca.MX, x=4 * n, u=n, parameters=layout(n).size, dt=1)
+        x, u, parameters, dt = s.values()
+        x_next = integrators.rk4_expression(self.dynamics, x, (ca.vertcat(u, parameters),) * 3, dt)
+        return dense_function(name, s, {"x_next": x_next})
+
+
+def refuse(parts: dict[str, Array]) -> None:
+    """Raise ParameterError if runs of a plant in Python change parameters that only eq. (36) has."""
+    nominal = {**dict.fromkeys(SCALED, 1.0), "payload_mass": 0.0}
+    changed = [name for name, value in nominal.items() if np.any(parts[name] != value)]
+    if changed:
+        raise ParameterError(
+            f"{', '.join(changed)} of a run {'are' if len(changed) > 1 else 'is'} not nominal; expected the nominal "
+            "value for a plant in Python, which has its own parameters plant.options.*"
+        )
 
 
 def vector(parts: dict[str, Array]) -> Array:

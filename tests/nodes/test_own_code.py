@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes run a law and a plant of the user by their name module:Class, and end or stop with one sentence."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+
+import fjr_core as fjr
+import own_code
+from fjr_controller.controller_node import SUCCESS
+from nodes.harness import Listener, Peer, Ros, stamped
+
+
+def test_publishes_the_effort_of_the_law_with_its_options(ros: Ros, peer: Peer) -> None:
+    node = ros.controller(law__type="own_code:Pd", law__options__K_p=30.0, law__options__weights=[2.0])
+    law = own_code.Pd(fjr.single_link(), K_p=30.0, weights=(2.0,))
+    assert node.get_parameter("law.options.K_d").value == 2.0
+    assert "or module:Class of your own" in node.describe_parameter("law.type").additional_constraints
+    peer.meet_controller()
+    for k in range(3):
+        t, position, velocity = 0.001 * k, [0.5, 0.5 + 0.02 * k], [0.1 * k, -0.1 * k]
+        command = peer.ask(stamped(t, position, velocity))
+        expected = law.effort(np.array(position), np.array(velocity), fjr.Sine(1.0, 1.0).jets(t))
+        np.testing.assert_allclose(command.effort, expected, rtol=1e-9)
+
+
+def test_an_exception_in_the_law_stops_the_arm_and_the_node_continues(ros: Ros, peer: Peer) -> None:
+    ros.controller(law__type="own_code:FailsAtSpeed")
+    peer.meet_controller()
+    assert peer.ask(stamped(0.0, 0.2)).effort[0] != 0.0
+    for k in range(1, 4):
+        assert peer.ask(stamped(0.001 * k, 0.2, [0.0, -0.1])).effort[0] == 0.0
+    ros.until(lambda: peer.count("stops: law", "fjr_controller"), "the counter")
+
+
+def test_own_law_and_own_plant_track_in_lock_step(ros: Ros) -> None:
+    listener = Listener(ros, only=["fjr_controller/tracking_error", "joint_commands"])
+    ros.controller(law__type="own_code:Wrapped", start__join_time=0.2)
+    ros.plant(lockstep=True, plant__type="own_code:Ideal", plant__options__damping=0.01)
+    ros.until(lambda: len(listener.errors) >= 600, "600 answers")
+    assert np.isfinite([command.effort for command in listener.commands]).all()
+    assert max(abs(error.position[0]) for error in listener.errors[550:600]) < 0.02
+
+
+def test_options_are_ignored_by_the_other_node_and_fixed_while_the_node_is_active(ros: Ros) -> None:
+    ros.plant(law__type="own_code:Pd", law__options__K_p=30.0)
+    node = ros.controller(law__type="own_code:Pd", law__options__K_p=30.0, plant__options__damping=1.0)
+    (result,) = node.set_parameters([Parameter("law.options.K_p", value=40.0)])
+    assert not result.successful
+    assert "'law.options.K_p' can be set only while the node is unconfigured" in result.reason
+
+
+def test_law_and_options_change_while_the_node_is_unconfigured(ros: Ros) -> None:
+    node = ros.controller(autostart=False)
+    for name, value in {"law.type": "own_code:Pd", "law.options.K_p": 30.0}.items():
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        assert result.successful, result.reason
+    (result,) = node.set_parameters([Parameter("law.option.K_p", value=30.0)])
+    assert "unknown parameter 'law.option.K_p'" in result.reason
+    assert node.trigger_configure() == SUCCESS
+    assert (node.values["law.options.K_p"], node.values["law.options.K_d"]) == (30.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("node", "parameters", "words"),
+    [
+        ("controller", {"law__type": "own_code:WrongShape"}, r"u of WrongShape has shape \(2,\)"),
+        ("controller", {"law__type": "own_code:Missing"}, "module own_code has no class Missing"),
+        ("controller", {"law__type": "not_there:Law"}, "module not_there of 'not_there:Law' is not found"),
+        ("controller", {"law__type": "own_code:Changes"}, "Changes raises ValueError: output array is read-only"),
+        ("plant", {"plant__type": "own_code:NoMethod"}, "NoMethod has no method derivative"),
+        ("plant", {"plant__type": "own_code:Ideal", "integrator": "implicit_midpoint"}, "expected 'rk4'"),
+    ],
+)
+def test_what_cannot_run_is_refused_by_the_constructor(ros: Ros, node: str, parameters: dict, words: str) -> None:
+    with pytest.raises(fjr.FjrError, match=words):
+        getattr(ros, node)(**parameters)
