@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 from fjr_bringup.cli.exit_codes import Exit
 
-SHORT = "0.5"  # s of stamped time for recording commands
+SHORT = "0.2"  # s of stamped time for recording commands
 
 NOT_RUN = {
     "make": "sets up a whole checkout; `make test` would run this test again",

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -15,15 +15,19 @@ from fjr_bringup.runner import trajectory_client
 from fjr_controller.controller_node import ControllerNode
 from nodes.harness import PATIENCE, Listener, Peer, Ros, seconds, stamped
 from system.documented import documented_keys
-from system.executables import NODES, Executable, fjr, fjr_here
+from system.executables import LOCKSTEP, SLOW, fjr, fjr_here, running
 
 pytestmark = pytest.mark.system
 T = np.arange(1001) / 1000  # s
 MOTION = 0.5 * (1 - np.cos(3 * T)) ** 3
-OPTIONS = {
-    "plant": ("-p", "lockstep:=true"),
-    "controller": ("-p", "use_sim_time:=true", "-p", "reference.type:=hold", "-p", "limits.acceleration:=[200.0]"),
-}
+HOLDING = ("-p", "reference.type:=hold", "-p", "limits.acceleration:=[200.0]")
+FAST = {**LOCKSTEP, "plant": (*LOCKSTEP["plant"], "-p", "publish_rate:=200.0")}
+"""A motion of a second is 200 messages, which wait in the queue of a listener that gets no core."""
+
+
+def holding(loop: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+    """Return the ROS arguments of a loop whose controller holds the arm until a motion is sent."""
+    return {**loop, "controller": (*loop["controller"], *HOLDING)}
 
 
 def motion_file(folder: Path, q: np.ndarray, header: str = "time,joint1") -> str:
@@ -32,26 +36,22 @@ def motion_file(folder: Path, q: np.ndarray, header: str = "time,joint1") -> str
 
 
 @pytest.fixture
-def listener(ros: Ros) -> Iterator[Listener]:
-    """Plant and controller as processes in lock-step, and a listener in this process."""
-    heard = Listener(ros, only=["fjr_controller/reference", "fjr_controller/tracking_error"])
-    started = [Executable(*NODES[node], "--ros-args", *OPTIONS[node]) for node in NODES]
-    ros.until(lambda: heard.references, "the controller")
-    yield heard
-    for executable in started:
-        executable.kill()
+def listener(ros: Ros) -> Listener:
+    return Listener(ros, only=["fjr_controller/reference", "fjr_controller/tracking_error"])
 
 
 def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, listener: Listener, tmp_path: Path) -> None:
     file = motion_file(tmp_path, MOTION)
-    with ThreadPoolExecutor(1) as worker:
-        sent = worker.submit(fjr, "send", file, "--lead", "0.5", "--scenario", "paper_k31", "--json")
+    with running(holding(FAST)), ThreadPoolExecutor(1) as worker:
+        ros.until(lambda: listener.references, "the controller")
+        sent = worker.submit(fjr, "send", file, "--lead", "3", "--scenario", "paper_k31", "--json")
         ros.until(sent.done, "the end of fjr send")
         assert "through every sample the motion of the file would ask for" in sent.result()
         assert set(json.JSONDecoder().raw_decode(sent.result())[0]) == documented_keys()["send"]
-    ros.until(lambda: listener.references[-1].position[0] > 0.4 and _rests(listener), "the end of the motion")
+        ros.until(lambda: listener.references[-1].position[0] > 0.4 and _rests(listener), "the end of the motion")
     t, q = (np.array(each) for each in zip(*((seconds(m), m.position[0]) for m in listener.references), strict=True))
-    begin = t[np.argmax(q > MOTION[600])] - T[601]
+    rising = (q > MOTION[300]) & (q < MOTION[900])
+    begin = np.median(t[rising] - np.interp(q[rising], MOTION, T))
     inside = (t > begin + 0.05) & (t < begin + 0.95)
     assert np.count_nonzero(inside) > 100
     np.testing.assert_allclose(q[inside], np.interp(t[inside] - begin, T, MOTION), atol=0.01)
@@ -97,7 +97,6 @@ def test_a_motion_is_refused_with_the_reason(
     ros: Ros, listener: Listener, tmp_path: Path, header: str, code: int, reason: str
 ) -> None:
     file = motion_file(tmp_path, MOTION + 1.0, header)
-    with ThreadPoolExecutor(1) as worker:
-        sent = worker.submit(fjr, "send", file, "--lead", "0.05", code=code)
-        ros.until(sent.done, "the end of fjr send")
-        assert reason in sent.result()
+    with running(holding(SLOW)):
+        ros.until(lambda: listener.references, "the controller")
+        assert reason in fjr_here("send", file, "--lead", "0.05", code=code)
