@@ -7,18 +7,18 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 from envsetup import pins
-from envsetup.console import clean_environment
+from envsetup.console import PREFIX, SetupError, Step, clean_environment, run_logged
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("fjr_core", "fjr_msgs_py", "fjr_plant", "fjr_controller", "fjr_bringup")
 COPIED = ("README.md", "LICENSE", "pyproject.toml", "requirements", "ros2_ws/src")
 """What the wheels are made of; they are built in a copy, so that no file of an earlier build enters."""
+LOG = ROOT / ".setup" / "wheels.log"
 OPTIONS = ("--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check", "--quiet")
 
 
@@ -33,7 +33,10 @@ def build(target: Path) -> list[Path]:
         pin_ros(source / "requirements" / "ros-wheels.txt")
         folders = [str(source), *(str(source / "ros2_ws" / "src" / name) for name in PACKAGES)]
         command = [sys.executable, "-m", "pip", "wheel", *OPTIONS, "--wheel-dir", str(target), *folders]
-        subprocess.run(command, check=True, env=clean_environment(sourced_ros=False))
+        with Step("wheels") as step:
+            run_logged(
+                command, LOG, clean_environment(sourced_ros=False), step, failure="pip could not build the wheels"
+            )
     return sorted(target.glob("fjr*.whl"))
 
 
@@ -61,8 +64,8 @@ def main() -> int:
     target = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "build" / "wheels"
     try:
         wheels = build(target)
-    except subprocess.CalledProcessError as error:
-        print(f"pip could not build the wheels (exit code {error.returncode})", file=sys.stderr)
+    except SetupError as error:
+        print(f"{error.details}\n{PREFIX} {error}", file=sys.stderr)
         return 1
     for wheel in wheels:
         print(wheel)

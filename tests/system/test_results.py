@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from fjr_bringup import progress
-from fjr_bringup.analysis.power_balance import power
+from fjr_bringup.analysis.controller_stop import ControllerStop
+from fjr_bringup.analysis.power_balance import Power, power
 from fjr_bringup.cli.app import fjr as application
 from fjr_bringup.cli.app import main
 from fjr_bringup.cli.exit_codes import Exit
@@ -116,6 +117,11 @@ def with_answers(summary: RunSummary, in_time: float, causes: tuple[str, ...], l
     return replace(summary, report=replace(report, counts=counts, verdict=verdict, lockstep=lockstep))
 
 
+def flow_of(summary: RunSummary) -> Power:
+    """Return the power balance of a run."""
+    return power(summary.data, load_scenario(Path(summary.report.bag).parent / "scenario.yaml").robot.B_m)
+
+
 @pytest.mark.parametrize(("in_time", "causes"), [(0.5, ("model mismatch",)), (0.97, ("delay",)), (0.97, ("loss",))])
 def test_slow_machine_is_told_to_use_lock_step(summary: RunSummary, in_time: float, causes: tuple[str, ...]) -> None:
     found = with_answers(summary, in_time, causes)
@@ -131,8 +137,7 @@ def test_slow_machine_is_told_to_use_lock_step(summary: RunSummary, in_time: flo
 
 def test_pages_of_a_slow_machine_advise_lock_step(summary: RunSummary, tmp_path: Path) -> None:
     found = with_answers(summary, 0.5, ("delay",))
-    flow = power(found.data, load_scenario(Path(found.report.bag).parent / "scenario.yaml").robot.B_m)
-    write_run_page(tmp_path / "report.html", found.data, found.report, flow)
+    write_run_page(tmp_path / "report.html", found.data, found.report, flow_of(found))
     for page in (tmp_path / "report.html", compare([found, found], tmp_path)):
         said = page.read_text(encoding="utf-8")
         assert html.HEADINGS["late"] in said
@@ -151,6 +156,21 @@ def test_violation_that_the_machine_does_not_explain_stays(
     assert (found.report.status, found.report.advice) == ("violated", "")
     assert "violated" in table([found])
     assert _result([found]).code == Exit.VIOLATED
+
+
+@pytest.mark.parametrize(("late", "advised"), [(20, True), (5, False)])
+def test_a_stop_on_a_slow_machine_has_the_advice_too(
+    summary: RunSummary, tmp_path: Path, late: int, advised: bool
+) -> None:
+    found = with_answers(summary, 0.5, ())
+    stop = ControllerStop(0.1, "The controller stopped at 0.1 s", "tracking error of joint1")
+    counts = replace(found.report.counts, answered=100, answered_in_time=100 - late)
+    report = replace(found.report, stop=stop, counts=counts)
+    assert report.status == "stopped"
+    assert ("try --lockstep" in report.advice) == advised
+    assert not replace(report, lockstep=True).advice
+    write_run_page(tmp_path / "report.html", found.data, report, flow_of(found))
+    assert ("tracking error of joint1; your machine answered late" in (tmp_path / "report.html").read_text()) == advised
 
 
 def test_a_violation_counts_before_a_late_machine(summary: RunSummary) -> None:

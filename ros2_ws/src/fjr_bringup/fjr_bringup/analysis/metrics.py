@@ -128,7 +128,7 @@ class Report:
     @property
     def advice(self) -> str:
         """Return what to do about the status, as a sentence; may be empty."""
-        return advice_on(self.status, self.counts)
+        return advice_on(self.status, self.counts, self.lockstep)
 
     def of_joint(self, joint: str | None) -> JointMetrics:
         """Return the metrics of a joint, of the first one for None."""

@@ -31,10 +31,14 @@ def status_of(stop: ControllerStop | None, verdict: Diagnosis, counts: Counts, l
     return "late" if in_time < enough else "violated"
 
 
-def advice_on(status: Status, counts: Counts) -> str:
-    """Return what to do about a status, as a sentence; empty if there is nothing to advise."""
-    if status != "late":
+def advice_on(status: Status, counts: Counts, lockstep: bool) -> str:
+    """Return what to do about a late computer, as a sentence; empty if late answers explain neither violation nor stop.
+
+    They explain a stop in real time if less than KEEPS_UP of the answers were in time.
+    """
+    answered, in_time = counts.answered or 0, counts.answered_in_time or 0
+    stopped_late = status == "stopped" and not lockstep and in_time < KEEPS_UP * answered
+    if status != "late" and not stopped_late:
         return ""
-    share = percent(counts.answered_in_time_fraction, 0)
-    seen = f"your machine answered late ({share} of the states in time)"
+    seen = f"your machine answered late ({percent(counts.answered_in_time_fraction, 0)} of the states in time)"
     return f"{seen}, so this run does not judge the law; try --lockstep"
