@@ -17,7 +17,7 @@ from fjr_bringup.monitor.browser import BrowserPage
 from fjr_core.config.description import description
 from fjr_core.config.scenario import load_scenario
 from system.browser import Browser
-from system.executables import NODES, Executable, fjr_here, scenario
+from system.executables import Executable, fjr_here, lockstep_loop, scenario
 from time_limits import HANG
 
 pytestmark = pytest.mark.system
@@ -25,14 +25,8 @@ pytestmark = pytest.mark.system
 
 @pytest.fixture
 def loop() -> Iterator[dict[str, Executable]]:
-    file = ("--params-file", scenario("two_link"), "-p", "realtime_priority:=0", "-r", "__ns:=/left")
-    nodes = {
-        "plant": Executable(*NODES["plant"], "--ros-args", *file, "-p", "lockstep:=true"),
-        "controller": Executable(*NODES["controller"], "--ros-args", *file, "-p", "use_sim_time:=true"),
-    }
-    yield nodes
-    for node in nodes.values():
-        node.kill()
+    with lockstep_loop("two_link", "left") as nodes:
+        yield nodes
 
 
 @pytest.fixture(scope="module")

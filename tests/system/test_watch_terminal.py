@@ -19,7 +19,7 @@ import pyte
 import pytest
 from ament_index_python.packages import get_package_prefix
 
-from system.executables import NODES, TIME_LIMIT, Executable, fjr, fjr_here, scenario
+from system.executables import TIME_LIMIT, Executable, fjr, fjr_here, lockstep_loop
 from time_limits import Limit
 
 pytestmark = pytest.mark.system
@@ -99,14 +99,8 @@ def terminal() -> Iterator[Callable[..., Terminal]]:
 
 @pytest.fixture
 def loop() -> Iterator[dict[str, Executable]]:
-    file = ("--params-file", scenario("two_link"), "-p", "realtime_priority:=0", "-r", "__ns:=/left")
-    nodes = {
-        "plant": Executable(*NODES["plant"], "--ros-args", *file, "-p", "lockstep:=true"),
-        "controller": Executable(*NODES["controller"], "--ros-args", *file, "-p", "use_sim_time:=true"),
-    }
-    yield nodes
-    for node in nodes.values():
-        node.kill()
+    with lockstep_loop("two_link", "left") as nodes:
+        yield nodes
 
 
 def rows(screen: str) -> dict[str, list[float]]:

@@ -140,7 +140,7 @@ def send(**given: Any) -> Any:
     "--port",
     type=options.PORT,
     metavar="N",
-    help="Port of the page or of Foxglove; 0: any free one.  [default: page: 0, Foxglove: 8765]",
+    help="Port of the page or of Foxglove; 0: any free one. [default: page: 0, Foxglove: 8765]",
 )
 @json_lines
 def watch(**given: Any) -> Any:

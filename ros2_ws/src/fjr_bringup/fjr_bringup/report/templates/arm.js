@@ -165,6 +165,8 @@ const Arm = (() => {
       this.controls = new THREE.OrbitControls(this.camera, canvas);
       this.controls.enableZoom = false;
       canvas.tabIndex = 0;
+      canvas.setAttribute("role", "img");
+      canvas.setAttribute("aria-label", "the arm in 3D");
       canvas.style.touchAction = "pan-y pinch-zoom";
       canvas.addEventListener("pointerdown", () => canvas.focus({ preventScroll: true }));
       canvas.addEventListener("focus", () => (this.controls.enableZoom = true));
