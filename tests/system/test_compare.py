@@ -20,6 +20,7 @@ from fjr_bringup.scenarios import library
 from fjr_bringup.studies.comparison import job as comparison_job
 from fjr_bringup.studies.comparison import markdown as comparison_markdown
 from fjr_bringup.studies.comparison import pool as comparison_pool
+from fjr_bringup.studies.comparison import report as comparison_report
 from fjr_bringup.studies.comparison import suite
 from fjr_bringup.studies.comparison.results import Row, Value, extent, rows
 from fjr_core.control.registry import LAWS, V_DPBC
@@ -281,6 +282,17 @@ def test_versions_of_a_law_are_counted_as_one_law() -> None:
     assert described == f"{len(LAWS) - 2} control laws in {len(laws)} versions on 1 robot, 12 runs of 10 s."
 
 
+def test_a_law_of_the_user_has_options_and_is_named_as_not_tuned(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    mine = {"law": "own_code:Pd", "label": "mine", "options": {"K_p": 5.0}}
+    file.write_text(yaml.safe_dump({"laws": ["v_dpbc", mine], "robots": {"paper_k31": {}}}))
+    known, own = suite.load(file).laws
+    assert (known.options, own.law, own.options) == ({}, "own_code:Pd", {"K_p": 5.0})
+    laws = [{"law": each.law, "title": each.label} for each in (known, own)]
+    assert comparison_report.exception_to_tuning({"laws": laws}) == " but mine"
+    assert comparison_report.exception_to_tuning({"laws": laws[:1]}) == ""
+
+
 @pytest.mark.parametrize("name", ["paper", "quick"])
 def test_installed_suites_are_valid(name: str) -> None:
     chosen = suite.load(library.find(name, "suite"))
@@ -311,6 +323,7 @@ WRONG: list[tuple[Any, str]] = [
         {**QUICK, "laws": [{"law": "v_dpbc", "gains": "best"}]},
         "'gains' of v_dpbc is 'best'; expected scenario or tuned",
     ),
+    ({**QUICK, "laws": [{"law": "lqr", "options": {"K": 1.0}}]}, "law 'lqr' has options; expected them for a law of y"),
     ({**QUICK, "robots": []}, "has no 'robots'"),
     ({**QUICK, "robots": {"r": {"scenario": "paper_k31", "gains": {}}}}, "robot 'r' has an unknown key 'gains'"),
     (

@@ -12,6 +12,7 @@ from fjr_bringup.formatting import number, plural
 from fjr_bringup.report import html
 from fjr_bringup.studies.comparison.report_figures import comparison_plots, looks, place_of
 from fjr_bringup.studies.comparison.results import Row, Value, extent, rows
+from fjr_core.files.python_class import is_named
 
 HOW = (
     "Drag over a plot to enlarge it, double-click to go back. All results are in comparison.json in the same folder. "
@@ -48,9 +49,15 @@ def write_page(path: Path, document: dict[str, Any]) -> None:
             *(f"tuned on {r}" for r in document["robots"]),
         ],
         sources=[[law["title"], law["paper"], law["adds"], law["measures"], *_tunings(law, document)] for law in laws],
-        sources_text=TUNED,
+        sources_text=f"All{exception_to_tuning(document)} tuned {TUNED}",
         footer=HOW,
     )
+
+
+def exception_to_tuning(document: dict[str, Any]) -> str:
+    """Return the exception to the rule of tuning: the laws of the user, which keep their options."""
+    titles = [law["title"] for law in document["laws"] if is_named(law["law"])]
+    return f" but {', '.join(titles)}" if titles else ""
 
 
 def _tiles(document: dict[str, Any]) -> list[tuple[str, str]]:
@@ -59,7 +66,7 @@ def _tiles(document: dict[str, Any]) -> list[tuple[str, str]]:
         (str(len(document["laws"])), "versions of control laws"),
         (str(document["runs"]), f"independent runs of {suite['duration']:g} s"),
         (f"{100 * suite['tracks']:g} % of the motion", "RMS error up to which a stable run tracks"),
-        ("one rule", "of tuning for all laws: docs/baselines.md"),
+        ("one rule", f"of tuning for all laws{exception_to_tuning(document)}: docs/baselines.md"),
     ]
 
 
@@ -103,7 +110,7 @@ NO_RANKING = (
     "or peak efforts everywhere, and v-dPBC with the gains of the scenario is the tuning target."
 )
 TUNED = (
-    "All tuned by one rule to equal bandwidth and peak effort (docs/baselines.md); every command is cut at the same "
+    "by one rule to equal bandwidth and peak effort (docs/baselines.md); every command is cut at the same "
     "limit. Gains are in comparison.json."
 )
 DASHED = "Green: best, or within 5 % of it. A dash: does not track the nominal robot."
