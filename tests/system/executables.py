@@ -80,21 +80,6 @@ def scenario(name: str) -> str:
     return str(Path(get_package_share_directory("fjr_bringup")) / "scenarios" / f"{name}.yaml")
 
 
-@contextmanager
-def lockstep_loop(name: str, namespace: str) -> Iterator[dict[str, Executable]]:
-    """Run the nodes of a scenario in lock-step in a namespace."""
-    file = ("--params-file", scenario(name), "-p", "realtime_priority:=0", "-r", f"__ns:=/{namespace}")
-    nodes = {
-        "plant": Executable(*NODES["plant"], "--ros-args", *file, "-p", "lockstep:=true"),
-        "controller": Executable(*NODES["controller"], "--ros-args", *file, "-p", "use_sim_time:=true"),
-    }
-    try:
-        yield nodes
-    finally:
-        for node in nodes.values():
-            node.kill()
-
-
 NODES = {"plant": ("fjr_plant", "plant_node"), "controller": ("fjr_controller", "controller_node")}
 LOCKSTEP = {"plant": ("-p", "lockstep:=true"), "controller": ("-p", "use_sim_time:=true")}
 SLOW = {"plant": ("-p", "publish_rate:=200.0"), "controller": ("-p", "state_timeout:=600.0")}
@@ -102,11 +87,19 @@ SLOW = {"plant": ("-p", "publish_rate:=200.0"), "controller": ("-p", "state_time
 
 
 @contextmanager
-def running(parameters: Mapping[str, Sequence[str]], *more: str) -> Iterator[None]:
+def running(parameters: Mapping[str, Sequence[str]], *more: str) -> Iterator[dict[str, Executable]]:
     """Run plant and controller with ROS arguments of each and `more` of both."""
-    started = [Executable(*NODES[node], "--ros-args", *parameters[node], *more) for node in NODES]
+    started = {node: Executable(*NODES[node], "--ros-args", *parameters[node], *more) for node in NODES}
     try:
-        yield
+        yield started
     finally:
-        for executable in started:
+        for executable in started.values():
             executable.kill()
+
+
+@contextmanager
+def lockstep_loop(name: str, namespace: str) -> Iterator[dict[str, Executable]]:
+    """Run the nodes of a scenario in lock-step in a namespace."""
+    first = ("--params-file", scenario(name), "-p", "realtime_priority:=0")  # -p after the file wins
+    with running({node: (*first, *own) for node, own in LOCKSTEP.items()}, "-r", f"__ns:=/{namespace}") as nodes:
+        yield nodes

@@ -20,7 +20,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from fjr_bringup.monitor.foxglove_server import FoxgloveError, FoxgloveServer, frame_transforms
 from fjr_core.robot.urdf_frames import UrdfFrames
-from system.executables import NODES, TIME_LIMIT, Executable, fjr_here, scenario, wait_for
+from system.executables import TIME_LIMIT, Executable, fjr_here, lockstep_loop, wait_for
 from time_limits import Limit
 
 pytestmark = pytest.mark.system
@@ -74,15 +74,10 @@ class Client:
 @pytest.fixture(scope="module")
 def watch() -> Iterator[Executable]:
     """`fjr watch` next to two nodes in a namespace."""
-    file = ("--params-file", scenario("two_link"), "-p", "realtime_priority:=0", "-r", "__ns:=/left")
-    running = [
-        Executable(*NODES["plant"], "--ros-args", *file, "-p", "lockstep:=true"),
-        Executable(*NODES["controller"], "--ros-args", *file, "-p", "use_sim_time:=true"),
-        Executable("fjr_bringup", "fjr", "watch", "--namespace", "left", "--foxglove", "--port", "0"),
-    ]
-    yield running[-1]
-    for each in running:
-        each.kill()
+    with lockstep_loop("two_link", "left"):
+        shown = Executable("fjr_bringup", "fjr", "watch", "--namespace", "left", "--foxglove", "--port", "0")
+        yield shown
+        shown.kill()
 
 
 def address(watch: Executable) -> str:
