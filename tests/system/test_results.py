@@ -28,6 +28,7 @@ from fjr_core.config.scenario import load_scenario
 from system.documented import documented_keys
 from system.shared_runs import shared_run
 from time_limits import Limit
+from two_link_urdf import two_link_urdf
 
 pytestmark = pytest.mark.system
 
@@ -51,6 +52,7 @@ def test_every_command_offers_json(name: str) -> None:
         "scenarios",
         "check paper_k31",
         "gains paper_k31 --beta 5",
+        "new arm.urdf --joints elbow",
         "description paper_k31",
         "contraction paper_k31 --duration 0.05 --starts 2 --output .",
         "sweep paper_joint --runs 8 --duration 1.2 --output .",
@@ -63,6 +65,7 @@ def test_result_is_one_json_document_with_the_documented_keys(
     line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.urdf").write_text(two_link_urdf(), encoding="utf-8")
     assert main([*line.split(), "--json"]) == Exit.DONE
     assert set(json.loads(capsys.readouterr().out)) == documented_keys()[line.partition(" ")[0]]
 

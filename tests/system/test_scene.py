@@ -155,3 +155,10 @@ def test_the_scenarios_have_shapes_on_every_link(name: str) -> None:
     found = scene(description(load_scenario(scenario(name)).controller_values))
     assert found["notes"] == []
     assert all(found["links"].values())
+
+
+def test_an_undeclared_prefix_and_a_bad_inertia_of_a_link_at_rest_do_not_matter() -> None:
+    bad = '<inertial><origin xyz="a b c"/><mass value="-1"/></inertial>'
+    text = arm().replace('<link name="base"></link>', f'<link name="base">{bad}</link>')
+    text = text.replace("</robot>", "<gazebo><sim:plugin/></gazebo></robot>")
+    assert [each["name"] for each in scene(text)["joints"]] == ["turn"]

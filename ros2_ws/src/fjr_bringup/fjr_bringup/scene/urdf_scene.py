@@ -12,7 +12,7 @@ from fjr_bringup.scene.mesh import Mesh, MeshError, decimated, read_mesh
 from fjr_bringup.scene.skeleton import skeleton
 from fjr_core.config.robot_file import resolve
 from fjr_core.errors import FjrError
-from fjr_core.robot.urdf_parser import UrdfJoint, read_urdf
+from fjr_core.robot.urdf_parser import UrdfJoint, parse_xml, read_urdf
 
 TRIANGLES = 30_000  # of all meshes together: 0.4 MB of a page
 Element = ElementTree.Element
@@ -25,14 +25,14 @@ def scene(urdf: str, locked: Mapping[str, float] | None = None) -> dict[str, Any
     link of a URDF without any visual, is drawn as a skeleton. notes: a sentence for each such mesh.
     """
     tree = read_urdf(urdf)
-    root = ElementTree.fromstring(urdf.lstrip("\ufeff").strip())
+    root = parse_xml(urdf.lstrip("\ufeff").strip())
     origins = {each.get("name", ""): _origin(each) for each in root.findall("joint")}
     joints = [_joint(each, *origins[each.name], (locked or {}).get(each.name, 0.0)) for each in tree.joints.values()]
     elements = {each.get("name", ""): each for each in root.findall("link")}
     drawn = _Shapes(root)
     links = {name: drawn.of(element) for name, element in elements.items()}
     bare = drawn.incomplete if any(links.values()) or drawn.incomplete else set(elements)
-    centres = {name: _centre(elements[name]) for name in bare}
+    centres = {name: None if name in tree.faulty else _centre(elements[name]) for name in bare}
     for name, shapes in skeleton(joints, centres).items():
         links[name] = shapes + links[name]
     children = {joint["child"] for joint in joints}
