@@ -48,7 +48,7 @@ def test_a_spring_gives_a_degree_at_the_effort_limit_unless_the_joint_carries_li
 
 def _least_inertia(robot: fjr.Robot) -> Array:
     where = np.random.default_rng(0).uniform(-3, 3, (2000, 2))
-    return np.min([np.diag(robot.M_l(q)) for q in where], axis=0)
+    return 1 / np.max([np.diag(np.linalg.inv(robot.M_l(q))) for q in where], axis=0)
 
 
 def test_guesses_without_effort_limits_are_finite() -> None:

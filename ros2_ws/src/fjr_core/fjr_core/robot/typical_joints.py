@@ -2,7 +2,8 @@
 """Guess the stiffness and the motor inertia of joints from the size of each joint; no data of one robot.
 
     tau   effort limit; without a limit twice the largest gravity torque plus a moderate acceleration
-    K   = min(tau / delta, omega_l^2 M)    delta: 1 degree, 1 mm; M: least inertia that the joint carries
+    K   = min(tau / delta, omega_l^2 m)    delta: 1 degree, 1 mm; m: least 1 / (M_l^-1)_ii over the range, the inertia
+                                           that joint i feels while the others move freely
     M_m = K / omega_m^2
 
 A degree at the effort limit gives 10^3 to 2 10^4 N m/rad for arms of 20 to 300 N m, the order of harmonic drives with
@@ -22,7 +23,7 @@ from .configuration_sampling import sample_configurations
 from .robot import Robot
 
 LARGEST_DEFLECTION = np.deg2rad(1.0), 1e-3  # rad, m; delta of revolute and prismatic joints at the effort limit
-FASTEST_LINK = 400.0  # rad/s, omega_l: the least inertia on its spring, the motor at rest
+FASTEST_LINK = 400.0  # rad/s, omega_l: the least inertia m on its spring, the motor at rest
 MOTOR_FREQUENCY = 90.0  # rad/s, omega_m: the motor on its spring, the link at rest
 ACCELERATION = 10.0  # rad/s^2, m/s^2
 CONFIGURATIONS = 128
@@ -40,10 +41,11 @@ class TypicalJoints:
 def typical_joints(robot: Robot) -> TypicalJoints:
     """Return guesses for the joints of a rigid arm; the robot's own stiffness and motor inertia are not used."""
     where = sample_configurations(robot, CONFIGURATIONS)
-    inertia = np.array([np.diag(robot.M_l(q_l)) for q_l in where])
+    M_l = np.array([robot.M_l(q_l) for q_l in where])
+    least = 1 / np.diagonal(np.linalg.inv(M_l), axis1=1, axis2=2).max(axis=0)
     deflection = np.array([LARGEST_DEFLECTION[slides] for slides in robot.prismatic or (False,) * robot.n])
-    by_effort = effort_sizes(robot, where, inertia.mean(axis=0)) / deflection
-    stiffness = np.minimum(by_effort, FASTEST_LINK**2 * inertia.min(axis=0))
+    by_effort = effort_sizes(robot, where, np.diag(M_l.mean(axis=0))) / deflection
+    stiffness = np.minimum(by_effort, FASTEST_LINK**2 * least)
     return TypicalJoints(_rounded(stiffness), _rounded(stiffness / MOTOR_FREQUENCY**2))
 
 

@@ -58,6 +58,6 @@ def first_gains(robot: Robot, sample_period: float, configurations: Array) -> Fi
     if best is None:
         raise GainsError(
             f"no gains of rates from {TRIALS[0][0]:g} to {TRIALS[-1][0]:g} 1/s are stable at "
-            f"{1 / sample_period:g} Hz in the whole range of the joints; expected a slower arm, or fewer joints"
+            f"{1 / sample_period:g} Hz in the whole range of the joints; expected narrower ranges, softer joints or fewer of them"
         )
     return best
