@@ -87,5 +87,5 @@ def test_first_gains_are_stable_with_a_margin_in_the_whole_range() -> None:
 
 def test_an_arm_too_fast_for_the_loop_is_refused() -> None:
     robot = replace(two_link(), K=1e7 * np.eye(2))
-    with pytest.raises(fjr.GainsError, match="no gains of rates from 6 to 0.3 1/s are stable at 1000 Hz"):
+    with pytest.raises(fjr.GainsError, match="no gains of 6 to 0.3 1/s are stable at 1000 Hz"):
         first_gains(robot, 1e-3, np.zeros((1, 2)))

@@ -57,7 +57,7 @@ def first_gains(robot: Robot, sample_period: float, configurations: Array) -> Fi
             return best
     if best is None:
         raise GainsError(
-            f"no gains of rates from {TRIALS[0][0]:g} to {TRIALS[-1][0]:g} 1/s are stable at "
-            f"{1 / sample_period:g} Hz in the whole range of the joints; expected narrower ranges, softer joints or fewer of them"
+            f"no gains of {TRIALS[0][0]:g} to {TRIALS[-1][0]:g} 1/s are stable at {1 / sample_period:g} Hz in "
+            "the whole range of the joints; expected narrower ranges, where the inertia varies less, or fewer joints"
         )
     return best
