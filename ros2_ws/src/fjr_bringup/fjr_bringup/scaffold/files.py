@@ -16,8 +16,42 @@ from fjr_bringup.scaffold.proposal import RATE, Proposal
 from fjr_bringup.scenarios.gains_block import gain_lines
 from fjr_core.config import ros_yaml
 from fjr_core.config.builders import gain_values
+from fjr_core.tuning.first_gains import EVERYWHERE
 
 UNITS = {"joint_stiffness": "N m/rad, K", "motor_inertia": "kg m^2, M_m, reflected to the link side of the gear"}
+SCENARIO = """\
+# {name}: {n} joints swing slowly about a pose in their ranges. Written by `fjr new`; change it freely.
+# docs/your_robot.md explains the file, docs/references.md other motions, docs/safety.md the limits.
+/**:
+  ros__parameters:
+    realtime_priority: 50         # SCHED_FIFO where the system allows it, else a warning; 0: ordinary scheduling
+    robot:
+      file: {robot_file}
+
+    # fjr_plant, the simulated arm: at rest next to the reference, the springs loaded by the weight
+    publish_rate: {rate}          # Hz
+    inner_steps: {steps}                # integrator steps per state
+    initial_link_position: {q_l}   # rad (m)
+    initial_motor_position: {q_m}
+
+    # fjr_controller
+    gains:   # fjr gains {name}.yaml --beta {beta} --write
+{gains}
+    reference:   # q_ld = offset + amplitude sin(frequency t + phase)
+      type: sine
+      amplitude: {amplitude}   # rad (m)
+      frequency: {frequency}   # rad/s
+      offset: {offset}
+      phase: {phase}
+    limits:
+      from_robot: {from_robot}            # range, speed and effort of the URDF
+      tracking_error: {tracking_error}   # rad (m)
+      start_error: {start_error}
+    on_stop: gravity_hold         # the weight, with damped motors
+    start: {{ramp_time: 0.1}}       # s, from on_stop's effort to the law's
+    recovery: {{join_time: 1.0}}    # s
+    state_timeout: 0.2            # s without a state: on_stop
+"""
 TRACKING_ERROR, START_ERROR = (0.15, 0.03), (0.1, 0.02)  # rad, m; limits of revolute and prismatic joints
 
 
@@ -58,46 +92,24 @@ def scenario_text(name: str, robot_file: str, arm: Arm, proposal: Proposal) -> s
     """Return the scenario file, next to this robot file."""
     motion, gains, n = proposal.motion, proposal.gains, arm.robot.n
     values = {key.partition(".")[2]: entries for key, entries in gain_values(gains.gains, n).items()}
-    sizes = np.array(
-        [(TRACKING_ERROR[unit.position == "m"], START_ERROR[unit.position == "m"]) for unit in arm.robot.units]
-    )
-    where = " --everywhere" if gains.where == "everywhere" else ""
-    limits = arm.robot.limits is not None
-    return "\n".join(
-        [
-            f"# {name}: {n} joints swing slowly about a pose in their ranges. Written by `fjr new`; change it freely.",
-            "# docs/your_robot.md explains the file, docs/references.md other motions, docs/safety.md the limits.",
-            "/**:",
-            "  ros__parameters:",
-            "    realtime_priority: 50         # SCHED_FIFO where the system allows it, else a warning; 0: ordinary",
-            "    robot:",
-            f"      file: {_scalar(robot_file)}",
-            "",
-            "    # fjr_plant, the simulated arm: at rest next to the reference, the springs loaded by the weight",
-            f"    publish_rate: {RATE}          # Hz",
-            f"    inner_steps: {proposal.inner_steps}                # integrator steps per state",
-            f"    initial_link_position: {_list(proposal.q_l)}   # rad (m)",
-            f"    initial_motor_position: {_list(proposal.q_m)}",
-            "",
-            "    # fjr_controller",
-            f"    gains:   # fjr gains {name}.yaml --beta {gains.beta:g}{where} --write",
-            *gain_lines(values, n, indent=6),
-            "    reference:   # q_ld = offset + amplitude sin(frequency t + phase)",
-            "      type: sine",
-            f"      amplitude: {_list(motion.amplitude)}   # rad (m)",
-            f"      frequency: {_list(motion.frequency)}   # rad/s",
-            f"      offset: {_list(motion.offset)}",
-            f"      phase: {_list(motion.phase)}",
-            "    limits:",
-            f"      from_robot: {str(limits).lower()}            # range, speed and effort of the URDF",
-            f"      tracking_error: {_list(sizes[:, 0])}   # rad (m)",
-            f"      start_error: {_list(sizes[:, 1])}",
-            "    on_stop: gravity_hold         # the weight, with damped motors",
-            "    start: {ramp_time: 0.1}       # s, from on_stop's effort to the law's",
-            "    recovery: {join_time: 1.0}    # s",
-            "    state_timeout: 0.2            # s without a state: on_stop",
-            "",
-        ]
+    slides = [unit.position == "m" for unit in arm.robot.units]
+    return SCENARIO.format(
+        name=name,
+        n=n,
+        robot_file=_scalar(robot_file),
+        rate=RATE,
+        steps=proposal.inner_steps,
+        q_l=_list(proposal.q_l),
+        q_m=_list(proposal.q_m),
+        beta=f"{gains.beta:g}{' --everywhere' if gains.where == EVERYWHERE else ''}",
+        gains="\n".join(gain_lines(values, n, indent=6)),
+        amplitude=_list(motion.amplitude),
+        frequency=_list(motion.frequency),
+        offset=_list(motion.offset),
+        phase=_list(motion.phase),
+        from_robot="false" if arm.robot.limits is None else "true",
+        tracking_error=_list(TRACKING_ERROR[each] for each in slides),
+        start_error=_list(START_ERROR[each] for each in slides),
     )
 
 
