@@ -2,7 +2,7 @@
 """Run `fjr new`, `fjr check` and two seconds in lock-step for each public robot; write the table of docs/robots.md.
 
 make robots                                          # an hour on two cores
-.venv/bin/python -m tools.robot_survey.table Panda   # only robots with this in their name, without writing the table
+.venv/bin/python -m tools.robot_survey.table Panda   # only robots with this in their name, into the same table
 
 No file is edited between the commands. The laws run uncompiled (compile:=false), which spares a minute of compilation a
 robot and gives the same numbers to rounding. Results are kept in runs/survey, so that a second call goes on.
@@ -11,6 +11,7 @@ robot and gives the same numbers to rounding. Results are kept in runs/survey, s
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -38,10 +39,15 @@ class Outcome:
     refusal: str
 
 
+def kept_result(robot: PublicRobot) -> Path:
+    """Return the file that keeps the result of a robot."""
+    return FOLDER / f"{re.sub(r'[^a-z0-9]+', '_', robot.name.lower()).strip('_')}.json"
+
+
 def outcome(robot: PublicRobot) -> Outcome:
     """Run the three commands, or read the kept result."""
-    stem = robot.name.lower().replace(",", "").replace(" ", "_").replace("-", "_").replace("(", "").replace(")", "")
-    kept = FOLDER / f"{stem}.json"
+    kept = kept_result(robot)
+    stem = kept.stem
     if not kept.exists():
         FOLDER.mkdir(parents=True, exist_ok=True)
         found: dict[str, Any] = {"new": {}, "check": {}, "run": {}, "refusal": ""}
@@ -111,16 +117,14 @@ def table(outcomes: list[Outcome]) -> list[str]:
 
 
 def main(names: list[str]) -> int:
-    """Run the survey and write the table, or run only the robots whose name contains one of these."""
-    outcomes = []
+    """Run the robots whose name contains one of these, all for none; write the table of all kept results."""
     for robot in ROBOTS:
         if not names or any(name.lower() in robot.name.lower() for name in names):
-            outcomes.append(found := outcome(robot))
-            print(row(found), flush=True)
-    if not names:
-        text = PAGE.read_text(encoding="utf-8")
-        before, after = text.partition(BEGIN)[0], text.partition(END)[2]
-        PAGE.write_text("\n".join([before + BEGIN, *table(outcomes), END + after]), encoding="utf-8")
+            print(row(outcome(robot)), flush=True)
+    known = [outcome(robot) for robot in ROBOTS if kept_result(robot).exists()]
+    text = PAGE.read_text(encoding="utf-8")
+    before, after = text.partition(BEGIN)[0], text.partition(END)[2]
+    PAGE.write_text("\n".join([before + BEGIN, *table(known), END + after]), encoding="utf-8")
     return 0
 
 
