@@ -64,7 +64,7 @@ def test_study_writes_a_table_a_figure_and_a_page(tmp_path: Path) -> None:
     assert picture[..., :3].std() > 0.05
     page = (tmp_path / "joint" / "report.html").read_text()
     assert "runs succeed" in page
-    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert 'src="http' not in page
 
 
 def test_all_cores_give_the_bytes_of_one_core(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def check_scenario(scenario: str | None, assignments: Sequence[str]) -> Result:
     """Return the check of a scenario; print its warnings and why it cannot run on standard error."""
     loaded = library.load(scenario, assignments)
     found = checked(loaded)
-    rows = _rows(loaded, found)
+    rows = check_rows(loaded, found)
     for warning in _warnings(loaded):
         print(f"fjr: {warning}", file=sys.stderr)
     refusal = _refusal(loaded, found)
@@ -93,7 +93,7 @@ def table(rows: Mapping[str, str]) -> str:
     return "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows.items())
 
 
-def _rows(scenario: Scenario, found: SampledCheck) -> dict[str, str]:
+def check_rows(scenario: Scenario, found: SampledCheck) -> dict[str, str]:
     """Return the results of a check as text by quantity."""
     lowest = "none" if found.lowest_stable_rate is None else f"{found.lowest_stable_rate:.4g} Hz"
     return {

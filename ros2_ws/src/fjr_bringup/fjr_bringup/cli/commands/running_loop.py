@@ -144,7 +144,7 @@ def send(**given: Any) -> Any:
 )
 @json_lines
 def watch(**given: Any) -> Any:
-    """Watch a running control loop in the terminal, a browser or Foxglove.
+    """Watch a running loop in terminal, browser or Foxglove.
 
     The displayed effort limits are those of SCENARIO, by default those of the URDF on /robot_description. So is the arm
     of --browser.
