@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import threading
 import time
@@ -20,7 +21,8 @@ def progress_bar(line: str, form: str, **options: Any) -> Any:
     terminal = sys.stderr.isatty()
     if not terminal:
         print(line, file=sys.stderr, flush=True)
-    return tqdm(bar_format=form, disable=not terminal, file=sys.stderr, **options)
+    width = shutil.get_terminal_size().columns  # 80 if the terminal has no size; tqdm would draw nothing
+    return tqdm(bar_format=form, disable=not terminal, file=sys.stderr, ncols=width, **options)
 
 
 @contextmanager
