@@ -17,6 +17,7 @@ from types import TracebackType
 PREFIX = "[setup]"
 TAIL_LINES = 25
 BEAT = 2.0  # s; no step is silent for longer
+LONGEST = 160  # characters of a line that is not on a terminal
 
 
 class SetupError(Exception):
@@ -66,20 +67,19 @@ class Step:
         outcome = "" if kind is None else "failed after "
         print(f" {outcome}{time.monotonic() - self._start:.1f} s", flush=True)
 
-    def _line(self) -> str:
-        """Return title, elapsed time and note, in the width of the terminal."""
-        line = f"{PREFIX} {self.title} ... {time.monotonic() - self._start:.0f} s  {self.note}"
-        return line[: shutil.get_terminal_size().columns - 1]
+    def _line(self, longest: int) -> str:
+        """Return title, elapsed time and note, in at most `longest` characters."""
+        return f"{PREFIX} {self.title} ... {time.monotonic() - self._start:.0f} s  {self.note}"[:longest]
 
     def _refresh(self) -> None:
         while True:
-            print("\r\033[K" + self._line(), end="", flush=True)
+            print("\r\033[K" + self._line(shutil.get_terminal_size().columns - 1), end="", flush=True)
             if self._stop.wait(0.5):
                 return
 
     def _report(self) -> None:
         while not self._stop.wait(BEAT):
-            print("\n" * self._open + self._line(), flush=True)
+            print("\n" * self._open + self._line(LONGEST), flush=True)
             self._open = False
 
 

@@ -391,7 +391,7 @@ def test_binary_file_is_named(tmp_path: Path) -> None:
 
 def test_missing_pinocchio_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pinocchio", None)
-    with pytest.raises(fjr.RobotError, match="pip install pin, or ros-jazzy-pinocchio"):
+    with pytest.raises(fjr.RobotError, match=r"pip install pin \(fjr_core\[urdf\]\), or ros-jazzy-pinocchio"):
         read(TWO)
 
 

@@ -24,6 +24,7 @@ from fjr_bringup.recording.reader import Bag, read_bag
 from fjr_bringup.report.paper_claim import Claim
 from fjr_bringup.ros2_tools import play_command
 from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_core.monitoring.fault_isolation.isolation import UNKNOWN
 
 PAGE, METRICS, COMPARISON = "report.html", "report.json", "comparison.html"
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOTDIR)
@@ -158,9 +159,15 @@ def table(summaries: Sequence[RunSummary]) -> str:
     rows = [head, *(_row(summary.label, summary.report) for summary in summaries)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    found = [f"{each.label}: {finding.sentence}" for each in summaries for finding in each.report.verdict.findings]
+    found = [f"{each.label}: {sentence}" for each in summaries for sentence in _findings(each.report)]
     advised = [f"{each.label}: {each.report.advice}" for each in summaries if each.report.advice]
     return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:], *found, *advised])
+
+
+def _findings(report: Report) -> list[str]:
+    """Return a sentence for each fault found; none for an unexplained residual while the theory holds."""
+    verdict = report.verdict
+    return [each.sentence for each in verdict.findings if verdict.kind != "holding" or each.kind != UNKNOWN]
 
 
 def stops(summaries: Sequence[RunSummary]) -> list[str]:

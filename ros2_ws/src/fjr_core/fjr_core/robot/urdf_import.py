@@ -161,7 +161,7 @@ def _reduced_model(tree: UrdfTree, joints: Sequence[str], positions: dict[str, f
     try:
         pin = importlib.import_module("pinocchio")
     except ImportError as error:
-        wanted = "expected it for reading a URDF: pip install pin, or ros-jazzy-pinocchio"
+        wanted = "expected it for reading a URDF: pip install pin (fjr_core[urdf]), or ros-jazzy-pinocchio"
         if "libgomp" in str(error):
             wanted = "expected this library, of the Debian package libgomp1"
         raise RobotError(f"Pinocchio cannot be imported ({error}); {wanted}") from None
