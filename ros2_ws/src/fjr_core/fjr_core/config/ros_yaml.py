@@ -6,6 +6,8 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping
+from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +105,11 @@ _Dumper.add_representer(
 
 def parse(text: str) -> Any:
     """Return the YAML document in `text`; raises ParameterError."""
+    return deepcopy(_parsed(text))
+
+
+@lru_cache(maxsize=16)  # a scenario and its robot file are read for each node and each check of the values
+def _parsed(text: str) -> Any:
     try:
         return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
