@@ -114,7 +114,7 @@ def _built(source: str, compiler: tuple[str, ...]) -> bytes:
     """Compile in a temporary folder; return the content of the shared object."""
     with tempfile.TemporaryDirectory() as folder:
         code, built = Path(folder, "code.c"), Path(folder, "code.so")
-        code.write_text(source, encoding="utf-8")
+        code.write_text(split_functions(source), encoding="utf-8")
         _run([*compiler, *OPTIONS, "-o", str(built), str(code), "-lm"])
         if not built.exists():
             raise CompileError(f"{compiler[0]} wrote no shared object")
@@ -140,7 +140,7 @@ def _c_code(name: str, functions: Sequence[ca.Function]) -> str:
     code = str(generator.dump())
     if "#error" in code:
         raise CompileError(f"CasADi cannot write {name} as C")
-    return split_functions(code)
+    return code
 
 
 def _compiler() -> tuple[str, ...]:
