@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fjr_bringup.scene import urdf_scene
-from fjr_bringup.scene.mesh import Mesh, decimated, read_mesh
+from fjr_bringup.scene.mesh import Mesh, MeshError, decimated, read_mesh
 from fjr_bringup.scene.urdf_scene import scene
 from fjr_core.config.description import description
 from fjr_core.config.scenario import load_scenario
@@ -47,6 +48,49 @@ def ball(path: Path, rings: int) -> Path:
     body = b"".join(struct.pack("<12fH", 0, 0, 0, *grid[each].ravel(), 0) for each in triangles)
     path.write_bytes(b" " * 80 + struct.pack("<I", len(triangles)) + body)
     return path
+
+
+OBJ = """mtllib two.mtl
+o first
+v 0 0 0
+v 1 0 0
+v 0 1 0
+v 0 0 1
+usemtl steel
+f 1 2 3
+usemtl cable
+f 1 2 4
+l 1 4
+g second
+f 1 3 4
+f 2 3 4
+"""
+COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="shape"><mesh>
+  <source id="points"><float_array id="numbers" count="12">0 0 0 1 0 0 0 1 0 0 0 1</float_array><technique_common>
+    <accessor source="#numbers" count="4" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+    <param name="Z" type="float"/></accessor></technique_common></source>
+  <vertices id="corners"><input semantic="POSITION" source="#points"/></vertices>
+  <triangles material="steel" count="1"><input semantic="VERTEX" source="#corners" offset="0"/><p>0 1 2</p></triangles>
+  <triangles material="cable" count="3"><input semantic="VERTEX" source="#corners" offset="0"/>
+    <p>0 1 3 0 2 3 1 2 3</p></triangles>
+</mesh></geometry></library_geometries>
+<library_nodes><node id="kept"><scale>2 2 2</scale><instance_geometry url="#shape"/></node></library_nodes>
+<library_visual_scenes><visual_scene id="scene"><node><instance_geometry url="#shape"/>
+  <node><translate>5 0 0</translate><rotate>0 0 1 90</rotate><node><translate>0 0 7</translate>
+    <instance_geometry url="#shape"/><instance_node url="#kept"/></node></node>
+</node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#scene"/></scene></COLLADA>"""
+
+
+def faces(mesh: Mesh) -> list[list[tuple[float, ...]]]:
+    """The corners of each triangle, in an order that depends on nothing but them."""
+    return sorted(sorted(map(tuple, corners)) for corners in mesh.vertices[mesh.triangles].round(4).tolist())
+
+
+def tetrahedron(points: NDArray[np.float64]) -> list[list[tuple[float, ...]]]:
+    return faces(Mesh(points, np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]])))
 
 
 def kinds(found: dict[str, Any], link: str) -> list[str]:
@@ -133,6 +177,28 @@ def test_a_large_mesh_is_reduced_and_keeps_its_size(tmp_path: Path) -> None:
     assert 500 < len(reduced.triangles) <= 2000
     assert np.linalg.norm(reduced.vertices, axis=1) == pytest.approx(1.0, abs=0.05)
     assert np.ptp(reduced.vertices, axis=0) == pytest.approx(2.0, abs=0.05)
+
+
+def test_an_obj_keeps_the_triangles_of_every_material_and_group(tmp_path: Path) -> None:
+    (tmp_path / "two.obj").write_text(OBJ)
+    mesh = read_mesh(tmp_path / "two.obj", (1.0, 1.0, 3.0))
+    assert faces(mesh) == tetrahedron(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 3]]))
+
+
+def test_a_collada_file_keeps_every_primitive_in_every_node(tmp_path: Path) -> None:
+    (tmp_path / "two.dae").write_text(COLLADA)
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    turned = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # a row by this: by 90 degrees about z
+    placed = [points, points @ turned + [5, 0, 7], 2 * points @ turned + [5, 0, 7]]
+    expected = sorted(face for each in placed for face in tetrahedron(each))
+    assert faces(read_mesh(tmp_path / "two.dae", (1.0, 1.0, 1.0))) == expected
+
+
+@pytest.mark.parametrize("text", ["", "<COLLADA>", "<COLLADA/>", COLLADA.replace("#scene", "#none"), "<a>\xff</a>"])
+def test_a_collada_file_without_a_scene_is_refused_in_a_sentence(tmp_path: Path, text: str) -> None:
+    (tmp_path / "bad.dae").write_text(text, encoding="latin-1")
+    with pytest.raises(MeshError, match=r"bad.dae cannot be read as a mesh$"):
+        read_mesh(tmp_path / "bad.dae", (1.0, 1.0, 1.0))
 
 
 def test_all_meshes_together_stay_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,11 +6,14 @@ from __future__ import annotations
 import base64
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+from xml.etree.ElementTree import ParseError
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fjr_bringup.scene.mesh_parts import in_one_level
 from fjr_core.errors import FjrError
 
 LARGEST = 64 * 2**20  # bytes of a file
@@ -51,10 +54,15 @@ def read_mesh(path: Path, scale: tuple[float, ...]) -> Mesh:
     try:
         if path.stat().st_size > LARGEST:
             raise MeshError(f"{path} has more than {LARGEST // 2**20} MiB")
-        model = coal.MeshLoader(coal.BV_AABB).load(str(path), np.array(scale))
+        with TemporaryDirectory() as folder:
+            readable = path
+            if (content := in_one_level(path)) is not None:
+                readable = Path(folder, f"mesh{path.suffix}")
+                readable.write_bytes(content)
+            model = coal.MeshLoader(coal.BV_AABB).load(str(readable), np.array(scale))
         triangles = [[corner[0], corner[1], corner[2]] for corner in map(model.tri_indices, range(model.num_tris))]
         mesh = Mesh(np.array(model.vertices()), np.array(triangles, dtype=np.int64).reshape(-1, 3))
-    except (OSError, ValueError, RuntimeError):
+    except (OSError, ValueError, RuntimeError, ParseError):
         raise MeshError(f"{path} cannot be read as a mesh") from None
     if not (len(mesh.triangles) and np.isfinite(mesh.vertices).all()):
         raise MeshError(f"{path} has no triangle, or a vertex that is not finite")
