@@ -19,6 +19,7 @@ from fjr_core.control.robust import Robust, sampled_law
 from fjr_core.stability.linear_controller import Sensing
 from fjr_core.stability.sampled_loop import check
 from system.executables import fjr_here, scenario
+from two_link_urdf import two_link_urdf
 
 pytestmark = pytest.mark.system
 
@@ -116,6 +117,22 @@ def test_the_papers_gains_on_the_stiff_arm_are_unstable_with_exit_code_1() -> No
     output = fjr_here("check", "arm7", *changes, code=1)
     assert figures(output)["as sampled"] == "UNSTABLE"
     assert "fjr: scenario arm7 is unstable as sampled at 1000 Hz: spectral radius" in output
+
+
+def test_a_wrist_without_a_tool_on_a_stiff_spring_is_named(tmp_path: Path) -> None:
+    """The last link has 1e-5 kg m^2, a little less as the arm moves freely; 400 N m/rad make that 6325 rad/s."""
+    text = two_link_urdf(wrist_mass=1e-9).replace('ixx="0.001"', 'ixx="1e-5"').replace('iyy="0.001"', 'iyy="1e-5"')
+    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
+    path, bare = tmp_path / "arm.yaml", "    joints: [shoulder, elbow, wrist]\n    robot:\n      model: urdf\n"
+    stiff = "      urdf: arm.urdf\n      joint_stiffness: [400.0, 400.0, {}]\n      motor_inertia: [0.1, 0.1, 0.05]\n"
+    said = (
+        r"the spring of joint 'wrist' with the inertia .* \(\S+e-06 kg m\^2\) oscillates at 63\d\d rad/s"
+    )
+    path.write_text(f"/**:\n  ros__parameters:\n{bare}{stiff.format(400.0)}", encoding="utf-8")
+    for command in (("check", str(path)), ("gains", str(path), "--beta", "1")):
+        assert re.search(said, fjr_here(*command, code=1))
+    path.write_text(f"/**:\n  ros__parameters:\n{bare}{stiff.format(1.6)}", encoding="utf-8")
+    assert "# for arm along its reference: beta" in fjr_here("gains", str(path), "--beta", "1")
 
 
 def test_unstable_scenario_is_refused_without_any_output(tmp_path: Path) -> None:

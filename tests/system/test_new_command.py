@@ -35,6 +35,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "new", str(UR5E), "--joints", "shoulder_lift_joint,elbow_joint", "--name", "arm", "--output", str(folder)
     )
     assert "locked     shoulder_pan_joint, wrist_1_joint, wrist_2_joint, wrist_3_joint, at 0" in said
+    assert "motion     0.2 rad at most, at 0.5 Hz" in said
     return folder
 
 

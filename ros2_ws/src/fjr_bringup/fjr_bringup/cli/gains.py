@@ -38,7 +38,7 @@ def synthesised(
     loaded = library.load(scenario, assignments)
     robot, period = loaded.robot, loaded.sample_period
     where = None if everywhere else loaded.configurations()
-    gains = synthesize(robot, beta, period, delay * period, where)
+    gains = synthesize(robot, beta, period, delay * period, where, loaded.joints)
     law = TrackingLaw(robot, gains)
     found, rate = _checked(loaded, law, delay * period, where), law.rate(where)
     place = "everywhere" if everywhere else "along its reference"

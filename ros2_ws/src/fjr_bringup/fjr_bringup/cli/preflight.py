@@ -14,6 +14,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.robot.joint_units import joined
 from fjr_core.stability.integration_steps import fastest_mode, least_steps
 from fjr_core.stability.sampled_loop import HIGHEST_RATE, SampledCheck, check
+from fjr_core.stability.spring_lag import late_spring
 
 
 class UnstableError(FjrError):
@@ -56,13 +57,23 @@ def refuse_unstable(scenario: Scenario, found: SampledCheck) -> None:
     """Raise UnstableError if the checked loop is unstable."""
     if found.stable:
         return
-    rate = found.lowest_stable_rate
-    remedy = f"stable from {rate:.4g} Hz on" if rate else f"nor is it at higher rates, up to {HIGHEST_RATE:g} Hz"
     raise UnstableError(
         f"scenario {scenario.name} is unstable as sampled at {1 / found.sample_period:g} Hz: "
         f"spectral radius {found.spectral_radius:.4g} at q_l = {as_list(found.configuration)} "
-        f"{position_unit(scenario)}; expected less than 1 ({remedy}; other gains: fjr gains)"
+        f"{position_unit(scenario)}; {_remedy(scenario, found)}"
     )
+
+
+def _remedy(scenario: Scenario, found: SampledCheck) -> str:
+    """Return what makes an unstable loop stable; names the joint whose spring is too fast for the loop."""
+    robot, rate = scenario.robot, found.lowest_stable_rate
+    M_l = [robot.M_l(q_l) for q_l in found.closely]
+    reason = late_spring(robot, M_l, found.sample_period, found.delay, scenario.joints)
+    from_rate = f"stable from {rate:.4g} Hz on" if rate else ""
+    if reason:
+        return f"{reason}{f' ({from_rate})' if rate else ''}, then new gains (fjr gains)"
+    from_rate = from_rate or f"nor is it at higher rates, up to {HIGHEST_RATE:g} Hz"
+    return f"expected less than 1 ({from_rate}; other gains: fjr gains)"
 
 
 def refuse_start_outside(scenario: Scenario) -> None:

@@ -16,7 +16,7 @@ from fjr_bringup.scaffold.proposal import RATE, Proposal
 from fjr_bringup.scenarios.gains_block import gain_lines
 from fjr_core.config import ros_yaml
 from fjr_core.config.builders import gain_values
-from fjr_core.tuning.first_gains import EVERYWHERE
+from fjr_core.robot.joint_units import joined
 
 UNITS = {"joint_stiffness": "N m/rad, K", "motor_inertia": "kg m^2, M_m, reflected to the link side of the gear"}
 SCENARIO = """\
@@ -31,21 +31,21 @@ SCENARIO = """\
     # fjr_plant, the simulated arm: at rest next to the reference, the springs loaded by the weight
     publish_rate: {rate}          # Hz
     inner_steps: {steps}                # integrator steps per state
-    initial_link_position: {q_l}   # rad (m)
+    initial_link_position: {q_l}   # {unit}
     initial_motor_position: {q_m}
 
     # fjr_controller
-    gains:   # fjr gains {name}.yaml --beta {beta} --write
+    gains:   # others: fjr gains {name}.yaml --write --beta RATE
 {gains}
     reference:   # q_ld = offset + amplitude sin(frequency t + phase)
       type: sine
-      amplitude: {amplitude}   # rad (m)
+      amplitude: {amplitude}   # {unit}
       frequency: {frequency}   # rad/s
       offset: {offset}
       phase: {phase}
     limits:
       from_robot: {from_robot}            # range, speed and effort of the URDF
-      tracking_error: {tracking_error}   # rad (m)
+      tracking_error: {tracking_error}   # {unit}
       start_error: {start_error}
     on_stop: gravity_hold         # the weight, with damped motors
     start: {{ramp_time: 0.1}}       # s, from on_stop's effort to the law's
@@ -99,9 +99,9 @@ def scenario_text(name: str, robot_file: str, arm: Arm, proposal: Proposal) -> s
         robot_file=_scalar(robot_file),
         rate=RATE,
         steps=proposal.inner_steps,
+        unit=joined(each.position for each in arm.robot.units),
         q_l=_list(proposal.q_l),
         q_m=_list(proposal.q_m),
-        beta=f"{gains.beta:g}{' --everywhere' if gains.where == EVERYWHERE else ''}",
         gains="\n".join(gain_lines(values, n, indent=6)),
         amplitude=_list(motion.amplitude),
         frequency=_list(motion.frequency),
@@ -138,6 +138,14 @@ def _plain(text: str) -> str:
     return re.sub(r"\s+", " ", text)
 
 
+def _largest(amplitude: ArrayLike, arm: Arm) -> str:
+    """Return the largest amplitude of the revolute joints [rad] and of the prismatic joints [m]."""
+    largest: dict[str, float] = {}
+    for value, unit in zip(np.asarray(amplitude), arm.robot.units, strict=True):
+        largest[unit.position] = max(float(value), largest.get(unit.position, 0.0))
+    return " and ".join(f"{value:.2g} {unit}" for unit, value in largest.items())
+
+
 def _list(entries: Iterable[object] | ArrayLike) -> str:
     return "[" + ", ".join(map(_scalar, entries)) + "]"  # type: ignore[arg-type]
 
@@ -167,7 +175,7 @@ def summary(arm: Arm, proposal: Proposal, files: Sequence[Path]) -> list[str]:
         f"inertia    {M_m.min():g} to {M_m.max():g} kg m^2 of the motors{_origin(arm, 'motor_inertia')}",
         f"gains      beta {gains.beta:g} 1/s {gains.where}; delay margin {gains.check.delay_margin:.2f} samples at "
         f"{RATE:g} Hz in the whole range",
-        f"motion     {float(np.max(proposal.motion.amplitude)):.2g} rad or m at most, at 0.5 Hz",
+        f"motion     {_largest(proposal.motion.amplitude, arm)} at most, at 0.5 Hz",
         f"written    {', '.join(str(file) for file in files)}",
         f"next       fjr check {files[-1]}",
         f"           fjr run {files[-1]} --lockstep",

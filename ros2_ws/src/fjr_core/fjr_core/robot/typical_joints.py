@@ -20,6 +20,7 @@ import numpy as np
 
 from ..numerics.checks import Array
 from .configuration_sampling import sample_configurations
+from .free_inertia import least_free_inertia
 from .robot import Robot
 
 LARGEST_DEFLECTION = np.deg2rad(1.0), 1e-3  # rad, m; delta of revolute and prismatic joints at the effort limit
@@ -42,10 +43,9 @@ def typical_joints(robot: Robot) -> TypicalJoints:
     """Return guesses for the joints of a rigid arm; the robot's own stiffness and motor inertia are not used."""
     where = sample_configurations(robot, CONFIGURATIONS)
     M_l = np.array([robot.M_l(q_l) for q_l in where])
-    least = 1 / np.diagonal(np.linalg.inv(M_l), axis1=1, axis2=2).max(axis=0)
     deflection = np.array([LARGEST_DEFLECTION[slides] for slides in robot.prismatic or (False,) * robot.n])
     by_effort = effort_sizes(robot, where, np.diag(M_l.mean(axis=0))) / deflection
-    stiffness = np.minimum(by_effort, FASTEST_LINK**2 * least)
+    stiffness = np.minimum(by_effort, FASTEST_LINK**2 * least_free_inertia(M_l))
     return TypicalJoints(_rounded(stiffness), _rounded(stiffness / MOTOR_FREQUENCY**2))
 
 

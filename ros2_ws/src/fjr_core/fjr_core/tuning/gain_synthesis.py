@@ -14,7 +14,7 @@ longest delay.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ from ..robot.robot import Robot
 from ..stability.linearization import in_error_coordinates
 from ..stability.one_sample_map import SampledLoop
 from ..stability.sampled_loop import FEW, checked_times
+from ..stability.spring_lag import late_spring
 
 SPEED_FACTORS = (2.0, 1.4, 1.0)  # c: ratio of Lambda and K_md M_m^-1 to the rate
 COUPLING = (1.0, 1.1, 1.2, 1.35, 1.5)  # g = Pi_m / K
@@ -47,6 +48,7 @@ def synthesize(
     sample_period: float,
     delay: float = 0.0,
     configurations: ArrayLike | None = None,
+    joints: Sequence[str] = (),
 ) -> Gains:
     """Return gains with block rates of at least beta [1/s] for a loop of sample_period [s] and delay [s].
 
@@ -54,7 +56,8 @@ def synthesize(
     the 1024 of `check` within the limits of the robot, so that law.rate().beta >= beta and check(...) is stable. At
     these configurations the sampled loop decays at least at beta / 2 with the given delay and with a quarter and half a
     sample more. There is no guarantee between the configurations.
-    Raises GainsError with the largest reachable rate if no gains of this family meet these conditions.
+    Raises GainsError if no gains of this family meet these conditions, with the largest reachable rate, and with the
+    joint (one of `joints`, their names) whose spring is too fast for the loop.
     """
     checked_times(sample_period, delay)
     positive("beta", beta, GainsError, "1/s")
@@ -63,7 +66,7 @@ def synthesize(
     if gains is None:
         raise GainsError(
             f"beta = {beta:g} 1/s is out of reach at {1 / sample_period:g} Hz with a delay of {delay:g} s; "
-            f"{_reachable(task, beta)}"
+            f"{_reachable(task, beta, joints)}"
         )
     return gains
 
@@ -172,18 +175,20 @@ def gain_search(robot: Robot, sample_period: float, delay: float, configurations
     return GainSearch(equilibria, M, s, sample_period, delay)
 
 
-def _reachable(task: GainSearch, beta: float) -> str:
-    """Describe the largest reachable rate below beta to 5 %, searched at the worst configurations."""
+def _reachable(task: GainSearch, beta: float, joints: Sequence[str]) -> str:
+    """Describe the largest reachable rate below beta to 5 %, searched at the worst configurations, and its cause."""
     beta = min(beta, LARGEST_PRODUCT / task.sample_period)
+    reason = late_spring(task.equilibria.robot, task.equilibria.M_l, task.sample_period, task.delay, joints)
+    late, remedy = reason and f": {reason}", "a faster loop or fewer configurations"
     few = replace(task, equilibria=task.equilibria.at(task.critical(beta)))
     rates = [beta / 2**k for k in range(1, HALVINGS + 1)]
     low = next((rate for rate in rates if few.reaches(rate)), None)
     if low is None:
-        return f"so are all rates down to {rates[-1]:.3g} 1/s; expected a faster loop or fewer configurations"
+        return f"so are all rates down to {rates[-1]:.3g} 1/s{late or f'; expected {remedy}'}"
     high = 2 * low
     while high > 1.05 * low:
         middle = float(np.sqrt(low * high))
         low, high = (middle, high) if few.reaches(middle) else (low, middle)
     while task.best(low) is None:
         low *= 0.95
-    return f"expected at most {low:.3g} 1/s, a faster loop or fewer configurations"
+    return f"expected at most {low:.3g} 1/s{late or f', {remedy}'}"
