@@ -125,9 +125,7 @@ def test_a_wrist_without_a_tool_on_a_stiff_spring_is_named(tmp_path: Path) -> No
     (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
     path, bare = tmp_path / "arm.yaml", "    joints: [shoulder, elbow, wrist]\n    robot:\n      model: urdf\n"
     stiff = "      urdf: arm.urdf\n      joint_stiffness: [400.0, 400.0, {}]\n      motor_inertia: [0.1, 0.1, 0.05]\n"
-    said = (
-        r"the spring of joint 'wrist' with the inertia .* \(\S+e-06 kg m\^2\) oscillates at 63\d\d rad/s"
-    )
+    said = r"the spring of joint 'wrist' with the inertia .* \(\S+e-06 kg m\^2\) oscillates at 63\d\d rad/s"
     path.write_text(f"/**:\n  ros__parameters:\n{bare}{stiff.format(400.0)}", encoding="utf-8")
     for command in (("check", str(path)), ("gains", str(path), "--beta", "1")):
         assert re.search(said, fjr_here(*command, code=1))
