@@ -73,6 +73,16 @@ def test_view_is_complete_at_any_width(width: int) -> None:
     assert ("dq_l" in said) == (width >= 118)
 
 
+@pytest.mark.parametrize("width", [80, 120])
+def test_long_joint_names_truncate_no_value(width: int) -> None:
+    long = [dataclasses.replace(each, name=f"left_shoulder_of_the_arm_{each.name}") for each in FULL.joints]
+    said = text(dataclasses.replace(FULL, joints=tuple(long)), width)
+    assert max(map(len, said.splitlines())) <= width
+    assert "…" not in said
+    for words in ("left_sh", "+0.5000", "2.0e-04", "-88.000", "of limit", "50 %", "peak 6"):
+        assert words in said, words
+
+
 def test_missing_data_are_reported() -> None:
     assert "waiting for joint states" in text(View("t"))
     assert "no certificate received" in text(View("t"))

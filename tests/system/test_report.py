@@ -15,7 +15,7 @@ from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.analysis.timing import counts as counts_of
 from fjr_bringup.cli import run
 from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.plotting.joint_lines import LABEL_GAP, apart
+from fjr_bringup.plotting.joint_lines import LABEL_GAP, apart, labels
 from fjr_bringup.scenarios import library
 from fjr_core.monitoring.certificate import CertificateSeries
 from system.executables import fjr, scenario
@@ -68,14 +68,22 @@ def test_missed_late_unanswered_and_lost_samples_are_counted() -> None:
 
 
 @given(st.lists(st.floats(-2.0, 3.0), min_size=1, max_size=9))
-def test_joint_labels_are_separated_in_order_and_only_if_they_overlap(heights: list[float]) -> None:
+def test_joint_labels_are_within_the_axes_and_separated_in_order_only_if_they_overlap(heights: list[float]) -> None:
     placed = np.array(apart(np.array(heights)))
     order = np.argsort(placed)
     assert np.all(np.diff(np.array(heights)[order]) >= 0)
     assert np.all(np.diff(placed[order]) >= LABEL_GAP - 1e-9)
-    np.testing.assert_allclose(np.mean(placed), np.mean(heights), atol=1e-9)
-    if np.all(np.diff(np.sort(heights)) >= LABEL_GAP):
+    assert -1e-9 <= placed.min() <= placed.max() <= 1 + 1e-9
+    if placed.min() > 1e-9 and placed.max() < 1 - 1e-9:
+        np.testing.assert_allclose(np.mean(placed), np.mean(heights), atol=1e-9)
+    if np.all(np.diff(np.sort(heights)) >= LABEL_GAP) and 0 <= min(heights) <= max(heights) <= 1:
         np.testing.assert_allclose(placed, heights, atol=1e-9)
+
+
+def test_joint_labels_are_short_and_differ() -> None:
+    assert labels(["shoulder_pan_joint", "elbow_joint"]) == ["shoulder_pan", "elbow"]
+    assert labels(["shoulder_pan_joint", "elbow"]) == ["…ulder_pan_joint", "elbow"]
+    assert labels(["panda_left_arm_joint1", "panda_left_arm_joint2"]) == ["…left_arm_joint1", "…left_arm_joint2"]
 
 
 @pytest.mark.real_time

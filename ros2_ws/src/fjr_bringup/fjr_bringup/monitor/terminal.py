@@ -117,7 +117,8 @@ def _joints(joints: tuple[JointLine, ...], wide: bool) -> Panel:
     shown = [column for column in COLUMNS if wide or column not in (VELOCITY, DEFLECTION)]
     for heading in shown:
         right = heading not in (NAME, ERRORS, EFFORTS)
-        table.add_column(heading, justify="right" if right else "left", no_wrap=True)
+        named = heading == NAME  # only names give way to a narrow terminal, in lines
+        table.add_column(heading, justify="right" if right else "left", no_wrap=not named, overflow="fold")
     for joint in joints:
         cells = _cells(joint, *bars)
         table.add_row(*(cells[heading] for heading in shown))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import fill
 
 import matplotlib as mpl
 import numpy as np
@@ -15,12 +16,13 @@ from matplotlib.ticker import NullLocator
 from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import STEADY_AFTER, Report
 from fjr_bringup.analysis.run_data import RunData
-from fjr_bringup.plotting.joint_lines import COLOURS, DRAWABLE, colour, drawable, name_joints
+from fjr_bringup.plotting.joint_lines import COLOURS, DRAWABLE, colour, drawable, labels, name_joints
 from fjr_bringup.recording.reader import Array
 from fjr_core.robot.joint_units import joined
 
 GREY = "#666666"
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+TITLE = 54  # characters of a line
 ENLARGED = 2  # joints; with more, an inset would hide the lines
 HEALTHY = 1e-3  # of V(0): leaving the bound above this value is not explained by the sample and hold
 
@@ -204,7 +206,9 @@ STYLE = {
 def draw_overview(name: str, data: RunData, report: Report, folder: Path) -> Path:
     """Write overview.png into the folder and return its path."""
     figure = Figure(figsize=(14.0, 7.2))
-    margins = {"left": 0.05, "right": 0.99, "bottom": 0.07, "top": 0.89, "wspace": 0.26, "hspace": 0.32}
+    longest = max(map(len, labels(data.joints))) if len(data.joints) > 1 else 0
+    space = 0.26 + 0.03 * max(0, longest - 7)  # between the columns, for the names
+    margins = {"left": 0.05, "right": 0.99, "bottom": 0.07, "top": 0.89, "wspace": space, "hspace": 0.32}
     axes = figure.subplots(2, 3, gridspec_kw=margins)  # an automatic layout takes as long as the drawing
     tracking(axes[0, 0], data)
     error(axes[0, 1], data, report)
@@ -220,6 +224,7 @@ def draw_overview(name: str, data: RunData, report: Report, folder: Path) -> Pat
     for ax in figure.axes:
         if ax.get_yscale() == "log":
             _label_powers(ax.yaxis)
+        ax.set_title(fill(ax.get_title(loc="left"), TITLE))
         ax.minorticks_off()  # on log axes each is drawn by five artists, a third of the drawing time
     figure.savefig(path, pil_kwargs={"compress_level": 3})
     return path
