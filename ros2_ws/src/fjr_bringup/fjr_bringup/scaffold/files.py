@@ -20,7 +20,7 @@ from fjr_core.robot.joint_units import joined
 
 UNITS = {"joint_stiffness": "N m/rad, K", "motor_inertia": "kg m^2, M_m, reflected to the link side of the gear"}
 SCENARIO = """\
-# {name}: {n} joints swing slowly about a pose in their ranges. Written by `fjr new`; change it freely.
+# {name}: slow sines of {n} joint(s) about a pose in their ranges. Written by `fjr new`; change it freely.
 # docs/your_robot.md explains the file, docs/references.md other motions, docs/safety.md the limits.
 /**:
   ros__parameters:
