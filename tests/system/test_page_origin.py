@@ -66,6 +66,13 @@ def test_origin_has_no_name_of_user_or_host(monkeypatch: pytest.MonkeyPatch) -> 
     assert getpass.getuser() not in words
 
 
+@pytest.mark.parametrize("text", ["tomorrow", "99999999999999999999", "-1e3", ""])
+def test_an_epoch_that_is_no_date_is_ignored(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setenv(EPOCH, text)
+    begin_command(["fjr"])
+    assert provenance().date.startswith("20")
+
+
 def test_origin_of_a_damaged_report_is_unknown() -> None:
     begin_command(["fjr"])
     known = provenance()

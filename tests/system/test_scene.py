@@ -201,6 +201,24 @@ def test_a_collada_file_without_a_scene_is_refused_in_a_sentence(tmp_path: Path,
         read_mesh(tmp_path / "bad.dae", (1.0, 1.0, 1.0))
 
 
+def test_a_collada_file_whose_nodes_multiply_is_refused(tmp_path: Path) -> None:
+    twice = "".join(f'<node id="n{i}">' + 2 * f'<instance_node url="#n{i + 1}"/>' + "</node>" for i in range(40))
+    text = COLLADA.replace("<library_visual_scenes>", f"<library_nodes>{twice}</library_nodes><library_visual_scenes>")
+    first = text.index("<node", text.index("<visual_scene"))
+    (tmp_path / "many.dae").write_text(text[:first] + '<node><instance_node url="#n0"/></node>' + text[first:])
+    with pytest.raises(MeshError, match=r"many.dae cannot be read as a mesh$"):
+        read_mesh(tmp_path / "many.dae", (1.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize("rgba", ["1 0 0", "red", ""])
+def test_an_invalid_colour_and_a_far_joint_do_not_keep_the_arm_from_being_drawn(rgba: str) -> None:
+    material = f'<material name="red"><color rgba="{rgba}"/></material>'
+    found = scene(arm(visual('<box size="1 1 1"/>'), material).replace("0 0 0.5", "0 0 5e8"))
+    (box,) = (each for each in found["links"]["base"] if each["kind"] == "box")
+    assert box["colour"] is None
+    assert found["joints"][0]["xyz"] == [0, 0, 5e8]
+
+
 def test_all_meshes_together_stay_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(urdf_scene, "TRIANGLES", 1000)
     paths = [ball(tmp_path / f"{i}.stl", 30) for i in range(3)]

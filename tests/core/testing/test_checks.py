@@ -41,6 +41,11 @@ class Negative(own_code.Pd):
         return float(position[0])
 
 
+class Infinite(Rising):
+    def storage(self, position, velocity, jets) -> float:
+        return float("inf")
+
+
 class BadRate(Rising):
     rate = -1.0
 
@@ -48,6 +53,7 @@ class BadRate(Rising):
 FAULTY_LAWS = {
     "a rate too high": (own_code.Wrapped(JOINT, claimed=100.0), "expected at most -2 rate V = "),
     "V that rises": (Rising(JOINT), "dV/dt is "),
+    "V without a rate of change": (Infinite(JOINT), "dV/dt is nan W at q_l = "),
     "V below 0": (Negative(JOINT), "expected 0 or more"),
     "a rate below 0": (BadRate(JOINT), "rate is -1.0; expected a positive number"),
     "memory": (own_code.Counts(JOINT), "expected a pure function, without memory"),

@@ -42,8 +42,11 @@ class _Command:
 
 
 def _now() -> datetime:
-    given = os.environ.get(EPOCH, "")
-    return datetime.fromtimestamp(int(given), timezone.utc) if given.isdecimal() else datetime.now(timezone.utc)
+    """Return the time of EPOCH; the present one if that is not set or no date."""
+    try:
+        return datetime.fromtimestamp(int(os.environ[EPOCH]), timezone.utc)
+    except (KeyError, ValueError, OverflowError, OSError):
+        return datetime.now(timezone.utc)
 
 
 _command = _Command([Path(sys.argv[0]).name, *sys.argv[1:]], _now())

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import deepcopy
+from itertools import count
 from pathlib import Path
 from xml.etree import ElementTree
 
 Element = ElementTree.Element
 DEEPEST = 50  # nodes within each other
+MOST_NODES = 10_000  # nodes that instance each other in two places multiply
 PARTING = {b"usemtl", b"mtllib", b"o", b"g", b"s", b"l", b"p"}  # lines of an OBJ file that part it, or are no face
 PRIMITIVES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 TRANSFORMS = ("matrix", "translate", "rotate", "scale", "skew", "lookat")
@@ -22,7 +24,7 @@ TRANSFORMS = ("matrix", "translate", "rotate", "scale", "skew", "lookat")
 def in_one_level(path: Path) -> bytes | None:
     """Return the content of an OBJ or COLLADA file with its parts side by side; None for other files.
 
-    Raises ElementTree.ParseError for a COLLADA file that is no XML.
+    Raises ElementTree.ParseError for a COLLADA file that is no XML, ValueError for one of more than MOST_NODES nodes.
     """
     if path.suffix.lower() == ".obj":
         lines = path.read_bytes().splitlines()
@@ -44,7 +46,7 @@ def _flat_collada(path: Path) -> bytes | None:
         return None
     parts = _one_primitive_each(root)
     nodes = []
-    for number, (transforms, url) in enumerate(_placed(scene, named, [], DEEPEST)):
+    for number, (transforms, url) in enumerate(_placed(scene, named, [], DEEPEST, count(1))):
         for part in parts.get(url, []):
             node = Element("node", {"id": f"part_{number}_{part}"})
             node.extend(transforms)
@@ -77,15 +79,17 @@ def _one_primitive_each(root: Element) -> dict[str, list[str]]:
 
 
 def _placed(
-    node: Element, named: dict[str, Element], above: list[Element], depth: int
+    node: Element, named: dict[str, Element], above: list[Element], depth: int, nodes: Iterator[int]
 ) -> Iterator[tuple[list[Element], str]]:
-    """Yield the transforms, outermost first, and the URL of each geometry at or below a node."""
+    """Yield the transforms, outermost first, and the URL of each geometry at or below a node; nodes: counts them."""
+    if next(nodes) > MOST_NODES:
+        raise ValueError(f"more than {MOST_NODES} nodes")
     transforms = above + [each for each in node if each.tag in TRANSFORMS]
     for each in node if depth else ():
         kind, url = each.tag, each.get("url", "")
         if kind == "instance_geometry":
             yield transforms, url
         elif kind == "node":
-            yield from _placed(each, named, transforms, depth - 1)
+            yield from _placed(each, named, transforms, depth - 1, nodes)
         elif kind == "instance_node" and url in named:
-            yield from _placed(named[url], named, transforms, depth - 1)
+            yield from _placed(named[url], named, transforms, depth - 1, nodes)

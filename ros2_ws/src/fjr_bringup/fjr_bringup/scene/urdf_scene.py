@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from fjr_core.errors import FjrError
 from fjr_core.robot.urdf_parser import UrdfJoint, parse_xml, read_urdf
 
 TRIANGLES = 30_000  # of all meshes together: 0.4 MB of a page
+LARGEST_SHAPE = 1e6  # m
 Element = ElementTree.Element
 
 
@@ -110,7 +112,7 @@ def _origin(element: Element) -> tuple[list[float], list[float]]:
     origin = element.find("origin")
     if origin is None:
         return [0.0] * 3, [0.0] * 3
-    return _numbers(origin, "xyz", 3, "0 0 0"), _numbers(origin, "rpy", 3, "0 0 0")
+    return _numbers(origin, "xyz", 3, "0 0 0", math.inf), _numbers(origin, "rpy", 3, "0 0 0", math.inf)
 
 
 def _centre(link: Element) -> list[float] | None:
@@ -120,16 +122,22 @@ def _centre(link: Element) -> list[float] | None:
 
 
 def _colour(material: Element) -> str | None:
-    """Return the colour of a material as #rrggbb; None without one."""
+    """Return the colour of a material as #rrggbb; None without one, or if it is not four numbers."""
     element = material.find("color")
     if element is None:
         return None
-    return "#" + "".join(f"{round(255 * min(max(part, 0.0), 1.0)):02x}" for part in _numbers(element, "rgba", 4)[:3])
+    try:
+        rgba = _numbers(element, "rgba", 4)
+    except ValueError:
+        return None
+    return "#" + "".join(f"{round(255 * min(max(part, 0.0), 1.0)):02x}" for part in rgba[:3])
 
 
-def _numbers(element: Element, attribute: str, count: int, default: str = "") -> list[float]:
-    """Return the numbers of an attribute; raises ValueError unless there are `count` of them, below 1e6 in size."""
+def _numbers(
+    element: Element, attribute: str, count: int, default: str = "", most: float = LARGEST_SHAPE
+) -> list[float]:
+    """Return the numbers of an attribute; raises ValueError unless there are `count` of them, below `most` in size."""
     values = [float(word) for word in element.get(attribute, default).split()]
-    if len(values) != count or not all(abs(value) < 1e6 for value in values):
+    if len(values) != count or not all(abs(value) < most for value in values):
         raise ValueError(attribute)
     return values

@@ -81,7 +81,7 @@ def _check_certificate(law: StaticLaw, samples: Sequence[Sample], findings: Find
         f"dV/dt is {dV[worst]:.4g} W at {_where(law, samples[worst])}, where V is {V[worst]:.4g} J; "
         f"expected at most -2 rate V = {bound[worst]:.4g} W with the rate {rate:.4g} 1/s"
     )
-    findings.add(fault if excess[worst] > 0 else "", f"V decays at least as exp(-2 rate t), rate {rate:.4g} 1/s")
+    findings.add("" if excess[worst] <= 0 else fault, f"V decays at least as exp(-2 rate t), rate {rate:.4g} 1/s")
 
 
 def _rate(law: StaticLaw, samples: Sequence[Sample]) -> float | None:

@@ -89,7 +89,7 @@ def _check_power(plant: Plant, H: Callable[[Array], float], samples: Sequence[Sa
         f"dH/dt is {dH[worst]:.4g} W at {_where(plant, samples[worst])}, where the motors supply "
         f"{supplied[worst]:.4g} W; expected at most that"
     )
-    findings.add(fault if not excess[worst] <= 0 else "", "dH/dt is at most the power of the motors")
+    findings.add("" if excess[worst] <= 0 else fault, "dH/dt is at most the power of the motors")
 
 
 def _where(plant: Plant, sample: Sample) -> str:
