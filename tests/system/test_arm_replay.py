@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -45,13 +44,6 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in SCENARIOS:
         (output / name).symlink_to(shared_run(tmp_path_factory, name))
     return output
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    made = Browser()
-    yield made
-    made.close()
 
 
 def change(browser: Browser, part: str, value: object, attribute: str = "value") -> str:

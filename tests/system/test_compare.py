@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -70,13 +70,6 @@ def found(folder: Path) -> dict[str, Any]:
     assert set(result) == documented_keys()["compare"]
     assert result.items() >= document.items()
     return document
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    made = Browser()
-    yield made
-    made.close()
 
 
 def test_every_cell_and_margin_is_present(found: dict[str, Any]) -> None:

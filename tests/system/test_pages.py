@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -27,13 +26,6 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     said = fjr_here("report", *(str(shared_run(tmp_path_factory, name)) for name in SCENARIOS), "--output", str(output))
     assert "side by side" in said
     return output
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    made = Browser()
-    yield made
-    made.close()
 
 
 def names(browser: Browser) -> list[str]:

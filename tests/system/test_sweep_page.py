@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -35,13 +34,6 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "joint.yaml").write_text(SWEEP)
     fjr_here("sweep", str(folder / "joint.yaml"), "--output", str(folder))
     return folder / "joint"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    made = Browser()
-    yield made
-    made.close()
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])

@@ -29,13 +29,6 @@ def loop() -> Iterator[dict[str, Executable]]:
         yield nodes
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    made = Browser()
-    yield made
-    made.close()
-
-
 @pytest.fixture
 def page() -> Iterator[BrowserPage]:
     with BrowserPage(0, "fjr watch <left>") as made:
