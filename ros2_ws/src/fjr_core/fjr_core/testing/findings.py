@@ -42,6 +42,12 @@ class Findings:
         else:
             self.holds.append(holds)
 
+    def add_repetition(self, once: Sequence[Array], again: Sequence[Array]) -> None:
+        """Add whether the results of a second evaluation at the same arguments are those of the first."""
+        gap = max(differs(first, second) for first, second in zip(once, again, strict=True))
+        fault = f"a second evaluation at the same state differs by {gap:.3g}; expected a pure function, without memory"
+        self.add(fault if gap else "", "the result depends on the arguments only")
+
     def result(self) -> tuple[str, ...]:
         """Return what holds; raise CheckError if there are faults."""
         if self.faults:
@@ -69,7 +75,8 @@ def slope(f: Callable[[float], float]) -> float:
 def differs(first: Array, again: Array) -> float:
     """Return the largest difference of two arrays; nan equals nan, and differs infinitely from numbers."""
     same = (first == again) | (np.isnan(first) & np.isnan(again))
-    gap = np.where(same, 0.0, np.nan_to_num(np.abs(first - again), nan=np.inf))
+    with np.errstate(invalid="ignore"):  # inf - inf
+        gap = np.where(same, 0.0, np.nan_to_num(np.abs(first - again), nan=np.inf))
     return float(np.max(gap, initial=0.0))
 
 

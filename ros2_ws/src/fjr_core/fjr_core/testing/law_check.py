@@ -16,7 +16,7 @@ from ..numerics.checks import Array
 from ..robot.port_hamiltonian import Plant
 from ..robot.robot import Robot
 from ..trajectories.reference import JETS
-from .findings import RELATIVE, Findings, differs, random_states, rounded, slope
+from .findings import RELATIVE, Findings, random_states, rounded, slope
 
 Sample = tuple[Array, Array]
 """A state x (4n,) and reference jets (5, n)."""
@@ -55,9 +55,7 @@ def _check_values(law: StaticLaw, samples: Sequence[Sample], findings: Findings)
     at = next((k for k, each in enumerate(once) if not np.isfinite(each[:-1]).all()), None)
     fault = f"u is not finite at {_where(law, samples[at])}; expected finite numbers" if at is not None else ""
     findings.add(fault, f"u ({law.robot.n},) is finite at {len(samples)} states")
-    gap = max(differs(first, second) for first, second in zip(once, again, strict=True))
-    fault = f"a second evaluation at the same state differs by {gap:.3g}; expected a pure function, without memory"
-    findings.add(fault if gap else "", "the result depends on the arguments only")
+    findings.add_repetition(once, again)
 
 
 def _check_certificate(law: StaticLaw, samples: Sequence[Sample], findings: Findings) -> None:

@@ -13,7 +13,7 @@ from ..numerics.checks import Array
 from ..robot.port_hamiltonian import Plant
 from ..robot.python_plant import PythonPlant
 from ..robot.robot import Robot
-from .findings import RELATIVE, Findings, differs, random_states, rounded, slope
+from .findings import RELATIVE, Findings, random_states, rounded, slope
 
 EFFORT = 10.0  # N m
 Sample = tuple[Array, Array]
@@ -51,9 +51,7 @@ def _check_values(plant: Plant, samples: Sequence[Sample], findings: Findings) -
     bad = next((sample for sample, dx in zip(samples, once, strict=True) if not np.isfinite(dx).all()), None)
     fault = f"dx is not finite at {_where(plant, bad)}; expected finite numbers" if bad is not None else ""
     findings.add(fault, f"dx ({4 * plant.robot.n},) is finite at {len(samples)} states")
-    gap = max(differs(first, second) for first, second in zip(once, again, strict=True))
-    fault = f"a second evaluation at the same state differs by {gap:.3g}; expected a pure function, without memory"
-    findings.add(fault if gap else "", "the result depends on the arguments only")
+    findings.add_repetition(once, again)
     n = plant.robot.n
     errors = [
         np.max(np.abs(dx[: 2 * n] - np.concatenate(plant.robot.velocities(x))))
