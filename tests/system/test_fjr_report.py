@@ -19,7 +19,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from fjr_bringup.analysis.run_data import RunData, run_data
 from fjr_bringup.recording.reader import header_stamp, read_bag
 from fjr_core.config.scenario import Scenario, load_scenario
-from system.bags import STORE, rewritten
+from system.bags import STORE, in_chunks, rewritten
 from system.executables import fjr_here, scenario
 
 pytestmark = pytest.mark.system
@@ -205,8 +205,10 @@ def test_another_robots_bag_is_named_and_its_timing_shown(run: Path, tmp_path: P
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_truncated_bag_is_reported_up_to_its_end(run: Path, tmp_path: Path, storage: StoragePlugin) -> None:
-    source = run / "bag" if storage is StoragePlugin.MCAP else rewritten(run / "bag", tmp_path / "copy", storage)
-    file = next(path for path in source.iterdir() if path.suffix in (".mcap", ".db3"))
+    if storage is StoragePlugin.MCAP:
+        file = in_chunks(next((run / "bag").glob("*.mcap")), tmp_path / "chunks.mcap")
+    else:
+        file = next(rewritten(run / "bag", tmp_path / "copy", storage).glob("*.db3"))
     torn = tmp_path / f"torn{file.suffix}"
     torn.write_bytes(file.read_bytes()[: int(0.6 * file.stat().st_size)])
     made = report(torn, run, tmp_path)
