@@ -46,7 +46,6 @@ class Loop:
 
     def __init__(self, law: fjr.TrackingLaw, reference: fjr.Reference, given: Settings, x0: Any, **more: Any) -> None:
         self.tracker = Tracker(law, reference, given, **more)
-        self.tracker.warm_up()
         self.robot, self.plant = law.robot, fjr.Plant(law.robot)
         self.x = np.asarray(x0, dtype=float)
         self.now = 10**9

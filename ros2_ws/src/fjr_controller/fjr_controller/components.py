@@ -60,7 +60,6 @@ class Control:
         simulated = bool(node.get_parameter("use_sim_time").value)
         robust = robust_action(values, self._law)
         self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated, robust)
-        self.tracker.warm_up()
         # Above nothing is created on the node; below nothing raises.
         self.reports = Reports(node, self.tracker, events, robot_name(values))
         self._command_loop = CommandLoop(node, joints, self.tracker, reader, self.reports, on_conflict)

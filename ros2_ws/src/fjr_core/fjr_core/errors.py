@@ -38,3 +38,7 @@ class CompareError(FjrError):
 
 class UserCodeError(FjrError):
     """Failure of code of the user, a law or a plant: an exception, or a result of the wrong shape."""
+
+
+class CompilerError(FjrError):
+    """No C compiler, or one that fails, where compiled code is needed."""

@@ -1,24 +1,80 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports of the tracker: its state, events for the log, counters for the diagnostics."""
+"""Events and counters of the control step as names and sentences."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
+
+from fjr_core.control.safety_settings import Settings
+from fjr_core.control_step.control_step import ControlStep
 
 INFO, WARN, ERROR = "info", "warn", "error"
 STOPS, STARTS_REFUSED = "stops", "starts refused"  # kinds of the events that end tracking
+KINDS = (
+    "states older than the last",
+    "states repeated",
+    "jumps doubted",
+    "reference restarts",
+    "silences",
+    "forward jumps",
+    "observer restarts",
+    "recoveries",
+    STARTS_REFUSED,
+    STOPS,
+    "stops: wiring",
+    "stops: link position",
+    "stops: motor position",
+    "stops: link velocity",
+    "stops: motor velocity",
+    "stops: deflection",
+    "stops: tracking error",
+    "stops: law",
+    "resumes",
+    "efforts not finite",
+    "efforts saturated",
+    "efforts rate limited",
+    "gains changed",
+    "settings changed",
+    "references changed",
+    "holds",
+)
+"""Names of the counters, in the order of enum fjr_kind in step.h."""
+SIMPLE = {
+    "reference restarts": (WARN, "the time of the states jumped back: the reference starts again"),
+    "forward jumps": (WARN, "the time of the states jumped forward"),
+    "observer restarts": (WARN, "the velocity observer was reset: a gap, or a state without an effort"),
+    "efforts not finite": (ERROR, "the effort is not finite for a state: the stop effort is sent instead"),
+    "gains changed": (INFO, "gains changed: the certificate starts again"),
+    "settings changed": (INFO, "limits and stop policy changed"),
+    "holds": (INFO, "hold: the motion comes to a standstill"),
+}
+"""Level and sentence of the events without values."""
+LIMITED = {
+    "link position": ("q_l", "position"),
+    "motor position": ("q_m", "position"),
+    "link velocity": ("dq_l", "velocity"),
+    "motor velocity": ("dq_m", "velocity"),
+    "deflection": ("q_m - q_l", "position"),
+    "tracking error": ("q_l - q_ld", "position"),
+}
+"""Limited quantities: symbol, and field of Units."""
 
 
 class State(str, Enum):
-    """Operating state of the tracker."""
+    """Operating state of the tracker, in the order of enum fjr_state."""
 
     WAITING = "waiting"  # for the first sample
     JOINING = "joining"  # transition from the measured state to the reference, or bumpless transfer of the effort
     TRACKING = "tracking"
     STOPPED = "stopped"  # the stop policy acts until resume()
+
+
+STATES = tuple(State)
 
 
 @dataclass(frozen=True)
@@ -32,29 +88,75 @@ class Event:
 
 
 class Journal:
-    """Counters, and the newest hundred unread events.
+    """Events of a control step as sentences: the newest hundred unread ones, and the reason of the last stop.
 
-    episodes: kinds whose episode has been reported and has not ended; remove one to end its episode.
+    followed: names of the references requested, in order. wiring: sentence of the last wiring fault.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, step: ControlStep) -> None:
+        self._step, self._read = step, 0
         self.events: deque[Event] = deque(maxlen=100)
-        self.counters: Counter[str] = Counter()
-        self.episodes: set[str] = set()
+        self.reason, self.wiring = "", ""
+        self.followed: deque[str] = deque()
 
-    def report(self, level: str, kind: str, sentence: str, **values: float | str) -> None:
-        """Count `kind` and add an event."""
-        self.counters[kind] += 1
-        self.events.append(Event(level, kind, sentence, values))
+    def update(self) -> None:
+        """Read the events since the last call."""
+        journal = self._step.controller.journal
+        size = len(journal.event)
+        for k in range(max(self._read, journal.events - size), journal.events):
+            event = self._event(journal.event[k % size])
+            if event.kind in (STOPS, STARTS_REFUSED):
+                self.reason = event.sentence
+            self.events.append(event)
+        self._read = journal.events
 
-    def count(self, kind: str) -> None:
-        """Count `kind`."""
-        self.counters[kind] += 1
+    @property
+    def counters(self) -> Counter[str]:
+        """Return how often each kind was counted; kinds that never were are absent."""
+        journal, joints = self._step.controller.journal, self._step.settings.joints
+        counts = dict(zip(KINDS, journal.count, strict=True))
+        counts |= {f"efforts saturated: {joint}": k for joint, k in zip(joints, journal.saturated, strict=True)}
+        return Counter({kind: k for kind, k in counts.items() if k})
 
-    def report_episode(self, level: str, kind: str, sentence: str, **values: float | str) -> None:
-        """Count `kind`; add an event only for the first call of an episode."""
-        if kind in self.episodes:
-            self.count(kind)
-        else:
-            self.episodes.add(kind)
-            self.report(level, kind, sentence, **values)
+    def _event(self, found: Any) -> Event:
+        kind, settings = KINDS[found.kind], self._step.settings
+        if kind in SIMPLE:
+            level, sentence = SIMPLE[kind]
+            return Event(level, kind, sentence)
+        if kind in (STOPS, STARTS_REFUSED):
+            return self._stop(kind, found, settings)
+        if kind == "silences":
+            return Event(WARN, kind, f"no state for more than {found.value:g} s: the stop effort is sent")
+        if kind == "recoveries":
+            how = f"transition to the reference within {found.value:g} s" if found.value else "tracking continues at once"
+            return Event(INFO, kind, f"recovery: {how}")
+        if kind == "references changed":
+            return Event(INFO, kind, f"another reference: {self.followed.popleft()}")
+        joints = [joint for i, joint in enumerate(settings.joints) if found.detail >> i % 31 & 1]
+        return Event(WARN, kind, f"the effort of {', '.join(joints)} is at its limit", {"joint": joints[0]})
+
+    def _stop(self, kind: str, found: Any, settings: Settings) -> Event:
+        joint = settings.joints[found.joint] if found.joint >= 0 else ""
+        values: dict[str, float | str] = {"joint": joint} if joint else {}
+        if not math.isnan(found.value):
+            values |= {"value": found.value, "limit": found.limit}
+        if kind == STARTS_REFUSED:
+            return Event(ERROR, kind, _refusal(found, joint, settings), values)
+        cause = KINDS[found.detail].removeprefix("stops: ")
+        own = {"wiring": self.wiring, "law": self._step.law_failure}
+        sentence = own[cause] if cause in own else _violation(cause, found, joint, settings)
+        return Event(ERROR, kind, f"stopped: {sentence}", values)
+
+
+def _violation(cause: str, found: Any, joint: str, settings: Settings) -> str:
+    symbol, quantity = LIMITED[cause]
+    unit, side = getattr(settings.units[found.joint], quantity), "at least" if found.below else "at most"
+    return f"{cause} of {joint}: {symbol} = {found.value:.6g} {unit}; expected {side} {found.limit:.6g} {unit}"
+
+
+def _refusal(found: Any, joint: str, settings: Settings) -> str:
+    unit = settings.units[found.joint].position
+    return (
+        f"start refused: |q_l - q_ld| of {joint} is {found.value:.6g} {unit}; "
+        f"expected at most {found.limit:.6g} {unit}, or a start.join_time above 0"
+    )

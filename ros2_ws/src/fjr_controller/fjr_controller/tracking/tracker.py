@@ -1,35 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tracking controller without ROS: from a measured sample to the effort u(x, x, t) that is sent.
-
-sample -> order of the stamps -> measured state -> wiring -> supervisor (reference, limits of the state) -> law or stop
-policy -> bumpless transfer -> effort limits -> rate limits -> u
-"""
+"""The tracking controller without ROS: the control step of step.h with its events as sentences."""
 
 from __future__ import annotations
 
-import math
+from collections import Counter, deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fjr_core import Reference, TrajectoryError, VelocityObserver
+from fjr_core import Reference, VelocityObserver
 from fjr_core.control.robust import Robust
 from fjr_core.control.safety_settings import Settings
 from fjr_core.control.static_law import StaticLaw
+from fjr_core.control_step.control_step import NEVER, ControlStep
 from fjr_core.numerics.checks import Array
 
-from .effort_output import EffortOutput
-from .events import ERROR, INFO, WARN, Journal, State
-from .measured_state import MeasuredState, StateMeasurement
-from .stamp_order import Order, Stamps
-from .supervisor import Supervisor
+from .events import STATES, Event, Journal, State
 from .wiring_monitor import WiringMonitor
 
 if TYPE_CHECKING:
     from fjr_msgs_py.messages.joint_states import JointSample
-
-NOT_FINITE = "efforts not finite"
 
 
 @dataclass(slots=True)
@@ -60,7 +51,7 @@ class Tracker:
 
     Samples. One that is older than the last, or an unconfirmed jump, gets no command (None); one with a repeated stamp
     is evaluated again. A jump back starts the reference again, as start() does, but a stop stays latched. After a
-    jump forward or a silence of state_timeout tracking recovers without a step of u (see Stamps and Supervisor).
+    jump forward or a silence of state_timeout tracking recovers without a step of u (see stamps.c and supervisor.c).
     After an observer reset, velocity estimates are used only from the sample OBSERVED on; until then the last effort is
     held, or at a start the stop policy's effort is sent.
 
@@ -70,7 +61,7 @@ class Tracker:
     With robust action the controller state advances once per sample for which the law acts, by the effort that was
     sent; it is reset at every gap and stop, and kept when the gains change.
 
-    events: the newest events, to be taken out by the caller. counters, with stable names:
+    counters, with stable names:
     "states older than the last", "states repeated", "jumps doubted", "reference restarts", "silences",
     "forward jumps", "observer restarts", "recoveries",
     "starts refused", "stops" and of these "stops: wiring", "stops: link position", "stops: motor position",
@@ -90,58 +81,53 @@ class Tracker:
         simulated_time: bool = False,
         robust: Robust | None = None,
     ) -> None:
-        """Build the parts. Raise GainsError if the law's effort is not finite."""
-        journal = Journal()
-        self.events, self.counters, self._journal = journal.events, journal.counters, journal
-        self._state = MeasuredState(law.robot.n)
-        self._stamps = Stamps(settings.state_timeout, simulated_time)
-        self._measurement = StateMeasurement(self._state, observer)
+        """Build the control step. Raise GainsError if the law's effort is not finite, CompilerError without a compiler."""
+        self.step = ControlStep(law, reference, settings, observer, simulated_time, robust)
+        self._controller, self._journal = self.step.controller, Journal(self.step)
         checks = settings.wiring_check and observer is None
-        self._wiring = WiringMonitor(law.robot, settings.joints, self._state, enabled=checks)
-        self._reference, self._supervisor = reference, Supervisor(reference, settings, self._state, journal)
-        self._output = EffortOutput(law, robust, settings, self._state, journal)
-        self._stopped = 0  # ns
+        self._wiring = WiringMonitor(self.step, self._on_wiring_fault) if checks else None
+
+    @property
+    def events(self) -> deque[Event]:
+        """Return the newest unread events, to be taken out by the caller."""
+        return self._journal.events
+
+    @property
+    def counters(self) -> Counter[str]:
+        """Return the counters by their names; those that are 0 are absent."""
+        return self._journal.counters
 
     @property
     def state(self) -> State:
         """Return the state of the tracker."""
-        if self._supervisor.reason:
-            return State.STOPPED
-        if self._stamps.last is None:
-            return State.WAITING
-        return State.JOINING if self._supervisor.joining else State.TRACKING
+        return STATES[self.step.lib.fjr_state_of(self._controller)]
 
     @property
     def reason(self) -> str:
         """Return the reason of the stop, one sentence; empty if not stopped."""
-        return self._supervisor.reason
+        return self._journal.reason if self._controller.supervisor.stopped else ""
 
     @property
     def last_stamp(self) -> int | None:
         """Return the stamp [ns] of the last sample with an effort of law or stop; None before the first."""
-        return self._stamps.last
+        return _stamp(self._controller.stamps.last)
 
     @property
     def end(self) -> float:
         """Return the stamp [ns] from which on the reference is constant; inf for never, or before the first sample."""
-        return self._supervisor.reference.end
+        return self.step.end
 
     @property
     def bound_start(self) -> int | None:
         """Return the stamp [ns] at which the bound on V starts; None unless the effort sent is the law's own."""
-        return self._supervisor.bound_start
+        return _stamp(self._controller.supervisor.bound_start)
 
     @property
     def seconds(self) -> dict[str, float]:
         """Return times by the stamps [s]: "in saturation", "in saturation: <joint>", "stopped"."""
-        return {**self._output.limits.seconds, "stopped": self._stopped * 1e-9}
-
-    def warm_up(self) -> None:
-        """Evaluate everything once, so that the first sample takes no longer than any other."""
-        n = len(self._state.q_l)
-        self._supervisor.reference.jets(0)
-        self._output.policy.moving(np.zeros(n), np.zeros(n))
-        self._measurement.warm_up()
+        limits, joints = self._controller.limits, self.step.settings.joints
+        each = {f"in saturation: {joint}": s for joint, s in zip(joints, limits.seconds, strict=True)}
+        return {"in saturation": limits.seconds_any, **each, "stopped": self._controller.stopped_time * 1e-9}
 
     def start(self, reference: Reference | None = None) -> None:
         """Start again: the next sample is the first, and the rules of a start apply to it.
@@ -149,9 +135,7 @@ class Tracker:
         reference: to be tracked, with time 0 at that sample; None: that of the last start. Pending requests and a stop
         are discarded. Law, settings, events and counters remain.
         """
-        self._reference = self._reference if reference is None else reference
-        self._stamps.reset()
-        self._supervisor = Supervisor(self._reference, self._supervisor.settings, self._state, self._journal)
+        self.step.start(reference)
         self._recheck_wiring()
 
     def command(self, sample: JointSample, arrival: int) -> Command | None:
@@ -159,73 +143,51 @@ class Tracker:
 
         Raise StateError if the sample has no velocities and there is no observer.
         """
-        stamp = sample.stamp
-        order = self._stamps.classify(stamp, arrival)
-        if order is Order.OLDER or order is Order.DOUBTED:
-            self._journal.count("states older than the last" if order is Order.OLDER else "jumps doubted")
+        step = self.step
+        answered = step.step(sample.stamp, arrival, sample.q_l, sample.q_m, sample.dq_l, sample.dq_m)
+        self._journal.update()
+        if not answered:
             return None
-        if not self._measurement.update(sample, order, self._output.limits.left):
-            return self._without_effort(stamp)
-        self._check_wiring(order, stamp)
-        supervisor, settling = self._supervisor, self._measurement.settling(order)
-        if not supervisor.continues(order, stamp, settling):
-            try:
-                supervisor = supervisor.advanced(order, stamp, settling)
-            except TrajectoryError:  # there is no transition from a state that far away
-                return self._without_effort(stamp)
-        jets, last = supervisor.jets(stamp), self._stamps.last
-        u, V = self._output.select(supervisor, jets, order, stamp, 0 if last is None else stamp - last)
-        if not u.dot(u) < np.inf:
-            return self._without_effort(stamp)
-        if supervisor is not self._supervisor:
-            self._supervisor = supervisor.committed(self._journal)
-        self._output.policy.remember(self._state.q_l)
-        u = self._output.send(self._supervisor, u, V, stamp)
-        self._output.law.accept()
-        self._wiring.sent(u, order)
-        self._accept(stamp, arrival)
-        return self._command(u, jets, V, order is Order.BACK)
+        c = step.command
+        return Command(
+            step.u.copy(), step.jets.copy(), c.V, step.velocity, STATES[c.state], bool(c.restarted), step.position
+        )
 
     def silence(self, now: int) -> Array | None:
         """Return the stop effort (n,) once if nothing came for state_timeout; None otherwise.
 
         now [ns]: of the arrival clock; with simulated time, of the clock of the stamps.
         """
-        if not self._stamps.silent(now):
-            return None
-        seconds = self._stamps.timeout * 1e-9
-        self._journal.report(WARN, "silences", f"no state for more than {seconds:g} s: the stop effort is sent")
-        return self.stop_effort()
+        u = self.step.silence(now)
+        self._journal.update()
+        return u
 
     def stop_effort(self) -> Array:
         """Return the stop policy's effort (n,) without a sample, finite and within the limits; it counts as sent.
 
         zero: zeros. gravity_hold: B_m^-1 grad P_l(q_l) at the last valid sample, zeros before the first.
         """
-        return self._output.send_without_sample(self._supervisor)
+        return self.step.stop_effort()
 
     def apply(self, settings: Settings) -> None:
         """Replace the settings from the next sample on; a stop and transitions in progress remain."""
-        self._stamps.set_timeout(settings.state_timeout)
-        self._supervisor.apply(settings)
-        self._output.apply(settings)
-        self._journal.report(INFO, "settings changed", "limits and stop policy changed")
+        self.step.apply(settings)
+        self._journal.update()
 
     def use(self, law: StaticLaw) -> None:
         """Replace the law (other gains) from the next sample on; the certificate starts again.
 
         Raise GainsError if its effort is not finite; then the law remains.
         """
-        self._output.use(law)
-        self._supervisor.bound_start = None
-        self._journal.report(INFO, "gains changed", "gains changed: the certificate starts again")
+        self.step.use(law)
+        self._journal.update()
 
     def jets_at(self, stamp: int) -> Array | None:
         """Return the jets (5, n) of the active reference at `stamp` [ns]; None before the first sample.
 
         The next trajectory starts from them: Spline(..., start=tracker.jets_at(start)).
         """
-        return self._supervisor.reference.jets(stamp) if self._supervisor.reference.begun else None
+        return self.step.jets_at(stamp)
 
     def follow(self, reference: Reference, start: int | None = None) -> None:
         """Track a reference whose time 0 is at the stamp `start` [ns]; None: at the next sample.
@@ -236,7 +198,9 @@ class Tracker:
         Before the first sample it replaces the reference, with time 0 at that sample. It replaces a pending reference
         and a pending hold. While stopped it is kept until resume().
         """
-        self._supervisor.follow(reference, start)
+        self.step.follow(reference, start)
+        self._journal.followed.append(type(reference).__name__)
+        self._journal.update()
 
     def hold(self) -> None:
         """Come to a standstill from the next sample on, C^4 from the active reference.
@@ -244,43 +208,25 @@ class Tracker:
         The speed dq is reduced to 0 within T = max |dq| / hold.deceleration (0.2 s to 2 s), over the distance dq T / 2.
         While stopped, or before the first sample, hold the link positions of the next sample.
         """
-        self._supervisor.hold()
+        self.step.lib.fjr_hold(self._controller)
+        self._journal.update()
 
     def resume(self) -> None:
         """End a stop: track again from the next sample on, as after a recovery; without a stop do nothing.
 
         If recovery.join_time is 0 a refused start is checked again. A sample that violates a limit stops again.
         """
-        if self._supervisor.reason:
+        if self._controller.supervisor.stopped:
+            self.step.lib.fjr_resume(self._controller)
             self._recheck_wiring()
-        self._supervisor.resume()
 
     def _recheck_wiring(self) -> None:
-        """Check the wiring from the next sample on, and enable the stop policy again."""
-        self._output.policy.released = False
-        self._wiring.restart()
+        if self._wiring is not None:
+            self._wiring.restart()
 
-    def _check_wiring(self, order: Order, stamp: int) -> None:
-        """Stop without any effort if the samples up to this one show a wiring fault."""
-        fault = self._wiring.check(order, stamp)
-        if fault is not None:
-            self._output.policy.released = True
-            self._supervisor.refuse_wiring(*fault)
+    def _on_wiring_fault(self, sentence: str) -> None:
+        self._journal.wiring = sentence
 
-    def _accept(self, stamp: int, arrival: int) -> None:
-        elapsed = self._stamps.accept(stamp, arrival)
-        if self._supervisor.reason:
-            self._stopped += elapsed
-        self._journal.episodes.discard(NOT_FINITE)
 
-    def _without_effort(self, stamp: int) -> Command:
-        """Return the stop policy's effort for a sample that has no finite effort."""
-        sentence = "the effort is not finite for a state: the stop effort is sent instead"
-        self._journal.report_episode(ERROR, NOT_FINITE, sentence)
-        self._measurement.reset()
-        self._output.law.reset()
-        u = self._output.send(self._supervisor, self._output.policy.standing(), math.nan, stamp)
-        return self._command(u, self._supervisor.reference.jets(stamp), math.nan, False)
-
-    def _command(self, u: Array, jets: Array, V: float, restarted: bool) -> Command:
-        return Command(u, jets, V, self._state.velocity, self.state, restarted, self._state.position)
+def _stamp(value: int) -> int | None:
+    return None if value == NEVER else value

@@ -85,7 +85,7 @@ struct fjr_model {
   double gear_ratio[FJR_N];  /* motor angle of a sample / q_m */
   int32_t torque;                      /* the motor side of a sample is the joint torque [N m], q_m = q_l + K^-1 tau */
   double compliance[FJR_N * FJR_N];    /* K^-1 by rows [rad/(N m)] */
-  /* Return 1 if the samples so far show a wiring fault, 0 if not; 0: no check. effort: that of the last sample. */
+  /* Return 1 + joint if the samples so far show a wiring fault, else 0. effort: sent for the last sample. 0: no check. */
   int (*wiring)(void* context, int order, int64_t stamp, const double* position, const double* velocity,
                 const double* effort);
   void* context;
@@ -126,8 +126,9 @@ enum fjr_kind {
   FJR_EFFORTS_RATE_LIMITED, FJR_GAINS_CHANGED, FJR_SETTINGS_CHANGED, FJR_REFERENCES_CHANGED, FJR_HOLDS, FJR_KINDS
 };
 
-/* detail: of a stop the counter of its cause, FJR_STOPS_WIRING .. FJR_STOPS_LAW. joint: -1 for none. value, limit: NaN
- * for none; of a recovery and of a silence `value` is the duration [s]. below: value < limit was found. */
+/* detail: of a stop the counter of its cause, FJR_STOPS_WIRING .. FJR_STOPS_LAW; of a saturation the joints as bits.
+ * joint: -1 for none. value, limit: NaN for none; of a recovery and of a silence `value` is the duration [s]. below:
+ * value < limit was found. */
 struct fjr_event {
   int32_t kind, detail, joint, below;
   int64_t stamp;
@@ -246,7 +247,7 @@ void fjr_start(struct fjr_controller* c, const struct fjr_reference* reference);
 
 /* Requests for the next sample. start: stamp of the reference's time 0; FJR_NEVER: that sample's. */
 void fjr_apply(struct fjr_controller* c, const struct fjr_settings* settings);
-void fjr_use_gains(struct fjr_controller* c, const double* gains);
+void fjr_use_gains(struct fjr_controller* c, const double* gains, const double* hold_damping);
 void fjr_follow(struct fjr_controller* c, const struct fjr_reference* reference, int64_t start);
 void fjr_hold(struct fjr_controller* c);
 void fjr_resume(struct fjr_controller* c);

@@ -18,11 +18,14 @@ from pathlib import Path
 
 import casadi as ca
 
+from ..errors import CompilerError
 from ..files.private_folder import PrivateFolder
 from .code_cache import code_folder, is_intact, keep, temporary_folder
 from .function_splitting import split_functions
 
-OPTIONS = ("-O3", "-march=native", "-fPIC", "-shared")
+SAME_BITS = ("-ffp-contract=off",)
+"""Options without which results depend on the processor: no fused multiply-add in place of a product and a sum."""
+OPTIONS = ("-O3", "-march=native", *SAME_BITS, "-fno-math-errno", "-fno-tree-slp-vectorize", "-fPIC", "-shared")
 COMPILERS = ("cc", "gcc", "clang")
 LONGEST_BUILD = 300.0  # s
 
@@ -49,10 +52,37 @@ def compile_named(function: ca.Function) -> tuple[ca.Function, str | None]:
     try:
         name = function.name()
         folder, library = _library(name, _c_code(name, [function]))
-        return ca.external(name, folder.within(library)), library
+        return external(name, folder.within(library)), library
     except (CompileError, OSError, RuntimeError, ValueError) as error:
         _warn_once(str(error))
         return function, None
+
+
+def external(name: str, path: str) -> ca.Function:
+    """Return the function of this name in a shared object; it knows its path (machine_code)."""
+    function = ca.external(name, path)
+    function.shared_object = path
+    return function
+
+
+def machine_code(function: ca.Function) -> int | None:
+    """Return the address of a function compiled here, with CasADi's signature in C; None if it is not compiled."""
+    path = getattr(function, "shared_object", None)
+    if path is None:
+        return None
+    return ctypes.cast(getattr(ctypes.CDLL(path), function.name()), ctypes.c_void_p).value
+
+
+def shared_object(name: str, source: str) -> str:
+    """Return the path of the shared object built from a C source, cached as compiled functions are.
+
+    Raises CompilerError if there is no C compiler or it fails.
+    """
+    try:
+        folder, library = _library(name, source)
+        return folder.within(library)
+    except (CompileError, OSError) as error:
+        raise CompilerError(f"the control step cannot be compiled: {error}") from None
 
 
 def loaded(name: str, functions: Sequence[ca.Function], around: Callable[[str], str]) -> ctypes.CDLL | None:

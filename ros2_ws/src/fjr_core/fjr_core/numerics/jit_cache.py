@@ -16,7 +16,7 @@ from pathlib import Path
 import casadi as ca
 
 from .code_cache import code_folder, is_intact
-from .jit import CompileError, compile_named, compiled, machine
+from .jit import CompileError, compile_named, compiled, external, machine
 
 SOURCES = ("*.py", "*.c")
 PACKAGE = Path(__file__).parents[1]
@@ -32,7 +32,7 @@ def compiled_from_inputs(name: str, model: bytes, pattern: str, build: Callable[
         note, folder = _note(name, model, pattern), code_folder()
         found = (folder.read(note) or b"").decode("ascii", "replace")
         if found.startswith(f"{name}-") and "/" not in found and is_intact(folder, found):
-            return ca.external(name, folder.within(found))
+            return external(name, folder.within(found))
     except (CompileError, OSError, RuntimeError):
         return compiled(build())
     function, library = compile_named(build())

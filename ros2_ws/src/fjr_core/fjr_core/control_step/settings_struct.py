@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write struct fjr_settings and struct fjr_model of step.h from the safety settings, the law and the measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..control.robust.law import RobustLaw
+from ..control.safety_settings import GRAVITY_HOLD, Settings
+from ..control.sampled_law import SampledLaw
+from ..control.static_law import StaticLaw
+from ..estimation.measurement_model import Measurement
+from ..estimation.velocity_observer import VelocityObserver
+from ..numerics.casadi_function import dense_function
+from ..numerics.symbolic import symbols
+from .c_function import CFunction, WorkSpace
+from .library import StepLibrary
+
+LIMITED = ("link_velocity", "motor_velocity", "deflection", "tracking_error")
+"""Settings that are the largest magnitude of a quantity, in the order of struct fjr_settings."""
+
+
+def settings_struct(library: StepLibrary, settings: Settings, law: StaticLaw) -> Any:
+    """Return struct fjr_settings: limits and durations of the settings, B_m and K_md of the law's robot."""
+    struct = library.ffi.new("struct fjr_settings *")
+    magnitudes = [np.asarray(getattr(settings, name)) for name in LIMITED]
+    upper = [settings.link_position_upper, settings.motor_position_upper, *magnitudes]
+    lower = [settings.link_position_lower, settings.motor_position_lower, *(-size for size in magnitudes)]
+    arrays = {
+        "effort": settings.effort,
+        "effort_rate": settings.effort_rate,
+        "lower": np.concatenate(lower),
+        "upper": np.concatenate(upper),
+        "start_error": settings.start_error,
+        "B_inverse": np.linalg.inv(law.robot.B_m),
+        "hold_damping": law.hold_damping,
+    }
+    for name, array in arrays.items():
+        setattr(struct, name, np.ravel(array).tolist())
+    for name in ("ramp_time", "start_join_time", "recovery_join_time", "hold_deceleration"):
+        setattr(struct, name, getattr(settings, name))
+    struct.state_timeout = round(settings.state_timeout * 1e9)
+    struct.gravity_hold = settings.on_stop == GRAVITY_HOLD
+    return struct
+
+
+class Model:
+    """struct fjr_model of a law with or without robust action; `pointer` is valid as long as this object lives.
+
+    law_failed: called after each evaluation of a law in Python; True if it failed.
+    """
+
+    def __init__(
+        self,
+        library: StepLibrary,
+        law: SampledLaw,
+        observer: VelocityObserver | None = None,
+        measurement: Measurement | None = None,
+        simulated: bool = False,
+        law_failed: Callable[[], bool] | None = None,
+    ) -> None:
+        self._ffi, self._law_failed, n = library.ffi, law_failed, law.robot.n
+        self._functions = {"law": law_function(law), "gravity": _gravity(law)}
+        if observer is not None:
+            self._functions["observer"] = observer.function
+        self.pointer = library.ffi.new("struct fjr_model *")
+        self._point()
+        self.pointer.has_memory = len(law.memory) > 0
+        self.pointer.memory = law.memory.tolist() or [0.0]
+        self.pointer.lead, self.pointer.simulated = round(law.lead * 1e9), simulated
+        self.pointer.bandwidth = observer.bandwidth if observer is not None else 0.0
+        self._measure(measurement or Measurement(n))
+
+    def use(self, law: SampledLaw) -> None:
+        """Replace the law by one of the same robot and a controller state of the same length."""
+        function = law_function(law)
+        if function is not self._functions["law"]:
+            self._functions["law"] = function
+            self._point()
+
+    def _point(self) -> None:
+        """Let the structure point to the functions and to memory for their temporary values."""
+        failed = {"law": self._law_failed}
+        self._held = [CFunction(self._ffi, f, failed.get(name)) for name, f in self._functions.items()]
+        for name, each in zip(self._functions, self._held, strict=True):
+            setattr(self.pointer, name, each.pointer)
+        self._work = WorkSpace(self._ffi, list(self._functions.values()))
+        for name in ("arg", "res", "iw", "w"):
+            setattr(self.pointer, name, getattr(self._work, name))
+
+    def _measure(self, measurement: Measurement) -> None:
+        n = measurement.n
+        self.pointer.torque = measurement.by_torque
+        self.pointer.gear_ratio = np.broadcast_to(measurement.gear_ratio, (n,)).tolist()
+        if measurement.K is not None:
+            self.pointer.compliance = np.linalg.inv(measurement.K).ravel().tolist()
+
+
+def law_function(law: SampledLaw) -> Any:
+    """Return the function of a law that C calls: its compiled step, or that of the static law alone."""
+    if isinstance(law, RobustLaw):
+        return law.ready_step
+    static = getattr(law, "law", None)
+    return static.measured_function if isinstance(static, StaticLaw) else law.step_function
+
+
+def _gravity(law: SampledLaw) -> Any:
+    """Return the function q_l -> grad P_l (n,)."""
+    s = symbols(q_l=law.robot.n)
+    return dense_function("gravity", s, {"grad_P_l": law.robot.links.grad_P_l(s["q_l"])}, cse=True)

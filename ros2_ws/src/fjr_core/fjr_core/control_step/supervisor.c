@@ -1,0 +1,117 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * The supervisor: a state machine that starts, recovers, holds and stops tracking.
+ *
+ * Start: ramp from the stop policy's effort over start.ramp_time; transition from the measured state over
+ * start.join_time, or without one refuse the start if |q_l - q_ld| exceeds limits.start_error.
+ * Recovery (after a gap of the samples, or a resume): transition of the reference from the measured state over
+ * recovery.join_time, and blend of the effort over BLEND of that time. The clock of the reference continues.
+ * Stop: at a violated limit, or where the law failed, latched until a resume. Outside the limits nothing is started or
+ * resumed. Until the velocities of an observer that was reset have settled, their limits and that of the tracking error
+ * are not checked. The functions that return int return 0 if there is no transition to the reference.
+ */
+
+#define BLEND 0.05 /* of the transition time: a longer blend has a larger error, and no smaller step of u */
+
+static void init_supervisor(struct fjr_supervisor* s, const struct fjr_reference* reference) {
+  memset(s, 0, sizeof *s);
+  s->reference.target = reference;
+  s->reference.zero = s->reference.pending_start = s->bound_start = FJR_NEVER;
+  s->starting = 1;
+}
+
+/* True if this sample triggers no state transition. */
+static int continues(const struct fjr_supervisor* s, enum fjr_order order, int64_t stamp, int settling) {
+  const int requested = s->resuming || s->holding || is_due(&s->reference, stamp);
+  return order == FJR_NEXT && !(settling || s->settling || requested);
+}
+
+static void begin(struct fjr_controller* c, int64_t stamp) {
+  struct fjr_supervisor* s = &c->supervisor;
+  if (s->holding) stand(&s->reference, c->measured.values, stamp);
+  s->holding = 0;
+  begin_reference(&s->reference, stamp);
+  s->bound_start = FJR_NEVER;
+  s->starting = 1;
+}
+
+static void handle_order(struct fjr_controller* c, enum fjr_order order, int64_t stamp, int settling) {
+  struct fjr_supervisor* s = &c->supervisor;
+  if (order == FJR_REPEATED) {
+    count(c, FJR_STATES_REPEATED);
+    return;
+  }
+  if (order == FJR_BACK) report(c, FJR_REFERENCE_RESTARTS, stamp);
+  if (order == FJR_FIRST || order == FJR_BACK) begin(c, stamp);
+  if (order == FJR_FORWARD) report(c, FJR_FORWARD_JUMPS, stamp);
+  if (order == FJR_NEXT && settling) report(c, FJR_OBSERVER_RESTARTS, stamp);
+  if (order != FJR_NEXT || settling) {
+    s->transfer.active = 0;
+    s->settling = 1 + settling;
+  }
+}
+
+/* Begin the transition of the reference from the measured state. */
+static int join(struct fjr_controller* c, int64_t stamp, double duration) {
+  double jets[FJR_JETS * N];
+  standing_jets(jets, c->measured.values, c->measured.values + 2 * N);
+  return begin_transition(&c->supervisor.reference, jets, stamp, duration);
+}
+
+static int start_tracking(struct fjr_controller* c, int64_t stamp) {
+  struct fjr_supervisor* s = &c->supervisor;
+  double jets[FJR_JETS * N];
+  begin_transfer(&s->transfer, stamp, c->settings.ramp_time, 1);
+  if (c->settings.start_join_time > 0) {
+    if (!join(c, stamp, c->settings.start_join_time)) return 0;
+  } else {
+    active_jets(&s->reference, stamp, jets);
+    check_start(c, jets, stamp);
+  }
+  s->starting = s->stopped != 0;
+  return 1;
+}
+
+static int recover(struct fjr_controller* c, int64_t stamp) {
+  const double duration = c->settings.recovery_join_time;
+  c->supervisor.bound_start = FJR_NEVER;
+  if (duration > 0) {
+    if (!join(c, stamp, duration)) return 0;
+    begin_transfer(&c->supervisor.transfer, stamp, BLEND * duration, 0);
+  }
+  report_value(c, FJR_RECOVERIES, stamp, duration);
+  return 1;
+}
+
+/* End the stop unless the state violates a limit; return 1 if tracking can recover at this sample. */
+static int resume(struct fjr_controller* c, int64_t stamp) {
+  struct fjr_supervisor* s = &c->supervisor;
+  s->stopped = s->resuming = 0;
+  check_limits(c, 0, stamp);
+  if (s->stopped) return 0;
+  count(c, FJR_RESUMES);
+  s->starting = s->starting && c->settings.recovery_join_time == 0;
+  if (s->starting) begin(c, stamp);
+  return s->settling == 0;
+}
+
+/* Carry out requests since the last sample; start or recover once the velocities have settled. */
+static int handle_requests(struct fjr_controller* c, enum fjr_order order, int64_t stamp) {
+  struct fjr_supervisor* s = &c->supervisor;
+  int ready = 0;
+  if (s->settling && order != FJR_REPEATED) ready = !--s->settling;
+  if (s->resuming) ready = resume(c, stamp);
+  if (ready && !s->stopped) check_limits(c, 0, stamp);
+  if (ready && !s->stopped && !(s->starting ? start_tracking(c, stamp) : recover(c, stamp))) return 0;
+  if (s->holding && s->stopped) stand(&s->reference, c->measured.values, stamp);
+  if (s->holding && !s->stopped && !brake(&s->reference, stamp, c->settings.hold_deceleration)) return 0;
+  s->holding = 0;
+  return advance_reference(&s->reference, stamp, s->stopped ? 0 : c->settings.recovery_join_time);
+}
+
+/* Write the reference's jets at the stamp; stop if the state violates a limit. */
+static void supervised_jets(struct fjr_controller* c, int64_t stamp, double* jets) {
+  struct fjr_supervisor* s = &c->supervisor;
+  active_jets(&s->reference, stamp, jets);
+  s->joining = stamp < s->reference.transition_end;
+  if (!s->stopped) check_limits(c, s->settling ? 0 : jets, stamp);
+}
