@@ -22,6 +22,7 @@ LAYERS = {
         "robot",
         "estimation trajectories",
         "control",
+        "control_step",
         "stability simulation",
         "tuning monitoring",
         "config",
