@@ -166,7 +166,9 @@ class ControlStep:
         """Return the gains of the law; raise GainsError unless its effort is finite at 1 and at the measured state."""
         sampled, n = self._sampled, law.robot.n
         evaluate, values = NumericFunction(law_function(sampled)), sampled.gain_values
-        state = np.zeros(4 * n) if not np.isfinite(self.measured).all() else self.measured[: 4 * n].copy()
+        state = self.measured[: 4 * n].copy()
+        state = state if state.dot(state) < np.inf else np.zeros(4 * n)
+        jets = jets if np.isfinite(jets).all() else np.zeros((JETS, n))
         rest = (sampled.memory, np.zeros(n), 0.0) if len(sampled.memory) else ()
         for point in (state,) if law.in_python else (np.ones(4 * n), state):  # its domain may be smaller
             with np.errstate(all="ignore"):
