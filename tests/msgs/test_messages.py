@@ -128,40 +128,32 @@ def test_an_observer_ignores_the_velocities() -> None:
         assert (sample.q_l, sample.q_m, sample.dq_l, sample.dq_m) == (1.0, 2.0, None, None)
 
 
-def test_motor_angles_and_velocities_are_divided_by_the_gear_ratio() -> None:
+def test_motor_angles_and_velocities_are_as_in_the_message() -> None:
     message = state_of(
         [*reversed(state_names(("a", "b")))], position=[-3.0, 200.0, 2.0, 1.0], velocity=[30.0, 400.0, 6.0, 5.0]
     )
     sample = StateReader(("a", "b"), Measurement(2, gear_ratio=np.array([100.0, -50.0]))).read(message)
-    assert (sample.q_l.tolist(), sample.q_m.tolist()) == ([1.0, 2.0], [2.0, 0.06])
-    assert (sample.dq_l.tolist(), sample.dq_m.tolist()) == ([5.0, 6.0], [4.0, -0.6])
+    assert (sample.q_l.tolist(), sample.q_m.tolist()) == ([1.0, 2.0], [200.0, -3.0])
+    assert (sample.dq_l.tolist(), sample.dq_m.tolist()) == ([5.0, 6.0], [400.0, 30.0])
 
 
-def test_motor_positions_follow_from_the_joint_torque() -> None:
-    K = np.array([[20.0, 4.0], [4.0, 10.0]])
-    torque = np.array([3.0, -2.0])
-    message = state_of(["b", "other", "a"], position=[2.0, 9.0, 1.0], effort=[torque[1], 9.0, torque[0]])
-    sample = StateReader(("a", "b"), Measurement(2, "observer", "torque", K=K)).read(message)
+def test_joint_torques_are_read_in_place_of_motor_positions() -> None:
+    message = state_of(["b", "other", "a"], position=[2.0, 9.0, 1.0], effort=[-2.0, 9.0, 3.0])
+    sample = StateReader(("a", "b"), Measurement(2, "observer", "torque", K=np.eye(2))).read(message)
     assert sample.q_l.tolist() == [1.0, 2.0]
-    np.testing.assert_allclose(K @ (sample.q_m - sample.q_l), torque)
+    assert sample.q_m.tolist() == [3.0, -2.0]
     assert sample.dq_m is None
 
 
-BY_TORQUE = StateReader(("elbow",), Measurement(1, "observer", "torque", K=np.array([[1e-3]])))
-TURNED = StateReader(("elbow",), Measurement(1, gear_ratio=1e-3))
-
-
 @pytest.mark.parametrize(
-    ("reader", "fields", "kind"),
+    ("fields", "kind"),
     [
-        (BY_TORQUE, {"position": [1.0, 2.0]}, "wrong lengths"),
-        (BY_TORQUE, {"position": [1.0, 2.0], "effort": [float("nan"), 0.0]}, "not finite"),
-        (BY_TORQUE, {"position": [1.0, 2.0], "effort": [1e308, 0.0]}, "not finite"),
-        (TURNED, {"position": [1.0, 1e308], "velocity": [0.0, 0.0]}, "not finite"),
-        (TURNED, {"position": [1.0, 1.0], "velocity": [0.0, 1e308]}, "not finite"),
+        ({"position": [1.0, 2.0]}, "wrong lengths"),
+        ({"position": [1.0, 2.0], "effort": [float("nan"), 0.0]}, "not finite"),
     ],
 )
-def test_converted_torques_and_angles_must_be_finite(reader: StateReader, fields: dict, kind: str) -> None:
+def test_joint_torques_must_be_finite(fields: dict, kind: str) -> None:
+    reader = StateReader(("elbow",), Measurement(1, "observer", "torque", K=np.array([[1e-3]])))
     with pytest.raises(MessageError) as caught:
         reader.read(state_of(["elbow", "elbow_motor"], **fields))
     assert caught.value.kind == kind

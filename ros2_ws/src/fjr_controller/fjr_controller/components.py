@@ -53,13 +53,16 @@ class Control:
         self._read_motion(node)
         self._settings = settings = safety(values, robot)
         allowed = tolerances(values, robot.units)
-        reader = StateReader(joints, measurement(values, robot))
+        measured = measurement(values, robot)
+        reader = StateReader(joints, measured)
         self._law = control_law(values, robot)
         if sentence := in_python(law.TYPE, values):
             node.get_logger().info(sentence)
         simulated = bool(node.get_parameter("use_sim_time").value)
         robust = robust_action(values, self._law)
-        self.tracker = Tracker(self._law, self._built_in(), settings, observer(values, robot), simulated, robust)
+        self.tracker = Tracker(
+            self._law, self._built_in(), settings, observer(values, robot), simulated, robust, measured
+        )
         # Above nothing is created on the node; below nothing raises.
         self.reports = Reports(node, self.tracker, events, robot_name(values))
         self._command_loop = CommandLoop(node, joints, self.tracker, reader, self.reports, on_conflict)

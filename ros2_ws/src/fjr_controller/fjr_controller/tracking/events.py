@@ -128,7 +128,9 @@ class Journal:
         if kind == "silences":
             return Event(WARN, kind, f"no state for more than {found.value:g} s: the stop effort is sent")
         if kind == "recoveries":
-            how = f"transition to the reference within {found.value:g} s" if found.value else "tracking continues at once"
+            how = (
+                f"transition to the reference within {found.value:g} s" if found.value else "tracking continues at once"
+            )
             return Event(INFO, kind, f"recovery: {how}")
         if kind == "references changed":
             return Event(INFO, kind, f"another reference: {self.followed.popleft()}")

@@ -7,9 +7,7 @@ from collections import Counter, deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from fjr_core import Reference, VelocityObserver
+from fjr_core import Measurement, Reference, VelocityObserver
 from fjr_core.control.robust import Robust
 from fjr_core.control.safety_settings import Settings
 from fjr_core.control.static_law import StaticLaw
@@ -80,9 +78,10 @@ class Tracker:
         observer: VelocityObserver | None = None,
         simulated_time: bool = False,
         robust: Robust | None = None,
+        measurement: Measurement | None = None,
     ) -> None:
-        """Build the control step. Raise GainsError if the law's effort is not finite, CompilerError without a compiler."""
-        self.step = ControlStep(law, reference, settings, observer, simulated_time, robust)
+        """Build the control step. Raise GainsError if the law's effort is not finite, and CompilerError."""
+        self.step = ControlStep(law, reference, settings, observer, simulated_time, robust, measurement)
         self._controller, self._journal = self.step.controller, Journal(self.step)
         checks = settings.wiring_check and observer is None
         self._wiring = WiringMonitor(self.step, self._on_wiring_fault) if checks else None

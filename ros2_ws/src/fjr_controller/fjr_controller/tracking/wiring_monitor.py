@@ -11,7 +11,6 @@ import numpy as np
 from fjr_core.control_step.control_step import ControlStep
 from fjr_core.monitoring.wiring.check import WiringCheck
 
-
 CALLBACK = "int(void *, int, int64_t, const double *, const double *, const double *)"
 
 
@@ -45,11 +44,9 @@ class WiringMonitor:
         else:
             check.skip()
             self._first_stamp = stamp
-        fault = check.see(
-            (stamp - self._first_stamp) * 1e-9, self._array(position, 2 * n), self._array(velocity, 2 * n)
-        )
-        if check.done:
-            self._step.model.wiring = self._step.ffi.NULL
+        t = (stamp - self._first_stamp) * 1e-9
+        fault = check.see(t, self._array(position, 2 * n), self._array(velocity, 2 * n))
+        self._step.model.wiring = self._step.ffi.NULL if self._check.done else self._pointer
         if fault is None or self._found:
             return 0
         self._found = True

@@ -56,7 +56,9 @@ class ControlStep:
         self._sample = ffi.new("struct fjr_sample *")
         self._link, self._motor = self._view(self._sample, "link"), self._view(self._sample, "motor")
         self._dq_l, self._dq_m = self._view(self._sample, "velocity").reshape(2, n)
-        self.u, self.position, self.velocity = (self._view(self.command, name) for name in ("u", "position", "velocity"))
+        self.u, self.position, self.velocity = (
+            self._view(self.command, name) for name in ("u", "position", "velocity")
+        )
         self.jets = self._view(self.command, "jets").reshape(JETS, n)
         self.measured = self._view(self.controller, "measured.values")
         self._gains = self._checked_gains(law, np.zeros((JETS, n)))
@@ -67,8 +69,8 @@ class ControlStep:
     def step(self, stamp: int, arrival: int, q_l: Array, q_m: Array, dq_l: Array | None, dq_m: Array | None) -> bool:
         """Compute the command for a sample; return False if nothing is to be sent.
 
-        stamp, arrival [ns]. q_l, q_m (n,) [rad], dq_l, dq_m (n,) [rad/s]: as measured, before gear and compliance of the
-        measurement. Raise StateError if velocities are missing and there is no observer.
+        stamp, arrival [ns]. q_l, q_m (n,) [rad], dq_l, dq_m (n,) [rad/s]: as measured, before the gear;
+        q_m: the joint torque where that is measured. Raise StateError if there are neither velocities nor an observer.
         """
         self._sample.stamp = stamp
         self._link[:], self._motor[:] = q_l, q_m

@@ -34,6 +34,7 @@ class MessageError(FjrError):
 class JointSample(NamedTuple):
     """A measured state: stamp [ns], positions [rad] and velocities [rad/s] of links and motors, each (n,).
 
+    q_m, dq_m: as in the message, before the gear; q_m is the joint torque [N m] where that is measured instead.
     Velocities are None if an observer estimates them.
     """
 
@@ -75,10 +76,10 @@ class NamedColumns:
 
 
 class StateReader:
-    """Reader of JointStates by joint name, according to the measurement model; other joints are ignored.
+    """Reader of JointStates by joint name; other joints are ignored. Gear ratio and stiffness are the step's to apply.
 
-    measurement: None for measured velocities and motor positions with gear ratio 1. With motor "torque" the motor
-    names are not needed; the efforts of the link-side names are the measured joint torques [N m].
+    measurement: None for measured velocities and motor positions. With motor "torque" the motor names are not needed;
+    the efforts of the link-side names are the measured joint torques [N m].
     """
 
     def __init__(self, joints: tuple[str, ...], measurement: Measurement | None = None) -> None:
@@ -86,54 +87,40 @@ class StateReader:
         self._measurement = measurement or Measurement(self._n)
         self._names = list(joints) if self._measurement.by_torque else state_names(joints)
         self._columns = NamedColumns(self._names)
-        self._ratio = np.asarray(self._measurement.gear_ratio) if self._measurement.geared else None
-        K = self._measurement.K
-        self._compliance = None if K is None else np.linalg.inv(K)
 
     def read(self, message: JointState) -> JointSample:
         """Return the state in the order of the joints, in new arrays; raises MessageError for an invalid message."""
         columns = self._columns.columns(message.name)
-        q_l, q_m = self._positions(message, columns)
+        position = _picked(message, "position", columns, self._names)
+        if self._measurement.by_torque:
+            positions = position, _picked(message, "effort", columns, self._names)
+        else:
+            positions = position[: self._n], position[self._n :]
         velocity = None if self._measurement.observed else self._velocities(message, columns)
         stamp = nanoseconds(message.header.stamp)
         if not 0 < stamp < FIRST_UNSENDABLE:
             raise MessageError("no stamp", f"header.stamp is {stamp} ns; expected the time of the measurement")
-        return JointSample(stamp, q_l, q_m) if velocity is None else JointSample(stamp, q_l, q_m, *velocity)
+        if velocity is None:
+            return JointSample(stamp, *positions)
+        return JointSample(stamp, *positions, velocity[: self._n], velocity[self._n :])
 
     def takes_as_is(self, message: JointState) -> bool:
-        """Return True if the numbers of the message are the state, in the same order and units."""
-        return message.name == self._names and self._ratio is None and self._compliance is None
+        """Return True if positions and velocities of the message are the sample, in the same order."""
+        return message.name == self._names and not self._measurement.by_torque
 
     def sides(self, position: Array, velocity: Array, **_: Array) -> tuple[Array, ...]:
         """Split positions and velocities (2n,) into views (n,) of links and motors."""
         fields = (position,) if self._measurement.observed else (position, velocity)
         return tuple(side for field in fields for side in (field[: self._n], field[self._n :]))
 
-    def _positions(self, message: JointState, columns: NDArray[np.intp]) -> tuple[Array, Array]:
-        position = _picked(message, "position", columns, self._names)
-        if self._compliance is None:
-            return self._sides("position", position)
-        torque = _picked(message, "effort", columns, self._names)
-        q_m = position + self._compliance.dot(torque)
-        return position, _finite("q_l + K^-1 effort", q_m, self._names)
-
-    def _velocities(self, message: JointState, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+    def _velocities(self, message: JointState, columns: NDArray[np.intp]) -> Array:
         if not message.velocity and message.position:
             raise MessageError(
                 "wrong lengths",
                 f"velocity has 0 entries; expected {len(message.name)}, one per name, "
                 "or the parameter measurement.velocity set to observer",
             )
-        return self._sides("velocity", _picked(message, "velocity", columns, self._names))
-
-    def _sides(self, field: str, values: Array) -> tuple[Array, Array]:
-        """Split values (2n,) into link sides and motor sides (n,); divide the motor sides by the gear ratio."""
-        link, motor = values[: self._n], values[self._n :]
-        if self._ratio is not None:
-            with np.errstate(over="ignore"):
-                motor /= self._ratio
-            _finite(f"{field} / gear_ratio", motor, self._names[self._n :])
-        return link, motor
+        return _picked(message, "velocity", columns, self._names)
 
 
 class EffortReader:
