@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import gc
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
+from fjr_core.control_step.control_step import ControlStep
 from nodes.harness import Listener, Ros, nanoseconds, stamped
 from nodes.managed import Manager, trajectory
 
@@ -56,14 +56,14 @@ def test_lifecycle_transitions_are_those_of_a_managed_node(ros: Ros, manager: Ma
 
 
 def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager, monkeypatch) -> None:
-    evaluations: list[float] = []
-    bound = fjr.TrackingLaw.bound
+    evaluations: list[int] = []
+    step = ControlStep.step
 
-    def counted(self, *args):
-        command = bound(self, *args)
-        return replace(command, evaluate=lambda: (evaluations.append(0.0), command.evaluate()))
+    def counted(self, stamp, *args):
+        evaluations.append(stamp)
+        return step(self, stamp, *args)
 
-    monkeypatch.setattr(fjr.TrackingLaw, "bound", counted)
+    monkeypatch.setattr(ControlStep, "step", counted)
     ros.controller(autostart=False)
     manager.ask(stamped(0.0), answered=False)
     assert manager.change("configure")
