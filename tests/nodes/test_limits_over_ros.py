@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracking.measured_state import OBSERVED
 from nodes.harness import Peer, Ros, stamped
 from nodes.managed import Manager
+from tracking.tracked import OBSERVED
 
 ROBOT = fjr.single_link()
 PLACE = ([0.5, 0.52], [0.3, -0.2])  # positions and velocities of link and motor

@@ -15,8 +15,7 @@ from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import checked
 from fjr_bringup.monitor.state import Watched
 from fjr_bringup.report.write import report_run
-from fjr_controller.tracking.measured_state import MeasuredState
-from fjr_controller.tracking.state_limits import StateLimits
+from fjr_controller.tracking.tracker import Tracker
 from fjr_core.config.reference import motion_limits
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario, load_scenario
@@ -26,6 +25,7 @@ from fjr_core.trajectories.motion_limits import check_motion
 from fjr_core.trajectories.point_to_point import Hold
 from system.executables import fjr_here
 from system.shared_runs import shared_run
+from tracking.tracked import sample
 from watch_text import text
 
 pytestmark = pytest.mark.system
@@ -102,16 +102,12 @@ def test_robot_has_the_units_of_its_joints(arm: Scenario) -> None:
 
 def test_limits_of_a_prismatic_joint_are_in_metres(arm: Scenario) -> None:
     values = {**arm.controller_values, "limits.link_position_upper": [0.04, 0.1], "limits.link_velocity": [1.0, 1.0]}
-    state = MeasuredState(arm.robot.n)
-    limits = StateLimits(safety(values, arm.robot), state)
-    state.q_l[:] = 0.05, 0.2
-    violation = limits.violation(None)
-    assert violation is not None
-    assert violation.sentence == "link position of lift: q_l = 0.05 m; expected at most 0.04 m"
-    state.q_l[:], state.dq_l[:] = 0.0, (2.0, 0.0)
-    violation = limits.violation(None)
-    assert violation is not None
-    assert "dq_l = 2 m/s; expected at most 1 m/s" in violation.sentence
+    tracker = Tracker(arm.law, Hold((0.0, 0.0)), safety(values, arm.robot))
+    tracker.command(sample(0, (0.05, 0.2), 0.0), 0)
+    assert tracker.reason == "stopped: link position of lift: q_l = 0.05 m; expected at most 0.04 m"
+    tracker.start()
+    tracker.command(sample(0, 0.0, 0.0, (2.0, 0.0)), 0)
+    assert "dq_l = 2 m/s; expected at most 1 m/s" in tracker.reason
     beneath = {"limits.link_position_lower": [-1.0, -1.0], "limits.link_position_upper": [-2.0, 0.0]}
     with pytest.raises(ParameterError, match="of lift is -2 m; expected at least .*, -1 m"):
         safety({**values, **beneath}, arm.robot)

@@ -4,24 +4,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracking.effort_limits import EffortLimits
-from fjr_controller.tracking.events import Journal
-from fjr_controller.tracking.measured_state import MeasuredState
-from fjr_controller.tracking.state_limits import StateLimits
-from fjr_controller.tracking.stop_policy import StopPolicy
+from fjr_controller.tracking.events import Event, State
+from fjr_controller.tracking.tracker import Tracker
 from fjr_core.config import builders
 from fjr_core.config import parameter as parameters
 from fjr_core.config.safety import safety, safety_parameters
 from fjr_core.control.safety_settings import Settings
-from tracking.tracked import paper_law, settings, two_link_law
+from fjr_core.trajectories.point_to_point import Hold
+from tracking.tracked import LAW, MS, TWO, TWO_SINES, Passed, paper_law, sample, settings, two_link_law
 
 INF = float("inf")
-MS = 1_000_000
 
 SIGNED = {"link_position": "link position", "motor_position": "motor position"}
 SIZES = {
@@ -32,28 +30,40 @@ SIZES = {
 }
 
 
-def put(state: MeasuredState, name: str, joint: int, value: float) -> np.ndarray:
-    """Set all quantities of a two-joint robot except one to zero; return the matching desired link positions."""
-    state.values[:] = 0.0
-    q_ld = np.zeros(2)
+def state_with(name: str, joint: int, value: float) -> tuple[Any, np.ndarray]:
+    """Return a sample in which all quantities of a two-joint robot but one are zero, and desired link positions."""
+    q_l, q_m, dq_l, dq_m, q_ld = np.zeros((5, 2))
     if name in SIGNED:
-        state.q_l[joint] = state.q_m[joint] = q_ld[joint] = value
-    elif name == "deflection":
-        state.q_m[joint] = value
+        q_l[joint] = q_m[joint] = q_ld[joint] = value
     elif name == "tracking_error":
         q_ld[joint] = -value
     else:
-        getattr(state, {"link_velocity": "dq_l", "motor_velocity": "dq_m"}[name])[joint] = value
-    return q_ld
+        {"deflection": q_m, "link_velocity": dq_l, "motor_velocity": dq_m}[name][joint] = value
+    return sample(0, q_l, q_m, dq_l, dq_m), q_ld
 
 
-def state_limits(**given: object) -> tuple[MeasuredState, StateLimits]:
-    state = MeasuredState(2)
-    return state, StateLimits(settings(2, **given), state)
+def stop_at(tracker: Tracker, name: str, joint: int, value: float) -> Event | None:
+    """Start in such a state; return the event of the stop, if it is one."""
+    state, q_ld = state_with(name, joint, value)
+    tracker.start(Hold(q_ld))
+    assert tracker.command(state, 0) is not None
+    found = [event for event in tracker.events if event.kind == "stops"]
+    tracker.events.clear()
+    assert bool(found) == (tracker.state is State.STOPPED)
+    return found[0] if found else None
 
 
-def effort_limits(n: int = 1, **given: object) -> EffortLimits:
-    return EffortLimits(settings(n, **given), Journal())
+def passing(n: int = 1, **given: object) -> Tracker:
+    """Return a tracker whose law has the link positions as its effort."""
+    robot = (LAW if n == 1 else TWO).robot
+    return Tracker(fjr.PythonLaw(Passed(robot), robot), Hold(np.zeros(n)), settings(n, **given), simulated_time=True)
+
+
+def send(tracker: Tracker, u: Any, stamp: int) -> np.ndarray:
+    """Return the effort sent where the law's is u."""
+    command = tracker.command(sample(stamp, u, u), stamp)
+    assert command is not None
+    return command.u
 
 
 @pytest.mark.parametrize("joint", [0, 1])
@@ -64,86 +74,97 @@ def test_a_limit_is_violated_just_beyond_its_value_and_names_the_joint(name: str
     bound[joint] = 0.7
     side = ("_upper" if sign > 0 else "_lower") if name in SIGNED else ""
     given = [sign * b for b in bound] if side else bound
-    state, limits = state_limits(**{name + side: given})
-    assert limits.violation(put(state, name, joint, sign * 0.7)) is None
-    assert limits.violation(put(state, name, joint, -sign * 0.69)) is None
+    tracker = Tracker(TWO, TWO_SINES, settings(2, **{name + side: given}))
+    assert stop_at(tracker, name, joint, sign * 0.7) is None
+    assert stop_at(tracker, name, joint, -sign * 0.69) is None
     value = float(np.nextafter(sign * 0.7, sign * INF))
-    broken = limits.violation(put(state, name, joint, value))
+    broken, kind = stop_at(tracker, name, joint, value), {**SIGNED, **SIZES}[name]
     assert broken is not None
-    assert (broken.kind, broken.joint) == ({**SIGNED, **SIZES}[name], f"joint{joint + 1}")
-    assert (broken.value, broken.limit) == (value, sign * 0.7)
-    assert f"{broken.kind} of joint{joint + 1}" in broken.sentence
+    assert tracker.counters == {"stops": 1, f"stops: {kind}": 1}
+    assert broken.values == {"joint": f"joint{joint + 1}", "value": value, "limit": sign * 0.7}
+    assert f"{kind} of joint{joint + 1}" in broken.sentence
     assert "0.7" in broken.sentence
 
 
 @pytest.mark.parametrize("name", [*SIGNED, *SIZES])
 def test_nothing_is_violated_without_limits(name: str) -> None:
-    state, limits = state_limits()
-    assert limits.violation(put(state, name, 0, 1e9)) is None
+    assert stop_at(Tracker(TWO, TWO_SINES, settings(2)), name, 0, 1e9) is None
 
 
 def test_efforts_within_the_limits_are_not_changed() -> None:
-    efforts = effort_limits(2, effort=[1.0, 2.0], effort_rate=[1e3, INF])
-    efforts.send(np.array([0.0, 0.0]), 0)
-    u = np.array([1.0, -2.0])
-    assert efforts.send(u, MS) is u
-    assert not efforts.clipped
-    assert not efforts.slowed
+    tracker = passing(2, effort=[1.0, 2.0], effort_rate=[1e4, INF])
+    for k, u in enumerate(([0.0, 0.0], [1.0, -2.0])):
+        np.testing.assert_array_equal(send(tracker, u, k * MS), u)
+    assert not tracker.counters
 
 
 def test_the_time_in_saturation_is_that_between_the_stamps_joint_by_joint() -> None:
-    efforts = effort_limits(2, effort=[1.0, 2.0])
+    tracker = passing(2, effort=[1.0, 2.0])
     for k, u in enumerate([[3.0, 0.0], [-3.0, 5.0], [0.0, -5.0], [0.0, 0.0], [0.0, 0.0]]):
-        sent = efforts.send(np.array(u), k * MS)
-        np.testing.assert_array_equal(sent, np.clip(u, [-1, -2], [1, 2]))
-        assert efforts.clipped == (k < 3)
-    expected = {"in saturation": 3e-3, "in saturation: joint1": 2e-3, "in saturation: joint2": 2e-3}
-    assert efforts.seconds == pytest.approx(expected, rel=1e-12)
+        np.testing.assert_array_equal(send(tracker, u, k * MS), np.clip(u, [-1, -2], [1, 2]))
+        assert tracker.counters["efforts saturated"] == min(k + 1, 3)
+    expected = {"in saturation": 3e-3, "in saturation: joint1": 2e-3, "in saturation: joint2": 2e-3, "stopped": 0.0}
+    assert tracker.seconds == pytest.approx(expected, rel=1e-12)
 
 
-def test_the_effort_rises_from_zero_at_its_rate_and_a_repeated_stamp_changes_nothing() -> None:
-    efforts = effort_limits(2, effort_rate=[1000.0, INF])
-    sent = [efforts.send(np.array([10.0, 10.0]), stamp * MS).copy() for stamp in (0, 1, 1, 3, 2, 3, 30)]
+def test_the_effort_rises_from_zero_at_its_rate_and_a_repeated_or_older_stamp_changes_nothing() -> None:
+    tracker = passing(2, effort_rate=[1000.0, INF])
+    sent = [send(tracker, [10.0, 10.0], stamp * MS) for stamp in (0, 1, 1, 3)]
+    assert tracker.command(sample(2 * MS, [10.0, 10.0], 0.0), 3 * MS) is None
+    sent += [send(tracker, [10.0, 10.0], stamp * MS) for stamp in (3, 4, 30)]
     np.testing.assert_allclose(sent, [[u, 10.0] for u in (0.0, 1.0, 1.0, 3.0, 3.0, 4.0, 10.0)], rtol=1e-12)
 
 
 def test_after_a_jump_of_the_stamps_the_rate_counts_for_the_timeout_at_most() -> None:
-    efforts = effort_limits(effort_rate=10.0, state_timeout=0.1)
-    efforts.send(np.zeros(1), 0)
-    np.testing.assert_allclose(efforts.send(np.array([1e3]), 10**18), 1.0)
+    tracker = passing(effort_rate=10.0, state_timeout=0.1, recovery_join_time=0.0)
+    send(tracker, [0.0], 0)
+    np.testing.assert_allclose(send(tracker, [1e3], 10**18), 1.0)
 
 
 def test_tighter_effort_limits_hold_at_once() -> None:
-    efforts = effort_limits(effort_rate=1.0)
-    efforts.replace(np.array([5.0]))
-    efforts.apply(settings(effort=2.0, effort_rate=1.0))
-    assert efforts.send(np.array([5.0]), MS) <= 2.0
+    tracker = passing()
+    assert send(tracker, [5.0], 0) == 5.0
+    tracker.apply(settings(effort=2.0, effort_rate=1.0))
+    assert send(tracker, [5.0], MS) <= 2.0
+
+
+def stopped(law: fjr.TrackingLaw, state: Any, **given: object) -> tuple[Tracker, np.ndarray]:
+    """Return a tracker that stopped at a state, and the effort that it sent for it."""
+    tracker = Tracker(law, Hold(np.zeros(law.robot.n)), settings(law.robot.n, link_position_upper=0.1, **given))
+    assert not tracker.stop_effort().any()
+    command = tracker.command(state, 0)
+    assert command is not None
+    assert tracker.state is State.STOPPED
+    return tracker, command.u
 
 
 @pytest.mark.parametrize("law", [paper_law(), two_link_law()], ids=["single", "two"])
 def test_gravity_hold_compensates_gravity_and_damps_the_motors(law: fjr.TrackingLaw) -> None:
     n = law.robot.n
-    policy = StopPolicy(law, settings(n, on_stop="gravity_hold"))
     q, dq = np.linspace(0.4, 0.9, n), np.linspace(0.3, -0.5, n)
-    assert not policy.standing().any()
-    policy.remember(q)
-    np.testing.assert_allclose(policy.standing(), np.linalg.solve(law.robot.B_m, law.robot.grad_P_l(q)), rtol=1e-12)
-    damping = law.robot.B_m @ (policy.standing() - policy.moving(q, dq))
+    tracker, moving = stopped(law, sample(0, q, q, 0.0, dq), on_stop="gravity_hold")
+    standing = tracker.stop_effort()
+    np.testing.assert_allclose(standing, np.linalg.solve(law.robot.B_m, law.robot.grad_P_l(q)), rtol=1e-12)
+    damping = law.robot.B_m @ (standing - moving)
     np.testing.assert_allclose(damping, law.gains.K_md @ dq, rtol=1e-9)
     assert dq @ damping > 0
 
 
-def test_gravity_hold_is_finite_for_any_motor_velocity() -> None:
-    policy = StopPolicy(paper_law(), settings(on_stop="gravity_hold"))
-    policy.remember(np.array([0.5]))
-    np.testing.assert_array_equal(policy.moving(np.array([0.5]), np.array([1e300])), policy.standing())
+@pytest.mark.parametrize("speed", [1e154, 1e300], ids=["effort", "state"])
+def test_gravity_hold_is_finite_for_any_motor_velocity(speed: float) -> None:
+    """The square of the effort, or already that of the velocity, overflows: the effort at standstill is sent."""
+    law = LAW.with_gains(replace(fjr.PAPER_GAINS, K_md=100.0))
+    tracker, _ = stopped(law, sample(0, 0.5, 0.5), on_stop="gravity_hold")
+    command = tracker.command(sample(MS, 0.5, 0.5, 0.0, speed), MS)
+    assert command is not None
+    np.testing.assert_array_equal(command.u, tracker.stop_effort())
+    np.testing.assert_allclose(command.u, LAW.robot.grad_P_l([0.5]), rtol=1e-12)
 
 
 def test_zero_policy_sends_zero_effort() -> None:
-    policy = StopPolicy(paper_law(), settings())
-    policy.remember(np.ones(1))
-    assert not policy.standing().any()
-    assert not policy.moving(np.ones(1), np.ones(1)).any()
+    tracker, moving = stopped(LAW, sample(0, 1.0, 1.0, 1.0, 1.0))
+    assert not moving.any()
+    assert not tracker.stop_effort().any()
 
 
 def built(n: int = 1, robot: fjr.Robot | None = None, **given: object) -> Settings:

@@ -5,44 +5,57 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import fjr_core as fjr
 from fjr_controller.tracking.events import State
-from fjr_controller.tracking.measured_state import OBSERVED
 from fjr_controller.tracking.tracker import Tracker
+from fjr_core.numerics.python_function import PythonFunction
 from fjr_core.trajectories.point_to_point import Hold
 from tracking.tracked import (
     LAW,
     LIMITED,
     MS,
+    OBSERVED,
     SECOND,
     SINE,
     Loop,
     bare_sample,
     largest_step,
+    last_effort,
     sample,
     settings,
     tracker_at,
 )
 
 
-class Recorder:
-    """An observer with known velocities that records its updates; it is fresh after a reset only."""
+class Recorder(PythonFunction):
+    """An observer of known velocities that keeps the times and efforts it was given.
+
+    updates: (dt [s], u [N m]) of each sample that continues the estimate; the first after a reset does not.
+    """
+
+    bandwidth = 150.0
 
     def __init__(self) -> None:
-        self.resets, self.updates = 0, []  # type: ignore[var-annotated]
-        self.state = np.array([0.5, 0.5, 0.1, 0.2])
-        self._begun, self.fresh = False, True
+        self.velocity, self.updates = [0.1, 0.2], []  # type: ignore[var-annotated]
+        inputs = {"x_hat": (4,), "y": (2,), "u": (1,), "dt": (1,), "gain": (2,)}
+        super().__init__("recorder", self._estimate, inputs, {"x_next": (4,)})
 
-    def reset(self) -> None:
-        self.resets, self._begun = self.resets + 1, False
+    @property
+    def function(self) -> ca.Function:
+        return self
 
-    def update(self, stamp: int, q_l: Any, q_m: Any, u: Any) -> None:
-        self.updates.append((stamp, float(u[0])))
-        self.state[:2] = float(q_l[0]), float(q_m[0])
-        self.fresh, self._begun = not self._begun, True
+    def _estimate(self, _x_hat: Any, y: Any, u: Any, dt: Any, _gain: Any) -> Any:
+        self.updates.append((dt.item(), u.item()))
+        return [np.concatenate([y, self.velocity])]
+
+
+def is_reset(tracker: Tracker) -> bool:
+    """Return whether the last sample was the first of the observer."""
+    return tracker.step.controller.measured.k == 0
 
 
 def test_observer_receives_the_sent_effort() -> None:
@@ -52,23 +65,22 @@ def test_observer_receives_the_sent_effort() -> None:
     for k in range(OBSERVED + 3):
         command = tracker.command(bare_sample(k * MS), k * MS)
         assert command is not None
-        np.testing.assert_array_equal(command.velocity, [0.1, 0.2])
+        np.testing.assert_array_equal(command.velocity, [0.1, 0.2] if k else [0.0, 0.0])
         sent.append(float(command.u[0]))
-    assert recorder.updates == [(k * MS, sent[k]) for k in range(OBSERVED + 3)]
+    assert recorder.updates == [(1e-3, sent[k]) for k in range(1, OBSERVED + 3)]
     assert sent[-1]
     tracker.command(bare_sample((OBSERVED + 2) * MS), OBSERVED * MS)
-    assert len(recorder.updates) == OBSERVED + 3
+    assert len(recorder.updates) == OBSERVED + 2
     tracker.apply(settings(effort=0.01))
     tracker.command(bare_sample((OBSERVED + 3) * MS), (OBSERVED + 3) * MS)
     assert recorder.updates[-1][1] == sent[-1], "expected the effort that acted, not its value within the new limit"
 
 
 def test_an_observer_is_reset_after_a_gap_and_settles_before_its_velocities_are_used() -> None:
-    recorder = Recorder()
-    tracker = Tracker(LAW, SINE, settings(), recorder)
+    tracker = Tracker(LAW, SINE, settings(), Recorder())
     for k in range(OBSERVED + 2):
         tracker.command(sample(k * MS, 0.5, 0.5), k * MS)
-    resets = recorder.resets
+        assert is_reset(tracker) == (k == 0)
     stop = tracker.silence(SECOND)
     assert stop is not None
     for k in range(OBSERVED):
@@ -77,7 +89,7 @@ def test_an_observer_is_reset_after_a_gap_and_settles_before_its_velocities_are_
         assert command is not None
         np.testing.assert_array_equal(command.u, stop)
         assert np.isnan(command.V)
-    assert recorder.resets == resets + 1
+        assert is_reset(tracker) == (k == 0)
     stamp = 2 * SECOND + OBSERVED * MS
     command = tracker.command(sample(stamp, 0.5, 0.5), stamp)
     assert command is not None
@@ -128,13 +140,13 @@ def test_limits_of_velocities_and_tracking_error_are_not_checked_while_velocitie
     tracker = Tracker(LAW, Hold([0.5]), settings(link_velocity=1.0, tracking_error=0.1), recorder)
     for k in range(OBSERVED + 1):
         tracker.command(bare_sample(k * MS), k * MS)
-    recorder.state[2] = 2.0  # possible difference quotient of encoder steps
+    recorder.velocity[0] = 2.0  # possible difference quotient of encoder steps
     for k in range(OBSERVED + 1):
-        recorder.state[2] *= k < OBSERVED - 1
+        recorder.velocity[0] *= k < OBSERVED - 1
         tracker.command(bare_sample(SECOND + k * MS, 0.9), SECOND + k * MS)
         assert not tracker.reason
     assert tracker.counters["recoveries"] == 1
-    recorder.state[2] = 2.0
+    recorder.velocity[0] = 2.0
     stamp = SECOND + (OBSERVED + 1) * MS
     tracker.command(bare_sample(stamp, 0.9), stamp)
     assert "link velocity" in tracker.reason
@@ -154,7 +166,7 @@ def test_with_an_observer_the_effort_has_no_step_after_a_reset(stop: str) -> Non
     )
     loop.run(1.0)
     BREAKS[stop](loop)
-    loop.u = loop.tracker._output.limits.sent.copy()
+    loop.u = last_effort(loop.tracker)
     before = len(loop.efforts)
     loop.run(2.0)
     assert largest_step(loop.efforts[before:]) < 0.2

@@ -38,13 +38,13 @@ def test_another_time_line_starts_the_reference_again(before: int | None, stamp:
     tracker = tracker_at(0, 400 * MS, 900 * MS)
     if before is not None:
         assert tracker.command(sample(before, 0.5, 0.5), arrival - MS) is None
-        assert tracker.counters.pop("jumps doubted") == 1
     again = tracker.command(sample(stamp, 0.5, 0.5), arrival)
     assert again is not None
     assert again.restarted
     np.testing.assert_array_equal(again.jets, SINE.jets(0.0))
     np.testing.assert_array_equal(again.u, tracker_at(0).command(sample(0, 0.5, 0.5), 0).u)  # type: ignore[union-attr]
-    assert tracker.counters == {"reference restarts": 1}
+    doubted = {} if before is None else {"jumps doubted": 1}
+    assert tracker.counters == {"reference restarts": 1, **doubted}
 
 
 @pytest.mark.parametrize("jump", [10 * SECOND, -10 * SECOND, -600 * MS])

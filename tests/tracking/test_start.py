@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fjr_controller.tracking.bumpless_transfer import smoothstep
 from fjr_controller.tracking.events import State
 from fjr_controller.tracking.tracker import Tracker
+from fjr_core import PythonLaw
 from fjr_core.trajectories.point_to_point import Hold, standing
 from fjr_core.trajectories.spline import Spline
 from tracking.tracked import (
@@ -17,6 +17,7 @@ from tracking.tracked import (
     SECOND,
     SINE,
     Loop,
+    Passed,
     kinds,
     largest_step,
     sample,
@@ -90,16 +91,23 @@ def test_the_ramp_starts_with_the_effort_of_a_stop() -> None:
         command = tracker.command(sample(k * MS, 0.5, 0.5), k * MS)
         assert command is not None
         u, _ = LAW.measured_command(np.full(2, 0.5), np.zeros(2), command.jets)
-        s = smoothstep(k / 100)
+        s = 3 * (k / 100) ** 2 - 2 * (k / 100) ** 3
         np.testing.assert_allclose(command.u, s * u + (1 - s) * weight, rtol=1e-9)
 
 
-def test_smoothstep_is_monotone_and_flat_at_both_ends() -> None:
-    s = [smoothstep(k / 1000) for k in range(-10, 1011)]
-    assert (np.diff(s) >= 0).all()
-    assert (s[0], s[-1]) == (0.0, 1.0)
-    assert smoothstep(1e-6) < 1e-11
-    assert 1 - smoothstep(1 - 1e-6) < 1e-11
+def test_the_ramp_is_monotone_and_flat_at_both_ends() -> None:
+    """With an effort of 1 N m, the effort sent is the share of the law, a smoothstep."""
+    tracker = Tracker(PythonLaw(Passed(LAW.robot), LAW.robot), Hold([0.0]), settings(ramp_time=1.0))
+    stamps = sorted({0, 1000, SECOND - 1000, *(k * MS for k in range(1011))})
+    s = {}
+    for stamp in stamps:
+        command = tracker.command(sample(stamp, 1.0, 1.0), stamp)
+        assert command is not None
+        s[stamp] = command.u.item()
+    assert (np.diff(list(s.values())) >= 0).all()
+    assert (s[0], s[SECOND], s[1010 * MS]) == (0.0, 1.0, 1.0)
+    assert s[1000] < 1e-11
+    assert 1 - s[SECOND - 1000] < 1e-11
 
 
 def test_a_start_too_far_from_the_reference_is_refused() -> None:

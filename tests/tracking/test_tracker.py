@@ -68,7 +68,8 @@ def test_limits_that_are_not_reached_change_nothing() -> None:
     )
     loops = [Loop(LAW, SINE, s, LAW.robot.state(0.0, 0.0, 0.0, 0.0)) for s in (settings(), wide)]
     for loop in loops:
-        loop.tracker._output.limits.replace(LAW.measured_command(np.zeros(2), np.zeros(2), SINE.jets(0.0))[0])
+        first = LAW.measured_command(np.zeros(2), np.zeros(2), SINE.jets(0.0))[0]
+        loop.tracker.step.controller.limits.sent = first.tolist()  # from which the rate counts
         loop.run(0.2)
     np.testing.assert_array_equal(loops[0].efforts, loops[1].efforts)
 

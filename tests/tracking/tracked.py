@@ -12,6 +12,7 @@ import numpy as np
 import fjr_core as fjr
 from fjr_controller.tracking.tracker import Command, Tracker
 from fjr_core.control.safety_settings import Settings
+from fjr_core.control_step.library import constant
 
 PERIOD = 1_000_000  # ns
 TWO_LINK_GAINS = fjr.Gains(
@@ -87,6 +88,8 @@ def largest_step(efforts: Any) -> float:
     return float(np.max(np.abs(np.diff(np.asarray(efforts), axis=0))))
 
 
+OBSERVED = int(constant("OBSERVED"))
+"""Samples after a reset of the observer before its velocities are used."""
 MS = 1_000_000
 SECOND = 1_000_000_000
 SINE = fjr.Sine(1.0, 1.0)
@@ -122,6 +125,21 @@ def tracker_at(*stamps: int, reference: fjr.Reference = SINE, **given: Any) -> T
     for stamp in stamps:
         assert tracker.command(sample(stamp, 0.5, 0.5), stamp) is not None
     return tracker
+
+
+def last_effort(tracker: Tracker) -> np.ndarray:
+    """Return the last effort sent (n,), within the present limits."""
+    return np.array(list(tracker.step.controller.limits.sent))
+
+
+class Passed:
+    """A law in Python whose effort is the link position, so that a test chooses the effort."""
+
+    def __init__(self, robot: fjr.Robot) -> None:
+        self.n = robot.n
+
+    def effort(self, position: Any, velocity: Any, jets: Any) -> Any:
+        return position[: self.n]
 
 
 def bare_sample(stamp: int, q: float = 0.5) -> Any:

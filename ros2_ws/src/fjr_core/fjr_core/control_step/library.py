@@ -33,6 +33,7 @@ SOURCES = (
 )
 """The C files in the order of their translation unit."""
 _DEFINED = re.compile(r"^#define (\w+) (\d+)\b.*$", re.MULTILINE)
+_NUMBER = re.compile(r"^#define (\w+) ([\d.e+-]+)", re.MULTILINE)
 _DIRECTIVE = re.compile(r"^#.*$", re.MULTILINE)
 
 
@@ -70,6 +71,11 @@ def included(names: Iterable[str]) -> list[str]:
 def text(name: str) -> str:
     """Return the text of a file of this folder."""
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
+
+
+def constant(name: str) -> float:
+    """Return the number of a macro of step.h or of the C files. Raises KeyError."""
+    return {found: float(number) for found, number in _NUMBER.findall(c_text(1, 1))}[name]
 
 
 def declarations(header: str, values: dict[str, int]) -> str:
