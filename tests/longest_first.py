@@ -14,6 +14,7 @@ LONGEST_FIRST = (
     "core/stability/test_sampled_loop.py",
     "core/control/test_loaded_law.py",
     "core/tuning/test_equal_bandwidth.py",
+    "core/control_step/test_step.py",
     "core/control/test_robust.py",
     "core/codegen/test_export_c.py",
     "core/control/test_law.py",
