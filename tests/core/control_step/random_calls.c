@@ -5,7 +5,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-enum { CALLS = 400 };
+enum { CALLS = 2000 };
 #define MILLISECOND INT64_C(1000000)
 
 static uint64_t state;
@@ -193,7 +193,7 @@ int main(int argc, char** argv) {
     fjr_init(&c, &settings, gains, &references[number(5)]);
     for (int call = 0; call < CALLS; ++call) {
       stamp = next_stamp(stamp), arrival += (rarely(50) ? 700 : 1) * MILLISECOND;
-      if (rarely(20)) act(&m, &c, references, stamp, arrival);
+      if (rarely(10)) act(&m, &c, references, stamp, arrival);
       sample_once(&m, &c, stamp, arrival);
     }
     for (int kind = 0; kind < FJR_KINDS; ++kind) add((double)c.journal.count[kind]);

@@ -27,7 +27,7 @@ from fjr_core.trajectories.point_to_point import Hold
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-O2", "-c")
-CONTROLLERS = "100"  # called at random
+CONTROLLERS = "40"  # called at random
 NATIVE = [option for option in OPTIONS if option not in ("-fPIC", "-shared")]
 BUILDS = {
     "-O0": ["-O0", *SAME_BITS],
