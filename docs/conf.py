@@ -10,6 +10,7 @@ html_title = "Tracking control of robots with flexible joints"
 html_theme = "alabaster"
 html_theme_options = {"page_width": "1100px", "body_max_width": "none", "fixed_sidebar": True}
 html_show_copyright = False
+html_sidebars = {"_modules/**": ["about.html", "searchfield.html"]}  # source code, without the list of all pages
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax"]
 extensions += ["sphinx.ext.viewcode"]

@@ -31,7 +31,8 @@ def cases() -> Iterator[Any]:
         yield pytest.param((row.mode, row.setting.scenario), row, id=row.name, marks=marks)
 
 
-@pytest.mark.parametrize(("pair", "row"), list(cases()), indirect=["pair"])
+# Without the scope pytest would make a pair for each row, because `row` is not a fixture.
+@pytest.mark.parametrize(("pair", "row"), list(cases()), indirect=["pair"], scope="module")
 def test_fault_causes_no_bad_effort_and_tracking_recovers(pair: Pair, row: Row) -> None:
     seen = pair.outcome(row)
     assert seen.bad == 0, f"{seen.bad} of {seen.efforts} efforts are not finite or over the limit"

@@ -40,6 +40,20 @@ def test_the_loading_module_imports_no_heavy_package() -> None:
     assert not {"rclpy", "numpy", "casadi", "fjr_core"} & set(modules)
 
 
+def test_what_is_loaded_meanwhile_is_exempt_from_garbage_collection() -> None:
+    code = """
+import gc
+from fjr_msgs_py.node.loading import pause_garbage_collection, resume_garbage_collection
+pause_garbage_collection()
+paused = not gc.isenabled()
+import json
+resume_garbage_collection()
+print(paused, gc.isenabled(), gc.is_tracked(json.__dict__), any(held is json for held in gc.get_objects()))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "True True True False\n"
+
+
 @pytest.mark.parametrize(("before", "after"), [("", "{here}"), ("/ros:/own", "/ros:/own:{here}")])
 def test_packages_installed_as_wheels_come_last_in_the_ament_index(
     before: str, after: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -51,7 +51,7 @@ class Falling(ParameterNode):
 sys.exit(process.run(Falling))
 """
 
-# A node that changes its process settings after a rebuild, then ends.
+# A node that changes its process settings after a rebuild, then ends; it starts without garbage collection.
 REBUILT = """
 import gc, os, sys
 from fjr_core import FjrError
@@ -72,8 +72,10 @@ class Rebuilt(ParameterNode):
         self.built()
         print(gc.get_freeze_count() - before > 90_000, os.sched_getaffinity(0) == {core})
         self.end(FjrError("enough"))
+        print(gc.isenabled())
     def stop(self):
         pass
+gc.disable()
 sys.exit(process.run(Rebuilt))
 """
 
@@ -99,6 +101,6 @@ def test_an_unexpected_exception_is_a_traceback_after_the_last_command(executor:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for the cores")
-def test_process_settings_are_applied_again_after_a_rebuild() -> None:
+def test_process_settings_are_applied_again_after_a_rebuild_and_garbage_is_collected() -> None:
     done = run(REBUILT)
-    assert (done.returncode, done.stdout, done.stderr) == (1, "True True\n", "ended: enough\n")
+    assert (done.returncode, done.stdout, done.stderr) == (1, "True True\nTrue\n", "ended: enough\n")

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import pkgutil
@@ -42,6 +43,7 @@ def main(arguments: Sequence[str]) -> int:
     folder = Path(arguments[0]).resolve() if arguments else ROOT / "build" / "docs"
     source = folder / "source"
     lay_out(source)
+    gc.set_threshold(100_000, 20, 20)  # Sphinx keeps what it makes; the default takes a fifth of its time
     options = ["-W", "--keep-going", "-q", "-c", str(ROOT / "docs"), "-d", str(folder / "cache")]
     code = sphinx([*options, str(source), str(folder / "html")])
     if code == 0:

@@ -38,6 +38,25 @@ def test_a_cached_function_is_not_derived_again(derivations: list[str]) -> None:
     assert (first.V, first.dV, first.H) == (second.V, second.dV, second.H)
 
 
+def test_a_cached_law_is_not_derived_again_and_takes_other_gains(
+    derivations: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    derive, robot, other = (
+        fjr.TrackingLaw.measured_expressions,
+        fjr.planar_two_link(),
+        fjr.Gains(11, 21, 0.7, 16, 61, 0.4),
+    )
+    monkeypatch.setattr(
+        fjr.TrackingLaw, "measured_expressions", lambda law, *given: derivations.append("law") or derive(law, *given)
+    )
+    first, second = (fjr.TrackingLaw(robot, fjr.PAPER_GAINS, compile=True) for _ in range(2))
+    assert first.measured_command(*POINT)[0].tolist() == second.measured_command(*POINT)[0].tolist()
+    changed = second.with_gains(other).measured_command(*POINT)
+    assert derivations == ["law"]
+    u, V = fjr.TrackingLaw(robot, other).measured_command(*POINT)
+    assert (changed[0], changed[1]) == (pytest.approx(u, rel=1e-12), pytest.approx(V, rel=1e-12))
+
+
 def test_gain_values_are_arguments_and_their_pattern_is_fixed(derivations: list[str]) -> None:
     balance().at(*POINT)
     balance(fjr.Gains(11.0, 21.0, 0.7, 16.0, 61.0, 0.4)).at(*POINT)

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from core.oracles.cases import Arm, Array, GainSet
-from core.oracles.oracle import STEP, Instant, LiteralLaw, exact, inverse, mp
+from core.oracles.oracle import STEP, Instant, LiteralLaw, exact, inverse, mp, remembered
 
 
 class LiteralLoadedLaw(LiteralLaw):
@@ -22,8 +21,7 @@ class LiteralLoadedLaw(LiteralLaw):
 
     def at(self, x: Array, jets: Array, integral: Array) -> Instant:
         """Return the values of the law for state, jets of the reference and value of the integral."""
-        law = copy.copy(self)
-        law.jets = exact(jets)
+        law = self.along_reference(jets)
         return Instant(law, np.concatenate([exact(x), exact(integral), [mp.mpf(0)]]))
 
     def states(self, z: Array) -> tuple[Array, Array, Any]:
@@ -35,10 +33,14 @@ class LiteralLoadedLaw(LiteralLaw):
 
     def d(self, e: Callable[[Array], Array], z: Array, port: Array | None = None) -> Array:
         """Differentiate along the model of the law; the rate of the integral is gain * port."""
+        rate = exact(np.zeros(self.n)) if port is None else self.gain @ port
+        return self.along(e, z, np.concatenate([self.flow(z), rate, [mp.mpf(1)]]))
+
+    @remembered
+    def flow(self, z: Array) -> Array:
         dx = self.plant.derivative(z[: 4 * self.n], exact(np.arange(self.n) - 0.7))
         dx[2 * self.n : 3 * self.n] += self.external(z)
-        rate = exact(np.zeros(self.n)) if port is None else self.gain @ port
-        return self.along(e, z, np.concatenate([dx, rate, [mp.mpf(1)]]))
+        return dx
 
     def along(self, e: Callable[[Array], Array], z: Array, dz: Array) -> Any:
         return (e(z + STEP * dz) - e(z - STEP * dz)) / (2 * STEP)
@@ -48,13 +50,16 @@ class LiteralLoadedLaw(LiteralLaw):
         units = [exact(np.eye(5 * self.n + 1)[2 * self.n + i]) for i in range(self.n)]
         return np.stack([self.along(e, z, unit) for unit in units], axis=-1)
 
+    @remembered
     def u_l(self, z: Array) -> Array:
         return super().u_l(z) - self.external(z)
 
+    @remembered
     def first_port(self, z: Array) -> Array:
         """Return the part of dV/dp_l that is available for q_md."""
         return inverse(self.M(z)) @ self.sigma_l(z) - self.by_momentum(self.q_md, z).T @ self.Pi_m @ self.q_tilde_m(z)
 
+    @remembered
     def v_mr(self, z: Array) -> Array:
         e, coupling = self.q_tilde_m(z), inverse(self.Pi_m) @ self.plant.K.T @ inverse(self.M(z)) @ self.sigma_l(z)
         return self.d(self.q_md, z, self.first_port(z)) - self.Lambda_m @ e - self.Gamma_m @ e**3 - coupling
@@ -78,8 +83,7 @@ class LiteralLoadedLaw(LiteralLaw):
 
         jets (6, n): the reference with its fifth derivative. The known torque follows its polynomial.
         """
-        law = copy.copy(self)
-        law.jets = exact(jets)
+        law = self.along_reference(jets)
         z = np.concatenate([exact(x), exact(integral), [mp.mpf(0)]])
         dx = self.plant.derivative(exact(x), exact(u))
         dx[2 * self.n :] += exact(torque)

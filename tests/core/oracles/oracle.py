@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 import mpmath
@@ -90,6 +91,19 @@ class LiteralPlant:
         return np.concatenate([dq_lv, dq_mv, dp_lv, -spring - self.D_m @ dq_mv + self.B_m @ u])
 
 
+def remembered(value: Callable[[Any, Array], Any]) -> Callable[[Any, Array], Any]:
+    """Keep the values of a method of LiteralLaw by the digits of z: differences of several terms meet there."""
+
+    @wraps(value)
+    def kept(self: LiteralLaw, z: Array) -> Any:
+        key = value.__qualname__, *(number._mpf_ for number in z)
+        if key not in self.memory:
+            self.memory[key] = value(self, z)
+        return self.memory[key]
+
+    return kept
+
+
 class Instant:
     """A law at one instant: `u`, `u_l`, `q_md`, `q_tilde_l`, .. `V` as doubles."""
 
@@ -117,9 +131,15 @@ class LiteralLaw:
 
     def evaluate(self, x_v: Array, x: Array, jets: Array, omega: Any = 0.0) -> Instant:
         """Return the lazily computed values of the law at z = (x_v, x, s), s being the elapsed time."""
-        law = copy.copy(self)
-        law.jets, law.omega = exact(jets), exact(np.broadcast_to(omega, (self.n,)))
+        law = self.along_reference(jets)
+        law.omega = exact(np.broadcast_to(omega, (self.n,)))
         return Instant(law, np.concatenate([exact(x_v), exact(x), [mp.mpf(0)]]))
+
+    def along_reference(self, jets: Array) -> Any:
+        """Return a copy for a reference, which remembers nothing yet."""
+        law = copy.copy(self)
+        law.jets, law.memory = exact(jets), {}
+        return law
 
     def states(self, z: Array) -> tuple[Array, Array, Any]:
         return z[: 4 * self.n], z[4 * self.n : 8 * self.n], z[-1]
@@ -130,11 +150,16 @@ class LiteralLaw:
 
     def d(self, e: Callable[[Array], Array], z: Array) -> Array:
         """Return the total time derivative of e along the flow, which does not depend on the input of the plant."""
-        x_v, x, _ = self.states(z)
-        u = exact(np.arange(self.n) - 0.7)
-        dz = np.concatenate([self.plant.virtual(x_v, x, u), self.plant.derivative(x, -u), [mp.mpf(1)]])
+        dz = self.flow(z)
         return (e(z + STEP * dz) - e(z - STEP * dz)) / (2 * STEP)
 
+    @remembered
+    def flow(self, z: Array) -> Array:
+        x_v, x, _ = self.states(z)
+        u = exact(np.arange(self.n) - 0.7)
+        return np.concatenate([self.plant.virtual(x_v, x, u), self.plant.derivative(x, -u), [mp.mpf(1)]])
+
+    @remembered
     def M(self, z: Array) -> Array:
         return self.plant.M_l(self.states(z)[1][: self.n])
 
@@ -148,12 +173,14 @@ class LiteralLaw:
         e = self.q_tilde_l(z)
         return self.q_ld(self.states(z)[2], 1) - self.Lambda_l @ e - self.Gamma_l @ e**3
 
+    @remembered
     def p_lr(self, z: Array) -> Array:
         return self.M(z) @ self.v_lr(z)
 
     def sigma_l(self, z: Array) -> Array:
         return self.plant.split(self.states(z)[0])[2] - self.p_lr(z)
 
+    @remembered
     def u_l(self, z: Array) -> Array:
         x_v, x, _ = self.states(z)
         gravity_at = x if "gravity" in self.printed else x_v
@@ -163,6 +190,7 @@ class LiteralLaw:
 
     # motor stage, (39)-(42)
 
+    @remembered
     def q_md(self, z: Array) -> Array:
         x_v, x, _ = self.states(z)
         return (x if "q_md" in self.printed else x_v)[: self.n] + inverse(self.plant.K) @ self.u_l(z)
@@ -170,6 +198,7 @@ class LiteralLaw:
     def q_tilde_m(self, z: Array) -> Array:
         return self.plant.split(self.states(z)[0])[1] - self.q_md(z)
 
+    @remembered
     def v_mr(self, z: Array) -> Array:
         e = self.q_tilde_l(z) if "phi_m" in self.printed else self.q_tilde_m(z)
         weight = self.M(z).T if "coupling" in self.printed else inverse(self.M(z))

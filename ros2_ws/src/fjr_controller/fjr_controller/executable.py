@@ -3,12 +3,18 @@
 
 from __future__ import annotations
 
-from fjr_msgs_py.node.loading import ament_index_of_wheels, end_on_signals, without_blas_threads
+from fjr_msgs_py.node.loading import (
+    ament_index_of_wheels,
+    end_on_signals,
+    pause_garbage_collection,
+    without_blas_threads,
+)
 
 
 def main() -> int:
     """Run the node until SIGINT or SIGTERM; return the exit code."""
     end_on_signals()
+    pause_garbage_collection()
     without_blas_threads()
     ament_index_of_wheels()
     from fjr_controller.controller_node import main as run

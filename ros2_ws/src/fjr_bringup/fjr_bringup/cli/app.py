@@ -17,13 +17,28 @@ from fjr_bringup.cli.commands import COMMANDS
 from fjr_bringup.cli.exit_codes import HELP, Exit
 from fjr_bringup.interrupt import interruptible, uninterruptible
 from fjr_bringup.provenance import begin_command
-from fjr_msgs_py.node.loading import ament_index_of_wheels, end_on_signals, without_blas_threads
+from fjr_msgs_py.node.loading import (
+    ament_index_of_wheels,
+    end_on_signals,
+    pause_garbage_collection,
+    resume_garbage_collection,
+    without_blas_threads,
+)
 
 
 def program() -> int:
     """Run the executable `fjr`: main() with handlers for SIGINT and SIGTERM from the first instruction on."""
     end_on_signals(Exit.INTERRUPTED)
-    return main(loaded=interruptible)
+    pause_garbage_collection()
+    try:
+        return main(loaded=_loaded)
+    finally:
+        resume_garbage_collection()
+
+
+def _loaded() -> None:
+    interruptible()
+    resume_garbage_collection()
 
 
 def main(arguments: Sequence[str] | None = None, loaded: Callable[[], None] = lambda: None) -> int:

@@ -62,7 +62,9 @@ class StaticLaw(ABC):
         """
         other = type(self)(self.robot, gains, self.compiles)
         other.symbols = self.symbols
-        other.measured_expression, other.measured_function = self.measured_expression, self.measured_function
+        other.measured_function = self.measured_function
+        if "measured_expression" in vars(self):  # else the compiled function came from the cache
+            other.measured_expression = self.measured_expression
         other.gain_values = self.symbols.values(other.arrays)
         return other
 

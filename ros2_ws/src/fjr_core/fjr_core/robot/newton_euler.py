@@ -7,8 +7,10 @@ and accelerations propagate outwards, forces (Luh, Walker, Paul 1980) and compos
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -23,15 +25,21 @@ from .rigid_body import Body, rotation_to, z_aligned
 
 
 def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81)) -> ArmDynamics:
-    """Return the links of a serial chain from base to tip; raise RobotError.
+    """Return the links of a serial chain from base to tip, derived once for equal chains; raise RobotError.
 
     gravity (3,) [m/s^2] in the base frame.
     """
-    g = ca.DM(checks.vector("gravity", gravity, 3, RobotError))
-    chain = z_aligned(bodies)
+    g, chain = checks.vector("gravity", gravity, 3, RobotError), z_aligned(bodies)
     if not chain:
         raise RobotError("a chain without bodies; expected at least one")
-    n = len(chain)
+    return _derived(pickle.dumps((chain, rotation_to(np.asarray(bodies[-1].axis)), g)))
+
+
+@lru_cache(maxsize=8)  # plant and controller have the same links, and so have variants of a scenario
+def _derived(content: bytes) -> ArmDynamics:
+    """Return the links; content: pickled bodies, rotation from the last body to its aligned frame, gravity (3,)."""
+    chain, turn, gravity = pickle.loads(content)
+    g, n = ca.DM(gravity), len(chain)
     q, v, w, a = (ca.SX.sym(name, n) for name in ("q_l", "v", "w", "a"))
     frames = [_frame(body, q[i]) for i, body in enumerate(chain)]
     composites = _composites(chain, frames)
@@ -43,7 +51,7 @@ def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81))
         C=ca.Function("C", [q, v, w], [_inertial_torque(chain, frames, v, w, ca.SX.zeros(n))]),
         inertial_torque=ca.Function("inertial_torque", [q, v, w, a], [_inertial_torque(chain, frames, v, w, a)]),
         grad_T=ca.Function("grad_T", [q, v], [_kinetic_gradient(chain, frames, v)]),
-        end_effector=EndEffector(_point(q, frames, rotation_to(np.asarray(bodies[-1].axis))), g.full().ravel()),
+        end_effector=EndEffector(_point(q, frames, turn), gravity),
     )
 
 

@@ -20,6 +20,7 @@ from rclpy.task import Future
 from fjr_core import FjrError
 from fjr_core.config.process import process_settings
 
+from .loading import resume_garbage_collection
 from .log_folder import ensure_log_folder
 from .parameters import ParameterNode
 from .scheduling import apply_process_settings, freeze_garbage
@@ -71,6 +72,7 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
         return 1
     finally:
         ParameterNode.process_arguments = ()
+        resume_garbage_collection()
     try:
         host.spin(stopped)
         if host.ended is not None:

@@ -90,6 +90,11 @@ class TrackingLaw(StaticLaw):
         """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; compiled if requested."""
         return self.ready(self._function("command", {"u", "V"}, diagonal=True))
 
+    @cached_property
+    def measured_function(self) -> ca.Function:
+        """The CasADi function (position (2n,), velocity (2n,), jets (n, 5), gains) -> u, V; compiled if requested."""
+        return self.derived("measured_command", lambda: self.measured_expression)
+
     def measured_expressions(
         self, f: Flow | None = None, omega: ca.SX | None = None, slope: bool = False
     ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
