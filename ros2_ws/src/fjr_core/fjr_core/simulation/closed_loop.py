@@ -16,7 +16,7 @@ from ..control.sampled_law import SampledLaw, bound_step, check_law, raise_failu
 from ..control.static_law import StaticLaw
 from ..errors import StateError
 from ..numerics import checks
-from ..numerics.casadi_function import NumericFunction, bind, not_converged, numeric
+from ..numerics.casadi_function import bind, dense_function, not_converged
 from ..numerics.checks import Array
 from ..numerics.integrators import INNER_STEP, rk4_expression
 from ..numerics.one_line import brief, joints, span
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
+STEPS = 500  # of an integration in continuous time in one call of CasADi
 
 
 @dataclass(frozen=True)
@@ -227,21 +228,47 @@ def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t
     step = _closed_loop_step(plant, law)
     run = _empty_trajectory(plant.robot, t, reference.jets(t))
     run.x[0] = x0
-    instants = (t[:-1], t[:-1] + dt / 2, t[1:])
-    for k, stages in enumerate(zip(*(reference.jets(instant) for instant in instants), strict=True)):
-        run.x[k + 1] = step(run.x[k], *stages, dt)[0]
-        if not np.isfinite(run.x[k + 1]).all():
-            raise _diverged(t[k + 1])
-    x = np.zeros_like(x0)
-    seen, update_view = _bound_view(law_view(plant.robot, law.robot), x)
-    for k, jets in enumerate(run.jets):
+    stages = np.stack([reference.jets(instant) for instant in (t[:-1], t[:-1] + dt / 2, t[1:])])
+    most = 1 if plant.in_python or law.in_python else STEPS
+    several: dict[int, _Steps] = {}
+    for k in range(0, len(t) - 1, most):
+        now = stages[:, k : k + most]
+        count = now.shape[1]
+        if count not in several:  # the last ones are fewer
+            several[count] = _Steps(step, count, dt)
+        found = run.x[k + 1 : k + 1 + count] = several[count](run.x[k], now)
+        if not np.isfinite(found).all():
+            raise _diverged(t[k + 1 + int(np.argmin(np.isfinite(found).all(axis=1)))])
+    x, u, V = np.zeros_like(x0), np.zeros(plant.robot.n), np.zeros(1)
+    evaluate_law = _static(plant, law, run.jets, x, u, V)
+    for k in range(len(t)):
         x[...] = run.x[k]
-        update_view()
-        run.u[k], run.V[k] = law.command_and_storage(seen, jets)
+        evaluate_law(k)
+        run.u[k], run.V[k] = u, V[0]
     return run
 
 
-def _closed_loop_step(plant: Plant, law: StaticLaw) -> NumericFunction:
+class _Steps:
+    """Several Runge-Kutta steps of dt [s] in one call."""
+
+    def __init__(self, step: ca.Function, count: int, dt: float) -> None:
+        n, jets = step.size_in("start")
+        self._step = step
+        self._x, self._stages, self._found = np.zeros(4 * n), np.zeros((3, count, jets, n)), np.zeros((count, 4 * n))
+        arguments = [self._x, *self._stages, np.full(count, dt)]
+        self._evaluate = bind(step.mapaccum(count), arguments, [self._found])
+
+    def __call__(self, x: Array, stages: Array) -> Array:
+        """Return the states (count, 4n) after x (4n,); stages (3, count, 5, n): jets at start, middle and end."""
+        self._x[...], self._stages[...] = x, stages
+        try:
+            self._evaluate()
+        except RuntimeError:
+            raise not_converged(self._step) from None
+        return self._found
+
+
+def _closed_loop_step(plant: Plant, law: StaticLaw) -> ca.Function:
     """Build one Runge-Kutta step of dx/dt = f(x) + G u(x, x, t), with the reference at its three instants."""
     n = plant.robot.n
     x, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("dt")
@@ -252,7 +279,7 @@ def _closed_loop_step(plant: Plant, law: StaticLaw) -> NumericFunction:
         return plant.dynamics(x, law.command_function(view(x) if view else x, jets)[0])
 
     inputs = {"x": x, "start": start, "middle": middle, "end": end, "dt": dt}
-    return numeric("closed_loop_step", inputs, {"x_next": rk4_expression(f, x, (start, middle, end), dt)})
+    return dense_function("closed_loop_step", inputs, {"x_next": rk4_expression(f, x, (start, middle, end), dt)})
 
 
 def _bound_view(view: ca.Function | None, x: Array) -> tuple[Array, Callable[[], None]]:
