@@ -181,6 +181,7 @@ RUNNERS = {
     "sh": do_sh,
     "yaml": do_yaml,
     "xml": do_xml,
+    "c": do_cpp,
     "cpp": do_cpp,
     "cmake": do_cmake,
     "text": do_text,

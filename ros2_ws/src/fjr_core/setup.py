@@ -23,7 +23,7 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=["numpy>=1.26", "scipy>=1.11", "casadi>=3.6.5", "PyYAML>=6.0.1", "cffi>=1.16"],
-    extras_require={**extras, "all": sorted(sum(extras.values(), []))},
+    extras_require={**extras, "all": sorted(sum(extras.values(), [])), "compiler": ["ziglang>=0.13"]},
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import casadi as ca
@@ -17,7 +18,12 @@ import pytest
 import fjr_core as fjr
 from core.oracles.cases import LOOPS, Arm, GainSet, random_point
 from core.oracles.chains import arm7, scaled_gains
+from fjr_core.control.safety_settings import Settings
+from fjr_core.control_step.control_step import ControlStep
+from fjr_core.control_step.library import step_library
+from fjr_core.errors import CompilerError
 from fjr_core.numerics import jit as compiling
+from fjr_core.numerics.jit import machine_code
 from time_limits import HANG
 
 EQUAL = 1e-9
@@ -129,11 +135,47 @@ def test_without_a_compiler_the_virtual_machine_runs_with_one_warning(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, function: ca.Function
 ) -> None:
     monkeypatch.setenv("PATH", "")
+    monkeypatch.setitem(sys.modules, "ziglang", None)
     sentence = single_warning(caplog, function)
-    assert "no C compiler (cc, gcc, clang)" in sentence
-    assert "apt-get install gcc" in sentence
+    assert "no C compiler (cc, gcc, clang) is on the path; expected one: apt-get install gcc" in sentence
+    assert "or pip install ziglang" in sentence
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
     assert np.isfinite(law.command(np.zeros(4), np.zeros((5, 1)))).all()
+
+
+def test_the_control_step_needs_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-cc")
+    law, settings = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS), Settings(("joint1",))
+    step_library.cache_clear()
+    for needing in (compiling.require_compiler, lambda: ControlStep(law, fjr.Hold([0.0]), settings)):
+        with pytest.raises(CompilerError, match=r"no C compiler \(no-such-cc\) is on the path; expected one"):
+            needing()
+
+
+@with_a_compiler
+def test_the_compiler_of_the_wheel_ziglang_is_used_where_no_other_is(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, function: ca.Function
+) -> None:
+    """The wheel is 100 MB: a package of its name calls cc instead and keeps the folder given to zig."""
+    package, cc = tmp_path / "ziglang", shutil.which("cc")
+    package.mkdir()
+    (package / "__init__.py").touch()
+    script = ("#!/bin/sh", f"PATH={os.environ['PATH']}", f'echo "$1 $ZIG_GLOBAL_CACHE_DIR" > {package}/called', "shift")
+    (package / "zig").write_text("\n".join([*script, f'exec {cc} "$@"\n']))
+    (package / "zig").chmod(0o755)
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert compiling.compiled(function).class_name() == "External"
+    assert (package / "called").read_text() == f"cc {cache / 'zig'}\n"
+
+
+@pytest.mark.skipif(find_spec("ziglang") is None, reason="the wheel ziglang is not installed")
+def test_the_real_ziglang_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch, function: ca.Function) -> None:
+    points, wanted = np.linspace(-2, 2, 300).reshape(3, 100), compiling.compiled(function)
+    monkeypatch.setenv("PATH", "")
+    found = compiling.compiled(function)
+    assert machine_code(found) != machine_code(wanted)
+    np.testing.assert_array_equal(found.map(100)(points).full(), wanted.map(100)(points).full())
 
 
 @pytest.mark.parametrize(

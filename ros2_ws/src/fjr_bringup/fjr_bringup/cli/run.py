@@ -23,6 +23,7 @@ from fjr_bringup.runner.run import Plan, RunError
 from fjr_bringup.runner.run import run as run_plan
 from fjr_bringup.scenarios import library
 from fjr_core.errors import FjrError
+from fjr_core.numerics.jit import require_compiler
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")  # the paper's stiff joint, its soft joint, any arm
 LOCKSTEP = {"realtime_priority": 0, "lockstep": True}
@@ -75,8 +76,9 @@ def _demonstrate(name: str, duration: float, output: Path) -> RunSummary:
 def _plan(name: str | None, overrides: Mapping[str, Any], duration: float, output: Path, force: bool = False) -> Plan:
     """Return what to run, and print the warnings of a motion from a file and of guessed values.
 
-    Raises UnstableError for a scenario that is unstable as sampled, unless forced.
+    Raises UnstableError for a scenario that is unstable as sampled, unless forced, and CompilerError.
     """
+    require_compiler()
     path = library.find(name)
     with phase(f"{path.stem}: checking and compiling the law"):
         text, scenario = library.as_run(path, overrides)

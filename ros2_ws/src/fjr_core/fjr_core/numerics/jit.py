@@ -6,11 +6,6 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import logging
-import os
-import platform
-import shlex
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -20,20 +15,15 @@ import casadi as ca
 
 from ..errors import CompilerError
 from ..files.private_folder import PrivateFolder
+from .c_compiler import CompileError, c_compiler, processor, run_compiler, version
 from .code_cache import code_folder, is_intact, keep, temporary_folder
 from .function_splitting import split_functions
 
 SAME_BITS = ("-ffp-contract=off",)
 """Options without which results depend on the processor: no fused multiply-add in place of a product and a sum."""
 OPTIONS = ("-O3", "-march=native", *SAME_BITS, "-fno-math-errno", "-fno-tree-slp-vectorize", "-fPIC", "-shared")
-COMPILERS = ("cc", "gcc", "clang")
-LONGEST_BUILD = 300.0  # s
 
 _log = logging.getLogger("fjr_core.numerics.jit")
-
-
-class CompileError(Exception):
-    """Reason why a function cannot be compiled; handled inside numerics."""
 
 
 def compiled(function: ca.Function) -> ca.Function:
@@ -100,21 +90,29 @@ def loaded(name: str, functions: Sequence[ca.Function], around: Callable[[str], 
 
 def machine() -> list[str]:
     """Return what machine code depends on apart from the C code: compiler, options, processor. Raises CompileError."""
-    compiler = _compiler()
-    return [*compiler, _version(compiler), *OPTIONS, _processor()]
+    compiler = c_compiler()
+    return [*compiler, version(compiler), *OPTIONS, processor()]
+
+
+def require_compiler() -> None:
+    """Raise CompilerError, which names two remedies, if there is no C compiler."""
+    try:
+        c_compiler()
+    except CompileError as error:
+        raise CompilerError(str(error)) from None
 
 
 def can_compile() -> bool:
     """True if a C compiler is available."""
     try:
-        return bool(_compiler())
+        return bool(c_compiler())
     except CompileError:
         return False
 
 
 def _library(name: str, source: str) -> tuple[PrivateFolder, str]:
     """Find or build the shared object of a C source; return its folder and its name."""
-    compiler = _compiler()
+    compiler = c_compiler()
     key = hashlib.sha256("\n".join([source, *machine()]).encode())
     stem = f"{name}-{key.hexdigest()[:32]}"
     folder = code_folder()
@@ -145,22 +143,10 @@ def _built(source: str, compiler: tuple[str, ...]) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         code, built = Path(folder, "code.c"), Path(folder, "code.so")
         code.write_text(split_functions(source), encoding="utf-8")
-        _run([*compiler, *OPTIONS, "-o", str(built), str(code), "-lm"])
+        run_compiler([*compiler, *OPTIONS, "-o", str(built), str(code), "-lm"])
         if not built.exists():
             raise CompileError(f"{compiler[0]} wrote no shared object")
         return built.read_bytes()
-
-
-def _run(command: list[str]) -> None:
-    try:
-        result = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_BUILD, check=False)
-    except OSError as error:
-        raise CompileError(f"{command[0]} cannot be started: {error.strerror}") from None
-    except subprocess.TimeoutExpired:
-        raise CompileError(f"{command[0]} did not finish within {LONGEST_BUILD:g} s") from None
-    if result.returncode:
-        lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
-        raise CompileError(f"{command[0]} failed: {lines[0]}")
 
 
 def _c_code(name: str, functions: Sequence[ca.Function]) -> str:
@@ -171,34 +157,6 @@ def _c_code(name: str, functions: Sequence[ca.Function]) -> str:
     if "#error" in code:
         raise CompileError(f"CasADi cannot write {name} as C")
     return code
-
-
-def _compiler() -> tuple[str, ...]:
-    """Return $CC, or the first compiler on the path; raise CompileError if there is none."""
-    wanted = shlex.split(os.environ.get("CC", ""))
-    for command in [wanted] if wanted else [[name] for name in COMPILERS]:
-        found = shutil.which(command[0])
-        if found:
-            return (found, *command[1:])
-    names = wanted[0] if wanted else ", ".join(COMPILERS)
-    raise CompileError(f"no C compiler ({names}) is on the path: install one, e.g. apt-get install gcc libc6-dev")
-
-
-@cache
-def _version(compiler: tuple[str, ...]) -> str:
-    result = subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=False)
-    return result.stdout
-
-
-@cache
-def _processor() -> str:
-    """Return the processor properties that -march=native depends on; machines may share a cache."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    properties = {line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))}
-    return "\n".join([platform.machine(), *sorted(properties)])
 
 
 @cache
