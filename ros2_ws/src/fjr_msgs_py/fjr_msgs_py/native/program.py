@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build C code against the ROS 2 of this process, and open it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from cffi import FFI
+
+from fjr_core.errors import CompilerError
+from fjr_core.numerics.jit import shared_object
+
+COMMON = ("ring", "cdr", "loop")
+"""Parts of every native loop, in the order in which they are included."""
+WARNINGS = ("-Wall", "-Wextra", "-Wno-unused-function")
+_FEATURES = "#define _GNU_SOURCE\n#include <math.h>\n#include <string.h>\n"
+
+
+class NativeError(Exception):
+    """Reason why no native loop can be built; the rclpy host runs instead."""
+
+
+class Program:
+    """A library in C and its declarations: `lib` holds the functions, `ffi` makes their arguments."""
+
+    def __init__(self, name: str, headers: Sequence[str], sources: Sequence[str], options: Sequence[str] = ()) -> None:
+        """Build the library from the texts of headers and sources, or find it in the cache; raises NativeError."""
+        self.ffi = FFI()
+        self.ffi.cdef("\n".join(declarations(text) for text in headers))
+        try:
+            path = shared_object(name, "\n".join([_FEATURES, *headers, *sources]), [*WARNINGS, *options])
+            self.lib: Any = self.ffi.dlopen(path)
+        except (CompilerError, OSError) as error:
+            raise NativeError(str(error)) from None
+
+
+def declarations(header: str) -> str:
+    """Return a header as cffi reads it: without includes, guards and comments; constants stay."""
+    lines = re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL).splitlines()
+    return "\n".join(line for line in lines if not line.startswith("#") or re.match(r"#define \w+ \d+$", line.strip()))
+
+
+def common_headers() -> list[str]:
+    """Return the texts of the headers of COMMON."""
+    return [_text(f"{part}.h") for part in COMMON]
+
+
+def common_sources() -> list[str]:
+    """Return the texts of the sources of COMMON."""
+    return [_text(f"{part}.c") for part in COMMON]
+
+
+@cache
+def ros_options() -> tuple[str, ...]:
+    """Return the compiler's options for the headers and libraries of the ROS 2 that this process has loaded.
+
+    Raise NativeError if its headers are not installed.
+    """
+    prefix = _prefix()
+    folders = sorted(folder for folder in (prefix / "include").glob("*") if (folder / folder.name).is_dir())
+    if not (prefix / "include" / "rcl" / "rcl" / "rcl.h").is_file():
+        raise NativeError(f"{prefix}/include/rcl is missing; expected the headers of ROS 2")
+    return (*(f"-I{folder}" for folder in folders), f"-L{prefix / 'lib'}", "-lrcl", "-lrcutils", "-lpthread")
+
+
+def _prefix() -> Path:
+    """Return the folder that holds lib/librcl.so of this process."""
+    import rclpy.impl.implementation_singleton  # noqa: F401  # loads librcl
+
+    for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
+        if "/librcl.so" in line:
+            return Path(line[line.index("/") :]).parent.parent
+    raise NativeError("librcl.so is not loaded; expected rclpy to load it")
+
+
+def _text(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
