@@ -24,9 +24,10 @@ int echo_tick(void* self, int64_t now, int64_t* next) {
 
 int echo_request(void* self, int32_t kind, void* argument) {
   struct echo* e = self;
-  (void)argument;
+  (void)kind, (void)argument;
   ++e->requests;
-  return kind;
+  e->by_thread = pthread_equal(pthread_self(), e->loop->thread) && e->loop->started;
+  return FJR_GO_ON;
 }
 
 void echo_end(void* self, int32_t outcome) { ((struct echo*)self)->ends += 1 + 10 * (outcome == FJR_FAILED); }

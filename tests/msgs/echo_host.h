@@ -7,6 +7,7 @@ struct echo {
   void* publisher;
   int64_t period;
   int64_t messages, rejected, ticks, requests, ends;
+  int32_t by_thread; /* the last request was answered by the thread of the loop */
   int32_t fault; /* message number at which the host fails */
 };
 

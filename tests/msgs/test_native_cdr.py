@@ -19,7 +19,7 @@ from fjr_msgs_py.messages.cdr.layout import float_array, joint_state
 from fjr_msgs_py.messages.joint_states import EffortWriter, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.names import state_names
 from fjr_msgs_py.native.entities import NativeMessage, NativeReader
-from fjr_msgs_py.native.program import Program, common_headers, common_sources, ros_options
+from fjr_msgs_py.native.program import Program, common_headers, common_sources
 from fuzzing import fuzzed
 
 JOINTS = ("elbow", "wr")
@@ -48,7 +48,7 @@ def stamped(message: JointState, frame: str, sec: int, nanosec: int) -> JointSta
 
 @cache
 def program() -> Program:
-    return Program("fjr_test_messages", common_headers(), common_sources(), ros_options())
+    return Program("fjr_test_messages", common_headers(), common_sources())
 
 
 def by_c(reader: NativeReader, data: bytes) -> object:

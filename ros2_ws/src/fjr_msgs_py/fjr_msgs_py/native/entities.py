@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions, messages and queues of a node, as the C of a native loop uses them."""
+"""Subscriptions, publishers and messages of a node, as the C of a native loop uses them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -101,27 +100,3 @@ class NativeReader:
                 "value": views,
             },
         )
-
-
-class Ring:
-    """A queue of records from a native loop to Python as struct fjr_ring."""
-
-    def __init__(self, program: Program, record: DTypeLike, capacity: int) -> None:
-        """record: NumPy's type of a record, laid out as in C; capacity: number of records, a power of 2."""
-        ffi = program.ffi
-        self._program, self._type = program, np.dtype(record)
-        self._slots = np.zeros(capacity, self._type)
-        self._taken = np.zeros(capacity, self._type)
-        self._views = [ffi.from_buffer("uint8_t[]", each) for each in (self._slots, self._taken)]
-        given = {"slots": self._views[0], "capacity": capacity, "record": self._type.itemsize}
-        self.pointer = ffi.new("struct fjr_ring*", given)
-
-    def take(self, most: int | None = None) -> NDArray[Any]:
-        """Return the waiting records, the oldest first, valid until the next call; most: at most so many."""
-        most = len(self._taken) if most is None else min(most, len(self._taken))
-        return self._taken[: self._program.lib.fjr_ring_take(self.pointer, self._views[1], most)]
-
-    @property
-    def lost(self) -> int:
-        """Number of records that found no place so far."""
-        return int(self._program.lib.fjr_ring_lost(self.pointer))

@@ -97,10 +97,11 @@ static void discard(struct fjr_loop* loop, int32_t k) {
 static int serve(struct fjr_loop* loop) {
   int32_t posted = POSTED;
   if (!__atomic_compare_exchange_n(&loop->request, &posted, NO_REQUEST, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST))
-    return 0;
-  loop->answer = loop->host.on_request(loop->host.self, loop->kind, loop->argument);
+    return FJR_GO_ON;
+  const int outcome = loop->host.on_request(loop->host.self, loop->kind, loop->argument);
+  loop->answer = outcome;
   sem_post(&loop->answered);
-  return 1;
+  return outcome;
 }
 
 int fjr_loop_request(struct fjr_loop* loop, int32_t kind, void* argument) {
@@ -133,13 +134,12 @@ static int stopping(struct fjr_loop* loop) { return __atomic_load_n(&loop->stopp
 
 int fjr_loop_pause(struct fjr_loop* loop, int64_t nanoseconds) {
   wait_until(loop, fjr_steady_now() + nanoseconds);
-  serve(loop);
-  return stopping(loop) ? FJR_DONE : FJR_GO_ON;
+  const int outcome = serve(loop);
+  return outcome == FJR_GO_ON && stopping(loop) ? FJR_DONE : outcome;
 }
 
 static int one_round(struct fjr_loop* loop) {
-  int outcome = FJR_GO_ON;
-  serve(loop);
+  int outcome = serve(loop);
   for (int32_t k = 0; k < loop->sources && outcome == FJR_GO_ON; ++k) outcome = take(loop, k);
   if (outcome == FJR_GO_ON && loop->next != FJR_NO_TIME) {
     const int64_t now = fjr_steady_now();

@@ -16,7 +16,7 @@
 struct fjr_loop;
 struct fjr_message;
 
-/* What a callback returns; FJR_DONE and FJR_FAILED end the thread. */
+/* Outcome of a callback; FJR_DONE and FJR_FAILED end the thread. */
 enum fjr_outcome { FJR_GO_ON, FJR_DONE, FJR_FAILED };
 
 /* Callbacks of a host, all on the thread. Times are of the steady clock [ns].
@@ -45,7 +45,7 @@ int fjr_loop_start(struct fjr_loop* loop);
 void fjr_loop_stop(struct fjr_loop* loop);
 
 /* Let the thread call on_request, and wait for it; the caller does so itself while no thread runs. One caller at a
- * time. Return what on_request returned. */
+ * time. Return the outcome of on_request, which ends the thread as that of the other callbacks does. */
 int fjr_loop_request(struct fjr_loop* loop, int32_t kind, void* argument);
 
 /* Return 1 while the thread runs. */

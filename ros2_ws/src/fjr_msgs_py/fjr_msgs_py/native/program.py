@@ -28,12 +28,18 @@ class NativeError(Exception):
 class Program:
     """A library in C and its declarations: `lib` holds the functions, `ffi` makes their arguments."""
 
-    def __init__(self, name: str, headers: Sequence[str], sources: Sequence[str], options: Sequence[str] = ()) -> None:
-        """Build the library from the texts of headers and sources, or find it in the cache; raises NativeError."""
-        self.ffi = FFI()
+    def __init__(self, name: str, headers: Sequence[str], sources: Sequence[str], base: tuple[str, FFI] | None = None):
+        """Build the library from the texts of headers and sources, or find it in the cache; raises NativeError.
+
+        base: C text that comes first, and an FFI that has its declarations.
+        """
+        self.ffi, before = FFI(), [_FEATURES]
+        if base is not None:
+            before.append(base[0])
+            self.ffi.include(base[1])
         self.ffi.cdef("\n".join(declarations(text) for text in headers))
         try:
-            path = shared_object(name, "\n".join([_FEATURES, *headers, *sources]), [*WARNINGS, *options])
+            path = shared_object(name, "\n".join([*before, *headers, *sources]), [*WARNINGS, *ros_options()])
             self.lib: Any = self.ffi.dlopen(path)
         except (CompilerError, OSError) as error:
             raise NativeError(str(error)) from None
