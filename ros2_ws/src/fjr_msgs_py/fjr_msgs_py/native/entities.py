@@ -36,13 +36,15 @@ class NativeSubscription:
         self._subscription = Subscription(self.handle, kind, topic, lambda _: None, group, qos, True, events)
         for handler in self._subscription.event_handlers:
             node.add_waitable(handler)
-        self.address = int(self.handle.pointer)
+        self.address, self._open = int(self.handle.pointer), True
 
     def close(self) -> None:
-        """Destroy the subscription."""
-        for handler in self._subscription.event_handlers:
-            self._node.remove_waitable(handler)
-        self._subscription.destroy()
+        """Destroy the subscription; a second call does nothing."""
+        if self._open:
+            self._open = False
+            for handler in self._subscription.event_handlers:
+                self._node.remove_waitable(handler)
+            self._subscription.destroy()
 
 
 def publisher_address(program: Program, publisher: Publisher) -> Any:

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 
 from cffi import FFI
 
+from fjr_core.control_step.library import declarations
 from fjr_core.errors import CompilerError
 from fjr_core.numerics.jit import shared_object
 
@@ -28,27 +28,29 @@ class NativeError(Exception):
 class Program:
     """A library in C and its declarations: `lib` holds the functions, `ffi` makes their arguments."""
 
-    def __init__(self, name: str, headers: Sequence[str], sources: Sequence[str], base: tuple[str, FFI] | None = None):
+    def __init__(
+        self,
+        name: str,
+        headers: Sequence[str],
+        sources: Sequence[str],
+        values: Mapping[str, int] | None = None,
+        base: tuple[str, FFI] | None = None,
+    ) -> None:
         """Build the library from the texts of headers and sources, or find it in the cache; raises NativeError.
 
-        base: C text that comes first, and an FFI that has its declarations.
+        values: macros that are numbers. base: C text that comes before the headers, and an FFI with its declarations.
         """
-        self.ffi, before = FFI(), [_FEATURES]
+        self.ffi, macros = FFI(), values or {}
+        defined = [f"#define {macro} {value}\n" for macro, value in macros.items()]
         if base is not None:
-            before.append(base[0])
             self.ffi.include(base[1])
-        self.ffi.cdef("\n".join(declarations(text) for text in headers))
+        self.ffi.cdef(declarations("\n".join(headers), dict(macros)))
+        text = [_FEATURES, *defined, base[0] if base else "", *headers, *sources]
         try:
-            path = shared_object(name, "\n".join([*before, *headers, *sources]), [*WARNINGS, *ros_options()])
+            path = shared_object(name, "\n".join(text), [*WARNINGS, *ros_options()])
             self.lib: Any = self.ffi.dlopen(path)
         except (CompilerError, OSError) as error:
             raise NativeError(str(error)) from None
-
-
-def declarations(header: str) -> str:
-    """Return a header as cffi reads it: without includes, guards and comments; constants stay."""
-    lines = re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL).splitlines()
-    return "\n".join(line for line in lines if not line.startswith("#") or re.match(r"#define \w+ \d+$", line.strip()))
 
 
 def common_headers() -> list[str]:
