@@ -11,6 +11,7 @@ from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import JointState
 
 from fjr_core import FjrError, Measurement
+from fjr_core.config.process import process_settings
 from fjr_core.control_step.control_step import NEVER
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import JointSample, StateReader
@@ -118,7 +119,7 @@ class NativeCommandLoop:
             publishers.append(self._certificate.publisher)
             self._certificate.restart()
         self._loop.use(publishers)
-        self._loop.start()
+        self._loop.start(process_settings(self._node.values).priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timers = [self._node.create_timer(READING_PERIOD, self._read, clock=steady)]
         if self._simulated:

@@ -38,6 +38,11 @@ class NativeSubscription:
             node.add_waitable(handler)
         self.address, self._open = int(self.handle.pointer), True
 
+    @property
+    def publishers(self) -> int:
+        """Number of connected publishers."""
+        return int(self._subscription.get_publisher_count())
+
     def close(self) -> None:
         """Destroy the subscription; a second call does nothing."""
         if self._open:

@@ -188,7 +188,8 @@ static rcl_ret_t listen(struct fjr_loop* loop, int32_t k) {
   return rcl_subscription_set_on_new_message_callback(loop->source[k].subscription, on_announcement, &loop->source[k]);
 }
 
-int fjr_loop_start(struct fjr_loop* loop) {
+int fjr_loop_start(struct fjr_loop* loop, int32_t priority) {
+  const struct sched_param scheduling = {.sched_priority = priority};
   loop->next = fjr_steady_now(), loop->reason[0] = 0, loop->stopping = 0, loop->running = 1;
   for (int32_t k = 0; k < loop->sources; ++k) discard(loop, k);
   const int code = pthread_create(&loop->thread, NULL, run, loop);
@@ -197,6 +198,7 @@ int fjr_loop_start(struct fjr_loop* loop) {
     return code;
   }
   loop->started = 1;
+  if (priority) (void)pthread_setschedparam(loop->thread, SCHED_FIFO, &scheduling);
   for (int32_t k = 0; k < loop->sources; ++k)
     if (listen(loop, k) != RCL_RET_OK) {
       rcl_reset_error();

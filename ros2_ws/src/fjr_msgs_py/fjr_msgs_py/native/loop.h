@@ -38,8 +38,9 @@ struct fjr_loop* fjr_loop_create(const struct fjr_host* host, void* const* subsc
                                  size_t largest);
 void fjr_loop_destroy(struct fjr_loop* loop);
 
-/* Start the thread, which inherits priority and cores of the caller; return 0, or an errno. */
-int fjr_loop_start(struct fjr_loop* loop);
+/* Start the thread; return 0, or an errno. priority: SCHED_FIFO priority of the thread, if the system allows it; 0:
+ * scheduling is inherited from the caller, as the cores are. */
+int fjr_loop_start(struct fjr_loop* loop, int32_t priority);
 
 /* End the thread and wait for it. */
 void fjr_loop_stop(struct fjr_loop* loop);

@@ -41,11 +41,11 @@ class Loop:
         """Replace the publishers that the host uses; not while the thread runs."""
         self._publishers = tuple(publishers)
 
-    def start(self) -> None:
-        """Start the thread; raises NativeError."""
+    def start(self, priority: int = 0) -> None:
+        """Start the thread, at this SCHED_FIFO priority if the system allows it; raises NativeError."""
         for entity in (*self._subscriptions, *self._publishers):
             self._held.enter_context(entity.handle)
-        error = self._program.lib.fjr_loop_start(self.pointer)
+        error = self._program.lib.fjr_loop_start(self.pointer, priority)
         if error:
             self._held.close()
             raise NativeError(f"the thread of the loop cannot be started ({os.strerror(error)})")
