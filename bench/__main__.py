@@ -26,6 +26,7 @@ from bench import (
     closed_loop,
     lock_step,
     memory,
+    on_time,
     peers,
     periods,
     real_time,
@@ -39,7 +40,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
 LONG = ("memory", "sweep-memory")
 USUAL = (
     *("law", "dynamics", "step", "loop", "virtual-machine", "build", "start", "node", "command", "real-time"),
-    *("round-trip", "certificate", "periods", "lock-step", "campaign"),
+    *("round-trip", "on-time", "certificate", "periods", "lock-step", "campaign"),
 )
 NAMES = (*USUAL, *LONG)
 
@@ -87,6 +88,7 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         start_up.command,
         real_time.tracking,
         lambda: round_trip.over_echo(arm, *((3,) if quick else ())),
+        lambda: on_time.answered(*((5.0,) if quick else ())),
         lambda: certificate.with_and_without(arm, *((3,) if quick else ())),
         lambda: periods.late(*((10.0,) if quick else ())),
         lambda: lock_step.over_ping_pong(*((2, 3.0) if quick else ())),

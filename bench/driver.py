@@ -4,7 +4,8 @@
     python -m bench.driver --ros-args -p rounds:=3 -p sides:="[ours, bare]" -p position:="[...]"
 
 Blocks of states go to the sides (namespaces) in turns; a state waits for the effort of the previous one. Print JSON:
-for each side its rounds, each a list of the times [us].
+for each side its rounds, each a list of the times [us]. States and efforts pass a native loop (driver.c), so that the
+times are those of the nodes under test.
 """
 
 from __future__ import annotations
@@ -13,66 +14,86 @@ import json
 import os
 import signal
 import sys
-import time
 from collections.abc import Sequence
+from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from std_msgs.msg import Float64MultiArray
 
-from bench.bare import PERIOD, Bare, full_state, stamp
+from bench.bare import JOINTS, PERIOD, Bare
 from fjr_msgs_py import names
+from fjr_msgs_py.messages.cdr.layout import joint_state
+from fjr_msgs_py.native.entities import NativeMessage, NativeSubscription, publisher_address
+from fjr_msgs_py.native.loop import Loop
+from fjr_msgs_py.native.program import Program, common_headers, common_sources
 from fjr_msgs_py.node import process
 
 BLOCK = 250  # consecutive states to one side
 BLOCKS = 4  # of each side per round
-LONGEST = 0.1  # s; timeout of an effort
+LONGEST = 100_000_000  # ns; timeout of an effort
+LOOK_PERIOD = 0.05  # s
 
 
 class Driver(Bare):
     """Publish <side>/joint_states and subscribe to <side>/effort_controller/commands."""
 
     def build(self) -> None:
-        """Create the endpoints; every tick checks whether the peers are connected."""
+        """Create the endpoints and the loop, which starts once all peers are connected."""
         self._sides: list[str] = list(self.get_parameter("sides").value)
         self._rounds = self.get_parameter("rounds").value + 1  # the first is discarded
-        self._state = full_state()
-        self._state.position = self.get_parameter("position").value
         self._states = [self.publisher(f"{side}/{names.JOINT_STATES}") for side in self._sides]
-        for side in self._sides:
-            topic = f"{side}/{names.EFFORT_COMMANDS}"
-            self.create_subscription(Float64MultiArray, topic, self._on_effort, names.LATEST)
-        self._blocks: list[list[float]] = [[]]
-        self._sent = 0.0  # s; 0: no state is pending
-        self._ready = False
-        self.every(PERIOD * 1e-9, self._tick)
+        topics = [f"{side}/{names.EFFORT_COMMANDS}" for side in self._sides]
+        self._efforts = [NativeSubscription(self, Float64MultiArray, topic, names.LATEST) for topic in topics]
+        self._times = np.zeros(self._rounds * BLOCKS * BLOCK * len(self._sides))
+        self._loop = self._native_loop()
+        self._started = False
+        self.every(LOOK_PERIOD, self._look)
 
     def stop(self) -> None:
-        """Print the measured times."""
-        print(json.dumps(rounds(self._blocks, self._sides, self._rounds)), flush=True)
+        """End the loop and print the measured times."""
+        self._loop.stop()
+        print(json.dumps(rounds(self._times, self._sides, self._rounds)), flush=True)
 
-    def _tick(self) -> None:
-        if not self._ready:
-            self._ready = all(states.get_subscription_count() for states in self._states)
-        elif not self._sent or time.perf_counter() - self._sent > LONGEST:
-            stamp(self._state, self.get_clock().now().nanoseconds)
-            self._sent = time.perf_counter()
-            self._states[(len(self._blocks) - 1) % len(self._sides)].publish(self._state)
+    def _native_loop(self) -> Loop:
+        texts = {kind: Path(__file__).with_name(f"driver.{kind}").read_text(encoding="utf-8") for kind in "hc"}
+        program = Program("bench_driver", [*common_headers(), texts["h"]], [*common_sources(), texts["c"]])
+        ffi, n = program.ffi, 2 * len(JOINTS)
+        self._message = NativeMessage(program, joint_state(names.state_names(JOINTS), (n, n, n)), (n, n, n))
+        position = np.array(self.get_parameter("position").value)
+        program.lib.fjr_put_numbers(self._message.pointer, 0, ffi.from_buffer("double[]", position))
+        self._struct = ffi.new(
+            "struct driver*",
+            {
+                "state": self._message.pointer,
+                "publisher": [publisher_address(program, each) for each in self._states],
+                "period": PERIOD,
+                "longest": LONGEST,
+                "sides": len(self._sides),
+                "block": BLOCK,
+                "total": len(self._times),
+                "times": ffi.from_buffer("double[]", self._times),
+            },
+        )
+        callbacks = (ffi.addressof(program.lib, f"driver_{name}") for name in ("message", "tick", "request", "end"))
+        self._host = ffi.new("struct fjr_host*", (self._struct, *callbacks))
+        loop = Loop(program, self._host, self._efforts, self._states)
+        self._struct.loop = loop.pointer
+        return loop
 
-    def _on_effort(self, _: Float64MultiArray) -> None:
-        if self._sent:
-            self._blocks[-1].append((time.perf_counter() - self._sent) * 1e6)
-            self._sent = 0.0
-            if len(self._blocks[-1]) == BLOCK:
-                if len(self._blocks) == self._rounds * BLOCKS * len(self._sides):
-                    os.kill(os.getpid(), signal.SIGINT)
-                self._blocks.append([])
+    def _look(self) -> None:
+        connected = all(states.get_subscription_count() for states in self._states)
+        if not self._started and connected and all(efforts.publishers for efforts in self._efforts):
+            self._started = True
+            self._loop.start()
+        elif self._started and not self._loop.runs:
+            os.kill(os.getpid(), signal.SIGINT)
 
 
-def rounds(blocks: Sequence[list[float]], sides: Sequence[str], count: int) -> dict[str, list[list[float]]]:
+def rounds(times: NDArray[np.float64], sides: Sequence[str], count: int) -> dict[str, list[list[float]]]:
     """Return the times of each side by round, without the first round; blocks of the sides alternate."""
-    of_side = {side: blocks[index :: len(sides)] for index, side in enumerate(sides)}
-    return {
-        side: [sum(own[k * BLOCKS : (k + 1) * BLOCKS], []) for k in range(1, count)] for side, own in of_side.items()
-    }
+    blocks = np.reshape(times, (count, BLOCKS, len(sides), BLOCK))
+    return {side: blocks[1:, :, k].reshape(count - 1, -1).tolist() for k, side in enumerate(sides)}
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from dataclasses import dataclass
 from time import perf_counter
@@ -20,6 +21,7 @@ from sensor_msgs.msg import JointState
 from fjr_msgs_py.messages.joint_states import nanoseconds
 
 DEPTH = 5000
+HEADER, STAMP = 4, struct.Struct("<iI")  # a serialised JointState begins with its stamp
 PAUSE = 0.05  # s between two reads of the queues
 
 
@@ -53,22 +55,26 @@ class Tap:
             self._node.destroy_subscription(subscription)
 
     def sent(self, topics: list[str], seconds: float, longest: float) -> list[NDArray[np.int64]]:
-        """Return the send times [ns] of each topic for `seconds`, from the first message of the last topic on.
+        """Return the send times [ns] of each topic, as `messages` does."""
+        return [found[:, 1] for found in self.messages(topics, seconds, longest)]
 
-        TimeoutError when a topic is silent for `longest` seconds at first.
+    def messages(self, topics: list[str], seconds: float, longest: float) -> list[NDArray[np.int64]]:
+        """Return stamps and send times (k, 2) [ns] of each topic, from the first message of the last topic on.
+
+        seconds: how long. TimeoutError when a topic is silent for `longest` seconds at first.
         """
         subscriptions = [self._subscribe(topic) for topic in topics]
         for subscription in subscriptions:
             self._wait(subscription, longest)
-        times: list[list[int]] = [[] for _ in topics]
+        seen: list[list[tuple[int, int]]] = [[] for _ in topics]
         end = perf_counter() + seconds
         while perf_counter() < end:
             time.sleep(PAUSE)
-            for found, subscription in zip(times, subscriptions, strict=True):
+            for found, subscription in zip(seen, subscriptions, strict=True):
                 found += _drained(subscription)
         for subscription in subscriptions:
             self._node.destroy_subscription(subscription)
-        return [np.array(found, dtype=np.int64) for found in times]
+        return [np.array(found, dtype=np.int64).reshape(-1, 2) for found in seen]
 
     def _subscribe(self, topic: str) -> Subscription:
         return self._node.create_subscription(JointState, topic, lambda _: None, QoSProfile(depth=DEPTH), raw=True)
@@ -83,8 +89,10 @@ class Tap:
         return Seen(nanoseconds(deserialize_message(data, JointState).header.stamp), info["source_timestamp"])
 
 
-def _drained(subscription: Subscription) -> list[int]:
-    times = []
+def _drained(subscription: Subscription) -> list[tuple[int, int]]:
+    """Return stamp and send time [ns] of each waiting message."""
+    seen = []
     while (taken := subscription.handle.take_message(JointState, True)) is not None:
-        times.append(taken[1]["source_timestamp"])
-    return times
+        sec, nanosec = STAMP.unpack_from(taken[0], HEADER)
+        seen.append((sec * 1_000_000_000 + nanosec, taken[1]["source_timestamp"]))
+    return seen

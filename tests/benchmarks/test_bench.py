@@ -16,7 +16,7 @@ import pinocchio as pin
 import pytest
 
 import bench.__main__ as command
-from bench import build, campaign, campaign_peers, driver, lock_step, memory, periods
+from bench import build, campaign, campaign_peers, driver, lock_step, memory, on_time, periods
 from bench.arm import Arm, arm7, random_motion
 from bench.chain_urdf import chain_urdf, joint_names
 from bench.figures import Figure, table
@@ -122,10 +122,16 @@ def test_late_periods_are_bounded_by_the_bare_node_or_0p1_percent(late_bare: int
 
 
 def test_sides_alternate_by_blocks_and_the_first_round_is_discarded() -> None:
-    blocks = [[float(i)] for i in range(3 * 2 * driver.BLOCKS)]
-    found = driver.rounds(blocks, ["ours", "bare"], 3)
-    assert found["ours"] == [[8.0, 10.0, 12.0, 14.0], [16.0, 18.0, 20.0, 22.0]]
-    assert found["bare"] == [[9.0, 11.0, 13.0, 15.0], [17.0, 19.0, 21.0, 23.0]]
+    times = np.repeat(np.arange(3.0 * 2 * driver.BLOCKS), driver.BLOCK)
+    found = driver.rounds(times, ["ours", "bare"], 3)
+    assert [each[:: driver.BLOCK] for each in found["ours"]] == [[8.0, 10.0, 12.0, 14.0], [16.0, 18.0, 20.0, 22.0]]
+    assert [each[:: driver.BLOCK] for each in found["bare"]] == [[9.0, 11.0, 13.0, 15.0], [17.0, 19.0, 21.0, 23.0]]
+
+
+def test_a_state_is_answered_in_time_by_a_command_before_the_next_state() -> None:
+    states = np.array([[1, 100], [2, 200], [3, 300], [4, 400]])
+    commands = np.array([[1, 150], [2, 301], [4, 450]])
+    assert on_time.in_time(states, commands) == pytest.approx(100 / 3)
 
 
 def test_samples_are_counted_by_their_stamps() -> None:

@@ -28,9 +28,9 @@ LAYERS = {
         "config",
         "experiments codegen testing",
     ),
-    "fjr_msgs_py": ("names", "messages", "node"),
+    "fjr_msgs_py": ("names", "messages", "native", "node"),
     "fjr_plant": ("state_publisher", "channel", "sensors", "simulated_robot", "timing", "plant_node", "executable"),
-    "fjr_controller": ("tracking", "ros", "trajectory", "components", "controller_node", "executable"),
+    "fjr_controller": ("tracking", "ros", "native", "trajectory", "components", "controller_node", "executable"),
     "fjr_bringup": (
         "atomic_file formatting interrupt progress provenance result ros2_tools",
         "recording scene",

@@ -33,7 +33,12 @@ PATIENCE = 60.0  # s; a state_timeout that never expires in a test, even on a bu
 
 
 class Ros:
-    """A context, an executor and the nodes of one test."""
+    """A context, an executor and the nodes of one test.
+
+    host: parameter `executor` of the controllers, "events" or "native"; a native command loop needs a compiled law.
+    """
+
+    host = "events"
 
     def __init__(self) -> None:
         self.context = Context()
@@ -55,7 +60,8 @@ class Ros:
         return self.start(PlantNode, **{"compile": False, **parameters})
 
     def controller(self, **parameters: Any) -> ControllerNode:
-        return self.start(ControllerNode, **{"compile": False, "state_timeout": PATIENCE, **parameters})
+        given = {"executor": self.host, "compile": self.host == "native", "auxiliary_rate": 0.0}
+        return self.start(ControllerNode, **{**given, "state_timeout": PATIENCE, **parameters})
 
     def until(self, happened: Callable[[], Any], what: str = "the event") -> None:
         """Spin until `happened()` is true; fail after the time limit."""

@@ -76,7 +76,7 @@ def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager, m
     assert manager.change("activate")
     manager.meet_controller()
     manager.ask(stamped(0.1))
-    assert len(evaluations) == 1
+    assert len(evaluations) == (1 if ros.host == "events" else 0)  # a native loop calls the step itself
     assert manager.change("deactivate")
     ros.until(lambda: len(manager.commands) == 2, "the last command")
     evaluations.clear()

@@ -264,7 +264,8 @@ WIRED_ELSEWHERE = {
     "autostart",  # test_lifecycle
     "certificate",  # test_certificate
     "certificate_tolerance",  # test_certificate
-    "executor",  # tests/msgs/test_scheduling.py
+    "auxiliary_rate",  # test_native_loop
+    "executor",  # test_native_loop, tests/msgs/test_scheduling.py
     "lock_memory",
     "cpu_affinity",
     "lockstep",  # every lockstep_state

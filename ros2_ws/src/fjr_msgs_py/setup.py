@@ -7,13 +7,13 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(),
-    package_data={package_name: ["py.typed"]},
+    package_data={package_name: ["py.typed", "native/*.[ch]"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
     python_requires=">=3.10",
-    install_requires=["fjr_core", "numpy>=1.26"],  # rclpy and messages: from ROS 2, or its wheels
+    install_requires=["fjr_core", "numpy>=1.26", "cffi>=1.17"],  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

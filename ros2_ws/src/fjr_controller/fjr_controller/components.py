@@ -23,10 +23,12 @@ from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.motion_limits import check_motion
 from fjr_msgs_py.messages.events import EventWriter
 from fjr_msgs_py.messages.follow_joint_trajectory import follow_messages
-from fjr_msgs_py.messages.joint_states import StateReader
 
+from .native.certificate import NativeCertificate
+from .native.selection import command_loop
+from .ros.certificate_diagnosis import CertificateDiagnosis
 from .ros.certificate_publisher import CertificatePublisher
-from .ros.command_loop import CommandConflictError, CommandLoop
+from .ros.command_conflict import CommandConflictError
 from .ros.diagnostics import Reports
 from .tracking.tracker import Tracker
 from .trajectory.follow_joint_trajectory import FollowAction
@@ -54,7 +56,6 @@ class Control:
         self._settings = settings = safety(values, robot)
         allowed = tolerances(values, robot.units)
         measured = measurement(values, robot)
-        reader = StateReader(joints, measured)
         self._law = control_law(values, robot)
         if sentence := in_python(law.TYPE, values):
             node.get_logger().info(sentence)
@@ -65,7 +66,7 @@ class Control:
         )
         # Above nothing is created on the node; below nothing raises.
         self.reports = Reports(node, self.tracker, events, robot_name(values))
-        self._command_loop = CommandLoop(node, joints, self.tracker, reader, self.reports, on_conflict)
+        self._command_loop = command_loop(node, values, self.tracker, measured, self.reports, on_conflict)
         self._interface = TrajectoryInterface(
             node, joints, self.tracker, self.reports, lambda: self._command_loop.active, self._built_in
         )
@@ -98,7 +99,8 @@ class Control:
                 part.close()
 
     def withdraw(self) -> None:
-        """Destroy the action server."""
+        """Destroy the action server, and end the native command loop, before the node is destroyed."""
+        self._command_loop.abandon()
         if self._action is not None:
             self._action.close()
             self._action = None
@@ -141,7 +143,9 @@ class Control:
         values, limits = self._values, motion_limits(self._values, self._settings, self._robot)
         self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
-    def _create_certificate_publisher(self, node: Node, limit: Array) -> CertificatePublisher | None:
+    def _create_certificate_publisher(
+        self, node: Node, limit: Array
+    ) -> CertificatePublisher | NativeCertificate | None:
         """Return the certificate publisher, if it is enabled and the law has a certificate."""
         if not self._values["certificate"]:
             return None
@@ -150,8 +154,8 @@ class Control:
             return None
         robust = builders.robust(self._values, self._robot.n)
         joint_axes = axes(self._values, self._robot)
-        certificate_publisher = CertificatePublisher(node, self._law, self.tracker, limit, robust, joint_axes)
-        self._command_loop.add_listener(certificate_publisher.on_command)
+        diagnosis = CertificateDiagnosis(node, self._law, limit, robust, joint_axes)
+        certificate_publisher = self._command_loop.certify(diagnosis)
         self.reports.add_status(certificate_publisher.status)
         return certificate_publisher
 

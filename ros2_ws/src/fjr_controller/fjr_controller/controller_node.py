@@ -21,7 +21,7 @@ from fjr_msgs_py.node import process
 from fjr_msgs_py.node.parameters import ManagedParameterNode
 
 from .components import Control
-from .ros.command_loop import CONFLICTS, CommandConflictError
+from .ros.command_conflict import CONFLICTS, CommandConflictError
 from .tracking.events import Event
 
 SUCCESS, FAILURE, ERROR = (getattr(TransitionCallbackReturn, name) for name in ("SUCCESS", "FAILURE", "ERROR"))

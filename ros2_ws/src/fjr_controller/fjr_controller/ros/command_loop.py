@@ -9,39 +9,31 @@ from collections.abc import Callable
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
-from fjr_core import FjrError
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr.readers import SerialisedStates
 from fjr_msgs_py.messages.joint_states import EffortWriter, JointSample, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.node import process
-from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 
-from ..tracking.events import Event, State
+from ..tracking.events import State
 from ..tracking.tracker import Command, Tracker
+from .auxiliary_rate import AuxiliaryRate
+from .certificate_diagnosis import CertificateDiagnosis
+from .certificate_publisher import CertificatePublisher
+from .command_conflict import CommandConflictError, CommandTopics
 from .diagnostics import ANSWERED, RECEIVED, Reports
 
-TOPICS = {names.EFFORT_COMMANDS: Float64MultiArray, names.JOINT_COMMANDS: JointState}
-CONFLICTS = "other controllers"
-ALONE = "expected nobody else to command the robot"
-LOOK_PERIOD = 0.5  # s
 SILENCE_CHECKS = 10  # per state_timeout
 
 Listener = Callable[[JointSample, Command, int, int], None]
 """Callback with a sample, its command, and the times of arrival and of sending [ns, steady clock]."""
 
 
-class CommandConflictError(FjrError):
-    """Another process publishes on a command topic."""
-
-
 class CommandLoop:
     """Publish a command on both command topics for each state from `start` to `stop`; otherwise nothing.
 
-    Conflicting publishers on either topic are detected at the start, at the first state and every LOOK_PERIOD. One that
-    publishes before the first command triggers `on_conflict`; a later one is reported.
+    A conflicting publisher (see CommandTopics) that is found at the first state triggers `on_conflict`.
     """
 
     def __init__(
@@ -52,11 +44,16 @@ class CommandLoop:
         reader: StateReader,
         reports: Reports,
         on_conflict: Callable[[CommandConflictError], None],
+        auxiliary_period: float,
     ) -> None:
-        """Subscribe to the states; create the publishers of reference and tracking error."""
+        """Subscribe to the states; create the publishers of reference and tracking error.
+
+        auxiliary_period [s]: time between two messages of these; 0: one per sample.
+        """
         self._node, self._tracker, self._reports = node, tracker, reports
         self._reader = SerialisedStates(reader)
-        self._on_conflict = on_conflict
+        self._on_conflict, self._period = on_conflict, auxiliary_period
+        self._auxiliary = AuxiliaryRate(auxiliary_period)
         self._n = len(joints)
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._effort, self._command = EffortWriter(joints), JointStateWriter(joints)
@@ -71,25 +68,21 @@ class CommandLoop:
         """Call `listener` for each sample, after its command was sent."""
         self._listeners.append(listener)
 
+    def certify(self, diagnosis: CertificateDiagnosis) -> CertificatePublisher:
+        """Evaluate and publish the certificate of each sample."""
+        publisher = CertificatePublisher(self._node, diagnosis, self._period)
+        self.add_listener(publisher.on_command)
+        return publisher
+
     def start(self, state_timeout: float) -> None:
         """Publish commands from the next state on.
 
         Raise CommandConflictError if another process publishes on a command topic.
         """
-        self._conflicts = ConflictingPublishers(self._node, TOPICS, names.LATEST)
-        try:
-            self._refuse_conflicts()
-        except CommandConflictError:
-            self._conflicts.close()
-            raise
-        self._efforts, self._commands = self._conflicts.publishers
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        own_time = self._node.get_clock() if self._simulated else steady
-        period = state_timeout / SILENCE_CHECKS
-        self._timers = [
-            self._node.create_timer(period, self._on_silence, clock=own_time),
-            self._node.create_timer(LOOK_PERIOD, self._look_for_conflicts, clock=steady),
-        ]
+        self._topics = CommandTopics(self._node, self._reports)
+        self._efforts, self._commands = self._topics.publishers
+        own_time = self._node.get_clock() if self._simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self._node.create_timer(state_timeout / SILENCE_CHECKS, self._on_silence, clock=own_time)
         self._last_stamp: int | None = None
         self._alone = False
         self._state = State.WAITING
@@ -100,13 +93,12 @@ class CommandLoop:
         if not self.active:
             return
         self.active = False
-        for timer in self._timers:
-            self._node.destroy_timer(timer)
+        self._node.destroy_timer(self._timer)
         if self._last_stamp is not None:
             self._send(self._last_stamp, self._tracker.stop_effort())
         self._reports.publish_events()
         process.flush(self._efforts, self._commands)
-        self._conflicts.close()
+        self._topics.close()
 
     def close(self) -> None:
         """Destroy all subscriptions and publishers."""
@@ -114,6 +106,9 @@ class CommandLoop:
         self._node.destroy_subscription(self._states)
         for publisher in (self._references, self._errors):
             self._node.destroy_publisher(publisher)
+
+    def abandon(self) -> None:
+        """Do nothing: no thread uses the node."""
 
     def _on_state(self, message: bytes) -> None:
         if not self.active:
@@ -147,16 +142,20 @@ class CommandLoop:
         sent = time.monotonic_ns()
         self._last_stamp = sample.stamp
         self._reports.count[ANSWERED] += 1
-        q_ld, dq_ld = command.jets[0], command.jets[1]
-        self._references.publish(self._reference.fill(sample.stamp, q_ld, dq_ld))
-        q_tilde_l, dq_tilde_l = sample.q_l - q_ld, command.velocity[: self._n] - dq_ld
-        self._errors.publish(self._error.fill(sample.stamp, q_tilde_l, dq_tilde_l))
+        if self._auxiliary.due(sample.stamp):
+            self._publish_auxiliary(sample, command)
         if command.state is not self._state:
             self._state = command.state
             if command.state is State.TRACKING:
                 self._reports.announce("tracking", "tracking: the effort is the law's own")
         for listener in self._listeners:
             listener(sample, command, arrival, sent)
+
+    def _publish_auxiliary(self, sample: JointSample, command: Command) -> None:
+        q_ld, dq_ld = command.jets[0], command.jets[1]
+        self._references.publish(self._reference.fill(sample.stamp, q_ld, dq_ld))
+        q_tilde_l, dq_tilde_l = sample.q_l - q_ld, command.velocity[: self._n] - dq_ld
+        self._errors.publish(self._error.fill(sample.stamp, q_tilde_l, dq_tilde_l))
 
     def _send(self, stamp: int, u: Array) -> None:
         if self._simulated:  # lock-step waits for this message
@@ -177,30 +176,12 @@ class CommandLoop:
             self._send(self._last_stamp, u)
 
     def _is_alone(self) -> bool:
-        """Detect conflicting publishers before the first command; return False if the state is too old after that."""
+        """Search for conflicting publishers before the first command; return False if the state is too old now."""
         self._alone = True
         try:
-            listened = self._refuse_conflicts()
+            found = self._topics.check_alone()
+            self._topics.trust()
+            return found
         except CommandConflictError as error:
             self._on_conflict(error)
             return False
-        self._conflicts.trust()
-        return not listened
-
-    def _refuse_conflicts(self) -> bool:
-        """Return True if other publishers exist but are silent (a killed node).
-
-        Raise CommandConflictError if one publishes.
-        """
-        appeared = self._conflicts.appeared()
-        heard = self._conflicts.heard() if appeared else None
-        if heard:
-            raise CommandConflictError(f"{self._conflicts.named(heard[0])} publishes on {heard[0]}; {ALONE}")
-        return bool(appeared)
-
-    def _look_for_conflicts(self) -> None:
-        topics = self._conflicts.appeared() if self._alone else ()
-        if topics:
-            named = self._conflicts.named(*topics)
-            sentence = f"{named} has begun to publish on {' and '.join(topics)}; {ALONE}"
-            self._reports.event(Event("error", CONFLICTS, sentence, {"nodes": named}))

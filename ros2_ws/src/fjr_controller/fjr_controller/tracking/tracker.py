@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -28,7 +29,8 @@ class Command:
     u (n,) [N m]: effort to send, always finite and within its limits. jets (5, n): reference at the sample's stamp.
     V [J]: storage, nan where u is not the law's effort (a stop, a non-finite effort). velocity, position (2n,):
     dq_l, dq_m [rad/s] and q_l, q_m [rad] that the law was evaluated at. state: state of the tracker. restarted: True
-    if the stamps jumped back and the reference starts again with this sample.
+    if the stamps jumped back and the reference starts again with this sample. bound_start: stamp [ns] at which the
+    bound on V starts; None unless u is the law's own.
     """
 
     u: Array
@@ -38,6 +40,7 @@ class Command:
     state: State
     restarted: bool
     position: Array
+    bound_start: int | None = None
 
 
 class Tracker:
@@ -85,6 +88,8 @@ class Tracker:
         self._controller, self._journal = self.step.controller, Journal(self.step)
         checks = settings.wiring_check and observer is None
         self._wiring = WiringMonitor(self.step, self._on_wiring_fault) if checks else None
+        self.refresh: Callable[[], None] | None = None
+        """Called before the controller is read, if it belongs to a native loop."""
 
     @property
     def events(self) -> deque[Event]:
@@ -99,6 +104,7 @@ class Tracker:
     @property
     def state(self) -> State:
         """Return the state of the tracker."""
+        self._refresh()
         return STATES[self.step.lib.fjr_state_of(self._controller)]
 
     @property
@@ -109,11 +115,13 @@ class Tracker:
     @property
     def last_stamp(self) -> int | None:
         """Return the stamp [ns] of the last sample with an effort of law or stop; None before the first."""
+        self._refresh()
         return _stamp(self._controller.stamps.last)
 
     @property
     def end(self) -> float:
         """Return the stamp [ns] from which on the reference is constant; inf for never, or before the first sample."""
+        self._refresh()
         return self.step.end
 
     @property
@@ -148,8 +156,9 @@ class Tracker:
         if not answered:
             return None
         c = step.command
+        state, bound_start = STATES[c.state], _stamp(c.bound_start)
         return Command(
-            step.u.copy(), step.jets.copy(), c.V, step.velocity, STATES[c.state], bool(c.restarted), step.position
+            step.u.copy(), step.jets.copy(), c.V, step.velocity, state, bool(c.restarted), step.position, bound_start
         )
 
     def silence(self, now: int) -> Array | None:
@@ -186,6 +195,7 @@ class Tracker:
 
         The next trajectory starts from them: Spline(..., start=tracker.jets_at(start)).
         """
+        self._refresh()
         return self.step.jets_at(stamp)
 
     def follow(self, reference: Reference, start: int | None = None) -> None:
@@ -215,9 +225,18 @@ class Tracker:
 
         If recovery.join_time is 0 a refused start is checked again. A sample that violates a limit stops again.
         """
+        self._refresh()
         if self._controller.supervisor.stopped:
             self.step.lib.fjr_resume(self._controller)
             self._recheck_wiring()
+
+    def read_events(self) -> None:
+        """Read the events of a controller that a native loop runs."""
+        self._journal.update()
+
+    def _refresh(self) -> None:
+        if self.refresh is not None:
+            self.refresh()
 
     def _recheck_wiring(self) -> None:
         if self._wiring is not None:

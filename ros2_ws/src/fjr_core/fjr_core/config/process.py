@@ -17,6 +17,7 @@ CPU_AFFINITY = Parameter(
     "Cores that the node's process may use, where the system allows it; empty: any",
     constraint="core numbers and ranges separated by commas, as for taskset: 1 or 0,2-3",
 )
+NATIVE = "native"
 _CORES = re.compile(r"(\d{1,4})(?:-(\d{1,4}))?")
 
 
@@ -34,9 +35,10 @@ class ProcessSettings:
     lock_memory: bool = parameter_field(False, "Keep the node's memory in RAM (mlockall) where the system allows it")
     cores: frozenset[int] = frozenset()
     executor: str = parameter_field(
-        "events",
-        "rclpy's events executor (less processor time; where rclpy has it) or its single-threaded one",
-        choices=("events", "single"),
+        NATIVE,
+        "Command loop of the controller: a native thread in C (where it can be built), or rclpy's events executor "
+        "(where rclpy has it), or its single-threaded one",
+        choices=(NATIVE, "events", "single"),
     )
 
 

@@ -66,6 +66,11 @@ class ControlStep:
         written = settings_struct(self.library, settings, law)
         self.lib.fjr_init(self.controller, written, self._address(self._gains), self._references[0].pointer)
 
+    @property
+    def in_c(self) -> bool:
+        """True if a step calls no Python, apart from the check of the wiring."""
+        return self._model.in_c
+
     def step(self, stamp: int, arrival: int, q_l: Array, q_m: Array, dq_l: Array | None, dq_m: Array | None) -> bool:
         """Compute the command for a sample; return False if nothing is to be sent.
 

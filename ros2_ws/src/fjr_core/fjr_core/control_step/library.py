@@ -51,7 +51,7 @@ def step_library(n: int, memory: int = 1) -> StepLibrary:
 
     Raises CompilerError without a C compiler.
     """
-    path = jit.shared_object("step", c_text(n, memory))
+    path = jit.shared_object("control_step", c_text(n, memory))
     ffi = FFI()
     ffi.cdef(declarations(text(HEADER), {"FJR_N": n, "FJR_MEMORY": max(1, memory)}))
     return StepLibrary(ffi, ffi.dlopen(path), path)

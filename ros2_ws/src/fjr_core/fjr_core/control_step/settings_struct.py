@@ -15,6 +15,7 @@ from ..control.static_law import StaticLaw
 from ..estimation.measurement_model import Measurement
 from ..estimation.velocity_observer import VelocityObserver
 from ..numerics.casadi_function import dense_function
+from ..numerics.jit import compiled, machine_code
 from ..numerics.symbolic import symbols
 from .c_function import CFunction, WorkSpace
 from .library import StepLibrary
@@ -64,6 +65,8 @@ class Model:
     ) -> None:
         self._ffi, self._law_failed, n = library.ffi, law_failed, law.robot.n
         self._functions = {"law": law_function(law), "gravity": _gravity(law)}
+        if machine_code(self._functions["law"]) is not None:
+            self._functions["gravity"] = compiled(self._functions["gravity"])
         if observer is not None:
             self._functions["observer"] = observer.function
         self.pointer = library.ffi.new("struct fjr_model *")
@@ -73,6 +76,11 @@ class Model:
         self.pointer.lead, self.pointer.simulated = round(law.lead * 1e9), simulated
         self.pointer.bandwidth = observer.bandwidth if observer is not None else 0.0
         self._measure(measurement or Measurement(n))
+
+    @property
+    def in_c(self) -> bool:
+        """True if no function is evaluated in Python."""
+        return all(machine_code(function) is not None for function in self._functions.values())
 
     def use(self, law: SampledLaw) -> None:
         """Replace the law by one of the same robot and a controller state of the same length."""

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -76,6 +78,31 @@ class OnlineCertificate:
         np.copyto(self.u, u)
         self._latency, self._follows = latency, bool(np.isfinite(self.V))
         return V
+
+    def append(self, found: Mapping[str, Any], command: Mapping[str, Any], latency: float = 0.0) -> None:
+        """Append a state whose certificate and innovation were evaluated elsewhere, by the rules of `take`.
+
+        found: follows (0: no predecessor), dt, V0, V, predicted, sent, law, older, error, slope of the interval that
+        ends at the state. command: position, velocity, jets (5 n,), u. latency [s]: of this command.
+        """
+        if found["follows"]:
+            if self.count == CAPACITY:
+                self._drop_oldest()
+            kept, i, n = self._kept, self.count, self._robot.n
+            for name in ("dt", "predicted", "sent", "law", "older", "error", "slope"):
+                getattr(kept, name)[i] = found[name]
+            kept.V0[i], kept.V1[i] = found["V0"], found["V"]
+            kept.latency[i] = min(self._latency / kept.dt[i], 1.0)
+            np.subtract(command["position"][:n], command["jets"][:n], out=kept.tracking[i])
+            self.count += 1
+        np.copyto(self.position, command["position"])
+        np.copyto(self.jets, command["jets"].reshape(self.jets.shape))
+        self._latency = latency
+
+    @property
+    def functions(self) -> tuple[Any, Any]:
+        """Return the CasADi functions of certificate and prediction."""
+        return self._balance.function, self._prediction.function
 
     @property
     def V(self) -> float:

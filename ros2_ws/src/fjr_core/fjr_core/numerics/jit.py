@@ -63,16 +63,16 @@ def machine_code(function: ca.Function) -> int | None:
     return ctypes.cast(getattr(ctypes.CDLL(path), function.name()), ctypes.c_void_p).value
 
 
-def shared_object(name: str, source: str) -> str:
+def shared_object(name: str, source: str, options: Sequence[str] = ()) -> str:
     """Return the path of the shared object built from a C source, cached as compiled functions are.
 
-    Raises CompilerError if there is no C compiler or it fails.
+    options: of the compiler, after its usual ones. Raises CompilerError if there is no C compiler or it fails.
     """
     try:
-        folder, library = _library(name, source)
+        folder, library = _library(name, source, options)
         return folder.within(library)
     except (CompileError, OSError) as error:
-        raise CompilerError(f"the control step cannot be compiled: {error}") from None
+        raise CompilerError(f"the {name.replace('_', ' ')} cannot be compiled: {error}") from None
 
 
 def loaded(name: str, functions: Sequence[ca.Function], around: Callable[[str], str]) -> ctypes.CDLL | None:
@@ -110,20 +110,20 @@ def can_compile() -> bool:
         return False
 
 
-def _library(name: str, source: str) -> tuple[PrivateFolder, str]:
+def _library(name: str, source: str, options: Sequence[str] = ()) -> tuple[PrivateFolder, str]:
     """Find or build the shared object of a C source; return its folder and its name."""
     compiler = c_compiler()
-    key = hashlib.sha256("\n".join([source, *machine()]).encode())
+    key = hashlib.sha256("\n".join([source, *machine(), *options]).encode())
     stem = f"{name}-{key.hexdigest()[:32]}"
     folder = code_folder()
     try:
-        return folder, _ensured(folder, stem, source, compiler)
+        return folder, _ensured(folder, stem, source, compiler, options)
     except OSError as error:  # the folder is not writable
         folder = temporary_folder(f"cannot write to {folder.path} ({error.strerror or error})")
-        return folder, _ensured(folder, stem, source, compiler)
+        return folder, _ensured(folder, stem, source, compiler, options)
 
 
-def _ensured(folder: PrivateFolder, stem: str, source: str, compiler: tuple[str, ...]) -> str:
+def _ensured(folder: PrivateFolder, stem: str, source: str, compiler: tuple[str, ...], options: Sequence[str]) -> str:
     """Build the library unless it is intact or another process builds it meanwhile; return its name."""
     library = f"{stem}.so"
     if is_intact(folder, library):
@@ -134,16 +134,16 @@ def _ensured(folder: PrivateFolder, stem: str, source: str, compiler: tuple[str,
             _log.info(
                 "compiling %s (%d lines of C) in %s; this happens once and takes some seconds", what, lines, folder.path
             )
-            keep(folder, library, _built(source, compiler))
+            keep(folder, library, _built(source, compiler, options))
     return library
 
 
-def _built(source: str, compiler: tuple[str, ...]) -> bytes:
+def _built(source: str, compiler: tuple[str, ...], options: Sequence[str]) -> bytes:
     """Compile in a temporary folder; return the content of the shared object."""
     with tempfile.TemporaryDirectory() as folder:
         code, built = Path(folder, "code.c"), Path(folder, "code.so")
         code.write_text(split_functions(source), encoding="utf-8")
-        run_compiler([*compiler, *OPTIONS, "-o", str(built), str(code), "-lm"])
+        run_compiler([*compiler, *OPTIONS, "-o", str(built), str(code), *options, "-lm"])
         if not built.exists():
             raise CompileError(f"{compiler[0]} wrote no shared object")
         return built.read_bytes()

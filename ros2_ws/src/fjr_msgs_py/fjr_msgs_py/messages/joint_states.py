@@ -88,6 +88,11 @@ class StateReader:
         self._names = list(joints) if self._measurement.by_torque else state_names(joints)
         self._columns = NamedColumns(self._names)
 
+    @property
+    def names(self) -> list[str]:
+        """Return the names that a state needs."""
+        return list(self._names)
+
     def read(self, message: JointState) -> JointSample:
         """Return the state in the order of the joints, in new arrays; raises MessageError for an invalid message."""
         columns = self._columns.columns(message.name)

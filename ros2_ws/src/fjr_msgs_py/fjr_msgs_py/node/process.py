@@ -18,12 +18,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from fjr_core import FjrError
-from fjr_core.config.process import process_settings
+from fjr_core.config.process import NATIVE, process_settings
 
 from .loading import resume_garbage_collection
 from .log_folder import ensure_log_folder
 from .parameters import ParameterNode
-from .scheduling import apply_process_settings, freeze_garbage
+from .scheduling import apply_process_settings, freeze_garbage, yield_to_other_threads
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
@@ -101,8 +101,11 @@ class _Host:
 
     def apply_process_settings(self, values: Mapping[str, Any]) -> None:
         """Apply the process settings of the values and freeze the garbage collector; raises ParameterError."""
-        for refusal in apply_process_settings(process_settings(values)):
+        settings = process_settings(values)
+        for refusal in apply_process_settings(settings):
             self._node.get_logger().warning(refusal)
+        if settings.executor == NATIVE:
+            yield_to_other_threads(settings.priority)
         freeze_garbage()
 
     def end(self, error: FjrError) -> None:

@@ -48,6 +48,16 @@ def take_priority(priority: int, inherited: bool = True) -> str:
     return ""
 
 
+def yield_to_other_threads(priority: int) -> None:
+    """Schedule the calling thread one step below `priority`, which the other threads of this process have.
+
+    A native loop and the middleware then never wait for Python. Do nothing for a priority of 0 or where it is refused.
+    """
+    if priority > 1:
+        with suppress(OSError, AttributeError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority - 1))
+
+
 @contextmanager
 def prioritised(priority: int) -> Iterator[None]:
     """Schedule this process as SCHED_FIFO inside the block if the system allows it.

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command loop as a native thread: a JointState in, an effort out, without Python. See controller_loop.h."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode
+from sensor_msgs.msg import JointState
+
+from fjr_core import FjrError, Measurement
+from fjr_core.config.process import process_settings
+from fjr_core.control_step.control_step import NEVER
+from fjr_msgs_py import names
+from fjr_msgs_py.messages.joint_states import JointSample, StateReader
+from fjr_msgs_py.native.entities import NativeReader, NativeSubscription, publisher_address
+from fjr_msgs_py.native.loop import Loop
+from fjr_msgs_py.native.ring import Ring
+from fjr_msgs_py.node import process
+
+from ..ros.certificate_diagnosis import CertificateDiagnosis
+from ..ros.command_conflict import CommandConflictError, CommandTopics
+from ..ros.command_loop import SILENCE_CHECKS, Listener
+from ..ros.diagnostics import ANSWERED, RECEIVED, Reports
+from ..tracking.events import STATES, State
+from ..tracking.tracker import Command, Tracker
+from .certificate import NativeCertificate
+from .messages import CommandMessages
+from .owned_step import OwnedStep
+from .program import controller_program, step_functions
+from .refusals import Refusals
+
+READING_PERIOD = 0.02  # s
+RECORDS = 4096  # 4 s at 1 kHz
+LOST = "samples not reported"
+CALLBACKS = ("message", "tick", "request", "end")
+
+
+class LoopError(FjrError):
+    """The native command loop has ended by itself."""
+
+
+class NativeCommandLoop:
+    """The native sibling of CommandLoop; listeners and reports get each sample from a queue, READING_PERIOD later.
+
+    Raises NativeError if the loop cannot be built.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        joints: tuple[str, ...],
+        tracker: Tracker,
+        measurement: Measurement,
+        reports: Reports,
+        on_conflict: Callable[[CommandConflictError], None],
+        auxiliary_period: float,
+    ) -> None:
+        """Build the loop, subscribe to the states and create the publishers of reference and tracking error.
+
+        auxiliary_period [s]: least time between two messages on the topics for observers; 0: at every sample.
+        """
+        self._node, self._tracker, self._reports, self._on_conflict = node, tracker, reports, on_conflict
+        self._simulated = bool(node.get_parameter("use_sim_time").value)
+        step, n = tracker.step, len(joints)
+        self._program = program = controller_program(step.library, n, len(step.memory))
+        ffi = program.ffi
+        self._controller = ffi.new("struct fjr_controller*")
+        reader = StateReader(joints, measurement)
+        fields = 0b001 | (0b100 if measurement.by_torque else 0) | (0 if measurement.observed else 0b010)
+        self._reader = NativeReader(program, reader.names, fields)
+        self._messages = CommandMessages(program, joints)
+        self._refusals, self._ring = Refusals(program, reader, reports), Ring(program, "struct fjr_record", RECORDS)
+        self._alone_callback = ffi.callback("int(void*)", self._check_alone, error=program.lib.FJR_CONFLICT)
+        self._references = node.create_publisher(JointState, names.REFERENCE, names.LATEST)
+        self._errors = node.create_publisher(JointState, names.TRACKING_ERROR, names.LATEST)
+        self._states = NativeSubscription(node, JointState, names.JOINT_STATES, names.LATEST)
+        self._struct = ffi.new("struct fjr_controller_loop*", self._fields(auxiliary_period))
+        callbacks = (ffi.addressof(program.lib, f"fjr_controller_{name}") for name in CALLBACKS)
+        self._host = ffi.new("struct fjr_host*", (self._struct, *callbacks))
+        self._loop = Loop(program, self._host, [self._states])
+        self._struct.loop = self._loop.pointer
+        self._step = OwnedStep(step, program, self._loop, self._controller)
+        self._listeners: list[Listener] = []
+        self._certificate: NativeCertificate | None = None
+        self._lost, self.active = 0, False
+
+    def add_listener(self, listener: Listener) -> None:
+        """Call `listener` for each sample, some time after its command was sent."""
+        self._listeners.append(listener)
+
+    def certify(self, diagnosis: CertificateDiagnosis) -> NativeCertificate:
+        """Evaluate and publish the certificate of each sample from the next start on."""
+        found = NativeCertificate(self._node, self._program, diagnosis)
+        self._certificate, self._struct.certificate = found, found.pointer
+        self._struct.certificates = publisher_address(self._program, found.publisher)
+        self._struct.certified = found.message.pointer
+        found.request = lambda gains, beta: self._recertify(gains, beta)
+        return found
+
+    def start(self, state_timeout: float) -> None:
+        """Publish commands from the next state on.
+
+        Raise CommandConflictError if another process publishes on a command topic.
+        """
+        self._topics = CommandTopics(self._node, self._reports)
+        struct = self._struct
+        self._problem: Exception | None = None
+        struct.efforts, struct.commands = (publisher_address(self._program, each) for each in self._topics.publishers)
+        struct.known_alone = struct.sends = 0
+        struct.silence_period = round(state_timeout / SILENCE_CHECKS * 1e9)
+        self._state = State.WAITING
+        self._step.lend()
+        self._tracker.refresh = self._step.read
+        publishers = [*self._topics.publishers, self._references, self._errors]
+        if self._certificate is not None:
+            publishers.append(self._certificate.publisher)
+            self._certificate.restart()
+        self._loop.use(publishers)
+        self._loop.start(process_settings(self._node.values).priority)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timers = [self._node.create_timer(READING_PERIOD, self._read, clock=steady)]
+        if self._simulated:
+            clock = self._node.get_clock()
+            self._timers.append(self._node.create_timer(state_timeout / SILENCE_CHECKS, self._on_silence, clock=clock))
+        self.active = True
+
+    def stop(self) -> None:
+        """Publish the stop effort if a command was sent before, and end the command loop."""
+        if not self.active:
+            return
+        self.active = False
+        for timer in self._timers:
+            self._node.destroy_timer(timer)
+        self._loop.stop()
+        self._step.send_stop()
+        self._step.take_back()
+        self._tracker.refresh = None
+        self._report()
+        process.flush(*self._topics.publishers)
+        self._topics.close()
+
+    def close(self) -> None:
+        """Destroy all subscriptions and publishers."""
+        self.stop()
+        self._loop.close()
+        self._states.close()
+        for publisher in (self._references, self._errors):
+            self._node.destroy_publisher(publisher)
+
+    def abandon(self) -> None:
+        """End the thread, and destroy the subscription that the node does not know, before the node is destroyed."""
+        self._loop.stop()
+        self._states.close()
+
+    def _fields(self, auxiliary_period: float) -> dict[str, Any]:
+        """Return the fields of struct fjr_controller_loop that do not change."""
+        return {
+            "step": step_functions(self._tracker.step.library),
+            "model": self._tracker.step.model,
+            "controller": self._controller,
+            "copy": self._tracker.step.controller,
+            "reader": self._reader.pointer,
+            "records": self._ring.pointer,
+            "refusals": self._refusals.pointer,
+            "references": publisher_address(self._program, self._references),
+            "errors": publisher_address(self._program, self._errors),
+            "alone": self._alone_callback,
+            "simulated": self._simulated,
+            "auxiliary_period": round(auxiliary_period * 1e9),
+            **self._messages.pointers,
+        }
+
+    def _check_alone(self, _: Any) -> int:
+        """Search for conflicting publishers before the first command, on the native thread."""
+        lib = self._program.lib
+        try:
+            return int(lib.FJR_ALONE if self._topics.check_alone() else lib.FJR_TOO_LATE)
+        except Exception as error:
+            self._problem = error
+            return int(lib.FJR_CONFLICT)
+
+    def _recertify(self, gains: Any, beta: Any) -> None:
+        """Let the thread use other gains for the certificate; records with those before are read first."""
+        if self.active:
+            self._report()
+        self._step.request("FJR_RECERTIFY", gains, beta)
+
+    def _on_silence(self) -> None:
+        self._step.check_silence(self._node.get_clock().now().nanoseconds)
+
+    def _read(self) -> None:
+        """Read the queue; end the node if the loop has ended by itself."""
+        self._topics.trust()
+        runs = self._loop.runs  # before its last records are read
+        self._step.read()
+        self._report()
+        if runs or not self.active:
+            return
+        if isinstance(self._problem, CommandConflictError):
+            self._on_conflict(self._problem)
+        elif self._problem is not None:
+            raise self._problem
+        else:
+            raise LoopError(f"the native command loop failed: {self._loop.reason}; the stop effort was sent")
+
+    def _report(self) -> None:
+        """Hand all records to the listeners, and report events, counters and refused messages."""
+        self._refusals.report()
+        while len(records := self._ring.take()):
+            for record in records:
+                self._on_record(record)
+        if self._ring.lost > self._lost:
+            self._lost = self._ring.lost
+            self._reports.warn(LOST, "samples were not reported: the process of the node has too little time")
+            self._reports.count[LOST] = self._lost
+        self._reports.count[RECEIVED] = self._struct.received
+        self._reports.count[ANSWERED] = self._struct.answered
+        self._tracker.read_events()
+        if self._tracker.events:
+            self._reports.publish_events()
+
+    def _on_record(self, record: Any) -> None:
+        found, stamp = record["command"], int(record["sample"]["stamp"])
+        n = len(found["u"])
+        position, velocity, jets = found["position"], found["velocity"], found["jets"].reshape(-1, n)
+        start = int(found["bound_start"])
+        state = STATES[found["state"]]
+        if state is not self._state:
+            self._state = state
+            if state is State.TRACKING:
+                self._reports.announce("tracking", "tracking: the effort is the law's own")
+        sample = JointSample(stamp, record["sample"]["link"], position[n:])
+        bound = None if start == NEVER else start
+        command = Command(
+            found["u"], jets, float(found["V"]), velocity, state, bool(found["restarted"]), position, bound
+        )
+        if self._certificate is not None:
+            self._certificate.on_record(record)
+        for listener in self._listeners:
+            listener(sample, command, int(record["arrival"]), int(record["sent"]))
+        self._reports.at(stamp)

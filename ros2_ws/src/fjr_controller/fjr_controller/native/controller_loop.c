@@ -1,0 +1,199 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * All functions but the callbacks of the host are static and run on the thread of the loop.
+ */
+#define FIRST_UNSENDABLE 2147483648000000000 /* ns; the seconds of a stamp are a signed 32-bit integer */
+#define DRAIN_PERIOD 1000000                 /* ns; wait for Python where no record may be lost */
+#define POSITIONS 0
+#define VELOCITIES 1
+#define EFFORTS 2
+
+/* ---- Messages -------------------------------------------------------------------------------------------------- */
+
+static void refuse(struct fjr_refusals* r, int kind, const uint8_t* data, size_t size) {
+  const int64_t count = r->count[kind];
+  if (count == 0) {
+    r->size[kind] = size < r->room ? size : r->room;
+    memcpy(r->first + (size_t)kind * r->room, data, r->size[kind]);
+  }
+  __atomic_store_n(&r->count[kind], count + 1, __ATOMIC_RELEASE);
+}
+
+/* Read a state into `sample`; return an enum fjr_reading or FJR_NO_STAMP. */
+static int read_sample(struct fjr_controller_loop* l, const uint8_t* data, size_t size) {
+  const struct fjr_joint_reader* r = l->reader;
+  struct fjr_sample* s = &l->sample;
+  const int found = fjr_read_joint_state(l->reader, data, size);
+  if (found != FJR_READ) return found;
+  if (r->stamp <= 0 || r->stamp >= FIRST_UNSENDABLE) return FJR_NO_STAMP;
+  s->stamp = r->stamp;
+  memcpy(s->link, r->value[POSITIONS], sizeof s->link);
+  memcpy(s->motor, l->model->torque ? r->value[EFFORTS] : r->value[POSITIONS] + FJR_N, sizeof s->motor);
+  if (r->value[VELOCITIES]) memcpy(s->velocity, r->value[VELOCITIES], sizeof s->velocity);
+  return FJR_READ;
+}
+
+/* ---- Commands -------------------------------------------------------------------------------------------------- */
+
+/* Publish a command on both topics; lock-step waits for the named one. */
+static int send(struct fjr_controller_loop* l, int64_t stamp, const double* u) {
+  int outcome = FJR_GO_ON;
+  fjr_put_numbers(l->effort, 0, u);
+  fjr_put_stamp(l->command, stamp);
+  fjr_put_numbers(l->command, EFFORTS, u);
+  if (l->simulated) outcome = fjr_loop_publish(l->loop, l->commands, l->command);
+  if (outcome == FJR_GO_ON) outcome = fjr_loop_publish(l->loop, l->efforts, l->effort);
+  if (outcome == FJR_GO_ON && !l->simulated) outcome = fjr_loop_publish(l->loop, l->commands, l->command);
+  return outcome;
+}
+
+/* Send the stop effort once per silence; now: of the clock of the arrivals, or of the stamps in simulated time. */
+static int check_silence(struct fjr_controller_loop* l, int64_t now) {
+  double u[FJR_N];
+  if (!l->step.silence(l->model, l->controller, now, u) || !l->sends) return FJR_GO_ON;
+  return send(l, l->last_stamp, u);
+}
+
+/* Send the stop effort if a command was sent. */
+static int send_stop(struct fjr_controller_loop* l) {
+  double u[FJR_N];
+  if (!l->sends) return FJR_GO_ON;
+  l->step.stop_effort(l->model, l->controller, u);
+  l->sends = 0;
+  return send(l, l->last_stamp, u);
+}
+
+/* Ask once whether nobody else commands the robot; return FJR_GO_ON, or FJR_DONE; `late`: this state is too old now. */
+static int ask_alone(struct fjr_controller_loop* l, int* late) {
+  if (l->known_alone) return FJR_GO_ON;
+  const int found = l->alone(l->context);
+  l->known_alone = found != FJR_CONFLICT;
+  *late = found == FJR_TOO_LATE;
+  return found == FJR_CONFLICT ? FJR_DONE : found == FJR_ALONE || *late ? FJR_GO_ON : FJR_FAILED;
+}
+
+/* ---- After the command ----------------------------------------------------------------------------------------- */
+
+/* Whether the topics for observers are due at a stamp: on a grid of auxiliary_period, which a jump restarts. */
+static int auxiliary_due(struct fjr_controller_loop* l, int64_t stamp) {
+  const int64_t period = l->auxiliary_period, ahead = l->auxiliary_next - stamp;
+  if (period <= 0) return 1;
+  if (ahead > 0 && ahead <= period) return 0;
+  l->auxiliary_next = ahead <= 0 && ahead > -period ? l->auxiliary_next + period : stamp + period;
+  return 1;
+}
+
+static int publish_auxiliary(struct fjr_controller_loop* l) {
+  const double *q_ld = l->result.jets, *dq_ld = l->result.jets + FJR_N;
+  double q_tilde_l[FJR_N], dq_tilde_l[FJR_N];
+  for (int i = 0; i < FJR_N; ++i) {
+    q_tilde_l[i] = l->sample.link[i] - q_ld[i];
+    dq_tilde_l[i] = l->result.velocity[i] - dq_ld[i];
+  }
+  fjr_put_stamp(l->reference, l->sample.stamp);
+  fjr_put_numbers(l->reference, POSITIONS, q_ld);
+  fjr_put_numbers(l->reference, VELOCITIES, dq_ld);
+  fjr_put_stamp(l->error, l->sample.stamp);
+  fjr_put_numbers(l->error, POSITIONS, q_tilde_l);
+  fjr_put_numbers(l->error, VELOCITIES, dq_tilde_l);
+  const int outcome = fjr_loop_publish(l->loop, l->references, l->reference);
+  return outcome == FJR_GO_ON ? fjr_loop_publish(l->loop, l->errors, l->error) : outcome;
+}
+
+/* Publish the certificate of a sample with a predecessor, if its values are finite. */
+static int publish_certificate(struct fjr_controller_loop* l, int due) {
+  const struct fjr_certified* f = &l->found;
+  const int64_t stamp = l->sample.stamp;
+  const double values[] = {(double)(stamp / SECOND), (double)(stamp % SECOND), f->V, f->dV, f->rate, f->bound, f->H,
+                           f->supplied, f->dissipated};
+  if (!due || !f->follows) return FJR_GO_ON;
+  for (int i = 2; i < 9; ++i)
+    if (!isfinite(values[i])) return FJR_GO_ON;
+  fjr_put_numbers(l->certified, 0, values);
+  return fjr_loop_publish(l->loop, l->certificates, l->certified);
+}
+
+static int certify(struct fjr_controller_loop* l, int due) {
+  if (!l->certificate) return FJR_GO_ON;
+  if (!fjr_certify(l->certificate, &l->result, l->sample.stamp, &l->found))
+    return fjr_loop_fail(l->loop, "the certificate cannot be evaluated");
+  return publish_certificate(l, due);
+}
+
+/* Hand a sample to Python; in simulated time wait for a place, in real time count it as lost if there is none. */
+static int hand_over(struct fjr_controller_loop* l, int64_t arrival, int64_t sent) {
+  struct fjr_record* record;
+  while (!(record = fjr_ring_free(l->records))) {
+    if (!l->simulated) return fjr_ring_lose(l->records), FJR_GO_ON;
+    if (fjr_loop_pause(l->loop, DRAIN_PERIOD) != FJR_GO_ON) return FJR_DONE;
+  }
+  record->arrival = arrival, record->sent = sent;
+  record->sample = l->sample, record->command = l->result, record->certified = l->found;
+  fjr_ring_commit(l->records);
+  return FJR_GO_ON;
+}
+
+static int answer(struct fjr_controller_loop* l, int64_t arrival) {
+  const int64_t stamp = l->sample.stamp;
+  int outcome = send(l, stamp, l->result.u);
+  const int64_t sent = fjr_steady_now();
+  if (outcome != FJR_GO_ON) return outcome;
+  l->sends = 1, l->last_stamp = stamp;
+  __atomic_fetch_add(&l->answered, 1, __ATOMIC_RELAXED);
+  const int due = auxiliary_due(l, stamp);
+  if (due) outcome = publish_auxiliary(l);
+  if (outcome == FJR_GO_ON) outcome = certify(l, due);
+  return outcome == FJR_GO_ON ? hand_over(l, arrival, sent) : outcome;
+}
+
+/* ---- Callbacks of the host ------------------------------------------------------------------------------------- */
+
+int fjr_controller_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival) {
+  struct fjr_controller_loop* l = self;
+  int late = 0, outcome;
+  (void)source;
+  __atomic_fetch_add(&l->received, 1, __ATOMIC_RELAXED);
+  const int found = read_sample(l, data, size);
+  if (found != FJR_READ) return refuse(l->refusals, found, data, size), FJR_GO_ON;
+  if ((outcome = ask_alone(l, &late)) != FJR_GO_ON || late) return outcome;
+  if (l->simulated && (outcome = check_silence(l, l->sample.stamp)) != FJR_GO_ON) return outcome;
+  const int answered = l->step.step(l->model, l->controller, &l->sample, arrival, &l->result);
+  if (answered < 0) return fjr_loop_fail(l->loop, "the control step failed");
+  return answered ? answer(l, arrival) : FJR_GO_ON;
+}
+
+int fjr_controller_tick(void* self, int64_t now, int64_t* next) {
+  struct fjr_controller_loop* l = self;
+  *next = l->simulated ? FJR_NO_TIME : now + l->silence_period;
+  return l->simulated ? FJR_GO_ON : check_silence(l, now);
+}
+
+int fjr_controller_request(void* self, int32_t kind, void* argument) {
+  struct fjr_controller_loop* l = self;
+  const struct fjr_arguments* a = argument;
+  int outcome = FJR_GO_ON;
+  switch (kind) {
+    case FJR_START: l->step.start(l->controller, a->first); break;
+    case FJR_APPLY: l->step.apply(l->controller, a->first); break;
+    case FJR_USE_GAINS: l->step.use_gains(l->controller, a->first, a->second); break;
+    case FJR_FOLLOW: l->step.follow(l->controller, a->first, a->time); break;
+    case FJR_DO_HOLD: l->step.hold(l->controller); break;
+    case FJR_DO_RESUME: l->step.resume(l->controller); break;
+    case FJR_SEND_STOP: outcome = send_stop(l); break;
+    case FJR_CHECK_SILENCE: outcome = check_silence(l, a->time); break;
+    case FJR_RECERTIFY:
+      l->certificate->gains = a->first;
+      l->certificate->beta = *(const double*)a->second;
+      fjr_certificate_restart(l->certificate);
+      break;
+    default: break;
+  }
+  *l->copy = *l->controller;
+  return outcome;
+}
+
+/* After a failure the robot must not keep the last effort. */
+void fjr_controller_end(void* self, int32_t outcome) {
+  struct fjr_controller_loop* l = self;
+  if (outcome == FJR_FAILED) (void)send_stop(l);
+  *l->copy = *l->controller;
+}

@@ -1,0 +1,83 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * The native host of the control step: JointState -> struct fjr_sample -> fjr_step -> both command topics.
+ *
+ * The controller belongs to the thread while it runs. Python changes it by requests, and reads a copy.
+ */
+#ifndef FJR_CONTROLLER_LOOP_H
+#define FJR_CONTROLLER_LOOP_H
+
+#define FJR_REFUSALS 7 /* kinds: enum fjr_reading from 1 on, and FJR_NO_STAMP */
+#define FJR_NO_STAMP 6
+
+/* Functions of the control step (step.h). */
+struct fjr_step_functions {
+  int (*step)(const struct fjr_model*, struct fjr_controller*, const struct fjr_sample*, int64_t, struct fjr_command*);
+  int (*silence)(const struct fjr_model*, struct fjr_controller*, int64_t, double*);
+  void (*stop_effort)(const struct fjr_model*, struct fjr_controller*, double*);
+  void (*start)(struct fjr_controller*, const struct fjr_reference*);
+  void (*apply)(struct fjr_controller*, const struct fjr_settings*);
+  void (*use_gains)(struct fjr_controller*, const double*, const double*);
+  void (*follow)(struct fjr_controller*, const struct fjr_reference*, int64_t);
+  void (*hold)(struct fjr_controller*);
+  void (*resume)(struct fjr_controller*);
+};
+
+/* Requests, with an argument of type struct fjr_arguments; after each the copy of the controller is up to date.
+ * FJR_CHECK_SILENCE: `time` is of the clock of the stamps. FJR_SEND_STOP: the stop effort, if a command was sent.
+ * FJR_RECERTIFY: `first` are the gains of the certificate, `second` is beta. */
+enum fjr_controller_request {
+  FJR_COPY, FJR_START, FJR_APPLY, FJR_USE_GAINS, FJR_FOLLOW, FJR_DO_HOLD, FJR_DO_RESUME, FJR_CHECK_SILENCE,
+  FJR_SEND_STOP, FJR_RECERTIFY
+};
+
+struct fjr_arguments {
+  const void *first, *second;
+  int64_t time;
+};
+
+/* What the callback `alone` returns before the first command: whether nobody else commands the robot. */
+enum fjr_alone { FJR_TOO_LATE, FJR_ALONE, FJR_CONFLICT };
+
+/* A sample that was answered. sent: when its command had been published (steady clock). */
+struct fjr_record {
+  int64_t arrival, sent;
+  struct fjr_sample sample;
+  struct fjr_command command;
+  struct fjr_certified certified; /* only if the loop has a certificate */
+};
+
+/* Messages that were refused, by kind, with the first one of each. */
+struct fjr_refusals {
+  int64_t count[FJR_REFUSALS];
+  size_t size[FJR_REFUSALS], room;
+  uint8_t* first; /* (FJR_REFUSALS, room) */
+};
+
+struct fjr_controller_loop {
+  struct fjr_loop* loop;
+  struct fjr_step_functions step;
+  const struct fjr_model* model;
+  struct fjr_controller *controller, *copy;
+  struct fjr_joint_reader* reader; /* links, then motors; links only if the motor side is measured by torque */
+  struct fjr_ring* records;
+  struct fjr_refusals* refusals;
+  struct fjr_certificate* certificate; /* 0: none */
+  void *efforts, *commands, *references, *errors, *certificates; /* rcl_publisher_t* */
+  struct fjr_message *effort, *command, *reference, *error, *certified;
+  int (*alone)(void* context); /* returns an enum fjr_alone */
+  void* context;
+  int32_t simulated, known_alone, sends; /* sends: a command was sent, and no last one after a failure */
+  int64_t silence_period, auxiliary_period, auxiliary_next; /* ns */
+  int64_t received, answered, last_stamp;
+  struct fjr_sample sample;
+  struct fjr_command result;
+  struct fjr_certified found;
+};
+
+/* The callbacks of struct fjr_host; self: struct fjr_controller_loop. */
+int fjr_controller_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival);
+int fjr_controller_tick(void* self, int64_t now, int64_t* next);
+int fjr_controller_request(void* self, int32_t kind, void* argument);
+void fjr_controller_end(void* self, int32_t outcome);
+
+#endif

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build the native command loop for a control step, and the functions of the step that are called by it."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from fjr_core.control_step import library
+from fjr_core.control_step.library import StepLibrary
+from fjr_msgs_py.native.program import Program, common_headers, common_sources
+
+PARTS = ("certificate", "controller_loop")
+FUNCTIONS = ("step", "silence", "stop_effort", "start", "apply", "use_gains", "follow", "hold", "resume")
+"""Fields of struct fjr_step_functions: functions of step.h without the prefix fjr_."""
+
+
+@cache
+def controller_program(step: StepLibrary, n: int, memory: int) -> Program:
+    """Return the native command loop for a step of n joints and a law with `memory` numbers as its controller state.
+
+    Raises NativeError if it cannot be built.
+    """
+    values, base = {"FJR_N": n, "FJR_MEMORY": max(1, memory)}, (library.text(library.HEADER), step.ffi)
+    headers = [*common_headers(), *(_text(f"{part}.h") for part in PARTS)]
+    sources = [*common_sources(), *(_text(f"{part}.c") for part in PARTS)]
+    return Program("controller_loop", headers, sources, values, base)
+
+
+def step_functions(step: StepLibrary) -> dict[str, Any]:
+    """Return the functions of the step as fields of struct fjr_step_functions."""
+    return {name: step.ffi.addressof(step.lib, f"fjr_{name}") for name in FUNCTIONS}
+
+
+def _text(name: str) -> str:
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")

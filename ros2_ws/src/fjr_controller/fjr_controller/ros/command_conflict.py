@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Detect other processes that command the robot, and own the publishers of the command topics."""
+
+from __future__ import annotations
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from fjr_core import FjrError
+from fjr_msgs_py import names
+from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
+
+from ..tracking.events import Event
+from .diagnostics import Reports
+
+TOPICS = {names.EFFORT_COMMANDS: Float64MultiArray, names.JOINT_COMMANDS: JointState}
+CONFLICTS = "other controllers"
+ALONE = "expected nobody else to command the robot"
+LOOK_PERIOD = 0.5  # s
+
+
+class CommandConflictError(FjrError):
+    """Another process publishes on a command topic."""
+
+
+class CommandTopics:
+    """The publishers of both command topics (efforts, commands), and the search for conflicting ones.
+
+    The search takes place at the start, before the first command and every LOOK_PERIOD after it. A conflict before the
+    first command is an error; a later one is reported.
+    """
+
+    def __init__(self, node: Node, reports: Reports) -> None:
+        """Create the publishers; raise CommandConflictError if another process publishes on a command topic."""
+        self._node, self._reports = node, reports
+        self._conflicts = ConflictingPublishers(node, TOPICS, names.LATEST)
+        self._alone = self._trusted = False
+        try:
+            self._refuse_conflicts()
+        except CommandConflictError:
+            self._conflicts.close()
+            raise
+        self.efforts, self.commands = self._conflicts.publishers
+        self._timer = node.create_timer(LOOK_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    @property
+    def publishers(self) -> tuple[Publisher, Publisher]:
+        """Return the publishers of efforts and of named commands."""
+        return self.efforts, self.commands
+
+    def check_alone(self) -> bool:
+        """Search before the first command; return False if the present state is too old after that.
+
+        Any thread may call it. Raise CommandConflictError if another process publishes.
+        """
+        listened = self._refuse_conflicts()
+        self._alone = True
+        return not listened
+
+    def trust(self) -> None:
+        """Destroy the subscriptions of the search once it is over; only the thread of the executor may do so."""
+        if self._alone and not self._trusted:
+            self._trusted = True
+            self._conflicts.trust()
+
+    def close(self) -> None:
+        """Destroy publishers, subscriptions and timer."""
+        self._node.destroy_timer(self._timer)
+        self._conflicts.close()
+
+    def _refuse_conflicts(self) -> bool:
+        """Return True if other publishers exist but are silent (a killed node).
+
+        Raise CommandConflictError if one publishes.
+        """
+        appeared = self._conflicts.appeared()
+        heard = self._conflicts.heard() if appeared else None
+        if heard:
+            raise CommandConflictError(f"{self._conflicts.named(heard[0])} publishes on {heard[0]}; {ALONE}")
+        return bool(appeared)
+
+    def _look(self) -> None:
+        topics = self._conflicts.appeared() if self._alone else ()
+        if topics:
+            named = self._conflicts.named(*topics)
+            sentence = f"{named} has begun to publish on {' and '.join(topics)}; {ALONE}"
+            self._reports.event(Event("error", CONFLICTS, sentence, {"nodes": named}))

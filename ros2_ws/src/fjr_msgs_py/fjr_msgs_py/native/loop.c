@@ -1,0 +1,224 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * The middleware announces messages by a callback on a thread of its own, which wakes this one by a semaphore.
+ */
+#include <errno.h>
+#include <pthread.h>
+#include <semaphore.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include <rcl/error_handling.h>
+#include <rcl/publisher.h>
+#include <rcl/subscription.h>
+#include <rcutils/types/uint8_array.h>
+
+#define REASON 512
+
+enum request_state { NO_REQUEST, POSTED };
+
+/* A subscription; announced: messages since the thread looked last. */
+struct source {
+  struct fjr_loop* loop;
+  const rcl_subscription_t* subscription;
+  uint64_t announced;
+};
+
+struct fjr_loop {
+  struct fjr_host host;
+  struct source source[FJR_SOURCES];
+  int32_t sources;
+  rcl_serialized_message_t buffer;
+  pthread_t thread;
+  sem_t wake, answered;
+  int32_t started, running, stopping;        /* running, stopping: atomic */
+  int32_t request, kind, answer, outcome;    /* request: atomic, an enum request_state */
+  void* argument;
+  int64_t next;
+  char reason[REASON];
+};
+
+int64_t fjr_steady_now(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
+}
+
+int fjr_loop_fail(struct fjr_loop* loop, const char* reason) {
+  snprintf(loop->reason, REASON, "%s", reason);
+  return FJR_FAILED;
+}
+
+static int rcl_failed(struct fjr_loop* loop, const char* what, int code) {
+  snprintf(loop->reason, REASON, "%s returned %d (%s)", what, code, rcl_get_error_string().str);
+  rcl_reset_error();
+  return FJR_FAILED;
+}
+
+int fjr_loop_publish(struct fjr_loop* loop, void* publisher, const struct fjr_message* message) {
+  rcl_serialized_message_t bytes = rcutils_get_zero_initialized_uint8_array();
+  bytes.buffer = message->bytes;
+  bytes.buffer_length = bytes.buffer_capacity = message->size;
+  const rcl_ret_t code = rcl_publish_serialized_message(publisher, &bytes, NULL);
+  return code == RCL_RET_OK ? FJR_GO_ON : rcl_failed(loop, "rcl_publish_serialized_message", code);
+}
+
+static void on_announcement(const void* at, size_t count) {
+  struct source* source = (struct source*)(uintptr_t)at;
+  __atomic_fetch_add(&source->announced, count, __ATOMIC_RELEASE);
+  sem_post(&source->loop->wake);
+}
+
+/* Take and handle the announced messages of a subscription; the middleware keeps the newest ones only. */
+static int take(struct fjr_loop* loop, int32_t k) {
+  struct source* source = &loop->source[k];
+  uint64_t count = __atomic_exchange_n(&source->announced, 0, __ATOMIC_ACQUIRE);
+  int outcome = FJR_GO_ON;
+  for (; count && outcome == FJR_GO_ON; --count) {
+    const rcl_ret_t code = rcl_take_serialized_message(source->subscription, &loop->buffer, NULL, NULL);
+    if (code == RCL_RET_SUBSCRIPTION_TAKE_FAILED) return FJR_GO_ON;
+    if (code != RCL_RET_OK) return rcl_failed(loop, "rcl_take_serialized_message", code);
+    outcome = loop->host.on_message(loop->host.self, k, loop->buffer.buffer, loop->buffer.buffer_length,
+                                    fjr_steady_now());
+  }
+  return outcome;
+}
+
+/* Discard what arrived before the start. */
+static void discard(struct fjr_loop* loop, int32_t k) {
+  loop->source[k].announced = 0;
+  while (rcl_take_serialized_message(loop->source[k].subscription, &loop->buffer, NULL, NULL) == RCL_RET_OK) {
+  }
+  rcl_reset_error();
+}
+
+/* Answer the pending request, if there is one; thread or caller do so, whoever comes first. */
+static int serve(struct fjr_loop* loop) {
+  int32_t posted = POSTED;
+  if (!__atomic_compare_exchange_n(&loop->request, &posted, NO_REQUEST, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST))
+    return FJR_GO_ON;
+  const int outcome = loop->host.on_request(loop->host.self, loop->kind, loop->argument);
+  loop->answer = outcome;
+  sem_post(&loop->answered);
+  return outcome;
+}
+
+int fjr_loop_request(struct fjr_loop* loop, int32_t kind, void* argument) {
+  loop->kind = kind, loop->argument = argument;
+  __atomic_store_n(&loop->request, POSTED, __ATOMIC_SEQ_CST);
+  if (__atomic_load_n(&loop->running, __ATOMIC_SEQ_CST))
+    sem_post(&loop->wake);
+  else
+    serve(loop);
+  while (sem_wait(&loop->answered)) {
+  }
+  return loop->answer;
+}
+
+static struct timespec timespec_of(int64_t time) {
+  const struct timespec at = {(time_t)(time / 1000000000), (long)(time % 1000000000)};
+  return at;
+}
+
+/* Wait until something is announced, requested or to be ended, at most until a time. */
+static void wait_until(struct fjr_loop* loop, int64_t time) {
+  const struct timespec at = timespec_of(time);
+  if (time == FJR_NO_TIME)
+    sem_wait(&loop->wake);
+  else
+    sem_clockwait(&loop->wake, CLOCK_MONOTONIC, &at);
+}
+
+static int stopping(struct fjr_loop* loop) { return __atomic_load_n(&loop->stopping, __ATOMIC_ACQUIRE); }
+
+int fjr_loop_pause(struct fjr_loop* loop, int64_t nanoseconds) {
+  wait_until(loop, fjr_steady_now() + nanoseconds);
+  const int outcome = serve(loop);
+  return outcome == FJR_GO_ON && stopping(loop) ? FJR_DONE : outcome;
+}
+
+static int one_round(struct fjr_loop* loop) {
+  int outcome = serve(loop);
+  for (int32_t k = 0; k < loop->sources && outcome == FJR_GO_ON; ++k) outcome = take(loop, k);
+  if (outcome == FJR_GO_ON && loop->next != FJR_NO_TIME) {
+    const int64_t now = fjr_steady_now();
+    if (now >= loop->next) outcome = loop->host.on_tick(loop->host.self, now, &loop->next);
+  }
+  return outcome;
+}
+
+static void* run(void* at) {
+  struct fjr_loop* loop = at;
+  int outcome = FJR_GO_ON;
+  while (!stopping(loop) && (outcome = one_round(loop)) == FJR_GO_ON) wait_until(loop, loop->next);
+  loop->host.on_end(loop->host.self, outcome);
+  __atomic_store_n(&loop->running, 0, __ATOMIC_SEQ_CST);
+  serve(loop);
+  return NULL;
+}
+
+struct fjr_loop* fjr_loop_create(const struct fjr_host* host, void* const* subscription, int32_t subscriptions,
+                                 size_t largest) {
+  struct fjr_loop* loop = calloc(1, sizeof *loop);
+  const rcutils_allocator_t allocator = rcutils_get_default_allocator();
+  if (!loop) return NULL;
+  loop->host = *host, loop->sources = subscriptions;
+  loop->buffer = rcutils_get_zero_initialized_uint8_array();
+  if (rcutils_uint8_array_init(&loop->buffer, largest, &allocator) != RCUTILS_RET_OK) {
+    free(loop);
+    return NULL;
+  }
+  sem_init(&loop->wake, 0, 0);
+  sem_init(&loop->answered, 0, 0);
+  for (int32_t k = 0; k < subscriptions; ++k)
+    loop->source[k] = (struct source){.loop = loop, .subscription = subscription[k]};
+  return loop;
+}
+
+void fjr_loop_destroy(struct fjr_loop* loop) {
+  fjr_loop_stop(loop);
+  sem_destroy(&loop->wake);
+  sem_destroy(&loop->answered);
+  if (rcutils_uint8_array_fini(&loop->buffer) != RCUTILS_RET_OK) rcl_reset_error();
+  free(loop);
+}
+
+static rcl_ret_t listen(struct fjr_loop* loop, int32_t k) {
+  return rcl_subscription_set_on_new_message_callback(loop->source[k].subscription, on_announcement, &loop->source[k]);
+}
+
+int fjr_loop_start(struct fjr_loop* loop, int32_t priority) {
+  const struct sched_param scheduling = {.sched_priority = priority};
+  loop->next = fjr_steady_now(), loop->reason[0] = 0, loop->stopping = 0, loop->running = 1;
+  for (int32_t k = 0; k < loop->sources; ++k) discard(loop, k);
+  const int code = pthread_create(&loop->thread, NULL, run, loop);
+  if (code) {
+    loop->running = 0;
+    return code;
+  }
+  loop->started = 1;
+  if (priority) (void)pthread_setschedparam(loop->thread, SCHED_FIFO, &scheduling);
+  for (int32_t k = 0; k < loop->sources; ++k)
+    if (listen(loop, k) != RCL_RET_OK) {
+      rcl_reset_error();
+      fjr_loop_stop(loop);
+      return ENOTSUP;
+    }
+  return 0;
+}
+
+void fjr_loop_stop(struct fjr_loop* loop) {
+  if (!loop->started) return;
+  for (int32_t k = 0; k < loop->sources; ++k)
+    if (rcl_subscription_set_on_new_message_callback(loop->source[k].subscription, NULL, NULL) != RCL_RET_OK)
+      rcl_reset_error();
+  __atomic_store_n(&loop->stopping, 1, __ATOMIC_RELEASE);
+  sem_post(&loop->wake);
+  pthread_join(loop->thread, NULL);
+  loop->started = 0;
+}
+
+int fjr_loop_runs(struct fjr_loop* loop) { return __atomic_load_n(&loop->running, __ATOMIC_ACQUIRE); }
+
+const char* fjr_loop_reason(const struct fjr_loop* loop) { return loop->reason; }

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build C code against the ROS 2 of this process, and open it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from cffi import FFI
+
+from fjr_core.control_step.library import declarations
+from fjr_core.errors import CompilerError
+from fjr_core.numerics.jit import shared_object
+
+COMMON = ("ring", "cdr", "loop")
+"""Parts of every native loop, in the order in which they are included."""
+WARNINGS = ("-Wall", "-Wextra", "-Wno-unused-function")
+_FEATURES = "#define _GNU_SOURCE\n#include <math.h>\n#include <string.h>\n"
+
+
+class NativeError(Exception):
+    """Reason why no native loop can be built; the rclpy host runs instead."""
+
+
+class Program:
+    """A library in C and its declarations: `lib` holds the functions, `ffi` makes their arguments."""
+
+    def __init__(
+        self,
+        name: str,
+        headers: Sequence[str],
+        sources: Sequence[str],
+        values: Mapping[str, int] | None = None,
+        base: tuple[str, FFI] | None = None,
+    ) -> None:
+        """Build the library from the texts of headers and sources, or find it in the cache; raises NativeError.
+
+        values: macros that are numbers. base: C text that comes before the headers, and an FFI with its declarations.
+        """
+        self.ffi, macros = FFI(), values or {}
+        defined = [f"#define {macro} {value}\n" for macro, value in macros.items()]
+        if base is not None:
+            self.ffi.include(base[1])
+        self.ffi.cdef(declarations("\n".join(headers), dict(macros)))
+        text = [_FEATURES, *defined, base[0] if base else "", *headers, *sources]
+        try:
+            path = shared_object(name, "\n".join(text), [*WARNINGS, *ros_options()])
+            self.lib: Any = self.ffi.dlopen(path)
+        except (CompilerError, OSError) as error:
+            raise NativeError(str(error)) from None
+
+
+def common_headers() -> list[str]:
+    """Return the texts of the headers of COMMON."""
+    return [_text(f"{part}.h") for part in COMMON]
+
+
+def common_sources() -> list[str]:
+    """Return the texts of the sources of COMMON."""
+    return [_text(f"{part}.c") for part in COMMON]
+
+
+@cache
+def ros_options() -> tuple[str, ...]:
+    """Return the compiler's options for the headers and libraries of the ROS 2 that this process has loaded.
+
+    Raise NativeError if its headers are not installed.
+    """
+    prefix = _prefix()
+    folders = sorted(folder for folder in (prefix / "include").glob("*") if (folder / folder.name).is_dir())
+    if not (prefix / "include" / "rcl" / "rcl" / "rcl.h").is_file():
+        raise NativeError(f"{prefix}/include/rcl is missing; expected the headers of ROS 2")
+    return (*(f"-I{folder}" for folder in folders), f"-L{prefix / 'lib'}", "-lrcl", "-lrcutils", "-lpthread")
+
+
+def _prefix() -> Path:
+    """Return the folder that holds lib/librcl.so of this process."""
+    import rclpy.impl.implementation_singleton  # noqa: F401  # loads librcl
+
+    for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
+        if "/librcl.so" in line:
+            return Path(line[line.index("/") :]).parent.parent
+    raise NativeError("librcl.so is not loaded; expected rclpy to load it")
+
+
+def _text(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")

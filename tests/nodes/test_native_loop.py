@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The native command loop: the commands and refusals of the loop in rclpy, and a fault that is not silent."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from std_msgs.msg import Float64MultiArray
+
+from fjr_controller.native.command_loop import NativeCommandLoop
+from fjr_controller.ros.command_loop import CommandLoop
+from nodes.harness import Listener, Peer, Ros, stamped
+
+HOSTS = ("events", "native")
+LOOPS = {"events": CommandLoop, "native": NativeCommandLoop}
+BAD_STATES = (
+    stamped(0.5, names=["joint1"]),
+    stamped(0.5, q=[np.nan, 0.5]),
+    stamped(-100.0),
+    stamped(0.5, names=["joint1", "joint1_motor", "joint1"]),
+)
+
+
+def loop_of(node: Any) -> Any:
+    return node._control._command_loop
+
+
+def pair(ros: Ros, monkeypatch: pytest.MonkeyPatch, **parameters: Any) -> dict[str, tuple[Any, Peer]]:
+    """Return a controller of each host with its peer, in a namespace of its name."""
+    made = {}
+    for host in HOSTS:
+        monkeypatch.setattr(ros, "host", host, raising=False)
+        arguments = ["--ros-args", "-r", f"__ns:=/{host}"]
+        node = ros.controller(arguments=arguments, **{"compile": True, "wiring_check": False, **parameters})
+        assert type(loop_of(node)) is LOOPS[host]
+        made[host] = node, Peer(ros, f"/{host}/")
+    for _, peer in made.values():
+        peer.meet_controller()
+    return made
+
+
+def test_both_hosts_send_the_same_bits(ros: Ros, monkeypatch) -> None:
+    controllers = pair(ros, monkeypatch)
+    for k in range(200):
+        state = stamped(0.001 * k, [0.5 + 1e-4 * k, 0.4], [0.1, -0.2 * np.sin(k)])
+        first, second = (peer.answer(state) for _, peer in controllers.values())
+        assert first.effort.tobytes() == second.effort.tobytes()
+    for heard in ("references", "errors", "efforts"):
+        first, second = (getattr(peer, heard) for _, peer in controllers.values())
+        assert first == second
+
+
+def test_refused_states_are_counted_and_logged_with_the_same_sentences(ros: Ros, monkeypatch, capfd) -> None:
+    counts, sentences = [], []
+    for node, peer in pair(ros, monkeypatch).values():
+        capfd.readouterr()
+        for bad in (*BAD_STATES, *BAD_STATES[:2]):
+            peer.ask(bad, answered=False)
+        refused = node._control.reports.count
+        ros.until(
+            lambda refused=refused: sum(k for name, k in refused.items() if "refused" in name) == 6, "the refusals"
+        )
+        peer.answer(stamped(1.0))
+        counts.append({name: number for name, number in refused.items() if "refused" in name})
+        sentences.append([line.split("]: ")[1] for line in capfd.readouterr().err.splitlines() if "refused" in line])
+    assert counts[0] == counts[1]
+    assert sentences[0] == sentences[1]
+    assert len(sentences[0]) == len(BAD_STATES)
+
+
+def test_every_answered_state_reaches_the_listeners_in_order(ros: Ros, peer: Peer) -> None:
+    node = ros.controller(executor="native", compile=True, use_sim_time=True)
+    heard = []
+    loop_of(node).add_listener(lambda sample, command, arrival, sent: heard.append((sample.stamp, command.u[0])))
+    peer.meet_controller()
+    for k in range(100):
+        peer.ask(stamped(0.001 * k))
+    ros.until(lambda: len(heard) == 100, "all samples")
+    assert heard == [
+        (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec, message.effort[0])
+        for message in peer.commands
+    ]
+
+
+@pytest.mark.parametrize("host", HOSTS, indirect=True)
+def test_topics_for_observers_have_a_rate_of_their_own_in_real_time(ros: Ros, host: str) -> None:
+    ros.controller(auxiliary_rate=100.0, compile=True)
+    peer, certificates = Peer(ros), []
+    peer.create_subscription(Float64MultiArray, "fjr_controller/certificate", certificates.append, 10)
+    peer.meet_controller()
+    for k in range(101):
+        peer.state_publisher.publish(stamped(0.001 * k))
+        ros.until(lambda k=k: len(peer.commands) == k + 1, "the command")
+    ros.until(lambda: len(certificates) >= 10, "the certificates")
+    stamps = [
+        round((message.header.stamp.sec - 100) * 1e3 + message.header.stamp.nanosec * 1e-6) for message in peer.errors
+    ]
+    assert stamps == list(range(0, 101, 10))
+    assert len(peer.references) == 11
+
+
+def test_a_fault_in_the_thread_ends_the_node_with_the_stop_effort_and_one_sentence(ros: Ros, capfd) -> None:
+    node = ros.controller(executor="native", compile=True, on_stop="zero")
+    peer = Peer(ros)
+    peer.meet_controller()
+    assert peer.ask(stamped(0.0, [0.5, 0.4])).effort[0] != 0
+    loop = loop_of(node)
+    fails = loop._program.ffi.callback("int(const struct fjr_model*, struct fjr_controller*, const struct fjr_sample*, "
+        "int64_t, struct fjr_command*)", lambda *_: -1)  # fmt: skip
+    loop._struct.step.step = fails
+    peer.state_publisher.publish(stamped(0.001))
+    ros.until(lambda: node.ended is not None, "the end")
+    ros.until(lambda: len(peer.commands) == 2, "the last command")
+    assert peer.commands[-1].effort[0] == 0
+    assert node.state == "inactive"
+    assert str(node.ended) == "the native command loop failed: the control step failed; the stop effort was sent"
+
+
+def test_a_law_in_python_runs_in_rclpy_and_says_why(ros: Ros, capfd) -> None:
+    node = ros.controller(executor="native", compile=False)
+    assert type(loop_of(node)) is CommandLoop
+    assert "the law or the observer is evaluated in Python" in capfd.readouterr().err
+
+
+def test_a_node_restarts_its_thread_with_each_activation(ros: Ros) -> None:
+    node = ros.controller(executor="native", compile=True)
+    peer = Peer(ros)
+    peer.meet_controller()
+    for k in (1, 2):
+        peer.answer(stamped(k))
+        node.trigger_deactivate()
+        ros.until(lambda k=k: len(peer.commands) == 2 * k, "the stop effort")
+        node.trigger_activate()
+        peer.meet_controller()
+    assert loop_of(node)._loop.runs
+
+
+def test_a_destroyed_node_leaves_no_thread(ros: Ros) -> None:
+    node = ros.controller(executor="native", compile=True)
+    listener = Listener(ros)
+    ros.until(lambda: listener.heard("joint_commands"), "the controller")
+    ros.executor.remove_node(node)
+    node.destroy_node()
+    assert not loop_of(node)._loop.runs
