@@ -16,7 +16,7 @@ setup(
     name=package_name,
     version=version,
     packages=find_packages(),
-    package_data={package_name: ["py.typed", "control_step/*.[ch]", "simulation/batch/*.c", "codegen/templates/*"]},
+    package_data={package_name: ["py.typed", "control_step/*.[ch]", "simulation/batch/*.[ch]", "codegen/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),

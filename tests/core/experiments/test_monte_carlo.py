@@ -129,9 +129,9 @@ def test_table_is_byte_identical_for_any_number_of_cores_and_any_order(tmp_path:
 def test_finished_parts_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan, stop, asked = campaign(), threading.Event(), []
 
-    def counted(text: str, begin: int, end: int, compiled: bool) -> sweep.Columns:
+    def counted(text: str, begin: int, end: int) -> sweep.Columns:
         asked.append(begin)
-        return sweep.run_part(text, begin, end, compiled)
+        return sweep.run_part(text, begin, end)
 
     monkeypatch.setattr(pool, "run_part", counted)
     with open_store(tmp_path / "a", plan, "program") as kept, threads(1) as workers:
@@ -224,10 +224,8 @@ def test_number_of_pending_parts_is_bounded(tmp_path: Path) -> None:
     assert most[0] <= pool.AHEAD
 
 
-def test_a_different_worker_is_refused(tmp_path: Path) -> None:
+def test_a_worker_without_this_program_is_refused(tmp_path: Path) -> None:
     plan = campaign()
-    with pytest.raises(sweep.MonteCarloError, match="expected one .* it, as at the start of the study"):
-        sweep.run_part(plan.text, 0, 5, not plan.loop.compiled)
 
     class Elsewhere:
         def submit(self, *_: Any) -> Future[Any]:
@@ -299,13 +297,35 @@ def test_invalid_study_is_refused_in_one_sentence(changes: dict[str, Any], words
     [
         ("plant", "integrator: implicit_midpoint", "'integrator' is 'implicit_midpoint'; expected 'rk4'"),
         ("plant", "imperfections.actuator_lag: [0.01]", "sets imperfections.actuator_lag; .* use 'vary'"),
-        ("controller", "measurement.velocity: observer", "sets measurement.velocity; .* use 'vary'"),
     ],
 )
 def test_scenario_with_features_that_a_sweep_omits_is_refused(node: str, given: str, words: str) -> None:
     text = SCENARIO.replace("plant:", f"{node}:").replace("{initial", f"{{{given}, initial")
     with pytest.raises(ParameterError, match=words):
         Sweep("test", text, 45, {"stiffness": distributions.read("stiffness", {"uniform": [0.5, 1.5]})})
+
+
+def test_limits_observer_and_ramp_of_the_scenario_act_in_a_study() -> None:
+    own = "limits: {effort: [20.0], link_velocity: [3.0]}, measurement: {velocity: observer}, start: {ramp_time: 0.05}"
+    text = f"{SCENARIO}/**/fjr_controller:\n  ros__parameters: {{{own}}}\n"
+    drawn = {"gravity": distributions.read("gravity", {"uniform": [0.9, 1.1]})}
+    plain, limited = (
+        Sweep("test", given, 4, drawn, duration=0.2, settle_after=0.1).part(0, 4) for given in (SCENARIO, text)
+    )
+    assert limited["effort_peak.joint1"].max() <= 20.0 < plain["effort_peak.joint1"].min()
+    assert list(limited["cause"]) == ["link velocity"] * 4
+    assert (limited["stopped"] < 0.1).all()
+    assert limited["stable"].all()
+    assert not limited["success"].any()
+    assert plain["success"].all()
+    assert np.isinf(plain["stopped"]).all()
+
+
+def test_a_study_can_vary_the_effort_limit_beyond_that_of_the_scenario() -> None:
+    text = f"{SCENARIO}/**/fjr_controller:\n  ros__parameters: {{limits: {{effort: [20.0]}}}}\n"
+    drawn = {"effort_limit": distributions.read("effort_limit", {"uniform": [22.0, 24.0]})}
+    found = Sweep("test", text, 4, drawn, duration=0.2, settle_after=0.1).part(0, 4)
+    assert np.array_equal(found["effort_peak.joint1"], found["effort_limit"])
 
 
 def test_friction_too_steep_for_the_steps_is_refused() -> None:

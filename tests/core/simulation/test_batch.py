@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +16,10 @@ from core.oracles.chains import arm7, scaled_gains
 from fjr_core import ParameterError, StateError
 from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.numerics import jit_cache
-from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, outcomes, python_loop
-from fjr_core.simulation.batch.program import Program
+from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, counter_rng, outcomes, program
 
 PERIOD = 1e-3
 AGREE = 1e-9
-with_a_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
 LOOPS = [(ARMS[0], linear(1).gains), (ARMS[-1], linear(2).gains), (arm7(), scaled_gains(arm7()).gains)]
 ROBOTS = [pytest.param(*loop, id=loop[0].name) for loop in LOOPS]
 
@@ -99,47 +95,33 @@ def test_run_is_bit_identical_alone_and_among_others() -> None:
     assert rows[[0, 1, 2, 3, 6, 5, 4]].tobytes() == every_row(together).tobytes()
 
 
-def everything(n: int) -> dict[str, Any]:
-    """Return draws of two runs in which no parameter is nominal."""
-    rng = np.random.default_rng(5)
-    factors = ("stiffness", "link_inertia", "gravity", "motor_inertia", "link_damping", "motor_damping")
-    drawn: dict[str, Any] = {name: rng.uniform(0.8, 1.2, (2, n)) for name in factors}
-    return drawn | {
-        "coulomb_l": 0.02, "coulomb_m": [0.0, 0.03], "external": rng.uniform(-0.2, 0.2, (2, n)),
-        "payload_mass": 0.05, "payload_position": [0.1, 0.02, -0.03], "delay": [0.4e-3, 1.7e-3],
-        "position_noise": [0, 1e-5], "velocity_noise": 1e-3, "resolution": 1e-5, "effort_limit": 40.0,
-        "seed": np.array([2**63 + 5, 7], dtype=np.uint64),
-    }  # fmt: skip
-
-
-@with_a_compiler
-@pytest.mark.parametrize(("arm", "gains"), ROBOTS[:2])
-def test_python_fallback_gives_the_compiled_numbers(
-    arm: Arm, gains: fjr.Gains, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    draws = Draws(2, **everything(arm.n))
-    fast, samples = loop_of(arm.robot, gains).recorded(draws)
+def test_without_a_compiler_a_run_is_refused_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    program.batch_library.cache_clear()
     monkeypatch.setenv("PATH", "")
-    slow_loop = loop_of(arm.robot, gains)
-    slow, slow_samples = slow_loop.recorded(draws)
-    assert not slow_loop.compiled
-    assert samples.x == pytest.approx(slow_samples.x, rel=1e-7, abs=AGREE)
-    assert every_row(fast) == pytest.approx(every_row(slow), rel=1e-7)
+    with pytest.raises(
+        fjr.FjrError, match=r"cannot be compiled: no C compiler \(cc, gcc, clang\) is on the path: install"
+    ):
+        paper_loop().run(Draws(1))
 
 
-@with_a_compiler
+def normals(seed: int, sample: int, n: int) -> np.ndarray[Any, Any]:
+    """Return normal numbers (n, 4) by NumPy's Philox4x64-10 and Box-Muller."""
+    drawn = np.vstack([counter_rng.words((seed, 0), sample + (joint << 64), 1) for joint in range(n)])
+    first, second = np.moveaxis(counter_rng.unit(drawn).reshape(n, 2, 2), 2, 0)
+    radius, angle = np.sqrt(-2 * np.log(1 - first)), 2 * np.pi * second
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=2).reshape(n, 4)
+
+
 def test_noise_is_the_philox_generator_of_numpy() -> None:
-    library = Program(ARMS[0].robot, AsSampledLaw(fjr.TrackingLaw(ARMS[0].robot, fjr.PAPER_GAINS))).library
-    assert library is not None
+    ffi, lib, _ = program.batch_library(1, 0)
     for seed, sample, n in ((0, 0, 1), (3, 17, 7), (2**64 - 1, 2**33, 2)):
         z = np.empty((n, 4))
-        arguments = (ctypes.c_uint64(seed), ctypes.c_uint64(sample), ctypes.c_longlong(n))
-        library.noise_of(*arguments, z.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
-        assert z == pytest.approx(python_loop.normals(seed, sample, n), rel=1e-12, abs=1e-15)
+        lib.fjr_noise(seed, sample, n, ffi.from_buffer("double[]", z))
+        assert z == pytest.approx(normals(seed, sample, n), rel=1e-12, abs=1e-15)
 
 
 def test_noise_is_white_with_unit_variance() -> None:
-    z = np.array([python_loop.normals(5, k, 2) for k in range(2000)]).reshape(2000, 8)
+    z = np.array([normals(5, k, 2) for k in range(2000)]).reshape(2000, 8)
     assert z.mean(axis=0) == pytest.approx(0, abs=0.1)
     assert np.cov(z.T) == pytest.approx(np.eye(8), abs=0.1)
     assert np.mean(z[1:] * z[:-1], axis=0) == pytest.approx(0, abs=0.1)
@@ -235,12 +217,8 @@ def test_invalid_loop_is_refused_in_one_sentence(changes: dict[str, Any], words:
         paper_loop(**changes)
 
 
-@with_a_compiler
-def test_fingerprint_covers_source_casadi_and_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fingerprint_covers_source_and_casadi(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = [paper_loop().fingerprint, paper_loop().fingerprint]
-    with monkeypatch.context() as patch:
-        patch.setenv("PATH", "")
-        found.append(paper_loop().fingerprint)
     for name in ("a.py", "a.c", "b.c"):
         (tmp_path / name).write_text(name)
         jit_cache.source_digest.cache_clear()
@@ -254,10 +232,10 @@ def test_fingerprint_covers_source_casadi_and_compilation(tmp_path: Path, monkey
     assert len(set(found)) == len(found) - 1
 
 
-@with_a_compiler
 def test_loop_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
-        assert paper_loop().compiled
+        program.batch_library.cache_clear()
+        paper_loop().build()
     assert len(list((tmp_path / "fjr").glob("batch-*.so"))) == 1
     assert os.access(tmp_path, os.W_OK)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fjr_bringup.recording.reader import Array, Bag, Times
-from fjr_controller.tracking.events import STARTS_REFUSED, STOPS
+from fjr_core.control_step.event_kinds import STARTS_REFUSED, STOPS
 from fjr_msgs_py import names
 
 EVENTS = f"/{names.CONTROLLER}/{names.EVENTS.removeprefix('~/')}"

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from ..control.robust.law import RobustLaw
@@ -24,9 +25,9 @@ LIMITED = ("link_velocity", "motor_velocity", "deflection", "tracking_error")
 """Settings that are the largest magnitude of a quantity, in the order of struct fjr_settings."""
 
 
-def settings_struct(library: StepLibrary, settings: Settings, law: StaticLaw) -> Any:
+def settings_struct(library: StepLibrary, settings: Settings, law: StaticLaw | SampledLaw) -> Any:
     """Return struct fjr_settings: limits and durations of the settings, B_m and K_md of the law's robot."""
-    struct = library.ffi.new("struct fjr_settings *")
+    struct, static = library.ffi.new("struct fjr_settings *"), getattr(law, "law", law)
     magnitudes = [np.asarray(getattr(settings, name)) for name in LIMITED]
     upper = [settings.link_position_upper, settings.motor_position_upper, *magnitudes]
     lower = [settings.link_position_lower, settings.motor_position_lower, *(-size for size in magnitudes)]
@@ -37,7 +38,7 @@ def settings_struct(library: StepLibrary, settings: Settings, law: StaticLaw) ->
         "upper": np.concatenate(upper),
         "start_error": settings.start_error,
         "B_inverse": np.linalg.inv(law.robot.B_m),
-        "hold_damping": law.hold_damping,
+        "hold_damping": getattr(static, "hold_damping", np.zeros_like(law.robot.B_m)),
     }
     for name, array in arrays.items():
         setattr(struct, name, np.ravel(array).tolist())
@@ -51,7 +52,8 @@ def settings_struct(library: StepLibrary, settings: Settings, law: StaticLaw) ->
 class Model:
     """struct fjr_model of a law with or without robust action; `pointer` is valid as long as this object lives.
 
-    law_failed: called after each evaluation of a law in Python; True if it failed.
+    law_failed: called after each evaluation of a law in Python; True if it failed. functions: model_functions, e.g.
+    compiled; work: memory for their temporary values.
     """
 
     def __init__(
@@ -62,13 +64,12 @@ class Model:
         measurement: Measurement | None = None,
         simulated: bool = False,
         law_failed: Callable[[], bool] | None = None,
+        functions: Mapping[str, ca.Function] | None = None,
+        work: WorkSpace | None = None,
     ) -> None:
         self._ffi, self._law_failed, n = library.ffi, law_failed, law.robot.n
-        self._functions = {"law": law_function(law), "gravity": _gravity(law)}
-        if machine_code(self._functions["law"]) is not None:
-            self._functions["gravity"] = compiled(self._functions["gravity"])
-        if observer is not None:
-            self._functions["observer"] = observer.function
+        self._functions = dict(functions or _ready(model_functions(law, observer)))
+        self._given_work = work
         self.pointer = library.ffi.new("struct fjr_model *")
         self._point()
         self.pointer.has_memory = len(law.memory) > 0
@@ -95,7 +96,7 @@ class Model:
         self._held = [CFunction(self._ffi, f, failed.get(name)) for name, f in self._functions.items()]
         for name, each in zip(self._functions, self._held, strict=True):
             setattr(self.pointer, name, each.pointer)
-        self._work = WorkSpace(self._ffi, list(self._functions.values()))
+        self._work = self._given_work or WorkSpace(self._ffi, list(self._functions.values()))
         for name in ("arg", "res", "iw", "w"):
             setattr(self.pointer, name, getattr(self._work, name))
 
@@ -105,6 +106,19 @@ class Model:
         self.pointer.gear_ratio = np.broadcast_to(measurement.gear_ratio, (n,)).tolist()
         if measurement.K is not None:
             self.pointer.compliance = np.linalg.inv(measurement.K).ravel().tolist()
+
+
+def model_functions(law: SampledLaw, observer: VelocityObserver | None = None) -> dict[str, ca.Function]:
+    """Return the functions of struct fjr_model by their names."""
+    observing = {} if observer is None else {"observer": observer.function}
+    return {"law": law_function(law), "gravity": _gravity(law), **observing}
+
+
+def _ready(functions: dict[str, ca.Function]) -> dict[str, ca.Function]:
+    """Return the functions with gravity compiled if the law is."""
+    if machine_code(functions["law"]) is None:
+        return functions
+    return functions | {"gravity": compiled(functions["gravity"])}
 
 
 def law_function(law: SampledLaw) -> Any:

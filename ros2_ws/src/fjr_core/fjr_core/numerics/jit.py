@@ -7,7 +7,7 @@ import ctypes
 import hashlib
 import logging
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -75,17 +75,14 @@ def shared_object(name: str, source: str, options: Sequence[str] = ()) -> str:
         raise CompilerError(f"the {name.replace('_', ' ')} cannot be compiled: {error}") from None
 
 
-def loaded(name: str, functions: Sequence[ca.Function], around: Callable[[str], str]) -> ctypes.CDLL | None:
-    """Return a library built from CasADi functions and additional C code, or None (with a warning) if not possible.
-
-    around: maps the generated C code to the complete source. Libraries are cached as compiled functions are.
-    """
+def compiled_together(name: str, functions: Iterable[ca.Function]) -> list[ca.Function]:
+    """Compile functions into one library, in one call of the compiler; raises CompilerError if that is not possible."""
+    functions = list(functions)
     try:
-        folder, library = _library(name, around(_c_code(name, functions)))
-        return ctypes.CDLL(folder.within(library))
-    except (CompileError, OSError, RuntimeError, ValueError) as error:
-        _warn_once(str(error))
-        return None
+        path = shared_object(name, _c_code(name, functions))
+    except (CompileError, RuntimeError, ValueError) as error:
+        raise CompilerError(f"{name} cannot be compiled: {error}") from None
+    return [external(function.name(), path) for function in functions]
 
 
 def machine() -> list[str]:
@@ -100,14 +97,6 @@ def require_compiler() -> None:
         c_compiler()
     except CompileError as error:
         raise CompilerError(str(error)) from None
-
-
-def can_compile() -> bool:
-    """True if a C compiler is available."""
-    try:
-        return bool(c_compiler())
-    except CompileError:
-        return False
 
 
 def _library(name: str, source: str, options: Sequence[str] = ()) -> tuple[PrivateFolder, str]:

@@ -18,7 +18,7 @@ import casadi as ca
 from .code_cache import code_folder, is_intact
 from .jit import CompileError, compile_named, compiled, external, machine
 
-SOURCES = ("*.py", "*.c")
+SOURCES = ("*.py", "*.c", "*.h")
 PACKAGE = Path(__file__).parents[1]
 
 
@@ -42,12 +42,9 @@ def compiled_from_inputs(name: str, model: bytes, pattern: str, build: Callable[
     return function
 
 
-def program_digest(compiled: bool) -> str:
-    """Return a cache key for results: hash of the package source, the CasADi version and `compiled`.
-
-    compiled: True if the simulation loop is machine code.
-    """
-    return hashlib.sha256(f"{source_digest()} {ca.__version__} {compiled}".encode()).hexdigest()
+def program_digest() -> str:
+    """Return a cache key for results: hash of the package source and the CasADi version."""
+    return hashlib.sha256(f"{source_digest()} {ca.__version__}".encode()).hexdigest()
 
 
 @cache

@@ -18,10 +18,9 @@ from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.experiments.comparison import MotionDemand, Trial, directions, motion_demand
 from fjr_core.experiments.comparison.tuned_law import TunedLaw, tuned_law
+from fjr_core.experiments.scenario_loop import scenario_loop
 from fjr_core.files.python_class import is_named, load, source_digest
-from fjr_core.numerics.jit import can_compile
 from fjr_core.numerics.jit_cache import program_digest
-from fjr_core.simulation.batch import ClosedLoop
 
 TRACE_POINTS = 600
 SETTLED = 0.02  # of the motion; band of the settling time
@@ -49,7 +48,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Cache key: hash of this job, fjr_core, CasADi, the compiler, this module and that of a law of the user."""
+        """Cache key: hash of this job, fjr_core, CasADi, this module and that of a law of the user."""
         own = source_digest(load(self.law.law)) if is_named(self.law.law) else ""
         return hashlib.sha256((json.dumps(asdict(self)) + _source() + own).encode()).hexdigest()[:32]
 
@@ -110,18 +109,8 @@ def _needs(job: Job, label: str, scenario: Scenario) -> MotionDemand:
 
 
 def _trial(job: Job, scenario: Scenario, chosen: TunedLaw, wanted: MotionDemand) -> Trial:
-    loop = ClosedLoop(
-        scenario.plant.robot,
-        chosen.law,
-        scenario.reference,
-        scenario.x0,
-        job.duration,
-        scenario.sample_period,
-        inner_steps=int(scenario.plant_values["inner_steps"]),  # type: ignore[arg-type]
-        settle_after=job.settle_after,
-        band=SETTLED * wanted.motion,
-        plant=scenario.plant,
-    )
+    band = SETTLED * wanted.motion
+    loop = scenario_loop(scenario, chosen.law, job.duration, settle_after=job.settle_after, band=band)
     return Trial(loop, wanted, chosen.effort_limit, job.tracks)
 
 
@@ -154,4 +143,4 @@ def _numbers(values: np.ndarray) -> list[float | None]:
 
 @cache
 def _source() -> str:
-    return program_digest(can_compile()) + Path(__file__).read_text(encoding="utf-8")
+    return program_digest() + Path(__file__).read_text(encoding="utf-8")

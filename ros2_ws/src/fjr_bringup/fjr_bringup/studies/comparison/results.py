@@ -66,7 +66,7 @@ Words = Callable[[float], str]
 
 @dataclass(frozen=True)
 class Value:
-    """Value of a law in a row. number: None if not available. state: tracks, lost (not tracking) or unstable."""
+    """Value of a law in a row. number: None if not available. state: tracks, lost (or stopped) or unstable."""
 
     number: float | None
     words: str
@@ -164,6 +164,8 @@ def _metrics(robot: str, laws: Sequence[Any], document: dict[str, Any]) -> Itera
 def _value(cell: dict[str, Any], name: str, words: Words) -> Value:
     if not cell["stable"]:
         return Value(None, "unstable", "unstable")
+    if cell["stopped"]:
+        return Value(None, "stopped", "lost")
     value = cell[name]
     return Value(value, DASH if value is None else words(value), "tracks" if cell["tracks"] else "lost")
 

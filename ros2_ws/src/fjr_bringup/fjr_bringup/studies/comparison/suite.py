@@ -16,7 +16,7 @@ from fjr_core.control.robust import Robust
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.experiments.comparison.perturbations import directions, known
 from fjr_core.experiments.comparison.trial import TRACKS
-from fjr_core.experiments.monte_carlo.sweep import refuse_what_is_left_out
+from fjr_core.experiments.scenario_loop import refuse_what_is_left_out
 from fjr_core.files.python_class import is_named
 from fjr_core.files.python_class import load as load_class
 

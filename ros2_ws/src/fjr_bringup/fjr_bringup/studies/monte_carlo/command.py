@@ -30,8 +30,6 @@ from fjr_core.experiments.monte_carlo.sensitivity import Summary, summarised
 from fjr_core.experiments.monte_carlo.sweep import Sweep
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n}/{total} runs, {rate_fmt}, {remaining} left"
-SLOW = "no C compiler found: the runs are interpreted, about a thousand times slower; expected a compiler, e.g. gcc"
-
 IN_PYTHON = "law or plant are evaluated in Python: the runs are not compiled, and --cores does not speed them up"
 
 
@@ -67,8 +65,8 @@ def sweep(name: str | None, options: Options, stop: threading.Event) -> Result:
     """Run the study, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted."""
     plan = planned(name, options)
     plan.refuse_stiff_friction()
-    if options.scheduler is None and not (plan.loop.compiled or plan.loop.in_python):
-        print(f"fjr: {SLOW}", file=sys.stderr)
+    if options.scheduler is None:
+        plan.loop.build()
     if plan.loop.in_python:
         print(f"fjr: {IN_PYTHON}", file=sys.stderr)
     folder = options.output / plan.name
@@ -105,8 +103,10 @@ def _shown(store: Store) -> Result:
 def table(plan: Sweep, summary: Summary) -> str:
     """Format the results as a table."""
     share = f"{percent(summary.succeeded / summary.runs)} of {summary.runs} succeed"
+    stopped = f", a limit stopped {summary.stopped}" if summary.stopped else ""
+    interval = f"(95 %: {percent(summary.low)} to {percent(summary.high)})"
     lines = [
-        f"{plan.name}: {share} (95 %: {percent(summary.low)} to {percent(summary.high)}), {summary.stable} are stable",
+        f"{plan.name}: {share} {interval}, {summary.stable} are stable{stopped}",
         f"  {'':14}{'median':>12}{'95 %':>12}{'99 %':>12}{'worst':>12}",
     ]
     for name, unit in UNITS.items():

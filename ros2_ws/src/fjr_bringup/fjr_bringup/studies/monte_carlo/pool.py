@@ -71,12 +71,12 @@ def run_missing(store: Store, workers: Workers, on_progress: Callable[[int], obj
 
     on_progress: called with the number of runs of each stored part. At most AHEAD parts per worker are in memory.
     """
-    missing, text, compiled = store.missing(), store.sweep.text, store.sweep.loop.compiled
+    missing, text = store.missing(), store.sweep.text
     pending: dict[Future[Columns], tuple[int, int]] = {}
     try:
         while not stop.is_set():
             for part in islice(missing, AHEAD * workers.count - len(pending)):
-                pending[workers.executor.submit(run_part, text, *part, compiled)] = part
+                pending[workers.executor.submit(run_part, text, *part)] = part
             if not pending:
                 return True
             done, _ = wait(pending, timeout=LOOK, return_when=FIRST_COMPLETED)

@@ -59,7 +59,7 @@ def write_page(store: Store, summary: Summary, path: Path) -> Path:
 
 def _notes(sweep: Sweep) -> list[str]:
     limits = "".join(f", {ROWS[name][0]} at most {limit:g} {ROWS[name][1]}" for name, limit in sweep.success.items())
-    wanted = f"a run succeeds when it is stable{limits}"
+    wanted = f"a run succeeds when it is stable, not stopped by a limit of the controller{limits}"
     fixed = [f"{name} is {one.as_yaml}" for name, one in sweep.vary.items() if one.kind == FIXED]
     return [
         wanted,

@@ -27,7 +27,7 @@ class RunMetrics:
     rms [rad]: RMS over time and joints of q_l - q_ld; relative: rms divided by the RMS of the motion. peak [rad]: of
     the worst joint. settling [s]. effort_rms [N m]: over time and joints; effort_peak [N m]: of any joint. power [W]:
     mean of |u' dq_m|. steady [rad]: mean error of the worst joint over the last second. All are None for a run that is
-    not stable.
+    not stable. stopped: the limit that stopped the controller, None if none did; such a run does not track.
     """
 
     stable: bool
@@ -40,6 +40,7 @@ class RunMetrics:
     effort_peak: float | None = None
     power: float | None = None
     steady: float | None = None
+    stopped: str | None = None
 
 
 @dataclass
@@ -106,11 +107,11 @@ class Trial:
     def _metrics(self, outcomes: Outcomes, i: int) -> RunMetrics:
         if not outcomes.stable[i]:
             return RunMetrics(stable=False, tracks=False)
-        rms = _over_joints(outcomes.rms[i])
+        rms, stopped = _over_joints(outcomes.rms[i]), str(outcomes.cause[i]) or None
         relative = rms / self.demand.motion
         return RunMetrics(
             stable=True,
-            tracks=bool(relative <= self.tracks),
+            tracks=bool(relative <= self.tracks) and not stopped,
             rms=rms,
             relative=relative,
             peak=float(np.max(outcomes.peak[i])),
@@ -119,6 +120,7 @@ class Trial:
             effort_peak=float(np.max(outcomes.effort_peak[i])),
             power=float(outcomes.power[i]),
             steady=float(np.max(np.abs(outcomes.final[i]))),
+            stopped=stopped,
         )
 
 

@@ -43,15 +43,16 @@ class Effect:
 class Summary:
     """Summary of a study.
 
-    runs, succeeded, stable: numbers of runs. low, high: 95 % interval of the success rate. quantiles: of each outcome,
-    of the largest joint, at QUANTILES over the stable runs (NaN if there are none). effects: drawn parameters, the most
-    important first. worst: number of the successful run with the largest rms; failed: of the first failed run; -1:
-    none.
+    runs, succeeded, stable: numbers of runs; stopped: of those that a limit stopped. low, high: 95 % interval of the
+    success rate. quantiles: of each outcome, of the largest joint, at QUANTILES over the stable runs (NaN if there are
+    none). effects: drawn parameters, the most important first. worst: number of the successful run with the largest
+    rms; failed: of the first failed run; -1: none.
     """
 
     runs: int
     succeeded: int
     stable: int
+    stopped: int
     low: float
     high: float
     quantiles: dict[str, list[float]]
@@ -81,6 +82,7 @@ def summarised(sweep: Sweep, column: ReadColumn) -> Summary:
         runs=len(success),
         succeeded=int(success.sum()),
         stable=int(stable.sum()),
+        stopped=int(np.isfinite(column("stopped")).sum()),
         low=float(low),
         high=float(high),
         quantiles={name: _quantiles(_largest(sweep, column, name)[stable]) for name in names},

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...config.safety import safety
-from ...config.scenario import Scenario, left_out, parse_scenario
-from ...errors import FjrError, ParameterError
+from ...config.scenario import Scenario, parse_scenario
+from ...control.safety_settings import Settings
+from ...errors import ParameterError
 from ...simulation.batch import counter_rng
 from ...simulation.batch.closed_loop import ClosedLoop
 from ...simulation.batch.draws import LEVELS, PER_RUN, SMOOTHING, Draws, width
 from ...simulation.batch.outcomes import FIELDS, PER_JOINT, Outcomes
 from ...simulation.batch.uncertain_robot import FRICTION
 from ...simulation.nonideal_parameters import Nonidealities, friction_rate
+from ..scenario_loop import refuse_what_is_left_out, scenario_loop
 from . import distributions
 from .distributions import Distribution
 
@@ -31,10 +33,6 @@ MOST_RUNS = 10**9
 REACH = 2.0
 """Largest product of friction rate and step; Runge-Kutta of order 4 is stable up to 2.78."""
 NOISE_SEED = "seed"
-
-
-class MonteCarloError(FjrError):
-    """A worker cannot run its part of a study like the other workers."""
 
 
 Columns = dict[str, NDArray[Any]]
@@ -84,12 +82,10 @@ class Sweep:
 
     @cached_property
     def loop(self) -> ClosedLoop:
-        """Closed loop of all runs."""
-        s = self.scenario
-        return ClosedLoop(
-            s.plant.robot, s.sampled_law, s.reference, s.x0, self.duration, s.sample_period,
-            int(s.plant_values["inner_steps"]), self.settle_after, self.band, self.lost, s.plant,  # type: ignore[arg-type]
-        )  # fmt: skip
+        """Closed loop of all runs; the effort limit is that of the draws."""
+        bounds = {"settle_after": self.settle_after, "band": self.band, "lost": self.lost}
+        loop = scenario_loop(self.scenario, self.scenario.sampled_law, self.duration, **bounds)
+        return replace(loop, settings=replace(self._settings, effort=np.inf))
 
     def refuse_stiff_friction(self) -> None:
         """Raise ParameterError if the stiffest friction that can be drawn is too stiff for the steps of the plant."""
@@ -109,7 +105,7 @@ class Sweep:
     def draws(self, begin: int, end: int) -> Draws:
         """Return the draws of the runs begin .. end - 1, which depend only on the numbers of the runs."""
         n, count = self.scenario.robot.n, end - begin
-        limit = np.broadcast_to(safety(self.scenario.controller_values, self.scenario.robot).effort, n)
+        limit = np.asarray(self._settings.effort)
         fixed: dict[str, Any] = {"effort_limit": np.tile(limit, (count, 1))}
         for name, distribution in self.vary.items():
             values = distribution.drawn(name, self.seed, begin, count, n)
@@ -133,10 +129,14 @@ class Sweep:
         return {"run": np.arange(begin, end), **drawn, "success": self.succeeded(outcomes), **results}
 
     def succeeded(self, outcomes: Outcomes) -> NDArray[np.bool_]:
-        """Return which runs (k,) are stable and within all limits of success."""
+        """Return which runs (k,) are stable, were not stopped and are within all limits of success."""
         kept = [np.asarray(getattr(outcomes, name)) <= limit for name, limit in self.success.items()]
         each = [one.all(axis=1) if one.ndim > 1 else one for one in kept]
-        return np.asarray(np.logical_and.reduce([outcomes.stable, *each]))
+        return np.asarray(np.logical_and.reduce([outcomes.stable, outcomes.cause == "", *each]))
+
+    @cached_property
+    def _settings(self) -> Settings:
+        return safety(self.scenario.controller_values, self.scenario.robot)
 
     @property
     def drawn(self) -> list[str]:
@@ -195,34 +195,9 @@ _recent = lru_cache(maxsize=2)(from_text)
 _building = threading.Lock()
 
 
-def run_part(text: str, begin: int, end: int, compiled: bool) -> Columns:
-    """Run a part of a study given as text, in a local or remote worker; see Sweep.part.
-
-    compiled: whether the other workers run machine code. Raises MonteCarloError if this worker differs.
-    """
+def run_part(text: str, begin: int, end: int) -> Columns:
+    """Run a part of a study given as text, in a local or remote worker; see Sweep.part."""
     with _building:  # once for all threads of a process
         sweep = _recent(text)
-        if sweep.loop.compiled != compiled:
-            here, there = ("without", "with") if compiled else ("with", "without")
-            raise MonteCarloError(
-                f"a worker runs {here} a C compiler; expected one {there} it, as at the start of the study"
-            )
+        sweep.loop.build()
     return sweep.part(begin, end)
-
-
-INTEGRATOR = "rk4"
-
-
-def refuse_what_is_left_out(scenario: Scenario, instead: str) -> None:
-    """Raise ParameterError if plant or measurement of the scenario have features that a study does not simulate.
-
-    instead: end of the sentence, which names the alternative.
-    """
-    integrator = scenario.plant_values["integrator"]
-    if integrator != INTEGRATOR:
-        raise ParameterError(
-            f"parameter 'integrator' is '{integrator}'; expected '{INTEGRATOR}', the integrator of a study"
-        )
-    names = left_out(scenario)
-    if names:
-        raise ParameterError(f"the scenario sets {', '.join(names)}; expected the default here: {instead}")

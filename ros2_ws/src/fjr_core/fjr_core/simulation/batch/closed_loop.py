@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,42 +10,51 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...control.safety_settings import Settings
 from ...control.sampled_law import SampledLaw
 from ...errors import StateError
+from ...estimation.measurement_model import Measurement
+from ...estimation.velocity_observer import VelocityObserver
 from ...numerics import checks
 from ...numerics.checks import Array
 from ...robot.port_hamiltonian import Plant
 from ...robot.robot import Robot
 from ...trajectories.reference import Reference
 from ..closed_loop import check_joints
-from . import python_loop, uncertain_robot
+from . import uncertain_robot
 from .draws import Draws
 from .outcomes import Outcomes, width
-from .program import LANES, Program, batch
+from .program import Program
 
 LAST = 1.0  # s; averaging time of Outcomes.final
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """Samples of k runs: t (s,) [s], x (k, s, 4n), u (k, s, n) [N m] saturated; NaN after the end of a run."""
+    """Samples of k runs: t (s,) [s], x (k, s, 4n), u (k, s, n) [N m] as sent; NaN after the end of a run.
+
+    measured (k, s, 4n): what the controller received, q_l, q_m, dq_l, dq_m before gear and compliance.
+    """
 
     t: Array
     x: Array
     u: Array
+    measured: Array
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """Plant `robot` under a SampledLaw with its own model, along a reference.
+    """Plant `robot` under a SampledLaw with its own model, along a reference, by the control step of the node.
 
     x0 (4n,): initial state of the nominal plant; every run starts at its positions and velocities. duration,
     sample_period [s]. inner_steps: Runge-Kutta steps of order 4 per sample (more if a delay divides the sample).
     settle_after [s], band [rad]: see Outcomes. lost [rad]: a run ends as not stable if a link error exceeds it or a
-    number is not finite. The loop is compiled once and cached; without a C compiler it runs in Python, some thousand
-    times slower. plant: a plant in Python that replaces the equations of motion of the robot. Neither it nor a law in
-    Python is compiled. The results of a run depend only on its own draws, to the last bit. Raises StateError and
-    ParameterError, and UserCodeError for a failure of a law or plant in Python.
+    number is not finite. plant: a plant in Python that replaces the equations of motion of the robot.
+    settings: limits, start and stop policy; by default none but the effort limit of the draws, and in any case the
+    tighter of both effort limits. observer, measurement: of the controller; by default velocities are measured.
+    The loop is compiled once and cached; a law or plant in Python is called from it, some thousand times slower. The
+    results of a run depend only on its own draws, to the last bit. Raises StateError and ParameterError, CompilerError
+    without a C compiler, and UserCodeError for a failure of a law or plant in Python.
     """
 
     robot: Robot
@@ -60,6 +68,9 @@ class ClosedLoop:
     band: float = 0.01
     lost: float = np.pi / 2
     plant: Plant | None = None
+    settings: Settings | None = None
+    observer: VelocityObserver | None = None
+    measurement: Measurement | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "x0", checks.vector("x0", self.x0, 4 * self.robot.n, StateError))
@@ -77,14 +88,13 @@ class ClosedLoop:
         if self.inner_steps < 1:
             raise StateError(f"inner_steps is {self.inner_steps}; expected 1 or more")
 
-    @property
-    def compiled(self) -> bool:
-        """Return whether runs are compiled here; compiles them."""
-        return self._program.library is not None
+    def build(self) -> None:
+        """Compile the loop, which the first run does otherwise; raises CompilerError without a C compiler."""
+        self._program.build()
 
     @property
     def in_python(self) -> bool:
-        """Return whether law or plant are in Python, so that runs are never compiled."""
+        """Return whether law or plant are evaluated in Python."""
         return self._program.in_python
 
     @property
@@ -99,26 +109,18 @@ class ClosedLoop:
     def recorded(self, draws: Draws) -> tuple[Outcomes, Recorded]:
         """Run all draws and also return every sample; meant for few runs."""
         n, samples = self.robot.n, self._samples
-        trace = np.full((draws.runs, samples + 1, 5 * n), np.nan)
+        trace = np.full((draws.runs, samples + 1, 9 * n), np.nan)
         outcomes = Outcomes.of(self._run(draws, trace), n)
-        return outcomes, Recorded(self._t, trace[..., : 4 * n], trace[..., 4 * n :])
+        return outcomes, Recorded(self._t, *np.split(trace, [4 * n, 5 * n], axis=2))
 
     def _run(self, draws: Draws, trace: Array | None) -> Array:
         rows = np.empty((draws.runs, width(self.robot.n)))
         values: dict[str, Any] = {**self._constants, **self._drawn(draws), "rows": rows, "trace": trace}
-        ages = values["segments"][:, :, 0]
-        values["ring"] = int(ages.max(initial=0)) + 1
-        if self._program.library is None:
-            python_loop.run(self._program, values)
-            self._program.raise_failure()
-            return rows
-        ring = np.zeros((LANES, values["ring"], self.robot.n))
-        filled = batch(**values)
-        pointer = ring.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-        self._program.library.run_batch(ctypes.byref(filled), 0, draws.runs, pointer)
+        values["ring"] = int(values["segments"][:, :, 0].max(initial=0)) + 1
+        self._program.run(self.reference, values)
         return rows
 
-    def _drawn(self, draws: Draws) -> dict[str, NDArray[Any]]:
+    def _drawn(self, draws: Draws) -> dict[str, Any]:
         n = self.robot.n
         parts = {name: draws.columns(name, n) for name in uncertain_robot.NAMES}
         if self.plant is not None and self.plant.in_python:
@@ -127,10 +129,11 @@ class ClosedLoop:
         sensing = [draws.columns(name, n) for name in ("position_noise", "velocity_noise", "resolution")]
         segments, dt = _segments(draws.columns("delay", n)[:, 0], self.sample_period, self.inner_steps)
         return {
-            "parameters": uncertain_robot.vector(parts),
+            "parameters": (parameters := uncertain_robot.vector(parts)),
+            "width": parameters.shape[1],
             "sensing": np.ascontiguousarray(np.hstack(sensing)),
             "limit": draws.columns("effort_limit", n),
-            "full": np.asarray(full, dtype=np.uint8),
+            "has_friction_or_load": np.asarray(full, dtype=np.uint8),
             "segments": segments,
             "dt": dt,
             "seeds": np.asarray(draws.seed, dtype=np.uint64),
@@ -151,7 +154,7 @@ class ClosedLoop:
 
     @cached_property
     def _constants(self) -> dict[str, Any]:
-        """Return the values common to all runs, with the tabulated reference."""
+        """Return the values common to all runs."""
         positions, velocities = np.split(np.asarray(self.x0), 2)[0], np.hstack(self.robot.velocities(self.x0))
         return {
             "samples": self._samples,
@@ -160,17 +163,14 @@ class ClosedLoop:
             "period": self.sample_period,
             "lost": self.lost,
             "band": self.band,
-            "jets": np.ascontiguousarray(self.reference.jets(self._t + self.law.lead)),
-            "target": np.ascontiguousarray(self.reference.jets(self._t)[:, 0]),
             "gains": np.ascontiguousarray(self.law.gain_values, dtype=float),
-            "memory": np.ascontiguousarray(self.law.memory, dtype=float),
             "position": np.ascontiguousarray(positions),
             "velocity": velocities,
         }
 
     @cached_property
     def _program(self) -> Program:
-        return Program(self.robot, self.law, self.plant)
+        return Program(self.robot, self.law, self.plant, self.settings, self.observer, self.measurement)
 
 
 def _segments(delay: Array, period: float, inner_steps: int) -> tuple[NDArray[np.int64], Array]:

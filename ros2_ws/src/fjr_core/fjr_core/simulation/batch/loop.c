@@ -1,50 +1,48 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The closed loop of many runs, round what CasADi wrote before it: law, and of each kind of plant step, velocity and
- * state. N: joints; PARAMETERS, GAINS, MEMORY: lengths; W, IW, ARG, RES: work space. python_loop.py is the same loop.
+ * The closed loop of many runs: the control step that the node runs, with a simulated plant, sensors and delay.
  */
-#define JETS 5
-#define ROW (5 * N + 4)
 
-struct batch {
-  long long samples, first, last_second, ring;
-  double period, lost, band;
-  const double *jets, *target;                  /* (samples + 1, JETS, N) at the lead of the law, (samples + 1, N) */
-  const double *gains, *memory;                 /* (GAINS), (MEMORY) */
-  const double *position, *velocity;            /* (2 N) at the start */
-  const double *parameters, *sensing, *limit;   /* of each run (PARAMETERS), (3), (N) */
-  const unsigned char* full;                    /* true if a run has friction or a payload */
-  const long long* segments;                    /* (2, 2): age of the effort in samples, steps */
-  const double* dt;                             /* (2) of the steps in each */
-  const uint64_t* seeds;
-  double *rows, *trace;                         /* (ROW) of each run; (samples + 1, 5 N) x and u of each run, or 0 */
+#define ROW (5 * N + 6)
+#define TRACE (9 * N)
+
+/* Fields of a row of results. */
+struct sums {
+  double *stable, *lost_at, *rms, *peak, *final, *settling, *effort_rms, *effort_peak, *power, *stopped, *cause;
 };
 
-struct work {
-  const double* arg[ARG];
-  double* res[RES];
-  casadi_int iw[IW];
-  double w[W];
+struct run {
+  int64_t number, sample;
+  int going;
+  const struct fjr_plant* plant;
+  const double* parameters;
+  double x[4 * N];
+  double* ring; /* (ring, N): the efforts sent last */
+  struct sums sums;
+  struct fjr_controller controller;
 };
 
-static void plant_step(struct work* k, int full, const double* x, const double* u, const double* parameters, double dt,
-                       double* next) {
-  k->arg[0] = x, k->arg[1] = u, k->arg[2] = parameters, k->arg[3] = &dt, k->res[0] = next;
-  (full ? full_step : plain_step)(k->arg, k->res, k->iw, k->w, 0);
+/* ---- Plant and sensors ------------------------------------------------------------------------------------------ */
+
+/* A function that fails gives results that are not finite, which ends the run. */
+static void evaluate(const struct fjr_model* m, fjr_function f, double* result, int n) {
+  m->res[0] = result;
+  if (f(m->arg, m->res, m->iw, m->w, 0)) fill(result, NAN, n);
 }
 
-static void plant_velocity(struct work* k, int full, const double* x, const double* parameters, double* velocity) {
-  k->arg[0] = x, k->arg[1] = parameters, k->res[0] = velocity;
-  (full ? full_velocity : plain_velocity)(k->arg, k->res, k->iw, k->w, 0);
+static void plant_step(const struct fjr_model* m, struct run* r, const double* u, double dt) {
+  double next[4 * N];
+  m->arg[0] = r->x, m->arg[1] = u, m->arg[2] = r->parameters, m->arg[3] = &dt;
+  evaluate(m, r->plant->step, next, 4 * N);
+  copy(r->x, next, 4 * N);
 }
 
-static void plant_state(struct work* k, int full, const double* position, const double* velocity,
-                        const double* parameters, double* x) {
-  k->arg[0] = position, k->arg[1] = velocity, k->arg[2] = parameters, k->res[0] = x;
-  (full ? full_state : plain_state)(k->arg, k->res, k->iw, k->w, 0);
+static void plant_velocity(const struct fjr_model* m, const struct run* r, double* velocity) {
+  m->arg[0] = r->x, m->arg[1] = r->parameters;
+  evaluate(m, r->plant->velocity, velocity, 2 * N);
 }
 
-/* Measure: add noise, then quantise. sensing: position noise, velocity noise, resolution. */
-static void measure(const double* sensing, uint64_t seed, long long sample, double* position, double* velocity) {
+/* Add noise to positions and velocities, then quantise. sensing: position noise, velocity noise, resolution. */
+static void disturb(const double* sensing, uint64_t seed, int64_t sample, double* position, double* velocity) {
   if (sensing[0] > 0 || sensing[1] > 0) {
     for (int i = 0; i < N; ++i) {
       double z[4];
@@ -59,33 +57,47 @@ static void measure(const double* sensing, uint64_t seed, long long sample, doub
     for (int i = 0; i < 2 * N; ++i) position[i] = sensing[2] * rint(position[i] / sensing[2]);
 }
 
-/* Fields of a row of results. */
-struct sums {
-  double *stable, *lost_at, *rms, *peak, *final, *settling, *effort_rms, *effort_peak, *power;
-};
+/* Measure the plant as the measurement model of the controller expects it: motors behind the gear, or joint torques. */
+static void take_sample(const struct fjr_model* m, const struct fjr_batch* b, const struct run* r,
+                        const double* velocity, struct fjr_sample* sample) {
+  double position[2 * N];
+  copy(position, r->x, 2 * N);
+  copy(sample->velocity, velocity, 2 * N);
+  disturb(b->sensing + 3 * r->number, b->seeds[r->number], r->sample, position, sample->velocity);
+  copy(sample->link, position, N);
+  for (int i = 0; i < N; ++i) {
+    sample->motor[i] = position[N + i] * m->gear_ratio[i];
+    sample->velocity[N + i] *= m->gear_ratio[i];
+  }
+  m->arg[0] = position, m->arg[1] = r->parameters;
+  if (m->torque) evaluate(m, r->plant->torque, sample->motor, N);
+}
+
+/* ---- Results ---------------------------------------------------------------------------------------------------- */
 
 static struct sums sums_of(double* row) {
   struct sums s = {row, row + 1, row + 2, row + 2 + N, row + 2 + 2 * N, row + 2 + 3 * N};
   s.effort_rms = s.settling + 1, s.effort_peak = s.effort_rms + N, s.power = s.effort_peak + N;
+  s.stopped = s.power + 1, s.cause = s.stopped + 1;
   return s;
 }
 
-/* Add the errors at a sample; return 0 if the run is lost. */
-static int add_errors(const struct batch* c, long long sample, const double* x, struct sums* s) {
-  double size = 0;
+/* Add the errors at a sample; return 0 if the run is lost. An arm that was stopped need not follow q_ld. */
+static int add_errors(const struct fjr_batch* b, struct run* r, const double* q_ld) {
+  struct sums* s = &r->sums;
   int inside = 1;
-  for (int i = 0; i < 4 * N; ++i) size += x[i] * x[i];
   for (int i = 0; i < N; ++i) {
-    const double e = fabs(x[i] - c->target[sample * N + i]);
-    inside &= e <= c->lost;
-    if (e > c->band) *s->settling = (double)(sample + 1);
-    if (sample >= c->first) s->rms[i] += e * e, s->peak[i] = fmax(s->peak[i], e);
-    if (sample >= c->last_second) s->final[i] += e;
+    const double e = fabs(r->x[i] - q_ld[i]);
+    inside &= e <= b->lost;
+    if (e > b->band) *s->settling = (double)(r->sample + 1);
+    if (r->sample >= b->first) s->rms[i] += e * e, s->peak[i] = fmax(s->peak[i], e);
+    if (r->sample >= b->last_second) s->final[i] += e;
   }
-  return inside && size < INFINITY;
+  return (inside || r->controller.supervisor.stopped) && all_finite(r->x, 4 * N);
 }
 
-static void add_efforts(const double* u, const double* velocity, struct sums* s) {
+static void add_efforts(struct run* r, const double* u, const double* velocity) {
+  struct sums* s = &r->sums;
   double power = 0;
   for (int i = 0; i < N; ++i) {
     s->effort_rms[i] += u[i] * u[i];
@@ -95,121 +107,138 @@ static void add_efforts(const double* u, const double* velocity, struct sums* s)
   *s->power += fabs(power);
 }
 
-/* Convert sums to means; sample: number of efforts sent. */
-static void finish(const struct batch* c, long long sample, struct sums* s) {
-  const int stable = sample > c->samples;
-  const double count = sample > 0 ? (double)sample : 1;
+static void note_stop(const struct fjr_batch* b, struct run* r) {
+  const int32_t cause = r->controller.supervisor.stopped;
+  if (!cause || *r->sums.cause > 0) return;
+  *r->sums.cause = cause;
+  *r->sums.stopped = b->period * (double)r->sample;
+}
+
+static void record(const struct fjr_batch* b, const struct run* r, const double* u, const struct fjr_sample* sample) {
+  double* at = b->trace + ((b->samples + 1) * r->number + r->sample) * TRACE;
+  copy(at, r->x, 4 * N);
+  copy(at + 4 * N, u, N);
+  copy(at + 5 * N, sample->link, N);
+  copy(at + 6 * N, sample->motor, N);
+  copy(at + 7 * N, sample->velocity, 2 * N);
+}
+
+/* Convert sums to means; r->sample: number of efforts sent. */
+static void finish(const struct fjr_batch* b, struct run* r) {
+  struct sums* s = &r->sums;
+  const int stable = r->sample > b->samples;
+  const double count = r->sample > 0 ? (double)r->sample : 1;
   *s->stable = stable;
-  *s->lost_at = stable ? INFINITY : c->period * (double)sample;
+  *s->lost_at = stable ? INFINITY : b->period * (double)r->sample;
   for (int i = 0; i < N; ++i) {
-    s->rms[i] = stable ? sqrt(s->rms[i] / (double)(c->samples + 1 - c->first)) : INFINITY;
+    s->rms[i] = stable ? sqrt(s->rms[i] / (double)(b->samples + 1 - b->first)) : INFINITY;
     s->peak[i] = stable ? s->peak[i] : INFINITY;
-    s->final[i] = stable ? s->final[i] / (double)(c->samples + 1 - c->last_second) : INFINITY;
+    s->final[i] = stable ? s->final[i] / (double)(b->samples + 1 - b->last_second) : INFINITY;
     s->effort_rms[i] = sqrt(s->effort_rms[i] / count);
   }
-  *s->settling = stable && *s->settling <= (double)c->samples ? c->period * *s->settling : INFINITY;
+  *s->settling = stable && *s->settling <= (double)b->samples ? b->period * *s->settling : INFINITY;
   *s->power /= count;
 }
 
-/* Evaluate the law, saturate u and update its state; return 0 if u is not finite. */
-static int command(struct work* k, const struct batch* c, const double* limit, const double* position,
-                   const double* velocity, const double* jets, double dt, double* memory, double* u) {
-  double next[MEMORY + 1], wanted[N], size = 0;
-  k->arg[0] = position, k->arg[1] = velocity, k->arg[2] = jets, k->arg[3] = c->gains;
-  k->arg[4] = memory, k->arg[5] = u, k->arg[6] = &dt;
-  k->res[0] = wanted, k->res[1] = next;
-  law(k->arg, k->res, k->iw, k->w, 0);
-  for (int i = 0; i < MEMORY; ++i) memory[i] = next[i];
-  for (int i = 0; i < N; ++i) {
-    size += wanted[i] * wanted[i];
-    u[i] = wanted[i] < -limit[i] ? -limit[i] : wanted[i] > limit[i] ? limit[i] : wanted[i];
-  }
-  return size < INFINITY;
-}
+/* ---- Reference -------------------------------------------------------------------------------------------------- */
 
-/* State of a run. */
-struct run {
-  long long number, sample;
-  int going;
-  double x[4 * N], u[N], memory[MEMORY + 1];
-  double* ring; /* (ring, N): the efforts sent last */
-  struct sums sums;
+/* The jets at the last two times, those of the sample and of the law's lead, which are the same for all runs. */
+struct memo {
+  const struct fjr_reference* reference;
+  double t[2], jets[2][FJR_JETS * N];
+  int next;
 };
 
-static void start(struct work* k, const struct batch* c, struct run* r, long long number, double* ring) {
-  double* row = c->rows + ROW * number;
+static void remembered_jets(void* context, double t, double* jets) {
+  struct memo* memo = context;
+  int k = memo->t[0] == t ? 0 : memo->t[1] == t ? 1 : -1;
+  if (k < 0) {
+    k = memo->next, memo->next = !k;
+    memo->t[k] = t;
+    fjr_reference_jets(memo->reference, t, memo->jets[k]);
+  }
+  copy(jets, memo->jets[k], FJR_JETS * N);
+}
+
+/* ---- Loop ------------------------------------------------------------------------------------------------------- */
+
+static void start_run(const struct fjr_model* m, const struct fjr_batch* b, const struct fjr_reference* reference,
+                      struct run* r, int64_t number, double* ring) {
+  double* row = b->rows + ROW * number;
   r->number = number, r->sample = 0, r->going = 1, r->ring = ring, r->sums = sums_of(row);
-  for (int i = 0; i < ROW; ++i) row[i] = 0;
-  for (int i = 0; i < N; ++i) r->u[i] = 0;
-  for (int i = 0; i < MEMORY; ++i) r->memory[i] = c->memory[i];
-  plant_state(k, c->full[number], c->position, c->velocity, c->parameters + PARAMETERS * number, r->x);
+  r->plant = b->has_friction_or_load[number] ? &b->full : &b->plain;
+  r->parameters = b->parameters + b->width * number;
+  fill(row, 0, ROW);
+  *r->sums.stopped = INFINITY;
+  m->arg[0] = b->position, m->arg[1] = b->velocity, m->arg[2] = r->parameters;
+  evaluate(m, r->plant->state, r->x, 4 * N);
+  fjr_init(&r->controller, b->settings, b->gains, reference);
+  for (int i = 0; i < N; ++i)
+    r->controller.settings.effort[i] = fmin(b->settings->effort[i], b->limit[N * number + i]);
 }
 
-static void record(const struct batch* c, const struct run* r) {
-  double* at = c->trace + ((c->samples + 1) * r->number + r->sample) * 5 * N;
-  for (int i = 0; i < 4 * N; ++i) at[i] = r->x[i];
-  for (int i = 0; i < N; ++i) at[4 * N + i] = r->u[i];
-}
-
-/* Evaluate errors, measurement and law at a sample; return 0 if the run is lost. */
-static int sample_law(struct work* k, const struct batch* c, struct run* r) {
-  const double* jets = c->jets + r->sample * JETS * N;
-  double position[2 * N], exact[2 * N], velocity[2 * N];
-  if (!add_errors(c, r->sample, r->x, &r->sums)) return 0;
-  plant_velocity(k, c->full[r->number], r->x, c->parameters + PARAMETERS * r->number, exact);
-  for (int i = 0; i < 2 * N; ++i) position[i] = r->x[i], velocity[i] = exact[i];
-  measure(c->sensing + 3 * r->number, c->seeds[r->number], r->sample, position, velocity);
-  if (!command(k, c, c->limit + N * r->number, position, velocity, jets, r->sample ? c->period : 0, r->memory, r->u))
-    return 0;
-  add_efforts(r->u, exact, &r->sums);
-  for (int i = 0; i < N; ++i) r->ring[r->sample % c->ring * N + i] = r->u[i];
-  if (c->trace) record(c, r);
+/* Measure, control and account for a sample; return 0 if the run is lost. */
+static int answer(const struct fjr_model* m, const struct fjr_batch* b, struct run* r, int64_t stamp,
+                  const double* q_ld) {
+  struct fjr_controller* c = &r->controller;
+  struct fjr_sample sample = {stamp};
+  struct fjr_command command;
+  double velocity[2 * N];
+  if (!add_errors(b, r, q_ld)) return 0;
+  plant_velocity(m, r, velocity);
+  take_sample(m, b, r, velocity, &sample);
+  fjr_step(m, c, &sample, stamp, &command);
+  if (c->journal.not_finite) return 0;
+  note_stop(b, r);
+  add_efforts(r, c->limits.left, velocity);
+  copy(r->ring + r->sample % b->ring * N, c->limits.left, N);
+  if (b->trace) record(b, r, c->limits.left, &sample);
   return 1;
 }
 
 /* Integrate step `step` of a part of the sample period, if the run has one. */
-static void integrate(struct work* k, const struct batch* c, struct run* r, int part, long long step) {
+static void integrate(const struct fjr_model* m, const struct fjr_batch* b, struct run* r, int part, int64_t step) {
   static const double none[N] = {0};
-  const long long *segment = c->segments + 4 * r->number + 2 * part, age = segment[0];
-  const double* u = r->sample >= age ? r->ring + (r->sample - age) % c->ring * N : none;
-  double next[4 * N];
+  const int64_t *segment = b->segments + 4 * r->number + 2 * part, age = segment[0];
   if (!r->going || step >= segment[1]) return;
-  plant_step(k, c->full[r->number], r->x, u, c->parameters + PARAMETERS * r->number, c->dt[2 * r->number + part], next);
-  for (int i = 0; i < 4 * N; ++i) r->x[i] = next[i];
+  plant_step(m, r, r->sample >= age ? r->ring + (r->sample - age) % b->ring * N : none, b->dt[2 * r->number + part]);
 }
 
 /* Interleave LANES runs: the processor continues with the next one during a sine or division of another. */
-static void run_some(struct work* k, const struct batch* c, struct run* runs, int lanes) {
-  long long steps[2] = {0, 0};
+static void run_some(const struct fjr_model* m, const struct fjr_batch* b, const struct fjr_reference* reference,
+                     struct run* runs, int lanes) {
+  int64_t steps[2] = {0, 0};
   int going = lanes;
   for (int i = 0; i < lanes; ++i)
     for (int part = 0; part < 2; ++part) {
-      const long long own = c->segments[4 * runs[i].number + 2 * part + 1];
+      const int64_t own = b->segments[4 * runs[i].number + 2 * part + 1];
       steps[part] = own > steps[part] ? own : steps[part];
     }
-  for (long long sample = 0; going && sample <= c->samples; ++sample) {
+  for (int64_t sample = 0; going && sample <= b->samples && !b->cancelled; ++sample) {
+    const int64_t stamp = (int64_t)rint(1e9 * b->period * (double)sample);
+    double jets[FJR_JETS * N];
+    fjr_reference_jets(reference, (double)stamp * 1e-9, jets);
     for (int i = 0; i < lanes; ++i)
-      if (runs[i].going && !(runs[i].going = sample_law(k, c, runs + i))) --going;
-    for (int part = 0; part < 2 && sample < c->samples; ++part)
-      for (long long step = 0; step < steps[part]; ++step)
-        for (int i = 0; i < lanes; ++i) integrate(k, c, runs + i, part, step);
+      if (runs[i].going && !(runs[i].going = answer(m, b, runs + i, stamp, jets))) --going;
+    for (int part = 0; part < 2 && sample < b->samples; ++part)
+      for (int64_t step = 0; step < steps[part]; ++step)
+        for (int i = 0; i < lanes; ++i) integrate(m, b, runs + i, part, step);
     for (int i = 0; i < lanes; ++i) runs[i].sample += runs[i].going;
   }
 }
 
-/* Run begin .. end. rings (LANES, ring, N): buffers of the last efforts. No state is shared between calls. */
-void run_batch(const struct batch* c, long long begin, long long end, double* rings) {
-  struct work k;
+void fjr_run_batch(const struct fjr_model* m, const struct fjr_batch* b, int64_t begin, int64_t end, double* rings) {
   struct run runs[LANES];
-  for (; begin < end; begin += LANES) {
+  struct memo memo = {.reference = b->reference, .t = {NAN, NAN}};
+  const struct fjr_reference reference = {.kind = FJR_FUNCTION, .jets = remembered_jets, .context = &memo};
+  for (; begin < end && !b->cancelled; begin += LANES) {
     const int lanes = end - begin < LANES ? (int)(end - begin) : LANES;
-    for (int i = 0; i < lanes; ++i) start(&k, c, runs + i, begin + i, rings + i * c->ring * N);
-    run_some(&k, c, runs, lanes);
-    for (int i = 0; i < lanes; ++i) finish(c, runs[i].sample, &runs[i].sums);
+    for (int i = 0; i < lanes; ++i) start_run(m, b, &reference, runs + i, begin + i, rings + i * b->ring * N);
+    run_some(m, b, &reference, runs, lanes);
+    for (int i = 0; i < lanes; ++i) finish(b, runs + i);
   }
 }
 
-/* For tests: normal numbers (n, 4) of n joints at a sample. */
-void noise_of(uint64_t seed, uint64_t sample, long long joints, double* z) {
-  for (long long i = 0; i < joints; ++i) normals(seed, sample, (uint64_t)i, z + 4 * i);
+void fjr_noise(uint64_t seed, uint64_t sample, int64_t joints, double* z) {
+  for (int64_t i = 0; i < joints; ++i) normals(seed, sample, (uint64_t)i, z + 4 * i);
 }

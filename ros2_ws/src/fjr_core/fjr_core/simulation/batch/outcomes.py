@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from ...control_step.event_kinds import KINDS, STARTS_REFUSED, STOPS
 from ...numerics.checks import Array
 
 
@@ -21,6 +22,8 @@ class Outcomes:
     the errors over the last second. settling (k,) [s]: instant after which every error stays within ClosedLoop.band;
     inf: never. effort_rms, effort_peak (k, n) [N m]: from the start. power (k,) [W]: mean of |u' dq_m|.
     For a run that is not stable, rms, peak, final and settling are inf and the others cover the run up to lost_at.
+    stopped (k,) [s]: time at which a limit stopped the controller, inf: none. cause (k,): of the stop, e.g. "link
+    velocity", else empty. A stopped run continues under the stop policy, and its error may exceed ClosedLoop.lost.
     """
 
     stable: NDArray[np.bool_]
@@ -32,6 +35,8 @@ class Outcomes:
     effort_rms: Array
     effort_peak: Array
     power: Array
+    stopped: Array
+    cause: NDArray[np.str_]
 
     @classmethod
     def of(cls, rows: Array, n: int) -> Outcomes:
@@ -41,7 +46,8 @@ class Outcomes:
             name: rows[:, start:end] if name in PER_JOINT else rows[:, start]
             for name, start, end in zip(FIELDS, ends, ends[1:], strict=False)
         }
-        return cls(**{**parts, "stable": parts["stable"] != 0})
+        causes = np.array([_CAUSES.get(int(kind), "") for kind in parts["cause"]], dtype=str)
+        return cls(**{**parts, "stable": parts["stable"] != 0, "cause": causes})
 
     @classmethod
     def joined(cls, parts: Sequence[Outcomes]) -> Outcomes:
@@ -50,6 +56,10 @@ class Outcomes:
 
 
 FIELDS = tuple(field.name for field in fields(Outcomes))
+_CAUSES = {
+    k: name.removeprefix(f"{STOPS}: ") for k, name in enumerate(KINDS) if name.startswith((f"{STOPS}:", STARTS_REFUSED))
+}
+"""Causes of a stop by the number that the control step gives them."""
 PER_JOINT = ("rms", "peak", "final", "effort_rms", "effort_peak")
 
 

@@ -143,6 +143,14 @@ class UncertainPlant:
         p_m = p.motor_inertia * (symbolic.sparse(self.robot.M_m) @ (p.motor_inertia * velocity[n:]))
         return dense_function(name, s, {"x": ca.vertcat(position, p_l, p_m)})
 
+    def torque(self, name: str) -> ca.Function:
+        """Return the function (position (2n,), parameters) -> spring torque K (q_m - q_l) (n,)."""
+        n = self.robot.n
+        s = symbolic.symbols(position=2 * n, parameters=layout(n).size)
+        position, parameters = s.values()
+        _, robot = self._drawn(parameters)
+        return dense_function(name, s, {"torque": robot.K @ (position[n:] - position[:n])})
+
     def _drawn(self, parameters: ca.SX) -> tuple[SimpleNamespace, ScaledRobot]:
         own, p = self.robot, layout(self.robot.n).named(parameters)
         links: RigidArm = ScaledLinks(own.links, p.link_inertia, p.gravity)
