@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr export-c` and `fjr description`: a scenario in other languages, C99 and URDF."""
+"""`fjr export-c`, `fjr export-ros2-control` and `fjr description`: a scenario as C99, for ros2_control and as URDF."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_core.codegen import export, loop_of, prefix_of, write
+from fjr_core.codegen.ros2_control import export_package, not_exported, package_name_of
 from fjr_core.config.description import description
 from fjr_core.config.scenario import left_out
 
@@ -35,3 +36,22 @@ def export_scenario(scenario: str, assignments: Sequence[str], folder: Path, pre
     if missing:
         text += f"\nnot exported: what {', '.join(missing)} add to plant and measurement"
     return Result(text, {"folder": folder, "files": list(texts), "not_exported": list(missing)})
+
+
+def export_ros2_control(
+    scenario: str, assignments: Sequence[str], folder: Path, package: str | None, force: bool
+) -> Result:
+    """Write a package for ros2_control; force: replace an earlier export. Raises FjrError."""
+    loaded = library.load(scenario, assignments)
+    name = package or package_name_of(loaded.name)
+    texts = export_package(loaded, name)
+    write(texts, folder, force)
+    missing = not_exported(loaded)
+    text = (
+        f"{folder}: package {name}, {len(texts)} files\n"
+        f"build and test it where ros2_control is installed: colcon build --base-paths {folder} && "
+        f"colcon test --base-paths {folder}"
+    )
+    if missing:
+        text += f"\nnot exported: {', '.join(missing)} of the simulated robot"
+    return Result(text, {"folder": folder, "package": name, "files": list(texts), "not_exported": missing})

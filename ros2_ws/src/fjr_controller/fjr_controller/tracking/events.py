@@ -12,38 +12,9 @@ from typing import Any
 
 from fjr_core.control.safety_settings import Settings
 from fjr_core.control_step.control_step import ControlStep
+from fjr_core.control_step.event_kinds import KINDS, STARTS_REFUSED, STOPS
 
 INFO, WARN, ERROR = "info", "warn", "error"
-STOPS, STARTS_REFUSED = "stops", "starts refused"  # kinds of the events that end tracking
-KINDS = (
-    "states older than the last",
-    "states repeated",
-    "jumps doubted",
-    "reference restarts",
-    "silences",
-    "forward jumps",
-    "observer restarts",
-    "recoveries",
-    STARTS_REFUSED,
-    STOPS,
-    "stops: wiring",
-    "stops: link position",
-    "stops: motor position",
-    "stops: link velocity",
-    "stops: motor velocity",
-    "stops: deflection",
-    "stops: tracking error",
-    "stops: law",
-    "resumes",
-    "efforts not finite",
-    "efforts saturated",
-    "efforts rate limited",
-    "gains changed",
-    "settings changed",
-    "references changed",
-    "holds",
-)
-"""Names of the counters, in the order of enum fjr_kind in step.h."""
 SIMPLE = {
     "reference restarts": (WARN, "the time of the states jumped back: the reference starts again"),
     "forward jumps": (WARN, "the time of the states jumped forward"),

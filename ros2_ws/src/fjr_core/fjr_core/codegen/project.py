@@ -56,6 +56,7 @@ def write(texts: Mapping[str, str], folder: Path, force: bool = False) -> None:
             raise ExportError(f"{folder} {what}; expected a new or empty folder (--force replaces an earlier export)")
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(text, encoding="utf-8")
     except OSError as error:
         raise ExportError(f"cannot write to {folder}: {error.strerror}") from None

@@ -63,7 +63,7 @@ class Model:
         law_failed: Callable[[], bool] | None = None,
     ) -> None:
         self._ffi, self._law_failed, n = library.ffi, law_failed, law.robot.n
-        self._functions = {"law": law_function(law), "gravity": _gravity(law)}
+        self._functions = {"law": law_function(law), "gravity": gravity_function(law)}
         if observer is not None:
             self._functions["observer"] = observer.function
         self.pointer = library.ffi.new("struct fjr_model *")
@@ -107,7 +107,7 @@ def law_function(law: SampledLaw) -> Any:
     return static.measured_function if isinstance(static, StaticLaw) else law.step_function
 
 
-def _gravity(law: SampledLaw) -> Any:
+def gravity_function(law: SampledLaw) -> Any:
     """Return the function q_l -> grad P_l (n,)."""
     s = symbols(q_l=law.robot.n)
     return dense_function("gravity", s, {"grad_P_l": law.robot.links.grad_P_l(s["q_l"])}, cse=True)
