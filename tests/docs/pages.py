@@ -14,7 +14,7 @@ from markdown_it.token import Token
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")))
-LANGUAGES = ("python", "sh", "yaml", "xml", "cpp", "cmake", "text")
+LANGUAGES = ("python", "sh", "yaml", "xml", "cpp", "text")
 """`text` is for diagrams and formulas or, if marked `shown`, for the output of the previous block."""
 MARKS = ("file", "exit", "shown", "for")
 """file: name of the file; exit: expected exit code; shown: lines of output; for: the program that reads the block."""

@@ -21,9 +21,9 @@ def describe(scenario: str | None, assignments: Sequence[str]) -> Result:
 
 
 def export_scenario(scenario: str, assignments: Sequence[str], folder: Path, prefix: str | None, force: bool) -> Result:
-    """Write law, plant and reference of a scenario as C99; force: replace an earlier export. Raises FjrError."""
+    """Write control step and plant of a scenario as C99; force: replace an earlier export. Raises FjrError."""
     loaded = library.load(scenario, assignments)
-    missing = left_out(loaded)
+    missing = [name for name in left_out(loaded) if name in loaded.plant_values]
     names = ", ".join(f"`{name}`" for name in missing)
     notes = f"\nThe scenario also sets {names}: not in this C.\n" if missing else ""
     texts = export(loop_of(loaded), prefix or prefix_of(loaded.name), notes=notes)
@@ -34,7 +34,7 @@ def export_scenario(scenario: str, assignments: Sequence[str], folder: Path, pre
         f"ctest --test-dir {folder}/build --verbose"
     )
     if missing:
-        text += f"\nnot exported: what {', '.join(missing)} add to plant and measurement"
+        text += f"\nnot exported: what {', '.join(missing)} add to the plant"
     return Result(text, {"folder": folder, "files": list(texts), "not_exported": list(missing)})
 
 

@@ -171,7 +171,7 @@ def sweep(**given: Any) -> Any:
 @click.option("--force", is_flag=True, help="Replace an earlier export; other files are kept.")
 @set_option
 def export_c(**given: Any) -> Any:
-    """Export law, plant and reference as C99.
+    """Export control step and plant as C99.
 
     SCENARIO is the name of an installed scenario or a YAML file. DIR is a new or empty folder.
     """
