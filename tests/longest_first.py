@@ -16,6 +16,7 @@ LONGEST_FIRST = (
     "core/tuning/test_equal_bandwidth.py",
     "core/control_step/test_step.py",
     "core/control/test_robust.py",
+    "core/codegen/ros2_control/test_package.py",
     "core/codegen/test_export_c.py",
     "core/control/test_law.py",
     "core/stability/test_complete_loop_check.py",

@@ -80,16 +80,6 @@ def do_cpp(block: Block, folder: Path, said: str) -> str:
     return said
 
 
-def do_cmake(block: Block, folder: Path, said: str) -> str:
-    """Write the CMake file and build it against stubs of the C++ packages of ROS 2."""
-    file = folder / block.marks["file"]
-    file.write_text(block.text, encoding="utf-8")
-    build, found = file.parent / ".build", f"-DCMAKE_PREFIX_PATH={Path(__file__).with_name('ros2_control')}"
-    run(block, ["cmake", "-S", str(file.parent), "-B", str(build), found], folder)
-    run(block, ["cmake", "--build", str(build)], folder)
-    return said
-
-
 def run(block: Block, command: list[str], folder: Path) -> str:
     """Run a command, check its exit code and return its output; background processes keep running."""
     with (folder / ".said").open("w+") as file:
@@ -183,6 +173,5 @@ RUNNERS = {
     "xml": do_xml,
     "c": do_cpp,
     "cpp": do_cpp,
-    "cmake": do_cmake,
     "text": do_text,
 }

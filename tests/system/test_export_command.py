@@ -39,7 +39,7 @@ def test_cmake_builds_and_ctest_passes(tmp_path: Path) -> None:
     assert "17.0, 18.0" in (folder / "two_link.c").read_text()
     run(tool("cmake"), "-S", folder, "-B", build)
     run(tool("cmake"), "--build", build)
-    assert "closed loop: x, u, memory" in run(tool("ctest"), "--test-dir", build, "--verbose")
+    assert "closed loop: worst difference" in run(tool("ctest"), "--test-dir", build, "--verbose")
 
 
 CONSUMER = """
@@ -51,13 +51,15 @@ target_link_libraries(controller PRIVATE arm)
 """
 CONTROLLER = """
 #include "arm.h"
-static_assert(ARM_JOINTS == 1, "one joint");
-extern "C" int effort(const double *q, const double *dq, double t, double *u)
+static_assert(ARM_N == 1, "one joint");
+extern "C" int effort(const arm_sample *sample, arm_command *command)
 {
   arm_work work;
-  double jets[ARM_JETS * ARM_JOINTS];
-  return arm_reference(t, jets, &work) ||
-    arm_law(q, dq, jets, nullptr, nullptr, nullptr, 0.0, u, nullptr, nullptr, &work);
+  arm_model model;
+  arm_controller controller;
+  arm_scenario_model(&model, &work);
+  arm_init(&controller, &arm_scenario_settings, arm_scenario_gains, arm_scenario_reference);
+  return arm_step(&model, &controller, sample, 0, command);
 }
 """
 
@@ -88,9 +90,9 @@ def test_only_an_earlier_export_is_replaced_and_only_with_force(tmp_path: Path) 
 
 
 def test_omitted_parameters_are_named(tmp_path: Path) -> None:
-    output = fjr_here("export-c", "paper_k31", str(tmp_path / "c"), "--set", "measurement.velocity:=observer")
-    assert "not exported: what measurement.velocity" in output
-    assert "`measurement.velocity`" in (tmp_path / "c" / "README.md").read_text()
+    output = fjr_here("export-c", "paper_k31", str(tmp_path / "c"), "--set", "imperfections.actuator_lag:=[0.01]")
+    assert "not exported: what imperfections.actuator_lag" in output
+    assert "`imperfections.actuator_lag`" in (tmp_path / "c" / "README.md").read_text()
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,15 @@ setup(
     name=package_name,
     version=version,
     packages=find_packages(),
-    package_data={package_name: ["py.typed", "control_step/*.[ch]", "simulation/batch/*.[ch]", "codegen/templates/*"]},
+    package_data={
+        package_name: [
+            "py.typed",
+            "control_step/*.[ch]",
+            "simulation/batch/*.[ch]",
+            "codegen/templates/*",
+            "codegen/ros2_control/templates/*",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),

@@ -27,8 +27,10 @@ def loop(name: str) -> Loop:
 
 
 def changed(scenario: str, **fields: object) -> Loop:
-    """Return the loop of a shipped scenario with other fields, e.g. another law, reference or plant."""
-    return replace(loop(scenario), **fields)
+    """Return the loop of a shipped scenario with other fields of the loop or its controller, e.g. another reference."""
+    made = loop(scenario)
+    of_loop = {name: fields.pop(name) for name in ("plant", "x0", "inner_steps") if name in fields}
+    return replace(made, controller=replace(made.controller, **fields), **of_loop)
 
 
 def exported(loop: Loop, folder: Path, samples: int = 100, prefix: str | None = None) -> Path:
@@ -57,8 +59,8 @@ def program_output(program: Path, *arguments: str, code: int = 0) -> str:
 
 
 def replayed(folder: Path, code: int = 0) -> Mapping[str, float]:
-    """Run the replay program of the folder and return the largest difference of each compared quantity."""
+    """Run the replay program of the folder; return the numbers that it compares, by what they are."""
     program = built(C99, sorted(folder.glob("*.c")), folder / "replay")
-    lines = program_output(program, str(folder / "case.csv"), code=code).splitlines()
+    lines = program_output(program, str(folder / "case.txt"), code=code).splitlines()
     found = (re.match(r"  (\w.*?)  +(\S+)  \(", line) for line in lines)
     return {row[1]: float(row[2]) for row in found if row}

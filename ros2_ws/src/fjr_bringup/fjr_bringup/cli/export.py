@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr export-c` and `fjr description`: a scenario in other languages, C99 and URDF."""
+"""`fjr export-c`, `fjr export-ros2-control` and `fjr description`: a scenario as C99, for ros2_control and as URDF."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_core.codegen import export, loop_of, prefix_of, write
+from fjr_core.codegen.ros2_control import export_package, not_exported, package_name_of
 from fjr_core.config.description import description
 from fjr_core.config.scenario import left_out
 
@@ -20,9 +21,9 @@ def describe(scenario: str | None, assignments: Sequence[str]) -> Result:
 
 
 def export_scenario(scenario: str, assignments: Sequence[str], folder: Path, prefix: str | None, force: bool) -> Result:
-    """Write law, plant and reference of a scenario as C99; force: replace an earlier export. Raises FjrError."""
+    """Write control step and plant of a scenario as C99; force: replace an earlier export. Raises FjrError."""
     loaded = library.load(scenario, assignments)
-    missing = left_out(loaded)
+    missing = [name for name in left_out(loaded) if name in loaded.plant_values]
     names = ", ".join(f"`{name}`" for name in missing)
     notes = f"\nThe scenario also sets {names}: not in this C.\n" if missing else ""
     texts = export(loop_of(loaded), prefix or prefix_of(loaded.name), notes=notes)
@@ -33,5 +34,24 @@ def export_scenario(scenario: str, assignments: Sequence[str], folder: Path, pre
         f"ctest --test-dir {folder}/build --verbose"
     )
     if missing:
-        text += f"\nnot exported: what {', '.join(missing)} add to plant and measurement"
+        text += f"\nnot exported: what {', '.join(missing)} add to the plant"
     return Result(text, {"folder": folder, "files": list(texts), "not_exported": list(missing)})
+
+
+def export_ros2_control(
+    scenario: str, assignments: Sequence[str], folder: Path, package: str | None, force: bool
+) -> Result:
+    """Write a package for ros2_control; force: replace an earlier export. Raises FjrError."""
+    loaded = library.load(scenario, assignments)
+    name = package or package_name_of(loaded.name)
+    texts = export_package(loaded, name)
+    write(texts, folder, force)
+    missing = not_exported(loaded)
+    text = (
+        f"{folder}: package {name}, {len(texts)} files\n"
+        f"build and test it where ros2_control is installed: colcon build --base-paths {folder} && "
+        f"colcon test --base-paths {folder}"
+    )
+    if missing:
+        text += f"\nnot exported: {', '.join(missing)} of the simulated robot"
+    return Result(text, {"folder": folder, "package": name, "files": list(texts), "not_exported": missing})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Export of a closed loop as plain C99: law, reference and plant for C and C++ programs, with a replay case."""
+"""Export of a closed loop as plain C99: control step and plant for C and C++ programs, with a replay case."""
 
 from .c_code import prefix_of
 from .exported_loop import Loop, loop_of

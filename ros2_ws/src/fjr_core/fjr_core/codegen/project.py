@@ -3,20 +3,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 
-from ..control.sampled_law import AsSampledLaw, SampledLaw
-from ..control.vdpbc.law import TrackingLaw
+from ..control_step.library import SOURCES
 from ..errors import FjrError
-from .c_code import casadi_code, checked_prefix, comment, number, numbers, quoted, work_sizes
+from .c_code import checked_prefix, comment, number, numbers
 from .exported_loop import Loop
-from .replay_case import as_csv, recorded
+from .filled_template import filled
+from .recorded_steps import as_text, recorded_steps
+from .step_code import PREFIX, step_code
 
 SAMPLES = 200
-TEMPLATES = {"header.h": "{}.h", "source.c": "{}.c"}
+NAMED = {"plant.h": "{}_plant.h", "plant.c": "{}_plant.c"}
 """Templates whose file name contains the prefix; the others keep their names."""
 AS_THEY_ARE = ("replay.c", "CMakeLists.txt", "README.md")
 
@@ -25,24 +25,36 @@ class ExportError(FjrError):
     """Folder to which an export cannot be written."""
 
 
-class _CTemplate(Template):
-    """Template with @{name} for values, since C, CMake and Markdown use `$` themselves."""
-
-    delimiter = "@"
-
-
 def export(loop: Loop, prefix: str, samples: int = SAMPLES, notes: str = "") -> dict[str, str]:
     """Return the texts of all files by name; notes: Markdown at the end of the README.
 
     Raises ParameterError for an invalid prefix, TrajectoryError for a reference that is not built in, StateError if the
-    loop diverges within the samples of the case.
+    loop diverges within the samples of the case, CompilerError without a C compiler.
     """
     prefix = checked_prefix(prefix)
     values = {**_values(loop, prefix), "samples": str(samples), "notes": notes}
-    texts = {TEMPLATES.get(name, name).format(prefix): _filled(name, values) for name in (*TEMPLATES, *AS_THEY_ARE)}
-    texts[f"{prefix}_casadi.c"] = casadi_code(prefix, loop.functions)
-    texts["case.csv"] = as_csv(recorded(loop, samples))
-    return texts
+    step = step_code(loop.controller, loop.plant_functions)
+    texts = {
+        f"{prefix}.h": step["model.h"],
+        f"{prefix}.c": step["model.c"],
+        f"{prefix}_step.h": step["step.h"],
+        f"{prefix}_step.c": "\n".join(['#include "model.h"\n', *map(step.__getitem__, SOURCES)]),
+        f"{prefix}_casadi.c": step["casadi.c"],
+    }
+    texts = {name: renamed(text, prefix) for name, text in texts.items()}
+    texts |= {
+        NAMED.get(name, name).format(prefix): renamed(filled(name, values), prefix) for name in (*NAMED, *AS_THEY_ARE)
+    }
+    steps = recorded_steps(loop.controller, loop.plant, loop.x0, loop.inner_steps, samples)
+    return texts | {"case.txt": as_text(steps)}
+
+
+def renamed(text: str, prefix: str) -> str:
+    """Return a C text with another prefix of all names and files, so that one program can contain several exports."""
+    for name, file in (("model.h", f"{prefix}.h"), ("step.h", f"{prefix}_step.h")):
+        text = re.sub(rf"(?<![\w/]){re.escape(name)}\b", file, text)
+    text = re.sub(rf"\b{PREFIX}_", f"{prefix}_", text)
+    return re.sub(rf"\b{PREFIX.upper()}_", f"{prefix.upper()}_", text)
 
 
 def write(texts: Mapping[str, str], folder: Path, force: bool = False) -> None:
@@ -56,53 +68,21 @@ def write(texts: Mapping[str, str], folder: Path, force: bool = False) -> None:
             raise ExportError(f"{folder} {what}; expected a new or empty folder (--force replaces an earlier export)")
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(text, encoding="utf-8")
     except OSError as error:
         raise ExportError(f"cannot write to {folder}: {error.strerror}") from None
 
 
-def _filled(template: str, values: Mapping[str, str]) -> str:
-    text = (files("fjr_core.codegen") / "templates" / f"{template}.in").read_text(encoding="utf-8")
-    return _CTemplate(text).substitute(values)
-
-
 def _values(loop: Loop, prefix: str) -> dict[str, str]:
     """Return the values of the names in the templates."""
-    law, plant = loop.law, loop.plant
-    memory, gains = len(law.memory), len(law.gain_values)
+    controller = loop.controller
     return {
         "prefix": prefix,
-        "PREFIX": prefix.upper(),
-        "indent": " " * len(f"int {prefix}_law("),
         "title": comment(loop.name),
-        "title_literal": quoted(loop.name),
-        "joint_list": comment(", ".join(loop.joints)),
-        "joint_literals": ", ".join(map(quoted, loop.joints)),
-        "n": str(loop.n),
-        "gains": str(gains),
-        "gains_length": str(max(1, gains)),
-        "gain_words": _gain_words(law),
-        "gain_numbers": numbers(law.gain_values),
-        "memory": str(memory),
-        "memory_length": str(max(1, memory)),
-        "memory_words": "" if memory else "; it has none, and this entry is not used",
-        "memory_numbers": numbers(law.memory),
+        "joint_list": comment(", ".join(controller.joints)),
         "x0_numbers": numbers(loop.x0),
-        "sample_period": number(loop.sample_period),
-        "lead": number(law.lead),
+        "sample_period": number(controller.sample_period),
         "inner_steps": str(loop.inner_steps),
-        "integrator": plant.integrator,
-        "kept": str(max(4 * loop.n, memory)),
-        **{size: str(value) for size, value in work_sizes(prefix, loop.functions).items()},
+        "integrator": loop.plant.integrator,
     }
-
-
-def _gain_words(law: SampledLaw) -> str:
-    """Describe the layout of `gains` of a v-dPBC law; an empty string for other laws."""
-    if not (isinstance(law, AsSampledLaw) and isinstance(law.law, TrackingLaw)):
-        return ""
-    parts = [f"{name} ({symbol.nnz()})" for name, symbol in law.law.symbols.by_name.items()]
-    half = len(parts) // 2
-    lines = (", ".join(parts[:half]), ", ".join(parts[half:]))
-    meaning = "n numbers are a diagonal, n*n a matrix by columns. Pi_m_inverse must be that of Pi_m."
-    return ":\n * " + ",\n * ".join(lines) + f";\n * {meaning}"

@@ -24,7 +24,7 @@ class NumericFunction(threading.local):
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self._function = function
+        self.function = function
         self._names = function.name_in()
         shapes = [() if name in TIMES else _numpy_shape(*function.size_in(name)) for name in self._names]
         self._arguments = [np.zeros(shape) for shape in shapes]
@@ -41,7 +41,7 @@ class NumericFunction(threading.local):
         try:
             self._trigger()
         except RuntimeError:
-            raise not_converged(self._function) from None
+            raise not_converged(self.function) from None
         return tuple([result.copy() for result in self._results])
 
 

@@ -70,9 +70,16 @@ def step_as_c(name: str, f: ca.Function) -> ca.Function:
     return implicit_midpoint(f, "fast_newton") if name == "implicit_midpoint" else step(name, f)
 
 
-def step_expression(name: str, f: ca.Function, x: ca.MX, inputs: tuple[ca.MX, ca.MX, ca.MX], dt: ca.MX) -> ca.MX:
-    """Return the step of the integrator `name` as an expression; inputs as in rk4_expression."""
-    return rk4_expression(f, x, inputs, dt) if name == "rk4" else step(name, f)(x, inputs[1], dt)
+def step_expression(
+    name: str, f: ca.Function, x: ca.MX, inputs: tuple[ca.MX, ca.MX, ca.MX], dt: ca.MX, as_c: bool = False
+) -> ca.MX:
+    """Return the step of the integrator `name` as an expression; inputs as in rk4_expression.
+
+    as_c: in a form that supports C code generation.
+    """
+    if name == "rk4":
+        return rk4_expression(f, x, inputs, dt)
+    return (step_as_c if as_c else step)(name, f)(x, inputs[1], dt)
 
 
 def _symbols(f: ca.Function, kind: type) -> tuple[ca.SX, ca.SX, ca.SX]:

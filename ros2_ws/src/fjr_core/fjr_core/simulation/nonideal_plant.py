@@ -103,15 +103,34 @@ class NonidealPlant:
     @cached_property
     def step_function(self) -> ca.Function:
         """Return the function (state, u, external, parameters, dt) -> next state; machine code as the plant's step."""
+        function = self._step_function(as_c=False)
+        return compiled(function) if self.plant.compiles else function
+
+    @cached_property
+    def functions_as_c(self) -> dict[str, ca.Function]:
+        """Return functions from which C can be generated, by name.
+
+        step: as step_function. measure: (x, parameters) -> velocities, spring torques. applied: (a, u, parameters, t)
+        -> torques of the actuators after t [s], on the motors. state: (position, velocity, parameters) -> x.
+        """
+        a, u, p, t = self._actuators.sx_in()
+        applied = {"a": a, "u": u, "parameters": p, "t": t}, {"torque": self.robot.B_m @ self._actuators(a, u, p, t)}
+        return {
+            "step": self._step_function(as_c=True),
+            "measure": self._measure.function,
+            "applied": dense_function("applied", *applied),
+            "state": self._state.function,
+        }
+
+    def _step_function(self, as_c: bool) -> ca.Function:
         n = self.robot.n
         s = symbols(ca.MX, state=5 * n, u=n, external=n, parameters=layout(n).size, dt=1)
         state, u, external, parameters, dt = s.values()
         x, a = ca.vertsplit(state, [0, 4 * n, 5 * n])
         applied = [self._actuators(a, u, parameters, t) for t in (0, dt / 2, dt)]
         start, middle, end = (ca.vertcat(b, external, parameters) for b in applied)
-        x_next = step_expression(self.plant.integrator, self.dynamics, x, (start, middle, end), dt)
-        function = dense_function("nonideal_step", s, {"next": ca.vertcat(x_next, applied[-1])})
-        return compiled(function) if self.plant.compiles else function
+        x_next = step_expression(self.plant.integrator, self.dynamics, x, (start, middle, end), dt, as_c)
+        return dense_function("nonideal_step", s, {"next": ca.vertcat(x_next, applied[-1])})
 
     def _links(self, p: SimpleNamespace) -> ArmDynamics | RigidArm:
         links = self.robot.links

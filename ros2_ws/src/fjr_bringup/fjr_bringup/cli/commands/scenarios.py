@@ -171,11 +171,25 @@ def sweep(**given: Any) -> Any:
 @click.option("--force", is_flag=True, help="Replace an earlier export; other files are kept.")
 @set_option
 def export_c(**given: Any) -> Any:
-    """Export law, plant and reference as C99.
+    """Export control step and plant as C99.
 
     SCENARIO is the name of an installed scenario or a YAML file. DIR is a new or empty folder.
     """
     return implementation("export").export_scenario(**given)
+
+
+@command("export-ros2-control")
+@click.argument("scenario", shell_complete=options.complete_scenario)
+@click.argument("folder", metavar="DIR", type=options.PATH)
+@click.option("--package", metavar="NAME", help="Name of the package. [default: SCENARIO_ros2_control]")
+@click.option("--force", is_flag=True, help="Replace an earlier export; other files are kept.")
+@set_option
+def export_ros2_control(**given: Any) -> Any:
+    """Export a controller and a simulated arm for ros2_control.
+
+    SCENARIO is the name of an installed scenario or a YAML file. DIR is a new or empty folder, the package.
+    """
+    return implementation("export").export_ros2_control(**given)
 
 
 @command()

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated arm of a scenario as hardware of ros2_control: its functions, and its parameters as C++ tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from ...config import nonidealities
+from ...config.description import description
+from ...config.parameter import Parameter
+from ...config.scenario import Scenario
+from ...errors import StateError
+from ...numerics.checks import Array
+from ...numerics.parameter_field import declared
+from ...robot.port_hamiltonian import Plant
+from ...simulation.nonideal_parameters import NAMES, ChannelErrors, Nonidealities, SensorErrors
+from ...simulation.nonideal_plant import NonidealPlant, layout
+
+_GROUP = "imperfections."
+DYNAMICS = {field: declared(Nonidealities)[field] for field in NAMES}
+SENSORS = {field: each for field, each in declared(SensorErrors).items() if field != "velocities"}
+"""Declarations of the parameters by field; their names are those of imperfections.* without the group."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """Simulated arm: plant with n joints, its non-idealities, sensors and delays.
+
+    delays [s]: of states and of efforts. start (2n,) [rad]: initial positions of links and motors. inner_step [ns]:
+    integrator step. urdf: description of the robot. given: parameters of the tag that are not the defaults. Raises
+    StateError for a plant in Python.
+    """
+
+    plant: Plant
+    nonidealities: Nonidealities
+    sensors: SensorErrors
+    delays: tuple[float, float]
+    seed: int
+    start: Array
+    inner_step: float
+    urdf: str
+    given: Mapping[str, object]
+
+    def __post_init__(self) -> None:
+        if self.plant.in_python:
+            raise StateError("the plant is written in Python; expected one made of expressions, to export it to C")
+
+    @property
+    def functions(self) -> dict[str, ca.Function]:
+        """Return the functions of the plant by their names in C."""
+        made = NonidealPlant(self.plant).functions_as_c
+        return {f"plant_{name}": function for name, function in made.items()}
+
+    @property
+    def table(self) -> list[tuple[str, int, int, float]]:
+        """Return name, first index, length and least value of each parameter of the plant."""
+        rows, first = [], 0
+        for field, size in layout(self.plant.robot.n).sizes.items():
+            rows.append((DYNAMICS[field].name, first, size, DYNAMICS[field].minimum))
+            first += size
+        return rows
+
+
+def arm_of(scenario: Scenario) -> Arm:
+    """Return the simulated arm of a scenario; raises ParameterError."""
+    values, plant = scenario.plant_values, scenario.plant
+    plant = Plant(plant.robot, plant.integrator) if not plant.in_python else plant
+    n = plant.robot.n
+    motion, sensors = nonidealities.imperfections(values, plant.robot), nonidealities.sensor_errors(values, n)
+    states, commands = nonidealities.channel_errors(values)
+    inner_step = scenario.sample_period / int(values["inner_steps"]) * 1e9  # type: ignore[arg-type]
+    start = np.asarray(scenario.x0)[: 2 * n]
+    seed, given = nonidealities.seed(values), _given(values, n)
+    delays = states.delay, commands.delay
+    return Arm(plant, motion, sensors, delays, seed, start, inner_step, description(values), given)
+
+
+def not_exported(scenario: Scenario) -> list[str]:
+    """Return the names of the scenario's imperfections that the exported arm does not have."""
+    values, defaults = scenario.plant_values, ChannelErrors()
+    fields = ("jitter", "loss", "repetition")
+    channel = {f: declared(ChannelErrors)[f].name for f in fields}
+    names = {
+        f"{_GROUP}{side}_{name}": getattr(defaults, f) for side in ("state", "command") for f, name in channel.items()
+    }
+    names |= {nonidealities.PERIOD_JITTER.name: 0.0, f"{_GROUP}publish_velocity": True}
+    return [name for name, default in names.items() if values[name] != default]
+
+
+def _given(values: Mapping[str, object], n: int) -> dict[str, object]:
+    """Return the values of imperfections.* that differ from their defaults and that the arm has, without the group."""
+    known: dict[str, Parameter] = {each.name: each for each in nonidealities.imperfection_parameters(n)}
+    names = [each.name for each in (*DYNAMICS.values(), *SENSORS.values())] + ["state_delay", "command_delay", "seed"]
+    found = {name: (values[_GROUP + name], known[_GROUP + name].default) for name in names}
+    return {name: value for name, (value, default) in found.items() if value != default}
