@@ -12,9 +12,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cffi import FFI
-
 from ..numerics import jit
+from ..numerics.c_types import ffi_of
 
 HEADER = "step.h"
 SOURCES = (
@@ -52,8 +51,7 @@ def step_library(n: int, memory: int = 1) -> StepLibrary:
     Raises CompilerError without a C compiler.
     """
     path = jit.shared_object("control_step", c_text(n, memory))
-    ffi = FFI()
-    ffi.cdef(declarations(text(HEADER), {"FJR_N": n, "FJR_MEMORY": max(1, memory)}))
+    ffi = ffi_of(declarations(text(HEADER), {"FJR_N": n, "FJR_MEMORY": max(1, memory)}))
     return StepLibrary(ffi, ffi.dlopen(path), path)
 
 

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read C declarations with cffi once, not in every process.
+
+To parse the header of the control step takes 30 to 50 ms. What cffi makes of it is Python code (its out-of-line ABI
+mode), executed in less than 1 ms. It is kept with the compiled code, and verified as that is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import _cffi_backend
+
+from .code_cache import code_folder, is_intact, keep
+
+
+def ffi_of(declarations: str) -> Any:
+    """Return cffi's FFI for C declarations without preprocessor lines; its `dlopen` opens a library of them."""
+    key = hashlib.sha256(f"{_cffi_backend.__version__}\n{declarations}".encode())
+    name = f"c_types-{key.hexdigest()[:32]}.py"
+    found: dict[str, Any] = {}
+    exec(compile(_code(name, declarations), name, "exec"), found)
+    return found["ffi"]
+
+
+def _code(name: str, declarations: str) -> bytes:
+    """Return the kept code, or write and keep it; a folder that is not writable only costs time."""
+    try:
+        folder = code_folder()
+        if is_intact(folder, name):
+            return folder.read(name) or b""
+        code = _written(declarations)
+        keep(folder, name, code)
+    except OSError:
+        return _written(declarations)
+    return code
+
+
+def _written(declarations: str) -> bytes:
+    """Return the Python code that cffi writes for declarations."""
+    from cffi import FFI
+    from cffi.recompiler import make_py_source
+
+    ffi = FFI()
+    ffi.set_source("c_types", None)
+    ffi.cdef(declarations)
+    with tempfile.TemporaryDirectory() as folder:
+        code = Path(folder, "c_types.py")
+        make_py_source(ffi, "c_types", str(code))
+        return code.read_bytes()
