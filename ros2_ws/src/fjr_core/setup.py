@@ -30,7 +30,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     python_requires=">=3.10",
-    install_requires=["numpy>=1.26", "scipy>=1.11", "casadi>=3.6.5", "PyYAML>=6.0.1", "cffi>=1.16"],
+    install_requires=["numpy>=1.26", "scipy>=1.11", "casadi>=3.6.5", "PyYAML>=6.0.1", "cffi>=1.17"],
     extras_require={**extras, "all": sorted(sum(extras.values(), [])), "compiler": ["ziglang>=0.13"]},
     zip_safe=True,
     maintainer="The fjr authors",

@@ -65,7 +65,7 @@ class NativeCommandLoop:
         self._node, self._tracker, self._reports, self._on_conflict = node, tracker, reports, on_conflict
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         step, n = tracker.step, len(joints)
-        self._program = program = controller_program(step.library, n, len(step.memory))
+        self._program = program = controller_program(n, len(step.memory))
         ffi = program.ffi
         self._controller = ffi.new("struct fjr_controller*")
         reader = StateReader(joints, measurement)
@@ -157,11 +157,11 @@ class NativeCommandLoop:
 
     def _fields(self, auxiliary_period: float) -> dict[str, Any]:
         """Return the fields of struct fjr_controller_loop that do not change."""
+        step = self._tracker.step
+        shared = {"model": step.model, "controller": self._controller, "copy": step.controller}
         return {
-            "step": step_functions(self._tracker.step.library),
-            "model": self._tracker.step.model,
-            "controller": self._controller,
-            "copy": self._tracker.step.controller,
+            "step": step_functions(self._program, step.library),
+            **self._program.cast("struct fjr_controller_loop", shared),
             "reader": self._reader.pointer,
             "records": self._ring.pointer,
             "refusals": self._refusals.pointer,

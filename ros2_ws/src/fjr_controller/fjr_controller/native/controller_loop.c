@@ -184,7 +184,7 @@ int fjr_controller_request(void* self, int32_t kind, void* argument) {
       l->certificate->gains = a->first;
       l->certificate->beta = *(const double*)a->second;
       fjr_certificate_restart(l->certificate);
-      break;
+      return FJR_GO_ON; /* the controller is as before; without a thread it is Python's */
     default: break;
   }
   *l->copy = *l->controller;

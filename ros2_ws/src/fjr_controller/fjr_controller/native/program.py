@@ -17,20 +17,21 @@ FUNCTIONS = ("step", "silence", "stop_effort", "start", "apply", "use_gains", "f
 
 
 @cache
-def controller_program(step: StepLibrary, n: int, memory: int) -> Program:
+def controller_program(n: int, memory: int) -> Program:
     """Return the native command loop for a step of n joints and a law with `memory` numbers as its controller state.
 
     Raises NativeError if it cannot be built.
     """
-    values, base = {"FJR_N": n, "FJR_MEMORY": max(1, memory)}, (library.text(library.HEADER), step.ffi)
+    values = {"FJR_N": n, "FJR_MEMORY": max(1, memory)}
     headers = [*common_headers(), *(_text(f"{part}.h") for part in PARTS)]
     sources = [*common_sources(), *(_text(f"{part}.c") for part in PARTS)]
-    return Program("controller_loop", headers, sources, values, base)
+    return Program("controller_loop", headers, sources, values, library.text(library.HEADER))
 
 
-def step_functions(step: StepLibrary) -> dict[str, Any]:
+def step_functions(program: Program, step: StepLibrary) -> dict[str, Any]:
     """Return the functions of the step as fields of struct fjr_step_functions."""
-    return {name: step.ffi.addressof(step.lib, f"fjr_{name}") for name in FUNCTIONS}
+    functions = {name: step.ffi.addressof(step.lib, f"fjr_{name}") for name in FUNCTIONS}
+    return program.cast("struct fjr_step_functions", functions)
 
 
 def _text(name: str) -> str:

@@ -9,10 +9,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from cffi import FFI
-
 from fjr_core.control_step.library import declarations
 from fjr_core.errors import CompilerError
+from fjr_core.numerics.c_types import ffi_of
 from fjr_core.numerics.jit import shared_object
 
 COMMON = ("ring", "cdr", "loop")
@@ -34,23 +33,27 @@ class Program:
         headers: Sequence[str],
         sources: Sequence[str],
         values: Mapping[str, int] | None = None,
-        base: tuple[str, FFI] | None = None,
+        base: str = "",
     ) -> None:
         """Build the library from the texts of headers and sources, or find it in the cache; raises NativeError.
 
-        values: macros that are numbers. base: C text that comes before the headers, and an FFI with its declarations.
+        values: macros that are numbers. base: C text that comes before the headers. Types of `ffi` are its own: `cast`
+        makes them of pointers to the same types of another library.
         """
-        self.ffi, macros = FFI(), values or {}
+        macros = dict(values or {})
+        self.ffi = ffi_of(declarations("\n".join([base, *headers]), macros))
         defined = [f"#define {macro} {value}\n" for macro, value in macros.items()]
-        if base is not None:
-            self.ffi.include(base[1])
-        self.ffi.cdef(declarations("\n".join(headers), dict(macros)))
-        text = [_FEATURES, *defined, base[0] if base else "", *headers, *sources]
+        text = [_FEATURES, *defined, base, *headers, *sources]
         try:
             path = shared_object(name, "\n".join(text), [*WARNINGS, *ros_options()])
             self.lib: Any = self.ffi.dlopen(path)
         except (CompilerError, OSError) as error:
             raise NativeError(str(error)) from None
+
+    def cast(self, struct: str, pointers: Mapping[str, Any]) -> dict[str, Any]:
+        """Return pointers by the names of the fields of a structure, with the types of these fields."""
+        types = dict(self.ffi.typeof(struct).fields)
+        return {name: self.ffi.cast(types[name].type, pointer) for name, pointer in pointers.items()}
 
 
 def common_headers() -> list[str]:

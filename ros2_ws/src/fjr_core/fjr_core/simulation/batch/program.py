@@ -13,7 +13,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from cffi import FFI
 
 from ...control.safety_settings import Settings
 from ...control.sampled_law import SampledLaw, in_python, raise_failure
@@ -25,6 +24,7 @@ from ...estimation.measurement_model import Measurement
 from ...estimation.velocity_observer import VelocityObserver
 from ...files.python_class import source_digest
 from ...numerics import jit
+from ...numerics.c_types import ffi_of
 from ...numerics.jit_cache import program_digest
 from ...robot.port_hamiltonian import Plant
 from ...robot.robot import Robot
@@ -46,8 +46,7 @@ def batch_library(n: int, memory: int) -> StepLibrary:
     """
     header, *code = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in SOURCES)
     path = jit.shared_object("batch", "\n".join([c_text(n, memory), f"#define LANES {LANES}", header, *code]))
-    ffi = FFI()
-    ffi.cdef(declarations(text(HEADER) + header, {"FJR_N": n, "FJR_MEMORY": max(1, memory)}))
+    ffi = ffi_of(declarations(text(HEADER) + header, {"FJR_N": n, "FJR_MEMORY": max(1, memory)}))
     return StepLibrary(ffi, ffi.dlopen(path), path)
 
 
