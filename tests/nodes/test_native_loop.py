@@ -107,8 +107,9 @@ def test_a_fault_in_the_thread_ends_the_node_with_the_stop_effort_and_one_senten
     peer.meet_controller()
     assert peer.ask(stamped(0.0, [0.5, 0.4])).effort[0] != 0
     loop = loop_of(node)
-    fails = loop._program.ffi.callback("int(const struct fjr_model*, struct fjr_controller*, const struct fjr_sample*, "
-        "int64_t, struct fjr_command*)", lambda *_: -1)  # fmt: skip
+    ffi = loop._program.ffi
+    kinds = dict(ffi.typeof("struct fjr_step_functions").fields)
+    fails = ffi.callback(kinds["step"].type, lambda *_: -1)
     loop._struct.step.step = fails
     peer.state_publisher.publish(stamped(0.001))
     ros.until(lambda: node.ended is not None, "the end")

@@ -99,7 +99,8 @@ def test_without_a_compiler_a_run_is_refused_in_one_sentence(monkeypatch: pytest
     program.batch_library.cache_clear()
     monkeypatch.setenv("PATH", "")
     with pytest.raises(
-        fjr.FjrError, match=r"cannot be compiled: no C compiler \(cc, gcc, clang\) is on the path; expected one: apt-get install"
+        fjr.FjrError,
+        match=r"cannot be compiled: no C compiler \(cc, gcc, clang\) is on the path; expected one: apt-get install",
     ):
         paper_loop().run(Draws(1))
 
