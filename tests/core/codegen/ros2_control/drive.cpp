@@ -3,7 +3,9 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
+#include <new>
 #include <sstream>
 
 #include "elastic_arm.hpp"
@@ -13,6 +15,11 @@ using namespace PACKAGE;
 using hardware_interface::return_type;
 constexpr int N = FJR_N;
 const rclcpp_lifecycle::State STATE{};
+
+static long allocations = 0;
+[[gnu::noinline]] void * operator new(std::size_t size) { return ++allocations, std::malloc(size); }
+[[gnu::noinline]] void operator delete(void * memory) noexcept { std::free(memory); }
+[[gnu::noinline]] void operator delete(void * memory, std::size_t) noexcept { std::free(memory); }
 
 static bool succeeds(CallbackReturn result) { return result == CallbackReturn::SUCCESS; }
 
@@ -108,6 +115,16 @@ static void track(Robot & r)
   const auto & sent = static_cast<Certificates *>(r.controller.get_node()->publishers.at("~/certificate").get())->messages;
   show("certificates", static_cast<double>(sent.size()));
   for (std::size_t i = 0; i < sent.back().data.size(); ++i) show(("certificate_" + std::to_string(i)).c_str(), sent.back().data[i]);
+}
+
+// Memory that the plugins allocate while they run; the stand-in of the publisher, which does, is not used.
+static void allocate(Robot & r)
+{
+  for (int k = 0; k < 2000; ++k) {
+    if (k == 10) allocations = 0;
+    r.cycle();
+  }
+  show("allocations", static_cast<double>(allocations));
 }
 
 // Deactivate the controller in motion, then start again; restart the hardware.
@@ -237,10 +254,12 @@ int main(int argc, char ** argv)
   }
   if (mode == "configure") return configure(r), 0;
   if (mode == "silence") r.set("state_timeout", 0.005);
+  if (mode == "allocate") r.set("publish_rate", 1e-6);
   r.controller.chained = mode == "chained";
   if (!r.configure() || !r.activate()) return 3;
   if (mode == "record") record(r, 400);
   if (mode == "track") track(r);
+  if (mode == "allocate") allocate(r);
   if (mode == "restart") restart(r);
   if (mode == "silence") silence(r);
   if (mode == "stop") stop(r);

@@ -86,6 +86,10 @@ def test_certificate_is_published_at_its_rate_and_equals_python(drive: Path, tra
     assert 0 <= bound < V  # the bound of continuous time
 
 
+def test_controller_and_arm_allocate_no_memory_while_they_run(drive: Path) -> None:
+    assert values(program_output(drive, "allocate", "command_delay=0.002", "limits.effort=1 1"))["allocations"] == 0
+
+
 def test_deactivation_in_motion_sends_the_stop_effort_and_tracking_starts_again(drive: Path) -> None:
     found = values(program_output(drive, "restart"))
     assert abs(found["speed_before"]) > 0.1
