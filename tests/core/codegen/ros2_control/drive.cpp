@@ -152,7 +152,7 @@ static void restart(Robot & r)
 static std::string events_of(Robot & r)
 {
   using Events = rclcpp::Publisher<diagnostic_msgs::msg::DiagnosticStatus>;
-  r.controller.on_deactivate(STATE);  // which reports, too
+  for (const auto & timer : r.controller.get_node()->timers) timer->callback();
   std::string names;
   for (const auto & event : static_cast<Events *>(r.controller.get_node()->publishers.at("~/events").get())->messages)
     names += event.name + ";";

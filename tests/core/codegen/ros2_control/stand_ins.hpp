@@ -128,10 +128,12 @@ public:
   template <typename P>
   rclcpp::TimerBase::SharedPtr create_wall_timer(P, std::function<void()> callback)
   {
-    return std::make_shared<rclcpp::TimerBase>(rclcpp::TimerBase{std::move(callback)});
+    timers.push_back(std::make_shared<rclcpp::TimerBase>(rclcpp::TimerBase{std::move(callback)}));
+    return timers.back();
   }
   std::map<std::string, std::any> parameters{{"use_sim_time", false}};
   std::map<std::string, std::shared_ptr<void>> publishers;
+  std::vector<rclcpp::TimerBase::SharedPtr> timers;
 };
 }  // namespace rclcpp_lifecycle
 
