@@ -90,6 +90,12 @@ struct Robot
 
 static void show(const char * name, double value) { std::printf("%s %.17g\n", name, value); }
 
+// The timers of the controller, in the thread of the executor.
+static void tick(Robot & r)
+{
+  for (const auto & timer : r.controller.get_node()->timers) timer->callback();
+}
+
 // One line per cycle: what the controller read and the effort it wrote.
 static void record(Robot & r, int cycles)
 {
@@ -107,6 +113,7 @@ static void track(Robot & r)
   for (int k = 0; k < 6000; ++k) {
     r.cycle();
     if (k > 3000) worst = std::fmax(worst, r.error());
+    if (k % 10 == 9) tick(r);
   }
   show("worst_error", worst);
   show("state", r.exported(0));
@@ -117,7 +124,7 @@ static void track(Robot & r)
   for (std::size_t i = 0; i < sent.back().data.size(); ++i) show(("certificate_" + std::to_string(i)).c_str(), sent.back().data[i]);
 }
 
-// Memory that the plugins allocate while they run; the stand-in of the publisher, which does, is not used.
+// Memory that the plugins allocate while they run.
 static void allocate(Robot & r)
 {
   for (int k = 0; k < 2000; ++k) {
@@ -152,7 +159,7 @@ static void restart(Robot & r)
 static std::string events_of(Robot & r)
 {
   using Events = rclcpp::Publisher<diagnostic_msgs::msg::DiagnosticStatus>;
-  for (const auto & timer : r.controller.get_node()->timers) timer->callback();
+  tick(r);
   std::string names;
   for (const auto & event : static_cast<Events *>(r.controller.get_node()->publishers.at("~/events").get())->messages)
     names += event.name + ";";
@@ -254,7 +261,6 @@ int main(int argc, char ** argv)
   }
   if (mode == "configure") return configure(r), 0;
   if (mode == "silence") r.set("state_timeout", 0.005);
-  if (mode == "allocate") r.set("publish_rate", 1e-6);
   r.controller.chained = mode == "chained";
   if (!r.configure() || !r.activate()) return 3;
   if (mode == "record") record(r, 400);

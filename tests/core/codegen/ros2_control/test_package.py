@@ -75,7 +75,7 @@ def test_tracks_as_the_simulation_in_python(tracked: dict[str, float]) -> None:
     assert tracked["state"] == 2
 
 
-def test_certificate_is_published_at_its_rate_and_equals_python(drive: Path, tracked: dict[str, float]) -> None:
+def test_certificate_is_published_and_equals_python(drive: Path, tracked: dict[str, float]) -> None:
     assert tracked["certificates"] == 600
     values = [tracked[f"certificate_{i}"] for i in range(9)]
     V, bound, H = values[2], values[5], values[6]
