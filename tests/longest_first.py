@@ -24,6 +24,7 @@ LONGEST_FIRST = (
     "core/monitoring/test_storage_growth.py",
     "core/stability/test_prolonged_system.py",
     "core/simulation/test_batch.py",
+    "core/simulation/test_batch_control.py",
     "core/tuning/test_first_loop.py",
     "docs/test_blocks.py",
     "system/test_labelled_set.py",

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+
 import numpy as np
 import pytest
 
@@ -82,6 +85,24 @@ def test_a_failure_in_a_study_or_a_stability_check_is_one_sentence() -> None:
         loop.run(Draws(1))
     with pytest.raises(fjr.UserCodeError, match="too far"):
         fjr.spectral_radius(law, 1e-3, 0.0, [[0.9]])
+
+
+def test_ctrl_c_ends_a_study_in_python_soon() -> None:
+    class Interrupts:
+        calls = 0
+
+        def effort(self, position, velocity, jets):
+            self.calls += 1
+            if self.calls == 10:
+                signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            return 0 * position[:1]
+
+    own, runs, duration = Interrupts(), 100, 10.0
+    law = sampled_law(fjr.PythonLaw(own, JOINT))
+    loop = ClosedLoop(JOINT, law, fjr.Sine(0.1, 1.0), JOINT.state(0, 0, 0, 0), duration, 1e-3)
+    with pytest.raises(KeyboardInterrupt):
+        loop.run(Draws(runs))
+    assert own.calls < 0.1 * runs * duration / 1e-3
 
 
 REFUSED = {

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from core.oracles.cases import ARMS, Arm, linear
 from core.oracles.chains import arm7, scaled_gains
 from fjr_core import ParameterError, StateError
 from fjr_core.control.sampled_law import AsSampledLaw
+from fjr_core.control_step.library import c_text
+from fjr_core.estimation.measurement_model import Measurement
 from fjr_core.numerics import jit_cache
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, counter_rng, outcomes, program
 
@@ -211,6 +214,10 @@ def test_invalid_draws_are_refused_in_one_sentence(values: dict[str, Any], words
         ({"duration": 0.3004, "settle_after": 0.3002}, "no sample of 0.001 s lies between settle_after, 0.3002 s, and"),
         ({"inner_steps": 0}, "inner_steps is 0; expected 1 or more"),
         ({"believed": ARMS[-1].robot}, "1, 2 and 1 joints; expected equal"),
+        ({"settings": program.plain_settings(2)}, "settings has 2 joints; expected 1"),
+        ({"measurement": Measurement(2)}, "measurement has 2 joints; expected 1"),
+        ({"observer": fjr.VelocityObserver(ARMS[-1].robot, 150.0)}, "observer has 2 joints; expected 1"),
+        ({"measurement": Measurement(1, "observer")}, "observer is None with a measurement without velocities"),
     ],
 )
 def test_invalid_loop_is_refused_in_one_sentence(changes: dict[str, Any], words: str) -> None:
@@ -233,10 +240,18 @@ def test_fingerprint_covers_source_and_casadi(tmp_path: Path, monkeypatch: pytes
     assert len(set(found)) == len(found) - 1
 
 
+def test_the_loop_in_c_compiles_without_warnings(tmp_path: Path) -> None:
+    folder = Path(program.__file__).parent
+    texts = [c_text(2, 3), "#define LANES 4", *((folder / name).read_text() for name in program.SOURCES)]
+    (tmp_path / "loop.c").write_text("\n".join(texts))
+    command = ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-c", "loop.c"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
+
+
 def test_loop_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
         program.batch_library.cache_clear()
         paper_loop().build()
-    assert len(list((tmp_path / "fjr").glob("batch-*.so"))) == 1
+    assert len(list((tmp_path / "fjr").glob("simulation_loop-*.so"))) == 1
     assert os.access(tmp_path, os.W_OK)

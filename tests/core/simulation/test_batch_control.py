@@ -12,11 +12,15 @@ import pytest
 
 import fjr_core as fjr
 from core.simulation.test_batch import normals
+from fjr_bringup.scenarios.installed import installed
+from fjr_core.config.safety import safety
+from fjr_core.config.scenario import load_scenario
 from fjr_core.control.robust import Robust, sampled_law
 from fjr_core.control.safety_settings import Settings
 from fjr_core.control_step.control_step import ControlStep
 from fjr_core.control_step.event_kinds import KINDS
 from fjr_core.estimation.measurement_model import Measurement
+from fjr_core.experiments.scenario_loop import scenario_loop
 from fjr_core.numerics.casadi_function import NumericFunction
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, Recorded, uncertain_robot
 from fjr_core.simulation.batch.uncertain_robot import UncertainPlant
@@ -108,6 +112,18 @@ def test_the_samples_of_a_run_give_the_control_step_the_same_efforts_to_the_last
     happened = {kind for kind, count in zip(KINDS, counts, strict=True) if count}
     assert happened >= {"stops: link velocity", "stops: tracking error", "stops: deflection", "starts refused",
                         "efforts saturated", "efforts rate limited"}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["paper_k31", "two_link", "arm7"])
+def test_the_samples_of_an_installed_scenario_give_its_controller_the_same_efforts(name: str) -> None:
+    scenario = load_scenario(installed("scenarios")[name])
+    values, robot = scenario.controller_values, scenario.robot
+    loop = scenario_loop(scenario, scenario.sampled_law, 0.3, settle_after=0.1)
+    _, recorded = loop.recorded(Draws(1, position_noise=1e-6, velocity_noise=1e-3, external=0.3, delay=0.5e-3))
+    step = ControlStep(scenario.law, scenario.reference, safety(values, robot), None, True)
+    for k, sample in enumerate(recorded.measured[0]):
+        assert step.step(k * 1_000_000, k * 1_000_000, *np.split(sample, 4))
+        assert step.u.tobytes() == recorded.u[0, k].tobytes()
 
 
 def expected_samples(x: Any, velocity: Any, draws: Draws, i: int) -> Any:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -53,7 +53,7 @@ class Model:
     """struct fjr_model of a law with or without robust action; `pointer` is valid as long as this object lives.
 
     law_failed: called after each evaluation of a law in Python; True if it failed. functions: model_functions, e.g.
-    compiled; work: memory for their temporary values.
+    compiled. sharing: further functions that use the same work space.
     """
 
     def __init__(
@@ -65,11 +65,11 @@ class Model:
         simulated: bool = False,
         law_failed: Callable[[], bool] | None = None,
         functions: Mapping[str, ca.Function] | None = None,
-        work: WorkSpace | None = None,
+        sharing: Sequence[ca.Function] = (),
     ) -> None:
         self._ffi, self._law_failed, n = library.ffi, law_failed, law.robot.n
         self._functions = dict(functions or _ready(model_functions(law, observer)))
-        self._given_work = work
+        self._sharing = list(sharing)
         self.pointer = library.ffi.new("struct fjr_model *")
         self._point()
         self.pointer.has_memory = len(law.memory) > 0
@@ -96,7 +96,7 @@ class Model:
         self._held = [CFunction(self._ffi, f, failed.get(name)) for name, f in self._functions.items()]
         for name, each in zip(self._functions, self._held, strict=True):
             setattr(self.pointer, name, each.pointer)
-        self._work = self._given_work or WorkSpace(self._ffi, list(self._functions.values()))
+        self._work = WorkSpace(self._ffi, [*self._functions.values(), *self._sharing])
         for name in ("arg", "res", "iw", "w"):
             setattr(self.pointer, name, getattr(self._work, name))
 

@@ -81,7 +81,7 @@ def compiled_together(name: str, functions: Iterable[ca.Function]) -> list[ca.Fu
     try:
         path = shared_object(name, _c_code(name, functions))
     except (CompileError, RuntimeError, ValueError) as error:
-        raise CompilerError(f"{name} cannot be compiled: {error}") from None
+        raise CompilerError(f"the {name.replace('_', ' ')} cannot be compiled: {error}") from None
     return [external(function.name(), path) for function in functions]
 
 

@@ -87,6 +87,17 @@ class ClosedLoop:
             )
         if self.inner_steps < 1:
             raise StateError(f"inner_steps is {self.inner_steps}; expected 1 or more")
+        self._check_control()
+
+    def _check_control(self) -> None:
+        """Raise StateError unless settings, observer and measurement are of this robot and fit each other."""
+        parts: dict[str, Any] = {"settings": self.settings, "measurement": self.measurement}
+        parts["observer"] = None if self.observer is None else self.observer.robot
+        for name, part in parts.items():
+            if part is not None and part.n != self.robot.n:
+                raise StateError(f"{name} has {part.n} joints; expected {self.robot.n}")
+        if self.measurement is not None and self.measurement.observed and self.observer is None:
+            raise StateError("observer is None with a measurement without velocities; expected an observer")
 
     def build(self) -> None:
         """Compile the loop, which the first run does otherwise; raises CompilerError without a C compiler."""

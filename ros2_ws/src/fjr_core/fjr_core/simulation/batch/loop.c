@@ -76,9 +76,12 @@ static void take_sample(const struct fjr_model* m, const struct fjr_batch* b, co
 /* ---- Results ---------------------------------------------------------------------------------------------------- */
 
 static struct sums sums_of(double* row) {
-  struct sums s = {row, row + 1, row + 2, row + 2 + N, row + 2 + 2 * N, row + 2 + 3 * N};
-  s.effort_rms = s.settling + 1, s.effort_peak = s.effort_rms + N, s.power = s.effort_peak + N;
-  s.stopped = s.power + 1, s.cause = s.stopped + 1;
+  double* p = row;
+  struct sums s;
+  s.stable = p++, s.lost_at = p++;
+  s.rms = p, s.peak = p += N, s.final = p += N, p += N;
+  s.settling = p++, s.effort_rms = p, s.effort_peak = p += N, p += N;
+  s.power = p++, s.stopped = p++, s.cause = p;
   return s;
 }
 
@@ -181,7 +184,7 @@ static void start_run(const struct fjr_model* m, const struct fjr_batch* b, cons
 static int answer(const struct fjr_model* m, const struct fjr_batch* b, struct run* r, int64_t stamp,
                   const double* q_ld) {
   struct fjr_controller* c = &r->controller;
-  struct fjr_sample sample = {stamp};
+  struct fjr_sample sample = {.stamp = stamp};
   struct fjr_command command;
   double velocity[2 * N];
   if (!add_errors(b, r, q_ld)) return 0;

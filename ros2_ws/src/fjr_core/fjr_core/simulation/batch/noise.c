@@ -7,10 +7,12 @@
 #include <math.h>
 #include <stdint.h>
 
+__extension__ typedef unsigned __int128 uint128;
+
 static void philox(uint64_t c[4], uint64_t k0, uint64_t k1) {
   for (int round = 0; round < 10; ++round) {
-    const unsigned __int128 first = (unsigned __int128)0xD2E7470EE14C6C93u * c[0];
-    const unsigned __int128 second = (unsigned __int128)0xCA5A826395121157u * c[2];
+    const uint128 first = (uint128)0xD2E7470EE14C6C93u * c[0];
+    const uint128 second = (uint128)0xCA5A826395121157u * c[2];
     const uint64_t c1 = c[1], c3 = c[3];
     c[0] = (uint64_t)(second >> 64) ^ c1 ^ k0;
     c[1] = (uint64_t)second;

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...control.safety_settings import Settings
 from ...control.sampled_law import SampledLaw, in_python, raise_failure
-from ...control_step.c_function import CFunction, WorkSpace
+from ...control_step.c_function import CFunction
 from ...control_step.library import HEADER, StepLibrary, c_text, declarations, text
 from ...control_step.reference_struct import ReferenceStruct
 from ...control_step.settings_struct import Model, model_functions, settings_struct
@@ -45,7 +45,7 @@ def batch_library(n: int, memory: int) -> StepLibrary:
     Raises CompilerError without a C compiler.
     """
     header, *code = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in SOURCES)
-    path = jit.shared_object("batch", "\n".join([c_text(n, memory), f"#define LANES {LANES}", header, *code]))
+    path = jit.shared_object("simulation_loop", "\n".join([c_text(n, memory), f"#define LANES {LANES}", header, *code]))
     ffi = ffi_of(declarations(text(HEADER) + header, {"FJR_N": n, "FJR_MEMORY": max(1, memory)}))
     return StepLibrary(ffi, ffi.dlopen(path), path)
 
@@ -91,7 +91,7 @@ class Program:
         functions = self._plant_expressions
         if self._plant_in_python:
             return functions
-        return dict(zip(functions, jit.compiled_together("batch_plant", functions.values()), strict=True))
+        return dict(zip(functions, jit.compiled_together("simulated_plant", functions.values()), strict=True))
 
     @cached_property
     def fingerprint(self) -> str:
@@ -112,9 +112,9 @@ class Program:
         Raise the error of an evaluation in Python.
         """
         ffi = self.library.ffi
-        work = WorkSpace(ffi, [*self.model_functions.values(), *self.plant_functions.values()])
+        functions, sharing = self.model_functions, list(self.plant_functions.values())
         observing = self.observer, self.measurement
-        model = Model(self.library, self.law, *observing, True, functions=self.model_functions, work=work)
+        model = Model(self.library, self.law, *observing, True, functions=functions, sharing=sharing)
         followed, plants = ReferenceStruct(ffi, reference), self._plants(ffi)
         settings = settings_struct(self.library, self.settings or plain_settings(self.robot.n), self.law)
         batch = ffi.new("struct fjr_batch *", {"settings": settings, "reference": followed.pointer})
@@ -122,23 +122,31 @@ class Program:
             kind, _, what = name.partition("_")
             setattr(getattr(batch, kind), what, function.pointer)
         _fill(ffi, batch, values)
-        self._run(model.pointer, batch, len(values["rows"]))
+        self._run(batch, len(values["rows"]), model, followed, settings, plants, values)
         followed.raise_failure()
         raise_failure(self.law)
         if self.plant is not None:
             self.plant.raise_failure()
 
-    def _run(self, model: Any, batch: Any, runs: int) -> None:
-        """Run the batch in another thread, so that Ctrl-C ends it here and is not raised in a callback."""
+    def _run(self, batch: Any, runs: int, model: Model, *owners: Any) -> None:
+        """Run the batch in another thread, so that Ctrl-C ends it here and is not raised in a callback.
+
+        owners: of the memory that the batch points to; the thread keeps them until it ends, after Ctrl-C too.
+        """
         ffi, lib, _ = self.library
         rings = ffi.new("double[]", LANES * batch.ring * self.robot.n)
-        with ThreadPoolExecutor(1) as pool:
-            running = pool.submit(lib.fjr_run_batch, model, batch, 0, runs, rings)
-            try:
-                running.result()
-            except BaseException:
-                batch.cancelled = 1
-                raise
+
+        def simulate(*_: Any) -> None:
+            lib.fjr_run_batch(model.pointer, batch, 0, runs, rings)
+
+        pool = ThreadPoolExecutor(1)
+        try:
+            pool.submit(simulate, *owners).result()
+        except BaseException:
+            batch.cancelled = 1
+            raise
+        finally:
+            pool.shutdown(wait=False)
 
     def _plants(self, ffi: Any) -> dict[str, CFunction]:
         return {name: CFunction(ffi, function) for name, function in self.plant_functions.items()}
