@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The loop of `arm7` at 1 kHz beside other programs: states answered before the next one, and processor time.
 
-Both hosts of the control step are measured in turns, with the certificate, quiet and beside busy processes.
+Both hosts of the nodes are measured in turns, with the certificate, quiet and beside busy processes.
 """
 
 from __future__ import annotations
@@ -30,31 +30,33 @@ WARM_UP, LONGEST = 3.0, 60.0  # s
 
 
 def answered(seconds: float = SECONDS) -> list[Figure]:
-    """Return the share of states answered before the next one, and the processor time of the controller."""
+    """Return the share of states answered before the next one, and the processor time of the nodes."""
     found = {(host, busy): _run(host, busy, seconds) for busy in (0, BUSY) for host in HOSTS}
     figures = []
     for busy, bound in ((0, QUIET_BOUND), (BUSY, BUSY_BOUND)):
         native, rclpy = (found[host, busy][0] for host in HOSTS)
         name = f"answered before the next state, {busy} busy processes"
         figures.append(Figure(name, native, "%", bound=bound, at_least=True, parts={"rclpy [%]": rclpy}))
-    native, rclpy = (found[host, 0][1] for host in HOSTS)
-    name = "processor time of the controller at 1 kHz"
-    figures.append(Figure(name, native, "% of a core", bound=PROCESSOR_BOUND, parts={"rclpy [%]": rclpy}))
+    for k, node in enumerate(("plant", "controller")):
+        native, rclpy = (found[host, 0][1 + k] for host in HOSTS)
+        name = f"processor time of the {node} at 1 kHz"
+        figures.append(Figure(name, native, "% of a core", bound=PROCESSOR_BOUND, parts={"rclpy [%]": rclpy}))
     return figures
 
 
-def _run(host: str, busy: int, seconds: float) -> tuple[float, float]:
-    """Return the share of answered states [%] and the processor time of the controller [% of a core]."""
+def _run(host: str, busy: int, seconds: float) -> tuple[float, float, float]:
+    """Return the share of answered states [%] and the processor times of plant and controller [% of a core]."""
     topics = [names.JOINT_STATES, names.JOINT_COMMANDS]
     with ExitStack() as stack:
         file = stack.enter_context(scenario_file())
-        pids = stack.enter_context(running(plant(file), controller(file, "-p", f"executor:={host}")))
+        executor = "-p", f"executor:={host}"
+        pids = stack.enter_context(running(plant(file, *executor), controller(file, *executor)))
         tap, _ = stack.enter_context(Tap()), stack.enter_context(_burning(busy))
         tap.sent(topics, WARM_UP, LONGEST)
-        before = processor_time(pids[1])
+        before = [processor_time(pid) for pid in pids]
         states, commands = tap.messages(topics, seconds, LONGEST)
-        used = processor_time(pids[1]) - before
-    return in_time(states, commands), 100 * used / seconds
+        used = [100 * (processor_time(pid) - time) / seconds for pid, time in zip(pids, before, strict=True)]
+    return in_time(states, commands), used[0], used[1]
 
 
 def in_time(states: NDArray[np.int64], commands: NDArray[np.int64]) -> float:

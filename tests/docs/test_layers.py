@@ -29,7 +29,7 @@ LAYERS = {
         "experiments codegen testing",
     ),
     "fjr_msgs_py": ("names", "messages", "native", "node"),
-    "fjr_plant": ("state_publisher", "channel", "sensors", "simulated_robot", "timing", "plant_node", "executable"),
+    "fjr_plant": ("native", "channel", "sensors", "simulated_robot", "timing", "plant_node", "executable"),
     "fjr_controller": ("tracking", "ros", "native", "trajectory", "components", "controller_node", "executable"),
     "fjr_bringup": (
         "atomic_file formatting interrupt progress provenance result ros2_tools",

@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import pytest
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from fjr_msgs_py.messages.clock import ClockWriter
+from fjr_msgs_py.messages.cdr.layout import Template
+from fjr_msgs_py.messages.clock import CLOCK_LAYOUT, time_of
 from fjr_msgs_py.messages.joint_states import MessageError, TorqueReader
 
 JOINTS = ("a", "b", "c")
@@ -42,5 +45,6 @@ def test_an_invalid_torque_is_rejected(kind: str) -> None:
 
 
 def test_the_clock_message_holds_the_nanoseconds() -> None:
-    clock = ClockWriter().fill(12_345_678_901).clock
-    assert (clock.sec, clock.nanosec) == (12, 345_678_901)
+    message = Template(CLOCK_LAYOUT, ())
+    message.stamp(12_345_678_901)
+    assert time_of(deserialize_message(message.serialised(), Clock)) == 12_345_678_901

@@ -6,18 +6,23 @@ import pytest
 from nodes.harness import Peer, Ros
 
 BOTH_HOSTS = (
+    "test_advance",
     "test_certificate",
+    "test_clock_owner",
     "test_conflicting_publishers",
     "test_controller_node",
     "test_follow_action",
     "test_lifecycle",
     "test_limits_over_ros",
+    "test_lock_step",
     "test_other_laws",
+    "test_plant_imperfections",
+    "test_plant_node",
     "test_robust_action",
     "test_stamps_of_states",
     "test_trajectories",
 )
-"""Files whose tests run with the command loop in rclpy and with the native one."""
+"""Files whose tests run with the loops of the nodes in rclpy and with the native ones."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -28,7 +33,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(autouse=True)
 def host(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Set the host of the control step for the controllers of a test."""
+    """Set the host of the nodes of a test."""
     kind = str(getattr(request, "param", "events"))
     monkeypatch.setattr(Ros, "host", kind)
     return kind

@@ -35,7 +35,7 @@ PATIENCE = 60.0  # s; a state_timeout that never expires in a test, even on a bu
 class Ros:
     """A context, an executor and the nodes of one test.
 
-    host: parameter `executor` of the controllers, "events" or "native"; a native command loop needs a compiled law.
+    host: parameter `executor` of the nodes, "events" or "native"; a native loop needs a compiled law or plant.
     """
 
     host = "events"
@@ -57,7 +57,7 @@ class Ros:
         return self.add(kind(context=self.context, parameter_overrides=overrides, cli_args=arguments))
 
     def plant(self, **parameters: Any) -> PlantNode:
-        return self.start(PlantNode, **{"compile": False, **parameters})
+        return self.start(PlantNode, **{"executor": self.host, "compile": self.host == "native", **parameters})
 
     def controller(self, **parameters: Any) -> ControllerNode:
         given = {"executor": self.host, "compile": self.host == "native", "auxiliary_rate": 0.0}

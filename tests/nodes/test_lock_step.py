@@ -151,9 +151,9 @@ def test_silent_controller_ends_the_plant_with_a_sentence(ros: Ros, peer: Peer, 
     peer.meet_plant(lockstep=True)
     resent = len(peer.states)
     ros.until(lambda: len(peer.states) > resent + 5, "more than the timeout without a first answer")
-    node._time_base._timeout = PATIENCE  # commands may be late
+    node._time_base.plant.timeout = round(PATIENCE * 1e9)  # commands may be late
     CommandLoop(peer).until(ros, 3)
-    node._time_base._timeout = 0.3
+    node._time_base.plant.timeout = 300_000_000
     ros.until(lambda: node.ended, "the end")
     assert isinstance(node.ended, LockStepError)
     assert str(node.ended).startswith(
@@ -174,7 +174,7 @@ def test_silence_is_not_counted_while_paused(ros: Ros, peer: Peer) -> None:
     peer.meet_plant(lockstep=True)
     CommandLoop(peer).until(ros, 3)
     node._time_base.pause(True)
-    node._time_base._first_sent_at -= 2 * PATIENCE
+    node._time_base.plant.first_sent_at -= round(2e9 * PATIENCE)
     ros.settle()
     node._time_base.pause(False)
     CommandLoop(peer).until(ros, 5)
@@ -186,7 +186,7 @@ def test_reset_waits_for_a_first_command_again(ros: Ros, peer: Peer) -> None:
     CommandLoop(peer).until(ros, 3)
     node._time_base.reset()
     count = len(peer.states)
-    node._time_base._first_sent_at -= 2 * PATIENCE
+    node._time_base.plant.first_sent_at -= round(2e9 * PATIENCE)
     ros.until(lambda: len(peer.states) > count + 2, "the first state, again and again")
     assert {nanoseconds(state) for state in peer.states[count:]} == {START}
 

@@ -35,6 +35,17 @@ def time_in_motion(node: PlantNode, peer: Peer) -> int:
     return nanoseconds(peer.states[-1]) - node._time_base.offset
 
 
+def block(node: PlantNode, seconds: float) -> None:
+    """Keep the thread of the plant busy."""
+
+    def busy() -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            pass
+
+    node._time_base.host.run(busy)
+
+
 def test_robot_is_at_rest_until_the_first_command(ros: Ros, peer: Peer) -> None:
     ros.plant()
     peer.meet_plant()
@@ -116,9 +127,8 @@ def test_skipped_ticks_are_counted_and_time_is_kept(ros: Ros, peer: Peer) -> Non
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: in_motion(peer))
     start = peer.states[0]
-    skipped, end = node._health.count["ticks skipped"], time.monotonic() + 0.05
-    while time.monotonic() < end:  # without spinning the node is late by 50 ticks
-        pass
+    skipped = node._health.count["ticks skipped"]
+    block(node, 0.05)
     ros.until(lambda: node._health.count["ticks skipped"] >= skipped + 45, "the counter")
     ros.settle()
     steps = time_in_motion(node, peer) // INNER
@@ -172,9 +182,7 @@ def test_reset_while_paused_does_not_block_the_motion_after_resume(ros: Ros, pee
 def test_plant_slower_than_real_time_skips_time_and_reports_it(ros: Ros, peer: Peer) -> None:
     node = ros.plant(wait_for_command=False)
     ros.until(lambda: peer.states)
-    end = time.monotonic() + 0.4
-    while time.monotonic() < end:  # no spinning
-        pass
+    block(node, 0.4)
     ros.until(lambda: node._health.count["time lost"] >= 1, "the counter")
 
 

@@ -9,11 +9,12 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
-from fjr_plant.timing.real_time import LONGEST_BACKLOG
+from fjr_plant.native.program import plant_program
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, call, command, integrate, state_of
 
 SECOND = 1_000_000_000
+LONGEST_BACKLOG = plant_program().lib.FJR_LONGEST_BACKLOG
 
 
 class Player:

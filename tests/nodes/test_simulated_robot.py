@@ -259,12 +259,12 @@ MEASURED, STATE, COMMAND, PERIOD = "what is measured", "states", "commands", "sa
 
 
 def stream(errors: Any, seed: int, which: int) -> list[tuple[int, int]]:
-    link: Channel[int] = Channel(errors, seed, which)
+    link = Channel(errors, seed, which)
     for k in range(50):
-        link.push(k * 1_000_000, k)
+        link.push(k * 1_000_000, np.array([float(k)]))
     found = []
     while (due := link.next_due) is not None:
-        found += [(due, item) for item in link.due(due)]
+        found += [(due, int(item)) for (item,) in link.due(due)]
     return found
 
 

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
-from fjr_plant.state_publisher import Sample
 from fjr_plant.timing.lock_step import START
 
-from .loop import LockStepLoop
+from .loop import LockStepLoop, Sample
 
 Change = Callable[[Array], Array]
 

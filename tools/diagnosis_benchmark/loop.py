@@ -20,9 +20,10 @@ from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py.messages.joint_states import JointSample
 from fjr_plant.simulated_robot import simulated
-from fjr_plant.state_publisher import Sample
 from fjr_plant.timing.lock_step import START
 
+Sample = tuple[int, Array, Array, Array]
+"""Stamp [ns], positions, velocities and efforts, (2n,) each."""
 LARGEST = 1e6  # rad; beyond this position the loop has diverged
 
 
@@ -64,11 +65,13 @@ class LockStepLoop:
 
     def _measure(self) -> None:
         channel = self._transport.states
-        if channel is None:
+        if not channel.on:
             self._arrived.append(self._sample())
         else:
-            channel.push(self._robot.time, self._sample())
-            self._arrived.extend(channel.due(self._robot.time))
+            stamp, *values = self._sample()
+            channel.push(self._robot.time, np.concatenate([[stamp, 1.0], *values]))
+            for item in channel.due(self._robot.time):
+                self._arrived.append((int(item[0]), *item[2:].reshape(3, -1)))
 
     def _process_arrived(self) -> None:
         while self._arrived:
@@ -85,14 +88,14 @@ class LockStepLoop:
         if command is None:
             return
         self.log.commands.append((stamp, command.u.copy(), command.jets.copy()))
-        if self._transport.commands is None:
+        if not self._transport.commands.on:
             self._robot.u = command.u.copy()
         else:
             self._transport.commands.push(self._robot.time, command.u.copy())
 
     def _integrate(self, time: int) -> None:
         commands = self._transport.commands
-        while commands is not None and (instant := commands.next_due) is not None and instant <= time:
+        while (instant := commands.next_due) is not None and instant <= time:
             self._robot.advance_to(instant)
             for self._robot.u in commands.due(instant):
                 pass

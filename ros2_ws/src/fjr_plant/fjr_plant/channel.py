@@ -1,38 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Message channels with delay, jitter, loss and duplication in robot time; without ROS.
-
-Make one channel for outgoing states and one for incoming commands:
-
-    channel(errors, seed, STATES) -> Channel | None          # None: no errors
-
-States: `states.push(robot.time, (robot.time, *robot.measure()))`, then publish the items of `states.due(robot.time)`,
-each with the stamp of its measurement. Commands: `commands.push(robot.time, effort)`; while integrating up to `now`,
-stop at each instant at which a command takes effect:
-
-    while (instant := commands.next_due) is not None and instant <= now:
-        robot.advance_to(instant)
-        for robot.u in commands.due(instant): pass
-    robot.advance_to(now)
-
-An effort acts from the last inner step at or before its instant, so that a delay of whole inner steps is exact. In
-lock-step, if nothing is due for a sample (lost or delayed), hold the effort and continue with the next sample. Items
-must not change after they were pushed: push numbers, not a message that is reused.
-"""
+"""Message channels with delay, jitter, loss and duplication in robot time, see channel.h; without ROS."""
 
 from __future__ import annotations
 
-import heapq
-from typing import Generic, TypeVar
+import math
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.nonideal_parameters import NANOSECONDS, ChannelErrors
 
-from .state_publisher import Sample
+from .native.program import PlantProgram, array, plant_program
 
 STATES, COMMANDS, SENSORS, PERIOD = range(4)  # streams of random numbers of a seed
-Item = TypeVar("Item")
+SPARE = 256  # items in transit beyond two per period of the delay
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
@@ -40,129 +23,141 @@ def generator(seed: int, stream: int) -> np.random.Generator:
     return np.random.default_rng([seed, stream])
 
 
-class Channel(Generic[Item]):
-    """Channel for items in transit. Times are integer nanoseconds of robot time; no clock is read.
+class Random:
+    """A stream of random numbers for C, which draws what the generator would."""
+
+    def __init__(self, program: PlantProgram, seed: int, stream: int) -> None:
+        self._ffi, self._seed = program.ffi, (seed, stream)
+
+    def restart(self) -> Any:
+        """Return the stream from its beginning on as a struct fjr_random*; it ends with the next call."""
+        self._generator = generator(*self._seed)
+        return self._ffi.cast("struct fjr_random*", self._generator.bit_generator.ctypes.bit_generator.value)
+
+
+class Channel:
+    """A channel for items of `width` numbers in transit, as struct fjr_channel.
 
     Loss, duplication and delay of the k-th item depend only on seed, stream, k and the errors, so that a run repeats
     exactly. Each error has its own random numbers, so that changing one does not affect the others.
     """
 
-    def __init__(self, errors: ChannelErrors, seed: int = 0, stream: int = STATES) -> None:
+    def __init__(
+        self,
+        errors: ChannelErrors,
+        seed: int = 0,
+        stream: int = STATES,
+        width: int = 1,
+        period: int = 1_000_000,
+        program: PlantProgram | None = None,
+    ) -> None:
+        """period: usual time between two items [ns]."""
+        self._program = program or plant_program()
+        self._random = Random(self._program, seed, stream)
+        self._period = period
+        self.pointer = self._program.ffi.new("struct fjr_channel*", {"width": width})
         self.errors = errors
-        self._seed, self._stream = seed, stream
+        self._arrays: tuple[NDArray[Any], ...] = ()
         self.reset()
 
     def reset(self) -> None:
         """Discard all items and restart the random sequence."""
-        self._random = generator(self._seed, self._stream)
-        self._in_transit: list[tuple[int, int, Item]] = []  # a heap: due, number, item
-        self._number = 0
-        self._latest = 0
+        p = self.pointer
+        p.on = p.capacity = p.first = p.count = p.latest = 0
+        p.random = self._random.restart()
+        self.change(self.errors)
 
     def change(self, errors: ChannelErrors) -> None:
         """Use other errors for items pushed from now on; items in transit arrive unchanged."""
-        self.errors = errors
+        self.errors, p = errors, self.pointer
+        p.delay, p.jitter, p.loss, p.repetition = errors.delay, errors.jitter, errors.loss, errors.repetition
+        p.in_order, p.on = errors.in_order, p.on or not errors.off
+        longest = (errors.delay + errors.jitter) * NANOSECONDS
+        if p.on:
+            self._reserve(SPARE + 2 * math.ceil(longest / self._period))
 
-    def push(self, time: int, item: Item) -> None:
-        """Send an item at `time` [ns]."""
-        lost, duplicated, wait, wait_of_copy = self._random.random(4)  # always four, so that errors stay independent
-        if lost < self.errors.loss:
-            return
-        self._send(time, wait, item)
-        if duplicated < self.errors.repetition:
-            self._send(time, wait_of_copy, item)
+    def push(self, time: int, item: Array) -> None:
+        """Send an item (width,) at `time` [ns]."""
+        self._program.lib.fjr_channel_push(self.pointer, time, array(self._program, item))
 
-    def due(self, time: int) -> list[Item]:
+    def due(self, time: int) -> list[Array]:
         """Return and remove the items that have arrived by `time` [ns], in the order of arrival."""
-        arrived = []
-        while self._in_transit and self._in_transit[0][0] <= time:
-            arrived.append(heapq.heappop(self._in_transit)[2])
+        ffi, arrived = self._program.ffi, []
+        while (item := self._program.lib.fjr_channel_pop(self.pointer, time)) != ffi.NULL:
+            arrived.append(np.frombuffer(ffi.buffer(item, 8 * self.pointer.width)).copy())
         return arrived
 
     @property
     def next_due(self) -> int | None:
         """Arrival time of the next item [ns]; None: no items in transit."""
-        return self._in_transit[0][0] if self._in_transit else None
+        return int(self._program.lib.fjr_channel_next(self.pointer)) if self.pointer.count else None
 
-    def _send(self, time: int, share: float, item: Item) -> None:
-        due = time + round((self.errors.delay + self.errors.jitter * share) * NANOSECONDS)
-        if self.errors.in_order:
-            due = max(due, self._latest)
-        self._latest = max(due, self._latest)
-        heapq.heappush(self._in_transit, (due, self._number, item))
-        self._number += 1
+    @property
+    def on(self) -> bool:
+        """False if every item arrives at once, so that none needs to be sent."""
+        return bool(self.pointer.on)
 
-
-def channel(errors: ChannelErrors | None, seed: int, stream: int) -> Channel | None:
-    """Return a channel with these errors; None if they are off, which costs nothing."""
-    return None if errors is None or errors.off else Channel(errors, seed, stream)
+    def _reserve(self, capacity: int) -> None:
+        """Make place for at least so many items; those in transit stay."""
+        p = self.pointer
+        if capacity <= p.capacity:
+            return
+        slot, due = np.arange(capacity, dtype=np.int32), np.zeros(capacity, dtype=np.int64)
+        items = np.zeros((capacity, p.width))
+        if p.count:
+            old_slot, old_due, old_items = self._arrays
+            order = old_slot[(p.first + np.arange(p.count)) % len(old_slot)]
+            due[: p.count], items[: p.count] = old_due[order], old_items[order]
+        self._arrays = slot, due, items
+        self._kept = [array(self._program, each) for each in (slot, due, items.reshape(-1))]
+        p.slot, p.due, p.items = self._kept
+        p.capacity, p.first = capacity, 0
 
 
 class SampleTimes:
-    """Sample times: every period, each delayed by a uniform share of the jitter, in whole inner steps.
+    """Sample times with jitter, as struct fjr_sample_times.
 
     The k-th sample is at k period + jitter_k, rounded down to an inner step, so that delays do not accumulate. If the
     jitter is below the period, the instants increase by at least one inner step.
     """
 
-    def __init__(self, period: int, inner_step: int, jitter: float, seed: int = 0) -> None:
+    def __init__(
+        self, period: int, inner_step: int, jitter: float, seed: int = 0, program: PlantProgram | None = None
+    ) -> None:
         """Start at time 0; period, inner_step [ns], jitter [s]."""
-        self._period, self._inner_step = period, inner_step
-        self.jitter = jitter
-        self._seed = seed
+        self._program = program or plant_program()
+        self._random = Random(self._program, seed, PERIOD)
+        given = {"period": period, "inner_step": inner_step, "jitter": jitter}
+        self.pointer = self._program.ffi.new("struct fjr_sample_times*", given)
         self.reset()
 
     def reset(self) -> None:
         """Return to the first sample at time 0 and restart the random sequence."""
-        self._random = generator(self._seed, PERIOD)
-        self._k = 0
-        self.now = 0
+        self.pointer.k = self.pointer.now = 0
+        self.pointer.random = self._random.restart()
 
     def next(self) -> int:
-        """Advance to the next sample and return its time [ns], also available as `now`."""
-        self._k += 1
-        late = round(self._random.random() * self.jitter * NANOSECONDS)
-        instant = self._k * self._period + late
-        self.now = max(instant - instant % self._inner_step, self.now + self._inner_step)
-        return self.now
+        """Advance to the next sample and return its time [ns]."""
+        return int(self._program.lib.fjr_sample_times_next(self.pointer))
 
 
 class Transport:
-    """Channels for states and commands, None without errors, and the sample times."""
+    """Channels for states and commands, and the sample times."""
 
-    states: Channel[Sample] | None
-    commands: Channel[Array] | None
-
-    def __init__(self, period: int, inner_step: int, seed: int) -> None:
-        """Start without errors; period, inner_step [ns]."""
+    def __init__(self, n: int, period: int, inner_step: int, seed: int, program: PlantProgram | None = None) -> None:
+        """Start without errors; n: joints; period, inner_step [ns]."""
         self.period = period
-        self._inner_step = inner_step
-        self._errors: tuple[ChannelErrors, ChannelErrors] = (ChannelErrors(), ChannelErrors())
-        self._seed = seed
-        self.times = SampleTimes(period, inner_step, 0.0, seed)
-        self.reset()
+        self.times = SampleTimes(period, inner_step, 0.0, seed, program)
+        self.states = Channel(ChannelErrors(), seed, STATES, 2 + 6 * n, period, program)
+        self.commands = Channel(ChannelErrors(), seed, COMMANDS, n, period, program)
 
     def reset(self) -> None:
         """Discard all messages and restart all random sequences."""
-        states, commands = self._errors
-        self.states, self.commands = channel(states, self._seed, STATES), channel(commands, self._seed, COMMANDS)
-        self.times.reset()
-
-    def lateness(self) -> int:
-        """Return the delay of the next sample [ns]."""
-        return self.times.next() % self.period if self.times.jitter else 0
+        for part in (self.states, self.commands, self.times):
+            part.reset()
 
     def change(self, states: ChannelErrors, commands: ChannelErrors, jitter: float) -> None:
         """Use other errors for messages sent from now on and another jitter [s] of the sample times."""
-        self._errors = states, commands
-        self.states = _changed(self.states, states, self._seed, STATES)
-        self.commands = _changed(self.commands, commands, self._seed, COMMANDS)
-        self.times.jitter = jitter
-
-
-def _changed(found: Channel | None, errors: ChannelErrors, seed: int, stream: int) -> Channel | None:
-    """Return the channel with other errors; an existing channel keeps its items."""
-    if found is None:
-        return channel(errors, seed, stream)
-    found.change(errors)
-    return found
+        self.states.change(states)
+        self.commands.change(commands)
+        self.times.pointer.jitter = jitter

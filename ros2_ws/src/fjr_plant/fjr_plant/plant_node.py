@@ -20,21 +20,12 @@ from fjr_msgs_py.node.diagnostics import Health
 from fjr_msgs_py.node.parameters import ParameterNode
 
 from .simulated_robot import simulated
-from .state_publisher import StatePublisher
 from .timing.deferred_service import DeferredReply, DeferredTrigger
 from .timing.lock_step import LockStep
 from .timing.real_time import RealTime
-from .timing.time_base import NodeParts, TimeBase
+from .timing.time_base import EXPECTED, NodeParts, TimeBase
 
-EXPECTED = (
-    "states published",
-    "commands received",
-    "ticks skipped",
-    "states unanswered",
-    "states sent again",
-    "answers to other states",
-    "external torques received",
-)
+TORQUES = "external torques received"
 
 
 class PlantNode(ParameterNode):
@@ -45,6 +36,8 @@ class PlantNode(ParameterNode):
     on ~/external_torque act on the named links until the next message or a reset.
     """
 
+    _time_base: TimeBase
+
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__(names.PLANT, builders.plant_parameters, **node_kwargs)
 
@@ -52,17 +45,16 @@ class PlantNode(ParameterNode):
         """Build the robot from the parameters and start publishing."""
         joints = self.values["joints"]
         self._model = builders.robot(self.values)
-        self._health = Health(self, EXPECTED, robot_name(self.values))
+        self._health = Health(self, (*EXPECTED, TORQUES), robot_name(self.values))
         plant = builders.plant(self.values, self._model)
         x0 = builders.initial_state(self.values, self._model)
         self._robot, self._transport = simulated(self.values, plant, x0)
         self._robot.warm_up()
-        states, reader = StatePublisher(self, joints), EffortReader(joints)
         self._torques = TorqueReader(joints)
         if self.values["publish_description"]:
             publish_description(self, description(self.values))
-        parts = NodeParts(self, self.values, self._robot, self._transport, states, reader, self._health)
-        self._time_base: TimeBase = (LockStep if self.values["lockstep"] else RealTime)(parts)
+        parts = NodeParts(self, self.values, self._robot, self._transport, EffortReader(joints), self._health)
+        self._time_base = (LockStep if self.values["lockstep"] else RealTime)(parts)
         self.create_subscription(JointState, names.EXTERNAL_TORQUE, self._on_torque, names.LATEST)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.PAUSE, self._on_pause)
@@ -71,6 +63,7 @@ class PlantNode(ParameterNode):
 
     def stop(self) -> None:
         """Publish the final counters."""
+        self._health.at(self._time_base.shown)
         self._health.publish()
 
     def end(self, error: FjrError) -> None:
@@ -78,15 +71,24 @@ class PlantNode(ParameterNode):
         self._time_base.end()
         super().end(error)
 
+    def destroy_node(self) -> None:
+        """Stop serving commands and destroy the node."""
+        if hasattr(self, "_time_base"):
+            self._time_base.close()
+        super().destroy_node()
+
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
         """Apply new non-idealities from now on; an FjrError refuses them."""
         if any(name.startswith("imperfections.") for name in names):
             motion = nonidealities.imperfections(values, self._model)
             sensors = nonidealities.sensor_errors(values, self._model.n)
             messages, jitter = nonidealities.channel_errors(values), nonidealities.period_jitter(values)
-            self._time_base.catch_up()
-            self._robot.change(motion, sensors)
-            self._transport.change(*messages, jitter)
+
+            def change() -> None:
+                self._robot.change(motion, sensors)
+                self._transport.change(*messages, jitter)
+
+            self._time_base.change(change)
 
     def _configured(self) -> str:
         values = self.values
@@ -101,9 +103,8 @@ class PlantNode(ParameterNode):
         except MessageError as error:
             self._health.refuse("external torque", error)
             return
-        self._health.count["external torques received"] += 1
-        self._time_base.catch_up()
-        self._robot.external = torque
+        self._health.count[TORQUES] += 1
+        self._time_base.change(lambda: setattr(self._robot, "external", torque))
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._time_base.reset()

@@ -1,67 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated robot: state, exact time and held effort, advanced in fixed inner steps; without ROS."""
+"""Simulated robot: state, exact time and held effort, advanced in fixed inner steps, see robot.h; without ROS."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from fjr_core import ParameterError, Plant, Robot, StateError
+from fjr_core import FjrError, ParameterError, Plant, StateError
 from fjr_core.config import nonidealities
-from fjr_core.numerics.casadi_function import bind, dense_function, not_converged
+from fjr_core.control_step.c_function import CFunction, WorkSpace
+from fjr_core.numerics.casadi_function import not_converged
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import machine_code
 from fjr_core.simulation.nonideal_parameters import Nonidealities, SensorErrors, friction_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 from .channel import Transport
-from .sensors import Sensors
-
-
-class Stepper:
-    """Step function (state, held inputs.., dt) -> next state, bound to two buffers used in turn; not thread-safe."""
-
-    def __init__(self, function: ca.Function, dt: float) -> None:
-        """Bind the function; dt: length of a step [s]."""
-        state, *held, _ = (np.zeros(function.numel_in(i)) for i in range(function.n_in()))
-        self._function, self._held = function, held
-        self._buffers = state, state.copy()
-        length = np.array(dt)
-        there = bind(function, (self._buffers[0], *held, length), self._buffers[1:])
-        back = bind(function, (self._buffers[1], *held, length), self._buffers[:1])
-        self._steps = there, back
-
-    def after(self, steps: int, state: Array, *held: Array) -> Array:
-        """Return the state after `steps` steps as a new array; raises StateError if a step does not converge."""
-        np.copyto(self._buffers[0], state)
-        for own, given in zip(self._held, held, strict=True):
-            np.copyto(own, given)
-        try:
-            for k in range(steps):
-                self._steps[k & 1]()
-        except RuntimeError:
-            raise not_converged(self._function) from None
-        return self._buffers[steps & 1].copy()
-
-
-class Velocities:
-    """Velocities (dq_l, dq_m) (2n,) of states x (4n,) of a robot, bound to buffers; not thread-safe."""
-
-    def __init__(self, robot: Robot) -> None:
-        x = ca.SX.sym("x", 4 * robot.n)
-        function = dense_function("velocities", {"x": x}, {"dq": ca.vertcat(*robot.velocity_expressions(x))})
-        self._x, self._dq = np.zeros(4 * robot.n), np.zeros(2 * robot.n)
-        self._evaluate = bind(function, (self._x,), (self._dq,))
-
-    def of(self, x: Array) -> Array:
-        """Return the velocities as a new array."""
-        np.copyto(self._x, x)
-        self._evaluate()
-        return self._dq.copy()
-
+from .native.program import PlantProgram, array, plant_program
+from .sensors import NO_VELOCITIES, Sensors
 
 STIFFEST_FRICTION = 2.0
 """Largest product of friction rate and inner step; Runge-Kutta of order 4 is stable up to 2.78."""
@@ -72,7 +30,7 @@ class SimulatedRobot:
 
     u (n,) [N m]: command, external (n,) [N m]: torques on the links; both are set by the caller and held. x (4n,):
     state, with the momenta of a payload in p_l. Without non-idealities the motion equals that of plant.step to the last
-    bit.
+    bit. pointer: the same as struct fjr_robot*.
     """
 
     def __init__(
@@ -83,40 +41,66 @@ class SimulatedRobot:
         imperfections: Nonidealities | None = None,
         sensor_errors: SensorErrors | None = None,
         seed: int = 0,
+        program: PlantProgram | None = None,
     ) -> None:
         """Start at the state x0 (4n,) of the robot without payload; inner_step: integrator step [ns].
 
         seed: of the sensor noise. Raises ParameterError for invalid non-idealities.
         """
+        self._program = program or plant_program()
         self._plant, self._n = plant, plant.robot.n
         self._imperfect = NonidealPlant(plant)
         self._x0 = x0
         self._inner_step = inner_step
-        self._velocities = Velocities(plant.robot)
-        self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed)
+        self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed, self._program)
+        self._build(len(Nonidealities(self._n).vector))
         self._use(imperfections or Nonidealities(self._n))
         self.reset()
+
+    def _build(self, parameters: int) -> None:
+        """Build struct fjr_robot; parameters: their number."""
+        n, ffi = self._n, self._program.ffi
+        sizes = {"state": 5 * n, "next": 5 * n, "u": n, "external": n, "parameters": parameters, "measured": 6 * n}
+        self._arrays = {name: np.zeros(size) for name, size in sizes.items()}
+        functions = {
+            "step": self._plant.step_function,
+            "nonideal_step": self._imperfect.step_function,
+            "outputs": self._plant.output_function,
+            "nonideal_outputs": self._imperfect.output_function,
+        }
+        self._functions = {name: CFunction(ffi, function) for name, function in functions.items()}
+        self._space = WorkSpace(ffi, list(functions.values()))
+        self._kept = {name: array(self._program, values) for name, values in self._arrays.items()}
+        given = {
+            "n": n,
+            "inner_step": self._inner_step,
+            "dt": self._inner_step * 1e-9,
+            "sensors": self._sensors.pointer,
+            **self._kept,
+            **{name: function.pointer for name, function in self._functions.items()},
+            **{name: getattr(self._space, name) for name in ("arg", "res", "iw", "w")},
+        }
+        self.pointer = ffi.new("struct fjr_robot*", given)
 
     def reset(self) -> None:
         """Return to the initial positions and velocities at time 0, without effort, and restart the sensor noise."""
         self.time = 0
-        self.u: Array = np.zeros(self._n)
-        self.external = np.zeros(self._n)
-        self._output: Array = np.zeros(self._n)  # of the actuators, behind the lag
-        self.x = self._x0.copy()
+        for name in ("u", "external", "state"):
+            self._arrays[name][:] = 0.0
+        self.x = self._x0
         if np.any(self._imperfections.payload_mass):
             self.x = self._with_velocity(np.concatenate(self._plant.robot.velocities(self._x0)))
         self._sensors.reset()
 
     def warm_up(self) -> None:
-        """Build all functions, so that the first step is as fast as the later ones."""
-        nothing = np.zeros(self._n)
-        self._step.after(1, self._x0, nothing)
-        self._imperfect_step.after(1, np.concatenate([self._x0, nothing]), nothing, nothing, self._parameters)
-        self._imperfect.applied(nothing, nothing, self._parameters)
-        self._with_velocity(self._imperfect.measure(self._x0, self._parameters)[0])
-        self.measure()
-        self._sensors.reset()
+        """Evaluate all functions, so that the first step is as fast as the later ones."""
+        for perfect in (not self.pointer.perfect, bool(self.pointer.perfect)):
+            self.pointer.perfect = perfect
+            self.advance_to(self._inner_step)
+            self.measure()
+            self.reset()
+        self._imperfect.applied(self.u, self.u, self._arrays["parameters"])
+        self._with_velocity(self._velocity())
 
     def change(self, imperfections: Nonidealities, sensor_errors: SensorErrors | None = None) -> None:
         """Use other non-idealities from now on; sensor_errors: None keeps the present ones.
@@ -124,7 +108,7 @@ class SimulatedRobot:
         Positions and velocities are continuous; a payload is attached and released at the velocity of the end-effector.
         Raises ParameterError for invalid non-idealities, without any change.
         """
-        velocity, output, before = self._ideal()[1], self._applied(), self._imperfections
+        velocity, output, before = self._velocity(), self._applied(), self._imperfections
         self._use(imperfections)
         self._output = output
         if not _same_load(before, imperfections):
@@ -137,52 +121,87 @@ class SimulatedRobot:
 
         Raises StateError on divergence and UserCodeError for a failure of a plant in Python.
         """
-        steps = max((time - self.time) // self._inner_step, 0)
-        if self._perfect and not self._loaded:
-            self.x = self._step.after(steps, self.x, self.u)
-        else:
-            state = np.concatenate([self.x, self._applied() if self._perfect else self._output])
-            state = self._imperfect_step.after(steps, state, self.u, self.external, self._parameters)
-            self.x, self._output = np.split(state, [4 * self._n])
-        self._plant.raise_failure()
-        self.time += steps * self._inner_step
-        if not self.x.dot(self.x) < np.inf and not np.isfinite(self.x).all():  # the squares may overflow
-            raise StateError(
-                f"the state of the robot is not finite after {self.time * 1e-9:.3f} s: the motion diverged"
-            )
+        self.check(self._program.lib.fjr_robot_advance(self.pointer, time))
 
     def measure(self) -> tuple[Array, Array, Array]:
         """Measure positions (q_l, q_m) [rad], velocities [rad/s] and (spring, applied) torques [N m], (2n,) each.
 
         Velocities are (0,) if the sensors do not measure them. Repeated calls at the same time return the same values.
         """
-        position, velocity, spring = self._ideal()
-        if not self._sensors.perfect:
-            position, velocity = self._sensors.measured(self.time, position, velocity)
-        return position, velocity, np.concatenate([spring, self._plant.robot.B_m.dot(self._applied())])
+        self.check(self._program.lib.fjr_robot_measure(self.pointer))
+        position, velocity, torque = self._arrays["measured"].copy().reshape(3, -1)
+        return position, velocity if self._sensors.velocities else NO_VELOCITIES, torque
+
+    def check(self, fault: int) -> None:
+        """Raise the error of an enum fjr_fault of the robot."""
+        if fault:
+            raise self.error(fault)
+
+    def error(self, fault: int) -> FjrError:
+        """Return the error of an enum fjr_fault of the robot."""
+        try:
+            self._plant.raise_failure()
+        except FjrError as error:
+            return error
+        if fault == self._program.lib.FJR_STEP_FAILED:
+            return not_converged(self._plant.step_function)
+        return StateError(f"the state of the robot is not finite after {self.time * 1e-9:.3f} s: the motion diverged")
+
+    @property
+    def in_machine_code(self) -> bool:
+        """True if no function needs Python."""
+        return all(machine_code(each.function) is not None for each in self._functions.values())
+
+    @property
+    def time(self) -> int:
+        """Robot time [ns]."""
+        return int(self.pointer.time)
+
+    @time.setter
+    def time(self, time: int) -> None:
+        self.pointer.time = time
+
+    @property
+    def x(self) -> Array:
+        """State (4n,)."""
+        return self._arrays["state"][: 4 * self._n].copy()
+
+    @x.setter
+    def x(self, x: Array) -> None:
+        self._arrays["state"][: 4 * self._n] = x
+
+    @property
+    def u(self) -> Array:
+        """Command (n,) [N m]."""
+        return self._arrays["u"].copy()
+
+    @u.setter
+    def u(self, effort: Array) -> None:
+        self._arrays["u"][:] = effort
 
     @property
     def external(self) -> Array:
-        """Torques on the links (n,) [N m]; assign a new array to change them."""
-        return self._external
+        """Torques on the links (n,) [N m]."""
+        return self._arrays["external"].copy()
 
     @external.setter
     def external(self, torque: Array) -> None:
-        self._external, self._loaded = torque, bool(torque.any())
+        self._arrays["external"][:] = torque
 
-    @cached_property
-    def _step(self) -> Stepper:
-        return Stepper(self._plant.step_function, self._inner_step * 1e-9)
+    @property
+    def _output(self) -> Array:
+        """Outputs of the actuators behind their lag (n,) [N m]."""
+        return self._arrays["state"][4 * self._n :].copy()
 
-    @cached_property
-    def _imperfect_step(self) -> Stepper:
-        return Stepper(self._imperfect.step_function, self._inner_step * 1e-9)
+    @_output.setter
+    def _output(self, output: Array) -> None:
+        self._arrays["state"][4 * self._n :] = output
 
     def _use(self, imperfections: Nonidealities) -> None:
         self._imperfect.check(imperfections)
         self._check_friction(imperfections)
-        self._imperfections, self._perfect = imperfections, imperfections.off
-        self._parameters = imperfections.vector
+        self._imperfections, self.pointer.perfect = imperfections, imperfections.off
+        self._arrays["parameters"][:] = imperfections.vector
 
     def _check_friction(self, imperfections: Nonidealities) -> None:
         robot, dt = self._plant.robot, self._inner_step * 1e-9
@@ -193,21 +212,18 @@ class SimulatedRobot:
                 "inner steps of this length: raise imperfections.friction_smoothing_velocity or inner_steps"
             )
 
-    def _ideal(self) -> tuple[Array, Array, Array]:
-        """Return exact positions, velocities (2n,) and spring torques (n,)."""
-        n, robot = self._n, self._plant.robot
-        position = self.x[: 2 * n]
-        if self._perfect:
-            return position, self._velocities.of(self.x), robot.K.dot(position[n:] - position[:n])
-        return position, *self._imperfect.measure(self.x, self._parameters)
+    def _velocity(self) -> Array:
+        """Return the exact velocities (2n,)."""
+        return self._imperfect.measure(self.x, self._arrays["parameters"])[0]
 
     def _applied(self) -> Array:
         """Return the present actuator outputs (n,) [N m]."""
-        return self.u if self._perfect else self._imperfect.applied(self._output, self.u, self._parameters)
+        perfect = self.pointer.perfect
+        return self.u if perfect else self._imperfect.applied(self._output, self.u, self._arrays["parameters"])
 
     def _with_velocity(self, velocity: Array) -> Array:
         """Return the state (4n,) at the present position with these velocities (2n,), including the payload."""
-        return self._imperfect.state(self.x[: 2 * self._n], velocity, self._parameters)
+        return self._imperfect.state(self.x[: 2 * self._n], velocity, self._arrays["parameters"])
 
 
 def _same_load(one: Nonidealities, other: Nonidealities) -> bool:
@@ -222,6 +238,6 @@ def simulated(values: Mapping[str, Any], plant: Plant, x0: Array) -> tuple[Simul
     inner_step = round(1e9 / values["publish_rate"] / values["inner_steps"])  # ns
     seed, robot = nonidealities.seed(values), plant.robot
     motion, sensors = nonidealities.imperfections(values, robot), nonidealities.sensor_errors(values, robot.n)
-    transport = Transport(inner_step * values["inner_steps"], inner_step, seed)
+    transport = Transport(robot.n, inner_step * values["inner_steps"], inner_step, seed)
     transport.change(*nonidealities.channel_errors(values), nonidealities.period_jitter(values))
     return SimulatedRobot(plant, x0, inner_step, motion, sensors, seed), transport

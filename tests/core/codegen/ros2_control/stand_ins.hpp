@@ -89,15 +89,19 @@ private:
 
 namespace realtime_tools
 {
-template <typename T>
-class RealtimeThreadSafeBox
+template <typename M>
+class RealtimePublisher
 {
 public:
-  bool try_set(const T & value) { return value_ = value, true; }
-  T get() const { return value_; }
+  explicit RealtimePublisher(typename rclcpp::Publisher<M>::SharedPtr publisher) : publisher_(std::move(publisher)) {}
+  void lock() {}
+  void unlock() {}
+  bool trylock() { return true; }
+  void unlockAndPublish() { publisher_->publish(msg_); }
+  M msg_;
 
 private:
-  T value_{};
+  typename rclcpp::Publisher<M>::SharedPtr publisher_;
 };
 }  // namespace realtime_tools
 
@@ -124,12 +128,10 @@ public:
   template <typename P>
   rclcpp::TimerBase::SharedPtr create_wall_timer(P, std::function<void()> callback)
   {
-    timers.push_back(std::make_shared<rclcpp::TimerBase>(rclcpp::TimerBase{std::move(callback)}));
-    return timers.back();
+    return std::make_shared<rclcpp::TimerBase>(rclcpp::TimerBase{std::move(callback)});
   }
   std::map<std::string, std::any> parameters{{"use_sim_time", false}};
   std::map<std::string, std::shared_ptr<void>> publishers;
-  std::vector<rclcpp::TimerBase::SharedPtr> timers;
 };
 }  // namespace rclcpp_lifecycle
 

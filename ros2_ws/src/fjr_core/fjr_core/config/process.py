@@ -36,8 +36,8 @@ class ProcessSettings:
     cores: frozenset[int] = frozenset()
     executor: str = parameter_field(
         NATIVE,
-        "Command loop of the controller: a native thread in C (where it can be built), or rclpy's events executor "
-        "(where rclpy has it), or its single-threaded one",
+        "Loop of commands and states: a native thread in C (where it can be built), or rclpy's events executor (where "
+        "rclpy has it), or its single-threaded one",
         choices=(NATIVE, "events", "single"),
     )
 

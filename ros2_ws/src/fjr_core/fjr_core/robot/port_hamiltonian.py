@@ -120,6 +120,20 @@ class Plant:
         """The CasADi function (x, u, dt) -> x_next; compiled if requested."""
         return compiled(integrators.step_to_compile(self.integrator, self.dynamics)) if self.compiles else self._vm_step
 
+    @cached_property
+    def output_function(self) -> ca.Function:
+        """The CasADi function (x, u) -> positions, velocities and torques (spring, applied), (2n,) each.
+
+        Compiled if requested.
+        """
+        n, robot = self.robot.n, self.robot
+        x, u = ca.SX.sym("x", 4 * n), ca.SX.sym("u", n)
+        q_l, q_m, _, _ = symbolic.blocks(x, n)
+        torques = ca.vertcat(spring_expression(robot, q_m - q_l), symbolic.sparse(robot.B_m) @ u)
+        outputs = {"q": x[: 2 * n], "dq": ca.vertcat(*robot.velocity_expressions(x)), "torques": torques}
+        function = dense_function("outputs", {"x": x, "u": u}, outputs)
+        return compiled(function) if self.compiles else function
+
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
         """Return dx/dt (4n,) at state x (4n,) and effort u (n,) [N m], eq. (36)."""
         return self._derivative(x, u)[0]

@@ -24,7 +24,7 @@ from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
 from ..numerics.packed_vector import PackedVector
-from ..numerics.symbolic import blocks, symbols
+from ..numerics.symbolic import blocks, sparse, symbols
 from ..robot.coordinates import Coordinates
 from ..robot.payload import PayloadArm
 from ..robot.port_hamiltonian import Plant, derivative_expression, gradient_expression, spring_expression
@@ -132,6 +132,25 @@ class NonidealPlant:
         x_next = step_expression(self.plant.integrator, self.dynamics, x, (start, middle, end), dt, as_c)
         return dense_function("nonideal_step", s, {"next": ca.vertcat(x_next, applied[-1])})
 
+    @cached_property
+    def output_function(self) -> ca.Function:
+        """Return the function (state, u, parameters) -> outputs as Plant.output_function; machine code as the step."""
+        n, robot = self.robot.n, self.robot
+        s = symbols(state=5 * n, u=n, parameters=layout(n).size)
+        state, u, parameters = s.values()
+        x, a = ca.vertsplit(state, [0, 4 * n, 5 * n])
+        velocities, springs = self._measured(x, layout(n).named(parameters))
+        applied = sparse(robot.B_m) @ self._actuators(a, u, parameters, 0)
+        outputs = {"q": x[: 2 * n], "dq": velocities, "torques": ca.vertcat(springs, applied)}
+        function = dense_function("nonideal_outputs", s, outputs)
+        return compiled(function) if self.plant.compiles else function
+
+    def _measured(self, x: ca.SX, p: SimpleNamespace) -> tuple[ca.SX, ca.SX]:
+        """Return velocities (2n,) and spring torques (n,) at x (4n,) as expressions."""
+        q_l, q_m, _, _ = blocks(x, self.robot.n)
+        velocities = ca.vertcat(*self.robot.velocity_expressions(x, self._links(p)))
+        return velocities, spring_expression(self.robot, q_m - q_l, p.cubic)
+
     def _links(self, p: SimpleNamespace) -> ArmDynamics | RigidArm:
         links = self.robot.links
         end_effector = links.end_effector
@@ -163,9 +182,7 @@ class NonidealPlant:
     @cached_property
     def _measure(self) -> NumericFunction:
         s, p = self._at()
-        q_l, q_m, _, _ = blocks(s["x"], self.robot.n)
-        velocities = ca.vertcat(*self.robot.velocity_expressions(s["x"], self._links(p)))
-        springs = spring_expression(self.robot, q_m - q_l, p.cubic)
+        velocities, springs = self._measured(s["x"], p)
         return numeric("measure", s, {"velocities": velocities, "springs": springs})
 
     @cached_property

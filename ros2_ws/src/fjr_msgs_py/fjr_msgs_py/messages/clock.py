@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from rosgraph_msgs.msg import Clock
 
+from .cdr.layout import Form
 from .joint_states import nanoseconds
 
 
@@ -13,14 +14,5 @@ def time_of(message: Clock) -> int:
     return nanoseconds(message.clock)
 
 
-class ClockWriter:
-    """Writer of one reused Clock message; it is valid until the next fill."""
-
-    def __init__(self) -> None:
-        self._message = Clock()
-        self._clock = self._message.clock
-
-    def fill(self, stamp: int) -> Clock:
-        """Return the message with this time [ns]."""
-        self._clock.sec, self._clock.nanosec = divmod(stamp, 1_000_000_000)
-        return self._message
+CLOCK_LAYOUT = Form([0, 0])
+"""Layout of a serialised message, whose stamp is its time."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -48,6 +50,14 @@ class JointSample(NamedTuple):
 def nanoseconds(stamp: Time) -> int:
     """Return a stamp as integer nanoseconds."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def deserialised(data: bytes, kind: type) -> Any:
+    """Return a serialised message of a type; raises MessageError if it is none."""
+    try:
+        return deserialize_message(data, kind)
+    except rclpy_implementation.RMWError:
+        raise MessageError("not a message", f"{len(data)} bytes are no {kind.__name__}; expected one") from None
 
 
 class NamedColumns:

@@ -13,6 +13,8 @@ from uuid import uuid4
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from ..native.entities import NativeSubscription
+
 LISTENING = 0.25  # s
 MATCHING = 1.0  # s
 _POLL = 0.005  # s
@@ -42,7 +44,7 @@ class ConflictingPublishers:
         self._others: dict[bytes, Other] = {}
         self.publishers = [node.create_publisher(kind, topic, qos) for topic, kind in self._kinds.items()]
         self._listening = [
-            (topic, kind, node.create_subscription(kind, topic, lambda _: None, _ANY))
+            (topic, kind, NativeSubscription(node, kind, topic, _ANY))  # read here only, on any thread
             for topic, kind in self._kinds.items()
         ]
 
@@ -86,7 +88,7 @@ class ConflictingPublishers:
     def trust(self) -> None:
         """Destroy the subscriptions; `appeared` still detects publishers by discovery."""
         for *_, subscription in self._listening:
-            self._node.destroy_subscription(subscription)
+            subscription.close()
         self._listening = []
 
     def close(self) -> None:
@@ -116,7 +118,7 @@ class ConflictingPublishers:
         return {bytes(info.endpoint_gid): Other(topic, _name(info.node_namespace, info.node_name)) for info in infos}
 
     def _connected(self) -> bool:
-        counts = ((heard.get_publisher_count(), topic) for topic, _, heard in self._listening)
+        counts = ((heard.handle.get_publisher_count(), topic) for topic, _, heard in self._listening)
         return all(count >= self._node.count_publishers(topic) for count, topic in counts)
 
     def _taken(self) -> tuple[str, Any] | None:

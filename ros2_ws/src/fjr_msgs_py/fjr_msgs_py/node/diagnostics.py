@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -27,7 +27,8 @@ class Health:
 
     def __init__(self, node: Node, expected: tuple[str, ...], robot: str = "") -> None:
         """Create the publisher. robot: its name; namespace and robot form the hardware_id of every status."""
-        self.count: Counter[str] = Counter(dict.fromkeys(expected, 0))
+        self._count: Counter[str] = Counter(dict.fromkeys(expected, 0))
+        self._counters: list[Callable[[], Mapping[str, int]]] = []
         self._node = node
         self._hardware = f"{node.get_namespace()}/{robot}".strip("/")
         self._expected = set(expected)
@@ -41,14 +42,35 @@ class Health:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = None if self._by_stamps else node.create_timer(PERIOD, self.publish, clock=steady)
 
+    @property
+    def count(self) -> Counter[str]:
+        """The counters, with the present values of those that are kept elsewhere."""
+        for counters in self._counters:
+            for key, value in counters().items():
+                self._count[key] = value
+        return self._count
+
+    def add_counters(self, counters: Callable[[], Mapping[str, int]]) -> None:
+        """Report counters that are kept elsewhere; they only grow."""
+        self._counters.append(counters)
+
     def refuse(self, what: str, error: MessageError) -> None:
         """Count a rejected message; log the reason the first time that its kind occurs."""
-        kind = f"{what} refused: {error.kind}"
-        self.warn(kind, f"{what} refused: {error} (logged once; counted on {DIAGNOSTICS})")
+        self.count[f"{what} refused: {error.kind}"] += 1
+        self.tell_refusal(what, error)
+
+    def tell_refusal(self, what: str, error: MessageError) -> None:
+        """Log the reason of a rejected message, which is counted elsewhere, the first time that its kind occurs."""
+        sentence = f"{what} refused: {error} (logged once; counted on {DIAGNOSTICS})"
+        self.tell(f"{what} refused: {error.kind}", sentence)
 
     def warn(self, kind: str, sentence: str) -> None:
         """Count an unwanted event; log the sentence as a warning the first time that this kind occurs."""
         self.count[kind] += 1
+        self.tell(kind, sentence)
+
+    def tell(self, kind: str, sentence: str) -> None:
+        """Log a sentence as a warning the first time that this kind occurs."""
         if self.is_new(kind):
             self._node.get_logger().warning(sentence)
 
@@ -89,12 +111,13 @@ class Health:
 
     def publish(self) -> None:
         """Publish the counters."""
-        unwanted = [key for key, value in self.count.items() if value and key not in self._expected]
+        count = self.count
+        unwanted = [key for key, value in count.items() if value and key not in self._expected]
         status = DiagnosticStatus(
             level=self._level(unwanted),
             name=full_name(self._node),
             message=", ".join(unwanted) or "ok",
-            values=[KeyValue(key=key, value=str(value)) for key, value in self.count.items()]
+            values=[KeyValue(key=key, value=str(value)) for key, value in count.items()]
             + [KeyValue(key=key, value=text) for key, text in self._values.items()],
         )
         message = DiagnosticArray(status=[status, *(other() for other in self._others)])

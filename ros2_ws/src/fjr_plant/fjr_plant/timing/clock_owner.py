@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from fjr_core import FjrError
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.clock import ClockWriter, time_of
+from fjr_msgs_py.messages.clock import time_of
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from fjr_msgs_py.node.diagnostics import Health
 
@@ -32,22 +33,16 @@ class ClockOwner:
     SETTLING, and only if the other time is ahead of its own; later it continues and reports the other one.
     """
 
-    def __init__(self, node: Node, health: Health) -> None:
-        self._health = health
+    def __init__(self, node: Node, health: Health, shown: Callable[[], int]) -> None:
+        """shown: returns the time that was published last [ns]."""
+        self._health, self._shown = health, shown
         self._conflicts = ConflictingPublishers(node, {names.CLOCK: Clock}, names.LATEST)
         self._topic = node.resolve_topic_name(names.CLOCK)
         self._space = node.get_namespace().rstrip("/")
-        (self._publisher,) = self._conflicts.publishers
-        self._writer = ClockWriter()
+        (self.publisher,) = self._conflicts.publishers
         self._settled = time.monotonic() + SETTLING
         self._next_look = 0.0
-        self._shown = 0
         self.refuse_others()
-
-    def show(self, stamp: int) -> None:
-        """Publish the time [ns]."""
-        self._shown = stamp
-        self._publisher.publish(self._writer.fill(stamp))
 
     def refuse_others(self, ahead_of: int = 0) -> None:
         """Raise ClockError if another process publishes a time of at least `ahead_of` [ns] now."""
@@ -63,7 +58,7 @@ class ClockOwner:
             return
         self._next_look = now + LOOK_PERIOD
         if not established or now <= self._settled:
-            self.refuse_others(ahead_of=self._shown if established else 0)
+            self.refuse_others(ahead_of=self._shown() if established else 0)
         elif self._conflicts.appeared():
             self._health.error(OTHERS, self._sentence("has begun to publish"))
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from threading import Lock
 from typing import Any
 
 from rclpy.node import Node
@@ -16,7 +17,8 @@ class DeferredReply:
     def __init__(self, response: Trigger.Response, send: Callable[[Trigger.Response, Any], None]) -> None:
         self._response = response
         self._send = send
-        self._given = False
+        self._given = self._sent = False
+        self._complete = Lock()  # the reply may be given by another thread than that of the service
         self._header: Any = None
 
     def give(self, success: bool, message: str) -> None:
@@ -31,8 +33,10 @@ class DeferredReply:
         self._send_when_complete()
 
     def _send_when_complete(self) -> None:
-        if self._given and self._header is not None:
-            self._send(self._response, self._header)
+        with self._complete:
+            if self._given and self._header is not None and not self._sent:
+                self._sent = True
+                self._send(self._response, self._header)
 
 
 class DeferredTrigger:

@@ -1,26 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lock-step: the plant owns the time and advances one sample for each command that answers its state."""
+"""Lock-step: the plant owns the time, one sample for each command that answers its state. See lock_step.c."""
 
 from __future__ import annotations
-
-import time
-from collections import deque
 
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 
 from fjr_core import FjrError
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.cdr.readers import SerialisedEfforts
-from fjr_msgs_py.messages.joint_states import MessageError
+from fjr_msgs_py.messages.clock import CLOCK_LAYOUT
+from fjr_msgs_py.messages.joint_states import deserialised
+from fjr_msgs_py.native.entities import NativeMessage, NativeReader
 
-from ..state_publisher import Sample
+from ..native.program import NO_TIME
 from .clock_owner import ClockOwner
-from .time_base import NodeParts, TimeBase, seconds
+from .time_base import WATCH_PERIOD, NodeParts, TimeBase, seconds, steady
 
 START = 1_000_000_000  # ns; stamp of the first state, the same in every run
-RESEND_PERIOD = 0.1  # s; a state without a command is sent again
-MOST_SILENT = 1000  # samples without a state to send before the node processes other events
+_EFFORT = 4  # FJR_EFFORT
 
 
 class LockStepError(FjrError):
@@ -30,133 +27,57 @@ class LockStepError(FjrError):
 class LockStep(TimeBase):
     """Time base that sends a state and /clock and waits for /joint_commands with its stamp and all efforts.
 
-    A state without a command is sent again unchanged and never skipped. After the first command since a start or a
-    reset, LockStepError is raised if no command comes for lockstep_timeout; before, the robot waits. If a channel loses
-    or delays a state, the sample passes with the held effort, in every run alike, and /clock shows its time. Raises
-    ClockError if another process publishes on /clock (ClockOwner).
+    After the first command since a start or a reset, LockStepError ends the node if no command comes for
+    lockstep_timeout; before, the robot waits. Raises ClockError if another process publishes on /clock (ClockOwner).
     """
+
+    lock_step = True
+    moving = "moving: the first answer has arrived"
 
     def __init__(self, parts: NodeParts) -> None:
         super().__init__(parts)
-        node = parts.node
-        self.offset = START
-        self._timeout = float(parts.values["lockstep_timeout"])
-        self._arrived: deque[Sample] = deque()
-        self._awaited: int | None = None  # stamp of the sent state that has no command yet
-        self._newest = 0  # stamp of the newest state that was sent
-        self._other: int | None = None  # stamp of the last command for another state
-        self._heard = False
-        self._clock = ClockOwner(node, parts.health)
+        node, plant, lib = parts.node, self.plant, self._lib
+        plant.offset = START
+        plant.timeout = round(parts.values["lockstep_timeout"] * 1e9)
+        self._clock = ClockOwner(node, parts.health, lambda: int(plant.shown))
+        self._publishers.append(self._clock.publisher)
+        self._clock_message = NativeMessage(self._program, CLOCK_LAYOUT, ())
+        self._answer = NativeReader(self._program, parts.values["joints"], _EFFORT)
+        plant.clock, plant.answer = self._clock_message.pointer, self._answer.pointer
         self._topic = node.resolve_topic_name(names.JOINT_COMMANDS)
-        self._reader = SerialisedEfforts(parts.reader)
-        node.create_subscription(JointState, names.JOINT_COMMANDS, self._on_command, names.LATEST, raw=True)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(RESEND_PERIOD / 2, self._watch, clock=steady)
-        self._restart()
+        self._serve(JointState, names.JOINT_COMMANDS, lib.fjr_lock_step_command, lib.fjr_lock_step_tick)
+        node.create_timer(WATCH_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._check(self._restart())
+        self.host.start()
 
-    def _on_command(self, message: bytes) -> None:
-        try:
-            stamp, effort = self._reader.read(message)
-        except MessageError as error:
-            self._health.refuse("command", error)
-            return
-        if stamp != self._awaited or not self.running:
-            self._health.count["answers to other states"] += 1
-            self._other = stamp
-            return
-        if not self._heard:
-            self._clock.refuse_others()
-        self._take(effort)
-        self._awaited, self._heard = None, True
-        self._log_once("moving: the first answer has arrived")
-        self._continue()
-        self._health.count["commands received"] += 1
+    def _look(self) -> None:
+        """Check for another owner of the time; raises ClockError."""
+        self._clock.look(established=bool(self.plant.heard))
 
-    def _continue(self) -> None:
-        """Send states that have arrived; if there are none, let samples pass until one arrives."""
-        sent = self._send_arrived()
-        for _ in range(MOST_SILENT):
-            if sent or not self.running:
-                return
-            self._integrate(self._transport.times.next())
-            self._measure()
-            sent = self._send_arrived()
-            if not sent:
-                self._show_time()
-            self._health.at(self.stamp)
-            self._count_sample()
+    def _restart(self) -> int:
+        return int(self._lib.fjr_lock_step_restart(self.plant, steady()))
 
-    def _measure(self) -> None:
-        """Take a sample and collect the samples that have arrived."""
-        channel = self._transport.states
-        if channel is None or not self._heard:  # without errors until the first command
-            self._arrived.append(self._sample())
-        else:
-            channel.push(self._robot.time, self._sample())
-            self._arrived.extend(channel.due(self._robot.time))
+    def _resume(self) -> int:
+        return int(self._lib.fjr_lock_step_resume(self.plant, steady()))
 
-    def _send_arrived(self) -> bool:
-        """Send the first arrived state that can still receive a command; return False if there is none."""
-        while self._arrived:
-            sample = self._arrived.popleft()
-            self._awaited = sample[0]
-            self._parts.states.send(sample)
-            self._show_time()
-            self._sent_at = self._first_sent_at = time.monotonic()
-            self._health.count["states published"] += 1
-            if sample[0] >= self._newest:
-                self._newest = sample[0]
-                return True
-        self._awaited = None  # overtaken by a newer state: no command will come
-        return False
+    _begin_advance = _resume
 
-    def _send_again(self) -> None:
-        self._parts.states.send_again()
-        self._show_time()
-        self._sent_at = time.monotonic()
-        self._health.count["states sent again"] += 1
+    def _on_first_answer(self) -> None:
+        self._clock.refuse_others()
 
-    def _show_time(self) -> None:
-        """Publish /clock, after the state of that time, so that subscribers receive the state first."""
-        self._clock.show(self.stamp)
+    def _read(self, data: bytes) -> None:
+        self._parts.reader.read_named(deserialised(data, JointState))
 
-    def _watch(self) -> None:
-        """Check for a missing command and for another owner of the time; raises FjrError."""
-        self._clock.look(established=self._heard)
-        if not self.running:
-            return
-        if self._awaited is None:
-            self._continue()
-            return
-        now = time.monotonic()
-        if self._heard and 0.0 < self._timeout < now - self._first_sent_at:
-            raise LockStepError(self._silence(self._awaited))
-        if now - self._sent_at >= RESEND_PERIOD:
-            self._send_again()
+    def _error_of(self, fault: int, reason: str) -> FjrError:
+        if fault == self._lib.FJR_UNANSWERED:
+            return LockStepError(self._silence())
+        return super()._error_of(fault, reason)
 
-    def _silence(self, awaited: int) -> str:
-        heard = "none has arrived" if self._other is None else f"the last other one has {seconds(self._other)} s"
+    def _silence(self) -> str:
+        plant = self.plant
+        other = f"the last other one has {seconds(plant.other)} s" if plant.other < NO_TIME else "none has arrived"
         return (
-            f"the state of {seconds(awaited)} s was not answered for {self._timeout:g} s (lockstep_timeout); expected "
-            f"a message on {self._topic} with that stamp and an effort for every joint, {heard}"
+            f"the state of {seconds(plant.awaited)} s was not answered for {plant.timeout * 1e-9:g} s "
+            f"(lockstep_timeout); expected a message on {self._topic} with that stamp and an effort for every joint, "
+            f"{other}"
         )
-
-    def _restart(self) -> None:
-        self._arrived.clear()
-        self._heard = False
-        self._awaited = self._other = None
-        self._newest = 0
-        self._sent_at = self._first_sent_at = time.monotonic()
-        self._measure()
-        if self.running:
-            self._send_arrived()
-
-    def _resume(self) -> None:
-        self._first_sent_at = time.monotonic()
-        if self._awaited is None:
-            self._continue()
-        else:
-            self._send_again()
-
-    def catch_up(self) -> None:
-        """Do nothing: the robot is already at the time of its last command."""

@@ -3,21 +3,55 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from rclpy.node import Node
+from sensor_msgs.msg import JointState
 
-from fjr_core.numerics.checks import Array
-from fjr_msgs_py.messages.joint_states import EffortReader
+from fjr_core import FjrError
+from fjr_core.config.process import NATIVE
+from fjr_msgs_py import names
+from fjr_msgs_py.messages.cdr.layout import joint_state
+from fjr_msgs_py.messages.joint_states import EffortReader, MessageError
+from fjr_msgs_py.native.entities import NativeMessage
 from fjr_msgs_py.node.diagnostics import Health
 
 from ..channel import Transport
+from ..native.program import NO_TIME, array, plant_program
 from ..simulated_robot import SimulatedRobot
-from ..state_publisher import Sample, StatePublisher
 from .deferred_service import DeferredReply
+from .host import Host, Hosted, NativeHost, RclpyHost
+
+COUNTERS = (
+    "states published",
+    "commands received",
+    "ticks skipped",
+    "states unanswered",
+    "states sent again",
+    "answers to other states",
+    "command timeouts",
+    "time lost",
+    "clock jumps back",
+)
+"""Names of enum fjr_counter."""
+EXPECTED = COUNTERS[:6]
+UNWANTED = {
+    "command timeouts": "no command for longer than command_timeout: effort set to zero",
+    "time lost": "too far behind the clock: the backlog is skipped and stamps lag by it",
+    "clock jumps back": "the clock jumped back: stamps continue from its new time",
+}
+WATCH_PERIOD = 0.05  # s between ticks in lock-step
+REFUSALS = ("", "not a message", "missing joints", "duplicate joints", "wrong lengths", "not finite")
+"""Kinds of refused commands by enum fjr_reading."""
+
+
+class SendError(FjrError):
+    """A message that could not be sent."""
 
 
 @dataclass(frozen=True)
@@ -28,27 +62,90 @@ class NodeParts:
     values: dict[str, Any]
     robot: SimulatedRobot
     transport: Transport
-    states: StatePublisher
     reader: EffortReader
     health: Health
 
 
 class TimeBase(ABC):
-    """Time base that runs, pauses or advances the robot; a sample has the stamp `offset` + robot time.
+    """Time base that runs, pauses or advances the robot; a sample has the stamp `offset` + robot time, see plant.h.
 
-    An effort acts until the next one, at most for command_timeout of robot time; then the effort is zero.
+    An effort acts until the next one, at most for command_timeout of robot time; then the effort is zero. The host
+    calls the C; what is rare runs here, between two messages of the host.
     """
+
+    lock_step = False
+    moving = ""
+    """Sentence about the first command."""
 
     def __init__(self, parts: NodeParts) -> None:
         self._parts = parts
         self._robot, self._transport, self._health = parts.robot, parts.transport, parts.health
-        self._period = parts.transport.period  # ns
-        self.paused = bool(parts.values["start_paused"])
-        self.offset = 0  # ns, stamp of robot time 0
-        self._command_timeout = round(parts.values["command_timeout"] * 1e9)  # ns
-        self._last_command = 0  # robot time, ns
-        self._samples = self._left = 0
+        self._program: Any = plant_program()
+        self._lib = self._program.lib
+        self._samples = 0
         self._reply: DeferredReply | None = None
+        self._error: FjrError | None = None  # of an event
+        self._raised = False  # the error of the fault was raised
+        self._publishers = [parts.node.create_publisher(JointState, names.JOINT_STATES, names.LATEST)]
+        self.plant = self._built()
+        self._handlers: dict[int, Callable[[int, bytes], None]] = {
+            self._lib.FJR_COUNTED: self._on_counted,
+            self._lib.FJR_COMMAND_REFUSED: self._on_refused,
+            self._lib.FJR_MOVING: lambda *_: self._log_once(self.moving),
+            self._lib.FJR_ADVANCED: lambda *_: self._end_advance(True, ""),
+            self._lib.FJR_SECOND: lambda stamp, _: self._health.at(stamp),
+            self._lib.FJR_FIRST_ANSWER: lambda *_: self._on_first_answer(),
+        }
+        self._health.add_counters(self._counts)
+
+    def _built(self) -> Any:
+        """Return struct fjr_plant."""
+        program, values, n = self._program, self._parts.values, len(self._parts.values["joints"])
+        ffi = program.ffi
+        self._arrays = [np.zeros(2 + 6 * n), np.zeros(2 + 6 * n), np.zeros(n)]
+        self._pointers = [array(program, each) for each in self._arrays]
+        named = names.state_names(values["joints"])
+        lengths = ((2 * n, 0, 2 * n), (2 * n, 2 * n, 2 * n))
+        self._messages = [NativeMessage(program, joint_state(named, each), each) for each in lengths]
+        self._notify = ffi.callback("int(void*, int32_t, int64_t, const uint8_t*, size_t)", self._on_event, error=1)
+        plant = ffi.new("struct fjr_plant*")
+        plant.robot, transport = self._robot.pointer, self._transport
+        plant.states, plant.commands = transport.states.pointer, transport.commands.pointer
+        plant.times = transport.times.pointer
+        plant.state = [message.pointer for message in self._messages]
+        plant.sample, plant.held, plant.effort = self._pointers
+        plant.notify = self._notify
+        plant.command_timeout = round(values["command_timeout"] * 1e9)
+        plant.paused = values["start_paused"]
+        plant.by_stamps = bool(self._parts.node.get_parameter("use_sim_time").value)
+        plant.origin = plant.late_at = plant.between = plant.awaited = plant.other = NO_TIME
+        return plant
+
+    def _serve(self, kind: type, topic: str, command: Any, tick: Any, simulated: bool = False) -> None:
+        """Start the host for commands of a type on a topic, handled by these functions in C."""
+        node, loop = self._parts.node, self._program.loop
+        hosted = Hosted(
+            node, self._program, self.plant, self.lock_step, kind, topic, self._publishers, command, tick, self._fail
+        )
+        why = self._without_loop(simulated)
+        self.host: Host
+        if loop is None or why:
+            period = WATCH_PERIOD if self.lock_step else self._transport.period * 1e-9
+            self.host = RclpyHost(hosted, simulated, period)
+            if self._parts.values["executor"] == NATIVE:
+                node.get_logger().info(f"the plant runs in rclpy's executor instead of a native thread: {why}")
+        else:
+            self.host = NativeHost(hosted, loop)
+
+    def _without_loop(self, simulated: bool) -> str:
+        """Return why rclpy's executor serves the plant; "" if a native loop does."""
+        if self._parts.values["executor"] != NATIVE:
+            return "another executor is selected"
+        if simulated:
+            return "the time comes from /clock"
+        if not self._robot.in_machine_code:
+            return "the plant is evaluated in Python (compile is false, or a plant of one's own)"
+        return self._program.without_loop
 
     @property
     def stamp(self) -> int:
@@ -56,119 +153,174 @@ class TimeBase(ABC):
         return self.offset + self._robot.time
 
     @property
-    def running(self) -> bool:
-        """Return whether robot time runs, possibly only for some samples."""
-        return not self.paused or self._left > 0
+    def shown(self) -> int:
+        """Stamp [ns] of the last sample."""
+        return int(self.plant.shown)
+
+    @property
+    def offset(self) -> int:
+        """Stamp [ns] of robot time 0."""
+        return int(self.plant.offset)
+
+    @property
+    def paused(self) -> bool:
+        """True if robot time is paused."""
+        return bool(self.plant.paused)
 
     def reset(self) -> None:
         """Return to the initial state and discard all messages in transit."""
         self._end_advance(False, "reset")
+        self.host.run(self._reset)
+
+    def _reset(self) -> None:
         self._robot.reset()
-        self._last_command = 0
+        self.plant.last_command = 0
         self._transport.reset()
-        self._restart()
+        self._check(self._restart())
 
     def pause(self, wanted: bool) -> None:
         """Pause or resume robot time."""
+        self.host.run(lambda: self._pause(wanted))
+
+    def _pause(self, wanted: bool) -> None:
         self._end_advance(False, "paused" if wanted else "resumed")
         if wanted and not self.paused:
-            self.catch_up()
+            self._check(self._catch_up())
         if wanted != self.paused:
-            self.paused = wanted
+            self.plant.paused = wanted
             if not wanted:
-                self._resume()
+                self._check(self._resume())
 
     def advance(self, samples: int, reply: DeferredReply) -> None:
         """Advance a paused robot by `samples`; reply when that is done or refused."""
+        self.host.run(lambda: self._advance(samples, reply))
+
+    def _advance(self, samples: int, reply: DeferredReply) -> None:
         refusal = self._refusal()
         if refusal:
             reply.give(False, refusal)
             return
-        self._samples = self._left = samples
+        self._samples = self.plant.left = samples
         self._reply = reply
-        self._begin_advance()
+        self._check(self._begin_advance())
+
+    def change(self, action: Callable[[], None]) -> None:
+        """Integrate up to the present and then call an action that changes the robot; its FjrError is raised."""
+
+        def caught_up() -> None:
+            self._check(self._catch_up())
+            action()
+
+        self.host.run(caught_up)
 
     def end(self) -> None:
         """Reply to a waiting client that the advance has ended early."""
         self._end_advance(False, "ended")
 
+    def close(self) -> None:
+        """Stop serving commands."""
+        self.host.close()
+
+    # Functions in C, which return a fault.
+
     @abstractmethod
-    def catch_up(self) -> None:
+    def _restart(self) -> int:
+        """Restart with the robot at its initial state."""
+
+    @abstractmethod
+    def _resume(self) -> int:
+        """Resume after a pause."""
+
+    @abstractmethod
+    def _begin_advance(self) -> int:
+        """Start an advance."""
+
+    def _catch_up(self) -> int:
         """Integrate up to the present, before a change takes effect."""
+        return 0
 
     def _refusal(self) -> str:
         if not self.paused:
             return "robot time is running; expected a paused robot: call ~/pause with true first"
-        return f"already advancing: {self._left} of {self._samples} samples are left" if self._left else ""
-
-    def _log_once(self, sentence: str) -> None:
-        if self._health.is_new(sentence):
-            self._parts.node.get_logger().info(sentence)
-
-    def _count_sample(self) -> None:
-        """Count one sample of an advance."""
-        if self._left:
-            self._left -= 1
-            if not self._left:
-                self._end_advance(True, "")
+        left = self.plant.left
+        return f"already advancing: {left} of {self._samples} samples are left" if left else ""
 
     def _end_advance(self, success: bool, why: str) -> None:
         """Reply to the client that waits for the end of an advance."""
         reply, self._reply = self._reply, None
         if reply is None:
             return
-        done, self._left = self._samples - self._left, 0
+        done, self.plant.left = self._samples - self.plant.left, 0
         now = f"the time is {seconds(self.stamp)} s"
         if success:
             reply.give(True, f"advanced by {done} samples: {now}")
         else:
             reply.give(False, f"{why} after {done} of {self._samples} samples: {now}")
 
-    def _sample(self) -> Sample:
-        return self.stamp, *self._robot.measure()
+    # Faults and events of the C.
 
-    def _take(self, effort: Array) -> None:
-        """Take a command, which acts at once or after its channel delay."""
-        commands = self._transport.commands
-        if commands is None:
-            self._apply(effort)
-        else:
-            commands.push(self._robot.time, effort)
+    def _check(self, fault: int) -> None:
+        if fault:
+            self._raised = True
+            raise self._error_of(fault, "")
 
-    def _integrate(self, time: int) -> None:
-        """Advance the robot to `time` [ns]; commands in transit take effect at their instants."""
-        commands = self._transport.commands
-        while commands is not None and (instant := commands.next_due) is not None and instant <= time:
-            self._integrate_held(instant)
-            for effort in commands.due(instant):
-                self._apply(effort)
-        self._integrate_held(time)
+    def _error_of(self, fault: int, reason: str) -> FjrError:
+        """Return the error of an enum fjr_fault; reason: of the native loop."""
+        if self._error is not None:
+            return self._error
+        if fault == self._lib.FJR_NOT_SENT:
+            return SendError(f"a message could not be sent: {reason or 'the publisher failed'}")
+        return self._robot.error(fault)
 
-    def _integrate_held(self, time: int) -> None:
-        """Advance the robot to `time` [ns] without a new command."""
-        expiry = self._last_command + self._command_timeout
-        if time > expiry and self._robot.u.any():
-            self._robot.advance_to(expiry)
-            self._robot.u = np.zeros_like(self._robot.u)
-            self._health.warn("command timeouts", "no command for longer than command_timeout: effort set to zero")
-        self._robot.advance_to(time)
+    def _fail(self, reason: str) -> None:
+        """End the node after a fault; called on any thread."""
+        node = self._parts.node
+        if node.ended is None and not self._raised:
+            node.end(self._error_of(self.plant.fault, reason))
 
-    def _apply(self, effort: Array) -> None:
-        """Apply an effort from the present robot time on."""
-        self._robot.u = effort
-        self._last_command = self._robot.time
+    def _on_event(self, _: Any, event: int, value: int, data: Any, size: int) -> int:
+        try:
+            self._handlers[event](value, bytes(self._program.ffi.buffer(data, size)) if size else b"")
+        except FjrError as error:
+            self._error = error
+            return 1
+        return 0
+
+    def _on_counted(self, counter: int, _: bytes) -> None:
+        self._health.tell(COUNTERS[counter], UNWANTED[COUNTERS[counter]])
+
+    def _on_refused(self, reading: int, data: bytes) -> None:
+        try:
+            self._read(data)
+            error = MessageError(REFUSALS[reading], "the message is invalid")
+        except MessageError as found:
+            error = found
+        self._health.tell_refusal("command", error)
+
+    def _on_first_answer(self) -> None:  # noqa: B027  # in lock-step only
+        """Check that the first command may be accepted; raises FjrError."""
 
     @abstractmethod
-    def _restart(self) -> None:
-        """Restart with the robot at its initial state."""
+    def _read(self, data: bytes) -> None:
+        """Read a serialised command as Python does; raises MessageError with the reason."""
 
-    @abstractmethod
-    def _resume(self) -> None:
-        """Resume after a pause."""
+    def _counts(self) -> dict[str, int]:
+        plant = self.plant
+        refused = zip((f"command refused: {kind}" for kind in REFUSALS), plant.refused, strict=True)
+        full = self._transport.states.pointer.overflows + self._transport.commands.pointer.overflows
+        unwanted = [*zip(COUNTERS[6:], plant.count[6 : len(COUNTERS)], strict=True), *refused]
+        unwanted.append(("messages beyond the capacity of a channel", full))
+        counts = dict(zip(EXPECTED, plant.count[0:6], strict=True))
+        return {**counts, **{name: count for name, count in unwanted if count}}
 
-    def _begin_advance(self) -> None:
-        """Start an advance."""
-        self._resume()
+    def _log_once(self, sentence: str) -> None:
+        if self._health.is_new(sentence):
+            self._parts.node.get_logger().info(sentence)
+
+
+def steady() -> int:
+    """Return the time of the steady clock [ns]."""
+    return time.monotonic_ns()
 
 
 def seconds(stamp: int) -> str:

@@ -1,0 +1,120 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * What real time and lock-step share: integration with commands in transit, samples, counters.
+ *
+ * An effort acts until the next one, at most for command_timeout of robot time; then the effort is zero.
+ */
+#define PERIOD_OF_REPORTS 1000000000
+
+/* A sample: stamp, 1 for measured velocities, then `measured` of the robot. */
+#define SAMPLE_STAMP 0
+#define SAMPLE_VELOCITIES 1
+#define SAMPLE_VALUES 2
+
+static int failed(struct fjr_plant* p, int fault) {
+  if (fault && !p->fault) p->fault = fault;
+  return p->fault;
+}
+
+static int tell(struct fjr_plant* p, int32_t event, int64_t value) { return p->notify(p->host, event, value, NULL, 0); }
+
+/* Count an unwanted event, and notify the host of the first one. */
+static void unwanted(struct fjr_plant* p, int32_t counter) {
+  if (++p->count[counter] == 1) tell(p, FJR_COUNTED, counter);
+}
+
+static int refuse(struct fjr_plant* p, int reading, const uint8_t* data, size_t size) {
+  if (++p->refused[reading] == 1) p->notify(p->host, FJR_COMMAND_REFUSED, reading, data, size);
+  return p->fault;
+}
+
+static int64_t stamp_of(const struct fjr_plant* p) { return p->offset + p->robot->time; }
+
+static int is_running(const struct fjr_plant* p) { return !p->paused || p->left > 0; }
+
+/* Report once per second of stamps. */
+static void passed(struct fjr_plant* p, int64_t stamp) {
+  const int64_t since = stamp - p->reported;
+  p->shown = stamp;
+  if (p->by_stamps && (since < 0 || since >= PERIOD_OF_REPORTS)) {
+    p->reported = stamp;
+    tell(p, FJR_SECOND, stamp);
+  }
+}
+
+/* Count one sample of an advance. */
+static void count_sample(struct fjr_plant* p) {
+  if (p->left && --p->left == 0) tell(p, FJR_ADVANCED, 0);
+}
+
+/* Apply an effort from the present robot time on. */
+static void apply(struct fjr_plant* p, const double* effort) {
+  memcpy(p->robot->u, effort, (size_t)p->robot->n * sizeof(double));
+  p->last_command = p->robot->time;
+}
+
+/* Take a command, which acts at once or after its channel delay. */
+static void take_effort(struct fjr_plant* p, const double* effort) {
+  if (p->commands->on)
+    fjr_channel_push(p->commands, p->robot->time, effort);
+  else
+    apply(p, effort);
+}
+
+static int advance(struct fjr_plant* p, int64_t time) { return failed(p, fjr_robot_advance(p->robot, time)); }
+
+/* Advance the robot without a new command. */
+static int integrate_held(struct fjr_plant* p, int64_t time) {
+  struct fjr_robot* r = p->robot;
+  const int64_t expiry = p->last_command + p->command_timeout;
+  if (time > expiry && any(r->u, r->n)) {
+    if (advance(p, expiry)) return p->fault;
+    memset(r->u, 0, (size_t)r->n * sizeof(double));
+    unwanted(p, FJR_TIMED_OUT);
+  }
+  return advance(p, time);
+}
+
+/* Advance the robot; commands in transit take effect at their instants. */
+static int integrate(struct fjr_plant* p, int64_t time) {
+  const double* effort;
+  while (p->commands->on && fjr_channel_next(p->commands) <= time && p->commands->count) {
+    const int64_t instant = fjr_channel_next(p->commands);
+    if (integrate_held(p, instant)) return p->fault;
+    while ((effort = fjr_channel_pop(p->commands, instant))) apply(p, effort);
+  }
+  return integrate_held(p, time);
+}
+
+/* Measure into p->sample. */
+static int take_sample(struct fjr_plant* p) {
+  const int64_t stamp = stamp_of(p);
+  if (failed(p, fjr_robot_measure(p->robot))) return p->fault;
+  memcpy(&p->sample[SAMPLE_STAMP], &stamp, sizeof stamp);
+  p->sample[SAMPLE_VELOCITIES] = p->robot->sensors->velocities;
+  memcpy(p->sample + SAMPLE_VALUES, p->robot->measured, 6 * (size_t)p->robot->n * sizeof(double));
+  return 0;
+}
+
+static int64_t sample_stamp(const double* sample) {
+  int64_t stamp;
+  memcpy(&stamp, &sample[SAMPLE_STAMP], sizeof stamp);
+  return stamp;
+}
+
+static int send_message(struct fjr_plant* p, int32_t output, const struct fjr_message* message) {
+  return failed(p, p->send(p->host, output, message) ? FJR_NOT_SENT : FJR_NO_FAULT);
+}
+
+static struct fjr_message* message_of(const struct fjr_plant* p, const double* sample) {
+  return p->state[sample[SAMPLE_VELOCITIES] != 0.0];
+}
+
+static int send_sample(struct fjr_plant* p, const double* sample) {
+  struct fjr_message* message = message_of(p, sample);
+  const int32_t n = p->robot->n;
+  fjr_put_stamp(message, sample_stamp(sample));
+  for (int32_t field = 0; field < FJR_FIELDS; ++field)
+    if (message->length[field]) fjr_put_numbers(message, field, sample + SAMPLE_VALUES + 2 * n * field);
+  ++p->count[FJR_PUBLISHED];
+  return send_message(p, FJR_STATE, message);
+}

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hosts of a time base: a native thread, or callbacks of rclpy's executor. Both call the same C."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from fjr_msgs_py import names
+from fjr_msgs_py.native.entities import NativeSubscription, publisher_address
+from fjr_msgs_py.native.loop import Loop
+from fjr_msgs_py.native.program import Program
+
+from ..native.program import NO_TIME, PlantProgram
+
+
+class Hosted(NamedTuple):
+    """What a host serves: a plant in C, its commands, and the publishers by enum fjr_output.
+
+    command, tick: its functions in C. fail: called with a description after a fault; it does not raise.
+    """
+
+    node: Node
+    program: PlantProgram
+    plant: Any
+    lock_step: bool
+    kind: type
+    topic: str
+    publishers: list[Publisher]
+    command: Callable[[Any, Any, int, int], int]
+    tick: Callable[[Any, int, Any], int]
+    fail: Callable[[str], None]
+
+
+class Host(Protocol):
+    """What serves messages and ticks of a plant."""
+
+    def start(self) -> None:
+        """Begin to serve."""
+
+    def run(self, action: Callable[[], Any]) -> Any:
+        """Run an action between two messages and return its result; its exceptions are raised here."""
+
+    def close(self) -> None:
+        """Stop serving."""
+
+
+class NativeHost:
+    """A thread in C, see plant_loop.h; raises NativeError if it cannot be started."""
+
+    def __init__(self, hosted: Hosted, program: Program) -> None:
+        ffi, lib = program.ffi, program.lib
+        self._hosted = hosted
+        self.subscription = NativeSubscription(hosted.node, hosted.kind, hosted.topic, names.LATEST)
+        self._callbacks = ffi.callback("int(void)", self._work, error=1), ffi.callback("void(void)", self._on_end)
+        self.state = ffi.new("struct fjr_plant_loop*", {"plant": hosted.plant, "lock_step": hosted.lock_step})
+        self.state.work, self.state.ended = self._callbacks
+        for k, publisher in enumerate(hosted.publishers):
+            self.state.publisher[k] = publisher_address(program, publisher)
+        functions = (ffi.addressof(lib, f"fjr_plant_on_{what}") for what in ("message", "tick", "request", "end"))
+        self._struct = ffi.new("struct fjr_host*", [self.state, *functions])
+        self._loop = Loop(program, self._struct, [self.subscription], hosted.publishers)
+        self.state.loop = self._loop.pointer
+        hosted.plant.host, hosted.plant.send = self.state, ffi.addressof(lib, "fjr_plant_send")
+        self._action: Callable[[], Any] = lambda: None
+        self._result: Any = None
+        self._error: BaseException | None = None
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._loop.start()
+
+    def run(self, action: Callable[[], Any]) -> Any:
+        """Run an action on the thread, between two messages."""
+        self._action, self._error = action, None
+        self._loop.request(0)
+        if self._error is not None:
+            raise self._error
+        return self._result
+
+    def close(self) -> None:
+        """End the thread; a second call does nothing."""
+        if self._loop.pointer:
+            self._loop.close()
+            self.subscription.close()
+
+    def _work(self) -> int:
+        try:
+            self._result = self._action()
+        except BaseException as error:
+            self._error = error
+        return 0
+
+    def _on_end(self) -> None:
+        self._hosted.fail(self._loop.reason)
+
+
+class RclpyHost:
+    """Callbacks of the node's executor; the clock is the steady one, or the node's if it is simulated."""
+
+    def __init__(self, hosted: Hosted, simulated: bool, period: float) -> None:
+        """simulated: whether the clock is the node's, set by another publisher of /clock; period: of ticks [s]."""
+        self._hosted, node, ffi = hosted, hosted.node, hosted.program.ffi
+        self._clock = node.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        self._simulated = simulated
+        self._next = ffi.new("int64_t*")
+        self._send = ffi.callback("int(void*, int32_t, const struct fjr_message*)", self._publish, error=1)
+        hosted.plant.send = self._send
+        self._subscription = node.create_subscription(
+            hosted.kind, hosted.topic, self._on_command, names.LATEST, raw=True
+        )
+        self._period = period
+        self._between = node.create_timer(1.0, self._on_tick, clock=self._clock)
+        self._between.cancel()
+
+    def start(self) -> None:
+        """Begin to tick."""
+        self._hosted.node.create_timer(self._period, self._on_tick, clock=self._clock)
+
+    def run(self, action: Callable[[], Any]) -> Any:
+        """Run an action."""
+        return action()
+
+    def close(self) -> None:
+        """Do nothing: the node destroys its subscriptions and timers."""
+
+    def now(self) -> int:
+        """Return the time of the clock [ns]."""
+        return int(self._clock.now().nanoseconds) if self._simulated else time.monotonic_ns()
+
+    def _on_command(self, message: bytes) -> None:
+        data = self._hosted.program.ffi.from_buffer("uint8_t[]", message)
+        self._succeeded(self._hosted.command(self._hosted.plant, data, len(message), self.now()))
+
+    def _on_tick(self) -> None:
+        if not self._between.is_canceled():
+            self._between.cancel()
+        now, plant = self.now(), self._hosted.plant
+        if self._succeeded(self._hosted.tick(plant, now, self._next)) and plant.between != NO_TIME:
+            self._between.timer_period_ns = max(plant.between - now, 1)
+            self._between.reset()
+
+    def _succeeded(self, fault: int) -> bool:
+        if fault:
+            self._hosted.fail("")
+        return not fault
+
+    def _publish(self, _: Any, output: int, message: Any) -> int:
+        self._hosted.publishers[output].publish(bytes(self._hosted.program.ffi.buffer(message.bytes, message.size)))
+        return 0
