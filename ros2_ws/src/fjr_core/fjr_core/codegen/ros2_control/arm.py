@@ -28,18 +28,13 @@ SENSORS = {field: each for field, each in declared(SensorErrors).items() if fiel
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """Simulated arm: plant with n joints, its non-idealities, sensors and delays.
+    """Simulated arm: plant with n joints and its initial positions (2n,) [rad] of links, then motors.
 
-    delays [s]: of states and of efforts. start (2n,) [rad]: initial positions of links and motors. inner_step [ns]:
-    integrator step. urdf: description of the robot. given: parameters of the tag that are not the defaults. Raises
-    StateError for a plant in Python.
+    inner_step [ns]: integrator step. urdf: description of the robot. given: parameters of imperfections.* that are not
+    the defaults, without the group. Raises StateError for a plant in Python.
     """
 
     plant: Plant
-    nonidealities: Nonidealities
-    sensors: SensorErrors
-    delays: tuple[float, float]
-    seed: int
     start: Array
     inner_step: float
     urdf: str
@@ -57,10 +52,14 @@ class Arm:
 
     @property
     def table(self) -> list[tuple[str, int, int, float]]:
-        """Return name, first index, length and least value of each parameter of the plant."""
+        """Return name, first index, length and least value of each parameter of the plant.
+
+        The payload is left out for a robot without an end effector.
+        """
         rows, first = [], 0
         for field, size in layout(self.plant.robot.n).sizes.items():
-            rows.append((DYNAMICS[field].name, first, size, DYNAMICS[field].minimum))
+            if self.plant.robot.links.end_effector is not None or not field.startswith("payload"):
+                rows.append((DYNAMICS[field].name, first, size, DYNAMICS[field].minimum))
             first += size
         return rows
 
@@ -68,15 +67,12 @@ class Arm:
 def arm_of(scenario: Scenario) -> Arm:
     """Return the simulated arm of a scenario; raises ParameterError."""
     values, plant = scenario.plant_values, scenario.plant
-    plant = Plant(plant.robot, plant.integrator) if not plant.in_python else plant
     n = plant.robot.n
-    motion, sensors = nonidealities.imperfections(values, plant.robot), nonidealities.sensor_errors(values, n)
-    states, commands = nonidealities.channel_errors(values)
+    _ = nonidealities.imperfections(values, plant.robot), nonidealities.sensor_errors(values, n)
     inner_step = scenario.sample_period / int(values["inner_steps"]) * 1e9  # type: ignore[arg-type]
     start = np.asarray(scenario.x0)[: 2 * n]
-    seed, given = nonidealities.seed(values), _given(values, n)
-    delays = states.delay, commands.delay
-    return Arm(plant, motion, sensors, delays, seed, start, inner_step, description(values), given)
+    plant = plant if plant.in_python else Plant(plant.robot, plant.integrator)
+    return Arm(plant, start, inner_step, description(values), _given(values, n))
 
 
 def not_exported(scenario: Scenario) -> list[str]:

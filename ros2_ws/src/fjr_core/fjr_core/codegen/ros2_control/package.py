@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence
 from xml.sax.saxutils import escape
 
 import casadi as ca
+import yaml
 
 from ...config.scenario import Scenario
 from ...control.sampled_law import AsSampledLaw
@@ -15,8 +18,9 @@ from ...errors import ParameterError
 from ...monitoring.certificate import Certificate
 from ...monitoring.thresholds import LONGEST_GAP
 from ...numerics.checks import Array
+from ...simulation.nonideal_parameters import Nonidealities
 from ...version import __version__
-from ..c_code import number, numbers
+from ..c_code import comment, number, numbers
 from ..filled_template import filled
 from ..recorded_steps import as_text, recorded_steps
 from ..step_code import Controller, controller_of, step_code
@@ -106,15 +110,14 @@ def _values(scenario: Scenario, controller: Controller, arm: Arm, package: str) 
     return {
         "package": package,
         "PACKAGE": package.upper(),
-        "title": " ".join(scenario.name.split()),
+        "title": comment(scenario.name),
         "title_xml": escape(scenario.name),
         "version": __version__,
         "rate": str(round(1 / controller.sample_period)),
-        "period": number(controller.sample_period),
         "clock": f"{package}_clock",
-        "joint_yaml": ", ".join(joints),
-        "motor_yaml": ", ".join(motors),
-        "chained_yaml": ", ".join(chained),
+        "joint_yaml": _yaml(joints),
+        "motor_yaml": _yaml(motors),
+        "chained_yaml": _yaml(chained),
         "inner_step": number(arm.inner_step),
         **_certificate_values(scenario, controller),
         **_plant_values(arm),
@@ -124,6 +127,11 @@ def _values(scenario: Scenario, controller: Controller, arm: Arm, package: str) 
         "arm_rows": arm_rows(),
         "not_exported": _left_out(scenario),
     }
+
+
+def _yaml(names: Sequence[str]) -> str:
+    """Format names as a list of YAML on one line."""
+    return str(yaml.safe_dump(list(names), default_flow_style=True, allow_unicode=True, width=math.inf)).strip()
 
 
 def _certificate_values(scenario: Scenario, controller: Controller) -> dict[str, str]:
@@ -148,13 +156,13 @@ def _configurations(scenario: Scenario, law: TrackingLaw) -> Array | None:
 
 
 def _plant_values(arm: Arm) -> dict[str, str]:
+    """Return the values of elastic_arm.cpp; the parameters of the scenario are in the tag."""
+    ideal = Nonidealities(arm.plant.robot.n).vector
     return {
-        "parameters": str(len(arm.nonidealities.vector)),
+        "parameters": str(len(ideal)),
         "plant_table": plant_table(arm),
-        "plant_numbers": numbers(arm.nonidealities.vector).replace("INFINITY", "HUGE_VAL"),
+        "plant_numbers": numbers(ideal).replace("INFINITY", "HUGE_VAL"),
         "start_numbers": numbers(arm.start),
-        "delays": ", ".join(map(number, arm.delays)),
-        "seed": f"{arm.seed}.0",
     }
 
 

@@ -73,7 +73,8 @@ def _rows(parameters: Iterable[Parameter], show_default: bool = False) -> Iterab
     for each in parameters:
         unit = f" [{each.unit}]" if each.unit else ""
         default = f"{_shown(each.default)}" if show_default else "the scenario's"
-        yield f"| `{each.name}` | {default} | {each.description}{unit} |"
+        description = each.description.replace("|", "\\|")
+        yield f"| `{each.name}` | {default} | {description}{unit} |"
 
 
 def _shown(value: object) -> str:
