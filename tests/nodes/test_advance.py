@@ -160,6 +160,7 @@ def test_divergence_during_an_advance_ends_the_node_with_a_response(ros: Ros, pe
     assert isinstance(node.ended, StateError)
     assert not response.success
     assert response.message.startswith("ended after ")
+    ros.settle()
     count = len(peer.states)
     call(ros, peer, SetBool, "fjr_plant/pause", data=False)
     ros.settle()

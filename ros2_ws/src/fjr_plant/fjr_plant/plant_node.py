@@ -21,9 +21,10 @@ from fjr_msgs_py.node.parameters import ParameterNode
 
 from .simulated_robot import simulated
 from .timing.deferred_service import DeferredReply, DeferredTrigger
+from .timing.events import EXPECTED
 from .timing.lock_step import LockStep
 from .timing.real_time import RealTime
-from .timing.time_base import EXPECTED, NodeParts, TimeBase
+from .timing.time_base import NodeParts, TimeBase
 
 TORQUES = "external torques received"
 

@@ -17,7 +17,7 @@ from fjr_core import FjrError
 from fjr_core.config.process import NATIVE
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr.layout import joint_state
-from fjr_msgs_py.messages.joint_states import EffortReader, MessageError
+from fjr_msgs_py.messages.joint_states import EffortReader
 from fjr_msgs_py.native.entities import NativeMessage
 from fjr_msgs_py.node.diagnostics import Health
 
@@ -25,29 +25,10 @@ from ..channel import Transport
 from ..native.program import NO_TIME, array, plant_program
 from ..simulated_robot import SimulatedRobot
 from .deferred_service import DeferredReply
+from .events import Events
 from .host import Host, Hosted, NativeHost, RclpyHost
 
-COUNTERS = (
-    "states published",
-    "commands received",
-    "ticks skipped",
-    "states unanswered",
-    "states sent again",
-    "answers to other states",
-    "command timeouts",
-    "time lost",
-    "clock jumps back",
-)
-"""Names of enum fjr_counter."""
-EXPECTED = COUNTERS[:6]
-UNWANTED = {
-    "command timeouts": "no command for longer than command_timeout: effort set to zero",
-    "time lost": "too far behind the clock: the backlog is skipped and stamps lag by it",
-    "clock jumps back": "the clock jumped back: stamps continue from its new time",
-}
 WATCH_PERIOD = 0.05  # s between ticks in lock-step
-REFUSALS = ("", "not a message", "missing joints", "duplicate joints", "wrong lengths", "not finite")
-"""Kinds of refused commands by enum fjr_reading."""
 
 
 class SendError(FjrError):
@@ -84,19 +65,17 @@ class TimeBase(ABC):
         self._lib = self._program.lib
         self._samples = 0
         self._reply: DeferredReply | None = None
-        self._error: FjrError | None = None  # of an event
         self._raised = False  # the error of the fault was raised
         self._publishers = [parts.node.create_publisher(JointState, names.JOINT_STATES, names.LATEST)]
-        self.plant = self._built()
-        self._handlers: dict[int, Callable[[int, bytes], None]] = {
-            self._lib.FJR_COUNTED: self._on_counted,
-            self._lib.FJR_COMMAND_REFUSED: self._on_refused,
-            self._lib.FJR_MOVING: lambda *_: self._log_once(self.moving),
-            self._lib.FJR_ADVANCED: lambda *_: self._end_advance(True, ""),
-            self._lib.FJR_SECOND: lambda stamp, _: self._health.at(stamp),
-            self._lib.FJR_FIRST_ANSWER: lambda *_: self._on_first_answer(),
+        others: dict[int, Callable[[int], None]] = {
+            self._lib.FJR_MOVING: lambda _: self._log_once(self.moving),
+            self._lib.FJR_ADVANCED: lambda _: self._end_advance(True, ""),
+            self._lib.FJR_SECOND: self._health.at,
+            self._lib.FJR_FIRST_ANSWER: lambda _: self._on_first_answer(),
         }
-        self._health.add_counters(self._counts)
+        self._events = Events(self._program, self._health, lambda data: self._read(data), others)
+        self.plant = self._built()
+        self._health.add_counters(lambda: self._events.counts(self.plant))
 
     def _built(self) -> Any:
         """Return struct fjr_plant."""
@@ -107,14 +86,13 @@ class TimeBase(ABC):
         named = names.state_names(values["joints"])
         lengths = ((2 * n, 0, 2 * n), (2 * n, 2 * n, 2 * n))
         self._messages = [NativeMessage(program, joint_state(named, each), each) for each in lengths]
-        self._notify = ffi.callback("int(void*, int32_t, int64_t, const uint8_t*, size_t)", self._on_event, error=1)
         plant = ffi.new("struct fjr_plant*")
         plant.robot, transport = self._robot.pointer, self._transport
         plant.states, plant.commands = transport.states.pointer, transport.commands.pointer
         plant.times = transport.times.pointer
         plant.state = [message.pointer for message in self._messages]
         plant.sample, plant.held, plant.effort = self._pointers
-        plant.notify = self._notify
+        plant.notify = self._events.notify
         plant.command_timeout = round(values["command_timeout"] * 1e9)
         plant.paused = values["start_paused"]
         plant.by_stamps = bool(self._parts.node.get_parameter("use_sim_time").value)
@@ -257,7 +235,7 @@ class TimeBase(ABC):
         else:
             reply.give(False, f"{why} after {done} of {self._samples} samples: {now}")
 
-    # Faults and events of the C.
+    # Faults of the C.
 
     def _check(self, fault: int) -> None:
         if fault:
@@ -266,8 +244,8 @@ class TimeBase(ABC):
 
     def _error_of(self, fault: int, reason: str) -> FjrError:
         """Return the error of an enum fjr_fault; reason: of the native loop."""
-        if self._error is not None:
-            return self._error
+        if self._events.error is not None:
+            return self._events.error
         if fault == self._lib.FJR_NOT_SENT:
             return SendError(f"a message could not be sent: {reason or 'the publisher failed'}")
         return self._robot.error(fault)
@@ -278,40 +256,12 @@ class TimeBase(ABC):
         if node.ended is None and not self._raised:
             node.end(self._error_of(self.plant.fault, reason))
 
-    def _on_event(self, _: Any, event: int, value: int, data: Any, size: int) -> int:
-        try:
-            self._handlers[event](value, bytes(self._program.ffi.buffer(data, size)) if size else b"")
-        except FjrError as error:
-            self._error = error
-            return 1
-        return 0
-
-    def _on_counted(self, counter: int, _: bytes) -> None:
-        self._health.tell(COUNTERS[counter], UNWANTED[COUNTERS[counter]])
-
-    def _on_refused(self, reading: int, data: bytes) -> None:
-        try:
-            self._read(data)
-            error = MessageError(REFUSALS[reading], "the message is invalid")
-        except MessageError as found:
-            error = found
-        self._health.tell_refusal("command", error)
-
     def _on_first_answer(self) -> None:  # noqa: B027  # in lock-step only
         """Check that the first command may be accepted; raises FjrError."""
 
     @abstractmethod
     def _read(self, data: bytes) -> None:
         """Read a serialised command as Python does; raises MessageError with the reason."""
-
-    def _counts(self) -> dict[str, int]:
-        plant = self.plant
-        refused = zip((f"command refused: {kind}" for kind in REFUSALS), plant.refused, strict=True)
-        full = self._transport.states.pointer.overflows + self._transport.commands.pointer.overflows
-        unwanted = [*zip(COUNTERS[6:], plant.count[6 : len(COUNTERS)], strict=True), *refused]
-        unwanted.append(("messages beyond the capacity of a channel", full))
-        counts = dict(zip(EXPECTED, plant.count[0:6], strict=True))
-        return {**counts, **{name: count for name, count in unwanted if count}}
 
     def _log_once(self, sentence: str) -> None:
         if self._health.is_new(sentence):
