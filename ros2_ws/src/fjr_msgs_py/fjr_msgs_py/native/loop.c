@@ -138,6 +138,14 @@ int fjr_loop_pause(struct fjr_loop* loop, int64_t nanoseconds) {
   return outcome == FJR_GO_ON && stopping(loop) ? FJR_DONE : outcome;
 }
 
+/* Whether something has come for which the semaphore may already have been taken, by fjr_loop_pause. */
+static int waiting(struct fjr_loop* loop) {
+  int found = __atomic_load_n(&loop->request, __ATOMIC_ACQUIRE) == POSTED;
+  for (int32_t k = 0; k < loop->sources; ++k)
+    found |= __atomic_load_n(&loop->source[k].announced, __ATOMIC_ACQUIRE) > 0;
+  return found;
+}
+
 static int one_round(struct fjr_loop* loop) {
   int outcome = serve(loop);
   for (int32_t k = 0; k < loop->sources && outcome == FJR_GO_ON; ++k) outcome = take(loop, k);
@@ -151,7 +159,8 @@ static int one_round(struct fjr_loop* loop) {
 static void* run(void* at) {
   struct fjr_loop* loop = at;
   int outcome = FJR_GO_ON;
-  while (!stopping(loop) && (outcome = one_round(loop)) == FJR_GO_ON) wait_until(loop, loop->next);
+  while (!stopping(loop) && (outcome = one_round(loop)) == FJR_GO_ON)
+    if (!waiting(loop)) wait_until(loop, loop->next);
   loop->host.on_end(loop->host.self, outcome);
   __atomic_store_n(&loop->running, 0, __ATOMIC_SEQ_CST);
   serve(loop);
