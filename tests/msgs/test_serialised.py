@@ -16,8 +16,8 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayou
 
 from fjr_core import Measurement
 from fjr_msgs_py.messages.cdr.layout import FIELDS
-from fjr_msgs_py.messages.cdr.readers import SerialisedEfforts, SerialisedStates
-from fjr_msgs_py.messages.joint_states import EffortReader, EffortWriter, JointStateWriter, MessageError, StateReader
+from fjr_msgs_py.messages.cdr.readers import SerialisedStates
+from fjr_msgs_py.messages.joint_states import EffortWriter, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.names import state_names
 
 JOINTS = ("elbow", "wr")
@@ -63,15 +63,6 @@ def test_states_equal_those_of_rclpy_for_any_previous_message(measurement, sent)
         data = serialize_message(message)
         for _ in range(2):
             assert outcome(serialised.read, data) == outcome(plain.read, deserialize_message(data, JointState))
-
-
-@given(st.lists(messages, min_size=1, max_size=6))
-def test_commands_equal_those_of_rclpy_for_any_previous_message(sent) -> None:
-    plain, serialised = EffortReader(NAMES), SerialisedEfforts(EffortReader(NAMES))
-    for message in sent:
-        data = serialize_message(message)
-        for _ in range(2):
-            assert outcome(serialised.read, data) == outcome(plain.read_named, deserialize_message(data, JointState))
 
 
 @given(st.lists(st.tuples(st.floats(-9, 9), st.integers(1, 2**31 * 10**9 - 1)), min_size=3, max_size=9))
@@ -137,11 +128,3 @@ def test_states_of_the_other_byte_order_are_read() -> None:
     for stamp, value in ((5, 0.0), (6_000_000_007, 1.25), (8, -0.5)):
         sample = reader.read(big_endian(stamp, [value] * 4))
         assert (sample.stamp, *sample.q_l, *sample.dq_m) == (stamp, value, value, value, value)
-
-
-def test_an_effort_is_unchanged_by_the_next_read() -> None:
-    reader, writer = SerialisedEfforts(EffortReader(JOINTS)), JointStateWriter(JOINTS)
-    for value in (1.0, 2.0):
-        first = reader.read(writer.fill(1, effort=np.full(2, value)))[1]
-        reader.read(writer.fill(2, effort=np.zeros(2)))
-        assert first.tolist() == [value, value]

@@ -154,10 +154,6 @@ class EffortReader:
             )
         return _finite("data", effort, self._joints)
 
-    def takes_as_is(self, message: JointState) -> bool:
-        """Return True if the efforts of the message are the command, in the same order."""
-        return message.name == self._joints
-
     def read_named(self, message: JointState) -> tuple[int, Array]:
         """Return stamp [ns] of the answered state and efforts (n,) [N m] of a named command; raises MessageError."""
         columns = self._columns.columns(message.name)
