@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -113,7 +114,7 @@ class NativeCommandLoop:
         struct.silence_period = round(state_timeout / SILENCE_CHECKS * 1e9)
         self._state = State.WAITING
         self._step.lend()
-        self._tracker.refresh = self._step.read
+        self._tracker.refresh, self._tracker.between_samples = self._step.read, self._step.between_samples
         publishers = [*self._topics.publishers, self._references, self._errors]
         if self._certificate is not None:
             publishers.append(self._certificate.publisher)
@@ -137,7 +138,7 @@ class NativeCommandLoop:
         self._loop.stop()
         self._step.send_stop()
         self._step.take_back()
-        self._tracker.refresh = None
+        self._tracker.refresh, self._tracker.between_samples = None, nullcontext
         self._report()
         process.flush(*self._topics.publishers)
         self._topics.close()

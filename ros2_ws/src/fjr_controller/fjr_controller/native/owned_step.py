@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from fjr_core.control_step.control_step import ControlStep
@@ -39,6 +41,16 @@ class OwnedStep:
     def read(self) -> None:
         """Bring the controller in Python up to date."""
         self.request("FJR_COPY")
+
+    @contextmanager
+    def between_samples(self) -> Iterator[None]:
+        """Let states wait until the end of the block, with the controller in Python up to date."""
+        self._loop.hold(True)
+        try:
+            self.read()
+            yield
+        finally:
+            self._loop.hold(False)
 
     def check_silence(self, now: int) -> None:
         """Send the stop effort once per silence; now [ns]: of the clock of the stamps."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -90,6 +91,8 @@ class Tracker:
         self._wiring = WiringMonitor(self.step, self._on_wiring_fault) if checks else None
         self.refresh: Callable[[], None] | None = None
         """Called before the controller is read, if it belongs to a native loop."""
+        self.between_samples: Callable[[], AbstractContextManager[None]] = nullcontext
+        """Context in which no sample is answered; with simulated time the plant waits meanwhile."""
 
     @property
     def events(self) -> deque[Event]:

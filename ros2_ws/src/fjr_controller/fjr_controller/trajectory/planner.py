@@ -113,8 +113,8 @@ class PlanningProblem:
 class Planner:
     """Plan the newest requested trajectory; callbacks are called on the thread that spins the node.
 
-    With use_sim_time the trajectory is planned in the caller's thread, from the last sample on, so that runs repeat to
-    the last bit.
+    With use_sim_time the trajectory is planned in the caller's thread, from the last sample on, while states wait, so
+    that runs repeat to the last bit.
     """
 
     def __init__(self, node: Node, tracker: Tracker, is_active: Callable[[], bool]) -> None:
@@ -134,6 +134,13 @@ class Planner:
 
         `on_done` is called with the outcome, before this returns if nothing has to be planned.
         """
+        if self._worker is None:
+            with self._tracker.between_samples():
+                self._plan(message, on_done)
+        else:
+            self._plan(message, on_done)
+
+    def _plan(self, message: JointTrajectory, on_done: Callable[[Outcome], None]) -> None:
         self.drop()
         try:
             now = self.newest()

@@ -28,7 +28,7 @@ struct source {
 struct fjr_loop {
   struct fjr_host host;
   struct source source[FJR_SOURCES];
-  int32_t sources;
+  int32_t sources, held;
   rcl_serialized_message_t buffer;
   pthread_t thread;
   sem_t wake, answered;
@@ -70,12 +70,18 @@ static void on_announcement(const void* at, size_t count) {
   sem_post(&source->loop->wake);
 }
 
+static int held(struct fjr_loop* loop) { return __atomic_load_n(&loop->held, __ATOMIC_SEQ_CST); }
+
 /* Take and handle the announced messages of a subscription; the middleware keeps the newest ones only. */
 static int take(struct fjr_loop* loop, int32_t k) {
   struct source* source = &loop->source[k];
   uint64_t count = __atomic_exchange_n(&source->announced, 0, __ATOMIC_ACQUIRE);
   int outcome = FJR_GO_ON;
   for (; count && outcome == FJR_GO_ON; --count) {
+    if (held(loop)) {
+      __atomic_fetch_add(&source->announced, count, __ATOMIC_RELEASE);
+      return FJR_GO_ON;
+    }
     const rcl_ret_t code = rcl_take_serialized_message(source->subscription, &loop->buffer, NULL, NULL);
     if (code == RCL_RET_SUBSCRIPTION_TAKE_FAILED) return FJR_GO_ON;
     if (code != RCL_RET_OK) return rcl_failed(loop, "rcl_take_serialized_message", code);
@@ -116,6 +122,11 @@ int fjr_loop_request(struct fjr_loop* loop, int32_t kind, void* argument) {
   return loop->answer;
 }
 
+void fjr_loop_hold(struct fjr_loop* loop, int32_t hold) {
+  __atomic_store_n(&loop->held, hold, __ATOMIC_SEQ_CST);
+  if (!hold) sem_post(&loop->wake);
+}
+
 static struct timespec timespec_of(int64_t time) {
   const struct timespec at = {(time_t)(time / 1000000000), (long)(time % 1000000000)};
   return at;
@@ -141,7 +152,7 @@ int fjr_loop_pause(struct fjr_loop* loop, int64_t nanoseconds) {
 /* Whether something has come for which the semaphore may already have been taken, by fjr_loop_pause. */
 static int waiting(struct fjr_loop* loop) {
   int found = __atomic_load_n(&loop->request, __ATOMIC_ACQUIRE) == POSTED;
-  for (int32_t k = 0; k < loop->sources; ++k)
+  for (int32_t k = 0; k < loop->sources && !held(loop); ++k)
     found |= __atomic_load_n(&loop->source[k].announced, __ATOMIC_ACQUIRE) > 0;
   return found;
 }

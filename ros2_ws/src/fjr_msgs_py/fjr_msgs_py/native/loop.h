@@ -49,6 +49,9 @@ void fjr_loop_stop(struct fjr_loop* loop);
  * time. Return the outcome of on_request, which ends the thread as that of the other callbacks does. */
 int fjr_loop_request(struct fjr_loop* loop, int32_t kind, void* argument);
 
+/* Let messages wait (1) from the end of the next request on, or take them again (0). Requests are served meanwhile. */
+void fjr_loop_hold(struct fjr_loop* loop, int32_t hold);
+
 /* Return 1 while the thread runs. */
 int fjr_loop_runs(struct fjr_loop* loop);
 

@@ -69,6 +69,10 @@ class Loop:
         ffi = self._program.ffi
         return int(self._program.lib.fjr_loop_request(self.pointer, kind, ffi.NULL if argument is None else argument))
 
+    def hold(self, hold: bool) -> None:
+        """Let messages wait from the end of the next request on, or take them again."""
+        self._program.lib.fjr_loop_hold(self.pointer, hold)
+
     @property
     def runs(self) -> bool:
         """True while the thread runs."""
