@@ -99,7 +99,7 @@ def test_options_with_an_optional_value() -> None:
 
 def test_the_shell_completes_commands_and_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("_FJR_COMPLETE", "bash_complete")
-    for line, expected in (("fjr exp", "export-c"), ("fjr run paper_k31", "paper_k31")):
+    for line, expected in (("fjr export-c", "export-c"), ("fjr run paper_k31", "paper_k31")):
         monkeypatch.setenv("COMP_WORDS", line)
         monkeypatch.setenv("COMP_CWORD", str(len(line.split()) - 1))
         assert run_fjr(*line.split()[1:]) == f"plain,{expected}\n"

@@ -10,6 +10,7 @@ import numpy as np
 from fjr_bringup.recording.reader import Array, Bag, Times
 from fjr_core.control_step.event_kinds import STARTS_REFUSED, STOPS
 from fjr_msgs_py import names
+from fjr_msgs_py.messages.events import STAMP
 
 EVENTS = f"/{names.CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
 HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}
@@ -29,17 +30,20 @@ class ControllerStop:
         return f"{self.heading}: {self.reason}"
 
 
-def controller_stop(bag: Bag, sent: Times, t: Array) -> ControllerStop | None:
+def controller_stop(bag: Bag, sent: Times, stamps: Times, t: Array) -> ControllerStop | None:
     """Return the first stop in a bag; None if the controller never stopped.
 
-    sent (k,) [ns]: send times of the states; t (k,) [s]: their times since the start of the run.
+    sent, stamps (k,) [ns]: send times and stamps of the states; t (k,) [s]: their times since the start of the run. An
+    event without a stamp is assigned to the last state sent before it.
     """
     if not bag.holds(EVENTS):
         return None
     topic = bag.topic(EVENTS)
     for event, when in zip(topic.decoded, topic.publish_time, strict=True):
         if event.name in HEADINGS:
-            row = int(np.searchsorted(sent, when, side="right")) - 1
+            stamp = next((int(pair.value) for pair in event.values if pair.key == STAMP), None)
+            times, at_time = (sent, when) if stamp is None else (stamps, stamp)
+            row = int(np.searchsorted(times, at_time, side="right")) - 1
             _, _, reason = event.message.partition(": ")
             at = float(t[max(row, 0)])
             return ControllerStop(at, HEADINGS[event.name].format(at), reason)

@@ -146,7 +146,7 @@ def run_data(bag: Bag, scenario: Scenario, duration: float) -> RunData:
         answered=np.where(answered >= 0, (answered - sent[0]) * 1e-9, np.nan),
         reference_mismatch=tracked.mismatch,
         notes=(*torn, *states.notes, *tracked.notes, *odd),
-        stop=controller_stop(bag, sent, t),
+        stop=controller_stop(bag, sent, states.stamp, t),
         units=scenario.robot.units,
         velocities_measured=states.velocity is measured,
     )

@@ -8,7 +8,7 @@ import sys
 
 from rclpy.node import Node
 
-from fjr_msgs_py.messages.events import EventWriter
+from fjr_msgs_py.messages.events import STAMP, EventWriter
 from fjr_msgs_py.node.diagnostics import Health
 
 from ..tracking.events import Event
@@ -50,7 +50,8 @@ class Reports(Health):
             self.error(event.kind, event.sentence)
         else:
             self.warn(event.kind, event.sentence)
-        self._events.publish(event.level, event.kind, event.sentence, event.values)
+        values = dict(event.values) if event.stamp is None else {**event.values, STAMP: event.stamp}
+        self._events.publish(event.level, event.kind, event.sentence, values)
 
     def announce(self, kind: str, sentence: str) -> None:
         """Publish an event that is not counted, and log it the first time."""

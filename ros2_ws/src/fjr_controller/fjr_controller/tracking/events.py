@@ -6,12 +6,12 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
 from fjr_core.control.safety_settings import Settings
-from fjr_core.control_step.control_step import ControlStep
+from fjr_core.control_step.control_step import NEVER, ControlStep
 from fjr_core.control_step.event_kinds import KINDS, STARTS_REFUSED, STOPS
 
 INFO, WARN, ERROR = "info", "warn", "error"
@@ -50,12 +50,13 @@ STATES = tuple(State)
 
 @dataclass(frozen=True)
 class Event:
-    """One event: level info, warn or error; kind is the name of its counter."""
+    """One event: level info, warn or error; kind: name of its counter; stamp [ns]: of its sample, if it has one."""
 
     level: str
     kind: str
     sentence: str
     values: Mapping[str, float | str] = field(default_factory=dict)
+    stamp: int | None = None
 
 
 class Journal:
@@ -75,7 +76,8 @@ class Journal:
         journal = self._step.controller.journal
         size = len(journal.event)
         for k in range(max(self._read, journal.events - size), journal.events):
-            event = self._event(journal.event[k % size])
+            found = journal.event[k % size]
+            event = replace(self._event(found), stamp=None if found.stamp == NEVER else found.stamp)
             if event.kind in (STOPS, STARTS_REFUSED):
                 self.reason = event.sentence
             self.events.append(event)

@@ -11,6 +11,8 @@ from rclpy.qos import QoSProfile
 
 from ..names import EVENTS
 
+STAMP = "stamp_ns"
+"""Key of the stamp of the sample that an event belongs to."""
 LEVELS = {"info": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
 
