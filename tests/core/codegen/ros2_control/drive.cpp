@@ -3,7 +3,9 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
+#include <new>
 #include <sstream>
 
 #include "elastic_arm.hpp"
@@ -13,6 +15,11 @@ using namespace PACKAGE;
 using hardware_interface::return_type;
 constexpr int N = FJR_N;
 const rclcpp_lifecycle::State STATE{};
+
+static long allocations = 0;
+[[gnu::noinline]] void * operator new(std::size_t size) { return ++allocations, std::malloc(size); }
+[[gnu::noinline]] void operator delete(void * memory) noexcept { std::free(memory); }
+[[gnu::noinline]] void operator delete(void * memory, std::size_t) noexcept { std::free(memory); }
 
 static bool succeeds(CallbackReturn result) { return result == CallbackReturn::SUCCESS; }
 
@@ -83,6 +90,12 @@ struct Robot
 
 static void show(const char * name, double value) { std::printf("%s %.17g\n", name, value); }
 
+// The timers of the controller, in the thread of the executor.
+static void tick(Robot & r)
+{
+  for (const auto & timer : r.controller.get_node()->timers) timer->callback();
+}
+
 // One line per cycle: what the controller read and the effort it wrote.
 static void record(Robot & r, int cycles)
 {
@@ -100,6 +113,7 @@ static void track(Robot & r)
   for (int k = 0; k < 6000; ++k) {
     r.cycle();
     if (k > 3000) worst = std::fmax(worst, r.error());
+    if (k % 10 == 9) tick(r);
   }
   show("worst_error", worst);
   show("state", r.exported(0));
@@ -108,6 +122,16 @@ static void track(Robot & r)
   const auto & sent = static_cast<Certificates *>(r.controller.get_node()->publishers.at("~/certificate").get())->messages;
   show("certificates", static_cast<double>(sent.size()));
   for (std::size_t i = 0; i < sent.back().data.size(); ++i) show(("certificate_" + std::to_string(i)).c_str(), sent.back().data[i]);
+}
+
+// Memory that the plugins allocate while they run.
+static void allocate(Robot & r)
+{
+  for (int k = 0; k < 2000; ++k) {
+    if (k == 10) allocations = 0;
+    r.cycle();
+  }
+  show("allocations", static_cast<double>(allocations));
 }
 
 // Deactivate the controller in motion, then start again; restart the hardware.
@@ -135,7 +159,7 @@ static void restart(Robot & r)
 static std::string events_of(Robot & r)
 {
   using Events = rclcpp::Publisher<diagnostic_msgs::msg::DiagnosticStatus>;
-  r.controller.on_deactivate(STATE);  // which reports, too
+  tick(r);
   std::string names;
   for (const auto & event : static_cast<Events *>(r.controller.get_node()->publishers.at("~/events").get())->messages)
     names += event.name + ";";
@@ -241,6 +265,7 @@ int main(int argc, char ** argv)
   if (!r.configure() || !r.activate()) return 3;
   if (mode == "record") record(r, 400);
   if (mode == "track") track(r);
+  if (mode == "allocate") allocate(r);
   if (mode == "restart") restart(r);
   if (mode == "silence") silence(r);
   if (mode == "stop") stop(r);

@@ -89,19 +89,15 @@ private:
 
 namespace realtime_tools
 {
-template <typename M>
-class RealtimePublisher
+template <typename T>
+class RealtimeThreadSafeBox
 {
 public:
-  explicit RealtimePublisher(typename rclcpp::Publisher<M>::SharedPtr publisher) : publisher_(std::move(publisher)) {}
-  void lock() {}
-  void unlock() {}
-  bool trylock() { return true; }
-  void unlockAndPublish() { publisher_->publish(msg_); }
-  M msg_;
+  bool try_set(const T & value) { return value_ = value, true; }
+  T get() const { return value_; }
 
 private:
-  typename rclcpp::Publisher<M>::SharedPtr publisher_;
+  T value_{};
 };
 }  // namespace realtime_tools
 
@@ -128,10 +124,12 @@ public:
   template <typename P>
   rclcpp::TimerBase::SharedPtr create_wall_timer(P, std::function<void()> callback)
   {
-    return std::make_shared<rclcpp::TimerBase>(rclcpp::TimerBase{std::move(callback)});
+    timers.push_back(std::make_shared<rclcpp::TimerBase>(rclcpp::TimerBase{std::move(callback)}));
+    return timers.back();
   }
   std::map<std::string, std::any> parameters{{"use_sim_time", false}};
   std::map<std::string, std::shared_ptr<void>> publishers;
+  std::vector<rclcpp::TimerBase::SharedPtr> timers;
 };
 }  // namespace rclcpp_lifecycle
 

@@ -87,7 +87,7 @@ def test_tracks_as_the_simulation_in_python(tracked: dict[str, float]) -> None:
     assert tracked["state"] == 2
 
 
-def test_certificate_is_published_at_its_rate_and_equals_python(drive: Path, tracked: dict[str, float]) -> None:
+def test_certificate_is_published_and_equals_python(drive: Path, tracked: dict[str, float]) -> None:
     assert tracked["certificates"] == 600
     values = [tracked[f"certificate_{i}"] for i in range(9)]
     V, bound, H = values[2], values[5], values[6]
@@ -96,6 +96,10 @@ def test_certificate_is_published_at_its_rate_and_equals_python(drive: Path, tra
     assert pytest.approx(run.V[k], rel=0.2) == V
     assert H > 0
     assert 0 <= bound < V  # the bound of continuous time
+
+
+def test_controller_and_arm_allocate_no_memory_while_they_run(drive: Path) -> None:
+    assert values(program_output(drive, "allocate", "command_delay=0.002", "limits.effort=1 1"))["allocations"] == 0
 
 
 def test_deactivation_in_motion_sends_the_stop_effort_and_tracking_starts_again(drive: Path) -> None:

@@ -27,7 +27,7 @@ from ..control.static_law import StaticLaw
 from ..control.vdpbc.law import TrackingLaw
 from ..control_step.control_step import ControlStep
 from ..control_step.library import HEADER, SOURCES, text
-from ..control_step.settings_struct import gravity_function, law_function
+from ..control_step.settings_struct import model_functions
 from ..errors import StateError
 from ..estimation.measurement_model import Measurement
 from ..estimation.velocity_observer import VelocityObserver
@@ -85,9 +85,7 @@ class Controller:
     @property
     def functions(self) -> dict[str, ca.Function]:
         """Return the functions of struct fjr_model by name."""
-        law = self.sampled_law
-        found = {"law": law_function(law), "gravity": gravity_function(law)}
-        return found if self.observer is None else {**found, "observer": self.observer.function}
+        return model_functions(self.sampled_law, self.observer)
 
     def step(self) -> ControlStep:
         """Return the control step of this controller in memory, waiting for its first sample."""

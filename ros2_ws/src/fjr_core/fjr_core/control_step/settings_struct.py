@@ -111,7 +111,7 @@ class Model:
 def model_functions(law: SampledLaw, observer: VelocityObserver | None = None) -> dict[str, ca.Function]:
     """Return the functions of struct fjr_model by their names."""
     observing = {} if observer is None else {"observer": observer.function}
-    return {"law": law_function(law), "gravity": gravity_function(law), **observing}
+    return {"law": law_function(law), "gravity": _gravity(law), **observing}
 
 
 def _ready(functions: dict[str, ca.Function]) -> dict[str, ca.Function]:
@@ -129,7 +129,7 @@ def law_function(law: SampledLaw) -> Any:
     return static.measured_function if isinstance(static, StaticLaw) else law.step_function
 
 
-def gravity_function(law: SampledLaw) -> Any:
+def _gravity(law: SampledLaw) -> Any:
     """Return the function q_l -> grad P_l (n,)."""
     s = symbols(q_l=law.robot.n)
     return dense_function("gravity", s, {"grad_P_l": law.robot.links.grad_P_l(s["q_l"])}, cse=True)
