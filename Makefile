@@ -8,8 +8,8 @@ BENCH_ARGS ?=
 FAULTS_ARGS ?=
 COMPARE_ARGS ?=
 PYTEST_ARGS ?=
-# One more than cores: tests also wait, for discovery, for the clock, for files.
-TEST_WORKERS ?= 3
+# Two more than two cores: tests also wait, for discovery, for the clock, for files.
+TEST_WORKERS ?= 4
 TESTS = not full
 # Without --max-worker-restart 0 a worker that crashes may end xdist with an internal error (KeyError in loadscope.py).
 # Hundreds of processes import the same modules: let the first one keep what it compiles.
@@ -38,7 +38,7 @@ demo: ## run the paper's joint and a 7-joint arm on two ROS 2 nodes, record and 
 	$(SETUP) build
 	@$(ENTER) && echo fjr demo $(DEMO_ARGS) && exec fjr demo $(DEMO_ARGS)
 
-test: ## run the suite; the labelled bags at one strength (PYTEST_ARGS="...", TEST_WORKERS=3)
+test: ## run the suite; the labelled bags at one strength (PYTEST_ARGS="...", TEST_WORKERS=4)
 	$(SETUP) test
 	@$(ENTER); PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(BYTECODE) "$(VENV)/bin/python" -m pytest $(PLUGINS) \
 		-n $(TEST_WORKERS) --max-worker-restart 0 --dist loadfile --no-loadscope-reorder -m "$(TESTS)" $(PYTEST_ARGS); \

@@ -48,8 +48,6 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 settings.register_profile("any machine", settings(), deadline=None)  # no deadline: other processes may use the cores
 settings.load_profile("any machine")
 
-gc.disable()  # while tests are collected: what is imported is no garbage
-
 CORE = Path(__file__).parent / "core"
 TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
 QUEUE = TURN.with_suffix(".queue")
@@ -63,10 +61,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: place.get(item.path, len(place)))
 
 
-def pytest_collection_finish() -> None:
-    """Exempt what was collected from garbage collection, and collect from now on."""
-    gc.freeze()
-    gc.enable()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect the tests without garbage collection: what is imported is no garbage."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

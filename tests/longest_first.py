@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that take long. They start first, so that no worker is left alone with one: a file runs on one worker.
 
-With three workers the first of them gets both files that need the clock, one after the other; the files of fjr_core
-after these run on the other workers meanwhile (conftest.py).
+The files of fjr_core run beside the two files that need the clock (conftest.py). A worker that reaches the second of
+these before the first has finished would wait for it; the files between them take longer than the first.
 """
 
 LONGEST_FIRST = (
     "faults/test_faults.py",
     "core/tuning/test_gain_synthesis.py",
-    "core/control/test_baseline_identities.py",
-    "system/test_network_namespaces.py",
     "core/numerics/test_jit.py",
     "core/stability/test_sampled_loop.py",
     "core/control/test_loaded_law.py",
@@ -18,6 +16,8 @@ LONGEST_FIRST = (
     "core/control/test_robust.py",
     "core/codegen/ros2_control/test_package.py",
     "core/codegen/test_export_c.py",
+    "core/control/test_baseline_identities.py",
+    "system/test_network_namespaces.py",
     "core/control/test_law.py",
     "core/stability/test_complete_loop_check.py",
     "core/monitoring/test_diagnosis.py",
@@ -36,6 +36,7 @@ LONGEST_FIRST = (
     "system/test_fjr_check.py",
     "system/test_executables.py",
     "system/test_echo_and_record.py",
+    "system/test_wiring_faults.py",
     "system/test_arm_replay.py",
     "system/test_watch_browser.py",
     "system/test_compare.py",
@@ -46,7 +47,6 @@ LONGEST_FIRST = (
     "system/test_report.py",
     "system/test_fjr_report.py",
     "system/test_wheels.py",
-    "system/test_new_command.py",
     "system/test_arm_scenarios.py",
     "system/test_watch_terminal.py",
     "docs/test_notebooks.py",

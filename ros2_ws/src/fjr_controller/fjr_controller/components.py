@@ -166,5 +166,5 @@ class Control:
         if messages is None:
             return None
         action = FollowAction(node, joints, self._interface, allowed, messages)
-        self._command_loop.add_listener(action.on_command)
+        self._command_loop.add_listener(action.on_command, lambda: action.has_goal)
         return action

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray
 
@@ -21,6 +22,8 @@ from fjr_msgs_py.native.entities import NativeMessage
 from fjr_msgs_py.native.program import Program
 
 from ..ros.certificate_diagnosis import LONGEST, CertificateDiagnosis
+
+BATCH = 64  # records; fewer than half of those that the diagnosis keeps
 
 
 class NativeCertificate:
@@ -63,14 +66,14 @@ class NativeCertificate:
         self.pointer.beta = self._diagnosis.beta
         return found
 
-    def on_record(self, record: Any) -> None:
-        """Add the certificate of a record of the queue to the diagnosis."""
-        certified, command = record["certified"], record["command"]
-        follows, stamp = bool(certified["follows"]), int(record["sample"]["stamp"])
-        latency = self._diagnosis.latency(stamp, int(record["arrival"]), int(record["sent"]), follows)
-        self._diagnosis.online_certificate.append(certified, command, latency)
-        if follows:
-            self._diagnosis.look()
+    def on_records(self, records: NDArray[Any]) -> None:
+        """Add the certificates of some records of the queue to the diagnosis."""
+        for start in range(0, len(records), BATCH):
+            batch = records[start : start + BATCH]
+            times = (batch["sample"]["stamp"], batch["arrival"], batch["sent"], batch["certified"]["follows"])
+            latencies = [self._diagnosis.latency(*row) for row in zip(*(each.tolist() for each in times), strict=True)]
+            online = self._diagnosis.online_certificate
+            self._diagnosis.look(online.append(batch["certified"], batch["command"], np.array(latencies)))
 
     def close(self) -> None:
         """Destroy the publisher."""

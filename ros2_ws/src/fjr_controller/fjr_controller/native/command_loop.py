@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
 
+from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import JointState
@@ -84,13 +85,13 @@ class NativeCommandLoop:
         self._loop = Loop(program, self._host, [self._states])
         self._struct.loop = self._loop.pointer
         self._step = OwnedStep(step, program, self._loop, self._controller)
-        self._listeners: list[Listener] = []
+        self._listeners: list[tuple[Listener, Callable[[], bool]]] = []
         self._certificate: NativeCertificate | None = None
         self._lost, self.active = 0, False
 
-    def add_listener(self, listener: Listener) -> None:
-        """Call `listener` for each sample, some time after its command was sent."""
-        self._listeners.append(listener)
+    def add_listener(self, listener: Listener, wants: Callable[[], bool] = lambda: True) -> None:
+        """Call `listener` for each sample some time after its command was sent, while `wants()`."""
+        self._listeners.append((listener, wants))
 
     def certify(self, diagnosis: CertificateDiagnosis) -> NativeCertificate:
         """Evaluate and publish the certificate of each sample from the next start on."""
@@ -211,8 +212,7 @@ class NativeCommandLoop:
         """Hand all records to the listeners, and report events, counters and refused messages."""
         self._refusals.report()
         while len(records := self._ring.take()):
-            for record in records:
-                self._on_record(record)
+            self._on_records(records)
         if self._ring.lost > self._lost:
             self._lost = self._ring.lost
             self._reports.warn(LOST, "samples were not reported: the process of the node has too little time")
@@ -223,23 +223,38 @@ class NativeCommandLoop:
         if self._tracker.events:
             self._reports.publish_events()
 
-    def _on_record(self, record: Any) -> None:
-        found, stamp = record["command"], int(record["sample"]["stamp"])
-        n = len(found["u"])
-        position, velocity, jets = found["position"], found["velocity"], found["jets"].reshape(-1, n)
-        start = int(found["bound_start"])
-        state = STATES[found["state"]]
-        if state is not self._state:
-            self._state = state
-            if state is State.TRACKING:
-                self._reports.announce("tracking", "tracking: the effort is the law's own")
-        sample = JointSample(stamp, record["sample"]["link"], position[n:])
-        bound = None if start == NEVER else start
-        command = Command(
-            found["u"], jets, float(found["V"]), velocity, state, bool(found["restarted"]), position, bound
-        )
+    def _on_records(self, records: NDArray[Any]) -> None:
         if self._certificate is not None:
-            self._certificate.on_record(record)
-        for listener in self._listeners:
-            listener(sample, command, int(record["arrival"]), int(record["sent"]))
-        self._reports.at(stamp)
+            self._certificate.on_records(records)
+        listeners = [listener for listener, wants in self._listeners if wants()]
+        for record in records if listeners else ():
+            sample, command = _sample_of(record), _command_of(record)
+            for listener in listeners:
+                listener(sample, command, int(record["arrival"]), int(record["sent"]))
+        for stamp in records["sample"]["stamp"].tolist():
+            self._reports.at(stamp)
+        for state in records["command"]["state"].tolist():
+            if STATES[state] is not self._state:
+                self._state = STATES[state]
+                if self._state is State.TRACKING:
+                    self._reports.announce("tracking", "tracking: the effort is the law's own")
+
+
+def _sample_of(record: Any) -> JointSample:
+    n = len(record["sample"]["link"])
+    return JointSample(int(record["sample"]["stamp"]), record["sample"]["link"], record["command"]["position"][n:])
+
+
+def _command_of(record: Any) -> Command:
+    found = record["command"]
+    u, jets, start = found["u"], found["jets"].reshape(-1, len(found["u"])), int(found["bound_start"])
+    return Command(
+        u,
+        jets,
+        float(found["V"]),
+        found["velocity"],
+        STATES[found["state"]],
+        bool(found["restarted"]),
+        found["position"],
+        None if start == NEVER else start,
+    )

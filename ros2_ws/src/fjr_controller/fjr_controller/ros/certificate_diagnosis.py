@@ -59,10 +59,10 @@ class CertificateDiagnosis:
             self._latency.forget()
         return 0.0 if self.simulated or not follows else self._latency.of(stamp, arrival, sent)
 
-    def look(self) -> None:
-        """Process one more interval."""
+    def look(self, count: int = 1) -> None:
+        """Process `count` more intervals."""
         if not self.no_diagnosis:
-            self._online_diagnosis.look(self.beta)
+            self._online_diagnosis.look(self.beta, count)
 
     def _rate(self) -> float:
         """Return beta [1/s]: proven if the inertia is known in closed form, else at the present configuration."""

@@ -61,12 +61,12 @@ class CommandLoop:
         self._references = node.create_publisher(JointState, names.REFERENCE, names.LATEST)
         self._errors = node.create_publisher(JointState, names.TRACKING_ERROR, names.LATEST)
         self._states = node.create_subscription(JointState, names.JOINT_STATES, self._on_state, names.LATEST, raw=True)
-        self._listeners: list[Listener] = []
+        self._listeners: list[tuple[Listener, Callable[[], bool]]] = []
         self.active = False
 
-    def add_listener(self, listener: Listener) -> None:
-        """Call `listener` for each sample, after its command was sent."""
-        self._listeners.append(listener)
+    def add_listener(self, listener: Listener, wants: Callable[[], bool] = lambda: True) -> None:
+        """Call `listener` for each sample after its command was sent, while `wants()`."""
+        self._listeners.append((listener, wants))
 
     def certify(self, diagnosis: CertificateDiagnosis) -> CertificatePublisher:
         """Evaluate and publish the certificate of each sample."""
@@ -148,8 +148,9 @@ class CommandLoop:
             self._state = command.state
             if command.state is State.TRACKING:
                 self._reports.announce("tracking", "tracking: the effort is the law's own")
-        for listener in self._listeners:
-            listener(sample, command, arrival, sent)
+        for listener, wants in self._listeners:
+            if wants():
+                listener(sample, command, arrival, sent)
 
     def _publish_auxiliary(self, sample: JointSample, command: Command) -> None:
         q_ld, dq_ld = command.jets[0], command.jets[1]

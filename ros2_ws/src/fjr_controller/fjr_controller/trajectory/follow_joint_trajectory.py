@@ -79,6 +79,11 @@ class FollowAction:
                 self._interface.hold()
             self._end(outcome)
 
+    @property
+    def has_goal(self) -> bool:
+        """True while a goal is active."""
+        return self._handle is not None
+
     def close(self) -> None:
         """Destroy the action server."""
         self._server.destroy()

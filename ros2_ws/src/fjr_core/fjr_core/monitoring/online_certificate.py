@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..control.vdpbc.law import TrackingLaw
 from ..numerics.casadi_function import bind
@@ -17,6 +17,8 @@ from .certificate import OUTPUTS, Certificate
 from .innovations import Innovations
 from .one_step_prediction import Prediction
 
+_FIELDS = {name: name for name in ("dt", "V0", "predicted", "sent", "law", "older", "error", "slope")} | {"V1": "V"}
+"""Fields of Innovations, with the names of `append`."""
 CAPACITY = 640  # intervals; at least the latest half is kept
 
 
@@ -79,25 +81,26 @@ class OnlineCertificate:
         self._latency, self._follows = latency, bool(np.isfinite(self.V))
         return V
 
-    def append(self, found: Mapping[str, Any], command: Mapping[str, Any], latency: float = 0.0) -> None:
-        """Append a state whose certificate and innovation were evaluated elsewhere, by the rules of `take`.
+    def append(self, found: NDArray[Any], command: NDArray[Any], latency: Array) -> int:
+        """Append states whose certificates and innovations were evaluated elsewhere, by the rules of `take`.
 
-        found: follows (0: no predecessor), dt, V0, V, predicted, sent, law, older, error, slope of the interval that
-        ends at the state. command: position, velocity, jets (5 n,), u. latency [s]: of this command.
+        found, command (k,), at most CAPACITY / 2: arrays with named fields. found: follows (0: no predecessor), dt, V0,
+        V, predicted, sent, law, older, error, slope of the interval that ends at the state. command: position,
+        jets (5 n,). latency (k,) [s]: of these commands. Return the number of new intervals.
         """
-        if found["follows"]:
-            if self.count == CAPACITY:
-                self._drop_oldest()
-            kept, i, n = self._kept, self.count, self._robot.n
-            for name in ("dt", "predicted", "sent", "law", "older", "error", "slope"):
-                getattr(kept, name)[i] = found[name]
-            kept.V0[i], kept.V1[i] = found["V0"], found["V"]
-            kept.latency[i] = min(self._latency / kept.dt[i], 1.0)
-            np.subtract(command["position"][:n], command["jets"][:n], out=kept.tracking[i])
-            self.count += 1
-        np.copyto(self.position, command["position"])
-        np.copyto(self.jets, command["jets"].reshape(self.jets.shape))
-        self._latency = latency
+        new, n = np.flatnonzero(found["follows"]), self._robot.n
+        if self.count + len(new) > CAPACITY:
+            self._drop_oldest()
+        kept, rows, intervals = self._kept, slice(self.count, self.count + len(new)), found[new]
+        for name, field in _FIELDS.items():
+            getattr(kept, name)[rows] = intervals[field]
+        before = np.append(self._latency, latency[:-1])[new]
+        kept.latency[rows] = np.minimum(before / kept.dt[rows], 1.0)
+        kept.tracking[rows] = command["position"][new, :n] - command["jets"][new, :n]
+        np.copyto(self.position, command["position"][-1])
+        np.copyto(self.jets, command["jets"][-1].reshape(self.jets.shape))
+        self._latency, self.count = float(latency[-1]), self.count + len(new)
+        return len(new)
 
     @property
     def functions(self) -> tuple[Any, Any]:
@@ -132,9 +135,10 @@ class OnlineCertificate:
         """Power [W] dissipated by the damping of the robot at the latest state."""
         return float(self._found["dissipated"][0])
 
-    def last(self, count: int) -> Innovations:
-        """Return at most the last `count` intervals, as views that are valid until the next state."""
-        return self._kept.rows(slice(max(0, self.count - count), self.count))
+    def last(self, count: int, before: int = 0) -> Innovations:
+        """Return at most the last `count` intervals, without the `before` latest ones; valid until the next state."""
+        end = self.count - before
+        return self._kept.rows(slice(max(0, end - count), end))
 
     def _keep(self, dt: float, V: float, law: Array) -> None:
         if self.count == CAPACITY:

@@ -23,6 +23,7 @@ from .storage_growth import floor, growth, rises
 from .thresholds import BLOCK, OLDEST
 
 BLOCKS = 50  # per diagnosis: 1 s at 1 kHz
+TOGETHER = 5  # blocks that are processed at once, or fewer for a diagnosis
 DELAY_WINDOW = 200  # intervals from which the input delay is estimated
 IN_REAL_TIME = 3 * BLOCK  # intervals for the delay in real time, where latency varies
 Blocks = TypeVar("Blocks", StorageBudget, CauseErrors)
@@ -38,7 +39,7 @@ class OnlineDiagnosis:
         """Start without blocks; limit (n,) [N m]: effort limits, inf for none; axes: joints, None: Axes.plain."""
         self._law, self._limit, self._online_certificate = law, limit, online_certificate
         self._axes = axes or Axes.plain(law.robot.n)
-        self._blocks: deque[tuple[StorageBudget, CauseErrors, Array]] = deque(maxlen=BLOCKS)
+        self._blocks: deque[tuple[StorageBudget, CauseErrors, Array]] = deque()
         self._age = EffortDelay()
         self.beta = np.inf
         self.forget()
@@ -55,18 +56,17 @@ class OnlineDiagnosis:
         self._loop: Array | None = None
         self._state: Array | None = None
 
-    def look(self, beta: float) -> None:
-        """Process one more interval; beta [1/s]: guaranteed rate of V."""
-        self._new += 1
+    def look(self, beta: float, count: int = 1) -> None:
+        """Process `count` more intervals; beta [1/s]: guaranteed rate of V."""
+        self._new += count
         self.beta = beta
-        if self._new == BLOCK:
-            self._new = 0
-            with np.errstate(all="ignore"):  # as in the offline diagnosis
-                self._estimate_delay()
-                self._blocks.append(self._latest_block(beta))
+        while self._new >= TOGETHER * BLOCK:
+            self._process(TOGETHER)
 
     def verdict(self) -> Diagnosis:
         """Diagnose the last BLOCKS blocks and update the estimate of the input delay for the next ones."""
+        if self._new >= BLOCK:
+            self._process(self._new // BLOCK)
         if not self._blocks:
             return unknown("too few states with a command of the law")
         with np.errstate(all="ignore"):
@@ -86,26 +86,35 @@ class OnlineDiagnosis:
 
     def _estimate_delay(self) -> None:
         """Estimate the delay; in real time only from the largest changes of the effort, since latency varies."""
-        seen = self._online_certificate.last(IN_REAL_TIME)
+        seen = self._online_certificate.last(IN_REAL_TIME, self._new)
         if seen.latency.any():
             change = float((np.diff(seen.sent, 2, axis=0) ** 2).sum())
             if change > self._change:
                 self._age, self._change = effort_delay(seen, self._law.robot), change
 
-    def _latest_block(self, beta: float) -> tuple[StorageBudget, CauseErrors, Array]:
-        """Return the storage budget and the errors by cause of the last block, and V with the lowest V before it."""
-        seen = self._online_certificate.last(BLOCK + OLDEST)
-        acted = acting(seen, self._age, needed(seen, self._law.robot)).last(BLOCK)
-        found = seen.rows(slice(-BLOCK, None))
+    def _process(self, count: int) -> None:
+        """Add the oldest `count` blocks that are not yet processed; keep the last BLOCKS or a few more."""
+        self._new -= count * BLOCK
+        with np.errstate(all="ignore"):  # as in the offline diagnosis
+            self._estimate_delay()
+            self._blocks.append(self._latest_blocks(count * BLOCK))
+        while sum(len(made[0].hold) for made in self._blocks) - len(self._blocks[0][0].hold) >= BLOCKS:
+            self._blocks.popleft()
+
+    def _latest_blocks(self, size: int) -> tuple[StorageBudget, CauseErrors, Array]:
+        """Return storage budget and errors by cause of the last `size` intervals, and V with the lowest V before it."""
+        seen = self._online_certificate.last(size + OLDEST, self._new)
+        acted = acting(seen, self._age, needed(seen, self._law.robot)).last(size)
+        found = seen.rows(slice(-size, None))
         if not self._period:
             self._period = _usual(found.dt)
         if self._loop is None:
             self._loop = closed_loop(self._law, self._online_certificate.jets[None, 0], self._period)
         robot, limit = self._law.robot, self._limit
-        risen = rises(seen, limit, self._lowest)[:, -BLOCK:]
+        risen = rises(seen, limit, self._lowest)[:, -size:]
         self._lowest = float(risen[1, -1])
         made, self._state = cause_errors(found, acted, robot, self._period, limit, self._loop, self._state)
-        return storage_budget(found, acted, robot, beta, self._period, limit), made, risen
+        return storage_budget(found, acted, robot, self.beta, self._period, limit), made, risen
 
     def _figures(self) -> dict[str, float]:
         seen = self._online_certificate.last(DELAY_WINDOW)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ..robot.equilibrium import Indices
 from .linear_controller import At, Controller, static
 
 SCREENED = (0.0, 1.0)  # additional samples of delay at which the worst configurations are selected
+HELD = 4  # maps that a loop keeps: a scan of delays asks for that of a whole sample again and again
 SERIES = 16  # terms: 0.5^16 / 16! = 7e-19
 
 
@@ -29,6 +30,7 @@ class SampledLoop:
     B: Array
     F: Array
     with_state: At | None = None
+    _held: dict[float, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
 
     def critical(self, sample_period: float, delay: float, most: int) -> Indices:
         """Return index 0 and the indices of the `most` largest radii at the delay [s] and at one sample more."""
@@ -65,9 +67,13 @@ class SampledLoop:
 
     def held_map(self, T: float) -> tuple[Array, Array]:
         """Return Phi (k, 4n, 4n) and Gamma (k, 4n, n): z(t + T) = Phi z(t) + Gamma u with u held."""
-        with np.errstate(over="ignore", invalid="ignore"):  # an unstable plant over a long time
-            Psi = _integrated_exponential(self.A, T)
-            return np.eye(self.A.shape[1]) + self.A @ Psi, Psi @ self.B
+        if T not in self._held:
+            if len(self._held) == HELD:
+                del self._held[next(iter(self._held))]
+            with np.errstate(over="ignore", invalid="ignore"):  # an unstable plant over a long time
+                Psi = _integrated_exponential(self.A, T)
+                self._held[T] = np.eye(self.A.shape[1]) + self.A @ Psi, Psi @ self.B
+        return self._held[T]
 
 
 def _integrated_exponential(A: Array, T: float) -> Array:
