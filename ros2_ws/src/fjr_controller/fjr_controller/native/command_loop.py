@@ -37,6 +37,7 @@ from .refusals import Refusals
 READING_PERIOD = 0.02  # s
 RECORDS = 4096  # 4 s at 1 kHz
 LOST = "samples not reported"
+AT_ONCE = 1024  # records between two callbacks of other parts of the node
 CALLBACKS = ("message", "tick", "request", "end")
 
 
@@ -209,10 +210,12 @@ class NativeCommandLoop:
             raise LoopError(f"the native command loop failed: {self._loop.reason}; the stop effort was sent")
 
     def _report(self) -> None:
-        """Hand all records to the listeners, and report events, counters and refused messages."""
+        """Report refused messages, records, events and counters; all records once the thread has ended."""
         self._refusals.report()
-        while len(records := self._ring.take()):
+        while len(records := self._ring.take(AT_ONCE)):
             self._on_records(records)
+            if self._loop.runs:  # other callbacks of the node come first; in simulated time the thread waits
+                break
         if self._ring.lost > self._lost:
             self._lost = self._ring.lost
             self._reports.warn(LOST, "samples were not reported: the process of the node has too little time")
