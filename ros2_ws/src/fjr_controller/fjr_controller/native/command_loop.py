@@ -154,9 +154,11 @@ class NativeCommandLoop:
             self._node.destroy_publisher(publisher)
 
     def abandon(self) -> None:
-        """End the thread, and destroy the subscription that the node does not know, before the node is destroyed."""
+        """End the thread, and destroy the subscriptions that the node does not know, before the node is destroyed."""
         self._loop.stop()
         self._states.close()
+        if self.active:
+            self._topics.abandon()
 
     def _fields(self, auxiliary_period: float) -> dict[str, Any]:
         """Return the fields of struct fjr_controller_loop that do not change."""

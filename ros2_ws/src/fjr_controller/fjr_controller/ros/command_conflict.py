@@ -63,8 +63,12 @@ class CommandTopics:
     def trust(self) -> None:
         """Destroy the subscriptions of the search once it is over; only the thread of the executor may do so."""
         if self._alone and not self._trusted:
-            self._trusted = True
-            self._conflicts.trust()
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Destroy the subscriptions of the search, which the node does not know."""
+        self._trusted = True
+        self._conflicts.trust()
 
     def close(self) -> None:
         """Destroy publishers, subscriptions and timer."""

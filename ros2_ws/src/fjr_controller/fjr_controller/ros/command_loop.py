@@ -108,7 +108,9 @@ class CommandLoop:
             self._node.destroy_publisher(publisher)
 
     def abandon(self) -> None:
-        """Do nothing: no thread uses the node."""
+        """Destroy the subscriptions that the node does not know, before the node is destroyed."""
+        if self.active:
+            self._topics.abandon()
 
     def _on_state(self, message: bytes) -> None:
         if not self.active:

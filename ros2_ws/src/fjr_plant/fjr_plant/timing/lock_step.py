@@ -50,6 +50,11 @@ class LockStep(TimeBase):
         self._check(self._restart())
         self.host.start()
 
+    def close(self) -> None:
+        """Stop serving commands and watching /clock."""
+        super().close()
+        self._clock.close()
+
     def _look(self) -> None:
         """Check for another owner of the time; raises ClockError."""
         self._clock.look(established=bool(self.plant.heard))
