@@ -46,7 +46,9 @@ def outcome(row: Row) -> Outcome:
 class Pair:
     """A pair of nodes that rows of the same setting and mode disturb one after the other, as each recovers."""
 
-    def __init__(self) -> None:
+    def __init__(self, executor: str = "") -> None:
+        """executor: of both nodes, "" for their default."""
+        self._executor = executor
         self._rig: Rig | None = None
         self._before: Counter[str] | None = Counter()  # None: not read since a row changed them
 
@@ -71,7 +73,7 @@ class Pair:
         self._rig, self._before = None, Counter()
 
     def _started(self, row: Row) -> Rig:
-        self._rig = Rig(row.setting, row.mode)
+        self._rig = Rig(row.setting, row.mode, self._executor)
         self._rig.start_both()
         return self._rig
 

@@ -95,12 +95,13 @@ class Process(Executable):
 
 
 class Rig:
-    """A watched pair of nodes; close() leaves no process behind."""
+    """A watched pair of nodes; close() leaves no process behind. executor: of both nodes, "" for their default."""
 
-    def __init__(self, setting: Setting, mode: str) -> None:
+    def __init__(self, setting: Setting, mode: str, executor: str = "") -> None:
         self._environment = mock.patch.dict(os.environ, {"FASTRTPS_DEFAULT_PROFILES_FILE": str(PROFILE)})
         self._environment.start()
         self.setting = setting
+        self._executor = ("-p", f"executor:={executor}") if executor else ()
         self.watcher = Watcher()
         self.mode = mode
         self.truth = TRUE_STATES if mode == RELAYED else STATES
@@ -121,7 +122,7 @@ class Rig:
     def start(self, node: str, *arguments: str, key: str = "") -> str:
         """Start "plant" or "controller" and return its key; `key` names another process of the same kind."""
         remaps = ["-r", f"joint_states:={TRUE_STATES}"] if self.relay and node == "plant" else []
-        words = ("--ros-args", "--params-file", str(self._file), *remaps, *arguments)
+        words = ("--ros-args", "--params-file", str(self._file), *remaps, *self._executor, *arguments)
         with mock.patch.dict(os.environ, WITHOUT_SHARED_MEMORY):
             self._running[key or node] = Process(*NODES[node], *words)
         return key or node

@@ -14,21 +14,26 @@ from faults.outcome import Pair
 from faults.rig import STEPPED
 
 pytestmark = pytest.mark.system
+EXECUTORS = ("native", "events")
+"""Executors of both nodes; `make test` tries the first, `make test-all` both."""
 
 
 @pytest.fixture(scope="module")
-def pair() -> Iterator[Pair]:
-    """The nodes that all rows of one setting and mode disturb."""
-    made = Pair()
+def pair(request: pytest.FixtureRequest) -> Iterator[Pair]:
+    """The nodes that all rows of one executor, setting and mode disturb."""
+    made = Pair(request.param[0])
     yield made
     made.close()
 
 
 def cases() -> Iterator[Any]:
-    """Return the rows by mode and setting; those in lock-step need no clock, so other tests may run meanwhile."""
-    for row in sorted(ROWS, key=lambda row: (row.mode, row.setting.scenario)):
-        marks = () if row.mode == STEPPED else pytest.mark.real_time
-        yield pytest.param((row.mode, row.setting.scenario), row, id=row.name, marks=marks)
+    """Return the rows by executor, mode and setting; those in lock-step need no clock, so others may run meanwhile."""
+    for executor in EXECUTORS:
+        for row in sorted(ROWS, key=lambda row: (row.mode, row.setting.scenario)):
+            marks = [] if row.mode == STEPPED else [pytest.mark.real_time]
+            marks += [] if executor == EXECUTORS[0] else [pytest.mark.full]
+            name = row.name if executor == EXECUTORS[0] else f"{row.name}, {executor}"
+            yield pytest.param((executor, row.mode, row.setting.scenario), row, id=name, marks=marks)
 
 
 # Without the scope pytest would make a pair for each row, because `row` is not a fixture.
