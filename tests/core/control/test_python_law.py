@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -87,6 +88,15 @@ def test_a_failure_in_a_study_or_a_stability_check_is_one_sentence() -> None:
         fjr.spectral_radius(law, 1e-3, 0.0, [[0.9]])
 
 
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """Let SIGINT raise KeyboardInterrupt, whatever an earlier test of this process has set."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_ends_a_study_in_python_soon() -> None:
     class Interrupts:
         calls = 0

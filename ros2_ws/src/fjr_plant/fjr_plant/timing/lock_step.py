@@ -56,8 +56,8 @@ class LockStep(TimeBase):
         self._clock.close()
 
     def _look(self) -> None:
-        """Check for another owner of the time; raises ClockError."""
-        self._clock.look(established=bool(self.plant.heard))
+        """Check for another owner of the time, between two messages, as it listens on /clock; raises ClockError."""
+        self.host.run(lambda: self._clock.look(established=bool(self.plant.heard)))
 
     def _restart(self) -> int:
         return int(self._lib.fjr_lock_step_restart(self.plant, steady()))

@@ -24,7 +24,7 @@ from ..closed_loop import check_joints
 from . import uncertain_robot
 from .draws import Draws
 from .outcomes import Outcomes, width
-from .program import Program
+from .program import BatchProgram
 
 LAST = 1.0  # s; averaging time of Outcomes.final
 
@@ -180,8 +180,8 @@ class ClosedLoop:
         }
 
     @cached_property
-    def _program(self) -> Program:
-        return Program(self.robot, self.law, self.plant, self.settings, self.observer, self.measurement)
+    def _program(self) -> BatchProgram:
+        return BatchProgram(self.robot, self.law, self.plant, self.settings, self.observer, self.measurement)
 
 
 def _segments(delay: Array, period: float, inner_steps: int) -> tuple[NDArray[np.int64], Array]:

@@ -51,7 +51,7 @@ def batch_library(n: int, memory: int) -> StepLibrary:
 
 
 @dataclass(frozen=True, eq=False)
-class Program:
+class BatchProgram:
     """The loop with the functions that it calls: machine code, or callbacks for a law or a plant in Python.
 
     plant: replaces the equations of motion of the robot if it is in Python.
