@@ -15,14 +15,14 @@ from fjr_bringup.runner import trajectory_client
 from fjr_controller.controller_node import ControllerNode
 from nodes.harness import PATIENCE, Listener, Peer, Ros, seconds, stamped
 from system.documented import documented_keys
-from system.executables import LOCKSTEP, SLOW, fjr, fjr_here, running
+from system.executables import SLOW, fjr, fjr_here, running
 
 pytestmark = pytest.mark.system
 T = np.arange(1001) / 1000  # s
 MOTION = 0.5 * (1 - np.cos(3 * T)) ** 3
 HOLDING = ("-p", "reference.type:=hold", "-p", "limits.acceleration:=[200.0]")
-FAST = {**LOCKSTEP, "plant": (*LOCKSTEP["plant"], "-p", "publish_rate:=200.0")}
-"""A motion of a second is 200 messages, which wait in the queue of a listener that gets no core."""
+WATCHED = {**SLOW, "controller": (*SLOW["controller"], "-p", "auxiliary_rate:=0.0")}
+"""In real time with every reference: lock-step in native threads is too fast for a listener in Python."""
 
 
 def holding(loop: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
@@ -42,7 +42,7 @@ def listener(ros: Ros) -> Listener:
 
 def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, listener: Listener, tmp_path: Path) -> None:
     file = motion_file(tmp_path, MOTION)
-    with running(holding(FAST)), ThreadPoolExecutor(1) as worker:
+    with running(holding(WATCHED)), ThreadPoolExecutor(1) as worker:
         ros.until(lambda: listener.references, "the controller")
         sent = worker.submit(fjr, "send", file, "--lead", "3", "--scenario", "paper_k31", "--json")
         ros.until(sent.done, "the end of fjr send")
@@ -53,7 +53,7 @@ def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, listener: Liste
     rising = (q > MOTION[300]) & (q < MOTION[900])
     begin = np.median(t[rising] - np.interp(q[rising], MOTION, T))
     inside = (t > begin + 0.05) & (t < begin + 0.95)
-    assert np.count_nonzero(inside) > 100
+    assert np.count_nonzero(inside) > 50
     np.testing.assert_allclose(q[inside], np.interp(t[inside] - begin, T, MOTION), atol=0.01)
 
 
