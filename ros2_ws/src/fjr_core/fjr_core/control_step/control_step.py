@@ -84,7 +84,8 @@ class ControlStep:
                 raise StateError("the sample has no velocities; expected them, or an observer")
             self._dq_l[:], self._dq_m[:] = dq_l, dq_m
         found = bool(self.lib.fjr_step(self.model, self.controller, self._sample, arrival, self.command))
-        self._references[-1].raise_failure()
+        for reference in self._references:
+            reference.raise_failure()
         return found
 
     def silence(self, now: int) -> Array | None:
@@ -117,9 +118,9 @@ class ControlStep:
             self._sampled = before
             raise
         self._model.use(sampled)
-        self.law, self._gains = law, gains
         damping = np.ascontiguousarray(law.hold_damping, dtype=float)
         self.lib.fjr_use_gains(self.controller, self._address(gains), self._address(damping))
+        self.law, self._gains = law, gains  # until here a native loop reads the gains before
 
     def follow(self, reference: Reference, start: int | None = None) -> None:
         """Track a reference from the stamp `start` [ns] on, None: from the next sample."""
