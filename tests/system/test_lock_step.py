@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,8 +13,8 @@ import pytest
 from fjr_plant.timing.lock_step import START
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, CommandLoop
-from system.executables import NODES, Executable
-from system.recorded import reader, record
+from system.executables import NODES, Executable, wait_for
+from system.recorded import is_complete, reader, record
 from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
@@ -62,6 +64,21 @@ def test_two_runs_of_two_processes_are_bit_identical(tmp_path: Path, tmp_path_fa
     for topic in (*STAMPED, EFFORTS):
         assert set(one[topic]) == expected, topic
         assert one[topic] == other[topic], topic
+
+
+def test_recorder_that_stands_still_for_a_while_loses_no_sample(tmp_path: Path) -> None:
+    output = tmp_path / "runs"
+    run = Executable("fjr_bringup", "fjr", "run", "paper_k31", "--lockstep", "--no-report", "--output", str(output))
+    try:
+        wait_for(lambda: "running for" in run.said_so_far(), "the run")
+        run.signal(signal.SIGSTOP)
+        time.sleep(0.2)  # the nodes compute some thousand samples
+        run.signal(signal.SIGCONT)
+        code, said = run.end()
+    finally:
+        run.kill()
+    assert code == 0, said
+    assert is_complete(output / "paper_k31")
 
 
 @pytest.fixture

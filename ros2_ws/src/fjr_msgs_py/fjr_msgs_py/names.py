@@ -31,6 +31,9 @@ ADVANCE = "~/advance"
 LATEST = QoSProfile(depth=1)
 """States and commands: reliable, volatile, only the newest message is kept."""
 
+HISTORY = QoSProfile(depth=5000)
+"""Samples in simulated time: reliable, volatile, sent again to a recorder that had no core for up to half a second."""
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Constant data: reliable, late subscribers receive the last message."""
 
@@ -38,6 +41,15 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 def motor_name(joint: str) -> str:
     """Return the name of a joint's motor side in a JointState."""
     return f"{joint}_motor"
+
+
+def sample_qos(node: Node, lock_step: bool = False) -> QoSProfile:
+    """Return the QoS of a publisher of samples: HISTORY in lock-step or with use_sim_time, else LATEST.
+
+    In real time an old sample is of no use, and sending it again would delay the newest one. Simulated time may run
+    many times faster than real time, and every sample of it counts.
+    """
+    return HISTORY if lock_step or node.get_parameter("use_sim_time").value else LATEST
 
 
 def full_name(node: Node) -> str:

@@ -32,7 +32,7 @@ FLUSH_PERIOD = 0.5  # s; a kill loses at most this much and the batch in progres
 
 @dataclass
 class Track:
-    """A recorded topic: subscription, channel in the file, publishers, first and last message.
+    """A recorded topic: subscription, channel in the file, publishers, first and last message, its send time [ns].
 
     ends: replaced as a whole, because other threads read it; None before the first message.
     """
@@ -41,6 +41,7 @@ class Track:
     channel: Channel
     publishers: list[TopicEndpointInfo]
     ends: tuple[bytes, bytes] | None = None
+    sent: int = 0
 
 
 class Recorder:
@@ -88,6 +89,10 @@ class Recorder:
         """Return the first and latest serialised message of a topic; None before the first."""
         return self._tracks[topic].ends if topic in self._tracks else None
 
+    def sent(self, topic: str) -> int:
+        """Return the time at which the latest message of a topic was sent [ns]; 0 before the first."""
+        return self._tracks[topic].sent if topic in self._tracks else 0
+
     def matched(self, topic: str) -> int:
         """Return the number of publishers of a topic that are matched with this recorder."""
         return self._tracks[topic].subscription.get_publisher_count() if topic in self._tracks else 0
@@ -128,12 +133,15 @@ class Recorder:
         take, kind = track.subscription.handle.take_message, track.subscription.msg_type
         write, keep, channel = self._write, self.writer.write, track.channel
         first = last = b""
+        sent = 0
         while (taken := take(kind, True)) is not None:
             last, info = taken
             first = first or last
             sequence = info["publication_sequence_number"] or 0
-            write(keep, channel, info["received_timestamp"], info["source_timestamp"], sequence, last)
+            sent = info["source_timestamp"]
+            write(keep, channel, info["received_timestamp"], sent, sequence, last)
         if last:
+            track.sent = sent
             track.ends = (track.ends[0] if track.ends else first, last)
 
     def _discover(self) -> None:

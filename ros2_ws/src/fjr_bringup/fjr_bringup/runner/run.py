@@ -34,8 +34,11 @@ from fjr_msgs_py.node.scheduling import prioritised
 PLANT, CONTROLLER = names.PLANT, names.CONTROLLER
 STATES = f"/{names.JOINT_STATES}"
 EFFORT_COMMANDS, JOINT_COMMANDS = f"/{names.EFFORT_COMMANDS}", f"/{names.JOINT_COMMANDS}"
+OBSERVED = (names.REFERENCE, names.TRACKING_ERROR, names.CERTIFICATE)
+SAMPLES = (STATES, EFFORT_COMMANDS, names.CLOCK, *(topic.replace("~", f"/{CONTROLLER}") for topic in OBSERVED))
 STARTUP_LIMIT = 120.0  # s for each step of the start; a node that ends is detected at once
 SILENCE_LIMIT = 15.0  # s without a new command
+CATCH_UP_LIMIT = 5.0  # s for messages that are sent again to the recorder
 POLL = 0.02  # s
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s"
 GRAPH_PERIOD = 0.5  # s between checks of the graph during the run
@@ -217,6 +220,13 @@ class _Run:
                 bar.update(min(elapsed, duration) - bar.n)
             elif time.monotonic() > deadline:
                 raise RunError(f"no command to a new state for {SILENCE_LIMIT:g} s\n{self._logs()}")
+        self._catch_up()
+
+    def _catch_up(self) -> None:
+        """Wait until the recorder has what was sent before the last command on each topic of samples."""
+        end, deadline = self.recorder.sent(JOINT_COMMANDS), time.monotonic() + CATCH_UP_LIMIT
+        while any(0 < self.recorder.sent(topic) < end for topic in SAMPLES) and time.monotonic() < deadline:
+            self._pause()
 
     def _elapsed(self) -> float:
         """Return the stamped time [s] from the first to the latest state with a command."""

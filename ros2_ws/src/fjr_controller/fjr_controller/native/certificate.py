@@ -32,7 +32,7 @@ class NativeCertificate:
     def __init__(self, node: Node, program: Program, diagnosis: CertificateDiagnosis) -> None:
         """Create the publisher and the structures; the law and its certificate must be compiled."""
         self._node, self._diagnosis = node, diagnosis
-        self.publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.LATEST)
+        self.publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.sample_qos(node))
         self.message = NativeMessage(program, float_array(",".join(LABELS), len(LABELS)), (len(LABELS),))
         ffi, law, online = program.ffi, diagnosis.law, diagnosis.online_certificate
         functions = dict(zip(("certify", "predict"), online.functions, strict=True), law=law.measured_function)

@@ -32,7 +32,7 @@ class CertificatePublisher:
         """Create the publisher; period [s]: between two certificates; 0: one per sample."""
         self._node, self._diagnosis, self._auxiliary = node, diagnosis, AuxiliaryRate(period)
         self._writer = CertificateWriter()
-        self._publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.LATEST)
+        self._publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.sample_qos(node))
         self._stamp, self._start, self._bound = 0, -1, NO_BOUND
 
     def use(self, law: TrackingLaw, limit: Array) -> None:

@@ -36,7 +36,7 @@ class CommandTopics:
     def __init__(self, node: Node, reports: Reports) -> None:
         """Create the publishers; raise CommandConflictError if another process publishes on a command topic."""
         self._node, self._reports = node, reports
-        self._conflicts = ConflictingPublishers(node, TOPICS, names.LATEST)
+        self._conflicts = ConflictingPublishers(node, TOPICS, names.sample_qos(node))
         self._alone = self._trusted = False
         try:
             self._refuse_conflicts()

@@ -58,8 +58,9 @@ class CommandLoop:
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._effort, self._command = EffortWriter(joints), JointStateWriter(joints)
         self._reference, self._error = JointStateWriter(joints), JointStateWriter(joints)
-        self._references = node.create_publisher(JointState, names.REFERENCE, names.LATEST)
-        self._errors = node.create_publisher(JointState, names.TRACKING_ERROR, names.LATEST)
+        qos = names.sample_qos(node)
+        self._references = node.create_publisher(JointState, names.REFERENCE, qos)
+        self._errors = node.create_publisher(JointState, names.TRACKING_ERROR, qos)
         self._states = node.create_subscription(JointState, names.JOINT_STATES, self._on_state, names.LATEST, raw=True)
         self._listeners: list[tuple[Listener, Callable[[], bool]]] = []
         self.active = False

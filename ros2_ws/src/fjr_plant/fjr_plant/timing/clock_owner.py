@@ -36,7 +36,7 @@ class ClockOwner:
     def __init__(self, node: Node, health: Health, shown: Callable[[], int]) -> None:
         """shown: returns the time that was published last [ns]."""
         self._health, self._shown = health, shown
-        self._conflicts = ConflictingPublishers(node, {names.CLOCK: Clock}, names.LATEST)
+        self._conflicts = ConflictingPublishers(node, {names.CLOCK: Clock}, names.HISTORY)
         self._topic = node.resolve_topic_name(names.CLOCK)
         self._space = node.get_namespace().rstrip("/")
         (self.publisher,) = self._conflicts.publishers

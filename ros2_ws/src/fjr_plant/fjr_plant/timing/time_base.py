@@ -66,7 +66,8 @@ class TimeBase(ABC):
         self._samples = 0
         self._reply: DeferredReply | None = None
         self._raised = False  # the error of the fault was raised
-        self._publishers = [parts.node.create_publisher(JointState, names.JOINT_STATES, names.LATEST)]
+        qos = names.sample_qos(parts.node, self.lock_step)
+        self._publishers = [parts.node.create_publisher(JointState, names.JOINT_STATES, qos)]
         others: dict[int, Callable[[int], None]] = {
             self._lib.FJR_MOVING: lambda _: self._log_once(self.moving),
             self._lib.FJR_ADVANCED: lambda _: self._end_advance(True, ""),
