@@ -42,7 +42,7 @@ CATCH_UP_LIMIT = 5.0  # s for messages that are sent again to the recorder
 POLL = 0.02  # s
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s"
 GRAPH_PERIOD = 0.5  # s between checks of the graph during the run
-RECORDER_PRIORITY = 1  # in lock-step nothing paces the nodes: the recorder needs priority to lose no message
+RECORDER_PRIORITY = 1  # below the nodes, above other programs: without a core for 0.1 s the recorder loses messages
 
 
 class RunError(FjrError):
@@ -120,7 +120,7 @@ class _Run:
                 self._start_nodes()
             on_go()
             self.going = True
-            with prioritised(RECORDER_PRIORITY if self.plan.lockstep else 0):
+            with prioritised(RECORDER_PRIORITY):
                 self.client.resume()
                 self._follow()
         except FjrError as error:
