@@ -80,7 +80,7 @@ HOSTILE = {
     "open brackets": ("[" * 10_000, "nested"),
     "brackets": ("[" * 10_000 + "]" * 10_000, "nested"),
     "200 kB of levels": ("\n".join(" " * i + "a:" for i in range(630)), "nested"),
-    "half a surrogate pair": (r'a: "\ud800"', "U+D800"),
+    "half a surrogate pair": (r'a: "\ud800"', "line 1, column 7"),
     "NUL": (r'a: "b\0c"', "U+0000"),
 }
 

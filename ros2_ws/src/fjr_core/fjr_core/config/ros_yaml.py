@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
 
 from ..errors import ParameterError
 from ..files.text_file import read_text
@@ -27,7 +28,19 @@ _FLOAT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
 _BOOL = re.compile(r"[yYnN]$")
 
 
-class _Loader(yaml.SafeLoader):
+if yaml.__with_libyaml__:
+
+    class _SafeLoader(Composer, yaml.CSafeLoader):
+        """Parse text by libyaml, as rcl does, and compose nodes in Python, where they can be limited."""
+
+        def __init__(self, text: str) -> None:
+            yaml.CSafeLoader.__init__(self, text)
+            Composer.__init__(self)
+else:
+    _SafeLoader = yaml.SafeLoader  # type: ignore[misc, assignment]
+
+
+class _Loader(_SafeLoader):
     """Read plain scalars as rcl does and dates as text; reject documents that exceed the limits of this module."""
 
     bool_values = {**yaml.SafeLoader.bool_values, "y": True, "n": False}
@@ -38,8 +51,9 @@ class _Loader(yaml.SafeLoader):
     depth = nodes = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise ParameterError(f"has a YAML alias (*{self.peek_event().anchor}), which ROS 2 does not read")
+        event = self.peek_event()
+        if isinstance(event, yaml.AliasEvent):
+            raise ParameterError(f"has a YAML alias (*{event.anchor}), which ROS 2 does not read")
         self.depth, self.nodes = self.depth + 1, self.nodes + 1
         if self.depth > MAX_DEPTH:
             raise ParameterError(f"is nested more than {MAX_DEPTH} levels deep; expected a parameter file")
@@ -112,7 +126,7 @@ def parse(text: str) -> Any:
 def _parsed(text: str) -> Any:
     try:
         return yaml.load(text, _Loader)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeEncodeError) as error:
         raise ParameterError(f"is not valid YAML: {_brief(' '.join(str(error).split()), 400)}") from None
 
 
