@@ -10,7 +10,10 @@ from collections.abc import Iterator
 
 from fjr_bringup.cli.exit_codes import Exit
 
+RECORDING = ("run", "demo")
 SHORT = "0.2"  # s of stamped time for recording commands
+JUDGED = (Exit.VIOLATED, Exit.LATE)  # with which a recording command may end, depending on the machine
+SHELL = re.compile(r"[|&<>$*?~`]")  # what a shell replaces or interprets
 
 NOT_RUN = {
     "make": "sets up a whole checkout; `make test` would run this test again",
@@ -65,13 +68,32 @@ def script(text: str) -> str:
     return "\n".join(["set -e", *(_shortened(command) for command in commands(text) if is_run(command))])
 
 
+def only_fjr(text: str) -> list[list[str]]:
+    """Return the arguments of `fjr` in the commands of a block that are run; none if any needs a shell."""
+    found = [words(command) for command in commands(text) if is_run(command)]
+    if any(command[0] != "fjr" or SHELL.search("".join(command)) for command in found):
+        return []
+    return [[*command[1:], *_length(command)] for command in found]
+
+
+def exit_codes(arguments: list[str], expected: int) -> tuple[int, ...]:
+    """Return the exit codes that `fjr` may have."""
+    return (expected, *JUDGED) if arguments[0] in RECORDING and not expected else (expected,)
+
+
 def _shortened(command: str) -> str:
-    """Return a recording command with a short duration; it may end `violated` or `late`, depending on the machine."""
+    """Return a recording command with a short duration, which may end with any code of JUDGED."""
     parts = words(command)
-    if parts[:2] not in (["fjr", "run"], ["fjr", "demo"]) or parts[-1] == "&":
+    if parts[0] != "fjr" or parts[1] not in RECORDING or parts[-1] == "&":
         return command
-    short = command if "--duration" in parts else shlex.join([*parts, "--duration", SHORT])
-    return f"{short.partition(' #')[0]} || case $? in {Exit.VIOLATED:d} | {Exit.LATE:d}) ;; *) exit 1 ;; esac"
+    short = shlex.join([*parts, *_length(parts)]) if _length(parts) else command
+    judged = " | ".join(str(int(code)) for code in JUDGED)
+    return f"{short.partition(' #')[0]} || case $? in {judged}) ;; *) exit 1 ;; esac"
+
+
+def _length(command: list[str]) -> list[str]:
+    """Return the option that makes a recording command short."""
+    return ["--duration", SHORT] if command[1] in RECORDING and "--duration" not in command else []
 
 
 def syntax_error(text: str) -> str:

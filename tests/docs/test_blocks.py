@@ -17,11 +17,12 @@ import pytest
 
 from docs.arm import my_arm_urdf
 from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
-from docs.shell import script, syntax_error
+from docs.shell import exit_codes, only_fjr, script, syntax_error
 from fjr_bringup.studies.comparison import suite
 from fjr_bringup.studies.monte_carlo import sweep_file
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
+from system.executables import fjr_here
 from time_limits import HANG
 
 LINKED = ("ros2_ws", "examples")  # folders that commands name relative to the checkout
@@ -71,7 +72,16 @@ def do_python(block: Block, folder: Path, _said: str) -> str:
 
 
 def do_sh(block: Block, folder: Path, _said: str) -> str:
-    return run(block, ["bash", "-c", script(block.text)], folder)
+    """Run the block in bash, or in this process if it is commands of `fjr` alone, which saves the imports of each.
+
+    Where the page has written classes in Python, these would stay imported: there bash runs all blocks.
+    """
+    commands = [] if any(folder.glob("*.py")) else only_fjr(block.text)
+    if not commands:
+        return run(block, ["bash", "-c", script(block.text)], folder)
+    expected = [0] * (len(commands) - 1) + [int(block.marks.get("exit", 0))]
+    codes = map(exit_codes, commands, expected)
+    return "".join(fjr_here(*arguments, codes=ends) for arguments, ends in zip(commands, codes, strict=True))
 
 
 def do_cpp(block: Block, folder: Path, said: str) -> str:
