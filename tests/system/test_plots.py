@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fjr_bringup.formatting import milliseconds, number, percent
-from fjr_bringup.report.figure import STORED, Line, Plot, Pool, decimated, drawable
+from fjr_bringup.plotting.figure import STORED, Line, Plot, Pool, decimated, drawable
 from fjr_bringup.report.run_figures import HALF, bins
 
 VALUES = st.floats(-1e6, 1e6, width=32)

@@ -15,7 +15,7 @@ from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.analysis.timing import counts as counts_of
 from fjr_bringup.cli import run
 from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.plotting.joint_lines import LABEL_GAP, apart, labels
+from fjr_bringup.plotting.picture import LABEL_GAP, apart, labels
 from fjr_bringup.scenarios import library
 from fjr_core.monitoring.certificate import CertificateSeries
 from system.executables import fjr, scenario

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Matplotlib figures of a run."""
+"""Plots as values, and their drawing by Matplotlib."""

@@ -11,8 +11,8 @@ import numpy as np
 
 from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.formatting import number
+from fjr_bringup.plotting.figure import Pool
 from fjr_bringup.recording.reader import Array
-from fjr_bringup.report.figure import Pool
 from fjr_bringup.scene.urdf_scene import scene
 from fjr_core.config.description import description, locked_positions
 from fjr_core.config.scenario import Scenario

@@ -19,9 +19,9 @@ from markupsafe import Markup
 
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.formatting import number, percent
+from fjr_bringup.plotting.figure import Plot, Pool, colour
 from fjr_bringup.provenance import provenance
 from fjr_bringup.report.arm_replay import ArmReplay
-from fjr_bringup.report.figure import Plot, Pool, colour
 from fjr_core.errors import FjrError
 
 TEMPLATES = "report/templates"

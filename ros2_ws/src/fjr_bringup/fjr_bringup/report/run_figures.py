@@ -13,8 +13,8 @@ from fjr_bringup.analysis.metrics import Report
 from fjr_bringup.analysis.power_balance import Power
 from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.formatting import milliseconds, number, percent, plural
+from fjr_bringup.plotting.figure import Line, Plot, colour, drawable
 from fjr_bringup.recording.reader import Array
-from fjr_bringup.report.figure import Line, Plot, colour, drawable
 from fjr_core.robot.joint_units import joined
 
 FEW = 2  # joints; with more, efforts are shown in percent of their limits first

@@ -14,9 +14,9 @@ from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Energy, Report, Storage
 from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.formatting import milliseconds, number, percent
+from fjr_bringup.plotting.figure import DRAWN, Line, Plot, colour, decimated, drawable
 from fjr_bringup.recording.reader import Array
 from fjr_bringup.report import html
-from fjr_bringup.report.figure import DRAWN, Line, Plot, colour, decimated, drawable
 from fjr_bringup.report.paper_claim import Claim
 from fjr_core.robot.joint_units import joined
 

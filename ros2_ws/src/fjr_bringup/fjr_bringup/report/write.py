@@ -73,7 +73,7 @@ def report_run(
     scenario, bag = load_scenario(folder / "scenario.yaml", user_code=False), read_bag(folder / "bag")
     summary = report_bag(name, bag, scenario, folder, duration, skipped, failure, pages, provenance())
     if pages and np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
-        from fjr_bringup.plotting.overview import draw_overview  # matplotlib is half a second of imports
+        from fjr_bringup.report.overview import draw_overview  # matplotlib is half a second of imports
 
         with without_warnings():
             write_with_fallback(summary.folder, lambda place: draw_overview(name, summary.data, summary.report, place))

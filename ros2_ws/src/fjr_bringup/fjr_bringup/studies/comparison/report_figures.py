@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from fjr_bringup.plotting.figure import Line, Plot
 from fjr_bringup.recording.reader import Array
-from fjr_bringup.report.figure import Line, Plot
 from fjr_bringup.studies.comparison.results import Row, law_without_additions, rows
 
 AXIS_LABELS = {

@@ -11,8 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fjr_bringup.plotting.joint_lines import COLOURS
-from fjr_bringup.plotting.overview import GREY, STYLE
+from fjr_bringup.plotting.picture import COLOURS, GREY, STYLE
 from fjr_bringup.recording.reader import Array
 from fjr_core.stability.contraction import Contraction, Measured
 

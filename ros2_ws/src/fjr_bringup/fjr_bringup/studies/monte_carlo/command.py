@@ -22,6 +22,7 @@ from fjr_bringup.studies.monte_carlo import sweep_file
 from fjr_bringup.studies.monte_carlo.picture import draw
 from fjr_bringup.studies.monte_carlo.pool import Workers, cluster, run_missing, threads
 from fjr_bringup.studies.monte_carlo.report import write_page
+from fjr_bringup.studies.monte_carlo.report_figures import sweep_plots
 from fjr_bringup.studies.monte_carlo.store import Store, open_store
 from fjr_bringup.studies.monte_carlo.sweep_file import SweepFile
 from fjr_core.config import ros_yaml
@@ -94,8 +95,9 @@ def _shown(store: Store) -> Result:
     summary = summarised(store.sweep, store.column)
     figures = store.folder / "summary.json"
     figures.write_text(json.dumps(summary.as_json(), indent=1) + "\n", encoding="utf-8")
-    draw(store, summary, store.folder / "overview.png")
-    page = write_page(store, summary, store.folder / "report.html")
+    plots = sweep_plots(store, summary)
+    draw(store, summary, plots, store.folder / "overview.png")
+    page = write_page(store, summary, plots, store.folder / "report.html")
     text = f"{table(store.sweep, summary)}\nopen {page}; all runs: {store.table}"
     return Result(text, {**summary.as_json(), "page": page, "table": store.table})
 

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from fjr_bringup.formatting import number, percent
+from fjr_bringup.plotting.figure import Plot
 from fjr_bringup.report import html
-from fjr_bringup.studies.monte_carlo.report_figures import sweep_plots
 from fjr_bringup.studies.monte_carlo.store import Store
 from fjr_core.experiments.monte_carlo.distributions import FIXED
 from fjr_core.experiments.monte_carlo.sensitivity import Summary
@@ -33,18 +34,22 @@ HOW = (
 )
 
 
-def write_page(store: Store, summary: Summary, path: Path) -> Path:
+def headline(store: Store, summary: Summary) -> str:
+    """Return the result of a study as a sentence."""
+    return f"{store.sweep.name}: {percent(summary.succeeded / summary.runs)} of {summary.runs:,} runs succeed"
+
+
+def write_page(store: Store, summary: Summary, plots: Sequence[Plot], path: Path) -> Path:
     """Write the page as one self-contained file."""
     sweep = store.sweep
-    title = f"{sweep.name}: {percent(summary.succeeded / summary.runs)} of {summary.runs:,} runs succeed"
     outcomes = [
         [what, *(number(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in ROWS.items()
     ]
     html.write_page(
         path,
         "monte_carlo.html",
-        title,
-        sweep_plots(store, summary),
+        headline(store, summary),
+        plots,
         kicker=f"Monte-Carlo study of {summary.runs:,} runs",
         notes=_notes(sweep),
         tiles=_tiles(summary),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of the page of a Monte-Carlo study: success and error over each drawn parameter, distribution of the error."""
+"""Plots of a Monte-Carlo study: success and error over each drawn parameter, distribution of the error."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_bringup.formatting import percent
-from fjr_bringup.report.figure import Line, Plot
-from fjr_bringup.studies.monte_carlo.picture import DOTS, SHOWN
+from fjr_bringup.plotting.figure import Line, Plot
 from fjr_bringup.studies.monte_carlo.store import Store
 from fjr_core.experiments.monte_carlo.distributions import LOG_UNIFORM
 from fjr_core.experiments.monte_carlo.sensitivity import Effect, Summary
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch.draws import UNITS
 
+SHOWN = 4  # drawn parameters
+DOTS = 4000
 GOOD, BAD, LOST = "c1", "c2", "bad"
 BINS = 40  # of the distribution
 ABOVE = 1.5  # times the largest error: where unstable runs are drawn
