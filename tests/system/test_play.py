@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
-import threading
 import time
 import tracemalloc
 from collections.abc import Iterable
@@ -158,12 +158,20 @@ def test_a_bag_is_read_only_a_few_messages_ahead(tmp_path: Path, limit: str, mon
         tracemalloc.stop()
 
 
-def test_the_reader_ends_with_the_one_who_reads(tmp_path: Path) -> None:
+def test_the_bag_is_closed_when_nobody_reads_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     texts(tmp_path / "bag", StoragePlugin.MCAP, range(1000))
+    monkeypatch.setattr(stream, "AHEAD_MESSAGES", 10)
     messages = in_order(tmp_path / "bag", {MODEL})
     next(messages)
+    assert open_files(tmp_path)
     messages.close()
-    assert not [thread for thread in threading.enumerate() if thread.name == "bag reader"]
+    assert not open_files(tmp_path)
+
+
+def open_files(folder: Path) -> list[Path]:
+    """Return the files below a folder that this process has open."""
+    links = (Path(os.path.realpath(each)) for each in Path("/proc/self/fd").iterdir())
+    return [file for file in links if folder in file.parents]
 
 
 def test_an_error_of_the_reader_is_raised(tmp_path: Path) -> None:

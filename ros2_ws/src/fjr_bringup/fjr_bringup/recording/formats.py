@@ -23,11 +23,11 @@ from fjr_bringup.formatting import plural
 from fjr_bringup.recording.mcap_reader import MAGIC, MESSAGE, UNREADABLE, File, inner, unpacked
 from fjr_bringup.recording.message_types import typestore
 from fjr_bringup.recording.sqlite_reader import read_tables
-from fjr_bringup.recording.topic import BagError, Contents, Topic, has_times
+from fjr_bringup.recording.topic import BagError, Contents, Messages, Topic, has_times
 
 
-def read_mcap(path: Path, contents: Contents) -> bool:
-    """Add the messages of an MCAP file to `contents`; return whether it was closed. Raise BagError."""
+def read_mcap(path: Path, contents: Contents) -> Messages:
+    """Yield the messages of an MCAP file; raise BagError."""
     before = contents.count
     with open(path, "rb") as stream:
         begin = stream.read(len(MAGIC))
@@ -35,7 +35,7 @@ def read_mcap(path: Path, contents: Contents) -> bool:
             raise BagError(f"{path} is not an MCAP file: it begins with other bytes")
         file = File(stream)
         reader = _McapReader(file, contents)
-        reader.read()
+        yield from reader.messages()
     read = contents.count - before
     if not read and (file.damage or reader.invalid):
         raise BagError(f"{path} is not a readable MCAP file: it is damaged at byte {(file.damage or [0])[0]}")
@@ -65,30 +65,33 @@ class _McapReader:
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, Topic] = {}
 
-    def read(self) -> None:
-        """Read all undamaged records."""
+    def messages(self) -> Iterator[tuple[Topic, Message]]:
+        """Yield the messages in all undamaged records."""
         file, known = self._file, {*self._file.channels}
         for record in file.records(known):
             try:
-                if record.kind == Opcode.CHUNK:
-                    for kind, content in inner(unpacked(record.content)):
-                        self._add(kind, content)
-                else:
-                    self._add(record.kind, record.content)
+                own = ((record.kind, record.content),)
+                for kind, content in inner(unpacked(record.content)) if record.kind == Opcode.CHUNK else own:
+                    if kind == Opcode.MESSAGE:
+                        yield from self._message(content)
+                    else:
+                        self._define(kind, content)
             except UNREADABLE:
                 file.damage.append(record.position)
             known |= self._topics.keys()
 
-    def _add(self, kind: int, content: bytes) -> None:
-        if kind == Opcode.MESSAGE:
-            number, sequence, log_time, publish_time = MESSAGE.unpack_from(content)
-            message = Message(number, log_time, content[MESSAGE.size :], publish_time, sequence)
-            topic = self._topic(number)
-            if topic is not None and has_times(message):
-                self._contents.add(topic, message)
-            else:
-                self.invalid += 1
-        elif kind == Opcode.SCHEMA:
+    def _message(self, content: bytes) -> Iterator[tuple[Topic, Message]]:
+        number, sequence, log_time, publish_time = MESSAGE.unpack_from(content)
+        message = Message(number, log_time, content[MESSAGE.size :], publish_time, sequence)
+        topic = self._topic(number)
+        if topic is not None and has_times(message):
+            self._contents.count += 1
+            yield topic, message
+        else:
+            self.invalid += 1
+
+    def _define(self, kind: int, content: bytes) -> None:
+        if kind == Opcode.SCHEMA:
             schema = Schema.read(ReadDataStream(BytesIO(content)))
             self._schemas[schema.id] = schema
         elif kind == Opcode.CHANNEL:
@@ -107,20 +110,18 @@ class _McapReader:
             self._topics[channel.id] = self._contents.topic(channel.topic, schema.name, text)
 
 
-def read_sqlite(path: Path, contents: Contents) -> bool:
-    """Add the messages of a SQLite file, which holds receive times only; return whether it was closed."""
+def read_sqlite(path: Path, contents: Contents) -> Messages:
+    """Yield the messages of a SQLite file, which holds receive times only, in the order of the file."""
     before = contents.count
     if _is_cut_off(path):  # SQLite refuses such a file
         with tempfile.TemporaryDirectory() as folder:
             notes = list(contents.notes)
-            read_tables(_with_actual_page_count(path, Path(folder)), contents)
+            yield from read_tables(_with_actual_page_count(path, Path(folder)), contents)
             contents.notes, whole = notes, False  # reported as a bag that was not closed
     else:
-        whole = read_tables(path, contents)
+        whole = yield from read_tables(path, contents)
         if not whole and contents.count == before:
             contents.notes.append(f"{path.name} is damaged; no message in it can be read")
-    for topic in contents.topics.values():
-        topic.messages.sort(key=lambda message: message.log_time)
     return whole
 
 
@@ -150,8 +151,8 @@ def _with_actual_page_count(path: Path, folder: Path) -> Path:
     return copy
 
 
-def read_compressed(folder: Path, contents: Contents) -> bool:
-    """Add the messages of a folder compressed by rosbag2, read by the rosbags library; raise BagError."""
+def read_compressed(folder: Path, contents: Contents) -> Messages:
+    """Yield the messages of a folder compressed by rosbag2, read by the rosbags library; raise BagError."""
     from rosbags.highlevel import AnyReader  # loads its readers of ROS 1 and 2, which other bags do not need
 
     try:
@@ -160,14 +161,15 @@ def read_compressed(folder: Path, contents: Contents) -> bool:
                 topic = contents.topic(connection.topic, connection.msgtype, connection.msgdef.data)
                 message = Message(connection.id, time, data, time, 0)
                 if has_times(message):
-                    contents.add(topic, message)
+                    contents.count += 1
+                    yield topic, message
     except Exception as error:  # any error of the library
         raise BagError(f"{folder} is not a readable compressed bag: {error or type(error).__name__}") from error
     return True
 
 
 COMPRESSED = re.compile(r"^\s+compression_mode: *[\"']?(file|message)\b", re.IGNORECASE | re.MULTILINE)
-READERS: dict[str, Callable[[Path, Contents], bool]] = {".mcap": read_mcap, ".db3": read_sqlite}
+READERS: dict[str, Callable[[Path, Contents], Messages]] = {".mcap": read_mcap, ".db3": read_sqlite}
 
 
 def files_of(path: Path) -> list[Path]:
@@ -195,8 +197,8 @@ def _is_compressed(folder: Path) -> bool:
     return COMPRESSED.search(text) is not None
 
 
-def read_file(path: Path, contents: Contents) -> bool:
-    """Add the messages of one of files_of; return whether it was closed."""
+def read_file(path: Path, contents: Contents) -> Messages:
+    """Yield the messages of one of files_of; topics, losses and the number of messages are added to `contents`."""
     if path.is_file() and path.stat().st_size == 0:
         return False
-    return READERS.get(path.suffix, read_compressed)(path, contents)
+    return (yield from READERS.get(path.suffix, read_compressed)(path, contents))

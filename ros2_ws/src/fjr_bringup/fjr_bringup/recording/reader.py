@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_bringup.recording.formats import files_of, read_file
-from fjr_bringup.recording.topic import BagError, Contents, Times, Topic
+from fjr_bringup.recording.topic import BagError, Contents, Messages, Times, Topic
 
 Array = NDArray[np.float64]
 JOINT_STATE, DIAGNOSTICS = "sensor_msgs/msg/JointState", "/diagnostics"
@@ -95,8 +95,20 @@ def read_bag(path: str | Path, namespace: str = "") -> Bag:
     """
     path = bag_folder(Path(path))
     contents = Contents()
-    complete = [read_file(file, contents) for file in files_of(path)]
+    complete = [_keep(read_file(file, contents)) for file in files_of(path)]
+    for topic in contents.topics.values():
+        topic.messages.sort(key=lambda message: message.log_time)
     return Bag(path, contents.topics, all(complete), namespace, tuple(contents.notes))
+
+
+def _keep(messages: Messages) -> bool:
+    """Add the messages of a file to their topics; return whether the file was closed."""
+    while True:
+        try:
+            topic, message = next(messages)
+        except StopIteration as end:
+            return bool(end.value)
+        topic.messages.append(message)
 
 
 def bag_folder(path: Path) -> Path:

@@ -4,24 +4,25 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
 
 from mcap.records import Message
 
 from fjr_bringup.formatting import plural
-from fjr_bringup.recording.topic import BagError, Contents, Topic, has_times
+from fjr_bringup.recording.topic import BagError, Contents, Messages, Topic, has_times
 
 MESSAGES = "SELECT id, topic_id, timestamp, data FROM messages WHERE id >= ? ORDER BY id"
 MOST_GAPS = 100
 
 
-def read_tables(path: Path, contents: Contents) -> bool:
-    """Add all readable messages; return False if some are damaged. Raise BagError if the file is not a SQLite bag."""
+def read_tables(path: Path, contents: Contents) -> Messages:
+    """Yield all readable messages; return False if some are damaged. Raise BagError if it is not a SQLite bag."""
     try:
         with closing(_opened(path)) as database:
             reader = _Reader(database, contents)
-            return reader.read(path.name)
+            return (yield from reader.read(path.name))
     except (sqlite3.Error, OverflowError, ValueError) as error:
         if "malformed" in str(error):
             return False
@@ -48,13 +49,13 @@ class _Reader:
         self._topics: dict[int, Topic] = {}
         self._invalid = self._gaps = 0
 
-    def read(self, name: str) -> bool:
-        """Read all readable messages; return whether nothing was damaged."""
+    def read(self, name: str) -> Messages:
+        """Yield all readable messages; return whether nothing was damaged."""
         for number, topic, type_name in self._database.execute("SELECT id, name, type FROM topics"):
             self._topics[number] = self._contents.topic(str(topic), str(type_name), "")
         following: int | None = -(2**63)
         while following is not None:
-            following = self._read_from(following)
+            following = yield from self._read_from(following)
         notes = self._contents.notes
         if self._gaps:
             notes.append(f"{name} is damaged in {plural(self._gaps, 'place')}; the messages there are lost")
@@ -62,17 +63,17 @@ class _Reader:
             notes.append(f"{name}: {plural(self._invalid, 'message')} of no known topic or without a time left out")
         return not self._gaps
 
-    def _read_from(self, first: int) -> int | None:
-        """Read messages from id `first` on; return the id after a damaged page, None at the end."""
+    def _read_from(self, first: int) -> Generator[tuple[Topic, Message], None, int | None]:
+        """Yield messages from id `first` on; return the id after a damaged page, None at the end."""
         last = first - 1
         try:
             for row in self._database.execute(MESSAGES, (first,)):
-                last = self._add(*row)
+                last = yield from self._message(*row)
         except sqlite3.DatabaseError as error:
             if "malformed" not in str(error):
                 raise
             while (row := self._one(last + 1)) is not None:  # the cursor reads ahead of the rows it yields
-                last = self._add(*row)
+                last = yield from self._message(*row)
             self._gaps += 1
             return self._next_after(max(last, 0)) if self._gaps < MOST_GAPS else None
         return None
@@ -97,12 +98,15 @@ class _Reader:
         except sqlite3.DatabaseError:
             return None
 
-    def _add(self, number: int, topic: object, time: object, data: object) -> int:
-        """Add a message; return its id."""
+    def _message(
+        self, number: int, topic: object, time: object, data: object
+    ) -> Generator[tuple[Topic, Message], None, int]:
+        """Yield a message if it is valid; return its id."""
         if isinstance(topic, int) and topic in self._topics and isinstance(time, int) and isinstance(data, bytes):
             message = Message(topic, time, data, time, 0)
             if has_times(message):
-                self._contents.add(self._topics[topic], message)
+                self._contents.count += 1
+                yield self._topics[topic], message
                 return number
         self._invalid += 1
         return number

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Generator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -63,23 +64,19 @@ class Topic:
 
 @dataclass
 class Contents:
-    """Content read from the files of a bag: topics by name, and one sentence for each loss."""
+    """What the files of a bag hold so far: topics by name, number of messages, and one sentence for each loss."""
 
     topics: dict[str, Topic] = field(default_factory=dict)
+    count: int = 0
     notes: list[str] = field(default_factory=list)
 
     def topic(self, name: str, type_name: str, definition: str) -> Topic:
         """Return the topic of this name; add it if it is new."""
         return self.topics.setdefault(name, Topic(name, type_name, definition))
 
-    def add(self, topic: Topic, message: Message) -> None:
-        """Take a message of a topic."""
-        topic.messages.append(message)
 
-    @property
-    def count(self) -> int:
-        """Number of messages taken."""
-        return sum(len(topic.messages) for topic in self.topics.values())
+Messages = Generator[tuple[Topic, Message], None, bool]
+"""The messages of a file, each with its topic; the value at the end is whether the file was closed."""
 
 
 def has_times(message: Message) -> bool:
