@@ -109,7 +109,7 @@ def test_a_cause_is_graded_on_the_diagnostics(ros: Ros, grade: str, cause: str, 
 
 
 def test_saturation_is_diagnosed_while_it_lasts(ros: Ros) -> None:
-    hearer = running(ros, 2, {}, {"limits__effort": [0.7]})
+    hearer = running(ros, 2, {}, {"limits__effort": [0.6]})
     assert ("violated", "saturation") in hearer.verdicts()
 
 

@@ -32,7 +32,7 @@ def run(seconds: float, known: bool = True, late: int = 0, tolerance: float = 1e
         velocity, jets = np.concatenate(real.velocities(x)), REFERENCE.jets(k * PERIOD)
         u, _ = LAW.measured_command(x[:2], velocity, jets)
         efforts.append(u)
-        online_certificate.take(PERIOD, x[:2], velocity, jets, u, latency if known else 0.0)
+        online_certificate.take(k * 1_000_000, x[:2], velocity, jets, u, latency if known else 0.0)
         if k:
             running.look(BETA)
         x = plant.step(x, efforts[-2 - late], latency)

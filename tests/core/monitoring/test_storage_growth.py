@@ -85,8 +85,7 @@ def live(seen: Record) -> list[str]:
     online_certificate = OnlineCertificate(LAW)
     running, kinds = OnlineDiagnosis(LAW, seen.effort_limit, online_certificate), []
     for k in range(len(seen.t)):
-        online_certificate.take(PERIOD, seen.position[k], seen.velocity[k], seen.jets[k], seen.u[k])
-        _ = online_certificate.dV, online_certificate.supplied, online_certificate.dissipated
+        online_certificate.take(k * 1_000_000, seen.position[k], seen.velocity[k], seen.jets[k], seen.u[k])
         if online_certificate.count:
             running.look(5.0)
         if k % 20 == 19:

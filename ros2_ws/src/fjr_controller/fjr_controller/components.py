@@ -154,7 +154,7 @@ class Control:
             return None
         robust = builders.robust(self._values, self._robot.n)
         joint_axes = axes(self._values, self._robot)
-        diagnosis = CertificateDiagnosis(node, self._law, limit, robust, joint_axes)
+        diagnosis = CertificateDiagnosis(node, self._law, self.tracker.step.library, limit, robust, joint_axes)
         certificate_publisher = self._command_loop.certify(diagnosis)
         self.reports.add_status(certificate_publisher.status)
         return certificate_publisher

@@ -175,7 +175,7 @@ class NativeCommandLoop:
             "errors": publisher_address(self._program, self._errors),
             "alone": self._alone_callback,
             "simulated": self._simulated,
-            "auxiliary_period": round(auxiliary_period * 1e9),
+            "auxiliary": (round(auxiliary_period * 1e9), 0),
             **self._messages.pointers,
         }
 

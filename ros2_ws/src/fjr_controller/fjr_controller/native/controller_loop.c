@@ -73,15 +73,6 @@ static int ask_alone(struct fjr_controller_loop* l, int* late) {
 
 /* ---- After the command ----------------------------------------------------------------------------------------- */
 
-/* Whether the topics for observers are due at a stamp: on a grid of auxiliary_period, which a jump restarts. */
-static int auxiliary_due(struct fjr_controller_loop* l, int64_t stamp) {
-  const int64_t period = l->auxiliary_period, ahead = l->auxiliary_next - stamp;
-  if (period <= 0) return 1;
-  if (ahead > 0 && ahead <= period) return 0;
-  l->auxiliary_next = ahead <= 0 && ahead > -period ? l->auxiliary_next + period : stamp + period;
-  return 1;
-}
-
 static int publish_auxiliary(struct fjr_controller_loop* l) {
   const double *q_ld = l->result.jets, *dq_ld = l->result.jets + FJR_N;
   double q_tilde_l[FJR_N], dq_tilde_l[FJR_N];
@@ -99,24 +90,20 @@ static int publish_auxiliary(struct fjr_controller_loop* l) {
   return outcome == FJR_GO_ON ? fjr_loop_publish(l->loop, l->errors, l->error) : outcome;
 }
 
-/* Publish the certificate of a sample with a predecessor, if its values are finite. */
-static int publish_certificate(struct fjr_controller_loop* l, int due) {
+static int publish_certificate(struct fjr_controller_loop* l) {
   const struct fjr_certified* f = &l->found;
   const int64_t stamp = l->sample.stamp;
   const double values[] = {(double)(stamp / SECOND), (double)(stamp % SECOND), f->V, f->dV, f->rate, f->bound, f->H,
                            f->supplied, f->dissipated};
-  if (!due || !f->follows) return FJR_GO_ON;
-  for (int i = 2; i < 9; ++i)
-    if (!isfinite(values[i])) return FJR_GO_ON;
   fjr_put_numbers(l->certified, 0, values);
   return fjr_loop_publish(l->loop, l->certificates, l->certified);
 }
 
 static int certify(struct fjr_controller_loop* l, int due) {
   if (!l->certificate) return FJR_GO_ON;
-  if (!fjr_certify(l->certificate, &l->result, l->sample.stamp, &l->found))
+  if (!l->step.certify(l->certificate, &l->result, l->sample.stamp, &l->found))
     return fjr_loop_fail(l->loop, "the certificate cannot be evaluated");
-  return publish_certificate(l, due);
+  return due && l->found.valid ? publish_certificate(l) : FJR_GO_ON;
 }
 
 /* Hand a sample to Python; in simulated time wait for a place, in real time count it as lost if there is none. */
@@ -139,7 +126,7 @@ static int answer(struct fjr_controller_loop* l, int64_t arrival) {
   if (outcome != FJR_GO_ON) return outcome;
   l->sends = 1, l->last_stamp = stamp;
   __atomic_fetch_add(&l->answered, 1, __ATOMIC_RELAXED);
-  const int due = auxiliary_due(l, stamp);
+  const int due = l->step.is_due(&l->auxiliary, stamp);
   if (due) outcome = publish_auxiliary(l);
   if (outcome == FJR_GO_ON) outcome = certify(l, due);
   return outcome == FJR_GO_ON ? hand_over(l, arrival, sent) : outcome;
@@ -183,7 +170,7 @@ int fjr_controller_request(void* self, int32_t kind, void* argument) {
     case FJR_RECERTIFY:
       l->certificate->gains = a->first;
       l->certificate->beta = *(const double*)a->second;
-      fjr_certificate_restart(l->certificate);
+      l->step.certificate_restart(l->certificate);
       return FJR_GO_ON; /* the controller is as before; without a thread it is Python's */
     default: break;
   }

@@ -20,6 +20,9 @@ struct fjr_step_functions {
   void (*follow)(struct fjr_controller*, const struct fjr_reference*, int64_t);
   void (*hold)(struct fjr_controller*);
   void (*resume)(struct fjr_controller*);
+  int (*certify)(struct fjr_certificate*, const struct fjr_command*, int64_t, struct fjr_certified*);
+  void (*certificate_restart)(struct fjr_certificate*);
+  int (*is_due)(struct fjr_auxiliary_rate*, int64_t);
 };
 
 /* Requests, with an argument of type struct fjr_arguments; after each the copy of the controller is up to date.
@@ -67,7 +70,8 @@ struct fjr_controller_loop {
   int (*alone)(void* context); /* returns an enum fjr_alone */
   void* context;
   int32_t simulated, known_alone, sends; /* sends: a command was sent, and no last one after a failure */
-  int64_t silence_period, auxiliary_period, auxiliary_next; /* ns */
+  int64_t silence_period; /* ns */
+  struct fjr_auxiliary_rate auxiliary;
   int64_t received, answered, last_stamp;
   struct fjr_sample sample;
   struct fjr_command result;

@@ -11,8 +11,11 @@ from fjr_core.control_step import library
 from fjr_core.control_step.library import StepLibrary
 from fjr_msgs_py.native.program import Program, common_headers, common_sources
 
-PARTS = ("certificate", "controller_loop")
-FUNCTIONS = ("step", "silence", "stop_effort", "start", "apply", "use_gains", "follow", "hold", "resume")
+PART = "controller_loop"
+FUNCTIONS = (
+    *("step", "silence", "stop_effort", "start", "apply", "use_gains", "follow", "hold", "resume"),
+    *("certify", "certificate_restart", "is_due"),
+)
 """Fields of struct fjr_step_functions: functions of step.h without the prefix fjr_."""
 
 
@@ -23,9 +26,8 @@ def controller_program(n: int, memory: int) -> Program:
     Raises NativeError if it cannot be built.
     """
     values = {"FJR_N": n, "FJR_MEMORY": max(1, memory)}
-    headers = [*common_headers(), *(_text(f"{part}.h") for part in PARTS)]
-    sources = [*common_sources(), *(_text(f"{part}.c") for part in PARTS)]
-    return Program("controller_loop", headers, sources, values, library.text(library.HEADER))
+    headers, sources = [*common_headers(), _text(f"{PART}.h")], [*common_sources(), _text(f"{PART}.c")]
+    return Program(PART, headers, sources, values, library.text(library.HEADER))
 
 
 def step_functions(program: Program, step: StepLibrary) -> dict[str, Any]:

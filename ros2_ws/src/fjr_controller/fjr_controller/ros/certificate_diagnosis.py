@@ -3,24 +3,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from numpy.typing import NDArray
 from rclpy.node import Node
 
 from fjr_core import TrackingLaw
 from fjr_core.control.robust import Robust
+from fjr_core.control_step.library import StepLibrary
 from fjr_core.monitoring.diagnosis import Diagnosis, unknown
 from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.latency import Latency
 from fjr_core.monitoring.online_certificate import OnlineCertificate
 from fjr_core.monitoring.online_diagnosis import OnlineDiagnosis
-from fjr_core.monitoring.thresholds import LONGEST_GAP
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.diagnosis import diagnosis_status
 
 ESTIMATES = "V does not include the disturbance estimate (robust.* is enabled)"
 PREDICTS = "the effort is the law's for a predicted state (robust.delay)"
-LONGEST = LONGEST_GAP * 1e-2  # s; two samples further apart are not compared
 
 
 class CertificateDiagnosis:
@@ -29,10 +33,12 @@ class CertificateDiagnosis:
     With robust action there is neither diagnosis nor bound, because V and its rates are those of the law without it.
     """
 
-    def __init__(self, node: Node, law: TrackingLaw, limit: Array, robust: Robust, axes: Axes) -> None:
-        """limit (n,) [N m]: of the efforts; axes: names and grades of the joints."""
+    def __init__(
+        self, node: Node, law: TrackingLaw, library: StepLibrary, limit: Array, robust: Robust, axes: Axes
+    ) -> None:
+        """library: the control step; limit (n,) [N m]: of the efforts; axes: names and grades of the joints."""
         self.no_diagnosis = ESTIMATES if robust.estimates or robust.integrates else PREDICTS if robust.predicts else ""
-        self.law, self.online_certificate = law, OnlineCertificate(law)
+        self.law, self.online_certificate = law, OnlineCertificate(law, library)
         self.simulated = bool(node.get_parameter("use_sim_time").value)
         self._online_diagnosis = OnlineDiagnosis(law, limit, self.online_certificate, axes)
         self._latency, self._name = Latency(), f"{names.full_name(node)}: certificate"
@@ -53,16 +59,23 @@ class CertificateDiagnosis:
             self.beta = self._rate()
         return diagnosis_status(self._name, diagnosis.kind, diagnosis.causes, diagnosis.sentence, diagnosis.figures)
 
-    def latency(self, stamp: int, arrival: int, sent: int, follows: bool) -> float:
+    def add(self, times: Sequence[tuple[int, int, int]], certified: NDArray[Any], command: NDArray[Any]) -> None:
+        """Add k certified commands, fewer than half of those that are kept.
+
+        times: stamp of the sample, arrival and sending of the command [ns] of each; certified, command (k,): struct
+        fjr_certified and fjr_command.
+        """
+        rows = zip(times, certified["follows"].tolist(), strict=True)
+        latency = [self._latency_of(*each, bool(follows)) for each, follows in rows]
+        count = self.online_certificate.append(certified, command, np.array(latency))
+        if not self.no_diagnosis:
+            self._online_diagnosis.look(self.beta, count)
+
+    def _latency_of(self, stamp: int, arrival: int, sent: int, follows: bool) -> float:
         """Return the latency [s] of a command, 0 if it is not known; follows: the sample has a predecessor."""
         if not follows:
             self._latency.forget()
         return 0.0 if self.simulated or not follows else self._latency.of(stamp, arrival, sent)
-
-    def look(self, count: int = 1) -> None:
-        """Process `count` more intervals."""
-        if not self.no_diagnosis:
-            self._online_diagnosis.look(self.beta, count)
 
     def _rate(self) -> float:
         """Return beta [1/s]: proven if the inertia is known in closed form, else at the present configuration."""

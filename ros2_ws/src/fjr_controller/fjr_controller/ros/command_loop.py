@@ -18,7 +18,6 @@ from fjr_msgs_py.node import process
 
 from ..tracking.events import State
 from ..tracking.tracker import Command, Tracker
-from .auxiliary_rate import AuxiliaryRate
 from .certificate_diagnosis import CertificateDiagnosis
 from .certificate_publisher import CertificatePublisher
 from .command_conflict import CommandConflictError, CommandTopics
@@ -52,8 +51,9 @@ class CommandLoop:
         """
         self._node, self._tracker, self._reports = node, tracker, reports
         self._reader = SerialisedStates(reader)
-        self._on_conflict, self._period = on_conflict, auxiliary_period
-        self._auxiliary = AuxiliaryRate(auxiliary_period)
+        self._on_conflict, self._step = on_conflict, tracker.step
+        grid = (round(auxiliary_period * 1e9), 0)
+        self._auxiliary, self._due = self._step.ffi.new("struct fjr_auxiliary_rate*", grid), True
         self._n = len(joints)
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._effort, self._command = EffortWriter(joints), JointStateWriter(joints)
@@ -71,7 +71,7 @@ class CommandLoop:
 
     def certify(self, diagnosis: CertificateDiagnosis) -> CertificatePublisher:
         """Evaluate and publish the certificate of each sample."""
-        publisher = CertificatePublisher(self._node, diagnosis, self._period)
+        publisher = CertificatePublisher(self._node, diagnosis, lambda: self._due)
         self.add_listener(publisher.on_command)
         return publisher
 
@@ -145,7 +145,8 @@ class CommandLoop:
         sent = time.monotonic_ns()
         self._last_stamp = sample.stamp
         self._reports.count[ANSWERED] += 1
-        if self._auxiliary.due(sample.stamp):
+        self._due = bool(self._step.lib.fjr_is_due(self._auxiliary, sample.stamp))
+        if self._due:
             self._publish_auxiliary(sample, command)
         if command.state is not self._state:
             self._state = command.state

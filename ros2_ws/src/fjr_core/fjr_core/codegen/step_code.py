@@ -31,6 +31,7 @@ from ..control_step.settings_struct import model_functions
 from ..errors import StateError
 from ..estimation.measurement_model import Measurement
 from ..estimation.velocity_observer import VelocityObserver
+from ..monitoring.certificate import OUTPUTS
 from ..trajectories.reference import Reference
 from .c_code import casadi_code, comment, number, numbers, quoted, work_sizes
 from .filled_template import filled
@@ -38,8 +39,8 @@ from .reference_code import reference_code
 
 PREFIX = "fjr"
 """Prefix of all names of the step in C."""
-CALLED = {"arg": len(ARGUMENTS), "res": 3, "iw": 1, "w": 1}
-"""Least sizes of the work space: the step passes all arguments of a SampledLaw to any law."""
+CALLED = {"arg": len(ARGUMENTS), "res": len(OUTPUTS), "iw": 1, "w": 1}
+"""Least sizes of the work space: arguments of a SampledLaw, results of a certificate, which the step always passes."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,8 @@ SOURCES = (
     "active_reference.c",
     "supervisor.c",
     "step.c",
+    "certificate.c",
+    "auxiliary_rate.c",
 )
 """The C files in the order of their translation unit."""
 _DEFINED = re.compile(r"^#define (\w+) (\d+)\b.*$", re.MULTILINE)

@@ -225,6 +225,44 @@ struct fjr_controller {
   int64_t stopped_time; /* time stopped */
 };
 
+/* ---- Certificate ----------------------------------------------------------------------------------------------- */
+
+/* Certificate of a sample and, if it follows another one within `longest`, the innovation of the interval between them.
+ * V, H [J]; dV: rate of V under the effort that was sent, rate: its mean over the interval, supplied, dissipated [W];
+ * bound on V [J], -1 for none. V0, law, older: storage, effort of the law and effort before the last at the start of
+ * the interval. predicted: V at the state that the model predicts; error: measured minus predicted positions and
+ * velocities. valid: it follows another sample, and its values are finite. */
+struct fjr_certified {
+  int32_t follows, valid;
+  double dt, V, dV, rate, bound, H, supplied, dissipated;
+  double V0, predicted;
+  double sent[FJR_N], law[FJR_N], older[FJR_N], error[4 * FJR_N], slope[4 * FJR_N];
+};
+
+struct fjr_certificate {
+  fjr_function certify; /* (position, velocity, jets, gains) -> V, H, dissipation, dissipated, u_law, drive, slope */
+  fjr_function predict; /* (position, velocity, u, dt) -> next position, next velocity; 0: no innovations */
+  fjr_function law;     /* (position, velocity, jets, gains) -> u, V; only called with `predict` */
+  const double* gains;
+  double B_m[FJR_N * FJR_N]; /* by rows */
+  double longest;            /* s; two samples further apart are not compared */
+  double beta;               /* [1/s] of the bound; Python may change it at any time */
+  int32_t bounded;           /* 0: V has no bound */
+  const double** arg;        /* work space of the functions */
+  double** res;
+  long long int* iw;
+  double* w;
+  int32_t follows; /* the last sample may have a successor */
+  int64_t stamp, bound_start;
+  double V, dissipation, u_law[FJR_N], drive[FJR_N];
+  double position[2 * FJR_N], velocity[2 * FJR_N], u[FJR_N], older[FJR_N], bound;
+};
+
+/* The grid of messages that observers read; period [ns], 0: every sample. */
+struct fjr_auxiliary_rate {
+  int64_t period, next;
+};
+
 /* ---- Functions ------------------------------------------------------------------------------------------------- */
 
 /* Initialise a controller; it waits for its first sample. */
@@ -260,5 +298,14 @@ enum fjr_state fjr_state_of(const struct fjr_controller* c);
 /* Write the jets (FJR_JETS, FJR_N) of a reference at t [s], and of the active one at a stamp. */
 void fjr_reference_jets(const struct fjr_reference* r, double t, double* jets);
 void fjr_jets_at(const struct fjr_controller* c, int64_t stamp, double* jets);
+
+/* Let the next sample have no predecessor, and the bound begin again. */
+void fjr_certificate_restart(struct fjr_certificate* c);
+
+/* Evaluate the certificate of a command; return 0 if a function failed. */
+int fjr_certify(struct fjr_certificate* c, const struct fjr_command* command, int64_t stamp, struct fjr_certified* found);
+
+/* Return 1 if the messages for observers are due at the sample with this stamp. */
+int fjr_is_due(struct fjr_auxiliary_rate* r, int64_t stamp);
 
 #endif

@@ -1,169 +1,141 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluate the certificate and the innovations online, one state at a time; bound to buffers for loops at 1 kHz."""
+"""Evaluate the certificate and the innovations online, one state at a time, by the control step in C."""
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..control.vdpbc.law import TrackingLaw
-from ..numerics.casadi_function import bind
+from ..control_step.certificate_struct import CertificateStruct
+from ..control_step.control_step import NEVER
+from ..control_step.library import StepLibrary, step_library
+from ..errors import StateError
+from ..numerics.c_types import record_type
 from ..numerics.checks import Array
 from ..trajectories.reference import JETS
-from .certificate import OUTPUTS, Certificate
+from .certificate import Certificate
 from .innovations import Innovations
 from .one_step_prediction import Prediction
+from .thresholds import LONGEST
 
 _FIELDS = {name: name for name in ("dt", "V0", "predicted", "sent", "law", "older", "error", "slope")} | {"V1": "V"}
-"""Fields of Innovations, with the names of `append`."""
+"""Fields of Innovations, with the names of struct fjr_certified."""
 CAPACITY = 640  # intervals; at least the latest half is kept
 
 
 class OnlineCertificate:
     """Certificate of the latest state and innovations of the latest intervals; not thread-safe.
 
-    position, velocity (2n,) [rad, rad/s], jets (5, n), u (n,) [N m]: latest state, reference and command.
+    `certify` evaluates fjr_certify of step.h, as the hosts in C do; without machine code of the law it calls Python.
+    position (2n,) [rad], jets (5, n): latest state and reference. records: certified, command (1,), the structures of
+    the latest state, by their names. Raises CompilerError without a C compiler.
     """
 
-    def __init__(self, law: TrackingLaw) -> None:
-        n = law.robot.n
-        self._robot, self._balance, self._prediction = law.robot, Certificate(law), Prediction(law)
-        self.position, self.velocity = np.zeros(2 * n), np.zeros(2 * n)
-        self.jets, self.u = np.zeros((JETS, n)), np.zeros(n)
-        sizes = {"u_law": n, "drive": n, "slope": 4 * n}
-        self._found = {name: np.zeros(sizes.get(name, 1)) for name in OUTPUTS}
-        self._dt, self._next_position, self._next_velocity = np.zeros(1), np.zeros(2 * n), np.zeros(2 * n)
-        self._kept, self._older, self._latency = _buffers(n), np.zeros(n), 0.0
+    def __init__(self, law: TrackingLaw, library: StepLibrary | None = None) -> None:
+        """library: the control step of the law with its robust action; None: that without."""
+        self._n, self._library = law.robot.n, library or step_library(law.robot.n)
+        certificate, prediction = Certificate(law), Prediction(law)
+        self.functions = {
+            "certify": certificate.function,
+            "predict": prediction.function,
+            "law": law.measured_function,
+        }
+        """Functions of struct fjr_certificate by name."""
+        ffi = self._library.ffi
+        self.struct = CertificateStruct(ffi, self.functions, law, LONGEST)
+        self._pointers, self.records = {}, {}
+        for name in ("certified", "command"):
+            self.records[name] = made = np.zeros(1, record_type(ffi, ffi.typeof(f"struct fjr_{name}")))
+            self._pointers[name] = ffi.from_buffer(f"struct fjr_{name}[]", made.view(np.uint8))
+        command = self.records["command"]
+        self.position, self._velocity, self._u = (command[name][0] for name in ("position", "velocity", "u"))
+        self.jets = command["jets"].reshape(JETS, self._n)
+        self._kept: NDArray[Any] = np.zeros(CAPACITY, self.records["certified"].dtype)
+        self._latencies, self._tracking, self._latency = np.zeros(CAPACITY), np.zeros((CAPACITY, self._n)), 0.0
         self.use(law)
-        self.forget()
 
     def use(self, law: TrackingLaw) -> None:
-        """Use a law made by `with_gains` and discard the intervals."""
-        self._balance = self._balance.with_law(law)
-        measured = (self.position, self.velocity, self.jets, law.gain_values)
-        self._certify = bind(self._balance.function, measured, list(self._found.values()))
-        held = (self.position, self.velocity, self.u, self._dt)
-        self._predict = bind(self._prediction.function, held, (self._next_position, self._next_velocity))
-        self._predicted = law.bound(self._next_position, self._next_velocity, self.jets)
-        for evaluate in (self._certify, self._predict, self._predicted.evaluate):
-            evaluate()
+        """Use a law made by `with_gains`; discard the intervals and start the bound on V again."""
+        self.struct.pointer.gains = self.struct.keep(law)
         self.forget()
 
     def forget(self) -> None:
         """Discard the intervals; the next state has no predecessor."""
-        self.count, self._follows = 0, False
+        self.count = 0
+        self.restart()
 
-    def skip(self) -> None:
-        """Let the next state have no predecessor."""
-        self._follows = False
+    def restart(self) -> None:
+        """Let the next state have no predecessor, and start the bound on V again."""
+        self._library.lib.fjr_certificate_restart(self.struct.pointer)
 
-    @np.errstate(all="ignore")  # a diverging robot overflows; V says so
-    def take(self, dt: float, position: Array, velocity: Array, jets: Array, u: Array, latency: float = 0.0) -> float:
-        """Take the next state, dt [s] after the last, with its reference and command; return V [J] of the last state.
+    def certify(
+        self,
+        stamp: int,
+        position: Array,
+        velocity: Array,
+        jets: Array,
+        u: Array,
+        bound_start: int | None = None,
+        restarted: bool = False,
+    ) -> Any:
+        """Evaluate the certificate of the next state, its reference and its command; return struct fjr_certified.
 
-        position, velocity (2n,), jets (5, n), u (n,) [N m]. latency [s]: delay of the command; 0: not known.
+        stamp [ns]; position, velocity (2n,), jets (5, n), u (n,) [N m]. bound_start [ns]: stamp from which the bound on
+        V holds; None: no bound. restarted: it has no predecessor. The result is valid until the next state. Raises
+        StateError if a function has no result.
         """
-        V, self._dt[0] = self.V, dt
-        if self._follows:
-            self._predict()
-        law = self._found["u_law"].copy() if self._follows else self.u
-        for own, given in ((self.position, position), (self.velocity, velocity), (self.jets, jets)):
-            np.copyto(own, given)
-        self._certify()
-        if self._follows:
-            self._predicted.evaluate()
-            self._keep(dt, V, law)
-        np.copyto(self._older, self.u if self._follows else u)
-        np.copyto(self.u, u)
-        self._latency, self._follows = latency, bool(np.isfinite(self.V))
-        return V
+        self.position[:], self._velocity[:], self.jets[:], self._u[:] = position, velocity, jets, u
+        command, found = self._pointers["command"][0], self._pointers["certified"]
+        command.bound_start, command.restarted = NEVER if bound_start is None else bound_start, restarted
+        if not self._library.lib.fjr_certify(self.struct.pointer, self._pointers["command"], stamp, found):
+            raise StateError(f"the certificate of the state at {stamp} ns cannot be evaluated; expected a finite state")
+        return found[0]
 
-    def append(self, found: NDArray[Any], command: NDArray[Any], latency: Array) -> int:
-        """Append states whose certificates and innovations were evaluated elsewhere, by the rules of `take`.
+    def take(self, stamp: int, position: Array, velocity: Array, jets: Array, u: Array, latency: float = 0.0) -> Any:
+        """Certify the next state and append it; latency [s]: delay of its command, 0: not known."""
+        found = self.certify(stamp, position, velocity, jets, u)
+        self.append(**self.records, latency=np.array([latency]))
+        return found
 
-        found, command (k,), at most CAPACITY / 2: arrays with named fields. found: follows (0: no predecessor), dt, V0,
-        V, predicted, sent, law, older, error, slope of the interval that ends at the state. command: position,
-        jets (5 n,). latency (k,) [s]: of these commands. Return the number of new intervals.
+    def append(self, certified: NDArray[Any], command: NDArray[Any], latency: Array) -> int:
+        """Append the intervals that end at k states, at most CAPACITY / 2; return the number of intervals.
+
+        certified, command (k,): struct fjr_certified and fjr_command of each state; a state that does not follow
+        another one ends no interval. latency (k,) [s]: of these commands.
         """
-        new, n = np.flatnonzero(found["follows"]), self._robot.n
-        if self.count + len(new) > CAPACITY:
-            self._drop_oldest()
-        kept, rows, intervals = self._kept, slice(self.count, self.count + len(new)), found[new]
-        for name, field in _FIELDS.items():
-            getattr(kept, name)[rows] = intervals[field]
-        before = np.append(self._latency, latency[:-1])[new]
-        kept.latency[rows] = np.minimum(before / kept.dt[rows], 1.0)
-        kept.tracking[rows] = command["position"][new, :n] - command["jets"][new, :n]
+        n, before = self._n, np.append(self._latency, latency[:-1])
+        rows: NDArray[np.bool_] = certified["follows"] != 0
+        new = int(np.count_nonzero(rows))
+        self._latency = float(latency[-1])
         np.copyto(self.position, command["position"][-1])
         np.copyto(self.jets, command["jets"][-1].reshape(self.jets.shape))
-        self._latency, self.count = float(latency[-1]), self.count + len(new)
-        return len(new)
-
-    @property
-    def functions(self) -> tuple[Any, Any]:
-        """Return the CasADi functions of certificate and prediction."""
-        return self._balance.function, self._prediction.function
-
-    @property
-    def V(self) -> float:
-        """Storage [J] at the latest state."""
-        return float(self._found["V"][0])
-
-    @property
-    def H(self) -> float:
-        """Energy [J] of the robot at the latest state."""
-        return float(self._found["H"][0])
-
-    @property
-    @np.errstate(all="ignore")
-    def dV(self) -> float:
-        """Exact rate of V [W] at the latest state under its command."""
-        found = self._found
-        return float(found["drive"].dot(self.u - found["u_law"]) - found["dissipation"][0])
-
-    @property
-    @np.errstate(all="ignore")
-    def supplied(self) -> float:
-        """Power [W] supplied by the command at the latest state."""
-        return float(self.velocity[self._robot.n :].dot(self._robot.B_m.dot(self.u)))
-
-    @property
-    def dissipated(self) -> float:
-        """Power [W] dissipated by the damping of the robot at the latest state."""
-        return float(self._found["dissipated"][0])
+        if not new:
+            return 0
+        if self.count + new > CAPACITY:
+            self._drop_oldest()
+        to, plain = slice(self.count, self.count + new), np.dtype((np.void, certified.itemsize))
+        self._kept.view(plain)[to] = certified.view(plain)[rows]  # bytes: to copy field by field is slow
+        self._latencies[to] = np.minimum(before[rows] / certified["dt"][rows], 1.0)
+        self._tracking[to] = command["position"][rows, :n] - command["jets"][rows, :n]
+        self.count += new
+        return new
 
     def last(self, count: int, before: int = 0) -> Innovations:
-        """Return at most the last `count` intervals, without the `before` latest ones; valid until the next state."""
+        """Return at most the last `count` intervals, without the `before` latest ones."""
         end = self.count - before
-        return self._kept.rows(slice(max(0, end - count), end))
-
-    def _keep(self, dt: float, V: float, law: Array) -> None:
-        if self.count == CAPACITY:
-            self._drop_oldest()
-        kept, i, n = self._kept, self.count, self._robot.n
-        kept.dt[i], kept.V0[i], kept.V1[i], kept.predicted[i] = dt, V, self.V, self._predicted.V[0]
-        kept.sent[i], kept.law[i], kept.older[i] = self.u, law, self._older
-        kept.latency[i] = min(self._latency / dt, 1.0)
-        np.subtract(self.position, self._next_position, out=kept.error[i, : 2 * n])
-        np.subtract(self.velocity, self._next_velocity, out=kept.error[i, 2 * n :])
-        kept.slope[i] = self._found["slope"]
-        np.subtract(self.position[:n], self.jets[0], out=kept.tracking[i])
-        self.count += 1
+        rows = slice(max(0, end - count), end)
+        found = {name: np.ascontiguousarray(self._kept[field][rows]) for name, field in _FIELDS.items()}
+        k = len(found["dt"])
+        unmeasured = {name: np.full((k, self._n), np.nan) for name in ("before", "after")}
+        own = {"latency": self._latencies[rows].copy(), "tracking": self._tracking[rows].copy()}
+        return Innovations(**found, **unmeasured, **own, answered=np.ones(k, dtype=bool))
 
     def _drop_oldest(self) -> None:
-        half = self.last(CAPACITY // 2)
-        for name, values in vars(half).items():
-            getattr(self._kept, name)[: CAPACITY // 2] = values
-        self.count = CAPACITY // 2
-
-
-def _buffers(n: int) -> Innovations:
-    """Return zeroed innovations of CAPACITY intervals without measured efforts, all answered."""
-    sizes = dict.fromkeys(("sent", "law", "older", "tracking", "before", "after"), n) | {"error": 4 * n, "slope": 4 * n}
-    shapes = {f.name: (CAPACITY, sizes[f.name]) if f.name in sizes else (CAPACITY,) for f in fields(Innovations)}
-    values = {name: np.zeros(shape) for name, shape in shapes.items()}
-    unmeasured = {name: np.full((CAPACITY, n), np.nan) for name in ("before", "after")}
-    return Innovations(**{**values, **unmeasured, "answered": np.ones(CAPACITY, dtype=bool)})
+        """Keep the latest half of the capacity."""
+        half = CAPACITY // 2
+        for kept in (self._kept, self._latencies, self._tracking):
+            kept[:half] = kept[self.count - half : self.count].copy()
+        self.count = half

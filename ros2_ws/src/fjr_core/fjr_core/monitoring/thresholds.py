@@ -57,6 +57,8 @@ GAP = 1.85
 """Sample periods from which an interval is a gap."""
 LONGEST_GAP = 20.0
 """Sample periods above which an interval is ignored."""
+LONGEST = LONGEST_GAP * 1e-2
+"""Time [s] above which the certificate does not compare two samples, at any rate."""
 JUDGED = 0.2
 """Smallest share of blocks with the effort of the law for a diagnosis."""
 FALLEN = 0.01

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read C declarations with cffi once, not in every process.
+"""Read C declarations with cffi once, not in every process, and give NumPy their types.
 
 To parse the header of the control step takes 30 to 50 ms. What cffi makes of it is Python code (its out-of-line ABI
 mode), executed in less than 1 ms. It is kept with the compiled code, and verified as that is.
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import _cffi_backend
+import numpy as np
 
 from .code_cache import code_folder, is_intact, keep
 
@@ -24,6 +25,24 @@ def ffi_of(declarations: str) -> Any:
     found: dict[str, Any] = {}
     exec(compile(_code(name, declarations), name, "exec"), found)
     return found["ffi"]
+
+
+def record_type(ffi: Any, kind: Any) -> np.dtype[Any]:
+    """Return NumPy's type with the layout of a type in C: numbers, arrays, and structures of them."""
+    if kind.kind == "array":
+        return np.dtype((record_type(ffi, kind.item), (kind.length,)))
+    if kind.kind != "struct":
+        number = "f8" if kind.cname == "double" else f"i{ffi.sizeof(kind)}"
+        return np.dtype(number)
+    fields = dict(kind.fields)
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [record_type(ffi, field.type) for field in fields.values()],
+            "offsets": [field.offset for field in fields.values()],
+            "itemsize": ffi.sizeof(kind),
+        }
+    )
 
 
 def _code(name: str, declarations: str) -> bytes:

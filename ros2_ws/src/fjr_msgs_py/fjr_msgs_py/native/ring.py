@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fjr_core.numerics.c_types import record_type
+
 from .program import Program
 
 
@@ -32,21 +34,3 @@ class Ring:
     def lost(self) -> int:
         """Number of records that found no place so far."""
         return int(self._program.lib.fjr_ring_lost(self.pointer))
-
-
-def record_type(ffi: Any, kind: Any) -> np.dtype[Any]:
-    """Return NumPy's type with the layout of a type in C: numbers, arrays, and structures of them."""
-    if kind.kind == "array":
-        return np.dtype((record_type(ffi, kind.item), (kind.length,)))
-    if kind.kind != "struct":
-        number = "f8" if kind.cname == "double" else f"i{ffi.sizeof(kind)}"
-        return np.dtype(number)
-    fields = dict(kind.fields)
-    return np.dtype(
-        {
-            "names": list(fields),
-            "formats": [record_type(ffi, field.type) for field in fields.values()],
-            "offsets": [field.offset for field in fields.values()],
-            "itemsize": ffi.sizeof(kind),
-        }
-    )

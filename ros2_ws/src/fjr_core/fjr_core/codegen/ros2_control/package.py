@@ -16,7 +16,7 @@ from ...control.sampled_law import AsSampledLaw
 from ...control.vdpbc.law import TrackingLaw
 from ...errors import ParameterError
 from ...monitoring.certificate import Certificate
-from ...monitoring.thresholds import LONGEST_GAP
+from ...monitoring.thresholds import LONGEST
 from ...numerics.checks import Array
 from ...simulation.nonideal_parameters import Nonidealities
 from ...version import __version__
@@ -31,7 +31,7 @@ from .urdf import with_hardware
 SAMPLES = 400
 LONGEST_NAME = 60
 CERTIFIED = ("V", "H", "dissipation", "dissipated", "u_law", "drive")
-"""Outputs of the certificate's function that certificate.hpp reads, in order; its gradient would double the code."""
+"""Outputs of the certificate's function that fjr_certify reads; the last, its gradient, would double the code."""
 FILES = {
     "package.xml": "package.xml",
     "CMakeLists.txt": "CMakeLists.txt",
@@ -143,9 +143,9 @@ def _certificate_values(scenario: Scenario, controller: Controller) -> dict[str,
         "certificate_declaration": declaration if law else "",
         "certificate_function": name if law else "nullptr",
         "certified": "true" if law else "false",
-        "bounded": "true" if law and isinstance(controller.sampled_law, AsSampledLaw) else "false",
+        "bounded": "1" if law and isinstance(controller.sampled_law, AsSampledLaw) else "0",
         "beta": number(law.rate(_configurations(scenario, law)).beta if law else 0.0),
-        "longest_gap": str(round(LONGEST_GAP * 1e-2 * 1e9)),
+        "longest": number(LONGEST),
         "B_numbers": numbers(robot.B_m),
     }
 
