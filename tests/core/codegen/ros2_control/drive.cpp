@@ -194,11 +194,13 @@ static void stop(Robot & r)
 static void not_finite(Robot & r)
 {
   for (int k = 0; k < 300; ++k) r.cycle();
+  const double before = r.effort(0);
   const rclcpp::Time time(r.now += r.period);
   r.arm.read(time, {});
   (void)r.arm.states.at(std::string(fjr_joint_names[0]) + "/position")->set_value(NAN);
   show("update", r.controller.update(time, {}) == return_type::OK);
   show("effort", r.effort(0));
+  show("change", r.effort(0) - before);
 }
 
 // The arm is led by the reference interfaces: it holds its position, then follows a slow sine.
