@@ -30,7 +30,8 @@ static int storage(struct fjr_certificate* c, const double* position, const doub
   return !c->law(c->arg, c->res, c->iw, c->w, 0);
 }
 
-static int evaluate(struct fjr_certificate* c, const struct fjr_command* command, struct fjr_certified* found) {
+static int evaluate_certificate(struct fjr_certificate* c, const struct fjr_command* command,
+                                struct fjr_certified* found) {
   c->arg[0] = command->position, c->arg[1] = command->velocity, c->arg[2] = command->jets, c->arg[3] = c->gains;
   c->res[0] = &c->V, c->res[1] = &found->H, c->res[2] = &c->dissipation, c->res[3] = &found->dissipated;
   c->res[4] = c->u_law, c->res[5] = c->drive, c->res[6] = found->slope;
@@ -82,7 +83,7 @@ int fjr_certify(struct fjr_certificate* c, const struct fjr_command* command, in
   copy(found->law, c->u_law, N);
   copy(found->older, c->older, N);
   if (predicts && !predict(c, dt, position, velocity)) return 0;
-  if (!evaluate(c, command, found)) return 0;
+  if (!evaluate_certificate(c, command, found)) return 0;
   if (predicts && !storage(c, position, velocity, command->jets, &found->predicted)) return 0;
   for (int i = 0; predicts && i < 2 * N; ++i) {
     found->error[i] = command->position[i] - position[i];
