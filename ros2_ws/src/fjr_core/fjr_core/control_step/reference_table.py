@@ -12,12 +12,10 @@ import numpy as np
 
 from ..numerics.checks import Array
 from ..trajectories.circle import Circle
-from ..trajectories.piecewise_polynomial import PiecewisePolynomial
+from ..trajectories.piecewise_polynomial import PiecewisePolynomial, PolynomialReference
 from ..trajectories.point_to_point import Hold, PointToPoint
 from ..trajectories.reference import Reference, check_reference
-from ..trajectories.sampled_motion import SampledMotion
-from ..trajectories.sine import MultiSine, Sine
-from ..trajectories.spline import Spline
+from ..trajectories.sine import Sines
 from ..trajectories.transition import TimeShifted, Transition
 
 
@@ -63,11 +61,9 @@ def _table(reference: Any) -> ReferenceTable:
     return ReferenceTable("FJR_FUNCTION", np.zeros(reference.n), end, {}, function=reference)
 
 
-@_table.register(Sine)
-@_table.register(MultiSine)
-def _(reference: Sine | MultiSine) -> ReferenceTable:
-    names = ("amplitude", "frequency", "phase")
-    arrays = {name: np.atleast_2d(getattr(reference, name)) for name in names}
+@_table.register
+def _(reference: Sines) -> ReferenceTable:
+    arrays = dict(zip(("amplitude", "frequency", "phase"), reference.rows, strict=True))
     return ReferenceTable("FJR_SINES", np.asarray(reference.offset), reference.end, arrays)
 
 
@@ -82,9 +78,8 @@ def _pieces(reference: PiecewisePolynomial) -> ReferenceTable:
     return ReferenceTable("FJR_POLYNOMIALS", np.zeros(reference.n), end, _polynomials(reference))
 
 
-@_table.register(Spline)
-@_table.register(SampledMotion)
-def _(reference: Spline | SampledMotion) -> ReferenceTable:
+@_table.register
+def _(reference: PolynomialReference) -> ReferenceTable:
     return _pieces(reference.pieces)
 
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
@@ -57,7 +56,7 @@ class PiecewisePolynomial:
     times: Array
     knots: Array
     continues: bool = False
-    _edges: list[float] = field(init=False, repr=False)
+    _edges: Array = field(init=False, repr=False)
     _origins: Array = field(init=False, repr=False)
     _rates: Array = field(init=False, repr=False)
     _tables: Array = field(init=False, repr=False)
@@ -80,7 +79,7 @@ class PiecewisePolynomial:
         rates = np.concatenate([[0.0], 1 / halves, [1 / halves[-1] if self.continues else 0.0]])
         c = np.concatenate([ends[:1], middle, ends[1:]])
         edges = np.stack([self.times[:-1], self.times[:-1] + h / 2], axis=1).ravel()
-        object.__setattr__(self, "_edges", [*edges.tolist(), float(np.nextafter(self.times[-1], inf))])
+        object.__setattr__(self, "_edges", np.append(edges, np.nextafter(self.times[-1], inf)))
         object.__setattr__(self, "_origins", self.times.repeat(2))
         object.__setattr__(self, "_rates", rates)
         object.__setattr__(self, "_tables", _tables(c, rates))
@@ -97,7 +96,7 @@ class PiecewisePolynomial:
         Entry i = 0 .. m applies from edge i - 1 up to, but not including, edge i.
         """
         shape = (-1, DEGREE + 1, JETS, self.n)
-        return np.array(self._edges), self._origins, self._rates, self._tables.reshape(shape)
+        return self._edges, self._origins, self._rates, self._tables.reshape(shape)
 
     @property
     def finite(self) -> bool:
@@ -106,20 +105,13 @@ class PiecewisePolynomial:
 
     def jets(self, t: ArrayLike) -> Array:
         """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        if not isinstance(t, float) and np.ndim(t):
-            return self._many(np.asarray(t, dtype=float))
-        now: float = t  # type: ignore[assignment]
-        i = bisect_right(self._edges, now)
-        s = (now - self._origins[i]) * self._rates[i]
-        return np.dot(s**_POWERS, self._tables[i]).reshape(JETS, -1)
-
-    def _many(self, t: Array) -> Array:
+        t = np.asarray(t, dtype=float)
         place = np.searchsorted(self._edges, t, side="right")
-        s = ((t - self._origins[place]) * self._rates[place])[:, None]
+        s = ((t - self._origins[place]) * self._rates[place])[..., None]
         value = self._tables[place, -1]
         for power in range(DEGREE - 1, -1, -1):
             value = value * s + self._tables[place, power]
-        return value.reshape(len(t), JETS, self.n)
+        return value.reshape(*t.shape, JETS, self.n)
 
     def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s], t1 may be infinite."""
@@ -171,3 +163,35 @@ def _tables(c: Array, rates: Array) -> Array:
         slopes = _SLOPES[order:, order, None] * c[:, order:]
         tables[:, : DEGREE + 1 - order, order] = slopes * rates[:, None, None] ** order
     return tables.reshape(len(c), DEGREE + 1, -1)
+
+
+class PolynomialReference:
+    """Base of the references along `pieces`: constant before the first time and after the last."""
+
+    pieces: PiecewisePolynomial
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.pieces.n
+
+    @property
+    def end(self) -> float:
+        """Last time [s]; the reference is constant from then on."""
+        return float(self.pieces.times[-1])
+
+    def jets(self, t: ArrayLike) -> Array:
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        return self.pieces.jets(t)
+
+    def configurations(self, k: int) -> Array:
+        """Return k configurations (k, n) [rad], equally spaced in time from the first time to the last."""
+        return self.jets(np.linspace(self.pieces.times[0], self.end, k))[:, 0]
+
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
+        return self.pieces.motion_bounds(t0, t1)
+
+    def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
+        """Return conservative bounds lower, upper (3, n) of position, velocity and acceleration from t0 to t1 [s]."""
+        return self.pieces.hull(t0, t1)

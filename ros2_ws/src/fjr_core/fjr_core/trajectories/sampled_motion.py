@@ -12,16 +12,15 @@ from numpy.typing import ArrayLike
 from ..errors import TrajectoryError
 from ..numerics.checks import Array, floats, freeze
 from ..numerics.one_line import joints, span
-from .bounds import MotionBounds
 from .minimum_jerk import minimum_jerk
-from .piecewise_polynomial import PiecewisePolynomial
+from .piecewise_polynomial import PiecewisePolynomial, PolynomialReference
 from .reference import JETS
 from .smoothing import least_squares_fit
 from .spline import Spline
 
 
 @dataclass(frozen=True, eq=False)
-class SampledMotion:
+class SampledMotion(PolynomialReference):
     """Reference of class C^4 from samples: positions (k, n) [rad] at increasing times (k,) [s], the first at 0.
 
     Dense samples are smoothed by the least-squares spline whose largest deviation is at most `tolerance`, one number
@@ -64,16 +63,6 @@ class SampledMotion:
         freeze(self, "deviation", np.zeros(q.shape[1]) if fit is None else fit.deviation)
 
     @property
-    def n(self) -> int:
-        """Number of joints."""
-        return self.pieces.n
-
-    @property
-    def end(self) -> float:
-        """Time [s] from which on the reference is constant."""
-        return float(self.pieces.times[-1])
-
-    @property
     def initial_velocity(self) -> Array:
         """Velocity (n,) [rad/s] at t = 0."""
         return self.pieces.knots[0, 1]
@@ -84,22 +73,6 @@ class SampledMotion:
         if self.velocities is None:
             return np.zeros(self.n)
         return np.asarray(np.abs(self.jets(self.times)[:, 1] - np.asarray(self.velocities)).max(axis=0))
-
-    def jets(self, t: ArrayLike) -> Array:
-        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        return self.pieces.jets(t)
-
-    def configurations(self, k: int) -> Array:
-        """Return k configurations (k, n) [rad], equally spaced in time."""
-        return self.jets(np.linspace(0.0, self.end, k))[:, 0]
-
-    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
-        """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
-        return self.pieces.motion_bounds(t0, t1)
-
-    def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
-        """Return conservative bounds lower, upper (3, n) of position, velocity and acceleration from t0 to t1 [s]."""
-        return self.pieces.hull(t0, t1)
 
 
 def _tolerance(given: ArrayLike, n: int) -> Array:

@@ -14,13 +14,66 @@ from ..numerics import checks
 from ..numerics.checks import Array, freeze
 from ..numerics.one_line import one_line
 from .bounds import ROWS, MotionBounds
-from .reference import JETS, Reference
+from .reference import Reference
 
 _SIDES = np.array([0, 1, 0, 1, 0])  # sine (0) or cosine (1) in each of the five jets
 
 
+class Sines(Reference):
+    """Base of Sine and MultiSine: offset + the sum over m rows of amplitude sin(frequency t + phase)."""
+
+    amplitude: ArrayLike
+    frequency: ArrayLike
+    phase: ArrayLike
+    offset: ArrayLike
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(np.size(self.offset))
+
+    @cached_property
+    def rows(self) -> tuple[Array, Array, Array]:
+        """Amplitude, frequency and phase, (m, n) each."""
+        amplitude, frequency, phase = map(np.atleast_2d, (self.amplitude, self.frequency, self.phase))
+        return amplitude, frequency, phase
+
+    @cached_property
+    def _factors(self) -> Array:
+        """Factors (5, m, n) of sine or cosine in the five jets: signed powers of the frequency."""
+        _, w, _ = self.rows
+        return np.stack([np.ones_like(w), w, -(w**2), -(w**3), w**4])
+
+    def jets(self, t: ArrayLike) -> Array:
+        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
+        amplitude, frequency, phase = self.rows
+        angle = np.multiply.outer(np.asarray(t, dtype=float), frequency) + phase
+        sides = amplitude * np.stack([np.sin(angle), np.cos(angle)], axis=-3)
+        jets = (sides.take(_SIDES, axis=-3) * self._factors).sum(axis=-2)
+        jets[..., 0, :] += np.asarray(self.offset)
+        return np.asarray(jets)
+
+    def configurations(self, k: int) -> Array:
+        """Return k configurations (k, n) [rad]; joints of different frequencies take all relative phases."""
+        amplitude, frequency, phase = self.rows
+        angles = phases(k, frequency) + phase
+        return np.asarray(self.offset) + (amplitude * np.sin(angles)).sum(axis=1)
+
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s]; exact for one row.
+
+        For several rows they are the sums of the bounds of the rows, which is conservative, and their times are NaN.
+        """
+        each = [_row_bounds(*row, t0, t1) for row in zip(*self.rows, strict=True)]
+        bounds = np.sum(each, axis=0)
+        bounds[:2, 0] += np.asarray(self.offset)
+        if len(each) > 1:
+            bounds[2:] = np.nan
+        return MotionBounds(*bounds)
+
+
 @dataclass(frozen=True, eq=False)
-class Sine(Reference):
+class Sine(Sines):
     """Sine per joint: q_ld(t) = offset + amplitude sin(frequency t + phase).
 
     amplitude and offset [rad], angular frequency [rad/s], phase [rad]: scalars or vectors (n,); the longest gives n.
@@ -41,52 +94,9 @@ class Sine(Reference):
         for name, array in zip(names, arrays, strict=True):
             freeze(self, name, checks.vector(name, array, n, TrajectoryError))
 
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return int(np.size(self.amplitude))
-
-    def jets(self, t: ArrayLike) -> Array:
-        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        w, phase, offset = self._line
-        angle = w * t if isinstance(t, float) else np.multiply.outer(np.asarray(t, dtype=float), w)
-        angle += phase
-        sides = np.empty((*angle.shape[:-1], 2, len(w)))
-        np.sin(angle, out=sides[..., 0, :])
-        np.cos(angle, out=sides[..., 1, :])
-        sides *= self.amplitude
-        jets = sides.take(_SIDES, axis=-2)
-        jets *= self._factors
-        jets[..., 0, :] += offset
-        return jets
-
-    @cached_property
-    def _line(self) -> tuple[Array, Array, Array]:
-        return np.asarray(self.frequency), np.asarray(self.phase), np.asarray(self.offset)
-
-    @cached_property
-    def _factors(self) -> Array:
-        """Factors (5, n) of sine or cosine in the five jets: signed powers of the frequency."""
-        w = np.asarray(self.frequency)
-        return np.stack([np.ones_like(w), w, -(w**2), -(w**3), w**4])
-
-    def configurations(self, k: int) -> Array:
-        """Return k configurations (k, n) [rad]; joints of different frequencies take all relative phases."""
-        angles = phases(k, np.asarray(self.frequency)) + np.asarray(self.phase)
-        return np.asarray(self.offset) + np.asarray(self.amplitude) * np.sin(angles)
-
-    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
-        """Return bounds of position, velocity and acceleration from t0 to t1 [s]; they are exact."""
-        a, w = np.asarray(self.amplitude), np.asarray(self.frequency)
-        rows = [_sine_bounds(a * w**row, w, np.asarray(self.phase) + row * np.pi / 2, t0, t1) for row in range(ROWS)]
-        lower, upper, lower_at, upper_at = (np.array(values) for values in zip(*rows, strict=True))
-        lower[0] += self.offset
-        upper[0] += self.offset
-        return MotionBounds(lower, upper, lower_at, upper_at)
-
 
 @dataclass(frozen=True, eq=False)
-class MultiSine(Reference):
+class MultiSine(Sines):
     """Sum of m sines per joint: q_ld(t) = offset + sum_m amplitude sin(frequency t + phase).
 
     amplitude [rad], angular frequency [rad/s], phase [rad]: (m, n), or scalars for all; offset [rad]: scalar or (n,).
@@ -108,46 +118,6 @@ class MultiSine(Reference):
         for name in ("frequency", "phase"):
             freeze(self, name, _table(name, getattr(self, name), amplitude.shape))
         freeze(self, "offset", checks.vector("offset", self.offset, amplitude.shape[1], TrajectoryError))
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return int(np.size(self.offset))
-
-    @cached_property
-    def _of_sine(self) -> Array:
-        a, w = np.asarray(self.amplitude), np.asarray(self.frequency)
-        return np.stack([a, -a * w**2, a * w**4])
-
-    @cached_property
-    def _of_cosine(self) -> Array:
-        a, w = np.asarray(self.amplitude), np.asarray(self.frequency)
-        return np.stack([a * w, -a * w**3])
-
-    def jets(self, t: ArrayLike) -> Array:
-        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        angle = np.multiply.outer(t, self.frequency) + self.phase
-        jets = np.empty((*np.shape(t), JETS, self.n))
-        jets[..., 0::2, :] = (self._of_sine * np.sin(angle)[..., None, :, :]).sum(axis=-2)
-        jets[..., 1::2, :] = (self._of_cosine * np.cos(angle)[..., None, :, :]).sum(axis=-2)
-        jets[..., 0, :] += np.asarray(self.offset)
-        return jets
-
-    def configurations(self, k: int) -> Array:
-        """Return k configurations (k, n) [rad]; see Sine.configurations."""
-        angles = phases(k, np.asarray(self.frequency)) + np.asarray(self.phase)
-        return np.asarray(self.offset) + (np.asarray(self.amplitude) * np.sin(angles)).sum(axis=1)
-
-    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
-        """Return the sums of the bounds of the sines from t0 to t1 [s]; exact for one sine, else conservative."""
-        rows = zip(np.asarray(self.amplitude), np.asarray(self.frequency), np.asarray(self.phase), strict=True)
-        each = [Sine(a, w, 0.0, p).motion_bounds(t0, t1) for a, w, p in rows]
-        lower, upper = (np.sum([getattr(e, side) for e in each], axis=0) for side in ("lower", "upper"))
-        shift = np.zeros((ROWS, self.n))
-        shift[0] = self.offset
-        unknown = np.full_like(shift, np.nan)
-        at = (each[0].lower_at, each[0].upper_at) if len(each) == 1 else (unknown, unknown)
-        return MotionBounds(lower + shift, upper + shift, *at)
 
 
 def _table(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -176,19 +146,27 @@ def _turns(k: int, m: int) -> Array:
     return np.asarray(np.outer(np.arange(k), steps) % 1.0)
 
 
-def _sine_bounds(a: Array, w: Array, phase: Array, t0: float, t1: float) -> tuple[Array, Array, Array, Array]:
-    """Return lower, upper, lower_at, upper_at (n,) of a sin(w t + phase) from t0 to t1 [s]."""
+def _row_bounds(a: Array, w: Array, phase: Array, t0: float, t1: float) -> Array:
+    """Return lower, upper, lower_at, upper_at (4, 3, n) of a sin(w t + phase) and its first two derivatives."""
+    orders = [_sine_bounds(a * w**order, w, phase + order * np.pi / 2, t0, t1) for order in range(ROWS)]
+    return np.stack(orders, axis=1)
+
+
+def _sine_bounds(a: Array, w: Array, phase: Array, t0: float, t1: float) -> Array:
+    """Return lower, upper, lower_at, upper_at (4, n) of a sin(w t + phase) from t0 to t1 [s]."""
     edges = np.array([t0, t1 if np.isfinite(t1) else t0])[:, None] + np.zeros_like(a)
     first = [_first(side * np.sign(a) * np.sign(w), np.abs(w), np.sign(w) * phase, t0) for side in (-1.0, 1.0)]
     values = a * np.sin(w * edges + phase)
     low, high, each = values.argmin(axis=0), values.argmax(axis=0), np.arange(len(a))
     lower, upper = values[low, each], values[high, each]
     reaches = [(at <= t1) & (a != 0) & (w != 0) for at in first]
-    return (
-        np.where(reaches[0], -np.abs(a), lower),
-        np.where(reaches[1], np.abs(a), upper),
-        np.where(reaches[0], first[0], edges[low, each]),
-        np.where(reaches[1], first[1], edges[high, each]),
+    return np.stack(
+        [
+            np.where(reaches[0], -np.abs(a), lower),
+            np.where(reaches[1], np.abs(a), upper),
+            np.where(reaches[0], first[0], edges[low, each]),
+            np.where(reaches[1], first[1], edges[high, each]),
+        ]
     )
 
 

@@ -12,16 +12,15 @@ from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
 from ..numerics.one_line import joints, span
-from .bounds import MotionBounds
 from .minimum_jerk import minimum_jerk, without_overshoot
-from .piecewise_polynomial import PiecewisePolynomial
+from .piecewise_polynomial import PiecewisePolynomial, PolynomialReference
 from .reference import JETS
 
 SHORTEST = 1e-6  # s, smallest interval between points
 
 
 @dataclass(frozen=True, eq=False)
-class Spline:
+class Spline(PolynomialReference):
     """Reference through positions (k, n) [rad] at increasing times (k,) [s]: polynomials of degree 9, class C^4.
 
     velocities [rad/s], accelerations [rad/s^2]: (k, n) or None, interpolated at the points. Derivatives that are not
@@ -61,32 +60,6 @@ class Spline:
         _check_times(times, self.start is not None)
         self._check_end()
         object.__setattr__(self, "pieces", self._interpolated())
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return self.pieces.n
-
-    @property
-    def end(self) -> float:
-        """Last time [s]."""
-        return float(self.pieces.times[-1])
-
-    def jets(self, t: ArrayLike) -> Array:
-        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        return self.pieces.jets(t)
-
-    def configurations(self, k: int) -> Array:
-        """Return k configurations (k, n) [rad], equally spaced in time from the first point (or start) to the last."""
-        return self.jets(np.linspace(self.pieces.times[0], self.end, k))[:, 0]
-
-    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
-        """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
-        return self.pieces.motion_bounds(t0, t1)
-
-    def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
-        """Return conservative bounds lower, upper (3, n) of position, velocity and acceleration from t0 to t1 [s]."""
-        return self.pieces.hull(t0, t1)
 
     def _check_end(self) -> None:
         if self.velocities is None or self.moving_end:
