@@ -138,7 +138,7 @@ def expected_samples(x: Any, velocity: Any, draws: Draws, i: int) -> Any:
 def check_motion(recorded: Recorded, draws: Draws, i: int) -> None:
     """Compare the motion with steps of the drawn plant in CasADi's virtual machine, and the samples with NumPy."""
     parts = {name: draws.columns(name, 2) for name in uncertain_robot.NAMES}
-    parameters, plant = uncertain_robot.vector(parts)[i], UncertainPlant(ARM, friction=True, payload=True)
+    parameters, plant = uncertain_robot.vector(parts)[i], UncertainPlant(ARM, full=True)
     step, velocity = NumericFunction(plant.step("step")), NumericFunction(plant.velocity("velocity"))
     whole, late = divmod(draws.columns("delay", 2)[i, 0], PERIOD)
     sent = np.vstack([np.zeros((int(whole) + 1, 2)), recorded.u[i]])

@@ -29,7 +29,7 @@ from ...numerics.jit_cache import program_digest
 from ...robot.port_hamiltonian import Plant
 from ...robot.robot import Robot
 from ...trajectories.reference import Reference
-from .uncertain_robot import UncertainPlant, UncertainPythonPlant
+from .uncertain_robot import UncertainPlant
 
 LANES = 4
 """Number of interleaved runs."""
@@ -154,8 +154,8 @@ class BatchProgram:
     @cached_property
     def _plant_expressions(self) -> dict[str, ca.Function]:
         """Return the functions of the plants, named as the members of struct fjr_plant, not compiled."""
-        own = UncertainPythonPlant(self.plant) if self.plant is not None and self._plant_in_python else None
-        plants = [own or UncertainPlant(self.robot, friction=full, payload=full) for full in (False, True)]
+        own = self.plant if self._plant_in_python else None
+        plants = [UncertainPlant(self.robot, full, own) for full in (False, True)]
         each = [
             getattr(plant, what)(f"{kind}_{what}")
             for kind, plant in zip(PLANTS, plants, strict=True)

@@ -92,37 +92,46 @@ def _both_sides(root: ca.SX, matrix: ca.SX) -> ca.SX:
 class UncertainPlant:
     """Eq. (36) with drawn parameters as CasADi functions of (.., parameters), from which C can be generated.
 
-    friction, payload: false leaves them out and makes a step cheaper. Momenta are those of the drawn inertia.
+    full: false leaves friction and payload out and makes a step cheaper. own: a plant in Python, whose parameters are
+    not drawn (see `refuse`), with drawn friction and external torques. Momenta are those of the drawn inertia.
     """
 
-    def __init__(self, robot: Robot, friction: bool, payload: bool) -> None:
-        self.robot = robot
-        self._friction, self._payload = friction, payload
+    def __init__(self, robot: Robot, full: bool, own: Plant | None = None) -> None:
+        self.robot, self._full, self._own = robot, full, own
+        self._kind = ca.SX if own is None else ca.MX
 
     @cached_property
     def dynamics(self) -> ca.Function:
         """Return the function (x, inputs) -> dx/dt (4n,); inputs: effort u (n,), parameters."""
         n = self.robot.n
-        s = symbolic.symbols(x=4 * n, inputs=n + layout(n).size)
+        s = symbolic.symbols(self._kind, x=4 * n, inputs=n + layout(n).size)
         x, inputs = s.values()
         u, parameters = ca.vertsplit(inputs, [0, n, inputs.numel()])
-        p, robot = self._drawn(parameters)
-        dH = gradient_expression(robot, x)
-        dx = derivative_expression(robot, x, u, dH)
-        _, _, dq_l, dq_m = symbolic.blocks(dH, n)
-        links, motors = p.external, ca.SX(n, 1)
-        if self._friction:
+        dx, dq_l, dq_m = self._motion(x, u, parameters)
+        p = layout(n).named(parameters)
+        links, motors = p.external, ca.DM(n, 1)
+        if self._full or self._own:
             links, motors = links - self._torque(dq_l, p.coulomb_l, p), -self._torque(dq_m, p.coulomb_m, p)
-        dx += ca.vertcat(ca.SX(2 * n, 1), links, motors)
-        return dense_function("uncertain_dynamics", s, {"dx": dx}, cse=True)
+        dx += ca.vertcat(ca.DM(2 * n, 1), links, motors)
+        return dense_function("uncertain_dynamics", s, {"dx": dx}, cse=self._own is None)
+
+    def _motion(self, x: ca.SX, u: ca.SX, parameters: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return dx/dt (4n,) without friction and external torques, and the velocities dq_l, dq_m (n,)."""
+        n = self.robot.n
+        if self._own:
+            return self._own.dynamics(x, u), *ca.vertsplit(Coordinates(self.robot).to_velocities(x), n)
+        _, robot = self._drawn(parameters)
+        dH = gradient_expression(robot, x)
+        _, _, dq_l, dq_m = symbolic.blocks(dH, n)
+        return derivative_expression(robot, x, u, dH), dq_l, dq_m
 
     def step(self, name: str) -> ca.Function:
         """Return the function (x, u, parameters, dt) -> x after a Runge-Kutta step of order 4 with u held."""
         n = self.robot.n
-        s = symbolic.symbols(x=4 * n, u=n, parameters=layout(n).size, dt=1)
+        s = symbolic.symbols(self._kind, x=4 * n, u=n, parameters=layout(n).size, dt=1)
         x, u, parameters, dt = s.values()
-        x_next = integrators.rk4(self.dynamics)(x, ca.vertcat(u, parameters), dt)
-        return dense_function(name, s, {"x_next": x_next}, cse=True)
+        x_next = integrators.rk4_expression(self.dynamics, x, (ca.vertcat(u, parameters),) * 3, dt)
+        return dense_function(name, s, {"x_next": x_next}, cse=self._own is None)
 
     def velocity(self, name: str) -> ca.Function:
         """Return the function (x, parameters) -> (dq_l, dq_m) (2n,)."""
@@ -154,7 +163,7 @@ class UncertainPlant:
     def _drawn(self, parameters: ca.SX) -> tuple[SimpleNamespace, ScaledRobot]:
         own, p = self.robot, layout(self.robot.n).named(parameters)
         links: RigidArm = ScaledLinks(own.links, p.link_inertia, p.gravity)
-        if self._payload and own.links.end_effector is not None:
+        if self._full and self._own is None and own.links.end_effector is not None:
             links = PayloadArm(links, own.links.end_effector, p.payload_mass, p.payload_position)
         return p, ScaledRobot(
             n=own.n,
@@ -169,35 +178,6 @@ class UncertainPlant:
     @staticmethod
     def _torque(v: ca.SX, level: ca.SX, p: SimpleNamespace) -> ca.SX:
         return friction(v, level, level, ca.DM(1), p.smoothing)
-
-
-class UncertainPythonPlant(UncertainPlant):
-    """A plant in Python with drawn friction and external torques; its own parameters are not drawn (see `refuse`)."""
-
-    def __init__(self, plant: Plant) -> None:
-        super().__init__(plant.robot, friction=True, payload=False)
-        self._plant = plant
-
-    @cached_property
-    def dynamics(self) -> ca.Function:
-        """Return UncertainPlant.dynamics, of MX symbols."""
-        n = self.robot.n
-        s = symbolic.symbols(ca.MX, x=4 * n, inputs=n + layout(n).size)
-        x, inputs = s.values()
-        u, parameters = ca.vertsplit(inputs, [0, n, inputs.numel()])
-        p = layout(n).named(parameters)
-        dq_l, dq_m = ca.vertsplit(Coordinates(self.robot).to_velocities(x), n)
-        links, motors = p.external - self._torque(dq_l, p.coulomb_l, p), -self._torque(dq_m, p.coulomb_m, p)
-        dx = self._plant.dynamics(x, u) + ca.vertcat(ca.DM.zeros(2 * n), links, motors)
-        return dense_function("uncertain_dynamics", s, {"dx": dx})
-
-    def step(self, name: str) -> ca.Function:
-        """Return UncertainPlant.step, of MX symbols."""
-        n = self.robot.n
-        s = symbolic.symbols(ca.MX, x=4 * n, u=n, parameters=layout(n).size, dt=1)
-        x, u, parameters, dt = s.values()
-        x_next = integrators.rk4_expression(self.dynamics, x, (ca.vertcat(u, parameters),) * 3, dt)
-        return dense_function(name, s, {"x_next": x_next})
 
 
 def refuse(parts: dict[str, Array]) -> None:
