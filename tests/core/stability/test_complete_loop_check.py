@@ -16,10 +16,11 @@ from core.stability.test_sampled_loop import elastic_modes, scaled
 from fjr_core.config.scenario import load_scenario
 from fjr_core.control.registry import LAWS, law_kind
 from fjr_core.control.robust import Robust, sampled_law
-from fjr_core.control.sampled_law import AsSampledLaw, SampledLaw, bound_step
+from fjr_core.control.sampled_law import AsSampledLaw, SampledLaw
 from fjr_core.estimation.observer_stability import error_radii
 from fjr_core.estimation.velocity_observer import VelocityObserver
 from fjr_core.experiments.comparison.tuned_law import tuned_law
+from fjr_core.numerics.casadi_function import NumericFunction
 from fjr_core.robot.equilibrium import equilibria_at
 from fjr_core.stability.integral_bound import refuse_fast_integral
 from fjr_core.stability.linear_controller import Sensing, controller
@@ -97,21 +98,19 @@ def converges(loop: Loop, samples: int) -> bool:
     x = plant.state(*np.split(rest + START * np.cos(np.arange(2 * n)), 2), np.zeros(n), np.zeros(n))
     position, velocity, jets = np.zeros(2 * n), np.zeros(2 * n), np.zeros((5, n))
     jets[0] = loop.q_l
-    step, measure = bound_step(loop.law, position, velocity, jets), measuring(loop, position, velocity)
+    law, measure = NumericFunction(loop.law.step_function), measuring(loop, position, velocity)
     advance = advancing(loop)
     held = np.linalg.solve(plant.B_m, plant.grad_P_l(loop.q_l))  # before the first command
     efforts, off = [held] * (int(loop.delay / T) + 2), np.zeros(samples)
-    step.sent[...] = held
+    sent, memory, gains = held, loop.law.memory, loop.law.gain_values
     for k in range(samples):
         off[k] = np.abs(x[: 2 * n] - rest).max()
         if not off[k] < FAR:
             return False
-        measure(k, x, step.sent)
-        step.dt[0] = T if k else 0.0
-        step.evaluate()
-        step.keep()
-        step.sent[...] = step.u
-        efforts = [step.u.copy(), *efforts[:-1]]
+        measure(k, x, sent)
+        dt = T if k else 0.0
+        sent, _, memory = law(position, velocity, jets, gains, memory, sent, dt)
+        efforts = [sent, *efforts[:-1]]
         x = advance(x, efforts)
     fifth = samples // 5
     return bool(off[-fifth:].max() < max(off[fifth : 2 * fifth].max(), NOTHING))

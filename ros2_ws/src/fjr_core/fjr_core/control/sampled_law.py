@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -12,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from ..errors import StateError
-from ..numerics.casadi_function import bind, dense_function
+from ..numerics.casadi_function import dense_function
 from ..numerics.checks import Array, kind_of
 from ..numerics.one_line import one_line
 from ..robot.robot import Robot
@@ -113,40 +112,3 @@ def raise_failure(law: StaticLaw | SampledLaw) -> None:
 def in_python(law: StaticLaw | SampledLaw) -> bool:
     """Return whether the law is evaluated in Python, so that nothing that contains it can be compiled."""
     return bool(getattr(getattr(law, "law", law), "in_python", False))
-
-
-@dataclass(frozen=True, eq=False)
-class BoundStep:
-    """One sample of a law, bound to arrays: `evaluate` writes u (n,), V (1,) and next (m,).
-
-    It reads the bound measurement arrays, memory (m,), sent (n,) and dt (1,). `keep` copies next to memory.
-    """
-
-    evaluate: Callable[[], None]
-    initial: Array
-    memory: Array
-    sent: Array
-    dt: Array
-    u: Array
-    V: Array
-    next: Array
-
-    def keep(self) -> None:
-        """Accept the sample: copy the new controller state to memory."""
-        np.copyto(self.memory, self.next)
-
-    def forget(self) -> None:
-        """Reset the controller state, so that the next sample is the first."""
-        np.copyto(self.memory, self.initial)
-        self.dt[0] = 0.0
-
-
-def bound_step(
-    law: SampledLaw, position: Array, velocity: Array, jets: Array, function: ca.Function | None = None
-) -> BoundStep:
-    """Bind a law to contiguous arrays (2n,), (2n,), (5, n); function: its compiled step_function."""
-    n, initial = law.robot.n, law.memory
-    memory, sent, dt, u, V, after = initial.copy(), np.zeros(n), np.zeros(1), np.zeros(n), np.zeros(1), initial.copy()
-    arguments = (position, velocity, jets, law.gain_values, memory, sent, dt)
-    evaluate = bind(function or law.step_function, arguments, (u, V, after))
-    return BoundStep(evaluate, initial, memory, sent, dt, u, V, after)

@@ -12,11 +12,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.sampled_law import SampledLaw, bound_step, check_law, raise_failure
+from ..control.sampled_law import SampledLaw, check_law, raise_failure
 from ..control.static_law import StaticLaw
 from ..errors import StateError
 from ..numerics import checks
-from ..numerics.casadi_function import bind, dense_function, not_converged
+from ..numerics.casadi_function import NumericFunction, bind, dense_function, not_converged
 from ..numerics.checks import Array
 from ..numerics.integrators import INNER_STEP, rk4_expression
 from ..numerics.one_line import brief, joints, span
@@ -208,18 +208,15 @@ def _static(plant: Plant, law: StaticLaw, jets: Array, x: Array, u: Array, V: Ar
 
 def _with_state(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, u: Array, V: Array) -> BoundLaw:
     """Bind a law with a controller state to the arrays of state x (4n,), effort u (n,) and V (1,)."""
-    n, now, velocity = plant.robot.n, np.zeros(jets.shape[1:]), np.zeros(len(x) // 2)
+    velocity, memory, gains = np.zeros(len(x) // 2), law.memory, law.gain_values
     update_view = bind(Coordinates(plant.robot).to_velocities, [x], [velocity])
-    step = bound_step(law, x[: 2 * n], velocity, now, getattr(law, "ready_step", None))
+    evaluate = NumericFunction(getattr(law, "ready_step", law.step_function))
 
     def evaluate_law(k: int) -> None:
-        now[...] = jets[k]
+        nonlocal memory
         update_view()
-        step.dt[0] = t[k] - t[k - 1] if k else 0.0
-        step.evaluate()
-        step.keep()
-        u[...], V[...] = step.u, step.V
-        step.sent[...] = u
+        dt = t[k] - t[k - 1] if k else 0.0
+        u[...], V[...], memory = evaluate(x[: len(velocity)], velocity, jets[k], gains, memory, u, dt)
 
     return evaluate_law
 

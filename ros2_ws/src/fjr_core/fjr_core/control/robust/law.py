@@ -15,7 +15,7 @@ from ...numerics.checks import Array
 from ...numerics.one_line import one_line
 from ...numerics.packed_vector import PackedVector
 from ...robot.robot import Robot
-from ..sampled_law import AsSampledLaw, BoundStep, SampledLaw, bound_step, step_symbols
+from ..sampled_law import AsSampledLaw, SampledLaw, step_symbols
 from ..static_law import StaticLaw
 from ..vdpbc.law import TrackingLaw
 from .disturbance_observer import DisturbanceObserver
@@ -103,10 +103,6 @@ class RobustLaw:
         other = RobustLaw(law, self.robust)
         other.__dict__.update(step_function=self.step_function, ready_step=self.ready_step)
         return other
-
-    def bound(self, position: Array, velocity: Array, jets: Array) -> BoundStep:
-        """Bind a sample to contiguous arrays (2n,), (2n,), (5, n), which each evaluation reads."""
-        return bound_step(self, position, velocity, jets, self.ready_step)
 
     def _sample(self, s: Terms, gains: Terms, kept: Terms) -> tuple[ca.MX, ca.MX, Terms]:
         """Return u, V and the parts of the new controller state."""
