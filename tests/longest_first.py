@@ -15,6 +15,7 @@ LONGEST_FIRST = (
     "core/control_step/test_step.py",
     "core/control/test_robust.py",
     "core/codegen/ros2_control/test_package.py",
+    "core/codegen/ros2_control/test_plugins.py",
     "core/codegen/test_export_c.py",
     "core/control/test_baseline_identities.py",
     "system/test_network_namespaces.py",

@@ -1,100 +1,16 @@
-// Run the exported controller on the exported arm as the controller manager would; print numbers by name.
-//   drive MODE [parameter=numbers ..]   a parameter of the tag of the arm
-#include <chrono>
-#include <cmath>
-#include <cstdio>
+// Run the exported controller on the exported arm; print numbers by name.
+//   drive MODE [parameter=numbers ..]   parameters of the controller, or of the tag of the arm
 #include <cstdlib>
-#include <cstring>
 #include <new>
 #include <sstream>
 
-#include "elastic_arm.hpp"
-#include "tracking_controller.hpp"
-
-using namespace PACKAGE;
-using hardware_interface::return_type;
-constexpr int N = FJR_N;
-const rclcpp_lifecycle::State STATE{};
+#include "faults.hpp"
+#include "robot.hpp"
 
 static long allocations = 0;
 [[gnu::noinline]] void * operator new(std::size_t size) { return ++allocations, std::malloc(size); }
 [[gnu::noinline]] void operator delete(void * memory) noexcept { std::free(memory); }
 [[gnu::noinline]] void operator delete(void * memory, std::size_t) noexcept { std::free(memory); }
-
-static bool succeeds(CallbackReturn result) { return result == CallbackReturn::SUCCESS; }
-
-struct Robot
-{
-  ElasticArm arm;
-  TrackingController controller;
-  int64_t now = 1000000000, period = std::llround(FJR_SAMPLE_PERIOD * 1e9);
-
-  // Initialise the arm with the parameters of its tag, and the controller.
-  bool init(const std::unordered_map<std::string, std::string> & given, bool stamped)
-  {
-    if (!succeeds(arm.on_init({{static_cast<unsigned int>(std::llround(1 / FJR_SAMPLE_PERIOD)), given}}))) return false;
-    for (const char * joint : fjr_joint_names)
-      for (const std::string side : {"", "_motor"}) {
-        const std::string name = joint + side;
-        for (const char * kind : {"position", "velocity", "effort"})
-          arm.states[name + "/" + kind] = std::make_shared<hardware_interface::StateInterface>(name, kind);
-        arm.commands[name + "/effort"] = std::make_shared<hardware_interface::CommandInterface>(name, "effort");
-      }
-    const std::string clock = CLOCK;
-    arm.states[clock + "/stamp"] = std::make_shared<hardware_interface::StateInterface>(clock, "stamp");
-    controller.on_init();
-    if (stamped) set("stamp_interface", clock + "/stamp");
-    return succeeds(arm.on_configure(STATE)) && succeeds(arm.on_activate(STATE));
-  }
-
-  template <typename T>
-  void set(const std::string & name, T value) { controller.get_node()->parameters[name] = std::move(value); }
-
-  bool configure() { return succeeds(controller.on_configure(STATE)); }
-
-  bool activate()
-  {
-    controller.command_interfaces_.clear();
-    controller.state_interfaces_.clear();
-    for (const auto & name : controller.command_interface_configuration().names)
-      controller.command_interfaces_.push_back({arm.commands.at(name)});
-    for (const auto & name : controller.state_interface_configuration().names)
-      controller.state_interfaces_.push_back({arm.states.at(name)});
-    controller.export_interfaces();
-    return succeeds(controller.on_activate(STATE));
-  }
-
-  bool cycle()
-  {
-    const rclcpp::Time time(now);
-    now += period;
-    bool done = arm.read(time, {}) == return_type::OK;
-    done = controller.update(time, {}) == return_type::OK && done;
-    return arm.write(time, {}) == return_type::OK && done;
-  }
-
-  double effort(int i) const { return *arm.commands.at(std::string(fjr_joint_names[i]) + "_motor/effort")->get_optional(); }
-  double link(int i) const { return *arm.states.at(std::string(fjr_joint_names[i]) + "/position")->get_optional(); }
-  double speed(int i) const { return *arm.states.at(std::string(fjr_joint_names[i]) + "/velocity")->get_optional(); }
-  double stamp() const { return *arm.states.at(CLOCK "/stamp")->get_optional(); }
-  double exported(int k) const { return *controller.states[k]->get_optional(); }
-
-  double error() const
-  {
-    double jets[FJR_JETS * N], worst = 0;
-    fjr_reference_jets(fjr_scenario_reference, stamp() * 1e-9, jets);
-    for (int i = 0; i < N; ++i) worst = std::fmax(worst, std::fabs(link(i) - jets[i]));
-    return worst;
-  }
-};
-
-static void show(const char * name, double value) { std::printf("%s %.17g\n", name, value); }
-
-// The timers of the controller, in the thread of the executor.
-static void tick(Robot & r)
-{
-  for (const auto & timer : r.controller.get_node()->timers) timer->callback();
-}
 
 // One line per cycle: what the controller read and the effort it wrote.
 static void record(Robot & r, int cycles)
@@ -156,14 +72,47 @@ static void restart(Robot & r)
   show("state_after_restart", r.exported(0));
 }
 
-static std::string events_of(Robot & r)
+// Call a service; print whether it succeeded, and its message.
+static void call(Robot & r, const std::string & name)
 {
-  using Events = rclcpp::Publisher<diagnostic_msgs::msg::DiagnosticStatus>;
-  tick(r);
-  std::string names;
-  for (const auto & event : static_cast<Events *>(r.controller.get_node()->publishers.at("~/events").get())->messages)
-    names += event.name + ";";
-  return names;
+  using std_srvs::srv::Trigger;
+  const auto response = std::make_shared<Trigger::Response>();
+  const auto & service = r.controller.get_node()->services.at("~/" + name);
+  static_cast<rclcpp::Service<Trigger> *>(service.get())->callback(std::make_shared<Trigger::Request>(), response);
+  std::printf("%s %d: %s\n", name.c_str(), response->success, response->message.c_str());
+}
+
+// Largest speed of the links over the next half second of samples.
+static double moving(Robot & r)
+{
+  double largest = 0;
+  for (int k = 0; k < 500; ++k) {
+    r.cycle();
+    for (int i = 0; i < N; ++i) largest = std::fmax(largest, std::fabs(r.speed(i)));
+  }
+  return largest;
+}
+
+// Hold, play; resume after a stop.
+static void request(Robot & r)
+{
+  call(r, "resume");
+  for (int k = 0; k < 3000; ++k) r.cycle();
+  call(r, "hold");
+  for (int k = 0; k < 2000; ++k) r.cycle();
+  show("speed_held", moving(r));
+  call(r, "play");
+  for (int k = 0; k < 3000; ++k) r.cycle();
+  show("speed_playing", moving(r));
+  show("state_playing", r.exported(0));
+  const auto & velocity = r.arm.states.at(std::string(fjr_joint_names[0]) + "/velocity");
+  r.cycle([&] { return velocity->set_value(1e3); });
+  show("state_stopped", r.exported(0));
+  call(r, "resume");
+  for (int k = 0; k < 3000; ++k) r.cycle();
+  show("state_resumed", r.exported(0));
+  r.controller.on_deactivate(STATE);
+  call(r, "hold");
 }
 
 // A value that is not available: the effort stays until the timeout, then it is that of the stop policy.
@@ -208,6 +157,7 @@ static void chained(Robot & r)
 {
   auto & references = r.controller.ordered_exported_reference_interfaces_;
   const double start = r.link(0);
+  call(r, "hold");
   for (int k = 0; k < 200; ++k) r.cycle();
   show("held", r.link(0) - start);
   double worst = 0;
@@ -238,29 +188,38 @@ static void configure(Robot & r)
   show("unknown_policy", r.configure());
 }
 
+// Set a parameter of the controller; return false for one of the arm.
+static bool set(Robot & r, const std::string & name, const std::string & text)
+{
+  const auto begins = [&name](const char * group) { return name.rfind(group, 0) == 0; };
+  std::istringstream words(text);
+  std::vector<double> numbers;
+  for (double value; words >> value;) numbers.push_back(value);
+  if (begins("limits.") || begins("gains."))
+    r.set(name, numbers);
+  else if (begins("start.") || begins("recovery.") || begins("state_timeout"))
+    r.set(name, numbers.at(0));
+  else if (begins("use_sim_time"))
+    r.set(name, numbers.at(0) != 0);
+  else
+    return false;
+  return true;
+}
+
 int main(int argc, char ** argv)
 {
   const std::string mode = argv[1];
   Robot r;
   std::unordered_map<std::string, std::string> given{{"time", "cycles"}};
-  bool stamped = true;
+  std::string fault;
   for (int i = 2; i < argc; ++i) {
     const std::string word = argv[i], name = word.substr(0, word.find('=')), value = word.substr(word.find('=') + 1);
-    if (name == "unstamped")
-      stamped = false;
-    else if (name.rfind("limits.", 0) == 0 || name.rfind("gains.", 0) == 0)
-      continue;
-    else
+    if (name == "fault")
+      fault = value;
+    else if (!set(r, name, value))
       given[name] = value;
   }
-  if (!r.init(given, stamped)) return 2;
-  for (int i = 2; i < argc; ++i) {
-    const std::string word = argv[i], name = word.substr(0, word.find('='));
-    std::istringstream values(word.substr(word.find('=') + 1));
-    std::vector<double> numbers;
-    for (double value; values >> value;) numbers.push_back(value);
-    if (name.rfind("limits.", 0) == 0 || name.rfind("gains.", 0) == 0) r.set(name, numbers);
-  }
+  if (!r.init(given)) return 2;
   if (mode == "configure") return configure(r), 0;
   if (mode == "silence") r.set("state_timeout", 0.005);
   r.controller.chained = mode == "chained";
@@ -271,7 +230,9 @@ int main(int argc, char ** argv)
   if (mode == "restart") restart(r);
   if (mode == "silence") silence(r);
   if (mode == "stop") stop(r);
+  if (mode == "request") request(r);
   if (mode == "not_finite") not_finite(r);
   if (mode == "chained") chained(r);
+  if (mode == "fault") return inject(r, fault) ? 0 : 2;
   return 0;
 }

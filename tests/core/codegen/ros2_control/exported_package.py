@@ -13,7 +13,7 @@ from fjr_core.codegen.ros2_control import export_package, package_name_of
 from fjr_core.config.scenario import Scenario, load_scenario
 
 HERE = Path(__file__).parent
-SOURCES = ("tracking_controller", "parameters", "elastic_arm")
+SOURCES = ("tracking_controller", "reports", "parameters", "elastic_arm")
 
 
 @cache

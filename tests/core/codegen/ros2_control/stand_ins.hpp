@@ -42,6 +42,20 @@ struct DiagnosticStatus
 };
 }  // namespace diagnostic_msgs::msg
 
+namespace std_srvs::srv
+{
+struct Trigger
+{
+  struct Request { using SharedPtr = std::shared_ptr<Request>; };
+  struct Response
+  {
+    using SharedPtr = std::shared_ptr<Response>;
+    bool success = false;
+    std::string message;
+  };
+};
+}  // namespace std_srvs::srv
+
 namespace rclcpp
 {
 struct Logger {};
@@ -66,6 +80,13 @@ struct Publisher
   void publish(const M & message) { messages.push_back(message); }
 };
 
+template <typename S>
+struct Service
+{
+  using SharedPtr = std::shared_ptr<Service>;
+  std::function<void(typename S::Request::SharedPtr, typename S::Response::SharedPtr)> callback;
+};
+
 struct TimerBase
 {
   using SharedPtr = std::shared_ptr<TimerBase>;
@@ -86,20 +107,6 @@ private:
   std::any value_;
 };
 }  // namespace rclcpp
-
-namespace realtime_tools
-{
-template <typename T>
-class RealtimeThreadSafeBox
-{
-public:
-  bool try_set(const T & value) { return value_ = value, true; }
-  T get() const { return value_; }
-
-private:
-  T value_{};
-};
-}  // namespace realtime_tools
 
 namespace rclcpp_lifecycle
 {
@@ -127,8 +134,15 @@ public:
     timers.push_back(std::make_shared<rclcpp::TimerBase>(rclcpp::TimerBase{std::move(callback)}));
     return timers.back();
   }
+  template <typename S, typename F>
+  typename rclcpp::Service<S>::SharedPtr create_service(const std::string & name, F callback)
+  {
+    auto made = std::make_shared<rclcpp::Service<S>>(rclcpp::Service<S>{std::move(callback)});
+    services[name] = made;
+    return made;
+  }
   std::map<std::string, std::any> parameters{{"use_sim_time", false}};
-  std::map<std::string, std::shared_ptr<void>> publishers;
+  std::map<std::string, std::shared_ptr<void>> publishers, services;
   std::vector<rclcpp::TimerBase::SharedPtr> timers;
 };
 }  // namespace rclcpp_lifecycle

@@ -15,7 +15,7 @@ from ..c_code import number, quoted
 from ..step_code import Controller
 from .arm import DYNAMICS, SENSORS, Arm
 
-OMITTED = ("start.wiring_check", "hold.deceleration")
+OMITTED = ("start.wiring_check",)
 """Parameters of the safety settings that the exported controller does not have."""
 NAMES = (
     ("joints", "the scenario's", "state interfaces of the links: `<joint>/position`, `<joint>/velocity`"),
