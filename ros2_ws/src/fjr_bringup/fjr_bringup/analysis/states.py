@@ -94,7 +94,7 @@ def with_velocities(states: States, u: Array, scenario: Scenario) -> States:
 
 def _names(bag: Bag, joints: tuple[str, ...]) -> tuple[bool, tuple[str, ...]]:
     """Return whether joints of the scenario are missing, and a note if the joint names differ."""
-    named = {name: None for message in bag.topic(STATES).decoded[:SCANNED_MESSAGES] for name in message.name}
+    named = {name: None for message in bag.topic(STATES).first(SCANNED_MESSAGES) for name in message.name}
     missing = [joint for joint in joints if joint not in named]
     more = [name for name in named if name not in names.state_names(joints)]
     if missing:

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from fjr_bringup.recording.formats import files_of, read_file
 from fjr_bringup.recording.topic import BagError, Contents, Messages, Times, Topic
+from fjr_msgs_py.messages.cdr.layout import FIELDS
+from fjr_msgs_py.messages.cdr.recorded import joint_state_arrays
 
 Array = NDArray[np.float64]
 JOINT_STATE, DIAGNOSTICS = "sensor_msgs/msg/JointState", "/diagnostics"
@@ -70,10 +72,12 @@ class Bag:
         topic = self.topic(name)
         if topic.type_name != JOINT_STATE:
             raise BagError(f"{topic.name} of {self.path} is a {topic.type_name}; expected {JOINT_STATE}")
-        messages = topic.decoded
-        stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages], dtype=np.int64)
-        columns = (_columns(messages, what, joints) for what in ("position", "velocity", "effort"))
-        return JointTable(stamps, topic.publish_time, *columns)
+        (first,) = topic.first(1)
+        arrays = joint_state_arrays([message.data for message in topic.messages], first)
+        if arrays is None:
+            return _one_by_one(topic, joints)
+        stamp, values = arrays
+        return JointTable(stamp, topic.publish_time, *(_named(values[what], first.name, joints) for what in FIELDS))
 
     def lost(self) -> dict[str, int | None]:
         """Return the number of lost messages by topic; None if unknown."""
@@ -114,6 +118,23 @@ def _keep(messages: Messages) -> bool:
 def bag_folder(path: Path) -> Path:
     """Return the folder of the bag of a run; any other path as it is."""
     return path / "bag" if (path / "bag").is_dir() else path
+
+
+def _named(values: Array, names: Sequence[str], joints: Sequence[str]) -> Array:
+    """Return the columns of the named joints, (k, n), of values (k, at most the number of names)."""
+    table = np.full((len(values), len(joints)), np.nan)
+    for column, joint in enumerate(joints):
+        place = names.index(joint) if joint in names else -1
+        if 0 <= place < values.shape[1]:
+            table[:, column] = values[:, place]
+    return table
+
+
+def _one_by_one(topic: Topic, joints: Sequence[str]) -> JointTable:
+    """Return a topic whose messages differ in names or lengths."""
+    messages = topic.decoded
+    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages], dtype=np.int64)
+    return JointTable(stamps, topic.publish_time, *(_columns(messages, what, joints) for what in FIELDS))
 
 
 def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array:

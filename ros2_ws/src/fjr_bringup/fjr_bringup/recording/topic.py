@@ -49,6 +49,10 @@ class Topic:
     @cached_property
     def decoded(self) -> list[Any]:
         """All messages, deserialised; raise BagError for an invalid type, definition or message."""
+        return self.first(len(self.messages))
+
+    def first(self, count: int) -> list[Any]:
+        """Return the first `count` messages, deserialised; raise BagError as `decoded` does."""
         if not TYPE_NAME.fullmatch(self.type_name):
             raise BagError(f"{self.name} has the type {self.type_name!r}; expected one like sensor_msgs/msg/JointState")
         if len(self.definition) > LONGEST_DEFINITION:
@@ -57,7 +61,7 @@ class Topic:
             store = typestore()
             if self.type_name not in store.fielddefs:
                 store.register(get_types_from_msg(self.definition, self.type_name))
-            return [store.deserialize_cdr(message.data, self.type_name) for message in self.messages]
+            return [store.deserialize_cdr(message.data, self.type_name) for message in self.messages[:count]]
         except Exception as error:  # any error of the decoder
             raise BagError(f"{self.name} holds bytes that are not a {self.type_name} ({error})") from error
 

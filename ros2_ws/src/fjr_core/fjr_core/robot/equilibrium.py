@@ -32,7 +32,7 @@ class Equilibria:
     @cached_property
     def weights(self) -> Array:
         """Gravity torques grad P_l (k, n) [N m]."""
-        return np.array([self.robot.grad_P_l(q_l) for q_l in self.q_l])
+        return np.asarray(self.robot.links.grad_P_l.map(len(self.q_l))(self.q_l.T).full().T)
 
     @property
     def u(self) -> Array:
@@ -63,9 +63,16 @@ class Equilibria:
 def equilibria_at(robot: Robot, configurations: Array) -> Equilibria:
     """Return the equilibria of a robot at configurations (k, n) [rad]."""
     q_l = ca.SX.sym("q_l", robot.n)
-    hessian = ca.Function("N_l", [q_l], [ca.densify(ca.jacobian(robot.links.grad_P_l(q_l), q_l))])
-    M_l = np.array([robot.M_l(q) for q in configurations])
-    return Equilibria(robot, configurations, M_l, np.array([hessian(q).full() for q in configurations]))
+    hessian = ca.jacobian(robot.links.grad_P_l(q_l), q_l)
+    both = ca.Function("M_l_and_N_l", [q_l], [ca.densify(robot.links.M_l(q_l)), ca.densify(hessian)])
+    M_l, N_l = both.map(len(configurations))(configurations.T)  # one call: each costs more than these functions
+    return Equilibria(robot, configurations, _stacked(M_l), _stacked(N_l))
+
+
+def _stacked(side_by_side: ca.DM) -> Array:
+    """Return matrices that stand side by side, (n, k n), as a stack (k, n, n)."""
+    n = side_by_side.shape[0]
+    return np.ascontiguousarray(side_by_side.full().reshape(n, -1, n).swapaxes(0, 1))
 
 
 def plant_matrices(points: Equilibria) -> tuple[Array, Array]:
