@@ -4,13 +4,14 @@
 Messages are serialised and passed to the subscription callback of the node, as an executor would do: all are handled
 in order, whereas a queue of depth one would lose most of them. Replies of the node use the middleware, and each
 example ends with a valid message that is answered. Messages take longer to generate than to handle: every message goes
-to all nodes, each in a namespace of its own.
+to the readers and to all nodes, each in a namespace of its own.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -131,9 +132,8 @@ def read(reader: Callable[[Any], Any], message: Any) -> Any:
         return None if error.kind and str(error) else pytest.fail("a refusal without a reason")
 
 
-@settings(THOUSAND, max_examples=1000)
-@given(states())
-def test_a_state_is_read_as_finite_numbers_or_refused(message: JointState) -> None:
+def check_state(message: JointState) -> None:
+    """Check that a state is read as finite numbers or refused."""
     sample = read(StateReader(JOINTS).read, message)
     if sample is not None:
         values = (sample.q_l, sample.q_m, sample.dq_l, sample.dq_m)
@@ -142,9 +142,8 @@ def test_a_state_is_read_as_finite_numbers_or_refused(message: JointState) -> No
         assert 0 < sample.stamp < 2**31 * 10**9
 
 
-@settings(THOUSAND, max_examples=1000)
-@given(trajectories, st.booleans())
-def test_a_trajectory_is_read_as_finite_numbers_in_order_or_refused(message: JointTrajectory, partial: bool) -> None:
+def check_trajectory(message: JointTrajectory, partial: bool) -> None:
+    """Check that a trajectory is read as finite numbers in order or refused."""
     found = read(TrajectoryReader(JOINTS, partial).read, message)
     if found is not None:
         full = found.completed(np.zeros(2))
@@ -153,9 +152,8 @@ def test_a_trajectory_is_read_as_finite_numbers_in_order_or_refused(message: Joi
         assert np.all(np.diff(found.times) > 0)
 
 
-@settings(THOUSAND, max_examples=1000)
-@given(efforts, answers())
-def test_efforts_and_torques_are_read_as_finite_numbers_or_refused(plain: Float64MultiArray, named: JointState) -> None:
+def check_effort(plain: Float64MultiArray, named: JointState) -> None:
+    """Check that efforts and torques are read as finite numbers or refused."""
     found = read(EffortReader(JOINTS).read_array, plain), read(TorqueReader(JOINTS).read, named)
     assert finite(*found)
     assert all(array.shape == (2,) for array in found if array is not None)
@@ -249,7 +247,11 @@ def controllers(ros: Ros) -> list[Answered]:
 
 @THOUSAND
 @given(messages=st.lists(states(), min_size=EACH, max_size=EACH))
-def test_malformed_states_cause_no_invalid_effort(controllers: list[Answered], messages: list[JointState]) -> None:
+def test_malformed_states_are_refused_and_cause_no_invalid_effort(
+    controllers: list[Answered], messages: list[JointState]
+) -> None:
+    for message in messages:
+        check_state(message)
     for controller in controllers:
         for message in messages:
             controller.state(message)
@@ -258,9 +260,11 @@ def test_malformed_states_cause_no_invalid_effort(controllers: list[Answered], m
 
 @THOUSAND
 @given(messages=st.lists(trajectories, min_size=EACH, max_size=EACH))
-def test_malformed_trajectories_cause_no_invalid_effort(
+def test_malformed_trajectories_are_refused_and_cause_no_invalid_effort(
     controllers: list[Answered], messages: list[JointTrajectory]
 ) -> None:
+    for message, partial in product(messages, (False, True)):
+        check_trajectory(message, partial)
     for controller in controllers:
         controller.answer(0.01)
         for message in messages:
@@ -310,9 +314,11 @@ def plants(ros: Ros) -> tuple[Commanded, Commanded]:
     plain=st.lists(efforts, min_size=EACH, max_size=EACH),
     named=st.lists(answers(), min_size=EACH, max_size=EACH),
 )
-def test_malformed_commands_leave_the_plant_finite(
+def test_malformed_commands_are_refused_and_leave_the_plant_finite(
     plants: tuple[Commanded, Commanded], plain: list[Float64MultiArray], named: list[JointState]
 ) -> None:
+    for pair in zip(plain, named, strict=True):
+        check_effort(*pair)
     for plant, messages in zip(plants, (plain, named), strict=True):
         for message in messages:
             deliver(plant.node, plant.topic, message)
