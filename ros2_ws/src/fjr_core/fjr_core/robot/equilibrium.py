@@ -51,9 +51,12 @@ class Equilibria:
 
     def blocks(self, *rows: Sequence[ArrayLike]) -> Array:
         """Return a stack (k, rows n, columns n) of block matrices; blocks are (n, n), (k, n, n) or 0."""
-        shape = self.M_l.shape
-        spread = [[np.broadcast_to(entry, shape) for entry in row] for row in rows]
-        return np.concatenate([np.concatenate(row, axis=2) for row in spread], axis=1)
+        k, n, _ = self.M_l.shape
+        whole = np.empty((k, n * len(rows), n * len(rows[0])))
+        for i, row in enumerate(rows):
+            for j, block in enumerate(row):
+                whole[:, n * i : n * (i + 1), n * j : n * (j + 1)] = block
+        return whole
 
     def block_diagonal(self, *parts: ArrayLike) -> Array:
         """Return a stack (k, 4n, 4n) of block-diagonal matrices; parts as in `blocks`."""

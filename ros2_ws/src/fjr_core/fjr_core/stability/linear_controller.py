@@ -132,9 +132,10 @@ def plant_in_velocities(equilibria: Equilibria) -> tuple[Array, Array]:
 def _linearised(law: SampledLaw, equilibria: Equilibria, T: float) -> Controller:
     """Linearise the step function of a law at each equilibrium for the sample period T [s]."""
     n, m = equilibria.robot.n, len(law.memory)
-    step, blocks = law.step_function, []
+    step, gains, blocks = law.step_function, law.gain_values, []
     for x, u in zip(equilibria.x, equilibria.u, strict=True):
-        at = [x[: 2 * n], np.zeros(2 * n), _standing(x[:n]), law.gain_values, _state_at_rest(law, step, x, u, T), u, T]
+        at_rest = _state_at_rest(step, x, u, gains, law.memory, T)
+        at = [x[: 2 * n], np.zeros(2 * n), _standing(x[:n]), gains, at_rest, u, T]
         blocks.append(np.split(_jacobian(step, at), [n]))
     raise_failure(law)
     of_u, of_next = (np.array(rows) for rows in zip(*blocks, strict=True))
@@ -160,12 +161,12 @@ def _standing(q_l: Array) -> Array:
     return np.column_stack([q_l, np.zeros((len(q_l), JETS - 1))])
 
 
-def _state_at_rest(law: SampledLaw, step: ca.Function, x: Array, u: Array, T: float) -> Array:
-    """Return the stationary controller state (m,) at an equilibrium x under its holding effort u."""
-    n, state = law.robot.n, law.memory
+def _state_at_rest(step: ca.Function, x: Array, u: Array, gains: Array, state: Array, T: float) -> Array:
+    """Return the stationary controller state (m,) at an equilibrium x under its effort u, from a first state."""
+    n = len(u)
     for k in range(MOST_SAMPLES if len(state) else 0):
         dt = T if k else 0.0
-        after = step(x[: 2 * n], np.zeros(2 * n), _standing(x[:n]), law.gain_values, state, u, dt)[2].full().ravel()
+        after = step(x[: 2 * n], np.zeros(2 * n), _standing(x[:n]), gains, state, u, dt)[2].full().ravel()
         if k > 1 and np.allclose(after, state, rtol=1e-12, atol=1e-12):
             return np.asarray(after)
         state = after
