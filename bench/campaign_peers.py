@@ -96,14 +96,10 @@ def _tracked(loop: ClosedLoop, follow: Callable[[Array, float], Array]) -> float
     table = loop.reference.jets(loop.sample_period * np.arange(samples + 1))
     q = np.asarray(loop.x0)[:2]
     x = np.concatenate([q, *loop.robot.velocities(loop.x0)])
-    position, velocity, jets = np.zeros(2), np.zeros(2), np.zeros(table.shape[1:])
-    law = loop.law.law.bound(position, velocity, jets)
     error = np.empty(samples + 1)
     for k in range(samples + 1):
         error[k] = x[0] - table[k, 0, 0]
-        position[:], velocity[:], jets[:] = x[:2], x[2:], table[k]
-        law.evaluate()
         if k < samples:
-            x = follow(x, law.u[0])
+            x = follow(x, loop.law.law.measured_command(x[:2], x[2:], table[k])[0][0])
     after = error[round(loop.settle_after / loop.sample_period) :]
     return float(np.sqrt(np.mean(after**2)))

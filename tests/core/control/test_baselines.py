@@ -90,16 +90,13 @@ def test_replacing_gains_equals_building_the_law_with_them(name: str) -> None:
 
 @names
 def test_all_evaluation_functions_agree(name: str) -> None:
-    """Compare `measured_command`, bound arrays, the command of a state and the SampledLaw of the law."""
+    """Compare `measured_command`, the command of a state and the SampledLaw of the law."""
     arm = ARMS[2]
     law, loop = standard_law(name, arm), PlainLoop(arm, standard_law(name, arm))
     p = random_point(arm, 3, same=True)
     q, theta, dq, dtheta = loop.parts(p.x)
     position, velocity, jets = np.r_[q, theta], np.r_[dq, dtheta], np.ascontiguousarray(p.jets)
     u, V = law.measured_command(position, velocity, jets)
-    bound = law.bound(position, velocity, jets)
-    bound.evaluate()
-    np.testing.assert_array_equal(bound.u, u)
     np.testing.assert_allclose(law.command(p.x, jets), u, rtol=1e-9)
     np.testing.assert_allclose(law.command_and_storage(p.x, jets)[1], V, rtol=1e-9)
     step = AsSampledLaw(law).step_function(position, velocity, jets.T, law.gain_values, np.zeros(0), np.zeros(2), 1e-3)

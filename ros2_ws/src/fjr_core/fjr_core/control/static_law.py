@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Base class of static laws u(x, x, t): evaluation, binding to arrays and compilation."""
+"""Base class of static laws u(x, x, t): evaluation and compilation."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
 
 import casadi as ca
-import numpy as np
 from numpy.typing import ArrayLike
 
-from ..numerics.casadi_function import NumericFunction, bind, dense_function
+from ..numerics.casadi_function import NumericFunction, dense_function
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
 from ..numerics.one_line import joints, one_line
@@ -23,15 +20,6 @@ from .lie_derivative import Flow
 from .vdpbc.symbolic_gains import ArraySymbols
 
 Law = TypeVar("Law", bound="StaticLaw")
-
-
-@dataclass(frozen=True, eq=False)
-class BoundCommand:
-    """A law bound to measurement arrays: `evaluate` writes u (n,) [N m] and V (1,) [J]."""
-
-    evaluate: Callable[[], None]
-    u: Array
-    V: Array
 
 
 class StaticLaw(ABC):
@@ -107,11 +95,6 @@ class StaticLaw(ABC):
         """
         u, V = self._measured_command(position, velocity, jets, self.gain_values)
         return u, float(V[0])
-
-    def bound(self, position: Array, velocity: Array, jets: Array) -> BoundCommand:
-        """Bind measured_command to contiguous arrays, which each evaluation reads; not thread-safe."""
-        u, V = np.zeros(self.robot.n), np.zeros(1)
-        return BoundCommand(bind(self.measured_function, (position, velocity, jets, self.gain_values), (u, V)), u, V)
 
     def command(self, x: ArrayLike, jets: ArrayLike) -> Array:
         """Return the effort u(x, x, t) (n,) [N m] at a state x (4n,) with momenta; jets (5, n)."""
