@@ -83,7 +83,7 @@ CERTIFICATE = """
 import numpy as np, fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate
 certificate = Certificate(fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True))
-print(certificate.at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V > 0)
+print(certificate.along([[0.1, 0.2]], [[0.0, 0.0]], np.zeros((1, 5, 1))).V[0] > 0)
 """
 
 
@@ -96,7 +96,7 @@ def test_planted_library_of_equal_name_and_size_is_not_run(cache: Path, tmp_path
 
 def test_planted_library_is_not_loaded_from_the_cache(cache: Path, tmp_path: Path) -> None:
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
-    wanted = Certificate(law).at([0.1, 0.2], [0.0, 0.0], np.zeros((5, 1))).V
+    wanted = Certificate(law).along([[0.1, 0.2]], [[0.0, 0.0]], np.zeros((1, 5, 1))).V[0]
     assert wanted > 0
     plant_library(library_file(cache, "certificate"), tmp_path / "marker")
     assert "True" in in_another_process(CERTIFICATE)

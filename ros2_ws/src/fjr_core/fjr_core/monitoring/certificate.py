@@ -10,7 +10,7 @@ of the virtual system. Both hold along trajectories of the plant (36), so their 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 
 from ..control.vdpbc.law import TrackingLaw
 from ..errors import StateError
-from ..numerics import checks
-from ..numerics.casadi_function import NumericFunction, dense_function
+from ..numerics.casadi_function import dense_function
 from ..numerics.checks import Array
 from ..numerics.one_line import one_line
 from ..trajectories.reference import JETS
@@ -29,33 +28,13 @@ OUTPUTS = ("V", "H", "dissipation", "dissipated", "u_law", "drive", "slope")
 
 
 @dataclass(frozen=True)
-class CertificateSample:
-    """Certificate at one instant.
-
-    V [J]: storage of the law, (43). dV [W]: its rate under the applied effort. H [J]: energy of the robot, (36).
-    supplied, dissipated [W]: dH/dt = supplied - dissipated. u_law (n,) [N m]: effort of the law at this state.
-    slope (4n,): dV/d(position, velocity) [N m, N m s] at a constant reference. drive (n,) [rad/s]: B_m' s_m.
-    dissipation [W]: -dV/dt under the effort of the law.
-    """
-
-    V: float
-    dV: float
-    H: float
-    supplied: float
-    dissipated: float
-    u_law: Array
-    slope: Array
-    drive: Array
-    dissipation: float
-
-    __repr__ = one_line
-
-
-@dataclass(frozen=True)
 class CertificateSeries:
     """Certificate at k instants.
 
-    V, dV, H, supplied, dissipated, dissipation (k,); u_law, drive (k, n); slope (k, 4n): see CertificateSample.
+    V (k,) [J]: storage of the law, (43). dV (k,) [W]: its rate under the applied effort. H (k,) [J]: energy of the
+    robot, (36). supplied, dissipated (k,) [W]: dH/dt = supplied - dissipated. u_law (k, n) [N m]: effort of the law.
+    slope (k, 4n): dV/d(position, velocity) [N m, N m s] at a constant reference. drive (k, n) [rad/s]: B_m' s_m.
+    dissipation (k,) [W]: -dV/dt under the effort of the law.
     """
 
     V: Array
@@ -93,27 +72,6 @@ class Certificate:
 
     def __init__(self, law: TrackingLaw) -> None:
         self.law = law
-
-    def with_law(self, law: TrackingLaw) -> Certificate:
-        """Return the certificate of a law made by `self.law.with_gains`; the functions are shared."""
-        other = Certificate(law)
-        other.function = self.function
-        return other
-
-    def at(
-        self, position: ArrayLike, velocity: ArrayLike, jets: ArrayLike, u: ArrayLike | None = None
-    ) -> CertificateSample:
-        """Return the certificate at positions (2n,) [rad] and velocities (2n,) [rad/s] of links, then motors.
-
-        jets (5, n): reference. u (n,) [N m]: applied effort; None: the effort of the law, for which
-        dV = -dissipation. Raises StateError for wrong shapes.
-        """
-        n = self.law.robot.n
-        u = np.full(n, np.nan) if u is None else checks.vector("u", u, n, StateError)
-        found = (value[None] for value in self._at(position, velocity, jets, self.law.gain_values))
-        values = dict(zip(OUTPUTS, found, strict=True))
-        series = self._series(np.asarray(velocity, dtype=float)[None], u[None], values)
-        return CertificateSample(*(getattr(series, f.name)[0] for f in fields(CertificateSample)))
 
     def along(
         self, position: ArrayLike, velocity: ArrayLike, jets: ArrayLike, u: ArrayLike | None = None
@@ -160,7 +118,7 @@ class Certificate:
 
     @cached_property
     def function(self) -> ca.Function:
-        """Return the CasADi function (position, velocity, jets (n, 5), gains) -> OUTPUTS; see CertificateSample."""
+        """Return the CasADi function (position, velocity, jets (n, 5), gains) -> OUTPUTS; see CertificateSeries."""
         return self.law.derived("certificate", self._derived)
 
     def _derived(self) -> ca.Function:
@@ -185,10 +143,6 @@ class Certificate:
         (q_l, q_m), (dq_l, dq_m) = ca.vertsplit(position, robot.n), ca.vertsplit(velocity, robot.n)
         kinetic = (ca.dot(dq_l, robot.links.M_l(q_l) @ dq_l) + ca.dot(dq_m, robot.M_m @ dq_m)) / 2
         return kinetic + robot.links.P_l(q_l) + ca.dot(q_m - q_l, robot.K @ (q_m - q_l)) / 2
-
-    @cached_property
-    def _at(self) -> NumericFunction:
-        return NumericFunction(self.function)
 
 
 def _rate(drive: Array, excess: Array, dissipation: Array) -> Array:
