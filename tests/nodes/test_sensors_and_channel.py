@@ -218,8 +218,8 @@ def measured(sensor: Sensors, instants: int = N) -> tuple[np.ndarray, np.ndarray
 
 
 def test_sensors_without_errors_are_perfect() -> None:
-    assert Sensors(SensorErrors(2)).perfect
-    assert not Sensors(SensorErrors(2, velocities=False)).perfect
+    assert Sensors(SensorErrors(2)).pointer.perfect
+    assert not Sensors(SensorErrors(2, velocities=False)).pointer.perfect
 
 
 def test_encoder_rounds_to_its_nearest_step() -> None:

@@ -228,7 +228,7 @@ def test_predicted_state_is_the_state_after_the_delay(name: str) -> None:
         for seconds in (PERIOD, PERIOD / 2):
             for _ in range(40):
                 then = plant.step(then, sent, seconds / 40)
-        wanted_u, wanted_V = law.command_and_storage(then, jets)
+        wanted_u, wanted_V = (each.full().ravel() for each in law.command_function(then, jets.T))
         np.testing.assert_allclose(u.full().ravel(), wanted_u, rtol=1e-6)
         np.testing.assert_allclose(float(V), wanted_V, rtol=1e-6)
         for _ in range(40):

@@ -202,7 +202,6 @@ def test_an_update_returns_views_of_one_state() -> None:
 def test_compiled_observer_gives_the_same_numbers() -> None:
     one, other = Moving(ARMS[-1]), Moving(ARMS[-1])
     other.observer = fjr.VelocityObserver(ARMS[-1].robot, BANDWIDTH, compile=True)
-    other.observer.warm_up()
     for moving in (one, other):
         moving.begun(exact=False).run(20)
     np.testing.assert_allclose(one.observer.state, other.observer.state, rtol=1e-11)

@@ -51,11 +51,6 @@ class Sensors:
         self.pointer.perfect, self.pointer.velocities = errors.off, errors.velocities
 
     @property
-    def perfect(self) -> bool:
-        """True without errors."""
-        return bool(self.pointer.perfect)
-
-    @property
     def velocities(self) -> bool:
         """True if velocities are measured."""
         return bool(self.pointer.velocities)

@@ -74,7 +74,6 @@ MESSAGES = integer("a number of messages", "1 or more", 1, 1e15)
 PORT = integer("a port", "0 to 65535", 0, 65535)
 CHAIN = integer("a chain", "its number, 1 or more", 1, 1000)
 RUNS = integer("a number of runs", "1 or more", 1, 1e9)
-PORT = integer("a port", "0 to 65535", 0, 65535)
 SOLUTIONS = integer("a number of solutions", "2 to 64", 2, 64)
 
 

@@ -100,11 +100,6 @@ class StaticLaw(ABC):
         """Return the effort u(x, x, t) (n,) [N m] at a state x (4n,) with momenta; jets (5, n)."""
         return self._command(x, jets)[0]
 
-    def command_and_storage(self, x: ArrayLike, jets: ArrayLike) -> tuple[Array, float]:
-        """Return the effort u(x, x, t) (n,) [N m] and the storage V [J] at a state x (4n,); jets (5, n)."""
-        u, V = self._command(x, jets)
-        return u, float(V[0])
-
     @cached_property
     def command_function(self) -> ca.Function:
         """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; compiled if requested."""

@@ -94,11 +94,6 @@ class VelocityObserver:
         """Estimate (4n,): smoothed q_l, q_m [rad] and dq_l, dq_m [rad/s]; valid until the next update."""
         return self._x_hat
 
-    @property
-    def fresh(self) -> bool:
-        """True if the last update restarted the observer; the velocities are 0 because they are unknown."""
-        return self._k == 0
-
     @cached_property
     def function(self) -> ca.Function:
         """The CasADi function (x_hat, y, u, dt, gain) -> x_hat at the next sample; compiled if requested.
@@ -112,10 +107,6 @@ class VelocityObserver:
     def reset(self) -> None:
         """Reset the observer; the next sample is the first."""
         self._stamp = None
-
-    def warm_up(self) -> None:
-        """Build and bind the function, so that the first update is as fast as any other."""
-        _ = self._advance
 
     def update(self, stamp: int, q_l: ArrayLike, q_m: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
         """Return the velocities (dq_l, dq_m), each (n,) [rad/s], at `stamp` [ns]; they are valid until the next update.
