@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
@@ -34,7 +35,8 @@ from .owned_step import OwnedStep
 from .program import controller_program, step_functions
 from .refusals import Refusals
 
-READING_PERIOD = 0.02  # s
+READING_PERIOD = 0.05  # s
+READING_PERIOD_SIMULATED = 0.02  # s; simulated time stands still while the queue is full
 RECORDS = 4096  # 4 s at 1 kHz
 LOST = "samples not reported"
 AT_ONCE = 1024  # records between two callbacks of other parts of the node
@@ -46,7 +48,7 @@ class LoopError(FjrError):
 
 
 class NativeCommandLoop:
-    """The native sibling of CommandLoop; listeners and reports get each sample from a queue, READING_PERIOD later.
+    """The native sibling of CommandLoop; listeners and reports get each sample from a queue, a READING_PERIOD later.
 
     Raises NativeError if the loop cannot be built.
     """
@@ -125,7 +127,8 @@ class NativeCommandLoop:
         self._loop.use(publishers)
         self._loop.start(process_settings(self._node.values).priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timers = [self._node.create_timer(READING_PERIOD, self._read, clock=steady)]
+        period = READING_PERIOD_SIMULATED if self._simulated else READING_PERIOD
+        self._timers = [self._node.create_timer(period, self._read, clock=steady)]
         if self._simulated:
             clock = self._node.get_clock()
             self._timers.append(self._node.create_timer(state_timeout / SILENCE_CHECKS, self._on_silence, clock=clock))
@@ -237,13 +240,18 @@ class NativeCommandLoop:
             sample, command = _sample_of(record), _command_of(record)
             for listener in listeners:
                 listener(sample, command, int(record["arrival"]), int(record["sent"]))
-        for stamp in records["sample"]["stamp"].tolist():
+        for stamp in records["sample"]["stamp"].tolist() if self._simulated else ():
             self._reports.at(stamp)
-        for state in records["command"]["state"].tolist():
-            if STATES[state] is not self._state:
-                self._state = STATES[state]
-                if self._state is State.TRACKING:
-                    self._reports.announce("tracking", "tracking: the effort is the law's own")
+        for state in _changes(records["command"]["state"], self._state):
+            self._state = state
+            if state is State.TRACKING:
+                self._reports.announce("tracking", "tracking: the effort is the law's own")
+
+
+def _changes(states: NDArray[Any], before: State) -> list[State]:
+    """Return the states (k,) that differ from their predecessor, the first one from `before`."""
+    last = np.append(STATES.index(before), states[:-1])
+    return [STATES[state] for state in states[states != last].tolist()]
 
 
 def _sample_of(record: Any) -> JointSample:
