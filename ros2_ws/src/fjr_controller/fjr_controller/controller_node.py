@@ -17,7 +17,7 @@ from fjr_core.config import builders
 from fjr_core.config.process import process_parameters, process_settings
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.events import EventWriter
-from fjr_msgs_py.node import process
+from fjr_msgs_py.node import participant, process
 from fjr_msgs_py.node.parameters import ManagedParameterNode
 
 from .components import Control
@@ -41,8 +41,8 @@ class ControllerNode(ManagedParameterNode):
     """Error of the last transition, None if it succeeded."""
 
     def __init__(self, discovery_time: float = 0.0, **node_kwargs: Any) -> None:
-        """Create the node; discovery_time [s]: least age of the node when it is activated."""
-        self._discovered_at = time.monotonic() + discovery_time
+        """Create the node; discovery_time [s]: least age of its participant when it is activated."""
+        self._discovered_at = time.monotonic() + discovery_time - participant.age()
         self._control: Control | None = None
         self._starting = False  # in the constructor: errors are raised instead of logged
         super().__init__(names.CONTROLLER, builders.controller_parameters, **node_kwargs)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The executable controller_node: set signal handlers and limit threads before anything loads that takes time."""
+"""The executable controller_node: set signal handlers, limit threads, join the DDS domain, then load the rest."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ def main() -> int:
     pause_garbage_collection()
     without_blas_threads()
     ament_index_of_wheels()
+    from fjr_msgs_py.node.participant import join
+
+    join()
     from fjr_controller.controller_node import main as run
 
     return run()

@@ -27,6 +27,15 @@ def resume_garbage_collection() -> None:
     gc.enable()
 
 
+def index_modules() -> None:
+    """Tell `inspect` the files of the loaded modules, which it searches for 50 ms at the first line of a node's log."""
+    import inspect
+
+    for name, module in sys.modules.copy().items():
+        if file := getattr(module, "__file__", None):
+            inspect.modulesbyfile.setdefault(file, name)
+
+
 def ament_index_of_wheels() -> None:
     """Append this Python environment to AMENT_PREFIX_PATH if it holds these packages as wheels.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
 from pathlib import Path
 
 
@@ -22,6 +21,8 @@ def ensure_log_folder() -> None:
         reason = f"{folder} cannot be written"
     except OSError as error:
         reason = f"{error.filename} cannot be made ({error.strerror})" if error.filename else str(error)
+    import tempfile  # loaded on use: a node starts sooner
+
     os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="fjr-ros-log-")
     print(f"{reason}; the log files of ROS 2 are in {os.environ['ROS_LOG_DIR']}", file=sys.stderr, flush=True)
 

@@ -14,14 +14,13 @@ from rclpy.duration import Duration
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.publisher import Publisher
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from fjr_core import FjrError
 from fjr_core.config.process import NATIVE, process_settings
 
-from .loading import resume_garbage_collection
-from .log_folder import ensure_log_folder
+from . import participant
+from .loading import index_modules, resume_garbage_collection
 from .parameters import ParameterNode
 from .scheduling import apply_process_settings, freeze_garbage, yield_to_other_threads
 
@@ -59,9 +58,9 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda received, _: stopped.append(received))
     node = None
-    ensure_log_folder()
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        participant.initialise(args)
+        index_modules()
         ParameterNode.process_arguments = sys.argv if args is None else args
         node = make_node()
         host = _Host(node)
@@ -72,6 +71,7 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
         return 1
     finally:
         ParameterNode.process_arguments = ()
+        participant.hand_over()
         resume_garbage_collection()
     try:
         host.spin(stopped)
