@@ -3,7 +3,7 @@ int echo_message(void* self, int32_t source, const uint8_t* data, size_t size, i
   (void)source, (void)arrival;
   if (fjr_read_joint_state(e->reader, data, size) != FJR_READ) return ++e->rejected, FJR_GO_ON;
   if (++e->messages == e->fault) return fjr_loop_fail(e->loop, "a planted fault");
-  int64_t* record = fjr_ring_free(e->ring);
+  int64_t* record = fjr_ring_free(e->ring, 0);
   if (record) {
     *record = e->reader->stamp;
     fjr_ring_commit(e->ring);

@@ -194,6 +194,7 @@ class NativeCommandLoop:
     def _recertify(self, gains: Any, beta: Any) -> None:
         """Let the thread use other gains for the certificate; records with those before are read first."""
         if self.active:
+            self._step.read()
             self._report()
         self._step.request("FJR_RECERTIFY", gains, beta)
 

@@ -3,6 +3,7 @@
  */
 #define FIRST_UNSENDABLE 2147483648000000000 /* ns; the seconds of a stamp are a signed 32-bit integer */
 #define DRAIN_PERIOD 1000000                 /* ns; wait for Python where no record may be lost */
+#define TOGETHER 8                           /* samples certified at once, at most: the functions stay in the cache */
 #define POSITIONS 0
 #define VELOCITIES 1
 #define EFFORTS 2
@@ -90,33 +91,48 @@ static int publish_auxiliary(struct fjr_controller_loop* l) {
   return outcome == FJR_GO_ON ? fjr_loop_publish(l->loop, l->errors, l->error) : outcome;
 }
 
-static int publish_certificate(struct fjr_controller_loop* l) {
-  const struct fjr_certified* f = &l->found;
-  const int64_t stamp = l->sample.stamp;
+static int publish_certificate(struct fjr_controller_loop* l, int64_t stamp, const struct fjr_certified* f) {
   const double values[] = {(double)(stamp / SECOND), (double)(stamp % SECOND), f->V, f->dV, f->rate, f->bound, f->H,
                            f->supplied, f->dissipated};
   fjr_put_numbers(l->certified, 0, values);
   return fjr_loop_publish(l->loop, l->certificates, l->certified);
 }
 
-static int certify(struct fjr_controller_loop* l, int due) {
+/* Certify a sample; all before it are certified. */
+static int certify(struct fjr_controller_loop* l, struct fjr_record* r, int due) {
   if (!l->certificate) return FJR_GO_ON;
-  if (!l->step.certify(l->certificate, &l->result, l->sample.stamp, &l->found))
+  if (!l->step.certify(l->certificate, &r->command, r->sample.stamp, &r->certified))
     return fjr_loop_fail(l->loop, "the certificate cannot be evaluated");
-  return due && l->found.valid ? publish_certificate(l) : FJR_GO_ON;
+  return due && r->certified.valid ? publish_certificate(l, r->sample.stamp, &r->certified) : FJR_GO_ON;
 }
 
-/* Hand a sample to Python; in simulated time wait for a place, in real time count it as lost if there is none. */
-static int hand_over(struct fjr_controller_loop* l, int64_t arrival, int64_t sent) {
-  struct fjr_record* record;
-  while (!(record = fjr_ring_free(l->records))) {
-    if (!l->simulated) return fjr_ring_lose(l->records), FJR_GO_ON;
-    if (fjr_loop_pause(l->loop, DRAIN_PERIOD) != FJR_GO_ON) return FJR_DONE;
+/* Certify the samples that wait for it, and hand them to Python; due: publish the certificate of the last one. */
+static int hand_over(struct fjr_controller_loop* l, int due) {
+  int outcome = FJR_GO_ON;
+  for (; l->waiting && outcome == FJR_GO_ON; --l->waiting) {
+    outcome = certify(l, fjr_ring_free(l->records, 0), due && l->waiting == 1);
+    fjr_ring_commit(l->records);
   }
-  record->arrival = arrival, record->sent = sent;
-  record->sample = l->sample, record->command = l->result, record->certified = l->found;
-  fjr_ring_commit(l->records);
-  return FJR_GO_ON;
+  return outcome;
+}
+
+/* Return a place in the queue, 0 if there is none; in simulated time wait for Python to make one. */
+static struct fjr_record* place(struct fjr_controller_loop* l) {
+  struct fjr_record* found;
+  while (!(found = fjr_ring_free(l->records, l->waiting)))
+    if (!l->simulated || hand_over(l, 0) != FJR_GO_ON || fjr_loop_pause(l->loop, DRAIN_PERIOD) != FJR_GO_ON) break;
+  return found;
+}
+
+/* Keep a sample for Python; without a place in the queue it is only certified, and in real time counted as lost. */
+static int keep(struct fjr_controller_loop* l, int64_t arrival, int64_t sent, int due) {
+  struct fjr_record *found = place(l), *record = found ? found : &l->spare;
+  record->arrival = arrival, record->sent = sent, record->sample = l->sample, record->command = l->result;
+  if (found) return ++l->waiting == TOGETHER || due || !l->certificate ? hand_over(l, due) : FJR_GO_ON;
+  int outcome = hand_over(l, 0);
+  if (outcome == FJR_GO_ON) outcome = certify(l, record, due);
+  if (!l->simulated) fjr_ring_lose(l->records);
+  return l->simulated && outcome == FJR_GO_ON ? FJR_DONE : outcome;
 }
 
 static int answer(struct fjr_controller_loop* l, int64_t arrival) {
@@ -128,8 +144,7 @@ static int answer(struct fjr_controller_loop* l, int64_t arrival) {
   __atomic_fetch_add(&l->answered, 1, __ATOMIC_RELAXED);
   const int due = l->step.is_due(&l->auxiliary, stamp);
   if (due) outcome = publish_auxiliary(l);
-  if (outcome == FJR_GO_ON) outcome = certify(l, due);
-  return outcome == FJR_GO_ON ? hand_over(l, arrival, sent) : outcome;
+  return outcome == FJR_GO_ON ? keep(l, arrival, sent, due) : outcome;
 }
 
 /* ---- Callbacks of the host ------------------------------------------------------------------------------------- */
@@ -168,19 +183,21 @@ int fjr_controller_request(void* self, int32_t kind, void* argument) {
     case FJR_SEND_STOP: outcome = send_stop(l); break;
     case FJR_CHECK_SILENCE: outcome = check_silence(l, a->time); break;
     case FJR_RECERTIFY:
+      outcome = hand_over(l, 0);
       l->certificate->gains = a->first;
       l->certificate->beta = *(const double*)a->second;
       l->step.certificate_restart(l->certificate);
-      return FJR_GO_ON; /* the controller is as before; without a thread it is Python's */
+      return outcome; /* the controller is as before; without a thread it is Python's */
     default: break;
   }
   *l->copy = *l->controller;
-  return outcome;
+  return outcome == FJR_GO_ON ? hand_over(l, 0) : outcome;
 }
 
 /* After a failure the robot must not keep the last effort. */
 void fjr_controller_end(void* self, int32_t outcome) {
   struct fjr_controller_loop* l = self;
   if (outcome == FJR_FAILED) (void)send_stop(l);
+  (void)hand_over(l, 0);
   *l->copy = *l->controller;
 }

@@ -75,7 +75,8 @@ struct fjr_controller_loop {
   int64_t received, answered, last_stamp;
   struct fjr_sample sample;
   struct fjr_command result;
-  struct fjr_certified found;
+  uint64_t waiting;         /* samples in the queue that are not certified and handed over yet */
+  struct fjr_record spare;  /* of a sample that has no place in the queue */
 };
 
 /* The callbacks of struct fjr_host; self: struct fjr_controller_loop. */

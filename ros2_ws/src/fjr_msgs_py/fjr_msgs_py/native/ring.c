@@ -5,9 +5,9 @@ static uint8_t* slot_of(const struct fjr_ring* ring, uint64_t k) {
   return ring->slots + (k & (ring->capacity - 1)) * ring->record;
 }
 
-void* fjr_ring_free(struct fjr_ring* ring) {
+void* fjr_ring_free(struct fjr_ring* ring, uint64_t ahead) {
   const uint64_t read = __atomic_load_n(&ring->read, __ATOMIC_ACQUIRE);
-  return ring->written - read < ring->capacity ? slot_of(ring, ring->written) : NULL;
+  return ring->written + ahead - read < ring->capacity ? slot_of(ring, ring->written + ahead) : NULL;
 }
 
 void fjr_ring_commit(struct fjr_ring* ring) { __atomic_store_n(&ring->written, ring->written + 1, __ATOMIC_RELEASE); }

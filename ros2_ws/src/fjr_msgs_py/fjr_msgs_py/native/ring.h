@@ -14,8 +14,10 @@ struct fjr_ring {
   uint64_t written, read, lost;
 };
 
-/* Return the next free record for the writer, 0 if the queue is full; fjr_ring_commit hands it over. */
-void* fjr_ring_free(struct fjr_ring* ring);
+/* Return the free record that is `ahead` records after the next one, 0 if the queue ends before; for the writer. */
+void* fjr_ring_free(struct fjr_ring* ring, uint64_t ahead);
+
+/* Hand the next record over. */
 void fjr_ring_commit(struct fjr_ring* ring);
 
 /* Count a record that found no place. */
