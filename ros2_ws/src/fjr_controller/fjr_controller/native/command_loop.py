@@ -7,7 +7,6 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
@@ -15,9 +14,8 @@ from sensor_msgs.msg import JointState
 
 from fjr_core import FjrError, Measurement
 from fjr_core.config.process import process_settings
-from fjr_core.control_step.control_step import NEVER
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.joint_states import JointSample, StateReader
+from fjr_msgs_py.messages.joint_states import StateReader
 from fjr_msgs_py.native.entities import NativeReader, NativeSubscription, publisher_address
 from fjr_msgs_py.native.loop import Loop
 from fjr_msgs_py.native.ring import Ring
@@ -27,12 +25,13 @@ from ..ros.certificate_diagnosis import CertificateDiagnosis
 from ..ros.command_conflict import CommandConflictError, CommandTopics
 from ..ros.command_loop import SILENCE_CHECKS, Listener
 from ..ros.diagnostics import ANSWERED, RECEIVED, Reports
-from ..tracking.events import STATES, State
-from ..tracking.tracker import Command, Tracker
+from ..tracking.events import State
+from ..tracking.tracker import Tracker
 from .certificate import NativeCertificate
 from .messages import CommandMessages
 from .owned_step import OwnedStep
 from .program import controller_program, step_functions
+from .records import changes, command_of, sample_of
 from .refusals import Refusals
 
 READING_PERIOD = 0.05  # s
@@ -234,42 +233,26 @@ class NativeCommandLoop:
             self._reports.publish_events()
 
     def _on_records(self, records: NDArray[Any]) -> None:
+        """Process records; a report by their stamps covers all up to its own and none after it."""
+        start = 0
+        for k, stamp in enumerate(records["sample"]["stamp"].tolist() if self._simulated else (), start=1):
+            if self._reports.due(stamp) or k == len(records):
+                self._process(records[start:k])
+                self._reports.at(stamp)
+                start = k
+        self._process(records[start:])
+
+    def _process(self, records: NDArray[Any]) -> None:
+        if not len(records):
+            return
         if self._certificate is not None:
             self._certificate.on_records(records)
         listeners = [listener for listener, wants in self._listeners if wants()]
         for record in records if listeners else ():
-            sample, command = _sample_of(record), _command_of(record)
+            sample, command = sample_of(record), command_of(record)
             for listener in listeners:
                 listener(sample, command, int(record["arrival"]), int(record["sent"]))
-        for stamp in records["sample"]["stamp"].tolist() if self._simulated else ():
-            self._reports.at(stamp)
-        for state in _changes(records["command"]["state"], self._state):
+        for state in changes(records["command"]["state"], self._state):
             self._state = state
             if state is State.TRACKING:
                 self._reports.announce("tracking", "tracking: the effort is the law's own")
-
-
-def _changes(states: NDArray[Any], before: State) -> list[State]:
-    """Return the states (k,) that differ from their predecessor, the first one from `before`."""
-    last = np.append(STATES.index(before), states[:-1])
-    return [STATES[state] for state in states[states != last].tolist()]
-
-
-def _sample_of(record: Any) -> JointSample:
-    n = len(record["sample"]["link"])
-    return JointSample(int(record["sample"]["stamp"]), record["sample"]["link"], record["command"]["position"][n:])
-
-
-def _command_of(record: Any) -> Command:
-    found = record["command"]
-    u, jets, start = found["u"], found["jets"].reshape(-1, len(found["u"])), int(found["bound_start"])
-    return Command(
-        u,
-        jets,
-        float(found["V"]),
-        found["velocity"],
-        STATES[found["state"]],
-        bool(found["restarted"]),
-        found["position"],
-        None if start == NEVER else start,
-    )

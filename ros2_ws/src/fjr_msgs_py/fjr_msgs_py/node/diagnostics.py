@@ -95,11 +95,15 @@ class Health:
         """Publish another status with each report; `status` is called to make it."""
         self._others.append(status)
 
+    def due(self, stamp: int) -> bool:
+        """Return True if `at` publishes a report at this stamp [ns]."""
+        return self._by_stamps and not 0 <= stamp - self._reported < _PERIOD_NS
+
     def at(self, stamp: int) -> None:
         """Set the current stamp [ns]; with use_sim_time publish a report once per second of stamps."""
         if self._by_stamps:
-            self._stamp = stamp
-            if not 0 <= stamp - self._reported < _PERIOD_NS:
+            due, self._stamp = self.due(stamp), stamp
+            if due:
                 self._reported = stamp
                 self.publish()
 
