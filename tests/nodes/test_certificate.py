@@ -65,15 +65,15 @@ def test_each_state_has_its_certificate(ros: Ros) -> None:
     for stamp in sorted(set(seen) & set(states) & set(answered))[:50]:
         state, values = states[stamp], seen[stamp]
         jets = fjr.Sine(1.0, 1.0).jets((stamp - start) * 1e-9)
-        wanted = balance.at(state.position, state.velocity, jets, [answered[stamp]])
+        wanted = balance.along([state.position], [state.velocity], [jets], [[answered[stamp]]])
         for name, value in (
-            ("V", wanted.V),
-            ("H", wanted.H),
-            ("supplied", wanted.supplied),
-            ("dissipated", wanted.dissipated),
+            ("V", wanted.V[0]),
+            ("H", wanted.H[0]),
+            ("supplied", wanted.supplied[0]),
+            ("dissipated", wanted.dissipated[0]),
         ):
             assert getattr(values, name) == pytest.approx(value, rel=1e-9), name
-        assert values.dV_predicted == pytest.approx(wanted.dV, rel=1e-8)
+        assert values.dV_predicted == pytest.approx(wanted.dV[0], rel=1e-8)
         assert values.bound * (1 + 1e-9) >= values.V
     one, other = sorted(set(seen))[10:12]
     rate = (seen[other].V - seen[one].V) / ((other - one) * 1e-9)

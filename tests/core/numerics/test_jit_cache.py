@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.certificate import Certificate
+from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.numerics.code_cache import cache_folder
 
 pytestmark = pytest.mark.skipif(not (shutil.which("cc") or shutil.which("gcc")), reason="no C compiler")
@@ -31,9 +31,14 @@ def balance(gains: fjr.Gains = fjr.PAPER_GAINS, **robot: float) -> Certificate:
     return Certificate(fjr.TrackingLaw(fjr.planar_two_link(**robot), gains, compile=True))
 
 
+def at_point(certificate: Certificate, u: list[float] | None = None) -> CertificateSeries:
+    """Return the certificate at POINT, one instant."""
+    return certificate.along(*(np.array(each)[None] for each in POINT), None if u is None else [u])
+
+
 def test_a_cached_function_is_not_derived_again(derivations: list[str]) -> None:
-    first = balance().at(*POINT)
-    second = balance().at(*POINT)
+    first = at_point(balance())
+    second = at_point(balance())
     assert len(derivations) == 1
     assert (first.V, first.dV, first.H) == (second.V, second.dV, second.H)
 
@@ -58,11 +63,11 @@ def test_a_cached_law_is_not_derived_again_and_takes_other_gains(
 
 
 def test_gain_values_are_arguments_and_their_pattern_is_fixed(derivations: list[str]) -> None:
-    balance().at(*POINT)
-    balance(fjr.Gains(11.0, 21.0, 0.7, 16.0, 61.0, 0.4)).at(*POINT)
+    at_point(balance())
+    at_point(balance(fjr.Gains(11.0, 21.0, 0.7, 16.0, 61.0, 0.4)))
     assert len(derivations) == 1
     full = [[20.0, 1.0], [1.0, 12.0]]
-    balance(fjr.Gains(10.0, full, 0.6, 15.0, 60.0, 0.3)).at(*POINT)
+    at_point(balance(fjr.Gains(10.0, full, 0.6, 15.0, 60.0, 0.3)))
     assert len(derivations) == 2
 
 
@@ -72,15 +77,15 @@ def test_gain_values_are_arguments_and_their_pattern_is_fixed(derivations: list[
     ids=lambda change: next(iter(change)),
 )
 def test_another_robot_is_derived(derivations: list[str], change: dict) -> None:
-    one = balance().at(*POINT, [1.0, 2.0])
-    other = balance(**change).at(*POINT, [1.0, 2.0])
+    one = at_point(balance(), [1.0, 2.0])
+    other = at_point(balance(**change), [1.0, 2.0])
     assert len(derivations) == 2
     assert one.u_law.tolist() != other.u_law.tolist() or one.supplied != other.supplied
 
 
 def test_truncated_machine_code_is_recompiled(derivations: list[str]) -> None:
-    wanted = balance().at(*POINT).V
+    wanted = at_point(balance()).V
     for library in cache_folder().glob("certificate-*.so"):
         library.write_bytes(library.read_bytes()[:100])
-    assert wanted == balance().at(*POINT).V
+    assert wanted == at_point(balance()).V
     assert len(derivations) == 2
