@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from xml.etree import ElementTree
 
@@ -10,8 +11,9 @@ import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from fjr_core.config.description import description
@@ -119,6 +121,17 @@ def test_malformed_command_is_refused_and_logged_once(ros: Ros, peer: Peer, case
     node.stop()
     ros.until(lambda: peer.count(f"command refused: {kind}", "fjr_plant") == 3, "the counter")
     assert capfd.readouterr().err.count("command refused") == 1
+
+
+def test_command_in_another_byte_order_is_refused_with_its_header(ros: Ros, peer: Peer, capfd) -> None:
+    node = ros.plant()
+    peer.meet_plant()
+    big_endian = bytes(4) + struct.pack(">3I4xd", 0, 0, 1, 0.5)
+    assert deserialize_message(big_endian, Float64MultiArray) == command(0.5)
+    peer.effort_publisher.publish(big_endian)
+    ros.until(lambda: node._health.count["command refused: not a message"] == 1, "the refusal")
+    said, wanted = [""], "its CDR header is 00 00; expected 00 01, little-endian"
+    ros.until(lambda: said.append(capfd.readouterr().err) or wanted in "".join(said), "the reason in the log")
 
 
 def test_skipped_ticks_are_counted_and_time_is_kept(ros: Ros, peer: Peer) -> None:

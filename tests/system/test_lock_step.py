@@ -28,7 +28,8 @@ EFFORTS = "/effort_controller/commands"
 def payloads(folder: Path) -> dict[str, dict[int, bytes]]:
     """Return the bytes of all numbers of each topic by stamp [ns]; of repeated messages the first, to exclude timing.
 
-    An effort has no stamp; it gets that of the stamped command that was published with it.
+    An effort has no stamp; it gets that of the stamped command that was published with it. The recording may end
+    between the two.
     """
     found: dict[str, dict[int, bytes]] = {}
     with reader(folder) as bag:
@@ -39,8 +40,9 @@ def payloads(folder: Path) -> dict[str, dict[int, bytes]]:
     stamps = {topic: [nanoseconds(message) for message in messages[topic]] for topic in STAMPED}
     for topic in STAMPED:
         found[topic] = first(stamps[topic], [numbers(message) for message in messages[topic]])
-    assert len(messages[EFFORTS]) == len(messages["/joint_commands"])
-    found[EFFORTS] = first(stamps["/joint_commands"], [message.data.tobytes() for message in messages[EFFORTS]])
+    efforts = [message.data.tobytes() for message in messages[EFFORTS]]
+    count = min(len(efforts), len(stamps["/joint_commands"]))
+    found[EFFORTS] = first(stamps["/joint_commands"][:count], efforts[:count])
     return found
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from fjr_core import FjrError
+from fjr_msgs_py.messages.cdr.layout import LITTLE_ENDIAN
 from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.node.diagnostics import Health
 
@@ -74,4 +75,7 @@ class Events:
             self._read(data)
         except MessageError as error:
             return error
-        return MessageError(REFUSALS[reading], "the message is invalid")
+        if data[:2] == LITTLE_ENDIAN[:2]:
+            return MessageError(REFUSALS[reading], "the message is invalid")
+        seen, wanted = (header[:2].hex(" ") for header in (data, LITTLE_ENDIAN))
+        return MessageError(REFUSALS[reading], f"its CDR header is {seen}; expected {wanted}, little-endian")
