@@ -23,8 +23,9 @@ from .simulated_robot import simulated
 from .timing.deferred_service import DeferredReply, DeferredTrigger
 from .timing.events import EXPECTED
 from .timing.lock_step import LockStep
+from .timing.node_parts import NodeParts
 from .timing.real_time import RealTime
-from .timing.time_base import NodeParts, TimeBase
+from .timing.time_base import TimeBase
 
 TORQUES = "external torques received"
 

@@ -14,7 +14,9 @@ from fjr_msgs_py.native.entities import NativeMessage, NativeReader
 
 from ..native.program import NO_TIME
 from .clock_owner import ClockOwner
-from .time_base import WATCH_PERIOD, NodeParts, TimeBase, seconds, steady
+from .node_parts import NodeParts
+from .stamps import seconds, steady
+from .time_base import WATCH_PERIOD, TimeBase
 
 START = 1_000_000_000  # ns; stamp of the first state, the same in every run
 _EFFORT = 4  # FJR_EFFORT

@@ -10,7 +10,9 @@ from fjr_msgs_py.messages.joint_states import deserialised
 
 from ..native.program import NO_TIME
 from .host import RclpyHost
-from .time_base import NodeParts, TimeBase, steady
+from .node_parts import NodeParts
+from .stamps import steady
+from .time_base import TimeBase
 
 
 class RealTime(TimeBase):

@@ -3,48 +3,31 @@
 
 from __future__ import annotations
 
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from fjr_core import FjrError
 from fjr_core.config.process import NATIVE
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr.layout import joint_state
-from fjr_msgs_py.messages.joint_states import EffortReader
 from fjr_msgs_py.native.entities import NativeMessage
-from fjr_msgs_py.node.diagnostics import Health
 
-from ..channel import Transport
 from ..native.program import NO_TIME, array, plant_program
-from ..simulated_robot import SimulatedRobot
 from .deferred_service import DeferredReply
 from .events import Events
 from .host import Host, Hosted, NativeHost, RclpyHost
+from .node_parts import NodeParts
+from .stamps import seconds
 
 WATCH_PERIOD = 0.05  # s between ticks in lock-step
 
 
 class SendError(FjrError):
     """A message that could not be sent."""
-
-
-@dataclass(frozen=True)
-class NodeParts:
-    """Components of the plant node."""
-
-    node: Node
-    values: dict[str, Any]
-    robot: SimulatedRobot
-    transport: Transport
-    reader: EffortReader
-    health: Health
 
 
 class TimeBase(ABC):
@@ -230,11 +213,8 @@ class TimeBase(ABC):
         if reply is None:
             return
         done, self.plant.left = self._samples - self.plant.left, 0
-        now = f"the time is {seconds(self.stamp)} s"
-        if success:
-            reply.give(True, f"advanced by {done} samples: {now}")
-        else:
-            reply.give(False, f"{why} after {done} of {self._samples} samples: {now}")
+        how = f"advanced by {done} samples" if success else f"{why} after {done} of {self._samples} samples"
+        reply.give(success, f"{how}: the time is {seconds(self.stamp)} s")
 
     # Faults of the C.
 
@@ -267,14 +247,3 @@ class TimeBase(ABC):
     def _log_once(self, sentence: str) -> None:
         if self._health.is_new(sentence):
             self._parts.node.get_logger().info(sentence)
-
-
-def steady() -> int:
-    """Return the time of the steady clock [ns]."""
-    return time.monotonic_ns()
-
-
-def seconds(stamp: int) -> str:
-    """Format a stamp [ns] in seconds with all digits."""
-    sec, nanosec = divmod(stamp, 1_000_000_000)
-    return f"{sec}.{nanosec:09d}"
