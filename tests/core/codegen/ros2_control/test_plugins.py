@@ -90,7 +90,7 @@ def test_inactive_arm_is_held_by_its_brakes(drive: Path) -> None:
 
 
 def test_missing_states_hold_the_effort_until_the_timeout(drive: Path) -> None:
-    output = program_output(drive, "silence")
+    output = program_output(drive, "silence", "use_sim_time=1")
     found = values(output)
     assert found["held"] == found["after_timeout"] == 0
     assert "events silences;recoveries;" in output
