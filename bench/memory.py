@@ -15,6 +15,8 @@ from bench.tap import Tap
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py import names
 
+HOSTS = ("native", "events")
+"""Values of the parameter `executor` of both nodes."""
 MINUTES = 10.0
 SETTLED = 1.0  # minutes; discarded
 BOUND = 32.0  # kB/min; half a byte a sample at 1 kHz
@@ -23,12 +25,21 @@ LONGEST = 60.0  # s; timeout of the start
 
 
 def flat(minutes: float = MINUTES) -> list[Figure]:
-    """Return the growth of the resident memory of each node, by a line fit after the first minute."""
-    with scenario_file() as file, running(plant(file), controller(file)) as pids:
+    """Return the growth of the resident memory of each node, by a line fit after the first minute.
+
+    For the hosts of the control step one after the other, with minutes each.
+    """
+    return [each for host in HOSTS for each in _of_host(host, minutes)]
+
+
+def _of_host(host: str, minutes: float) -> list[Figure]:
+    executor = "-p", f"executor:={host}"
+    with scenario_file() as file, running(plant(file, *executor), controller(file, *executor)) as pids:
         with Tap() as tap:
             tap.next(names.JOINT_COMMANDS, LONGEST)
         seconds, kilobytes = _watched(pids, 60 * minutes)
-    return [figure(name, seconds, column) for name, column in zip(("plant", "controller"), kilobytes.T, strict=True)]
+    nodes = (f"plant node, {host}", f"controller node, {host}")
+    return [figure(name, seconds, column) for name, column in zip(nodes, kilobytes.T, strict=True)]
 
 
 def _watched(pids: Sequence[int], duration: float) -> tuple[Array, Array]:
@@ -59,4 +70,4 @@ def figure(name: str, seconds: Array, kilobytes: Array) -> Figure:
         "at the end [MB]": float(kilobytes[-1]) / 1024,
         "minutes": float(seconds[-1]) / 60,
     }
-    return Figure(f"memory of the {name} node, growth", slope, "kB/min", bound=BOUND, parts=parts)
+    return Figure(f"memory of the {name}, growth", slope, "kB/min", bound=BOUND, parts=parts)
