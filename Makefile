@@ -28,7 +28,7 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
-.PHONY: help demo test test-all bench faults compare robots docs lint wheels build check clean
+.PHONY: help demo test test-all bench faults hosts compare robots docs lint wheels build check clean
 .DEFAULT_GOAL := help
 
 help:  ## print this list
@@ -54,6 +54,10 @@ bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.
 faults: ## inject faults into the running nodes and write docs/faults.md (FAULTS_ARGS="...")
 	$(SETUP) test
 	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.faults $(FAULTS_ARGS)
+
+hosts: ## feed all hosts of the control step with the same states, half an hour, write docs/control_step.md (HOSTS_ARGS="...")
+	$(SETUP) test
+	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.hosts $(HOSTS_ARGS)
 
 compare: ## compare all laws on three robots, minutes, and write the table into docs/compare.md (COMPARE_ARGS="...")
 	$(SETUP) build

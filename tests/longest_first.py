@@ -40,6 +40,7 @@ LONGEST_FIRST = (
     "system/test_wiring_faults.py",
     "system/test_arm_replay.py",
     "system/test_watch_browser.py",
+    "hosts/test_hosts.py",
     "system/test_compare.py",
     "system/test_new_command.py",
     "system/test_foxglove.py",

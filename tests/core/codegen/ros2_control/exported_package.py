@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -36,11 +37,16 @@ def step_objects(folder: Path) -> list[Path]:
 
 def driver(folder: Path, package: str) -> Path:
     """Compile both plugins against the stand-ins, with warnings as errors, and link them to the driver."""
-    where = [f"-I{folder / 'step'}", f"-I{folder / 'src'}", f"-I{_headers(folder)}", f"-I{HERE}", "-c"]
-    names = [f"-DPACKAGE={package}", f'-DCLOCK="{package}_clock"']
-    sources = [*(folder / "src" / f"{name}.cpp" for name in SOURCES), HERE / "drive.cpp"]
-    objects = [built(CPP, [source], folder / f"{source.stem}.o", *where, *names) for source in sources]
-    return built(CPP, [*objects, *step_objects(folder)], folder / "drive")
+    return linked(folder, package, SOURCES, HERE / "drive.cpp")
+
+
+def linked(folder: Path, package: str, names: Sequence[str], main: Path) -> Path:
+    """Compile sources of a package and a main program against the stand-ins; return the program."""
+    where = [f"-I{each}" for each in (folder / "step", folder / "src", _headers(folder), HERE, main.parent)]
+    defined = [f"-DPACKAGE={package}", f'-DCLOCK="{package}_clock"']
+    sources = [*(folder / "src" / f"{name}.cpp" for name in names), main]
+    objects = [built(CPP, [source], folder / f"{source.stem}.o", *where, "-c", *defined) for source in sources]
+    return built(CPP, [*objects, *step_objects(folder)], folder / main.stem)
 
 
 def replayed(folder: Path, package: str) -> tuple[int, int]:

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Feed all hosts of the control step with the same samples and write docs/control_step.md: `python -m tests.hosts`.
+
+    python -m tests.hosts [--samples 100000] [WORD ...]
+
+The workspace must be sourced. With words, only scenarios and fault rows whose name contains one of them, and the table
+is only printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(TESTS))
+
+import conftest  # noqa: E402, F401 (a ROS domain of its own)
+from faults.fault_rows import ROWS  # noqa: E402
+from fjr_bringup.scenarios.installed import installed  # noqa: E402
+from hosts import recording  # noqa: E402
+from hosts.comparison import Compared, Comparison, with_states  # noqa: E402
+from hosts.inputs import Sequence  # noqa: E402
+from hosts.table import head, line, written  # noqa: E402
+
+DOCUMENT = TESTS.parent / "docs" / "control_step.md"
+SAMPLES = 100_000
+
+
+def main(words: list[str]) -> int:
+    """Return the exit code: 0 if no effort differs."""
+    parser = argparse.ArgumentParser(prog="python -m tests.hosts", description="Compare the hosts of the control step.")
+    parser.add_argument("--samples", type=int, default=SAMPLES, help=f"states of each sequence (default: {SAMPLES})")
+    parser.add_argument("words", nargs="*", metavar="WORD", help="only sequences whose name contains one of these")
+    arguments = parser.parse_args(words)
+    done: list[Compared] = []
+    print(head())
+    with Comparison() as comparison:
+        for name, run in _runs(comparison, arguments.samples).items():
+            if not arguments.words or any(word in name for word in arguments.words):
+                done.append(run())
+                print(line(done[-1]), flush=True)
+    if not arguments.words:
+        text = "\n".join([head(), *map(line, done)])
+        DOCUMENT.write_text(written(DOCUMENT.read_text(encoding="utf-8"), text), encoding="utf-8")
+    return 0 if all(row.equal for row in done) else 1
+
+
+def _runs(comparison: Comparison, samples: int) -> dict[str, Callable[[], Compared]]:
+    """Return the comparisons by the names of scenarios and fault rows."""
+
+    def of_scenario(name: str) -> Compared:
+        return comparison.compared(*recording.of_scenario(name, samples))
+
+    def of_sequence(record: Callable[[], Sequence]) -> Compared:
+        return comparison.compared(with_states(record(), samples))
+
+    scenarios = {name: partial(of_scenario, name) for name in installed("scenarios")}
+    rows = {row.name: partial(of_sequence, partial(recording.of_row, row)) for row in ROWS}
+    return {**scenarios, **rows, recording.REQUESTS: partial(of_sequence, recording.of_requests)}
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

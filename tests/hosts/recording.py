@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Record the inputs of a controller: in a study of a scenario, or on the topics while a fault is injected."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+
+from faults.fault_rows import JOINT, Row
+from faults.rig import SECOND, STEPPED, Rig
+from faults.watcher import COMMANDS, STATES
+from fjr_core.config.scenario import parse_scenario
+from fjr_core.experiments.scenario_loop import scenario_loop
+from fjr_core.simulation.batch import Draws
+from fjr_msgs_py.messages.joint_states import JointStateWriter
+from fjr_msgs_py.names import state_names
+from hosts.inputs import Input, Kind, Sequence, with_ticks
+from hosts.step_hosts import Efforts
+from system.executables import scenario as file_of
+
+NOISE = {"position_noise": 1e-6, "velocity_noise": 1e-3}
+"""Of the sensors [rad, rad/s], so that no two samples are equal."""
+REQUESTS = "stop, resume, new gains and limits, hold"
+LIMITED = {"limits.tracking_error": [0.5]}
+CHANGED = {"gains.K_ld": [0.7], "gains.Pi_l": [40.0], "limits.effort": [1.0]}
+STOP, RESUMED, CHANGE, HELD = 300, 400, 550, 700
+"""Samples at which the state is outside the limit, and of the requests."""
+START = SECOND  # stamp of the first sample: a message needs one above 0
+TICK = SECOND // 100  # a tenth of state_timeout of the fault rows, as in the nodes
+
+
+def of_scenario(name: str, samples: int) -> tuple[Sequence, Efforts]:
+    """Return the samples of an installed scenario in a study, and the efforts (samples, n) of that study."""
+    return of_study(name, Path(file_of(name)).read_text(encoding="utf-8"), samples)
+
+
+def of_study(name: str, document: str, samples: int) -> tuple[Sequence, Efforts]:
+    """Return the samples of the scenario of a document in a study, and the efforts (samples, n) of that study."""
+    s = parse_scenario(name, document)
+    duration = (samples - 0.5) * s.sample_period
+    _, run = scenario_loop(s, s.sampled_law, duration, settle_after=0.0).recorded(Draws(1, **NOISE))
+    writer, n = JointStateWriter(state_names(s.joints)), len(s.joints)
+    inputs = []
+    for k, measured in enumerate(run.measured[0]):
+        stamp = START + round(k * s.sample_period * SECOND)
+        raw = bytes(writer.fill(stamp, measured[: 2 * n], measured[2 * n :]))
+        inputs.append(Input(Kind.STATE, stamp, raw))
+    return Sequence(name, document, True, tuple(inputs), published=True), run.u[0]
+
+
+def of_requests() -> Sequence:
+    """Return states of a joint with one outside the limit of the error, then the requests."""
+    document, changed = (yaml.safe_dump(JOINT.document({"controller": more})) for more in (LIMITED, LIMITED | CHANGED))
+    sequence, _ = of_study("requests", document, 1000)
+    inputs = list(sequence.inputs)
+    message = deserialize_message(inputs[STOP].raw, JointState)
+    message.position = [each + 1.0 for each in message.position]
+    inputs[STOP] = Input(Kind.STATE, inputs[STOP].time, serialize_message(message))
+    for at, kind in ((HELD, Kind.HOLD), (CHANGE, Kind.CHANGE), (RESUMED, Kind.RESUME)):
+        inputs.insert(at, Input(kind, inputs[at].time, parameters=CHANGED if kind is Kind.CHANGE else {}))
+    return Sequence(REQUESTS, document, True, tuple(inputs), published=True, changed=changed)
+
+
+def of_row(row: Row) -> Sequence:
+    """Inject the fault of a row into running nodes; return what the controller received."""
+    rig, log = Rig(row.setting, row.mode), _Log()
+    try:
+        rig.start_both()
+        log.attach(rig)
+        _, end = row.act(rig)
+        rig.until_stamp(end + SECOND // 10)
+        rig.until_calm(1.0 + (row.recovery or 0.0))
+        rig.watcher.look()
+        inputs = log.inputs(rig)
+    finally:
+        rig.close()
+    simulated = row.mode == STEPPED
+    document = yaml.safe_dump(row.setting.document(), sort_keys=False)
+    return Sequence(row.name, document, simulated, tuple(inputs) if simulated else with_ticks(inputs, TICK))
+
+
+@dataclass
+class _Log:
+    """What a row does to the controller besides its states; times of the system clock [ns]."""
+
+    killed: int = 0
+    restarted: int = 0
+    requests: list[Input] = field(default_factory=list)
+
+    def attach(self, rig: Rig) -> None:
+        """Note what the row asks the rig to do from now on."""
+        kill, start, set_ = rig.kill, rig.start, rig.remote.set
+
+        def noted_kill(node: str) -> None:
+            if node == "controller":
+                self.killed = time.time_ns()
+            kill(node)
+
+        def noted_start(node: str, *arguments: str, key: str = "") -> str:
+            if node == "controller" and not key:
+                self.restarted = time.time_ns()
+            return start(node, *arguments, key=key)
+
+        def noted_set(node: str, values: Mapping[str, Any]) -> str:
+            if node.endswith("controller"):
+                self.requests.append(Input(Kind.PARAMETERS, time.time_ns(), parameters=dict(values)))
+            return set_(node, values)
+
+        rig.kill, rig.start, rig.remote.set = noted_kill, noted_start, noted_set  # type: ignore[method-assign]
+
+    def inputs(self, rig: Rig) -> list[Input]:
+        """Return states and requests in the order of their times, without the states that no controller received."""
+        states, found = rig.watcher.heard[STATES], list(self.requests)
+        if self.killed:
+            answered = next(heard.stamp for heard in rig.watcher.heard[COMMANDS] if heard.sent > self.restarted)
+            first = next(heard.sent for heard in states if heard.stamp >= answered)
+            states = [heard for heard in states if not self.killed < heard.sent < first]
+            found.append(Input(Kind.RESTART, first))
+        found += [Input(Kind.STATE, heard.sent, heard.raw) for heard in states]
+        return sorted(found, key=lambda each: each.time)

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Efforts of a recorded sequence from the control step in Python, and from that of the compiled loop of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fjr_core.codegen.step_code import controller_of
+from fjr_core.config.measurement import measurement, observer
+from fjr_core.config.safety import safety
+from fjr_core.control_step.control_step import ControlStep
+from fjr_core.control_step.event_kinds import KINDS
+from fjr_core.control_step.library import StepLibrary
+from fjr_core.control_step.reference_struct import ReferenceStruct
+from fjr_core.control_step.settings_struct import Model, settings_struct
+from fjr_core.simulation.batch.program import BatchProgram
+from hosts.inputs import Kind, Sequence
+
+Efforts = NDArray[np.float64]
+
+
+class Replay(NamedTuple):
+    """Efforts (k, n) that were sent, their number after each input, and the counters of the controller by name."""
+
+    efforts: Efforts
+    counts: list[int]
+    counters: dict[str, int]
+
+
+def reference_replay(sequence: Sequence, repeats: bool = True) -> Replay:
+    """Replay the inputs in the control step in Python; repeats: states with the stamp of the last one arrive."""
+    s = sequence.scenario
+    made = controller_of(s)
+    step = ControlStep(
+        s.law, made.reference, made.settings, made.observer, sequence.simulated, made.robust, made.measurement
+    )
+    first = bytes(step.ffi.buffer(step.controller))
+
+    def restart() -> None:
+        step.ffi.memmove(step.controller, first, len(first))
+
+    host = _Host(step.ffi, step.lib, step.model, step.controller, restart, changes(step.library, sequence))
+    return host.replay(sequence, repeats)
+
+
+def campaign_efforts(sequence: Sequence) -> Efforts:
+    """Return all efforts (k, n) that the step of the compiled loop of a study sends."""
+    s = sequence.scenario
+    values, robot, law = s.controller_values, s.robot, s.sampled_law
+    settings, measured, seen = safety(values, robot), measurement(values, robot), observer(values, robot)
+    program = BatchProgram(s.plant.robot, law, s.plant, settings, seen, measured)
+    ffi, lib, _ = program.library
+    model = Model(program.library, law, seen, measured, sequence.simulated, functions=program.model_functions)
+    reference, gains = ReferenceStruct(ffi, s.reference), np.ascontiguousarray(law.gain_values, dtype=float)
+    written = settings_struct(program.library, settings, law)
+    controller = ffi.new("struct fjr_controller *")
+
+    def restart() -> None:
+        lib.fjr_init(controller, written, ffi.cast("double *", gains.ctypes.data), reference.pointer)
+
+    restart()
+    changed = changes(program.library, sequence)
+    return _Host(ffi, lib, model.pointer, controller, restart, changed).replay(sequence).efforts
+
+
+class Changes(NamedTuple):
+    """What a CHANGE sets: struct fjr_settings, gains, and K_md by rows [N m s/rad]."""
+
+    settings: Any
+    gains: Efforts
+    hold_damping: Efforts
+
+
+def changes(library: StepLibrary, sequence: Sequence) -> Changes:
+    """Return settings and gains of the changed scenario."""
+    s = sequence.changed_scenario
+    settings = settings_struct(library, safety(s.controller_values, s.robot), s.law)
+    numbers = (np.ascontiguousarray(each, dtype=float) for each in (s.sampled_law.gain_values, s.law.hold_damping))
+    return Changes(settings, *numbers)
+
+
+class _Host:
+    """Call the functions of step.h for all inputs, as a node does, and keep the efforts that they send."""
+
+    def __init__(
+        self, ffi: Any, lib: Any, model: Any, controller: Any, restart: Callable[[], None], changed: Changes
+    ) -> None:
+        self._ffi, self._lib, self._model, self._controller = ffi, lib, model, controller
+        self._command = ffi.new("struct fjr_command *")
+        self._sent: list[bytes] = []
+        self._changed = changed
+        self._other: dict[int, Callable[[], None]] = {
+            Kind.HOLD: lambda: lib.fjr_hold(controller),
+            Kind.RESUME: lambda: lib.fjr_resume(controller),
+            Kind.CHANGE: self._change,
+            Kind.RESTART: restart,
+        }
+
+    def replay(self, sequence: Sequence, repeats: bool = True) -> Replay:
+        """Give all inputs to the step; repeats: see reference_replay."""
+        counts, last = [], None
+        for number in range(sequence.rounds):
+            table = sequence.table_of(number)
+            samples = table.ctypes.data + table.dtype.fields["stamp"][1]
+            for k, (kind, time, stamp) in enumerate(table[["kind", "time", "stamp"]].tolist()):
+                if kind == Kind.STATE and (repeats or stamp != last):
+                    self._take_state(stamp if sequence.simulated else None, time, samples + k * table.itemsize)
+                    last = stamp
+                elif kind == Kind.TICK:
+                    self._check_silence(time)
+                elif kind in self._other:
+                    self._other[kind]()
+                counts.append(len(self._sent))
+        counters = dict(zip(KINDS, self._controller.journal.count, strict=True))
+        n = len(sequence.scenario.joints)
+        return Replay(np.frombuffer(b"".join(self._sent)).reshape(-1, n), counts, counters)
+
+    def _take_state(self, now: int | None, time: int, address: int) -> None:
+        """Compute the command for a sample; now: simulated time, in which a silence ends with it."""
+        if now is not None:
+            self._check_silence(now)
+        sample = self._ffi.cast("struct fjr_sample *", address)
+        if self._lib.fjr_step(self._model, self._controller, sample, time, self._command):
+            self._sent.append(bytes(self._ffi.buffer(self._command.u)))
+
+    def _check_silence(self, now: int) -> None:
+        u = self._command.u
+        if self._lib.fjr_silence(self._model, self._controller, now, u):
+            self._sent.append(bytes(self._ffi.buffer(u)))
+
+    def _change(self) -> None:
+        settings, *numbers = self._changed
+        gains, damping = (self._ffi.cast("double *", each.ctypes.data) for each in numbers)
+        self._lib.fjr_use_gains(self._controller, gains, damping)
+        self._lib.fjr_apply(self._controller, settings)

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every host of the control step sends the same efforts for the same inputs, bit by bit, under every kind of fault."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import yaml
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+
+from faults import message_faults
+from faults.fault_injection import NONSENSE
+from faults.fault_rows import JOINT
+from faults.relay import Tamper
+from hosts import recording
+from hosts.comparison import HOSTS, Comparison, differences
+from hosts.inputs import Input, Kind, Sequence, with_ticks
+from hosts.step_hosts import reference_replay
+
+pytestmark = pytest.mark.system
+FAULTS: dict[range, Tamper] = {
+    range(100, 130): message_faults.not_a_number,
+    range(150, 160): message_faults.renamed,
+    range(180, 200): message_faults.twice,
+    range(220, 240): message_faults.aged(15),
+    range(260, 280): message_faults.frozen(),
+    range(300, 450): message_faults.dropped,
+    range(550, 600): message_faults.jumped(10),
+}
+"""Faults of the states by the samples at which they act."""
+LIMITED = {"controller": {"limits.effort": [1.5]}}
+SAMPLES, RESTARTED, ASKED = 700, 650, 140
+HAPPENED = {"states older than the last", "jumps doubted", "reference restarts", "silences", "forward jumps",
+            "recoveries", "efforts saturated"}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def comparison() -> Iterator[Comparison]:
+    with Comparison() as made:
+        yield made
+
+
+def faulty() -> Sequence:
+    """Return states of a joint with all faults, a refused request and a restart of the controller, in real time."""
+    sequence, _ = recording.of_study("faults", yaml.safe_dump(JOINT.document(LIMITED)), SAMPLES)
+    inputs: list[Input] = []
+    for k, each in enumerate(sequence.inputs):
+        tamper = next((how for when, how in FAULTS.items() if k in when), lambda message: [message])
+        for message in tamper(deserialize_message(each.raw, JointState)):
+            inputs.append(Input(Kind.STATE, each.time, serialize_message(message)))
+        if k == ASKED:
+            inputs.append(Input(Kind.PARAMETERS, each.time, parameters=NONSENSE))
+        if k == RESTARTED:
+            inputs.append(Input(Kind.RESTART, each.time))
+    return Sequence("faults", sequence.document, False, with_ticks(inputs, recording.TICK))
+
+
+def test_every_host_sends_the_same_bits_for_faulty_states(comparison: Comparison) -> None:
+    sequence = faulty()
+    before = Sequence("", sequence.document, False, tuple(x for x in sequence.inputs if x.time < _time(RESTARTED)))
+    counters = reference_replay(before).counters
+    assert {name for name in HAPPENED if counters[name]} == HAPPENED
+    compared = comparison.compared(sequence)
+    assert compared.different == dict.fromkeys(HOSTS, 0)
+    assert len(set(compared.sent.values())) == 2  # in ros2_control a repeated stamp is no sample
+
+
+def test_nodes_over_the_middleware_and_exported_c_send_the_same_bits_after_requests(comparison: Comparison) -> None:
+    sequence = recording.of_requests()
+    counters = reference_replay(sequence).counters
+    once = ("stops: tracking error", "resumes", "gains changed", "settings changed", "holds")
+    assert [counters[name] for name in once] == [1] * len(once)
+    assert counters["efforts saturated"]
+    compared = comparison.compared(sequence)
+    assert compared.equal
+    assert min(compared.sent.values()) == max(compared.sent.values()) >= sequence.states
+
+
+def test_efforts_that_are_missing_or_differ_in_the_last_bit_are_counted() -> None:
+    right = np.linspace(0.0, 1.0, 20).reshape(10, 2)
+    wrong = right.copy()
+    wrong[3, 1] = np.nextafter(wrong[3, 1], 2.0)
+    wrong[5, 0] = -0.0
+    right[5, 0] = 0.0
+    assert differences(wrong, right) == 2
+    assert differences(right[:8], right) == 2
+
+
+def _time(sample: int) -> int:
+    return recording.START + sample * recording.SECOND // 1000
