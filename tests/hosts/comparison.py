@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from rclpy.context import Context
+from rclpy.logging import LoggingSeverity, get_logger_effective_level, set_logger_level
 
 from fjr_core.config.scenario import Scenario
 from hosts import programs
@@ -40,16 +41,22 @@ class Compared:
 
 
 class Comparison:
-    """All hosts; programs are built once for each parameter file. Use as a context: nodes and files are removed."""
+    """All hosts; programs are built once for each parameter file.
+
+    Use as a context: nodes and files are removed at its end, and until then nodes log nothing.
+    """
 
     def __enter__(self) -> Comparison:
         self._folder = tempfile.TemporaryDirectory(prefix="fjr-hosts-")
         self._context = Context()
-        rclpy.init(args=["--ros-args", "--log-level", "fatal"], context=self._context)
+        rclpy.init(args=[], context=self._context)
+        self._level = get_logger_effective_level("")
+        set_logger_level("", LoggingSeverity.FATAL)  # of the whole process
         self._programs: dict[tuple[str, str], Path] = {}
         return self
 
     def __exit__(self, *_: object) -> None:
+        set_logger_level("", self._level)
         self._context.try_shutdown()
         self._folder.cleanup()
 

@@ -77,7 +77,7 @@ class NodeHost:
         options = {**OPTIONS, "executor": EXECUTORS[self._host], "use_sim_time": str(self._sequence.simulated).lower()}
         words = [word for name, value in options.items() for word in ("-p", f"{name}:={value}")]
         arguments = ["--ros-args", "--params-file", str(self._file), *words, "-r", f"__ns:=/{self._host}"]
-        self._node = ControllerNode(context=self._context, cli_args=[*arguments, "--log-level", "fatal"])
+        self._node = ControllerNode(context=self._context, cli_args=arguments)
         self._loop: Any = self._node._control._command_loop
         assert type(self._loop) is LOOPS[self._host]
         self._native = self._host == "native"
