@@ -8,7 +8,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from fjr_msgs_py.messages.cdr.layout import FIELDS
+from fjr_msgs_py.messages.cdr.layout import FIELDS, HEADER, joint_state
 from fjr_msgs_py.messages.cdr.recorded import joint_state_arrays
 
 
@@ -37,6 +37,19 @@ def test_stamps_and_numbers_are_those_of_the_messages(lengths: tuple[int, ...], 
     for name, length in zip(FIELDS, lengths, strict=True):
         wanted = np.array([getattr(message, name) for message in sent]).reshape(len(sent), length)
         np.testing.assert_array_equal(values[name], wanted)
+
+
+def test_padding_may_hold_anything() -> None:
+    sent = messages(lengths=(3, 3, 3))
+    whole = [serialize_message(message) for message in sent]
+    form = joint_state(sent[0].name, (3, 3, 3))
+    padding = np.ones(len(whole[0]), dtype=bool)
+    for part in (*form.spans, *(slice(8 * start - HEADER, 8 * start + 24 - HEADER) for start in form.starts)):
+        padding[part] = False
+    assert padding.any()
+    rows = np.array([list(message) for message in whole], dtype=np.uint8)
+    rows[:, padding] = np.random.default_rng(2).integers(0, 256, (len(rows), padding.sum()))
+    assert joint_state_arrays([row.tobytes() for row in rows], sent[0]) is not None
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,6 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
 from fjr_core import FjrError, Reference, Spline
-from fjr_core.config.process import NATIVE
 from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.motion_limits import MotionLimits, check_motion
 from fjr_core.trajectories.transition import time_shifted, transition
@@ -122,8 +121,8 @@ class Planner:
         self._node, self._tracker, self._is_active = node, tracker, is_active
         simulated = bool(node.get_parameter("use_sim_time").value)
         self._worker = None if simulated else ThreadPoolExecutor(1, "fjr_planning")
-        if self._worker and node.get_parameter("executor").value != NATIVE:
-            import_module("scipy.linalg")  # which splines need; later it would delay commands sent by Python
+        if self._worker:
+            import_module("scipy.linalg")  # which splines need; later it would delay commands
         self._request: Request | None = None
 
     def apply(self, rules: PlanningRules) -> None:

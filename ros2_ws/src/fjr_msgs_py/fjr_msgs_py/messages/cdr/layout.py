@@ -37,13 +37,19 @@ class Form:
     """Layout of a serialised message: a struct format for all but the numbers, and the offsets of the numbers."""
 
     def __init__(self, parts: Iterable[Part]) -> None:
-        """Lay out the parts. starts: of each Floats, in words of 8 bytes from HEADER bytes before the message."""
+        """Lay out the parts. starts: of each Floats, in words of 8 bytes from HEADER bytes before the message.
+
+        spans: bytes of the message that hold its header, integers, lengths and strings; others are numbers or padding,
+        which other writers leave as it is in memory.
+        """
         self.values: list[int | bytes] = []
         self.starts: list[int] = []
+        self.spans = [slice(HEADER)]
         pattern, at = "<4s", 0  # `at` counts from the end of the header
         for part in parts:
             pad = -at % 4
             pattern, at = f"{pattern}{pad}xI", at + pad + 4
+            self.spans.append(slice(HEADER + at - 4, HEADER + at))
             if isinstance(part, int):
                 self.values.append(part)
                 continue
@@ -56,6 +62,7 @@ class Form:
                 pattern, at = f"{pattern}{size}x", at + size
             else:
                 self.values.append(text)
+                self.spans.append(slice(HEADER + at, HEADER + at + len(text)))
                 pattern, at = f"{pattern}{len(text)}s", at + len(text)
         self.struct = struct.Struct(pattern)
 

@@ -27,9 +27,10 @@ def joint_state_arrays(messages: Sequence[bytes], first: Any) -> tuple[NDArray[n
     rows = np.frombuffer(b"".join(messages), np.uint8).reshape(-1, size)
     begins = [8 * start - HEADER for start in form.starts]
     places = [slice(begin, begin + 8 * k) for begin, k in zip(begins, lengths, strict=True)]
-    fixed = np.ones(size, dtype=bool)
-    for place in (_STAMP, *places):
-        fixed[place] = False
+    fixed = np.zeros(size, dtype=bool)
+    for span in form.spans:
+        fixed[span] = True
+    fixed[_STAMP] = False
     if rows[0, :HEADER].tobytes() != LITTLE_ENDIAN or (rows[:, fixed] != rows[0, fixed]).any():
         return None
     stamps = _part(rows, _STAMP, [("sec", "<i4"), ("nanosec", "<u4")])[:, 0]
