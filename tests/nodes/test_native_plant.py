@@ -88,7 +88,10 @@ def test_a_fault_in_the_thread_ends_the_node_with_one_sentence(ros: Ros, peer: P
     ros.until(lambda: node.ended, "the end")
     assert isinstance(node.ended, SendError)
     assert str(node.ended).startswith("a message could not be sent: rcl_publish_serialized_message returned")
-    assert capfd.readouterr().err.count("ended: ") == 1
+    said = [""]
+    ros.until(lambda: said.append(capfd.readouterr().err) or "ended: " in "".join(said), "the sentence in the log")
+    ros.settle()
+    assert ("".join(said) + capfd.readouterr().err).count("ended: ") == 1
 
 
 @pytest.mark.parametrize(
