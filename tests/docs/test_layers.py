@@ -24,7 +24,7 @@ LAYERS = {
         "control",
         "control_step",
         "stability simulation",
-        "tuning monitoring",
+        "identification tuning monitoring",
         "config",
         "experiments codegen testing",
     ),

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was identified: each parameter with its interval and verdict, and the posterior of all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ..numerics.checks import Array
+
+IDENTIFIED, WEAK, UNKNOWN = "identified", "weakly identified", "not identifiable"
+LOG = "log"  # coordinate of a positive parameter: its logarithm; else "linear"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter of one joint: value, 95 % interval (low, high), prior value, verdict and its reason.
+
+    name: joint_stiffness [N m/rad], motor_inertia [kg m^2], link_damping, motor_damping [N m s/rad],
+    link_coulomb_friction, motor_coulomb_friction, link_static_friction, motor_static_friction [N m], offset [rad] (of
+    q_m - q_l at zero spring torque), link_skew, motor_skew, torque_skew, effort_delay [s], payload_mass [kg],
+    payload_position_x, _y, _z [m], position_torque_* [N m], and inertial parameters `mass`, `com_x`, ..., `I_xx`, ...
+    of a link. joint: its joint, or "" for the whole arm. An UNKNOWN parameter keeps its prior; reason says what motion
+    would tell it.
+    """
+
+    name: str
+    joint: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    prior: float
+    verdict: str
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Measured, predicted and residual signals of one record; of one quantity (`q_l`, `q_m`, `torque`) each (k, n).
+
+    noise: standard deviation of the measurement of each joint (n,). explained: share of the deflection's variance that
+    the model explains, per joint, NaN where there is no link measurement.
+    """
+
+    record: str
+    t: Array
+    measured: Mapping[str, Array]
+    predicted: Mapping[str, Array]
+    noise: Mapping[str, Array]
+    explained: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Estimates of all parameters, and the posterior of those that are not UNKNOWN.
+
+    coordinates: LOG or "linear" per entry of the posterior; free: index into `estimates` of each entry. mean (p,) and
+    covariance (p, p) are in these coordinates.
+    """
+
+    joints: tuple[str, ...]
+    estimates: tuple[Estimate, ...]
+    free: tuple[int, ...]
+    coordinates: tuple[str, ...]
+    mean: Array
+    covariance: Array
+    fits: tuple[Fit, ...] = ()
+
+    def value(self, name: str) -> Array:
+        """Return the values of a parameter for all joints that have it, in their order."""
+        return np.array([each.value for each in self.estimates if each.name == name])
+
+    def draws(self, count: int, seed: int) -> Array:
+        """Return draws (count, len(estimates)) of all parameters from the posterior; UNKNOWN ones keep their prior."""
+        normal = np.random.default_rng(seed).standard_normal((count, len(self.mean)))
+        w, v = np.linalg.eigh(self.covariance)
+        z = self.mean + (normal * np.sqrt(np.maximum(w, 0.0))) @ v.T
+        drawn = np.tile([each.value for each in self.estimates], (count, 1))
+        for k, (index, coordinate) in enumerate(zip(self.free, self.coordinates, strict=True)):
+            drawn[:, index] = np.exp(z[:, k]) if coordinate == LOG else z[:, k]
+        return drawn
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for identification.json; from_dict makes the same identification, without fits."""
+        return {
+            "joints": list(self.joints),
+            "estimates": [asdict(each) for each in self.estimates],
+            "free": list(self.free),
+            "coordinates": list(self.coordinates),
+            "mean": self.mean.tolist(),
+            "covariance": self.covariance.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Identification:
+        """Return the identification of `as_dict`."""
+        return cls(
+            tuple(values["joints"]),
+            tuple(Estimate(**each) for each in values["estimates"]),
+            tuple(values["free"]),
+            tuple(values["coordinates"]),
+            np.array(values["mean"], dtype=float),
+            np.array(values["covariance"], dtype=float).reshape(len(values["mean"]), -1),
+        )
