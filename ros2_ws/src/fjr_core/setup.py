@@ -21,6 +21,7 @@ setup(
             "py.typed",
             "control_step/*.[ch]",
             "simulation/batch/*.[ch]",
+            "identification/*.[ch]",
             "codegen/templates/*",
             "codegen/ros2_control/templates/*",
         ]

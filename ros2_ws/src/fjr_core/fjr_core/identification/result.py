@@ -12,7 +12,15 @@ import numpy as np
 from ..numerics.checks import Array
 
 IDENTIFIED, WEAK, UNKNOWN = "identified", "weakly identified", "not identifiable"
-LOG = "log"  # coordinate of a positive parameter: its logarithm; else "linear"
+LOG, NONNEGATIVE, LINEAR = "log", "non-negative", "linear"
+"""Coordinates of a parameter in the posterior: its logarithm, or the parameter, whose draws may be clipped at 0."""
+
+
+def natural(z: Array, coordinate: str) -> Array:
+    """Return parameter values of their coordinates."""
+    if coordinate == LOG:
+        return np.exp(z)
+    return np.maximum(z, 0.0) if coordinate == NONNEGATIVE else z
 
 
 @dataclass(frozen=True)
@@ -22,8 +30,7 @@ class Estimate:
     name: joint_stiffness [N m/rad], motor_inertia [kg m^2], link_damping, motor_damping [N m s/rad],
     link_coulomb_friction, motor_coulomb_friction, link_static_friction, motor_static_friction [N m], offset [rad] (of
     q_m - q_l at zero spring torque), link_skew, motor_skew, torque_skew, effort_delay [s], payload_mass [kg],
-    payload_position_x, _y, _z [m], position_torque_* [N m], and inertial parameters `mass`, `com_x`, ..., `I_xx`, ...
-    of a link. joint: its joint, or "" for the whole arm. An UNKNOWN parameter keeps its prior; reason says what motion
+    payload_position_x, _y, _z [m], position_torque_sin1, _cos1, _sin2, _cos2 [N m]. joint: its joint, or "" for the whole arm. An UNKNOWN parameter keeps its prior; reason says what motion
     would tell it.
     """
 
@@ -58,7 +65,7 @@ class Fit:
 class Identification:
     """Estimates of all parameters, and the posterior of those that are not UNKNOWN.
 
-    coordinates: LOG or "linear" per entry of the posterior; free: index into `estimates` of each entry. mean (p,) and
+    coordinates: LOG, NONNEGATIVE or LINEAR per entry of the posterior; free: index into `estimates` of each entry. mean (p,) and
     covariance (p, p) are in these coordinates.
     """
 
@@ -81,7 +88,7 @@ class Identification:
         z = self.mean + (normal * np.sqrt(np.maximum(w, 0.0))) @ v.T
         drawn = np.tile([each.value for each in self.estimates], (count, 1))
         for k, (index, coordinate) in enumerate(zip(self.free, self.coordinates, strict=True)):
-            drawn[:, index] = np.exp(z[:, k]) if coordinate == LOG else z[:, k]
+            drawn[:, index] = natural(z[:, k], coordinate)
         return drawn
 
     def as_dict(self) -> dict[str, Any]:

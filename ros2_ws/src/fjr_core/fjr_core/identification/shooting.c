@@ -1,0 +1,69 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Integrate an elastic arm and its sensitivities over one segment of a record, Runge-Kutta 4 with held efforts.
+ * N joints, M columns of sensitivities: the initial state (4 N), then parameters.
+ */
+
+/* dS = (S_v, A S + P); x and S are states in the order (q_l, q_m, v_l, v_m). */
+static int derivative(const struct fjr_arm* m, const double* x, const double* S, const double* u, const double* du,
+                      const double* parameters, double* dx, double* dS) {
+  m->arg[0] = x, m->arg[1] = u, m->arg[2] = parameters;
+  m->res[0] = dx + 2 * N, m->res[1] = m->nonzeros;
+  if (m->f(m->arg, m->res, m->iw, m->w, 0)) return 1;
+  memcpy(dx, x + 2 * N, 2 * N * sizeof *dx);
+  memcpy(dS, S + 2 * N * M, 2 * N * M * sizeof *dS);
+  memset(dS + 2 * N * M, 0, 2 * N * M * sizeof *dS);
+  for (int64_t k = 0; k < m->count; ++k) {
+    const double d = m->nonzeros[k];
+    const int32_t column = m->column[k], joint = m->joint[k];
+    double* target = dS + (2 * N + m->row[k]) * M;
+    if (column < 0) continue;
+    if (joint >= 0) {
+      target[column] += d * du[joint];
+    } else if (column < 4 * N) {
+      const double* source = S + column * M;
+      for (int c = 0; c < M; ++c) target[c] += d * source[c];
+    } else {
+      target[column] += d;
+    }
+  }
+  return 0;
+}
+
+static void advance(const double* a, const double* b, double h, double* sum, int n) {
+  for (int i = 0; i < n; ++i) sum[i] = a[i] + h * b[i];
+}
+
+/* One step of length h; work: 12 N (M + 1) numbers. */
+static int step(const struct fjr_arm* m, double* x, double* S, const double* u, const double* du,
+                const double* parameters, double h, double* work) {
+  static const double node[4] = {0, 0.5, 0.5, 1}, weight[4] = {1. / 6, 1. / 3, 1. / 3, 1. / 6};
+  double *at = work, *slope = at + 4 * N * (M + 1), *sum = slope + 4 * N * (M + 1);
+  memcpy(sum, x, 4 * N * sizeof *x);
+  memcpy(sum + 4 * N, S, 4 * N * M * sizeof *S);
+  memset(slope, 0, 4 * N * (M + 1) * sizeof *slope);
+  for (int stage = 0; stage < 4; ++stage) {
+    advance(x, slope, h * node[stage], at, 4 * N);
+    advance(S, slope + 4 * N, h * node[stage], at + 4 * N, 4 * N * M);
+    if (derivative(m, at, at + 4 * N, u, du, parameters, slope, slope + 4 * N)) return 1;
+    advance(sum, slope, h * weight[stage], sum, 4 * N * (M + 1));
+  }
+  memcpy(x, sum, 4 * N * sizeof *x);
+  memcpy(S, sum + 4 * N, 4 * N * M * sizeof *S);
+  return 0;
+}
+
+int fjr_shoot(const struct fjr_arm* m, const double* u, const double* du, const double* parameters, int64_t samples,
+              int64_t parts, double dt, double* X, double* S, double* work) {
+  for (int64_t k = 0; k < samples; ++k) {
+    double *x = X + (k + 1) * 4 * N, *s = S + (k + 1) * 4 * N * M;
+    memcpy(x, x - 4 * N, 4 * N * sizeof *x);
+    memcpy(s, s - 4 * N * M, 4 * N * M * sizeof *s);
+    for (int64_t part = 0; part < parts; ++part) {
+      const int64_t at = (k * parts + part) * N;
+      if (step(m, x, s, u + at, du + at, parameters, dt / (double)parts, work)) return 1;
+    }
+    for (int i = 0; i < 4 * N; ++i)
+      if (!isfinite(x[i])) return 1;
+  }
+  return 0;
+}

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predict segments of a record with sensitivities: shooting.c compiled for an arm and its free parameters."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..numerics import jit
+from ..numerics.c_types import ffi_of
+from ..numerics.checks import Array
+from .elastic_arm import ElasticArm
+
+
+INCLUDED = ("#include <math.h>", "#include <stdint.h>", "#include <string.h>")
+
+
+@dataclass(frozen=True, eq=False)
+class Shooting:
+    """Integrate the arm over segments. delays: joint of each free effort delay. Raises CompilerError on the first use.
+
+    A column of the sensitivities (4n, columns) is an entry of the initial state, a free parameter or a delay.
+    """
+
+    arm: ElasticArm
+    delays: tuple[int, ...]
+
+    @property
+    def columns(self) -> int:
+        """Return the number of columns of the sensitivities."""
+        return 4 * self.arm.robot.n + len(self.arm.free) + len(self.delays)
+
+    def __call__(self, x0: Array, u: Array, du: Array, parameters: Array, dt: float) -> tuple[Array, Array] | None:
+        """Return states (k + 1, 4n) and sensitivities (k + 1, 4n, columns), or None if they do not stay finite.
+
+        x0 (4n,). u, du (k, parts, n): mean effort of each part of a sample period dt [s], its derivative by the delay.
+        """
+        (k, parts, n), columns = u.shape, self.columns
+        X, S = np.empty((k + 1, 4 * n)), np.empty((k + 1, 4 * n, columns))
+        X[0], S[0] = x0, np.eye(4 * n, columns)
+        ffi, lib = self.library
+        numbers = [ffi.from_buffer("double[]", np.ascontiguousarray(each, dtype=float)) for each in (u, du, parameters)]
+        results = [ffi.from_buffer("double[]", each) for each in (X, S)]
+        failed = lib.fjr_shoot(self._memory.arm, *numbers, k, parts, dt, *results, self._memory.work)
+        return None if failed else (X, S)
+
+    @cached_property
+    def library(self) -> tuple[Any, Any]:
+        """Return cffi's types and the compiled loop."""
+        n, columns = self.arm.robot.n, self.columns
+        header, code = (Path(__file__).with_name(f"shooting.{kind}").read_text(encoding="utf-8") for kind in "hc")
+        path = jit.shared_object("shooting", "\n".join([*INCLUDED, f"#define N {n}", f"#define M {columns}", header, code]))
+        ffi = ffi_of(header)
+        return ffi, ffi.dlopen(path)
+
+    @cached_property
+    def function(self) -> Any:
+        """Return the compiled accelerations."""
+        return jit.compiled_together("elastic_arm", [self.arm.accelerations])[0]
+
+    @property
+    def _memory(self) -> _Memory:
+        """Return the memory of this thread."""
+        if not hasattr(self._local, "memory"):
+            self._local.memory = _Memory(self)
+        return self._local.memory  # type: ignore[no-any-return]
+
+    @cached_property
+    def _local(self) -> threading.local:
+        return threading.local()
+
+
+class _Memory:
+    """Arguments and work space of the C code for one thread."""
+
+    def __init__(self, shooting: Shooting) -> None:
+        ffi, _ = shooting.library
+        n, f = shooting.arm.robot.n, shooting.function
+        rows, columns = shooting.arm.pattern
+        first_effort = 4 * n + len(shooting.arm.free)
+        targets = [_target(column, first_effort, shooting.delays) for column in columns]
+        self.arm = ffi.new("struct fjr_arm *")
+        self.held = {
+            "arg": ffi.new("const double*[]", max(3, f.sz_arg())),
+            "res": ffi.new("double*[]", max(2, f.sz_res())),
+            "iw": ffi.new("long long[]", max(1, f.sz_iw())),
+            "w": ffi.new("double[]", max(1, f.sz_w())),
+            "nonzeros": ffi.new("double[]", len(rows)),
+            "row": ffi.new("int32_t[]", list(rows)),
+            "column": ffi.new("int32_t[]", [column for column, _ in targets]),
+            "joint": ffi.new("int32_t[]", [joint for _, joint in targets]),
+        }
+        for name, value in self.held.items():
+            setattr(self.arm, name, value)
+        self.arm.f = ffi.cast("fjr_function", jit.machine_code(f))
+        self.arm.count = len(rows)
+        self.work = ffi.new("double[]", 3 * 4 * n * (shooting.columns + 1))
+
+
+def _target(column: int, first_effort: int, delays: tuple[int, ...]) -> tuple[int, int]:
+    """Return the column of the sensitivities that a column of the Jacobian adds to, and the joint of an effort."""
+    if column < first_effort:
+        return column, -1
+    joint = column - first_effort
+    return (first_effort + delays.index(joint), joint) if joint in delays else (-1, -1)
