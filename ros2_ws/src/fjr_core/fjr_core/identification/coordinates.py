@@ -27,7 +27,9 @@ class Coordinates:
     width: Array
 
     @classmethod
-    def of(cls, free: Sequence[tuple[str, int]], values: Mapping[str, Array], widths: Mapping[str, Array]) -> Coordinates:
+    def of(
+        cls, free: Sequence[tuple[str, int]], values: Mapping[str, Array], widths: Mapping[str, Array]
+    ) -> Coordinates:
         """Return coordinates with the values as mean of the prior and the widths by name."""
         mean = [_coordinate(name, values[name][i]) for name, i in free]
         return cls(tuple(free), values, np.array(mean), np.array([widths[name][i] for name, i in free], dtype=float))
@@ -46,7 +48,8 @@ class Coordinates:
 
     def scale(self, z: Array) -> Array:
         """Return d parameter / d z (p,) at z."""
-        return np.array([np.exp(v) if KINDS[name].coordinate == LOG else 1.0 for (name, _), v in zip(self.free, z)])
+        logarithmic = np.array([KINDS[name].coordinate == LOG for name, _ in self.free], dtype=bool)
+        return np.where(logarithmic, np.exp(np.where(logarithmic, z, 0.0)), 1.0)
 
     def of_values(self, values: Mapping[str, Array]) -> Array:
         """Return z (p,) of parameters by name."""

@@ -105,7 +105,10 @@ class ElasticArm:
 
     def _links(self, p: SimpleNamespace) -> RigidArm:
         """Return the links of the robot, with a payload if one is free."""
-        links, start = self.robot.links, sum(size(name, self.robot.n) for name in DYNAMIC[: DYNAMIC.index("payload_mass")])
+        links, start = (
+            self.robot.links,
+            sum(size(name, self.robot.n) for name in DYNAMIC[: DYNAMIC.index("payload_mass")]),
+        )
         if links.end_effector is None or not any(start <= i < start + 4 for i in self.free):
             return links
         position = ca.vertcat(p.payload_position_x, p.payload_position_y, p.payload_position_z)

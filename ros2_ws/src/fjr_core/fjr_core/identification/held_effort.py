@@ -19,7 +19,7 @@ class HeldEffort:
         self._integral = np.vstack([np.zeros(u.shape[1]), np.cumsum(u, axis=0)])  # over sample periods
 
     def mean(self, first: int, samples: int, parts: int, delay: Array) -> tuple[Array, Array]:
-        """Return the mean effort of each part of the sample periods (samples, parts, n), and its derivative by the delay.
+        """Return the mean effort (samples, parts, n) of each part of a sample period, and its derivative by the delay.
 
         first: sample at which the first period starts. delay (n,) [s].
         """

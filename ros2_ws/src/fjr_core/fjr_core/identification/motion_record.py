@@ -16,10 +16,10 @@ from ..numerics.one_line import joints as joints_of
 class MotionRecord:
     """k samples of n joints, `dt` [s] apart, reflected to the joint side.
 
-    u (k, n) [N m]: effort that the motors were given from each sample to the next. q_l, q_m (k, n) [rad or m]: positions
-    of links and motors, NaN: not measured (a joint without a link encoder has a column of NaN). torque (k, n) [N m]:
-    spring torque from a sensor, NaN: none. name: of the file, for messages. Raises StateError for wrong shapes, an effort
-    that is not finite and a joint without any measurement.
+    u (k, n) [N m]: effort that the motors were given from each sample to the next. q_l, q_m (k, n) [rad or m]:
+    positions of links and motors, NaN: not measured (a joint without a link encoder has a column of NaN). torque (k, n)
+    [N m]: spring torque from a sensor, NaN: none. name: of the file, for messages. Raises StateError for wrong shapes,
+    an effort that is not finite and a joint without any measurement.
     """
 
     name: str

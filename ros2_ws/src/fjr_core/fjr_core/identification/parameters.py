@@ -117,7 +117,9 @@ class Prior:
             "link_damping": _diagonal("D_l", robot.D_l),
             "motor_damping": _diagonal("D_m", robot.D_m),
         }
-        return cls(_shaped({**dict.fromkeys(KINDS, 0.0), **own, **(values or {})}, robot.n), _shaped(widths or {}, robot.n))
+        return cls(
+            _shaped({**dict.fromkeys(KINDS, 0.0), **own, **(values or {})}, robot.n), _shaped(widths or {}, robot.n)
+        )
 
 
 def size(name: str, n: int) -> int:

@@ -30,8 +30,8 @@ class Estimate:
     name: joint_stiffness [N m/rad], motor_inertia [kg m^2], link_damping, motor_damping [N m s/rad],
     link_coulomb_friction, motor_coulomb_friction, link_static_friction, motor_static_friction [N m], offset [rad] (of
     q_m - q_l at zero spring torque), link_skew, motor_skew, torque_skew, effort_delay [s], payload_mass [kg],
-    payload_position_x, _y, _z [m], position_torque_sin1, _cos1, _sin2, _cos2 [N m]. joint: its joint, or "" for the whole arm. An UNKNOWN parameter keeps its prior; reason says what motion
-    would tell it.
+    payload_position_x, _y, _z [m], position_torque_sin1, _cos1, _sin2, _cos2 [N m]. joint: its joint, or "" for the
+    whole arm. An UNKNOWN parameter keeps its prior; reason says what motion would tell it.
     """
 
     name: str
@@ -65,8 +65,8 @@ class Fit:
 class Identification:
     """Estimates of all parameters, and the posterior of those that are not UNKNOWN.
 
-    coordinates: LOG, NONNEGATIVE or LINEAR per entry of the posterior; free: index into `estimates` of each entry. mean (p,) and
-    covariance (p, p) are in these coordinates.
+    coordinates: LOG, NONNEGATIVE or LINEAR per entry of the posterior; free: index into `estimates` of each entry. mean
+    (p,) and covariance (p, p) are in these coordinates.
     """
 
     joints: tuple[str, ...]

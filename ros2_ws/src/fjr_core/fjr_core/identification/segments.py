@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def cut(record: MotionRecord, length: float, parts: int) -> list[Segment]:
     number = max(1, round(usable * record.dt / length))
     edges = pad + np.round(np.linspace(0, usable, number + 1)).astype(int)
     effort = HeldEffort(record.u, record.dt)
-    return [Segment(record, effort, a, b - a, pad, parts) for a, b in zip(edges[:-1].tolist(), edges[1:].tolist())]
+    return [Segment(record, effort, int(a), int(b - a), pad, parts) for a, b in pairwise(edges)]
 
 
 def compare(

@@ -16,7 +16,6 @@ from ..numerics.c_types import ffi_of
 from ..numerics.checks import Array
 from .elastic_arm import ElasticArm
 
-
 INCLUDED = ("#include <math.h>", "#include <stdint.h>", "#include <string.h>")
 
 
@@ -54,7 +53,9 @@ class Shooting:
         """Return cffi's types and the compiled loop."""
         n, columns = self.arm.robot.n, self.columns
         header, code = (Path(__file__).with_name(f"shooting.{kind}").read_text(encoding="utf-8") for kind in "hc")
-        path = jit.shared_object("shooting", "\n".join([*INCLUDED, f"#define N {n}", f"#define M {columns}", header, code]))
+        path = jit.shared_object(
+            "shooting", "\n".join([*INCLUDED, f"#define N {n}", f"#define M {columns}", header, code])
+        )
         ffi = ffi_of(header)
         return ffi, ffi.dlopen(path)
 
@@ -68,7 +69,7 @@ class Shooting:
         """Return the memory of this thread."""
         if not hasattr(self._local, "memory"):
             self._local.memory = _Memory(self)
-        return self._local.memory  # type: ignore[no-any-return]
+        return self._local.memory
 
     @cached_property
     def _local(self) -> threading.local:

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured and predicted signals of each record, and how much of the springs' deflection the model explains."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..numerics.checks import Array
+from .gauss_newton import Optimum, Problem
+from .motion_record import MotionRecord
+from .result import Fit
+
+
+def fits(problem: Problem, optimum: Optimum) -> tuple[Fit, ...]:
+    """Return the fit of each record; samples outside the segments are predicted by NaN."""
+    records = list({id(segment.record): segment.record for segment in problem.segments}.values())
+    return tuple(_fit(problem, optimum, record) for record in records)
+
+
+def _fit(problem: Problem, optimum: Optimum, record: MotionRecord) -> Fit:
+    names = sorted({signal for signal, _ in problem.signals})
+    predicted = {name: np.full(record.u.shape, np.nan) for name in names}
+    noise = {name: np.full(record.u.shape[1], np.nan) for name in names}
+    for segment, compared in zip(problem.segments, optimum.compared, strict=True):
+        if segment.record is record:
+            for k, (signal, joint) in enumerate(problem.signals):
+                predicted[signal][segment.first : segment.first + segment.count, joint] = compared.predicted[k]
+    for k, (signal, joint) in enumerate(problem.signals):
+        noise[signal][joint] = optimum.noise[k]
+    measured = {name: np.asarray(getattr(record, name)) for name in names}
+    t: Array = record.dt * np.arange(len(record.u), dtype=float)
+    return Fit(record.name, t, measured, predicted, noise, explained(measured, predicted))
+
+
+def explained(measured: dict[str, Array], predicted: dict[str, Array]) -> Array:
+    """Return the share (n,) of the variance of q_m - q_l that is predicted, NaN where a side is not measured."""
+    if not {"q_l", "q_m"} <= set(measured):
+        return np.full(next(iter(measured.values())).shape[1], np.nan)
+    seen, model = (each["q_m"] - each["q_l"] for each in (measured, predicted))
+    known = np.isfinite(seen) & np.isfinite(model)
+    shares = [
+        1 - np.var((seen - model)[known[:, j], j]) / np.var(seen[known[:, j], j]) if known[:, j].any() else np.nan
+        for j in range(seen.shape[1])
+    ]
+    return np.array(shares)

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Identify an elastic arm from records: start values, maximum likelihood over segments, intervals and verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import StateError
+from ..numerics import checks
+from ..numerics.checks import Array
+from ..robot.robot import Robot
+from .coordinates import Coordinates, packed
+from .elastic_arm import ElasticArm, free_entries
+from .fit import fits
+from .gauss_newton import Optimum, Problem, optimise
+from .initial_guess import FilteredMotion, filtered, start_values
+from .motion_record import MotionRecord
+from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, Options, Prior, size
+from .posterior import spread
+from .result import LOG, NONNEGATIVE, UNKNOWN, Estimate, Identification
+from .segments import Segment, cut, measured_signals
+from .shooting import Shooting
+from .verdict import Motion, not_identifiable, partners, reason, verdict
+
+PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
+ACCURATE = 0.35  # rad; angle of the fastest resonance in an integration step
+STABLE = 2.0  # decay of the fastest friction in an integration step; Runge-Kutta 4 is stable below 2.78
+MOST_PARTS = 16
+MOST_FREQUENCIES = 20  # samples of a record at which resonances are computed
+
+
+def identify(
+    records: Sequence[MotionRecord],
+    robot: Robot,
+    prior: Prior,
+    options: Options = Options(),  # noqa: B008 - immutable
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> Identification:
+    """Return estimates of the free parameters with intervals and verdicts, from all records together.
+
+    robot: whose rigid links are trusted. prior: start and fallback, e.g. Prior.of(robot). progress: called with what is
+    done and its share. Raises StateError for records that do not fit the robot, CompilerError without a C compiler.
+    """
+    _check(records, robot)
+    setup = _Setup(list(records), robot, prior, options)
+    progress("filtered least squares", 0.0)
+    motions, start = setup.start()
+    progress("compilation", 0.0)
+    problem = setup.problem(setup.coordinates, start)
+    x0 = _initial_states(problem.segments, dict(zip(map(id, records), motions, strict=True)))
+    optimum = optimise(
+        problem, problem.coordinates.of_values(start), x0, lambda share: progress("prediction error", share)
+    )
+    fixed = not_identifiable(optimum.projected, setup.coordinates.width)
+    if fixed:
+        problem = setup.problem(setup.coordinates.without(fixed), start)
+        kept = [k for k in range(len(optimum.z)) if k not in fixed]
+        again = optimise(problem, optimum.z[kept], optimum.x0, lambda share: progress("prediction error again", share))
+    else:
+        again = optimum
+    progress("intervals", 1.0)
+    return _result(setup, problem, optimum, again, fixed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Setup:
+    """What an identification starts from."""
+
+    records: list[MotionRecord]
+    robot: Robot
+    prior: Prior
+    options: Options
+
+    @property
+    def values(self) -> Mapping[str, Array]:
+        """Return all parameters by name at the prior, with the velocities of the friction model."""
+        n = self.robot.n
+        velocities = {name: checks.vector(name, getattr(self.options, name), n, StateError) for name in VELOCITIES}
+        return {**self.prior.values, **velocities}
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Return the coordinates of all free parameters."""
+        return Coordinates.of(free_parameters(self.records, self.robot, self.options), self.values, self.widths)
+
+    @property
+    def widths(self) -> dict[str, Array]:
+        """Return the prior's standard deviations by name; defaults follow from efforts and from K and B."""
+        n, values = self.robot.n, self.prior.values
+        effort = np.max([np.sqrt(np.mean(r.u**2, axis=0)) for r in self.records], axis=0) + 1e-9
+        damping = 0.1 * np.sqrt(values["joint_stiffness"] * values["motor_inertia"])
+        found: dict[str, Array] = {
+            name: np.full(size(name, n), kind.width) for name, kind in KINDS.items() if kind.width is not None
+        }
+        found |= dict.fromkeys(("link_damping", "motor_damping"), damping)
+        found |= {name: 0.3 * effort for name in KINDS if name.endswith("friction")}
+        found |= dict.fromkeys(POSITION_TORQUE, effort)
+        found |= {"payload_mass": np.array([10.0])}
+        return {**found, **self.prior.widths}
+
+    def start(self) -> tuple[list[FilteredMotion], dict[str, Array]]:
+        """Return the filtered motions and the start values of all parameters."""
+        arm, values = self.arm(self.coordinates), self.values
+        motions = [filtered(record, arm, values) for record in self.records]
+        found = start_values(self.records, motions, self.robot.B_m, self.prior, values["smoothing"])
+        free = set(self.coordinates.free)
+        for name, value in found.items():  # what is not free keeps its value
+            for j in range(len(value)):
+                if (name, j) not in free:
+                    value[j] = self.prior.values[name][j]
+        return motions, {**values, **found}
+
+    def arm(self, coordinates: Coordinates) -> ElasticArm:
+        """Return the arm with derivatives by the free parameters."""
+        layout = ElasticArm(self.robot, ()).layout
+        return ElasticArm(self.robot, free_entries(layout, coordinates.dynamic))
+
+    def problem(self, coordinates: Coordinates, start: Mapping[str, Array]) -> Problem:
+        """Return the segments of the records with the model; their length and steps follow from the start values."""
+        arm = self.arm(coordinates)
+        slowest, fastest = _rates(arm, self.records, start)
+        length = self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
+        segments = [
+            segment
+            for record in self.records
+            for segment in cut(record, length, min(MOST_PARTS, max(1, int(np.ceil(record.dt * fastest)))))
+        ]
+        signals = measured_signals(self.records)
+        floor = np.array([_least_noise(self.records, *each) for each in signals])
+        return Problem(segments, Shooting(arm, coordinates.delays), coordinates, signals, floor, self.options.threads)
+
+
+VELOCITIES = ("smoothing", "stribeck")
+
+
+def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Options) -> list[tuple[str, int]]:
+    """Return (name, index) of what can be free with what is measured: a skew needs two signals of its joint."""
+    joints = records[0].joints
+    measured = set(measured_signals(records))
+    if options.position_torque and options.position_torque not in joints:
+        raise StateError(
+            f"position_torque is of joint {options.position_torque!r}; expected one of {', '.join(joints)}"
+        )
+    found = []
+    for name in options.names:
+        for j in range(size(name, robot.n)):
+            other = name in POSITION_TORQUE and joints[j] != options.position_torque
+            no_link = name == "link_skew" and not {("q_l", j), ("q_m", j)} <= measured
+            no_torque = name == "torque_skew" and ("torque", j) not in measured
+            if not (other or no_link or no_torque):
+                found.append((name, j))
+    return found
+
+
+def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
+    if not records:
+        raise StateError("there is no record; expected at least one")
+    for record in records:
+        if len(record.joints) != robot.n or record.joints != records[0].joints:
+            raise StateError(
+                f"{record.name} has joints {', '.join(record.joints)}; expected the {robot.n} of the robot"
+            )
+        if len(record.u) * record.dt < 2 * SHORTEST:
+            raise StateError(
+                f"{record.name} has {len(record.u) * record.dt:.3g} s; expected at least {2 * SHORTEST:g} s"
+            )
+
+
+def _initial_states(segments: Sequence[Segment], motions: Mapping[int, FilteredMotion]) -> Array:
+    return np.array([motions[id(each.record)].state(each.first - each.pad) for each in segments])
+
+
+def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Array]) -> tuple[float, float]:
+    """Return the slowest resonance [rad/s], and the integration steps that are needed per second."""
+    K, B = np.diag(p["joint_stiffness"]), np.diag(p["motor_inertia"])
+    slowest, fastest, values = np.inf, 0.0, packed(arm, p)
+    for record in records:
+        q = np.where(np.isfinite(record.q_l), record.q_l, record.q_m)
+        for sample in q[np.all(np.isfinite(q), axis=1)][:: max(1, len(q) // MOST_FREQUENCIES)]:
+            M = arm.link_inertia(sample, values).full()
+            flexible = np.sqrt(np.linalg.eigvals(K @ (np.linalg.inv(M) + np.linalg.inv(B))).real)
+            friction = [(M, p["link_coulomb_friction"]), (B, p["motor_coulomb_friction"])]
+            slopes = [np.linalg.solve(inertia, np.diag(F / p["smoothing"])) for inertia, F in friction]
+            decay = [np.linalg.eigvals(slope).real.max() for slope in slopes]
+            slowest = min(slowest, flexible.min())
+            fastest = max(fastest, flexible.max() / ACCURATE, *(rate / STABLE for rate in decay))
+    return slowest, fastest
+
+
+def _least_noise(records: Sequence[MotionRecord], signal: str, joint: int) -> float:
+    """Return the noise of the steps in which a signal is measured, or of its floating-point numbers."""
+    signals = [getattr(record, signal)[:, joint] for record in records]
+    steps = np.abs(np.concatenate([np.diff(each[np.isfinite(each)]) for each in signals]))
+    largest = max(float(np.nanmax(np.abs(each), initial=0.0, where=np.isfinite(each))) for each in signals)
+    digits = 1e-9 * max(largest, 1e-3)
+    return (
+        max(float(np.min(steps[steps > digits], initial=np.inf)) / np.sqrt(12), digits)
+        if np.any(steps > digits)
+        else digits
+    )
+
+
+def _result(setup: _Setup, problem: Problem, first: Optimum, optimum: Optimum, fixed: Sequence[int]) -> Identification:
+    """Return the estimates at the optimum without the parameters that are not identifiable."""
+    coordinates, width = setup.coordinates, setup.coordinates.width
+    kept = [k for k in range(len(width)) if k not in fixed]
+    found = spread(first.projected, width, fixed)
+    alone = found.from_records
+    covariance = found.covariance[np.ix_(kept, kept)]
+    z = coordinates.mean.copy()
+    z[kept] = optimum.z
+    whole = spread(first.projected, width)
+    names = [_label(setup, *each) for each in coordinates.free]
+    together = partners(whole.covariance, names)
+    sd = np.where(np.isfinite(alone), np.sqrt(np.diag(found.covariance)), width)
+    motions = [Motion.of(setup.records, j) for j in range(setup.robot.n)]
+    estimates = []
+    for k, (name, j) in enumerate(coordinates.free):
+        value, low, high = _interval(name, z[k], sd[k])
+        judged = UNKNOWN if k in fixed else verdict(name, value, sd[k], width[k])
+        why = reason(name, judged, motions[-1 if name in PAYLOAD else j], together.get(k, ""))
+        joint = "" if name in PAYLOAD else setup.records[0].joints[j]
+        before = float(setup.prior.values[name][j])
+        estimates.append(Estimate(name, joint, _unit(setup, name, j), value, low, high, before, judged, why))
+    kinds = tuple(KINDS[coordinates.free[k][0]].coordinate for k in kept)
+    series = fits(problem, optimum)
+    return Identification(setup.records[0].joints, tuple(estimates), tuple(kept), kinds, optimum.z, covariance, series)
+
+
+def _interval(name: str, z: float, sd: float) -> tuple[float, float, float]:
+    ends = np.array([z, z - 1.96 * sd, z + 1.96 * sd])
+    coordinate = KINDS[name].coordinate
+    if coordinate == LOG:
+        ends = np.exp(ends)
+    elif coordinate == NONNEGATIVE:
+        ends = np.maximum(ends, 0.0)
+    value, low, high = ends.tolist()
+    return value, low, high
+
+
+def _label(setup: _Setup, name: str, j: int) -> str:
+    words = name.replace("_", " ")
+    return words if name in PAYLOAD else f"{words} of {setup.records[0].joints[j]}"
+
+
+def _unit(setup: _Setup, name: str, j: int) -> str:
+    unit = KINDS[name].unit
+    slides = bool(setup.robot.prismatic) and name not in PAYLOAD and setup.robot.prismatic[j]
+    return PRISMATIC_UNITS.get(unit, unit) if slides else unit
+
+
+PRISMATIC_UNITS = {"N m/rad": "N/m", "kg m^2": "kg", "N m s/rad": "N s/m", "N m": "N", "rad": "m"}
