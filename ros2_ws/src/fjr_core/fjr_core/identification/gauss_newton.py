@@ -22,8 +22,8 @@ from .coordinates import Coordinates
 from .segments import Comparison, Segment, compare
 from .shooting import Shooting
 
-MOST_ITERATIONS = 30
-CONVERGED = 0.03  # standard deviations that a parameter moves in an iteration
+MOST_ITERATIONS = 60
+CONVERGED = 0.03  # standard deviations from the minimum that the normal equations predict
 RIDGE = 1e-10  # of the scaled Hessian of an initial state, so that it can be factored
 HARDEST = 1e8  # damping at which no step is found
 
@@ -104,8 +104,8 @@ def optimise(problem: Problem, z: Array, x0: Array, progress: Callable[[float], 
         progress(min(1.0, (iteration + 1) / 8))
         if step is None:
             break
-        z, x0, compared, moved, damping = step
-        if moved < CONVERGED and damping < 1e-2:
+        z, x0, compared, damping = step
+        if distance(problem.coordinates, z, compared) < CONVERGED:
             converged = True
             break
     return _final(problem, z, x0, compared, converged)
@@ -113,16 +113,16 @@ def optimise(problem: Problem, z: Array, x0: Array, progress: Callable[[float], 
 
 def _search(
     problem: Problem, z: Array, x0: Array, compared: list[Comparison], damping: float
-) -> tuple[Array, Array, list[Comparison], float, float] | None:
-    """Return z, initial states and comparison after a step that lowers the cost, its length, and the next damping."""
+) -> tuple[Array, Array, list[Comparison], float] | None:
+    """Return z, initial states and comparison after a step that lowers the cost, and the next damping."""
     noise, cost = problem.noise(compared), problem.cost(compared, z)
     while damping < HARDEST:
         parts = [project(each, x0.shape[1], damping) for each in compared]
-        dz, moved = _step(problem.coordinates, z, parts, damping)
+        dz = _step(problem.coordinates, z, parts, damping)
         x_new = x0 + np.array([part.a - part.B @ dz for part in parts])
         trial = problem.evaluate(z + dz, x_new, noise)
         if trial is not None and problem.cost(trial, z + dz) < cost + 1e-6:
-            return z + dz, x_new, trial, moved, max(damping / 10, 1e-9)
+            return z + dz, x_new, trial, max(damping / 10, 1e-12)
         damping *= 10
     return None
 
@@ -148,13 +148,25 @@ def project(compared: Comparison, size: int, damping: float = 0.0) -> Projected:
     return Projected(compared.H[size:, size:] - across.T @ B, g[size:] - across.T @ a, a, B)
 
 
-def _step(coordinates: Coordinates, z: Array, parts: Sequence[Projected], damping: float) -> tuple[Array, float]:
-    """Return the damped step of z, and its largest entry in standard deviations."""
-    H = np.asarray(sum(part.H for part in parts)) + np.diag(coordinates.width**-2)
-    g = np.asarray(sum(part.g for part in parts)) - (z - coordinates.mean) / coordinates.width**2
+def _step(coordinates: Coordinates, z: Array, parts: Sequence[Projected], damping: float) -> Array:
+    """Return the damped step of z; one beyond twice the prior's width is shortened."""
+    H, g = _normal_equations(coordinates, z, parts)
     scale = np.sqrt(np.diag(H))
-    scaled = H / np.outer(scale, scale)
-    dz = np.linalg.solve(scaled + damping * np.eye(len(z)), g / scale) / scale
-    spread = np.sqrt(np.diag(np.linalg.inv(scaled))) / scale
-    largest = float(np.max(np.abs(dz) / coordinates.width, initial=0.0))  # a step beyond the prior is shortened
-    return dz / max(1.0, largest / 2), float(np.max(np.abs(dz) / spread, initial=0.0))
+    dz = np.linalg.solve(H / np.outer(scale, scale) + damping * np.eye(len(z)), g / scale) / scale
+    return np.asarray(dz / max(1.0, float(np.max(np.abs(dz) / coordinates.width, initial=0.0)) / 2))
+
+
+def distance(coordinates: Coordinates, z: Array, compared: Sequence[Comparison]) -> float:
+    """Return how many standard deviations the minimum of the quadratic model is away from z."""
+    if not len(z):
+        return 0.0
+    size = len(compared[0].g) - len(z)
+    H, g = _normal_equations(coordinates, z, [project(each, size) for each in compared])
+    scale = np.sqrt(np.diag(H))
+    return float(np.sqrt(max(0.0, (g / scale) @ np.linalg.solve(H / np.outer(scale, scale), g / scale))))
+
+
+def _normal_equations(coordinates: Coordinates, z: Array, parts: Sequence[Projected]) -> tuple[Array, Array]:
+    """Return the information about z with the prior, and the gradient of log L."""
+    H = np.asarray(sum(part.H for part in parts)) + np.diag(coordinates.width**-2)
+    return H, np.asarray(sum(part.g for part in parts)) - (z - coordinates.mean) / coordinates.width**2

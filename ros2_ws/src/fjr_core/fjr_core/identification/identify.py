@@ -27,7 +27,7 @@ from .verdict import Motion, not_identifiable, partners, reason, verdict
 
 PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
 ACCURATE = 0.35  # rad; angle of the fastest resonance in an integration step
-STABLE = 2.0  # decay of the fastest friction in an integration step; Runge-Kutta 4 is stable below 2.78
+CREEP = 0.5  # decay of friction at rest in an integration step
 MOST_PARTS = 16
 MOST_FREQUENCIES = 20  # samples of a record at which resonances are computed
 
@@ -186,7 +186,7 @@ def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Arr
             slopes = [np.linalg.solve(inertia, np.diag(F / p["smoothing"])) for inertia, F in friction]
             decay = [np.linalg.eigvals(slope).real.max() for slope in slopes]
             slowest = min(slowest, flexible.min())
-            fastest = max(fastest, flexible.max() / ACCURATE, *(rate / STABLE for rate in decay))
+            fastest = max(fastest, flexible.max() / ACCURATE, *(rate / CREEP for rate in decay))
     return slowest, fastest
 
 

@@ -87,7 +87,7 @@ def compare(
     """Return the comparison of a segment, or None if the prediction does not stay finite. noise (signals,)."""
     p = coordinates.parameters(z)
     start, samples = segment.first - segment.pad, segment.count + 2 * segment.pad
-    u, du = segment.effort.mean(start, samples, segment.parts, p["effort_delay"])
+    u, du = segment.effort.lines(start, samples, segment.parts, p["effort_delay"])
     found = shooting(x0, u, du, packed(shooting.arm, p), segment.record.dt)
     if found is None:
         return None

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Integrate an elastic arm and its sensitivities over one segment of a record, Runge-Kutta 4 with held efforts.
+ * Integrate an elastic arm and its sensitivities over one segment of a record, Runge-Kutta 4 with piecewise linear efforts.
  * N joints, M columns of sensitivities: the initial state (4 N), then parameters.
  */
 
@@ -37,14 +37,16 @@ static void advance(const double* a, const double* b, double h, double* sum, int
 static int step(const struct fjr_arm* m, double* x, double* S, const double* u, const double* du,
                 const double* parameters, double h, double* work) {
   static const double node[4] = {0, 0.5, 0.5, 1}, weight[4] = {1. / 6, 1. / 3, 1. / 3, 1. / 6};
-  double *at = work, *slope = at + 4 * N * (M + 1), *sum = slope + 4 * N * (M + 1);
+  double effort[N], d_effort[N], *at = work, *slope = at + 4 * N * (M + 1), *sum = slope + 4 * N * (M + 1);
   memcpy(sum, x, 4 * N * sizeof *x);
   memcpy(sum + 4 * N, S, 4 * N * M * sizeof *S);
   memset(slope, 0, 4 * N * (M + 1) * sizeof *slope);
   for (int stage = 0; stage < 4; ++stage) {
     advance(x, slope, h * node[stage], at, 4 * N);
     advance(S, slope + 4 * N, h * node[stage], at + 4 * N, 4 * N * M);
-    if (derivative(m, at, at + 4 * N, u, du, parameters, slope, slope + 4 * N)) return 1;
+    advance(u, u + N, 2 * node[stage] - 1, effort, N);
+    advance(du, du + N, 2 * node[stage] - 1, d_effort, N);
+    if (derivative(m, at, at + 4 * N, effort, d_effort, parameters, slope, slope + 4 * N)) return 1;
     advance(sum, slope, h * weight[stage], sum, 4 * N * (M + 1));
   }
   memcpy(x, sum, 4 * N * sizeof *x);
@@ -59,7 +61,7 @@ int fjr_shoot(const struct fjr_arm* m, const double* u, const double* du, const 
     memcpy(x, x - 4 * N, 4 * N * sizeof *x);
     memcpy(s, s - 4 * N * M, 4 * N * M * sizeof *s);
     for (int64_t part = 0; part < parts; ++part) {
-      const int64_t at = (k * parts + part) * N;
+      const int64_t at = (k * parts + part) * 2 * N;
       if (step(m, x, s, u + at, du + at, parameters, dt / (double)parts, work)) return 1;
     }
     for (int i = 0; i < 4 * N; ++i)

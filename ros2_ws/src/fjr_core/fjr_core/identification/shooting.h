@@ -15,8 +15,8 @@ struct fjr_arm {
   int64_t count;
 };
 
-/* Integrate one segment. u, du (samples, parts, N): mean effort of each part of a sample period, and its derivative by
- * the delay. X (samples + 1, 4 N), S (samples + 1, 4 N, M): their first entries are given. work: 12 N (M + 1) numbers.
+/* Integrate one segment. u, du (samples, parts, 2, N): mean effort of each part of a sample period and half of its
+ * increment, and their derivatives by the delay. X (samples + 1, 4 N), S (samples + 1, 4 N, M): their first entries are given. work: 12 N (M + 1) numbers.
  * Return 1 if the state does not stay finite. */
 int fjr_shoot(const struct fjr_arm* m, const double* u, const double* du, const double* parameters, int64_t samples,
               int64_t parts, double dt, double* X, double* S, double* work);

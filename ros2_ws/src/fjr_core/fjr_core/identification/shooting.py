@@ -37,9 +37,10 @@ class Shooting:
     def __call__(self, x0: Array, u: Array, du: Array, parameters: Array, dt: float) -> tuple[Array, Array] | None:
         """Return states (k + 1, 4n) and sensitivities (k + 1, 4n, columns), or None if they do not stay finite.
 
-        x0 (4n,). u, du (k, parts, n): mean effort of each part of a sample period dt [s], its derivative by the delay.
+        x0 (4n,). u, du (k, parts, 2, n): mean effort of each part of a sample period dt [s] and half of its increment,
+        and their derivatives by the delay.
         """
-        (k, parts, n), columns = u.shape, self.columns
+        (k, parts, _, n), columns = u.shape, self.columns
         X, S = np.empty((k + 1, 4 * n)), np.empty((k + 1, 4 * n, columns))
         X[0], S[0] = x0, np.eye(4 * n, columns)
         ffi, lib = self.library

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Coverage of the intervals of `fjr identify`: random arms and records, identified, compared with the truth.
+
+    python -m bench.identification --cases 200 --joints 1 2 3 7 --out coverage.json
+
+Each case draws an arm of the joints' number, springs, friction, noise and steps of the encoders, skews and a delay of
+the effort. Its record follows a multi-sine by PD control. A study of hours for many joints: no part of `make bench`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fjr_core.identification.coordinates import packed
+from fjr_core.identification.elastic_arm import ElasticArm
+from fjr_core.identification.identify import identify
+from fjr_core.identification.motion_record import MotionRecord
+from fjr_core.identification.parameters import KINDS, Options, Prior, size
+from fjr_core.identification.result import UNKNOWN, Identification
+from fjr_core.identification.shooting import Shooting
+from fjr_core.numerics.checks import Array
+from fjr_core.robot.newton_euler import serial_chain
+from fjr_core.robot.rigid_body import Body
+from fjr_core.robot.robot import Robot
+
+FINE = 1e-4  # s; step of the simulation, and grain of skews and delays
+ARMS = 3  # different arms of each number of joints; their equations are compiled once
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A record with the robot and the prior that the estimator is given, and the true parameters by name."""
+
+    record: MotionRecord
+    robot: Robot
+    prior: Prior
+    truth: Mapping[str, Array]
+
+
+@cache
+def arm(n: int, number: int) -> Robot:
+    """Return a random serial arm of n joints with unit springs, motors and no damping."""
+    rng = np.random.default_rng([n, number])
+    bodies = [_body(rng, i) for i in range(n)]
+    return Robot(serial_chain(bodies), *(np.eye(n) for _ in range(2)), *(np.zeros((n, n)) for _ in range(2)), np.eye(n))
+
+
+def _body(rng: np.random.Generator, i: int) -> Body:
+    length, mass = rng.uniform(0.2, 0.4), rng.uniform(2, 6) * 0.75**i
+    axis = np.eye(3)[(0, 1, 2, 1)[i % 4] if i else rng.integers(3)]
+    inertia = mass * length**2 / 12 * np.diag(rng.uniform(0.5, 1.5, 3))
+    com = np.array([rng.uniform(-0.03, 0.03), rng.uniform(-0.03, 0.03), length / 2])
+    return Body(np.eye(3), np.array([0, 0, 0.35 * (i > 0)]), axis, mass, com, inertia + 0.01 * mass * np.eye(3) * 0.3)
+
+
+def draw(n: int, seed: int, duration: float | None = None) -> Case:
+    """Return a random case of n joints."""
+    rng = np.random.default_rng([n, seed, 1])
+    robot = arm(n, seed % ARMS)
+    truth = _true_parameters(rng, robot)
+    record = _record(rng, robot, truth, duration or rng.uniform(8, 16))
+    spread = {"joint_stiffness": 0.5, "motor_inertia": 0.3}
+    guess = {name: truth[name] * np.exp(sd * rng.standard_normal(n)) for name, sd in spread.items()}
+    return Case(record, robot, Prior.of(robot, guess), truth)
+
+
+def _true_parameters(rng: np.random.Generator, robot: Robot) -> dict[str, Array]:
+    n = robot.n
+    where = rng.uniform(-1, 1, (20, n))
+    free = np.mean([1 / np.diag(np.linalg.inv(robot.M_l(q))) for q in where], axis=0)
+    torque = np.max([np.abs(robot.grad_P_l(q)) for q in where], axis=0) + 10 * free
+    K, B = free * (2 * np.pi * rng.uniform(7, 18, n)) ** 2, free * rng.uniform(0.4, 2.5, n)
+    damping = 2 * np.sqrt(K * B)
+    found = {name: np.zeros(size(name, n)) for name in KINDS}
+    found |= {"joint_stiffness": K, "motor_inertia": B}
+    found |= {name: damping * rng.uniform(0.004, 0.04, n) for name in ("link_damping", "motor_damping")}
+    found |= {f"{side}_coulomb_friction": torque * rng.uniform(0, 0.05, n) for side in ("link", "motor")}
+    found["offset"] = rng.uniform(-5e-3, 5e-3, n)
+    found["link_skew"] = np.round(rng.uniform(-4e-3, 4e-3, n) / FINE) * FINE
+    found["effort_delay"] = np.full(n, np.round(rng.uniform(0, 4e-3) / FINE) * FINE)
+    return found
+
+
+def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], duration: float) -> MotionRecord:
+    n, dt = robot.n, float(rng.choice([1e-3, 1e-3, 2e-3]))
+    fine, samples = round(dt / FINE), round(duration / dt)
+    step = Shooting(ElasticArm(robot, ()), ())
+    numbers = packed(step.arm, {**truth, "smoothing": np.full(n, 0.01), "stribeck": np.full(n, 0.1)})
+    reference = _reference(rng, n, dt * np.arange(samples))
+    x = _rest(robot, truth, reference[0])
+    late = round(float(truth["effort_delay"][0]) / FINE)
+    noise = rng.uniform(2e-6, 3e-5, (2, n))
+    states, efforts, sent = [x[None]], [], [robot.grad_P_l(x[:n])] * (late // fine + 2)
+    gain = truth["motor_inertia"] * (2 * np.pi * 2.5) ** 2
+    for k in range(samples):
+        q, v = x[n : 2 * n] + noise[1] * rng.standard_normal(n), x[3 * n :]
+        u = gain * (reference[k] - q) - 1.0 * np.sqrt(gain * truth["motor_inertia"]) * v + robot.grad_P_l(reference[k])
+        sent.append(u + 0.05 * np.abs(gain) * rng.standard_normal(n) * 0.1)
+        efforts.append(sent[-1])
+        ages = [(late - i + fine - 1) // fine if late > i else 0 for i in range(fine)]
+        held = np.array([[sent[-1 - age], np.zeros(n)] for age in ages])[:, None]
+        found = step(x, held, np.zeros_like(held), numbers, FINE)
+        assert found is not None
+        states.append(found[0][1:])
+        x = found[0][-1]
+    return _measured(rng, np.vstack(states), np.array(efforts), truth, dt, noise)
+
+
+def _measured(
+    rng: np.random.Generator, x: Array, u: Array, truth: Mapping[str, Array], dt: float, noise: Array
+) -> MotionRecord:
+    n, k, fine = u.shape[1], len(u), round(dt / FINE)
+    at = np.arange(k)[:, None] * fine
+    skew = np.round(truth["link_skew"] / FINE).astype(int)
+    link = x[np.clip(at + skew, 0, len(x) - 1), np.arange(n)]
+    motor = x[at, n + np.arange(n)]
+    bits = 2 * np.pi / 2.0 ** rng.integers(18, 23, n)
+    q_l, q_m = (q + s * rng.standard_normal(q.shape) for q, s in zip((link, motor), noise, strict=True))
+    joints = tuple(f"joint{j + 1}" for j in range(n))
+    return MotionRecord("simulated", joints, dt, u, bits * np.round(q_l / bits), q_m, np.full_like(u, np.nan))
+
+
+def _reference(rng: np.random.Generator, n: int, t: Array) -> Array:
+    """Return a multi-sine (k, n) of 0.1 to 3 Hz about a random pose."""
+    f = np.array([0.13, 0.31, 0.73, 1.6, 3.1])
+    amplitude = np.array([0.4, 0.3, 0.15, 0.06, 0.02]) * rng.uniform(0.5, 1.2, (n, 1))
+    phase = rng.uniform(0, 2 * np.pi, (n, 5))
+    waves = np.sin(2 * np.pi * f * t[:, None, None] + phase)
+    return rng.uniform(-0.6, 0.6, n) + np.sum(amplitude * waves, axis=2)
+
+
+def _rest(robot: Robot, truth: Mapping[str, Array], q: Array) -> Array:
+    motor = q + robot.grad_P_l(q) / truth["joint_stiffness"] + truth["offset"]
+    return np.concatenate([q, motor, np.zeros(2 * robot.n)])
+
+
+def compared(case: Case, found: Identification) -> list[dict[str, Any]]:
+    """Return for each parameter whether its interval contains the truth."""
+    rows = []
+    for each in found.estimates:
+        true = float(case.truth[each.name][found.joints.index(each.joint)])
+        sd = max((each.high - each.low) / 3.92, 1e-12)
+        rows.append(
+            {
+                "name": each.name,
+                "verdict": each.verdict,
+                "inside": bool(each.low <= true <= each.high),
+                "score": (each.value - true) / sd,
+                "error": abs(each.value / true - 1) if true else float("nan"),
+            }
+        )
+    return rows
+
+
+def table(rows: list[dict[str, Any]]) -> list[str]:
+    """Return one line for each kind of parameter."""
+    lines = [f"{'parameter':26s} {'count':>6s} {'inside':>7s} {'unknown':>8s} {'rms score':>9s} {'median error':>12s}"]
+    for name in dict.fromkeys(row["name"] for row in rows):
+        own = [row for row in rows if row["name"] == name]
+        known = [row for row in own if row["verdict"] != UNKNOWN]
+        inside = float(np.mean([row["inside"] for row in known])) if known else float("nan")
+        score = float(np.sqrt(np.mean([row["score"] ** 2 for row in known]))) if known else float("nan")
+        error = float(np.median([row["error"] for row in known])) if known else float("nan")
+        lines.append(f"{name:26s} {len(known):6d} {inside:7.1%} {len(own) - len(known):8d} {score:9.2f} {error:12.2%}")
+    return lines
+
+
+def main() -> None:
+    """Run the study and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=200)
+    parser.add_argument("--joints", type=int, nargs="+", default=[1, 1, 1, 2, 2, 3])
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    for seed in range(options.first, options.first + options.cases):
+        n = options.joints[seed % len(options.joints)]
+        case, began = draw(n, seed), time.perf_counter()
+        found = identify([case.record], case.robot, case.prior, Options(threads=1))
+        own = [{**row, "seed": seed, "joints": n} for row in compared(case, found)]
+        rows += own
+        outside = [f"{row['name']} {row['score']:.1f}" for row in own if not row["inside"]]
+        print(f"{seed} n={n} {time.perf_counter() - began:.1f} s; outside: {', '.join(outside) or 'none'}", flush=True)
+        if options.out:
+            options.out.write_text(json.dumps(rows))
+    print("\n".join(table(rows)))
+
+
+if __name__ == "__main__":
+    main()
