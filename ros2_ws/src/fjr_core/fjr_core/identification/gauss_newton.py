@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -24,6 +25,10 @@ from .shooting import Shooting
 
 MOST_ITERATIONS = 60
 CONVERGED = 0.03  # standard deviations from the minimum that the normal equations predict
+SOFT = 1e-6  # damping of the first step
+SETTLED = 0.02  # decrease of the sum of squares, in units of the noise, that a step of an initial state is worth
+MOST_SETTLING = 8
+ROUGH = 1e-4  # rad, N m; noise that is assumed before residuals are known
 RIDGE = 1e-10  # of the scaled Hessian of an initial state, so that it can be factored
 HARDEST = 1e8  # damping at which no step is found
 
@@ -49,17 +54,34 @@ class Problem:
     floor: Array
     threads: int = 2
 
-    def evaluate(self, z: Array, x0: Array, noise: Array) -> list[Comparison] | None:
-        """Return the comparison of each segment, None if one does not stay finite."""
-
-        def one(k: int) -> Comparison | None:
-            return compare(self.segments[k], self.shooting, self.coordinates, z, x0[k], self.signals, noise)
-
+    def evaluate(self, z: Array, x0: Array, noise: Array) -> tuple[Array, list[Comparison]] | None:
+        """Return settled initial states and the comparison of each segment, None if one does not stay finite."""
         _ = self.shooting.library, self.shooting.function  # compiled in this thread
         with ThreadPoolExecutor(self.threads) as pool:
-            found = list(pool.map(one, range(len(self.segments))))
+            found = list(pool.map(lambda k: self._settle(k, z, x0[k], noise), range(len(self.segments))))
         complete = [each for each in found if each is not None]
-        return complete if len(complete) == len(found) else None
+        if len(complete) < len(found):
+            return None
+        return np.array([x for x, _ in complete]), [compared for _, compared in complete]
+
+    def _settle(self, k: int, z: Array, x: Array, noise: Array) -> tuple[Array, Comparison] | None:
+        """Return the most likely initial state of a segment at z, by Levenberg-Marquardt, and the comparison there."""
+        compared, damping, size = self._compare(k, z, x, noise), SOFT, len(x)
+        for _ in range(MOST_SETTLING):
+            if compared is None:
+                return None
+            dx, decrease = state_step(compared, size, damping)
+            if decrease < SETTLED:
+                break
+            trial = self._compare(k, z, x + dx, noise)
+            if trial is not None and _weighted(trial, noise) <= _weighted(compared, noise):
+                x, compared, damping = x + dx, trial, damping / 100
+            else:
+                damping *= 100
+        return x, compared
+
+    def _compare(self, k: int, z: Array, x: Array, noise: Array) -> Comparison | None:
+        return compare(self.segments[k], self.shooting, self.coordinates, z, x, self.signals, noise)
 
     def noise(self, compared: Sequence[Comparison]) -> Array:
         """Return the root mean square residual of each signal (signals,)."""
@@ -92,22 +114,18 @@ class Optimum:
 
 def optimise(problem: Problem, z: Array, x0: Array, progress: Callable[[float], None] = lambda share: None) -> Optimum:
     """Return the most likely z and initial states. Raises StateError if the prediction of the start is not finite."""
-    compared = problem.evaluate(z, x0, np.ones(len(problem.signals)))
-    if compared is None:
+    rough = problem.evaluate(z, x0, np.maximum(problem.floor, ROUGH))
+    start = problem.evaluate(z, rough[0], problem.noise(rough[1])) if rough else None
+    if start is None:
         raise StateError("the predicted motion does not stay finite; expected a prior nearer to the robot")
-    noise = problem.noise(compared)
-    compared = problem.evaluate(z, x0, noise)
-    assert compared is not None
-    damping, converged = 1e-3, False
+    (x0, compared), damping, converged = start, SOFT, False
     for iteration in range(MOST_ITERATIONS):
-        step = _search(problem, z, x0, compared, damping)
+        converged = distance(problem.coordinates, z, compared) < CONVERGED
         progress(min(1.0, (iteration + 1) / 8))
+        step = None if converged else _search(problem, z, x0, compared, damping)
         if step is None:
             break
         z, x0, compared, damping = step
-        if distance(problem.coordinates, z, compared) < CONVERGED:
-            converged = True
-            break
     return _final(problem, z, x0, compared, converged)
 
 
@@ -116,13 +134,13 @@ def _search(
 ) -> tuple[Array, Array, list[Comparison], float] | None:
     """Return z, initial states and comparison after a step that lowers the cost, and the next damping."""
     noise, cost = problem.noise(compared), problem.cost(compared, z)
+    parts = [project(each, x0.shape[1]) for each in compared]
     while damping < HARDEST:
-        parts = [project(each, x0.shape[1], damping) for each in compared]
         dz = _step(problem.coordinates, z, parts, damping)
         x_new = x0 + np.array([part.a - part.B @ dz for part in parts])
         trial = problem.evaluate(z + dz, x_new, noise)
-        if trial is not None and problem.cost(trial, z + dz) < cost + 1e-6:
-            return z + dz, x_new, trial, max(damping / 10, 1e-12)
+        if trial is not None and problem.cost(trial[1], z + dz) < cost:
+            return z + dz, *trial, max(damping / 100, 1e-12)
         damping *= 10
     return None
 
@@ -134,18 +152,34 @@ def _final(problem: Problem, z: Array, x0: Array, compared: Sequence[Comparison]
     noise = problem.noise(compared) * np.sqrt(counts.sum() / max(counts.sum() - estimated, 1))
     again = problem.evaluate(z, x0, noise)
     assert again is not None
-    return Optimum(z, x0, noise, again, [project(each, x0.shape[1]) for each in again], converged)
+    return Optimum(z, again[0], noise, again[1], [project(each, x0.shape[1]) for each in again[1]], converged)
 
 
-def project(compared: Comparison, size: int, damping: float = 0.0) -> Projected:
-    """Eliminate the initial state (size,), whose step is damped, from the normal equations of a segment."""
-    scale = np.sqrt(np.diag(compared.H)[:size])
-    scale = np.where(scale > 0, scale, 1.0)
-    factor = cho_factor(compared.H[:size, :size] / np.outer(scale, scale) + (RIDGE + damping) * np.eye(size))
+def project(compared: Comparison, size: int) -> Projected:
+    """Eliminate the initial state (size,) from the normal equations of a segment."""
+    scale, factor = _state_factor(compared, size, 0.0)
     across, g = compared.H[:size, size:], compared.g
     B = cho_solve(factor, across / scale[:, None]) / scale[:, None]
     a = cho_solve(factor, g[:size] / scale) / scale
     return Projected(compared.H[size:, size:] - across.T @ B, g[size:] - across.T @ a, a, B)
+
+
+def state_step(compared: Comparison, size: int, damping: float) -> tuple[Array, float]:
+    """Return the damped step of the initial state (size,), and by how much it lowers the sum of squares."""
+    scale, factor = _state_factor(compared, size, damping)
+    dx = cho_solve(factor, compared.g[:size] / scale) / scale
+    return dx, float(dx @ compared.g[:size])
+
+
+def _state_factor(compared: Comparison, size: int, damping: float) -> tuple[Array, Any]:
+    scale = np.sqrt(np.diag(compared.H)[:size])
+    scale = np.where(scale > 0, scale, 1.0)
+    H = compared.H[:size, :size] / np.outer(scale, scale)
+    return scale, cho_factor(H + (RIDGE + damping) * np.eye(size))
+
+
+def _weighted(compared: Comparison, noise: Array) -> float:
+    return float(np.sum(compared.squares / noise**2))
 
 
 def _step(coordinates: Coordinates, z: Array, parts: Sequence[Projected], damping: float) -> Array:
