@@ -26,7 +26,7 @@ from fjr_core.identification.identify import identify
 from fjr_core.identification.motion_record import MotionRecord
 from fjr_core.identification.parameters import KINDS, Options, Prior, size
 from fjr_core.identification.result import UNKNOWN, Identification
-from fjr_core.identification.shooting import Shooting
+from fjr_core.identification.shooting import HeldEffort, Shooting
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.newton_euler import serial_chain
 from fjr_core.robot.rigid_body import Body
@@ -100,6 +100,7 @@ def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], 
     late = round(float(truth["effort_delay"][0]) / FINE)
     noise = rng.uniform(2e-6, 3e-5, (2, n))
     states, efforts, sent = [x[None]], [], [robot.grad_P_l(x[:n])] * (late // fine + 2)
+    always = np.ones(2 * n, dtype=np.int32), np.zeros(2 * n)
     gain = truth["motor_inertia"] * (2 * np.pi * 2.5) ** 2
     for k in range(samples):
         q, v = x[n : 2 * n] + noise[1] * rng.standard_normal(n), x[3 * n :]
@@ -107,8 +108,8 @@ def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], 
         sent.append(u + 0.05 * np.abs(gain) * rng.standard_normal(n) * 0.1)
         efforts.append(sent[-1])
         ages = [(late - i + fine - 1) // fine if late > i else 0 for i in range(fine)]
-        held = np.array([[sent[-1 - age], np.zeros(n)] for age in ages])[:, None]
-        found = step(x, held, np.zeros_like(held), numbers, FINE)
+        held = HeldEffort(np.array([sent[-1 - age] for age in ages]), FINE, 1, *always)
+        found = step(x, held, 0, fine, numbers, np.zeros(n))
         assert found is not None
         states.append(found[0][1:])
         x = found[0][-1]

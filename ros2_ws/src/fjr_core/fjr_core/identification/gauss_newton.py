@@ -27,6 +27,7 @@ MOST_ITERATIONS = 60
 CONVERGED = 0.03  # standard deviations from the minimum that the normal equations predict
 SOFT = 1e-6  # damping of the first step
 SETTLED = 0.02  # decrease of the sum of squares, in units of the noise, that a step of an initial state is worth
+SHARE = 1e-4  # of the sum of squares: a smaller decrease is left to the next step of z
 MOST_SETTLING = 8
 ROUGH = 1e-4  # rad, N m; noise that is assumed before residuals are known
 RIDGE = 1e-10  # of the scaled Hessian of an initial state, so that it can be factored
@@ -71,7 +72,7 @@ class Problem:
             if compared is None:
                 return None
             dx, decrease = state_step(compared, size, damping)
-            if decrease < SETTLED:
+            if decrease < max(SETTLED, SHARE * _weighted(compared, noise)):
                 break
             trial = self._compare(k, z, x + dx, noise)
             if trial is not None and _weighted(trial, noise) <= _weighted(compared, noise):

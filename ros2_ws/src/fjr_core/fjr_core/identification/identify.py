@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ..errors import StateError
 from ..numerics import checks
@@ -22,13 +23,14 @@ from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, Options, Prior, size
 from .posterior import spread
 from .result import LOG, NONNEGATIVE, UNKNOWN, Estimate, Identification
 from .segments import Segment, cut, measured_signals
-from .shooting import Shooting
+from .shooting import HeldEffort, Shooting
 from .verdict import Motion, not_identifiable, partners, reason, verdict
 
 PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
 ACCURATE = 0.35  # rad; angle of the fastest resonance in an integration step
 CREEP = 0.5  # decay of friction at rest in an integration step
 MOST_PARTS = 16
+SLOW = 3.0  # smoothing velocities; friction is steep below
 MOST_FREQUENCIES = 20  # samples of a record at which resonances are computed
 
 
@@ -121,13 +123,11 @@ class _Setup:
     def problem(self, coordinates: Coordinates, start: Mapping[str, Array]) -> Problem:
         """Return the segments of the records with the model; their length and steps follow from the start values."""
         arm = self.arm(coordinates)
-        slowest, fastest = _rates(arm, self.records, start)
+        slowest, fastest, creep = _rates(arm, self.records, start)
         length = self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
-        segments = [
-            segment
-            for record in self.records
-            for segment in cut(record, length, min(MOST_PARTS, max(1, int(np.ceil(record.dt * fastest)))))
-        ]
+        slow = np.tile(SLOW * start["smoothing"], 2)
+        efforts = [HeldEffort(r.u, r.dt, int(_parts(r.dt * fastest)), _parts(r.dt * creep), slow) for r in self.records]
+        segments = [s for r, effort in zip(self.records, efforts, strict=True) for s in cut(r, effort, length)]
         signals = measured_signals(self.records)
         floor = np.array([_least_noise(self.records, *each) for each in signals])
         return Problem(segments, Shooting(arm, coordinates.delays), coordinates, signals, floor, self.options.threads)
@@ -173,21 +173,29 @@ def _initial_states(segments: Sequence[Segment], motions: Mapping[int, FilteredM
     return np.array([motions[id(each.record)].state(each.first - each.pad) for each in segments])
 
 
-def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Array]) -> tuple[float, float]:
-    """Return the slowest resonance [rad/s], and the integration steps that are needed per second."""
-    K, B = np.diag(p["joint_stiffness"]), np.diag(p["motor_inertia"])
-    slowest, fastest, values = np.inf, 0.0, packed(arm, p)
+def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Array]) -> tuple[float, float, Array]:
+    """Return the slowest resonance [rad/s], and the integration steps needed per second, of resonances and creep (2n,).
+
+    Creep is the decay of the velocity of a link or a motor, in this order, by friction at rest.
+    """
+    K, B, values = np.diag(p["joint_stiffness"]), p["motor_inertia"], packed(arm, p)
+    slowest, fastest, mobility = np.inf, 0.0, np.zeros(len(B))
     for record in records:
         q = np.where(np.isfinite(record.q_l), record.q_l, record.q_m)
         for sample in q[np.all(np.isfinite(q), axis=1)][:: max(1, len(q) // MOST_FREQUENCIES)]:
-            M = arm.link_inertia(sample, values).full()
-            flexible = np.sqrt(np.linalg.eigvals(K @ (np.linalg.inv(M) + np.linalg.inv(B))).real)
-            friction = [(M, p["link_coulomb_friction"]), (B, p["motor_coulomb_friction"])]
-            slopes = [np.linalg.solve(inertia, np.diag(F / p["smoothing"])) for inertia, F in friction]
-            decay = [np.linalg.eigvals(slope).real.max() for slope in slopes]
-            slowest = min(slowest, flexible.min())
-            fastest = max(fastest, flexible.max() / ACCURATE, *(rate / CREEP for rate in decay))
-    return slowest, fastest
+            inverse = np.linalg.inv(arm.link_inertia(sample, values).full())
+            resonances = np.sqrt(np.linalg.eigvals(K @ (inverse + np.diag(1 / B))).real)
+            slowest, fastest = min(slowest, resonances.min()), max(fastest, resonances.max())
+            mobility = np.maximum(mobility, np.diag(inverse))
+    friction = [np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")]
+    decay = np.concatenate([friction[0] * mobility, friction[1] / B]) / np.tile(p["smoothing"], 2)
+    return slowest, fastest / ACCURATE, decay / CREEP
+
+
+def _parts(steps: ArrayLike) -> NDArray[np.int32]:
+    """Return the next power of 2 of steps, at most MOST_PARTS."""
+    exponent = np.ceil(np.log2(np.maximum(steps, 1.0)))
+    return np.minimum(2.0**exponent, MOST_PARTS).astype(np.int32)
 
 
 def _least_noise(records: Sequence[MotionRecord], signal: str, joint: int) -> float:

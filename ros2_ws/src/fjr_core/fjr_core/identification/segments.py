@@ -15,10 +15,9 @@ import numpy as np
 
 from ..numerics.checks import Array
 from .coordinates import Coordinates, packed
-from .held_effort import HeldEffort
 from .motion_record import MotionRecord
 from .parameters import LARGEST_SKEW
-from .shooting import Shooting
+from .shooting import HeldEffort, Shooting
 
 SIGNALS = ("q_l", "q_m", "torque")
 SKEWS = {"q_l": "link_skew", "torque": "torque_skew"}
@@ -26,17 +25,13 @@ SKEWS = {"q_l": "link_skew", "torque": "torque_skew"}
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Samples first .. first + count - 1 of a record, integrated from `pad` samples before to as many after.
-
-    parts: integration steps per sample.
-    """
+    """Samples first .. first + count - 1 of a record, integrated from `pad` samples before to as many after."""
 
     record: MotionRecord
     effort: HeldEffort
     first: int
     count: int
     pad: int
-    parts: int
 
     def measured(self, signal: str, joint: int) -> Array:
         """Return the measurements (count,) of a signal of a joint, NaN: none."""
@@ -65,14 +60,13 @@ def measured_signals(records: Sequence[MotionRecord]) -> tuple[tuple[str, int], 
     return tuple((s, j) for s, j in pairs if any(np.any(np.isfinite(getattr(r, s)[:, j])) for r in records))
 
 
-def cut(record: MotionRecord, length: float, parts: int) -> list[Segment]:
+def cut(record: MotionRecord, effort: HeldEffort, length: float) -> list[Segment]:
     """Return segments of about `length` [s], all of the same number of samples but the last ones."""
     pad = int(np.ceil(LARGEST_SKEW / record.dt)) + 1
     usable = len(record.u) - 2 * pad - 1
     number = max(1, round(usable * record.dt / length))
     edges = pad + np.round(np.linspace(0, usable, number + 1)).astype(int)
-    effort = HeldEffort(record.u, record.dt)
-    return [Segment(record, effort, int(a), int(b - a), pad, parts) for a, b in pairwise(edges)]
+    return [Segment(record, effort, int(a), int(b - a), pad) for a, b in pairwise(edges)]
 
 
 def compare(
@@ -87,8 +81,7 @@ def compare(
     """Return the comparison of a segment, or None if the prediction does not stay finite. noise (signals,)."""
     p = coordinates.parameters(z)
     start, samples = segment.first - segment.pad, segment.count + 2 * segment.pad
-    u, du = segment.effort.lines(start, samples, segment.parts, p["effort_delay"])
-    found = shooting(x0, u, du, packed(shooting.arm, p), segment.record.dt)
+    found = shooting(x0, segment.effort, start, samples, packed(shooting.arm, p), p["effort_delay"])
     if found is None:
         return None
     n, scale = len(segment.record.joints), coordinates.scale(z)

@@ -54,15 +54,41 @@ static int step(const struct fjr_arm* m, double* x, double* S, const double* u, 
   return 0;
 }
 
-int fjr_shoot(const struct fjr_arm* m, const double* u, const double* du, const double* parameters, int64_t samples,
-              int64_t parts, double dt, double* X, double* S, double* work) {
+static double held(const struct fjr_input* input, double k, int joint) {
+  const double last = (double)(input->count - 1);
+  return input->u[(int64_t)(k < 0 ? 0 : k > last ? last : k) * N + joint];
+}
+
+/* The effort switches once at most in a part. The line has its mean and its first moment, so that velocities and
+ * positions are exact where nothing else acts; unlike a sample of u it is continuous in the delay. */
+void fjr_line(const struct fjr_input* input, int64_t k, int64_t part, int64_t parts, double* u, double* du) {
+  for (int j = 0; j < N; ++j) {
+    const double start = (double)(input->first + k) + (double)part / (double)parts - input->delay[j];
+    const double index = floor(start), until = (index + 1 - start) * (double)parts, share = until < 1 ? until : 1;
+    const double before = held(input, index, j), jump = until > 1 ? 0 : held(input, index + 1, j) - before;
+    const double rate = jump * (double)parts / input->dt;
+    u[j] = before + (1 - share) * jump, u[N + j] = 3 * share * (1 - share) * jump;
+    du[j] = -rate, du[N + j] = 3 * (1 - 2 * share) * rate;
+  }
+}
+
+static int64_t parts_at(const struct fjr_input* input, const double* x) {
+  int32_t most = input->parts[0];
+  for (int i = 0; i < 2 * N; ++i)
+    if (input->parts[1 + i] > most && fabs(x[2 * N + i]) < input->slow[i]) most = input->parts[1 + i];
+  return most;
+}
+
+int fjr_shoot(const struct fjr_arm* m, const struct fjr_input* input, const double* parameters, int64_t samples,
+              double* X, double* S, double* work) {
   for (int64_t k = 0; k < samples; ++k) {
-    double *x = X + (k + 1) * 4 * N, *s = S + (k + 1) * 4 * N * M;
+    double *x = X + (k + 1) * 4 * N, *s = S + (k + 1) * 4 * N * M, u[2 * N], du[2 * N];
     memcpy(x, x - 4 * N, 4 * N * sizeof *x);
     memcpy(s, s - 4 * N * M, 4 * N * M * sizeof *s);
+    const int64_t parts = parts_at(input, x);
     for (int64_t part = 0; part < parts; ++part) {
-      const int64_t at = (k * parts + part) * 2 * N;
-      if (step(m, x, s, u + at, du + at, parameters, dt / (double)parts, work)) return 1;
+      fjr_line(input, k, part, parts, u, du);
+      if (step(m, x, s, u, du, parameters, input->dt / (double)parts, work)) return 1;
     }
     for (int i = 0; i < 4 * N; ++i)
       if (!isfinite(x[i])) return 1;

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..numerics import jit
 from ..numerics.c_types import ffi_of
@@ -17,6 +18,31 @@ from ..numerics.checks import Array
 from .elastic_arm import ElasticArm
 
 INCLUDED = ("#include <math.h>", "#include <stdint.h>", "#include <string.h>")
+
+
+@dataclass(frozen=True, eq=False)
+class HeldEffort:
+    """Efforts u (k, n) [N m] of a record, each held for the sample period dt [s], and the steps of integration.
+
+    parts: steps of a sample period. slow_parts (2n,): steps while a link or motor, in this order, is slower than slow
+    (2n,) [rad/s]; friction is steep there.
+    """
+
+    u: Array
+    dt: float
+    parts: int
+    slow_parts: NDArray[np.int32]
+    slow: Array
+
+    def struct(self, ffi: Any, first: int, delay: Array) -> tuple[Any, ...]:
+        """Return the structure of C, and what it refers to."""
+        parts = np.array([self.parts, *self.slow_parts], dtype=np.int32)
+        u, slow, late = (np.ascontiguousarray(each, dtype=float) for each in (self.u, self.slow, delay / self.dt))
+        numbers = {"u": u, "delay": late, "slow": slow}
+        fields = {name: ffi.from_buffer("double[]", array) for name, array in numbers.items()}
+        fields["parts"] = ffi.from_buffer("int32_t[]", parts)
+        values = {**fields, "count": len(u), "first": first, "dt": self.dt}
+        return ffi.new("struct fjr_input *", values), values
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +60,20 @@ class Shooting:
         """Return the number of columns of the sensitivities."""
         return 4 * self.arm.robot.n + len(self.arm.free) + len(self.delays)
 
-    def __call__(self, x0: Array, u: Array, du: Array, parameters: Array, dt: float) -> tuple[Array, Array] | None:
-        """Return states (k + 1, 4n) and sensitivities (k + 1, 4n, columns), or None if they do not stay finite.
+    def __call__(
+        self, x0: Array, effort: HeldEffort, first: int, samples: int, parameters: Array, delay: Array
+    ) -> tuple[Array, Array] | None:
+        """Return states (samples + 1, 4n) and sensitivities (samples + 1, 4n, columns) from x0 (4n,) at sample `first`.
 
-        x0 (4n,). u, du (k, parts, 2, n): mean effort of each part of a sample period dt [s] and half of its increment,
-        and their derivatives by the delay.
+        delay (n,) [s]: of the effort. None if the state does not stay finite.
         """
-        (k, parts, _, n), columns = u.shape, self.columns
-        X, S = np.empty((k + 1, 4 * n)), np.empty((k + 1, 4 * n, columns))
+        n, columns = self.arm.robot.n, self.columns
+        X, S = np.empty((samples + 1, 4 * n)), np.empty((samples + 1, 4 * n, columns))
         X[0], S[0] = x0, np.eye(4 * n, columns)
         ffi, lib = self.library
-        numbers = [ffi.from_buffer("double[]", np.ascontiguousarray(each, dtype=float)) for each in (u, du, parameters)]
-        results = [ffi.from_buffer("double[]", each) for each in (X, S)]
-        failed = lib.fjr_shoot(self._memory.arm, *numbers, k, parts, dt, *results, self._memory.work)
+        held = effort.struct(ffi, first, delay)
+        arrays = [ffi.from_buffer("double[]", each) for each in (np.ascontiguousarray(parameters), X, S)]
+        failed = lib.fjr_shoot(self._memory.arm, held[0], arrays[0], samples, *arrays[1:], self._memory.work)
         return None if failed else (X, S)
 
     @cached_property
