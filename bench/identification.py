@@ -51,7 +51,8 @@ def arm(n: int, number: int) -> Robot:
     """Return a random serial arm of n joints with unit springs, motors and no damping."""
     rng = np.random.default_rng([n, number])
     bodies = [_body(rng, i) for i in range(n)]
-    return Robot(serial_chain(bodies), *(np.eye(n) for _ in range(2)), *(np.zeros((n, n)) for _ in range(2)), np.eye(n))
+    one, none = np.eye(n), np.zeros((n, n))
+    return Robot(serial_chain(bodies), M_m=one, K=one, D_l=none, D_m=none, B_m=one)
 
 
 def _body(rng: np.random.Generator, i: int) -> Body:
@@ -80,7 +81,7 @@ def _true_parameters(rng: np.random.Generator, robot: Robot) -> dict[str, Array]
     torque = np.max([np.abs(robot.grad_P_l(q)) for q in where], axis=0) + 10 * free
     K, B = free * (2 * np.pi * rng.uniform(7, 18, n)) ** 2, free * rng.uniform(0.4, 2.5, n)
     damping = 2 * np.sqrt(K * B)
-    found = {name: np.zeros(size(name, n)) for name in KINDS}
+    found: dict[str, Array] = {name: np.zeros(size(name, n)) for name in KINDS}
     found |= {"joint_stiffness": K, "motor_inertia": B}
     found |= {name: damping * rng.uniform(0.004, 0.04, n) for name in ("link_damping", "motor_damping")}
     found |= {f"{side}_coulomb_friction": torque * rng.uniform(0, 0.05, n) for side in ("link", "motor")}
@@ -95,7 +96,7 @@ def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], 
     fine, samples = round(dt / FINE), round(duration / dt)
     step = Shooting(ElasticArm(robot, ()), ())
     numbers = packed(step.arm, {**truth, "smoothing": np.full(n, 0.01), "stribeck": np.full(n, 0.1)})
-    reference = _reference(rng, n, dt * np.arange(samples))
+    reference = _reference(rng, n, dt * np.arange(samples, dtype=float))
     x = _rest(robot, truth, reference[0])
     late = round(float(truth["effort_delay"][0]) / FINE)
     noise = rng.uniform(2e-6, 3e-5, (2, n))

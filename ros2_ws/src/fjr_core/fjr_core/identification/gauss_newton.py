@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ..errors import StateError
 from ..numerics.checks import Array
@@ -24,13 +24,15 @@ from .segments import Comparison, Segment, compare
 from .shooting import Shooting
 
 MOST_ITERATIONS = 60
-CONVERGED = 0.03  # standard deviations from the minimum that the normal equations predict
+FEW = 24  # segments of the first descent
+NEAR, CONVERGED = 1.0, 0.1  # standard deviations from the minimum that the normal equations predict
 SOFT = 1e-6  # damping of the first step
 SETTLED = 0.02  # decrease of the sum of squares, in units of the noise, that a step of an initial state is worth
 SHARE = 1e-4  # of the sum of squares: a smaller decrease is left to the next step of z
 MOST_SETTLING = 8
 ROUGH = 1e-4  # rad, N m; noise that is assumed before residuals are known
 RIDGE = 1e-10  # of the scaled Hessian of an initial state, so that it can be factored
+LEAST_DECREASE = 1e-3  # of -log L, of a step after which others are tried
 HARDEST = 1e8  # damping at which no step is found
 
 
@@ -67,21 +69,22 @@ class Problem:
 
     def _settle(self, k: int, z: Array, x: Array, noise: Array) -> tuple[Array, Comparison] | None:
         """Return the most likely initial state of a segment at z, by Levenberg-Marquardt, and the comparison there."""
-        compared, damping, size = self._compare(k, z, x, noise), SOFT, len(x)
+        compared, damping, size = self.compare(k, z, x, noise), SOFT, len(x)
         for _ in range(MOST_SETTLING):
             if compared is None:
                 return None
             dx, decrease = state_step(compared, size, damping)
             if decrease < max(SETTLED, SHARE * _weighted(compared, noise)):
-                break
-            trial = self._compare(k, z, x + dx, noise)
+                return x, compared
+            trial = self.compare(k, z, x + dx, noise)
             if trial is not None and _weighted(trial, noise) <= _weighted(compared, noise):
                 x, compared, damping = x + dx, trial, damping / 100
             else:
                 damping *= 100
-        return x, compared
+        return None if compared is None else (x, compared)
 
-    def _compare(self, k: int, z: Array, x: Array, noise: Array) -> Comparison | None:
+    def compare(self, k: int, z: Array, x: Array, noise: Array) -> Comparison | None:
+        """Return the comparison of segment k at z and the initial state x (4n,)."""
         return compare(self.segments[k], self.shooting, self.coordinates, z, x, self.signals, noise)
 
     def noise(self, compared: Sequence[Comparison]) -> Array:
@@ -98,36 +101,54 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """z (p,), initial states (segments, 4n), noise (signals,) and the normal equations there."""
+    """z (p,), initial states (segments, 4n), noise (signals,) and the normal equations there.
+
+    chance (p, p): information about z that initial states seem to give because they fit noise; it tells nothing.
+    """
 
     z: Array
     x0: Array
     noise: Array
     compared: Sequence[Comparison]
     projected: Sequence[Projected]
+    chance: Array
     converged: bool
-
-    @property
-    def information(self) -> Array:
-        """Return the information (p, p) of the records about z, without the prior."""
-        return np.asarray(sum(each.H for each in self.projected))
 
 
 def optimise(problem: Problem, z: Array, x0: Array, progress: Callable[[float], None] = lambda share: None) -> Optimum:
-    """Return the most likely z and initial states. Raises StateError if the prediction of the start is not finite."""
+    """Return the most likely z and initial states. Raises StateError if the prediction of the start is not finite.
+
+    First on some segments, then on all of them.
+    """
+    stride = max(1, len(problem.segments) // FEW)
+    if stride > 1:
+        some = replace(problem, segments=problem.segments[::stride])
+        z = _descended(some, z, x0[::stride], NEAR, lambda share: progress(share / 2))[0]
+    z, x0, compared, converged = _descended(problem, z, x0, CONVERGED, lambda share: progress((1 + share) / 2))
+    return _final(problem, z, x0, compared, converged)
+
+
+def _descended(
+    problem: Problem, z: Array, x0: Array, near: float, progress: Callable[[float], None]
+) -> tuple[Array, Array, list[Comparison], bool]:
+    """Return z, initial states and comparison, and whether the minimum is within `near` standard deviations."""
     rough = problem.evaluate(z, x0, np.maximum(problem.floor, ROUGH))
     start = problem.evaluate(z, rough[0], problem.noise(rough[1])) if rough else None
     if start is None:
         raise StateError("the predicted motion does not stay finite; expected a prior nearer to the robot")
-    (x0, compared), damping, converged = start, SOFT, False
+    (x0, compared), damping, reached = start, SOFT, False
     for iteration in range(MOST_ITERATIONS):
-        converged = distance(problem.coordinates, z, compared) < CONVERGED
-        progress(min(1.0, (iteration + 1) / 8))
-        step = None if converged else _search(problem, z, x0, compared, damping)
+        away = distance(problem.coordinates, z, compared)
+        progress(iteration / (iteration + np.log1p(away)) if iteration else 0.0)
+        reached = away < near
+        step = None if reached else _search(problem, z, x0, compared, damping)
         if step is None:
             break
+        before = problem.cost(compared, z)
         z, x0, compared, damping = step
-    return _final(problem, z, x0, compared, converged)
+        if before - problem.cost(compared, z) < LEAST_DECREASE:
+            break
+    return z, x0, compared, reached
 
 
 def _search(
@@ -153,7 +174,26 @@ def _final(problem: Problem, z: Array, x0: Array, compared: Sequence[Comparison]
     noise = problem.noise(compared) * np.sqrt(counts.sum() / max(counts.sum() - estimated, 1))
     again = problem.evaluate(z, x0, noise)
     assert again is not None
-    return Optimum(z, again[0], noise, again[1], [project(each, x0.shape[1]) for each in again[1]], converged)
+    x0, compared = again
+    projected = [project(each, x0.shape[1]) for each in compared]
+    return Optimum(z, x0, noise, compared, projected, _chance(problem, z, x0, noise, compared, projected), converged)
+
+
+def _chance(
+    problem: Problem, z: Array, x0: Array, noise: Array, compared: Sequence[Comparison], projected: Sequence[Projected]
+) -> Array:
+    """Return by how much the information (p, p) grows when initial states are disturbed by their own uncertainty.
+
+    A spring at rest, for instance, seems to swing with the noise, at a frequency that seems to tell its stiffness.
+    """
+    random, size = np.random.default_rng(0), x0.shape[1]
+    disturbed = []
+    for k, (x, each) in enumerate(zip(x0, compared, strict=True)):
+        scale, factor = _state_factor(each, size, 0.0)
+        dx = solve_triangular(factor[0], random.standard_normal(size), trans=0 if factor[1] else 1, lower=factor[1])
+        disturbed.append(problem.compare(k, z, x + dx / scale, noise))
+    pairs = [(project(d, size).H, p.H) for d, p in zip(disturbed, projected, strict=True) if d is not None]
+    return np.asarray(sum(after - before for after, before in pairs))
 
 
 def project(compared: Comparison, size: int) -> Projected:

@@ -31,6 +31,8 @@ ACCURATE = 0.35  # rad; angle of the fastest resonance in an integration step
 CREEP = 0.5  # decay of friction at rest in an integration step
 MOST_PARTS = 16
 SLOW = 3.0  # smoothing velocities; friction is steep below
+LEAST_DEFLECTION = 1e-3  # rad; of the torque that is taken as the scale of a joint without effort
+FARTHEST = 3.0  # widths of the prior, of a start value
 MOST_FREQUENCIES = 20  # samples of a record at which resonances are computed
 
 
@@ -56,7 +58,7 @@ def identify(
     optimum = optimise(
         problem, problem.coordinates.of_values(start), x0, lambda share: progress("prediction error", share)
     )
-    fixed = not_identifiable(optimum.projected, setup.coordinates.width)
+    fixed = not_identifiable(optimum.projected, optimum.chance, setup.coordinates.width)
     if fixed:
         problem = setup.problem(setup.coordinates.without(fixed), start)
         kept = [k for k in range(len(optimum.z)) if k not in fixed]
@@ -92,7 +94,8 @@ class _Setup:
     def widths(self) -> dict[str, Array]:
         """Return the prior's standard deviations by name; defaults follow from efforts and from K and B."""
         n, values = self.robot.n, self.prior.values
-        effort = np.max([np.sqrt(np.mean(r.u**2, axis=0)) for r in self.records], axis=0) + 1e-9
+        measured = np.max([np.sqrt(np.mean(r.u**2, axis=0)) for r in self.records], axis=0)
+        effort = np.maximum(measured, LEAST_DEFLECTION * values["joint_stiffness"])
         damping = 0.1 * np.sqrt(values["joint_stiffness"] * values["motor_inertia"])
         found: dict[str, Array] = {
             name: np.full(size(name, n), kind.width) for name, kind in KINDS.items() if kind.width is not None
@@ -108,12 +111,9 @@ class _Setup:
         arm, values = self.arm(self.coordinates), self.values
         motions = [filtered(record, arm, values) for record in self.records]
         found = start_values(self.records, motions, self.robot.B_m, self.prior, values["smoothing"])
-        free = set(self.coordinates.free)
-        for name, value in found.items():  # what is not free keeps its value
-            for j in range(len(value)):
-                if (name, j) not in free:
-                    value[j] = self.prior.values[name][j]
-        return motions, {**values, **found}
+        z = self.coordinates.of_values(found)
+        mean, reach = self.coordinates.mean, FARTHEST * self.coordinates.width
+        return motions, self.coordinates.parameters(np.clip(z, mean - reach, mean + reach))
 
     def arm(self, coordinates: Coordinates) -> ElasticArm:
         """Return the arm with derivatives by the free parameters."""
@@ -215,23 +215,24 @@ def _result(setup: _Setup, problem: Problem, first: Optimum, optimum: Optimum, f
     """Return the estimates at the optimum without the parameters that are not identifiable."""
     coordinates, width = setup.coordinates, setup.coordinates.width
     kept = [k for k in range(len(width)) if k not in fixed]
-    found = spread(first.projected, width, fixed)
+    found = spread(first.projected, first.chance, width, fixed)
     alone = found.from_records
     covariance = found.covariance[np.ix_(kept, kept)]
     z = coordinates.mean.copy()
     z[kept] = optimum.z
-    whole = spread(first.projected, width)
+    whole = spread(first.projected, first.chance, width)
     names = [_label(setup, *each) for each in coordinates.free]
     together = partners(whole.covariance, names)
     sd = np.where(np.isfinite(alone), np.sqrt(np.diag(found.covariance)), width)
     motions = [Motion.of(setup.records, j) for j in range(setup.robot.n)]
     estimates = []
     for k, (name, j) in enumerate(coordinates.free):
+        before = float(setup.prior.values[name][j])
         value, low, high = _interval(name, z[k], sd[k])
         judged = UNKNOWN if k in fixed else verdict(name, value, sd[k], width[k])
         why = reason(name, judged, motions[-1 if name in PAYLOAD else j], together.get(k, ""))
         joint = "" if name in PAYLOAD else setup.records[0].joints[j]
-        before = float(setup.prior.values[name][j])
+        value = before if k in fixed else value
         estimates.append(Estimate(name, joint, _unit(setup, name, j), value, low, high, before, judged, why))
     kinds = tuple(KINDS[coordinates.free[k][0]].coordinate for k in kept)
     series = fits(problem, optimum)

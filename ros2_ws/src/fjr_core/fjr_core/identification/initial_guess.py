@@ -168,5 +168,5 @@ def _inner(rows: Array, dt: float) -> Array:
 
 
 def _solved(A: Array, y: Array) -> tuple[Array, float]:
-    solution: Array = np.linalg.lstsq(A, y, rcond=1e-10)[0]
-    return solution, float(np.sum((y - A @ solution) ** 2))
+    solution = np.linalg.lstsq(A, y, rcond=1e-10)[0]
+    return np.asarray(solution, dtype=float), float(np.sum((y - A @ solution) ** 2))

@@ -19,6 +19,7 @@ from ..numerics.checks import Array
 from .gauss_newton import Projected
 
 CONFIDENCE = 0.95
+CAUTION = 4.0  # chance is drawn once
 LAGS = 2
 """Segments over which scores are taken to be correlated, with the weights of Bartlett (W. Newey, K. West, 1987)."""
 
@@ -31,10 +32,10 @@ class Spread:
     from_records: Array
 
 
-def spread(parts: Sequence[Projected], width: Array, fixed: Sequence[int] = ()) -> Spread:
+def spread(parts: Sequence[Projected], chance: Array, width: Array, fixed: Sequence[int] = ()) -> Spread:
     """Return the covariance of z from the normal equations of the segments and the prior's width (p,).
 
-    fixed: entries of z that keep their prior; their uncertainty is that of the prior and acts on the others, and their
+    chance (p, p): information that is due to noise; it does not count in from_records. fixed: entries of z that keep their prior; their uncertainty is that of the prior and acts on the others, and their
     own entries in from_records are those without them.
     """
     H = np.asarray(sum(part.H for part in parts))
@@ -47,7 +48,7 @@ def spread(parts: Sequence[Projected], width: Array, fixed: Sequence[int] = ()) 
         by_prior = posterior @ H[np.ix_(free, list(fixed))] * width[list(fixed)]
         covariance = covariance + by_prior @ by_prior.T
     alone = np.full(len(width), np.inf)
-    alone[free] = _standard_deviations(chosen, width[free]) * factor
+    alone[free] = _standard_deviations(chosen - CAUTION * chance[np.ix_(free, free)], width[free]) * factor
     whole = np.zeros_like(H)
     whole[np.ix_(free, free)] = covariance
     return Spread(whole, alone)
@@ -71,9 +72,11 @@ def inflation(scores: Array, posterior: Array) -> Array:
 
 
 def _standard_deviations(H: Array, width: Array) -> Array:
-    """Return the standard deviations that the information H gives, large but finite where it is singular."""
-    tiny = 1e-12 * width**-2.0
-    return np.sqrt(np.diag(_inverse(H + np.diag(tiny))))
+    """Return the standard deviations that the information H gives, large but finite where it is not definite."""
+    scale = np.sqrt(np.maximum(np.diag(H), width**-2.0))
+    w, v = np.linalg.eigh(H / np.outer(scale, scale))
+    least = 1e-12 * (1 + np.max(np.abs(w), initial=0.0))
+    return np.asarray(np.sqrt((v**2) @ (1 / np.maximum(w, least))) / scale)
 
 
 def _inverse(H: Array) -> Array:

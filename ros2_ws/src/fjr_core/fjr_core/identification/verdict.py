@@ -22,7 +22,7 @@ BLUNT = 0.6
 STILL = 2e-3  # rad; a joint that moves less stands still
 
 
-def not_identifiable(parts: Sequence[Projected], width: Array) -> tuple[int, ...]:
+def not_identifiable(parts: Sequence[Projected], chance: Array, width: Array) -> tuple[int, ...]:
     """Return the entries of z that the records do not tell, found one by one, the worst first.
 
     Each is held at its prior before the others are judged: of two parameters of which only the sum matters, one is
@@ -30,7 +30,7 @@ def not_identifiable(parts: Sequence[Projected], width: Array) -> tuple[int, ...
     """
     fixed: list[int] = []
     while len(fixed) < len(width):
-        ratio = spread(parts, width, fixed).from_records / width
+        ratio = spread(parts, chance, width, fixed).from_records / width
         ratio[fixed] = 0.0
         worst = int(np.argmax(ratio))
         if ratio[worst] <= BLUNT:

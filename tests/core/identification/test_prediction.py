@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The predicted motion is that of SciPy's integrator; its sensitivities are those of differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.elastic_joint import ElasticJoint, integrated, multi_sine
+from fjr_core.identification.coordinates import Coordinates, packed
+from fjr_core.identification.elastic_arm import ElasticArm, free_entries
+from fjr_core.identification.motion_record import MotionRecord
+from fjr_core.identification.parameters import KINDS, Prior, size
+from fjr_core.identification.segments import Segment, compare
+from fjr_core.identification.shooting import HeldEffort, Shooting
+from fjr_core.numerics.checks import Array
+
+FREE = (
+    "joint_stiffness",
+    "motor_inertia",
+    "link_damping",
+    "motor_coulomb_friction",
+    "offset",
+    "effort_delay",
+    "link_skew",
+)
+
+
+def held(u: Array, dt: float, parts: int) -> HeldEffort:
+    n = u.shape[1]
+    return HeldEffort(u, dt, parts, np.full(2 * n, parts, dtype=np.int32), np.zeros(2 * n))
+
+
+def values(n: int, **given: float) -> dict[str, Array]:
+    zeros = {name: np.zeros(size(name, n)) for name in KINDS}
+    return {**zeros, **{name: np.full(n, value) for name, value in given.items()}, **friction_velocities(n)}
+
+
+def friction_velocities(n: int) -> dict[str, Array]:
+    return {"smoothing": np.full(n, 0.01), "stribeck": np.full(n, 0.1)}
+
+
+def parameters(joint: ElasticJoint) -> dict[str, Array]:
+    return values(
+        1,
+        joint_stiffness=joint.K,
+        motor_inertia=joint.B,
+        link_damping=joint.D_l,
+        motor_damping=joint.D_m,
+        link_coulomb_friction=joint.F_l,
+        motor_coulomb_friction=joint.F_m,
+        offset=joint.offset,
+        effort_delay=joint.delay,
+        link_skew=joint.skew,
+    )
+
+
+def test_prediction_equals_the_integral_of_scipy() -> None:
+    joint, dt = ElasticJoint(skew=0.0), 2e-3
+    u = multi_sine(np.arange(200) * dt, np.array([0.9, 4.0, 12.0]), 0.5, 3)
+    link, motor = integrated(joint, u, dt)
+    arm = ElasticArm(fjr.single_link(link_inertia=joint.M, gravity_torque=joint.load), ())
+    p, start = parameters(joint), np.array([0.0, joint.offset, 0.0, 0.0])
+    errors = []
+    for parts in (16, 32):
+        found = Shooting(arm, ())(start, held(u[:, None], dt, parts), 0, len(u) - 1, packed(arm, p), p["effort_delay"])
+        assert found is not None
+        errors.append(np.max(np.abs(found[0][:, :2] - np.column_stack([link, motor]))))
+    assert errors[1] < 2e-7
+    assert errors[1] < errors[0] / 8
+
+
+@pytest.mark.parametrize("name", FREE)
+def test_sensitivities_equal_central_differences(name: str) -> None:
+    joint, dt = ElasticJoint(delay=2.6e-3, skew=1.3e-3), 2e-3
+    robot = fjr.single_link(link_inertia=joint.M, gravity_torque=joint.load)
+    u = multi_sine(np.arange(60) * dt, np.array([3.0, 11.0]), 0.8, 1)[:, None]
+    silent = np.zeros_like(u)
+    record = MotionRecord("a record", ("joint1",), dt, u, silent, silent, np.full_like(u, np.nan))
+    segment = Segment(record, held(u, dt, 2), 6, 48, 6)
+    coordinates = Coordinates.of([(name, 0)], parameters(joint), dict.fromkeys(KINDS, np.ones(1)))
+    arm = ElasticArm(robot, free_entries(ElasticArm(robot, ()).layout, coordinates.dynamic))
+    shooting, signals = Shooting(arm, coordinates.delays), (("q_l", 0), ("q_m", 0))
+
+    def predicted(z: Array) -> Array:
+        found = compare(segment, shooting, coordinates, z, np.array([0.2, 0.21, 0.5, 0.4]), signals, np.ones(2))
+        assert found is not None
+        return found.predicted
+
+    z, step = coordinates.mean, 1e-5 * max(abs(coordinates.mean[0]), 1e-2)
+    found = compare(segment, shooting, coordinates, z, np.array([0.2, 0.21, 0.5, 0.4]), signals, np.ones(2))
+    assert found is not None
+    difference = (predicted(z + step) - predicted(z - step)) / (2 * step)
+    residual = -predicted(z)
+    assert found.H[4, 4] == pytest.approx(np.sum(difference**2), rel=1e-4)
+    assert found.g[4] == pytest.approx(np.sum(difference * residual), rel=1e-4)
+
+
+def test_prior_of_a_robot_holds_its_values_and_those_that_are_given() -> None:
+    robot = fjr.planar_two_link()
+    prior = Prior.of(robot, {"joint_stiffness": [50.0, 20.0]})
+    np.testing.assert_array_equal(prior.values["joint_stiffness"], [50.0, 20.0])
+    np.testing.assert_array_equal(prior.values["motor_inertia"], np.diag(robot.M_m))
+    with pytest.raises(fjr.FjrError, match="K is not diagonal; expected one number per joint"):
+        Prior.of(replace(robot, K=np.array([[40.0, 1.0], [1.0, 25.0]])))
