@@ -187,13 +187,15 @@ def _chance(
     A spring at rest, for instance, seems to swing with the noise, at a frequency that seems to tell its stiffness.
     """
     random, size = np.random.default_rng(0), x0.shape[1]
-    disturbed = []
-    for k, (x, each) in enumerate(zip(x0, compared, strict=True)):
-        scale, factor = _state_factor(each, size, 0.0)
-        dx = solve_triangular(factor[0], random.standard_normal(size), trans=0 if factor[1] else 1, lower=factor[1])
-        disturbed.append(problem.compare(k, z, x + dx / scale, noise))
-    pairs = [(project(d, size).H, p.H) for d, p in zip(disturbed, projected, strict=True) if d is not None]
-    return np.asarray(sum(after - before for after, before in pairs))
+    draws, found = max(1, FEW // len(x0)), np.zeros_like(projected[0].H)
+    for k, (x, each, own) in enumerate(zip(x0, compared, projected, strict=True)):
+        scale, (factor, lower) = _state_factor(each, size, 0.0)
+        for normal in random.standard_normal((draws, size)):
+            dx = solve_triangular(factor, normal, trans=0 if lower else 1, lower=lower) / scale
+            disturbed = problem.compare(k, z, x + dx, noise)
+            if disturbed is not None:
+                found += (project(disturbed, size).H - own.H) / draws
+    return found
 
 
 def project(compared: Comparison, size: int) -> Projected:
