@@ -16,6 +16,7 @@ from fjr_core.identification.motion_record import MotionRecord
 from fjr_core.identification.parameters import Options, Prior
 from fjr_core.identification.posterior import inflation
 from fjr_core.identification.result import IDENTIFIED, UNKNOWN, Estimate, Identification
+from fjr_core.identification.validation import predicted_deflection
 from fjr_core.numerics.checks import Array
 
 NOISE = 2e-5  # rad
@@ -159,3 +160,27 @@ def test_records_of_other_joints_are_refused() -> None:
     record = noisy(*usual_record(), 4e-3)
     with pytest.raises(fjr.FjrError, match="expected the 2 of the robot"):
         identify([record], fjr.planar_two_link(), Prior.of(fjr.planar_two_link()))
+
+
+def test_the_deflection_of_another_record_is_predicted() -> None:
+    robot, joint = robot_like(ElasticJoint()), ElasticJoint()
+    found = identify([noisy(*usual_record(0), 4e-3)], robot, Prior.of(robot))
+    held_out = noisy(*usual_record(1), 4e-3)
+    deflection = predicted_deflection(held_out, robot, Prior.of(robot), found)
+    assert deflection.rigid[0] > 5e-3
+    assert deflection.unexplained[0] < 0.1
+    wrong = replace(found, estimates=tuple(replace(e, value=e.prior) for e in found.estimates))
+    assert predicted_deflection(held_out, robot, Prior.of(robot), wrong).unexplained[0] > 0.2
+    assert pytest.approx(found.value("joint_stiffness")[0], rel=1e-3) == joint.K
+
+
+def test_a_torque_that_depends_on_the_position_is_found() -> None:
+    u, q_l, q_m = usual_record()
+    joint = ElasticJoint()
+    empty = fjr.single_link(
+        stiffness=25.0, motor_inertia=0.005, link_inertia=joint.M, gravity_torque=0.0, link_damping=0.0
+    )
+    record = noisy(u, q_l, q_m, 4e-3)
+    found = {e.name: e for e in identify([record], empty, Prior.of(empty), Options(position_torque="joint1")).estimates}
+    assert found["position_torque_sin1"].value == pytest.approx(joint.load, rel=0.01)
+    assert found["joint_stiffness"].value == pytest.approx(joint.K, rel=0.01)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 
@@ -33,11 +34,13 @@ DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
 class ElasticArm:
     """Equations of motion in (q_l, q_m, v_l, v_m) with symbolic parameters.
 
-    free: entries of the packed parameters with respect to which derivatives are taken.
+    free: entries of the packed parameters with respect to which derivatives are taken. added_inertia [kg m^2]: of each
+    link, for links so light that their resonance is too fast for the record; () for none.
     """
 
     robot: Robot
     free: tuple[int, ...]
+    added_inertia: tuple[float, ...] = ()
 
     @cached_property
     def layout(self) -> PackedVector:
@@ -73,7 +76,8 @@ class ElasticArm:
     def link_inertia(self) -> ca.Function:
         """Return the function (q, parameters) -> M_l (n, n) [kg m^2]."""
         s = symbols(q=self.robot.n, parameters=self.layout.size)
-        return dense_function("link_inertia", s, {"M_l": self._links(self.layout.named(s["parameters"])).M_l(s["q"])})
+        M_l = self._links(self.layout.named(s["parameters"])).M_l(s["q"]) + self._added
+        return dense_function("link_inertia", s, {"M_l": M_l})
 
     @cached_property
     def _expressions(self) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
@@ -89,11 +93,13 @@ class ElasticArm:
         F_m = friction(v_m, p.motor_coulomb_friction, p.motor_static_friction, p.stribeck, p.smoothing)
         on_links = tau - p.link_damping * v_l - F_l - position_torque(p, q_l)
         on_motors = sparse(self.robot.B_m) @ u - tau - p.motor_damping * v_m - F_m
-        dv_l = solve(links.M_l(q_l), on_links - self._rigid(links, q_l, v_l, ca.SX.zeros(n)))
+        M_l = links.M_l(q_l) + self._added
+        dv_l = solve(M_l, on_links - self._rigid(links, q_l, v_l, ca.SX.zeros(n)))
         dv_m = on_motors / p.motor_inertia
         z = ca.vertcat(x, *[parameters[i] for i in self.free], u)
-        D_l = ca.substitute(ca.jacobian(on_links - self._rigid(links, q_l, v_l, a_l), z), a_l, dv_l)
-        D_l = ca.sparsify(solve(links.M_l(q_l), ca.SX.eye(n)) @ D_l)
+        balance = on_links - self._rigid(links, q_l, v_l, a_l) - self._added @ a_l
+        D_l = ca.substitute(ca.jacobian(balance, z), a_l, dv_l)
+        D_l = ca.sparsify(solve(M_l, ca.SX.eye(n)) @ D_l)
         return s, ca.vertcat(dv_l, dv_m), ca.vertcat(D_l, ca.jacobian(dv_m, z))
 
     def _rigid(self, links: RigidArm, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
@@ -102,6 +108,10 @@ class ElasticArm:
             return self.robot.links.inertial_torque(q, v, v, a) + links.grad_P_l(q)
         dM = directional(links.M_l(q) @ v, q, v)
         return links.M_l(q) @ a + dM - links.grad_T(q, v) + links.grad_P_l(q)
+
+    @property
+    def _added(self) -> ca.SX:
+        return sparse(ca.diag(ca.DM(self.added_inertia or (0.0,) * self.robot.n)))
 
     def _links(self, p: SimpleNamespace) -> RigidArm:
         """Return the links of the robot, with a payload if one is free."""
@@ -115,10 +125,10 @@ class ElasticArm:
         return PayloadArm(links, links.end_effector, p.payload_mass, position)
 
 
-def position_torque(p: SimpleNamespace, q: ca.SX) -> ca.SX:
-    """Return the torque sum_k a_k sin k q + b_k cos k q (n,) [N m], k = 1, 2."""
-    first = p.position_torque_sin1 * ca.sin(q) + p.position_torque_cos1 * ca.cos(q)
-    return first + p.position_torque_sin2 * ca.sin(2 * q) + p.position_torque_cos2 * ca.cos(2 * q)
+def position_torque(p: SimpleNamespace, q: ca.SX, f: Any = ca) -> ca.SX:
+    """Return the torque sum_k a_k sin k q + b_k cos k q (n,) [N m], k = 1, 2; f: casadi or numpy."""
+    first = p.position_torque_sin1 * f.sin(q) + p.position_torque_cos1 * f.cos(q)
+    return first + p.position_torque_sin2 * f.sin(2 * q) + p.position_torque_cos2 * f.cos(2 * q)
 
 
 def free_entries(layout: PackedVector, free: Sequence[tuple[str, int]]) -> tuple[int, ...]:

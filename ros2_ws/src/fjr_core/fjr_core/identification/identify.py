@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import StateError
 from ..numerics import checks
 from ..numerics.checks import Array
+from ..robot.free_inertia import least_free_inertia
 from ..robot.robot import Robot
 from .coordinates import Coordinates, packed
 from .elastic_arm import ElasticArm, free_entries
@@ -29,11 +31,12 @@ from .verdict import Motion, not_identifiable, partners, reason, verdict
 PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
 ACCURATE = 0.35  # rad; angle of the fastest resonance in an integration step
 CREEP = 0.5  # decay of friction at rest in an integration step
-MOST_PARTS = 16
+MOST_PARTS = 16  # integration steps of a sample period, while a joint creeps
+RESONANT_PARTS = 8  # of these, for a resonance
 SLOW = 3.0  # smoothing velocities; friction is steep below
 LEAST_DEFLECTION = 1e-3  # rad; of the torque that is taken as the scale of a joint without effort
 FARTHEST = 3.0  # widths of the prior, of a start value
-MOST_FREQUENCIES = 20  # samples of a record at which resonances are computed
+MOST_POSES = 20  # samples of a record at which resonances are computed
 
 
 def identify(
@@ -118,7 +121,16 @@ class _Setup:
     def arm(self, coordinates: Coordinates) -> ElasticArm:
         """Return the arm with derivatives by the free parameters."""
         layout = ElasticArm(self.robot, ()).layout
-        return ElasticArm(self.robot, free_entries(layout, coordinates.dynamic))
+        return ElasticArm(self.robot, free_entries(layout, coordinates.dynamic), self._added_inertia)
+
+    @cached_property
+    def _added_inertia(self) -> tuple[float, ...]:
+        """Return the inertia [kg m^2] that lowers the resonance of each link to the fastest one that is integrated."""
+        where = np.vstack([_poses(record) for record in self.records])
+        least = least_free_inertia([self.robot.M_l(q) for q in where])
+        fastest = ACCURATE * RESONANT_PARTS / max(record.dt for record in self.records)
+        needed = 2 * self.prior.values["joint_stiffness"] / fastest**2
+        return tuple(float(f"{value:.2g}") for value in np.where(needed > least, needed, 0.0))
 
     def problem(self, coordinates: Coordinates, start: Mapping[str, Array]) -> Problem:
         """Return the segments of the records with the model; their length and steps follow from the start values."""
@@ -181,8 +193,7 @@ def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Arr
     K, B, values = np.diag(p["joint_stiffness"]), p["motor_inertia"], packed(arm, p)
     slowest, fastest, mobility = np.inf, 0.0, np.zeros(len(B))
     for record in records:
-        q = np.where(np.isfinite(record.q_l), record.q_l, record.q_m)
-        for sample in q[np.all(np.isfinite(q), axis=1)][:: max(1, len(q) // MOST_FREQUENCIES)]:
+        for sample in _poses(record):
             inverse = np.linalg.inv(arm.link_inertia(sample, values).full())
             resonances = np.sqrt(np.linalg.eigvals(K @ (inverse + np.diag(1 / B))).real)
             slowest, fastest = min(slowest, resonances.min()), max(fastest, resonances.max())
@@ -190,6 +201,13 @@ def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Arr
     friction = [np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")]
     decay = np.concatenate([friction[0] * mobility, friction[1] / B]) / np.tile(p["smoothing"], 2)
     return slowest, fastest / ACCURATE, decay / CREEP
+
+
+def _poses(record: MotionRecord) -> Array:
+    """Return some measured positions (k, n) along a record."""
+    q = np.where(np.isfinite(record.q_l), record.q_l, record.q_m)
+    known = q[np.all(np.isfinite(q), axis=1)]
+    return np.asarray(known[:: max(1, len(known) // MOST_POSES)])
 
 
 def _parts(steps: ArrayLike) -> NDArray[np.int32]:

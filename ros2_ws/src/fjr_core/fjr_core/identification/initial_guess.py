@@ -94,9 +94,9 @@ def _link_side(found: dict[str, Array], motions: list[FilteredMotion], j: int, s
 
 
 def _link_rows(m: FilteredMotion, j: int, skew: float, D_l: float, smoothing: float) -> tuple[Array, Array]:
-    q_l, v_l, rigid = (_shifted(each[:, j], m.dt, skew) for each in (m.q_l, m.v_l, m.rigid))
+    q_l, v_l, rigid = (shifted(each[:, j], m.dt, skew) for each in (m.q_l, m.v_l, m.rigid))
     A = np.column_stack([rigid + D_l * v_l, np.tanh(v_l / smoothing), np.ones(len(q_l))])
-    return _inner(A, m.dt), _inner(m.q_m[:, j] - q_l, m.dt)
+    return inner(A, m.dt), inner(m.q_m[:, j] - q_l, m.dt)
 
 
 def _motor_side(
@@ -121,12 +121,12 @@ def _motor_side(
 def _motor_rows(
     found: Mapping[str, Array], m: FilteredMotion, j: int, delay: float, smoothing: float, robot_input: Array
 ) -> tuple[Array, Array]:
-    v_l = _shifted(m.v_l[:, j], m.dt, found["link_skew"][j])
-    tau = _shifted(m.rigid[:, j], m.dt, found["link_skew"][j]) + found["link_damping"][j] * v_l
+    v_l = shifted(m.v_l[:, j], m.dt, found["link_skew"][j])
+    tau = shifted(m.rigid[:, j], m.dt, found["link_skew"][j]) + found["link_damping"][j] * v_l
     tau += found["link_coulomb_friction"][j] * np.tanh(v_l / smoothing)
-    u = _shifted((m.u @ robot_input.T)[:, j], m.dt, delay + m.dt / 2)
+    u = shifted((m.u @ robot_input.T)[:, j], m.dt, delay + m.dt / 2)
     A = np.column_stack([m.a_m[:, j], m.v_m[:, j], np.tanh(m.v_m[:, j] / smoothing)])
-    return _inner(A, m.dt), _inner(u - tau, m.dt)
+    return inner(A, m.dt), inner(u - tau, m.dt)
 
 
 def rigid_torque(arm: ElasticArm, values: Mapping[str, Array], q: Array, v: Array, a: Array) -> Array:
@@ -148,6 +148,11 @@ def _filled(signal: Array) -> Array:
     return filled
 
 
+def smoothed(signal: Array, dt: float) -> Array:
+    """Return the signal behind the filter of all signals."""
+    return _derivative(signal, dt, 0)
+
+
 def _derivative(signal: Array, dt: float, order: int) -> Array:
     window = max(7, 2 * round(WINDOW / dt / 2) + 1)
     if len(signal) <= window:
@@ -155,14 +160,14 @@ def _derivative(signal: Array, dt: float, order: int) -> Array:
     return np.asarray(savgol_filter(signal, window, ORDER, deriv=order, delta=dt, axis=0))
 
 
-def _shifted(signal: Array, dt: float, time: float) -> Array:
+def shifted(signal: Array, dt: float, time: float) -> Array:
     """Return the signal (k,) `time` [s] later."""
     k = np.arange(len(signal))
     return np.interp(k - time / dt, k, signal)
 
 
-def _inner(rows: Array, dt: float) -> Array:
-    """Return the rows without those near the ends, which filters and shifts falsify."""
+def inner(rows: Array, dt: float) -> Array:
+    """Return the rows (k, ...) without those near the ends, which filters and shifts falsify."""
     edge = round(2 * WINDOW / dt) + 2
     return rows[edge:-edge] if len(rows) > 4 * edge else rows
 

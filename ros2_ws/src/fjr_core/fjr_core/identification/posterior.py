@@ -35,8 +35,9 @@ class Spread:
 def spread(parts: Sequence[Projected], chance: Array, width: Array, fixed: Sequence[int] = ()) -> Spread:
     """Return the covariance of z from the normal equations of the segments and the prior's width (p,).
 
-    chance (p, p): information that is due to noise; it does not count in from_records. fixed: entries of z that keep their prior; their uncertainty is that of the prior and acts on the others, and their
-    own entries in from_records are those without them.
+    chance (p, p): information that is due to noise; it does not count in from_records. fixed: entries of z that keep
+    their prior; their uncertainty is that of the prior and acts on the others, and their own entries in from_records
+    are inf.
     """
     H = np.asarray(sum(part.H for part in parts))
     free = [k for k in range(len(width)) if k not in fixed]
