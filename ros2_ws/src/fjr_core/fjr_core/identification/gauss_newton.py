@@ -23,17 +23,17 @@ from .coordinates import Coordinates
 from .segments import Comparison, Segment, compare
 from .shooting import Shooting
 
-MOST_ITERATIONS = 60
+MOST_ITERATIONS = 30
 FEW = 24  # segments of the first descent
 NEAR, CONVERGED = 1.0, 0.1  # standard deviations from the minimum that the normal equations predict
 SOFT = 1e-6  # damping of the first step
 SETTLED = 0.02  # decrease of the sum of squares, in units of the noise, that a step of an initial state is worth
 SHARE = 1e-4  # of the sum of squares: a smaller decrease is left to the next step of z
-MOST_SETTLING = 8
+MOST_SETTLING = 5
 ROUGH = 1e-4  # rad, N m; noise that is assumed before residuals are known
 RIDGE = 1e-10  # of the scaled Hessian of an initial state, so that it can be factored
 LEAST_DECREASE = 1e-3  # of -log L, of a step after which others are tried
-HARDEST = 1e8  # damping at which no step is found
+HARDEST = 1e3  # damping at which no step is found
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ def _search(
         trial = problem.evaluate(z + dz, x_new, noise)
         if trial is not None and problem.cost(trial[1], z + dz) < cost:
             return z + dz, *trial, max(damping / 100, 1e-12)
-        damping *= 10
+        damping = max(100 * damping, SOFT)
     return None
 
 

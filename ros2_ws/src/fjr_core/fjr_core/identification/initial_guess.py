@@ -25,6 +25,7 @@ from .parameters import Prior
 
 WINDOW = 0.03  # s
 ORDER = 4
+OTHER_ORDER = 8.0  # ratio of a value to its prior that is not believed
 TRIED = np.arange(-6, 6.5, 0.5) * 1e-3  # s; skews and delays
 
 
@@ -79,14 +80,19 @@ def start_values(
 
 
 def _link_side(found: dict[str, Array], motions: list[FilteredMotion], j: int, smoothing: float) -> None:
-    """Choose the skew with the least residual of the deflection, and set K, F_l and the offset."""
-    best = np.inf
-    D_l = found["link_damping"][j]
+    """Choose the skew with the least residual of the deflection, and set K, F_l and the offset.
+
+    K keeps its prior at a skew that gives a value of another order.
+    """
+    best, D_l, prior = np.inf, found["link_damping"][j], found["joint_stiffness"][j]
     for skew in TRIED:
         rows = [_link_rows(m, j, skew, D_l, smoothing) for m in motions]
         A, y = np.vstack([a for a, _ in rows]), np.concatenate([b for _, b in rows])
         solution, squares = _solved(A, y)
-        if squares < best and solution[0] > 0:
+        if not 1 / OTHER_ORDER < prior * solution[0] < OTHER_ORDER:
+            others, squares = _solved(A[:, 1:], y - A[:, 0] / prior)
+            solution = np.array([1 / prior, *others])
+        if squares < best:
             best = squares
             found["link_skew"][j], found["offset"][j] = skew, solution[2]
             found["joint_stiffness"][j] = 1 / solution[0]
@@ -103,17 +109,15 @@ def _motor_side(
     found: dict[str, Array], motions: list[FilteredMotion], j: int, smoothing: float, robot_input: Array
 ) -> None:
     """Choose the delay with the least residual of the motor's equation, and set B, D_m and F_m."""
-    best, scale = np.inf, 1.0
+    best, prior = np.inf, found["motor_inertia"][j]
     for delay in TRIED[TRIED >= 0]:
         rows = [_motor_rows(found, m, j, delay, smoothing, robot_input) for m in motions]
         A, y = np.vstack([a for a, _ in rows]), np.concatenate([b for _, b in rows])
         solution, squares = _solved(A, y)
         if squares < best:
-            best, scale = squares, found["motor_inertia"][j]
-            found["effort_delay"][j] = delay
+            best, found["effort_delay"][j] = squares, delay
             B, D_m, F_m = solution
-    prior = scale
-    found["motor_inertia"][j] = B if prior / 8 < B < 8 * prior else prior
+    found["motor_inertia"][j] = B if prior / OTHER_ORDER < B < OTHER_ORDER * prior else prior
     found["motor_damping"][j] = max(0.0, D_m)
     found["motor_coulomb_friction"][j] = max(0.0, F_m)
 
