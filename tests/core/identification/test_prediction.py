@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from core.oracles.cases import PlanarTwoLink
 from core.oracles.elastic_joint import ElasticJoint, integrated, multi_sine
 from fjr_core.identification.coordinates import Coordinates, packed
 from fjr_core.identification.elastic_arm import ElasticArm, free_entries
@@ -71,6 +72,21 @@ def test_prediction_equals_the_integral_of_scipy() -> None:
         errors.append(np.max(np.abs(found[0][:, :2] - np.column_stack([link, motor]))))
     assert errors[1] < 2e-7
     assert errors[1] < errors[0] / 8
+
+
+def test_accelerations_of_two_links_equal_the_closed_form() -> None:
+    joints, links = [0.3, 0.25], PlanarTwoLink([1.2, 0.8], 0.3, [0.15, 0.12], [0.010, 0.005])
+    robot = fjr.planar_two_link(link_length=joints)
+    p = values(2, link_damping=0.2, motor_damping=0.1, offset=0.01, link_coulomb_friction=0.3)
+    p |= {"joint_stiffness": np.array([40.0, 25.0]), "motor_inertia": np.array([0.02, 0.01])}
+    arm, random = ElasticArm(robot, ()), np.random.default_rng(5)
+    for _ in range(5):
+        q_l, q_m, v_l, v_m, u = random.normal(size=(5, 2))
+        found = arm.accelerations(np.concatenate([q_l, q_m, v_l, v_m]), u, packed(arm, p))[0].full().ravel()
+        tau = p["joint_stiffness"] * (q_m - q_l - 0.01)
+        on_links = tau - links.C(q_l, v_l) @ v_l - links.grad_P(q_l) - 0.2 * v_l - 0.3 * np.tanh(v_l / 0.01)
+        expected = [np.linalg.solve(links.M(q_l), on_links), (u - tau - 0.1 * v_m) / p["motor_inertia"]]
+        np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", FREE)

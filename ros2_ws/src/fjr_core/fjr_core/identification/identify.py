@@ -4,39 +4,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from ..errors import StateError
-from ..numerics import checks
 from ..numerics.checks import Array
-from ..robot.free_inertia import least_free_inertia
 from ..robot.robot import Robot
-from .coordinates import Coordinates, packed
-from .elastic_arm import ElasticArm, free_entries
+from .estimation_problem import SHORTEST, Estimation
 from .fit import fits
 from .gauss_newton import Optimum, Problem, optimise
-from .initial_guess import FilteredMotion, filtered, start_values
+from .initial_guess import FilteredMotion
 from .motion_record import MotionRecord
-from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, Options, Prior, size
+from .parameters import KINDS, PAYLOAD, Options, Prior
 from .posterior import spread
 from .result import LOG, NONNEGATIVE, UNKNOWN, Estimate, Identification
-from .segments import Segment, cut, measured_signals
-from .shooting import HeldEffort, Shooting
+from .segments import Segment
 from .verdict import Motion, not_identifiable, partners, reason, verdict
-
-PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
-ACCURATE = 0.35  # rad; angle of the fastest resonance in an integration step
-CREEP = 0.5  # decay of friction at rest in an integration step
-MOST_PARTS = 16  # integration steps of a sample period, while a joint creeps
-RESONANT_PARTS = 8  # of these, for a resonance
-SLOW = 3.0  # smoothing velocities; friction is steep below
-LEAST_DEFLECTION = 1e-3  # rad; of the torque that is taken as the scale of a joint without effort
-FARTHEST = 3.0  # widths of the prior, of a start value
-MOST_POSES = 20  # samples of a record at which resonances are computed
 
 
 def identify(
@@ -52,7 +35,7 @@ def identify(
     done and its share. Raises StateError for records that do not fit the robot, CompilerError without a C compiler.
     """
     _check(records, robot)
-    setup = _Setup(list(records), robot, prior, options)
+    setup = Estimation(list(records), robot, prior, options)
     progress("filtered least squares", 0.0)
     motions, start = setup.start()
     progress("compilation", 0.0)
@@ -70,101 +53,6 @@ def identify(
         again = optimum
     progress("intervals", 1.0)
     return _result(setup, problem, optimum, again, fixed)
-
-
-@dataclass(frozen=True, eq=False)
-class _Setup:
-    """What an identification starts from."""
-
-    records: list[MotionRecord]
-    robot: Robot
-    prior: Prior
-    options: Options
-
-    @property
-    def values(self) -> Mapping[str, Array]:
-        """Return all parameters by name at the prior, with the velocities of the friction model."""
-        n = self.robot.n
-        velocities = {name: checks.vector(name, getattr(self.options, name), n, StateError) for name in VELOCITIES}
-        return {**self.prior.values, **velocities}
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """Return the coordinates of all free parameters."""
-        return Coordinates.of(free_parameters(self.records, self.robot, self.options), self.values, self.widths)
-
-    @property
-    def widths(self) -> dict[str, Array]:
-        """Return the prior's standard deviations by name; defaults follow from efforts and from K and B."""
-        n, values = self.robot.n, self.prior.values
-        measured = np.max([np.sqrt(np.mean(r.u**2, axis=0)) for r in self.records], axis=0)
-        effort = np.maximum(measured, LEAST_DEFLECTION * values["joint_stiffness"])
-        damping = 0.1 * np.sqrt(values["joint_stiffness"] * values["motor_inertia"])
-        found: dict[str, Array] = {
-            name: np.full(size(name, n), kind.width) for name, kind in KINDS.items() if kind.width is not None
-        }
-        found |= dict.fromkeys(("link_damping", "motor_damping"), damping)
-        found |= {name: 0.3 * effort for name in KINDS if name.endswith("friction")}
-        found |= dict.fromkeys(POSITION_TORQUE, effort)
-        found |= {"payload_mass": np.array([10.0])}
-        return {**found, **self.prior.widths}
-
-    def start(self) -> tuple[list[FilteredMotion], dict[str, Array]]:
-        """Return the filtered motions and the start values of all parameters."""
-        arm, values = self.arm(self.coordinates), self.values
-        motions = [filtered(record, arm, values) for record in self.records]
-        found = start_values(self.records, motions, self.robot.B_m, self.prior, values["smoothing"])
-        z = self.coordinates.of_values(found)
-        mean, reach = self.coordinates.mean, FARTHEST * self.coordinates.width
-        return motions, self.coordinates.parameters(np.clip(z, mean - reach, mean + reach))
-
-    def arm(self, coordinates: Coordinates) -> ElasticArm:
-        """Return the arm with derivatives by the free parameters."""
-        layout = ElasticArm(self.robot, ()).layout
-        return ElasticArm(self.robot, free_entries(layout, coordinates.dynamic), self._added_inertia)
-
-    @cached_property
-    def _added_inertia(self) -> tuple[float, ...]:
-        """Return the inertia [kg m^2] that lowers the resonance of each link to the fastest one that is integrated."""
-        where = np.vstack([_poses(record) for record in self.records])
-        least = least_free_inertia([self.robot.M_l(q) for q in where])
-        fastest = ACCURATE * RESONANT_PARTS / max(record.dt for record in self.records)
-        needed = 2 * self.prior.values["joint_stiffness"] / fastest**2
-        return tuple(float(f"{value:.2g}") for value in np.where(needed > least, needed, 0.0))
-
-    def problem(self, coordinates: Coordinates, start: Mapping[str, Array]) -> Problem:
-        """Return the segments of the records with the model; their length and steps follow from the start values."""
-        arm = self.arm(coordinates)
-        slowest, fastest, creep = _rates(arm, self.records, start)
-        length = self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
-        slow = np.tile(SLOW * start["smoothing"], 2)
-        efforts = [HeldEffort(r.u, r.dt, int(_parts(r.dt * fastest)), _parts(r.dt * creep), slow) for r in self.records]
-        segments = [s for r, effort in zip(self.records, efforts, strict=True) for s in cut(r, effort, length)]
-        signals = measured_signals(self.records)
-        floor = np.array([_least_noise(self.records, *each) for each in signals])
-        return Problem(segments, Shooting(arm, coordinates.delays), coordinates, signals, floor, self.options.threads)
-
-
-VELOCITIES = ("smoothing", "stribeck")
-
-
-def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Options) -> list[tuple[str, int]]:
-    """Return (name, index) of what can be free with what is measured: a skew needs two signals of its joint."""
-    joints = records[0].joints
-    measured = set(measured_signals(records))
-    if options.position_torque and options.position_torque not in joints:
-        raise StateError(
-            f"position_torque is of joint {options.position_torque!r}; expected one of {', '.join(joints)}"
-        )
-    found = []
-    for name in options.names:
-        for j in range(size(name, robot.n)):
-            other = name in POSITION_TORQUE and joints[j] != options.position_torque
-            no_link = name == "link_skew" and not {("q_l", j), ("q_m", j)} <= measured
-            no_torque = name == "torque_skew" and ("torque", j) not in measured
-            if not (other or no_link or no_torque):
-                found.append((name, j))
-    return found
 
 
 def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
@@ -185,51 +73,9 @@ def _initial_states(segments: Sequence[Segment], motions: Mapping[int, FilteredM
     return np.array([motions[id(each.record)].state(each.first - each.pad) for each in segments])
 
 
-def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Array]) -> tuple[float, float, Array]:
-    """Return the slowest resonance [rad/s], and the integration steps needed per second, of resonances and creep (2n,).
-
-    Creep is the decay of the velocity of a link or a motor, in this order, by friction at rest.
-    """
-    K, B, values = np.diag(p["joint_stiffness"]), p["motor_inertia"], packed(arm, p)
-    slowest, fastest, mobility = np.inf, 0.0, np.zeros(len(B))
-    for record in records:
-        for sample in _poses(record):
-            inverse = np.linalg.inv(arm.link_inertia(sample, values).full())
-            resonances = np.sqrt(np.linalg.eigvals(K @ (inverse + np.diag(1 / B))).real)
-            slowest, fastest = min(slowest, resonances.min()), max(fastest, resonances.max())
-            mobility = np.maximum(mobility, np.diag(inverse))
-    friction = [np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")]
-    decay = np.concatenate([friction[0] * mobility, friction[1] / B]) / np.tile(p["smoothing"], 2)
-    return slowest, fastest / ACCURATE, decay / CREEP
-
-
-def _poses(record: MotionRecord) -> Array:
-    """Return some measured positions (k, n) along a record."""
-    q = np.where(np.isfinite(record.q_l), record.q_l, record.q_m)
-    known = q[np.all(np.isfinite(q), axis=1)]
-    return np.asarray(known[:: max(1, len(known) // MOST_POSES)])
-
-
-def _parts(steps: ArrayLike) -> NDArray[np.int32]:
-    """Return the next power of 2 of steps, at most MOST_PARTS."""
-    exponent = np.ceil(np.log2(np.maximum(steps, 1.0)))
-    return np.minimum(2.0**exponent, MOST_PARTS).astype(np.int32)
-
-
-def _least_noise(records: Sequence[MotionRecord], signal: str, joint: int) -> float:
-    """Return the noise of the steps in which a signal is measured, or of its floating-point numbers."""
-    signals = [getattr(record, signal)[:, joint] for record in records]
-    steps = np.abs(np.concatenate([np.diff(each[np.isfinite(each)]) for each in signals]))
-    largest = max(float(np.nanmax(np.abs(each), initial=0.0, where=np.isfinite(each))) for each in signals)
-    digits = 1e-9 * max(largest, 1e-3)
-    return (
-        max(float(np.min(steps[steps > digits], initial=np.inf)) / np.sqrt(12), digits)
-        if np.any(steps > digits)
-        else digits
-    )
-
-
-def _result(setup: _Setup, problem: Problem, first: Optimum, optimum: Optimum, fixed: Sequence[int]) -> Identification:
+def _result(
+    setup: Estimation, problem: Problem, first: Optimum, optimum: Optimum, fixed: Sequence[int]
+) -> Identification:
     """Return the estimates at the optimum without the parameters that are not identifiable."""
     coordinates, width = setup.coordinates, setup.coordinates.width
     kept = [k for k in range(len(width)) if k not in fixed]
@@ -268,12 +114,12 @@ def _interval(name: str, z: float, sd: float) -> tuple[float, float, float]:
     return value, low, high
 
 
-def _label(setup: _Setup, name: str, j: int) -> str:
+def _label(setup: Estimation, name: str, j: int) -> str:
     words = name.replace("_", " ")
     return words if name in PAYLOAD else f"{words} of {setup.records[0].joints[j]}"
 
 
-def _unit(setup: _Setup, name: str, j: int) -> str:
+def _unit(setup: Estimation, name: str, j: int) -> str:
     unit = KINDS[name].unit
     slides = bool(setup.robot.prismatic) and name not in PAYLOAD and setup.robot.prismatic[j]
     return PRISMATIC_UNITS.get(unit, unit) if slides else unit
