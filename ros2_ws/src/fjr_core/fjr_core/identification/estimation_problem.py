@@ -29,6 +29,7 @@ ACCURATE = 0.35  # rad; angle of the fastest resonance in an integration step
 CREEP = 0.5  # decay of friction at rest in an integration step
 MOST_PARTS = 16  # integration steps of a sample period, while a joint creeps
 RESONANT_PARTS = 8  # of these, for a resonance
+WIDE, FAST = 0.05, 1.0  # rad, rad/s; least widths of the prior of initial states
 SLOW = 3.0  # smoothing velocities; friction is steep below
 LEAST_DEFLECTION = 1e-3  # rad; of the torque that is taken as the scale of a joint without effort
 FARTHEST = 3.0  # widths of the prior, of a start value
@@ -98,7 +99,9 @@ class Estimation:
         needed = 2 * self.prior.values["joint_stiffness"] / fastest**2
         return tuple(float(f"{value:.2g}") for value in np.where(needed > least, needed, 0.0))
 
-    def problem(self, coordinates: Coordinates, start: Mapping[str, Array]) -> Problem:
+    def problem(
+        self, coordinates: Coordinates, start: Mapping[str, Array], motions: Sequence[FilteredMotion]
+    ) -> Problem:
         """Return the segments of the records with the model; their length and steps follow from the start values."""
         arm = self.arm(coordinates)
         slowest, fastest, creep = _rates(arm, self.records, start)
@@ -108,7 +111,10 @@ class Estimation:
         segments = [s for r, effort in zip(self.records, efforts, strict=True) for s in cut(r, effort, length)]
         signals = measured_signals(self.records)
         floor = np.array([_least_noise(self.records, *each) for each in signals])
-        return Problem(segments, Shooting(arm, coordinates.delays), coordinates, signals, floor, self.options.threads)
+        of_record = dict(zip(map(id, self.records), motions, strict=True))
+        states = np.array([of_record[id(each.record)].state(each.first - each.pad) for each in segments])
+        shooting, width = Shooting(arm, coordinates.delays), _state_width(motions)
+        return Problem(segments, shooting, coordinates, signals, floor, states, width, self.options.threads)
 
 
 def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Options) -> list[tuple[str, int]]:
@@ -146,6 +152,13 @@ def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Arr
     friction = [np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")]
     decay = np.concatenate([friction[0] * mobility, friction[1] / B]) / np.tile(p["smoothing"], 2)
     return slowest, fastest / ACCURATE, decay / CREEP
+
+
+def _state_width(motions: Sequence[FilteredMotion]) -> Array:
+    """Return how far initial states (4n,) may be from the filtered ones: twice the largest deflection and speed."""
+    deflection = np.max([np.max(np.abs(m.q_m - m.q_l), axis=0) for m in motions], axis=0)
+    speed = np.max([np.max(np.abs(m.v_m), axis=0) for m in motions], axis=0)
+    return np.concatenate([np.tile(WIDE + 2 * deflection, 2), np.tile(FAST + 2 * speed, 2)])
 
 
 def _poses(record: MotionRecord) -> Array:

@@ -48,13 +48,19 @@ class Projected:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Segments and signals with the model that predicts them. floor (signals,): least noise, of the encoder's steps."""
+    """Segments and signals with the model that predicts them. floor (signals,): least noise, of the encoder's steps.
+
+    filtered (segments, 4n), state_width (4n,): weak normal prior of the initial states, which keeps states that are not
+    measured within reach where the model is wrong.
+    """
 
     segments: Sequence[Segment]
     shooting: Shooting
     coordinates: Coordinates
     signals: tuple[tuple[str, int], ...]
     floor: Array
+    filtered: Array
+    state_width: Array
     threads: int = 2
 
     def evaluate(self, z: Array, x0: Array, noise: Array) -> tuple[Array, list[Comparison]] | None:
@@ -85,7 +91,13 @@ class Problem:
 
     def compare(self, k: int, z: Array, x: Array, noise: Array) -> Comparison | None:
         """Return the comparison of segment k at z and the initial state x (4n,)."""
-        return compare(self.segments[k], self.shooting, self.coordinates, z, x, self.signals, noise)
+        found = compare(self.segments[k], self.shooting, self.coordinates, z, x, self.signals, noise)
+        if found is None:
+            return None
+        size, away = len(x), (x - self.filtered[k]) / self.state_width
+        found.H[range(size), range(size)] += self.state_width**-2
+        found.g[:size] -= away / self.state_width
+        return replace(found, penalty=float(away @ away))
 
     def noise(self, compared: Sequence[Comparison]) -> Array:
         """Return the root mean square residual of each signal (signals,)."""
@@ -96,7 +108,8 @@ class Problem:
         """Return -log L."""
         counts = sum(each.counts for each in compared)
         prior = (z - self.coordinates.mean) / self.coordinates.width
-        return float(counts @ np.log(self.noise(compared)) + prior @ prior / 2)
+        states = sum(each.penalty for each in compared)
+        return float(counts @ np.log(self.noise(compared)) + (prior @ prior + states) / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +135,7 @@ def optimise(problem: Problem, z: Array, x0: Array, progress: Callable[[float], 
     """
     stride = max(1, len(problem.segments) // FEW)
     if stride > 1:
-        some = replace(problem, segments=problem.segments[::stride])
+        some = replace(problem, segments=problem.segments[::stride], filtered=problem.filtered[::stride])
         z = _descended(some, z, x0[::stride], NEAR, lambda share: progress(share / 2))[0]
     z, x0, compared, converged = _descended(problem, z, x0, CONVERGED, lambda share: progress((1 + share) / 2))
     return _final(problem, z, x0, compared, converged)
@@ -222,7 +235,7 @@ def _state_factor(compared: Comparison, size: int, damping: float) -> tuple[Arra
 
 
 def _weighted(compared: Comparison, noise: Array) -> float:
-    return float(np.sum(compared.squares / noise**2))
+    return float(np.sum(compared.squares / noise**2)) + compared.penalty
 
 
 def _step(coordinates: Coordinates, z: Array, parts: Sequence[Projected], damping: float) -> Array:

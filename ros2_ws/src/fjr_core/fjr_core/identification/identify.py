@@ -3,22 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ..errors import StateError
-from ..numerics.checks import Array
 from ..robot.robot import Robot
 from .estimation_problem import SHORTEST, Estimation
 from .fit import fits
 from .gauss_newton import Optimum, Problem, optimise
-from .initial_guess import FilteredMotion
 from .motion_record import MotionRecord
 from .parameters import KINDS, PAYLOAD, Options, Prior
 from .posterior import spread
 from .result import LOG, NONNEGATIVE, UNKNOWN, Estimate, Identification
-from .segments import Segment
 from .verdict import Motion, not_identifiable, partners, reason, verdict
 
 
@@ -39,14 +36,14 @@ def identify(
     progress("filtered least squares", 0.0)
     motions, start = setup.start()
     progress("compilation", 0.0)
-    problem = setup.problem(setup.coordinates, start)
-    x0 = _initial_states(problem.segments, dict(zip(map(id, records), motions, strict=True)))
+    problem = setup.problem(setup.coordinates, start, motions)
+    x0 = problem.filtered
     optimum = optimise(
         problem, problem.coordinates.of_values(start), x0, lambda share: progress("prediction error", share)
     )
     fixed = not_identifiable(optimum.projected, optimum.chance, setup.coordinates.width)
     if fixed:
-        problem = setup.problem(setup.coordinates.without(fixed), start)
+        problem = setup.problem(setup.coordinates.without(fixed), start, motions)
         kept = [k for k in range(len(optimum.z)) if k not in fixed]
         again = optimise(problem, optimum.z[kept], optimum.x0, lambda share: progress("prediction error again", share))
     else:
@@ -67,10 +64,6 @@ def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
             raise StateError(
                 f"{record.name} has {len(record.u) * record.dt:.3g} s; expected at least {2 * SHORTEST:g} s"
             )
-
-
-def _initial_states(segments: Sequence[Segment], motions: Mapping[int, FilteredMotion]) -> Array:
-    return np.array([motions[id(each.record)].state(each.first - each.pad) for each in segments])
 
 
 def _result(

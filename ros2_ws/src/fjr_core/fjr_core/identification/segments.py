@@ -51,6 +51,7 @@ class Comparison:
     counts: Array
     H: Array
     g: Array
+    penalty: float = 0.0
 
 
 def measured_signals(records: Sequence[MotionRecord]) -> tuple[tuple[str, int], ...]:

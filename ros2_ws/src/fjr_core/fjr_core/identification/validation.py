@@ -76,7 +76,7 @@ def predicted_deflection(
     torque += np.asarray(position_torque(SimpleNamespace(**values), q, np))
     measured = smoothed(record.q_m - record.q_l, record.dt)
     predicted = torque / values["joint_stiffness"] - skew * v
-    keep = inner(np.arange(len(q)), record.dt)
+    keep = inner(np.arange(len(q), dtype=float), record.dt).astype(int)
     measured, predicted = (each[keep] - np.mean(each[keep], axis=0) for each in (measured, predicted))
     return Deflection(record.name, record.joints, record.dt * keep, measured, predicted)
 
@@ -93,7 +93,7 @@ def parameters_of(robot: Robot, prior: Prior, found: Identification, options: Op
 def table(deflections: Sequence[Deflection]) -> list[tuple[str, str, float, float, float]]:
     """Return (record, joint, rigid, elastic, unexplained) of each joint with encoders on both sides."""
     return [
-        (each.record, joint, *(float(v[j]) for v in (each.rigid, each.elastic, each.unexplained)))
+        (each.record, joint, float(each.rigid[j]), float(each.elastic[j]), float(each.unexplained[j]))
         for each in deflections
         for j, joint in enumerate(each.joints)
         if np.isfinite(each.rigid[j])
