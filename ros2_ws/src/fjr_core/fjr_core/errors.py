@@ -36,6 +36,10 @@ class CompareError(FjrError):
     """Invalid comparison: unknown law or disturbance, or inconsistent specification."""
 
 
+class RecordError(FjrError):
+    """Record of motion that cannot be read, or that contradicts itself or the robot."""
+
+
 class UserCodeError(FjrError):
     """Failure of code of the user, a law or a plant: an exception, or a result of the wrong shape."""
 
