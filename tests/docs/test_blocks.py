@@ -18,6 +18,7 @@ import pytest
 from docs.arm import my_arm_urdf
 from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
 from docs.shell import exit_codes, only_fjr, script, syntax_error
+from fjr_bringup.identification.record_map import read_map
 from fjr_bringup.studies.comparison import suite
 from fjr_bringup.studies.monte_carlo import sweep_file
 from fjr_core.config import ros_yaml
@@ -30,6 +31,7 @@ ENVIRONMENT = {
     **os.environ,
     "PATH": f"{os.environ['PATH']}:{Path(sys.executable).parent}",
 }  # includes CMake from its wheel
+MAPPED = ("shoulder", "elbow", "wrist")  # joints of the mapping files on the page on identification
 IN_PYTHON = "is evaluated in Python"  # of a law of the user
 BACKGROUND: list[subprocess.Popen[bytes]] = []
 ALL = [block for page in PAGES for block in blocks(page)]
@@ -149,6 +151,10 @@ def do_yaml(block: Block, folder: Path, said: str) -> str:
     if block.marks.get("for") == "compare":
         file.write_text(block.text, encoding="utf-8")
         assert suite.load(file).robots, str(block)
+        return said
+    if block.marks.get("for") == "identify":
+        file.write_text(block.text, encoding="utf-8")
+        assert read_map(file, MAPPED)
         return said
     before = ros_yaml.parse(file.read_text(encoding="utf-8")) if file.exists() else {}
     file.write_text(ros_yaml.dump(merged(before, ros_yaml.parse(block.text))), encoding="utf-8")

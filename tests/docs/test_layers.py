@@ -39,6 +39,7 @@ LAYERS = {
         "report",
         "scenarios runner monitor services",
         "studies scaffold",
+        "identification",
         "cli",
     ),
 }

@@ -111,7 +111,7 @@ BAD_FILES = {
     "missing": ("      file: robots/none.yaml", ["robot.file", "cannot read robot file", "none.yaml"]),
     "unknown package": ("      file: package://nobody/a.yaml", ["robot.file", "'nobody'", "AMENT_PREFIX_PATH"]),
     "no package": ("      file: package:///a.yaml", ["robot.file", "AMENT_PREFIX_PATH"]),
-    "gains in it": ("      file: robots/gains.yaml", ["robot.file", "'gains.K_ld'", "expected joints and robot.*"]),
+    "gains in it": ("      file: robots/gains.yaml", ["robot.file", "'gains.K_ld'", "expected joints, robot.*"]),
     "names another": ("      file: robots/chain.yaml", ["robot.file", "'robot.file'"]),
     "not YAML": ("      file: robots/arms/two_link.urdf", ["robot.file", "two_link.urdf"]),
     "a folder": ("      file: robots", ["robot.file", "cannot read robot file"]),

@@ -22,6 +22,15 @@ def number(value: float | None, unit: str = "", digits: int = 3) -> str:
     return f"{text} {unit}" if unit else text
 
 
+def interval(low: float, high: float, most: int = 8) -> str:
+    """Return an interval with as many digits as tell its ends apart, 3 to `most`."""
+    for digits in range(3, most + 1):
+        ends = number(low, digits=digits), number(high, digits=digits)
+        if ends[0] != ends[1]:
+            break
+    return f"{ends[0]} to {ends[1]}"
+
+
 def percent(fraction: float | None, digits: int = 2) -> str:
     """Return a fraction in percent, as 99.86 %; a dash for None or a value not finite."""
     if fraction is None or not math.isfinite(fraction):

@@ -10,9 +10,9 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.interrupt import Interrupted
 from fjr_bringup.scenarios.library import ScenarioError
-from fjr_core.errors import CompareError, FjrError, ParameterError
+from fjr_core.errors import CompareError, FjrError, ParameterError, RecordError
 
-INVALID_INPUT = (ScenarioError, ParameterError, CompareError)
+INVALID_INPUT = (ScenarioError, ParameterError, CompareError, RecordError)
 
 
 def exit_code(error: Exception) -> Exit:

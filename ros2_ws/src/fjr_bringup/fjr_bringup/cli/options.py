@@ -64,6 +64,7 @@ def names(text: str) -> tuple[str, ...]:
 
 
 SECONDS = number("a duration", "seconds, more than 0, at most 3600", lambda value: 0 < value <= 3600)
+SINCE = number("a time", "seconds, 0 or more", lambda value: 0 <= value < math.inf)
 RATE = number("a rate", "a positive number", lambda value: 0 < value < math.inf)
 SPEED = number("a speed", "0.001 to 1000", lambda value: 1e-3 <= value <= 1e3)
 SAMPLES = number("a delay", "samples, 0 to 20", lambda value: 0 <= value <= 20)

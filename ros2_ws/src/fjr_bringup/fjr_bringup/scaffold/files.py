@@ -68,7 +68,7 @@ def robot_text(arm: Arm, folder: Path) -> str:
         f"    joints: {_list(arm.joints)}",
         "    robot:",
         "      model: urdf",
-        f"      urdf: {_scalar(_path(arm.urdf, folder))}",
+        f"      urdf: {_scalar(path_from(folder, arm.urdf))}",
         "      gravity: [0.0, 0.0, -9.81]   # m/s^2 in the root link of the URDF; differs for a wall-mounted arm",
         *(
             [f"      locked_joints: {_list(stuck)}", f"      locked_positions: {_list(stuck.values())}"]
@@ -120,7 +120,7 @@ def _origin(arm: Arm, name: str) -> str:
     return "".join(f"; {part}" for part in (guessed, known) if part)
 
 
-def _path(urdf: Path, folder: Path) -> str:
+def path_from(folder: Path, urdf: Path) -> str:
     """Return the URDF's path relative to the folder if it lies in it or in the current folder, else absolute."""
     whole, base = urdf.resolve(), folder.resolve()
     near = any(whole.is_relative_to(place) for place in (base, Path.cwd().resolve()))

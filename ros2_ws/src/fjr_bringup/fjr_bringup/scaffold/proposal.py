@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fjr_bringup.progress import phase
-from fjr_bringup.scaffold.arm import Arm
 from fjr_core.control.vdpbc.gains import Gains
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.numerics.checks import Array
@@ -37,11 +37,11 @@ class Proposal:
     inner_steps: int
 
 
-def proposal_of(arm: Arm) -> Proposal:
-    """Return a loop for the arm; raises TrajectoryError or GainsError if there is none within reach."""
-    robot, motion = arm.robot, first_motion(arm.robot, arm.joints)
-    with phase(f"{arm.urdf.name}: computing gains for {robot.n} joints"):
-        gains = first_gains(robot, 1 / RATE, motion.configurations(64))
+def proposal_of(name: str, robot: Robot, joints: Sequence[str], delay: float = 0.0) -> Proposal:
+    """Return a loop with a delay [s] for an arm; raises TrajectoryError or GainsError if there is none within reach."""
+    motion = first_motion(robot, joints)
+    with phase(f"{name}: computing gains for {robot.n} joints"):
+        gains = first_gains(robot, 1 / RATE, motion.configurations(64), delay)
     q_l, q_m = _start(robot, motion, gains.gains)
     steps = least_steps(STEP_MARGIN * fastest_mode(robot, motion.configurations(64)), 1 / RATE)
     return Proposal(motion, gains, q_l, q_m, max(FEWEST_STEPS, steps))

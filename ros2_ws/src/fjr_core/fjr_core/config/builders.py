@@ -58,6 +58,11 @@ def is_of_others(own: OwnParameters, name: str) -> bool:
     )
 
 
+def without_others(own: OwnParameters, merged: Mapping[str, object], given: Mapping[str, object]) -> dict[str, object]:
+    """Return merged values without those of a robot file that only other nodes declare, such as imperfections.*."""
+    return {name: value for name, value in merged.items() if name in given or not is_of_others(own, name)}
+
+
 @cache
 def _tables(own: OwnParameters) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
     """Return the parameters of one joint of the node with this table, and those that only other nodes have."""

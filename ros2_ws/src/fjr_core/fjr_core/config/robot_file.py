@@ -24,7 +24,8 @@ def merged(given: Mapping[str, object], node: str, folder: Path) -> dict[str, ob
     """Return the values given to a node merged with its robot file; given values override the file.
 
     Paths in the result are absolute. A path in `given` is relative to `folder`, a path in the robot file to that
-    file. Raises ParameterError if the robot file cannot be found or holds anything but joints and robot.*.
+    file. Raises ParameterError if the robot file cannot be found or gives all nodes anything but joints, robot.* and
+    imperfections.*. What it gives to a single node beside these is ignored: it makes the file a scenario, too.
     """
     values = absolute(given, folder)
     name = values.get(FILE)
@@ -44,10 +45,17 @@ def _own_values(path: Path, node: str) -> dict[str, object]:
         own = ros_yaml.values_for(node, document)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
+    shared = ros_yaml.values_for(ros_yaml.SHARED, document)
     for name in own:
-        if name == FILE or not (name == "joints" or name.startswith("robot.")):
-            raise ParameterError(f"{path} holds '{name}'; expected joints and robot.* only, no other file")
-    return own
+        if name == FILE or (name in shared and not _is_of_robot(name)):
+            raise ParameterError(
+                f"{path} holds '{name}'; expected joints, robot.* and imperfections.* only, no other file"
+            )
+    return {name: value for name, value in own.items() if _is_of_robot(name)}
+
+
+def _is_of_robot(name: str) -> bool:
+    return name == "joints" or name.startswith(("robot.", "imperfections."))
 
 
 def inlined(values: Mapping[str, object]) -> dict[str, object]:

@@ -189,7 +189,8 @@ def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) ->
     checked = {}
     reference_file.read_again()
     for node, own in OWN_PARAMETERS.items():
-        given = robot_file.merged(ros_yaml.values_for(node, document), node, folder)
+        direct = ros_yaml.values_for(node, document)
+        given = builders.without_others(own, robot_file.merged(direct, node, folder), direct)
         known = builders.all_parameters(own, given, user_code)
         checked[node] = parameter.complete(known, given)
         own_names = set(given) - _for_other_nodes(node, own, document)

@@ -20,7 +20,7 @@ from .elastic_arm import ElasticArm, free_entries
 from .gauss_newton import Problem
 from .initial_guess import FilteredMotion, filtered, start_values
 from .motion_record import MotionRecord
-from .parameters import KINDS, POSITION_TORQUE, Options, Prior, size
+from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, Options, Prior, size
 from .segments import cut, measured_signals
 from .shooting import HeldEffort, Shooting
 
@@ -125,10 +125,14 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Opti
         raise StateError(
             f"position_torque is of joint {options.position_torque!r}; expected one of {', '.join(joints)}"
         )
+    unknown = [joint for joint in options.joints if joint not in joints]
+    if unknown:
+        raise StateError(f"joint {unknown[0]!r} is to be identified; expected some of {', '.join(joints)}")
     found = []
     for name in options.names:
         for j in range(size(name, robot.n)):
             other = name in POSITION_TORQUE and joints[j] != options.position_torque
+            other |= name not in PAYLOAD and bool(options.joints) and joints[j] not in options.joints
             no_link = name == "link_skew" and not {("q_l", j), ("q_m", j)} <= measured
             no_torque = name == "torque_skew" and ("torque", j) not in measured
             if not (other or no_link or no_torque):

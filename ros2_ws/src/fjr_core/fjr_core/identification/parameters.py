@@ -61,14 +61,15 @@ LARGEST_SKEW = 8e-3  # s
 class Options:
     """What is identified.
 
-    free: names of free parameters, all joints of each. static_friction, payload: free these, too (the payload is a
-    point mass on the last link). position_torque: joint with a torque sum_k a_k sin k q + b_k cos k q, k = 1, 2, on the
-    link, such as a counterbalance; "": none. smoothing, stribeck [rad/s]: velocities of the friction model, scalar or
-    one per joint. segment [s]: length of the pieces of the record that are predicted; None: from the resonances.
-    threads: number of segments evaluated at the same time.
+    free: names of free parameters. joints: those whose parameters are free; empty: all. static_friction, payload: free
+    these, too (the payload is a point mass on the last link). position_torque: joint with a torque sum_k a_k sin k q +
+    b_k cos k q, k = 1, 2, on the link, such as a counterbalance; "": none. smoothing, stribeck [rad/s]: velocities of
+    the friction model, scalar or one per joint. segment [s]: length of the pieces of the record that are predicted;
+    None: from the resonances. threads: number of segments evaluated at the same time.
     """
 
     free: tuple[str, ...] = USUAL
+    joints: tuple[str, ...] = ()
     static_friction: bool = False
     payload: bool = False
     position_torque: str = ""

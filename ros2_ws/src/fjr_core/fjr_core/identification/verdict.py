@@ -102,6 +102,8 @@ WITHOUT_LINK = {
 
 def partners(covariance: Array, names: Sequence[str]) -> Mapping[int, str]:
     """Return for each entry the name of the one that it is correlated with most, if by more than 0.9."""
+    if not names:
+        return {}
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = np.abs(covariance / np.outer(sd, sd))
     np.fill_diagonal(correlation, 0.0)

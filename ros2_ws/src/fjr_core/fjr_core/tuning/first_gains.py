@@ -37,20 +37,21 @@ class FirstGains:
     check: SampledCheck
 
 
-def first_gains(robot: Robot, sample_period: float, configurations: Array) -> FirstGains:
+def first_gains(robot: Robot, sample_period: float, configurations: Array, delay: float = 0.0) -> FirstGains:
     """Return the first gains whose loop tolerates DELAY_MARGIN in the whole range, else the most tolerant ones.
 
-    configurations (k, n) [rad]: of the reference. Raises GainsError if no trial is stable in the whole range.
+    configurations (k, n) [rad]: of the reference. delay [s]: of the loop. Raises GainsError if no trial is stable in
+    the whole range.
     """
     best: FirstGains | None = None
     searches: dict[str, GainSearch] = {}
     for beta, where in TRIALS:
         if where not in searches:
-            searches[where] = gain_search(robot, sample_period, 0.0, configurations if where == ALONG else None)
+            searches[where] = gain_search(robot, sample_period, delay, configurations if where == ALONG else None)
         gains = searches[where].best(beta)
         if gains is None:
             continue
-        found = check(TrackingLaw(robot, gains), sample_period)
+        found = check(TrackingLaw(robot, gains), sample_period, delay)
         if found.stable and (best is None or found.delay_margin > best.check.delay_margin):
             best = FirstGains(gains, beta, where, found)
         if best is not None and best.check.delay_margin >= DELAY_MARGIN:

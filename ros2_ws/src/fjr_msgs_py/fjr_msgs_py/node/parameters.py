@@ -134,7 +134,8 @@ class ParameterNode(EndingNode):
             self._declare_bare()
 
     def _checked_values(self) -> dict[str, Any]:
-        given = robot_file.merged(self._given, self.get_name(), Path.cwd())
+        merged = robot_file.merged(self._given, self.get_name(), Path.cwd())
+        given = builders.without_others(self._own, merged, self._given)
         parameters = builders.all_parameters(self._own, given)
         for sentence in unknown(parameters, given):
             self.get_logger().warning(sentence)

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr identify`: from the bag of a run to a robot file that is a scenario, too, a JSON file and a page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fjr_bringup.identification.command import unconfirmed
+from fjr_bringup.identification.nominal_robot import identified_values, nominal_robot
+from fjr_bringup.identification.page_figures import autocorrelation
+from fjr_bringup.identification.page_rows import groups
+from fjr_bringup.identification.robot_yaml import robot_file
+from fjr_core.config import ros_yaml
+from fjr_core.config.scenario import load_scenario
+from fjr_core.identification.hold_out import HoldOut
+from fjr_core.identification.result import IDENTIFIED, LINEAR, LOG, UNKNOWN, WEAK, Estimate, Identification
+from system.browser import Browser
+from system.executables import fjr_here
+from system.shared_runs import shared_run
+
+pytestmark = pytest.mark.system
+GUESSED = """\
+/**:
+  ros__parameters:
+    joints: [joint1]
+    robot:
+      model: single_link
+      joint_stiffness: [24.0]
+      motor_inertia: [0.006]
+      guesses: {joint_stiffness: [24.0], motor_inertia: [0.006]}
+"""
+DRAWN = 100  # coloured pixels
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of an identification from a run of the paper's joint, with the output of the command."""
+    folder = tmp_path_factory.mktemp("identification")
+    (folder / "joint.yaml").write_text(GUESSED)
+    run = str(shared_run(tmp_path_factory, "paper_k31"))
+    said = fjr_here(
+        "identify", run, "--robot", str(folder / "joint.yaml"), "--hold-out", run, "--output", str(folder / "out")
+    )
+    (folder / "out" / "said").write_text(said)
+    return folder / "out"
+
+
+def test_guesses_are_replaced_by_values_with_intervals(folder: Path) -> None:
+    text = (folder / "robot.yaml").read_text()
+    scenario = load_scenario(folder / "robot.yaml")
+    assert scenario.warnings == ()
+    assert scenario.guess_warnings == ()
+    assert scenario.robot.K[0, 0] == pytest.approx(31.0, rel=1e-3)
+    assert scenario.robot.M_m[0, 0] == pytest.approx(0.004, rel=1e-2)
+    assert "# joint_stiffness of joint1: 31 N m/rad, 3" in text
+    assert ", identified\n" in text
+
+
+def test_robot_yaml_is_a_scenario_that_tracks(folder: Path) -> None:
+    scenario = load_scenario(folder / "robot.yaml")
+    run = scenario.simulate(1.0)
+    error = np.asarray(run.x)[-1, 0] - np.asarray(run.jets)[-1, 0, 0]
+    assert abs(error) < 0.2 * np.max(np.abs(scenario.reference.amplitude))  # type: ignore[attr-defined]
+
+
+def test_robot_yaml_is_a_robot_file_that_brings_friction_and_no_gains(folder: Path) -> None:
+    own = folder / "own.yaml"
+    own.write_text(
+        "/**:\n  ros__parameters:\n    robot: {file: robot.yaml}\n    imperfections: {motor_coulomb_friction: [0.5]}\n"
+    )
+    values = load_scenario(own)
+    whole = load_scenario(folder / "robot.yaml")
+    assert pytest.approx(whole.robot.K) == values.robot.K
+    assert values.plant_values["imperfections.motor_coulomb_friction"] == (0.5,)
+    assert values.controller_values["gains.Lambda_l"] != whole.controller_values["gains.Lambda_l"]
+    assert values.warnings == ()
+    key = "imperfections.link_coulomb_friction"
+    assert values.plant_values[key] == whole.plant_values[key]
+
+
+def test_posterior_is_read_back_from_json(folder: Path) -> None:
+    values = json.loads((folder / "identification.json").read_text())
+    found = Identification.from_dict(values)
+    assert found.value("joint_stiffness") == pytest.approx([31.0], rel=1e-3)
+    assert found.draws(5, seed=1).shape == (5, len(found.estimates))
+
+
+def test_json_names_records_robot_and_hold_out(folder: Path) -> None:
+    values = json.loads((folder / "identification.json").read_text())
+    assert values["robot"].endswith("joint.yaml")
+    assert [Path(each).name for each in values["records"]] == ["paper_k31"]
+    assert 0 <= values["hold_out"]["paper_k31"][0][0] < 0.01
+
+
+def test_command_prints_intervals_hold_out_and_what_comes_next(folder: Path) -> None:
+    said = (folder / "said").read_text()
+    assert "parameters identified" in said
+    assert "share of the deflection that a model leaves unexplained" in said
+    assert f"fjr check {folder / 'robot.yaml'}" in said
+
+
+def test_hold_out_that_rigid_joints_explain_better_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
+    shares = (np.array([0.1, 2.0, np.nan]), np.array([0.3, 0.4, np.nan]), np.array([0.9, 2.1, np.nan]))
+    sentences = unconfirmed([HoldOut("b.csv", ("a1", "a2", "a3"), *shares)])
+    assert [each.partition(" is ")[0] for each in sentences] == ["hold-out b.csv: the deflection of a2"]
+    assert sentences[0] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [400, 1280])
+def test_page_draws_fit_residuals_and_autocorrelation(folder: Path, browser: Browser, width: int, dark: bool) -> None:
+    browser.open(folder / "identification.html", width=width, dark=dark)
+    assert browser.said == []
+    assert [url for url in browser.asked if not url.startswith(("file:", "data:"))] == []
+    named = browser.value("[...document.querySelectorAll('figure')].map((figure) => figure.id)")
+    kinds = ("fit-0", "residual-q_l", "residual-q_m", "autocorrelation-q_l", "autocorrelation-q_m")
+    assert named == [f"record-0-{kind}" for kind in kinds]
+    assert min(browser.coloured()) > DRAWN
+    assert browser.overflows() == []
+    assert browser.value("document.querySelectorAll('.interval i').length") == 9
+    assert browser.value("document.documentElement.scrollWidth") <= width
+
+
+ARM = """\
+/**:
+  ros__parameters:
+    joints: [shoulder, elbow]
+    robot:
+      model: planar_two_link
+      link_mass: [1.2, 0.8]
+      link_length: [0.3, 0.25]
+      link_com: [0.15, 0.12]
+      link_inertia: [0.01, 0.005]
+      joint_stiffness: [60.0, 40.0]
+      motor_inertia: [0.02, 0.01]
+      guesses: {joint_stiffness: [60.0, 40.0]}
+"""
+ESTIMATES = (
+    Estimate("joint_stiffness", "shoulder", "N m/rad", 41.0, 40.0, 42.0, 60.0, IDENTIFIED),
+    Estimate("joint_stiffness", "elbow", "N m/rad", 40.0, 4.0, 400.0, 40.0, UNKNOWN, "it stands still; move it"),
+    Estimate("motor_inertia", "shoulder", "kg m^2", 0.03, 0.01, 0.06, 0.02, WEAK, "it accelerates too little"),
+    Estimate("motor_coulomb_friction", "shoulder", "N m", 0.3, 0.2, 0.4, 0.0, IDENTIFIED),
+    Estimate("effort_delay", "shoulder", "s", 5e-4, 4e-4, 6e-4, 0.0, IDENTIFIED),
+    Estimate("effort_delay", "elbow", "s", 8e-4, -4e-4, 2e-3, 0.0, WEAK, "excite more"),
+    Estimate("offset", "shoulder", "rad", 1e-3, 9e-4, 1.1e-3, 0.0, IDENTIFIED),
+)
+
+
+@pytest.fixture
+def made() -> Identification:
+    free = (0, 2, 3, 4, 5, 6)
+    coordinates = (LOG, LOG, LINEAR, LINEAR, LINEAR, LINEAR)
+    return Identification(("shoulder", "elbow"), ESTIMATES, free, coordinates, np.zeros(6), np.eye(6))
+
+
+def test_file_keeps_the_prior_and_the_guess_of_what_is_not_identifiable(tmp_path: Path, made: Identification) -> None:
+    (tmp_path / "arm.yaml").write_text(ARM)
+    nominal = nominal_robot(tmp_path / "arm.yaml")
+    file = robot_file(nominal, made, identified_values(nominal, made, tmp_path), ["a.csv"], "robot.yaml")
+    values = ros_yaml.values_for("fjr_plant", ros_yaml.parse(file.text))
+    assert values["robot.joint_stiffness"] == [41.0, 40.0]
+    assert values["robot.guesses.joint_stiffness"] == [0.0, 40.0]
+    assert values["robot.motor_inertia"] == [0.03, 0.01]
+    assert values["imperfections.motor_coulomb_friction"] == [0.3, 0.0]
+    assert values["imperfections.command_delay"] == 5e-4
+    assert "elbow: 40 N m/rad, not identifiable from these records, as before (it stands still; move it)" in file.text
+    assert "motor_inertia of shoulder: 0.03 kg m^2, 0.01 to 0.06, weakly identified (it acc" in file.text
+    assert "#   offset of shoulder: 0.001 rad, 0.0009 to 0.0011, identified" in file.text
+    (tmp_path / "robot.yaml").write_text(file.text)
+    scenario = load_scenario(tmp_path / "robot.yaml")
+    assert scenario.guess_warnings == (
+        "joint stiffness of joint elbow is a guess; expected measured values, or those of the maker, "
+        "in robot.joint_stiffness",
+    )
+    assert scenario.loop_delay == pytest.approx(5e-4)
+
+
+def test_reflected_inertia_replaces_the_gear_ratio(tmp_path: Path, made: Identification) -> None:
+    urdf = Path(__file__).parents[2] / "examples/kr300/kr300.yaml"
+    nominal = nominal_robot(urdf)
+    none = Identification(nominal.joints, (), (), (), np.zeros(0), np.zeros((0, 0)))
+    values = identified_values(nominal, none, tmp_path)
+    assert "robot.gear_ratio" not in values
+    assert values["robot.motor_inertia"] == pytest.approx(np.diag(nominal.robot.M_m), rel=1e-5)
+    assert (tmp_path / str(values["robot.urdf"])).is_file()
+
+
+def test_rows_of_the_page_show_interval_value_and_prior(made: Identification) -> None:
+    rows = dict(groups(made))["Joint stiffness"]
+    assert [row.joint for row in rows] == ["shoulder", "elbow"]
+    assert rows[0].left < rows[0].middle == 50.0 < rows[0].left + rows[0].width
+    assert rows[0].prior_at == pytest.approx(50 * (1 + np.log(60 / 41) / np.log(4)), abs=0.01)
+    assert (rows[1].width, rows[1].colour) == (0.0, "no")
+
+
+def test_autocorrelation_of_coloured_noise_with_gaps_is_its_closed_form() -> None:
+    rng, a = np.random.default_rng(5), 0.8
+    noise, series = rng.standard_normal(40_000), np.zeros(40_000)
+    for k in range(1, len(series)):
+        series[k] = a * series[k - 1] + noise[k]
+    series[rng.random(len(series)) < 0.3] = np.nan
+    assert autocorrelation(series, 8) == pytest.approx(a ** np.arange(9), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("a.csv", "--robot", "arm.yaml"), "a.csv is a table; expected --map FILE with its columns and units"),
+        (("a.csv", "--robot", "none.yaml"), "cannot read robot file none.yaml: No such file or directory"),
+        (
+            ("a.csv", "--robot", "arm.yaml", "--map", "map.yaml"),
+            "column t is missing; expected it once (the header is x)",
+        ),
+        (("none.csv", "--robot", "arm.yaml", "--map", "map.yaml"), "none.csv is not a table of numbers"),
+        (("a.csv", "--robot", "arm.yaml", "--accept", "all"), "--accept is 'all'; expected one of too_short, at_rest"),
+        (("nowhere", "--robot", "arm.yaml"), "nowhere"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], sentence: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.yaml").write_text(ARM)
+    (tmp_path / "a.csv").write_text("x\n1\n")
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: t}\nmotor_position: {column: '{joint}', unit: rad}\neffort: {column: 'u{joint}', unit: N m}\n"
+    )
+    said = fjr_here("identify", *arguments, codes=(1, 2))
+    assert sentence in said
+    assert "Traceback" not in said

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records of motion from tables and bags: the numbers are those of the file, and bad input is one sentence."""
+
+from __future__ import annotations
+
+import gzip
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+
+from docs.pages import ROOT
+from fjr_bringup.identification.read_record import Reading, read_record
+from fjr_bringup.identification.record_map import TableMap, read_map
+from fjr_core.config.scenario import load_scenario
+from fjr_core.errors import FjrError
+from fjr_core.robot.robot import Robot
+from system.bags import rewritten
+from system.shared_runs import shared_run
+
+pytestmark = pytest.mark.system
+EXAMPLE = ROOT / "examples/kr300"
+AXES = ("a1", "a2", "a3", "a4", "a5", "a6")
+
+
+@pytest.fixture(scope="module")
+def kr300() -> Robot:
+    return load_scenario(EXAMPLE / "kr300.yaml").robot
+
+
+@pytest.fixture(scope="module")
+def reading() -> Reading:
+    return Reading(read_map(EXAMPLE / "record.yaml", AXES))
+
+
+@pytest.mark.parametrize("name", ["record_a", "record_b"])
+def test_records_of_a_real_robot_are_read_in_si_units_without_a_finding(
+    kr300: Robot, reading: Reading, name: str
+) -> None:
+    record, notes = read_record(EXAMPLE / f"{name}.csv.gz", AXES, kr300, reading)
+    raw = np.genfromtxt(EXAMPLE / f"{name}.csv.gz", delimiter=",", names=True)
+    assert record.dt == pytest.approx(4e-3)
+    assert np.array_equal(record.q_m[:, 3], raw["a4_motor_rad"])
+    assert np.array_equal(record.q_l[:, 0], raw["a1_link_rad"])
+    assert record.u[:, 1] == pytest.approx(267.43 * raw["a2_motor_torque_nm"])
+    assert np.isnan(record.q_l[:, 3:]).all()
+    assert np.isnan(record.torque).all()
+    assert notes == ()
+
+
+def test_parquet_other_units_signs_and_names_give_the_same_record(
+    kr300: Robot, reading: Reading, tmp_path: Path
+) -> None:
+    whole, _ = read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, reading)
+    with gzip.open(EXAMPLE / "record_a.csv.gz") as file:
+        table = pa.csv.read_csv(file)
+    columns = {"ms": 1e3 * table["time_s"].to_numpy()}
+    columns |= {f"m{i}": -np.degrees(table[f"a{i}_motor_rad"].to_numpy()) for i in range(1, 7)}
+    columns |= {f"l{i}": table[f"a{i}_link_rad"].to_numpy() / (2 * np.pi) * 50 for i in range(1, 4)}
+    columns |= {f"u{i}": 1e3 * table[f"a{i}_motor_torque_nm"].to_numpy() for i in range(1, 7)}
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet", row_group_size=300)
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: ms, unit: ms}\n"
+        "motor_position: {column: [m1, m2, m3, m4, m5, m6], unit: deg, sign: -1}\n"
+        "link_position: {column: [l1, l2, l3], unit: turn, gear_ratio: 50, joints: [a1, a2, a3]}\n"
+        "effort: {column: [u1, u2, u3, u4, u5, u6], unit: mN m,\n"
+        "  gear_ratio: [256.86, 267.43, 252.33, 221, 239.62, 154.32]}\n"
+    )
+    found, _ = read_record(tmp_path / "a.parquet", AXES, kr300, Reading(read_map(tmp_path / "map.yaml", AXES)))
+    for name in ("u", "q_l", "q_m"):
+        assert getattr(found, name) == pytest.approx(getattr(whole, name), rel=1e-9, abs=1e-12, nan_ok=True)
+
+
+def test_part_of_a_table_is_the_same_rows(kr300: Robot, reading: Reading) -> None:
+    whole, _ = read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, reading)
+    part, _ = read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, replace(reading, start=1.998, duration=3.0))
+    assert part.u.shape == (750, 6)
+    assert np.array_equal(part.q_m, whole.q_m[500:1250])
+
+
+def changed(tmp_path: Path, change: object) -> Path:
+    """Return the lines of record A, changed, as a file."""
+    lines = gzip.decompress((EXAMPLE / "record_a.csv.gz").read_bytes()).decode().splitlines()
+    file = tmp_path / "changed.csv"
+    file.write_text("\n".join(change(lines)) + "\n")  # type: ignore[operator]
+    return file
+
+
+def cell(row: int, column: int, value: str) -> object:
+    """Return a change of one cell."""
+
+    def change(lines: list[str]) -> list[str]:
+        cells = lines[row].split(",")
+        cells[column] = value
+        return [*lines[:row], ",".join(cells), *lines[row + 1 :]]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (cell(0, 2, "other"), "column a2_motor_rad is missing; expected it once (the header is time_s, "),
+        (cell(0, 2, "a1_motor_rad"), "column a1_motor_rad is more than once"),
+        (cell(12, 3, "nan"), "row 12, column a3_motor_rad: nan; expected a finite number (1 such rows"),
+        (cell(12, 3, ""), "row 12, column a3_motor_rad: nan; expected a finite number"),
+        (cell(12, 3, "abc"), "is not a table of numbers (In CSV column #3"),
+        (cell(100, 0, "9.9"), "time runs back by 9.5 s at sample 100"),
+        (lambda lines: [*lines[:300], *lines[200:]], "time runs back by 0.396 s at sample 299"),
+        (lambda lines: [*lines[:300], *lines[900:]], "time jumps by 2.404 s"),
+        (lambda lines: lines[:100], "the record has 99 samples; expected at least 200"),
+        (lambda lines: lines[:1], "holds no samples"),
+        (lambda lines: [], "has no header"),
+    ],
+    ids=["missing", "twice", "nan", "empty", "text", "jump", "back", "gap", "short", "no rows", "nothing"],
+)
+def test_bad_table_is_refused_in_one_sentence(
+    kr300: Robot, reading: Reading, tmp_path: Path, change: object, sentence: str
+) -> None:
+    with pytest.raises(FjrError) as caught:
+        read_record(changed(tmp_path, change), AXES, kr300, reading)
+    assert sentence in str(caught.value)
+    assert "changed.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"motor_position": {"factor": np.degrees(1)}}, "degrees against rad"),
+        ({"motor_position": {"factor": 1.01}}, "expected 1: wrong gear ratio (and 2 more)"),
+        ({"link_position": {"factor": -1.0}}, "moves against q_l"),
+        ({"effort": {"factor": -256.86}}, "a sign is wrong"),
+        ({"effort": {"factor": 1.0}}, "expected about 1: gear ratio or unit of the effort?"),
+    ],
+    ids=["degrees", "gear ratio", "sign of the links", "sign of the efforts", "effort at the motor"],
+)
+def test_wrong_mapping_of_a_real_record_is_named(
+    kr300: Robot, reading: Reading, given: dict[str, dict[str, float]], sentence: str
+) -> None:
+    mapping = reading.mapping
+    assert isinstance(mapping, TableMap)
+    signals = dict(mapping.signals)
+    for name, change in given.items():
+        signals[name] = {joint: replace(column, **change) for joint, column in signals[name].items()}
+    wrong = replace(reading, mapping=replace(mapping, signals=signals))
+    with pytest.raises(FjrError, match="--accept") as caught:
+        read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, wrong)
+    assert sentence in str(caught.value)
+
+
+def test_swapped_sides_of_a_real_axis_are_named(kr300: Robot, reading: Reading) -> None:
+    mapping = reading.mapping
+    assert isinstance(mapping, TableMap)
+    motor, link = (dict(mapping.signals[name]) for name in ("motor_position", "link_position"))
+    motor["a3"], link["a3"] = link["a3"], motor["a3"]
+    signals = {**mapping.signals, "motor_position": motor, "link_position": link}
+    with pytest.raises(FjrError, match="q_m - q_l of a3 is -0.8.* expected about 1: sides swapped"):
+        read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, Reading(replace(mapping, signals=signals)))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("time: {column: t}\n", "has no 'effort'; expected its column and unit"),
+        ("- a\n", "holds a list; expected a mapping"),
+        ("velocity: {column: v}\n", "holds 'velocity'; expected time, link_position"),
+        ("time: {column: t, unit: h}\neffort: {column: u}\n", "time.unit is 'h'; expected one of s, ms"),
+        ("time: {column: t}\neffort: {column: u, unit: N m}\n", "names a column twice"),
+        ("time: {column: t}\neffort: {column: 'u{joint}', unit: N m}\n", "joint a1 has neither link_position nor"),
+        ("time: {column: t}\neffort: {column: 'u{joint}', unit: N m, sign: 2}\n", "effort.sign is 2; expected 1 or -1"),
+        ("time: {column: t}\neffort: {column: 'u{joint}', unit: N m, gear_ratio: [1, 2]}\n", "or 6 of them"),
+        ("time: {column: t}\neffort: {column: 'u{joint}', unit: N m, joints: [b1]}\n", "expected some of a1, a2"),
+        ("bag: {motor: sensor}\n", "bag.motor is 'sensor'; expected position or torque"),
+        ("bag: {ratio: 2}\n", "'bag' has ratio: 2; expected namespace, motor"),
+    ],
+)
+def test_bad_mapping_file_is_refused_in_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    (tmp_path / "map.yaml").write_text(text)
+    with pytest.raises(FjrError, match="map.yaml") as caught:
+        read_map(tmp_path / "map.yaml", AXES)
+    assert sentence in str(caught.value)
+
+
+def test_bag_of_a_run_gives_the_states_and_the_efforts_that_answer_them(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    run = shared_run(tmp_path_factory, "two_link")
+    scenario = load_scenario(run / "scenario.yaml")
+    record, notes = read_record(run, scenario.joints, scenario.robot, Reading())
+    ideal = scenario.simulate(0.1)
+    assert record.dt == pytest.approx(scenario.sample_period)
+    assert record.q_l[:90] == pytest.approx(np.asarray(ideal.x)[:90, :2], abs=1e-9)
+    assert record.u[:90] == pytest.approx(np.asarray(ideal.u)[:90], abs=1e-6)
+    assert np.isnan(record.torque).all()
+    assert notes == ()
+
+
+def test_other_storage_and_commands_without_stamps_give_the_same_positions(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+) -> None:
+    run = shared_run(tmp_path_factory, "two_link")
+    scenario = load_scenario(run / "scenario.yaml")
+    whole, _ = read_record(run, scenario.joints, scenario.robot, Reading())
+    plain = rewritten(
+        run / "bag", tmp_path / "plain", StoragePlugin.SQLITE3, ("/joint_states", "/effort_controller/commands")
+    )
+    record, notes = read_record(plain, scenario.joints, scenario.robot, Reading())
+    first = int(np.argmin(np.sum(np.abs(whole.q_m - record.q_m[0]), axis=1)))  # states may be received before commands
+    assert record.q_m[:500] == pytest.approx(whole.q_m[first : first + 500])
+    assert "is taken to answer the last state sent before it" in notes[0]
+
+
+def test_bag_with_a_torque_sensor_has_no_motor_positions(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+) -> None:
+    run = shared_run(tmp_path_factory, "two_link")
+    scenario = load_scenario(run / "scenario.yaml")
+    (tmp_path / "map.yaml").write_text("bag: {motor: torque}\n")
+    mapping = read_map(tmp_path / "map.yaml", scenario.joints)
+    whole, _ = read_record(run, scenario.joints, scenario.robot, Reading())
+    record, _ = read_record(run, scenario.joints, scenario.robot, Reading(mapping))
+    assert np.isnan(record.q_m).all()
+    assert record.torque == pytest.approx((whole.q_m - whole.q_l) @ scenario.robot.K, abs=1e-6)
+
+
+def test_bag_of_another_robot_is_refused(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, kr300: Robot
+) -> None:
+    run = shared_run(tmp_path_factory, "two_link")
+    with pytest.raises(FjrError, match="was recorded with the joints .* expected .*a1"):
+        read_record(run, AXES, kr300, Reading())
+    alone = rewritten(run / "bag", tmp_path / "alone")
+    with pytest.raises(FjrError, match="no effort of all joints"):
+        read_record(alone, AXES, kr300, Reading())
