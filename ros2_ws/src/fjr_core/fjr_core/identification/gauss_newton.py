@@ -144,24 +144,26 @@ def optimise(problem: Problem, z: Array, x0: Array, progress: Callable[[float], 
 def _descended(
     problem: Problem, z: Array, x0: Array, near: float, progress: Callable[[float], None]
 ) -> tuple[Array, Array, list[Comparison], bool]:
-    """Return z, initial states and comparison, and whether the minimum is within `near` standard deviations."""
+    """Return z, initial states and comparison, and whether the minimum is within NEAR standard deviations.
+
+    near: distance at which the descent ends.
+    """
     rough = problem.evaluate(z, x0, np.maximum(problem.floor, ROUGH))
     start = problem.evaluate(z, rough[0], problem.noise(rough[1])) if rough else None
     if start is None:
         raise StateError("the predicted motion does not stay finite; expected a prior nearer to the robot")
-    (x0, compared), damping, reached = start, SOFT, False
+    (x0, compared), damping = start, SOFT
     for iteration in range(MOST_ITERATIONS):
         away = distance(problem.coordinates, z, compared)
         progress(iteration / (iteration + np.log1p(away)) if iteration else 0.0)
-        reached = away < near
-        step = None if reached else _search(problem, z, x0, compared, damping)
+        step = None if away < near else _search(problem, z, x0, compared, damping)
         if step is None:
             break
         before = problem.cost(compared, z)
         z, x0, compared, damping = step
         if before - problem.cost(compared, z) < LEAST_DECREASE:
             break
-    return z, x0, compared, reached
+    return z, x0, compared, distance(problem.coordinates, z, compared) < NEAR
 
 
 def _search(

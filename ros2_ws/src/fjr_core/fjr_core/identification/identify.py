@@ -15,8 +15,12 @@ from .gauss_newton import Optimum, Problem, optimise
 from .motion_record import MotionRecord
 from .parameters import KINDS, PAYLOAD, Options, Prior
 from .posterior import spread
-from .result import LOG, NONNEGATIVE, UNKNOWN, Estimate, Identification
+from .result import IDENTIFIED, LOG, NONNEGATIVE, UNKNOWN, WEAK, Estimate, Identification
 from .verdict import Motion, not_identifiable, partners, reason, verdict
+
+NOT_CONVERGED = (
+    "the fit did not reach a minimum, so that the interval may be too narrow; check signs, units and the prior"
+)
 
 
 def identify(
@@ -87,7 +91,11 @@ def _result(
         before = float(setup.prior.values[name][j])
         value, low, high = _interval(name, z[k], sd[k])
         judged = UNKNOWN if k in fixed else verdict(name, value, sd[k], width[k])
+        if judged == IDENTIFIED and not optimum.converged:
+            judged = WEAK
         why = reason(name, judged, motions[-1 if name in PAYLOAD else j], together.get(k, ""))
+        if judged != UNKNOWN and not optimum.converged:
+            why = NOT_CONVERGED
         joint = "" if name in PAYLOAD else setup.records[0].joints[j]
         value = before if k in fixed else value
         estimates.append(Estimate(name, joint, _unit(setup, name, j), value, low, high, before, judged, why))
