@@ -155,8 +155,8 @@ def test_a_spline_is_checked_between_its_points() -> None:
     )
 
 
-def test_bounds_of_sums_of_sines_have_no_time() -> None:
-    reference = fjr.MultiSine([[0.5], [0.3]], [[1.0], [2.0]])
+def test_bounds_of_sums_of_sines_without_a_common_period_have_no_time() -> None:
+    reference = fjr.MultiSine([[0.5], [0.3]], [[1.0], [np.sqrt(2.0)]])
     expected = "joint 0 would reach 0.8 rad; its limit is 0.7 rad"
     assert sentence(reference, fjr.MotionLimits((-1.0,), 0.7)) == expected
 

@@ -24,7 +24,7 @@ def new(urdf: Path, joints: Sequence[str], chain: int | None, output: Path, name
         there = [file for file in files if file.exists() and not force]
         if there:
             raise ScenarioError(f"{there[0]} exists; expected a new file, another --name or --output, or --force")
-        proposal = proposal_of(arm.urdf.name, arm.robot, arm.joints)
+        proposal = proposal_of(arm.robot, arm.joints, arm.urdf.name)
     except FjrError as error:
         error.args = (f"{urdf.name}: {error}",)
         raise

@@ -69,9 +69,11 @@ RATE = number("a rate", "a positive number", lambda value: 0 < value < math.inf)
 SPEED = number("a speed", "0.001 to 1000", lambda value: 1e-3 <= value <= 1e3)
 SAMPLES = number("a delay", "samples, 0 to 20", lambda value: 0 <= value <= 20)
 ANGLE = number("an angle", "rad, more than 0, at most 3", lambda value: 0 < value <= 3)
+ENCODER_NOISE = number("a noise", "rad, more than 0, at most 0.1", lambda value: 0 < value <= 0.1)
 DISTANCE = number("a distance", "0 or a positive number", lambda value: 0 <= value < math.inf)
 
 MESSAGES = integer("a number of messages", "1 or more", 1, 1e15)
+SEED = integer("a seed", "0 or more", 0, 2**63)
 PORT = integer("a port", "0 to 65535", 0, 65535)
 CHAIN = integer("a chain", "its number, 1 or more", 1, 1000)
 RUNS = integer("a number of runs", "1 or more", 1, 1e9)
@@ -105,9 +107,9 @@ set_option = click.option(
 )
 
 
-def output_option(meaning: str, default: str | None = None) -> Callable[..., Any]:
-    """Return the option --output DIR."""
-    return click.option("--output", type=PATH, metavar="DIR", default=default, help=meaning)
+def output_option(meaning: str, default: str | None = None, kind: str = "DIR") -> Callable[..., Any]:
+    """Return the option --output, of a folder by default."""
+    return click.option("--output", type=PATH, metavar=kind, default=default, help=meaning)
 
 
 def duration_option(meaning: str, default: float | None = None) -> Callable[..., Any]:

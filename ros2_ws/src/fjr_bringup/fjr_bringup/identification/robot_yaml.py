@@ -77,7 +77,7 @@ def robot_file(
     body = [head, *_robot_lines(found, values), *_imperfection_lines(found, nominal.joints), *_left_out(found)]
     text = "\n".join(line.rstrip("\n") for line in body) + "\n"
     try:
-        proposal = proposal_of(name, robot, nominal.joints, effort_delay(found))
+        proposal = proposal_of(robot, nominal.joints, name, effort_delay(found))
     except (GainsError, TrajectoryError) as error:
         return RobotFile(text, str(error))
     return RobotFile(text + _loop(robot, found, nominal.joints, proposal, file))

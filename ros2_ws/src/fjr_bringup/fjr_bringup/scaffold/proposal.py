@@ -37,8 +37,8 @@ class Proposal:
     inner_steps: int
 
 
-def proposal_of(name: str, robot: Robot, joints: Sequence[str], delay: float = 0.0) -> Proposal:
-    """Return a loop with a delay [s] for an arm; raises TrajectoryError or GainsError if there is none within reach."""
+def proposal_of(robot: Robot, joints: Sequence[str], name: str, delay: float = 0.0) -> Proposal:
+    """Return a loop with a delay [s] for the robot; raises TrajectoryError or GainsError if none is within reach."""
     motion = first_motion(robot, joints)
     with phase(f"{name}: computing gains for {robot.n} joints"):
         gains = first_gains(robot, 1 / RATE, motion.configurations(64), delay)

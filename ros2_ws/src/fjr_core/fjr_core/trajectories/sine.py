@@ -13,8 +13,13 @@ from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
 from ..numerics.one_line import one_line
-from .bounds import ROWS, MotionBounds
+from .bounds import ROWS, MotionBounds, motion_bounds_on
 from .reference import Reference
+
+MOST_CYCLES = 1000
+"""Cycles of the fastest sine in a common period of several, up to which their bounds are exact."""
+POINTS_PER_CYCLE = 8
+_ROUNDING = 1e-9  # relative to the highest frequency
 
 _SIDES = np.array([0, 1, 0, 1, 0])  # sine (0) or cosine (1) in each of the five jets
 
@@ -119,12 +124,50 @@ class MultiSine(Sines):
             freeze(self, name, _table(name, getattr(self, name), amplitude.shape))
         freeze(self, "offset", checks.vector("offset", self.offset, amplitude.shape[1], TrajectoryError))
 
+    @cached_property
+    def period(self) -> float | None:
+        """Common period [s] of several sines; None without one of at most MOST_CYCLES cycles, and for one sine."""
+        _, frequency, _ = self.rows
+        return common_period(frequency) if len(frequency) > 1 else None
+
+    def configurations(self, k: int) -> Array:
+        """Return k configurations (k, n) [rad] over the common period if there is one; see Sines.configurations."""
+        if self.period is None:
+            return super().configurations(k)
+        return np.asarray(self.jets(self.period * _turns(k, 2)[:, 1])[:, 0])
+
+    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
+        """Return bounds from t0 to t1 [s], exact for sines with a common period; see Sines.motion_bounds."""
+        if self.period is None:
+            return super().motion_bounds(t0, t1)
+        end = min(t1, t0 + self.period)
+        cycles = (end - t0) * np.abs(np.asarray(self.frequency)).max() / (2 * np.pi)
+        grid = np.linspace(t0, end, POINTS_PER_CYCLE * (int(cycles) + 1) + 1)
+        return motion_bounds_on(self.jets, np.asarray(grid, dtype=float))
+
 
 def _table(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = checks.finite(name, value, TrajectoryError)
     if array.shape not in ((), shape):
         raise TrajectoryError(f"{name} has shape {array.shape}; expected a scalar or that of amplitude, {shape}")
     return np.array(np.broadcast_to(array, shape))
+
+
+def common_period(frequency: Array) -> float | None:
+    """Return the common period [s] of angular frequencies [rad/s]; None if it has more than MOST_CYCLES cycles.
+
+    The base frequency is their greatest common divisor, by Euclid's algorithm up to rounding.
+    """
+    moving = np.unique(np.abs(frequency[frequency != 0]))
+    if not len(moving):
+        return None
+    base, highest = float(moving[0]), float(moving[-1])
+    for w in moving[1:].tolist():
+        larger, smaller = w, base
+        while smaller > _ROUNDING * highest:
+            larger, smaller = smaller, abs(larger - smaller * round(larger / smaller))
+        base = larger
+    return 2 * np.pi / base if highest / base <= MOST_CYCLES else None
 
 
 def phases(k: int, frequency: Array) -> Array:

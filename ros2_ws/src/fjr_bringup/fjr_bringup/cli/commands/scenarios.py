@@ -110,6 +110,29 @@ def gains(**given: Any) -> Any:
 
 
 @command()
+@scenario_argument
+@duration_option("Duration of the record in seconds.", 20.0)
+@click.option(
+    "--noise",
+    type=options.ENCODER_NOISE,
+    metavar="RAD",
+    default=1e-5,
+    help="Standard deviation of the encoders [rad] that the scenario has without errors.",
+)
+@click.option("--seed", type=options.SEED, metavar="N", default=0, help="Seed of the random start of the search.")
+@click.option("--force", is_flag=True, help="Replace an earlier file.")
+@output_option("Scenario file to write. [default: SCENARIO_excite.yaml]", kind="FILE")
+@set_option
+def excite(**given: Any) -> Any:
+    """Design the motion from which a robot is identified best.
+
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`), a YAML file, or a robot file. The reference
+    keeps 90 % of the limits of position, speed, acceleration, deflection and effort.
+    """
+    return implementation("excite").excite(**given)
+
+
+@command()
 def scenarios() -> Any:
     """List the installed scenarios."""
     return implementation("scenarios").list_scenarios()

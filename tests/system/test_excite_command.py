@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr excite` writes a scenario whose motion the controller can follow within its limits."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fjr_bringup.cli.exit_codes import Exit
+from fjr_core.config.scenario import load_scenario
+from fjr_core.identification import excitation
+from system.executables import fjr_here, scenario
+
+pytestmark = pytest.mark.system
+DURATION = 3.0
+
+
+@pytest.fixture(autouse=True)
+def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(excitation, "STARTS", 1)
+    monkeypatch.setattr(excitation, "STEPS", 25)
+
+
+def test_the_written_scenario_follows_its_motion_from_rest(tmp_path: Path) -> None:
+    target = tmp_path / "moves.yaml"
+    shown = fjr_here("excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}", "--json")
+    values, _ = json.JSONDecoder().raw_decode(shown)
+    assert values["scenario_file"] == str(target)
+    narrower = np.divide(*(values[f"relative_half_width{end}"]["joint_stiffness"] for end in ("_before", "")))
+    assert np.all(narrower > 1)
+    loop = load_scenario(target)
+    run = loop.simulate(DURATION)
+    n = loop.robot.n
+    assert np.abs(run.x[:, :n] - run.jets[:, 0]).max() < 2e-3
+    assert np.abs(run.jets[0, 1:]).max() < 1e-6
+    assert np.abs(run.jets[:, 0] - run.jets[0, 0]).max() > 0.1
+
+
+def test_a_robot_file_gets_gains(tmp_path: Path) -> None:
+    robot = Path(scenario("two_link")).parents[1] / "robots" / "paper_joint.yaml"
+    target = tmp_path / "moves.yaml"
+    fjr_here("excite", f"{robot}", "--duration", f"{DURATION}", "--output", f"{target}")
+    fjr_here("check", f"{target}")
+
+
+def test_an_earlier_file_is_not_replaced(tmp_path: Path) -> None:
+    earlier = tmp_path / "moves.yaml"
+    earlier.write_text("mine", encoding="utf-8")
+    shown = fjr_here("excite", "two_link", "--output", f"{earlier}", code=Exit.NOT_UNDERSTOOD)
+    assert "exists; expected a new file" in shown
+    assert earlier.read_text(encoding="utf-8") == "mine"
