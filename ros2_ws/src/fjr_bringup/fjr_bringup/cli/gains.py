@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fjr_bringup.atomic_file import write_text
+from fjr_bringup.cli.posterior_gains import Posterior
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_bringup.scenarios.gains_block import GainValues, gain_lines, with_gains
@@ -25,12 +26,20 @@ from fjr_core.tuning.gain_synthesis import synthesize
 
 
 def synthesised(
-    scenario: str | None, assignments: Sequence[str], beta: float, delay: float, everywhere: bool, write: bool
+    scenario: str | None,
+    assignments: Sequence[str],
+    beta: float,
+    delay: float,
+    everywhere: bool,
+    write: bool,
+    identification: Path | None,
+    seed: int,
 ) -> Result:
     """Return gains for a scenario's robot as YAML: rate beta [1/s] at its sample rate and a loop delay [samples].
 
     The rate holds along the scenario's reference, or everywhere within the joints' range. write: replace the gains in
-    the scenario's file. Raises GainsError if no such gains exist.
+    the scenario's file. identification: file of a posterior; the loop is then stable with plants drawn from it, and
+    checked on fresh draws. Raises GainsError if no such gains exist or a fresh draw is unstable.
     """
     path = library.find(scenario)
     if write and scenario in installed("scenarios"):
@@ -38,18 +47,24 @@ def synthesised(
     loaded = library.load(scenario, assignments)
     robot, period = loaded.robot, loaded.sample_period
     where = None if everywhere else loaded.configurations()
-    gains = synthesize(robot, beta, period, delay * period, where, loaded.joints)
+    posterior = Posterior(identification, loaded, seed) if identification else None
+    gains = synthesize(
+        robot, beta, period, delay * period, where, loaded.joints, posterior.design if posterior else None
+    )
     law = TrackingLaw(robot, gains)
     found, rate = _checked(loaded, law, delay * period, where), law.rate(where)
+    confirmed = posterior.confirmed(law, delay * period, where) if posterior else None
     place = "everywhere" if everywhere else "along its reference"
     basis = "proven" if rate.proven else "sampled"
     head = (
         f"# for {loaded.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / period:g} Hz "
         f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples\n"
-    )
+    ) + (f"# {confirmed.sentence}\n" if confirmed else "")
     values = {name.partition(".")[2]: entries for name, entries in builders.gain_values(gains, robot.n).items()}
     numbers = {"beta_per_s": rate.beta, "beta_is_proven": rate.proven, "spectral_radius": found.spectral_radius}
     numbers["delay_margin_samples"] = found.delay_margin
+    if confirmed:
+        numbers |= confirmed.numbers
     block = "\n".join(["    gains:", *gain_lines(values, robot.n, indent=6)])
     if write:
         _write(path, values, robot.n)

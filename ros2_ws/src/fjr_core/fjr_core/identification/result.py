@@ -83,10 +83,13 @@ class Identification:
 
     def draws(self, count: int, seed: int) -> Array:
         """Return draws (count, len(estimates)) of all parameters from the posterior; UNKNOWN ones keep their prior."""
-        normal = np.random.default_rng(seed).standard_normal((count, len(self.mean)))
+        return self.at(np.random.default_rng(seed).standard_normal((count, len(self.mean))))
+
+    def at(self, normal: Array) -> Array:
+        """Return draws (k, len(estimates)) at standard normal numbers (k, p), by the symmetric root of covariance."""
         w, v = np.linalg.eigh(self.covariance)
-        z = self.mean + (normal * np.sqrt(np.maximum(w, 0.0))) @ v.T
-        drawn = np.tile([each.value for each in self.estimates], (count, 1))
+        z = self.mean + normal @ (v * np.sqrt(np.maximum(w, 0.0))) @ v.T
+        drawn = np.tile([each.value for each in self.estimates], (len(normal), 1))
         for k, (index, coordinate) in enumerate(zip(self.free, self.coordinates, strict=True)):
             drawn[:, index] = natural(z[:, k], coordinate)
         return drawn

@@ -52,13 +52,13 @@ class SampledLoop:
 
     def one_sample_map(self, sample_period: float, delay: float = 0.0) -> Array:
         """Return the map (k, N, N) of (z, controller state, delayed efforts) from one sample to the next."""
-        T, (whole, late) = sample_period, _split(delay, sample_period)
+        T, (whole, late) = sample_period, split(delay, sample_period)
         law = static(self.F) if self.with_state is None else self.with_state(T)
         Phi, Gamma = self.held_map((1 - late) * T)
         if not late:
-            return _one_sample_map(Phi, {whole: Gamma}, law)
+            return map_of_held(Phi, {whole: Gamma}, law)
         Phi_late, Gamma_late = self.held_map(late * T)
-        return _one_sample_map(Phi @ Phi_late, {whole: Gamma, whole + 1: Phi @ Gamma_late}, law)
+        return map_of_held(Phi @ Phi_late, {whole: Gamma, whole + 1: Phi @ Gamma_late}, law)
 
     def at(self, indices: Indices) -> SampledLoop:
         """Return the loop at the selected configurations."""
@@ -75,12 +75,12 @@ class SampledLoop:
             with np.errstate(over="ignore", invalid="ignore"):  # an unstable plant over a long time
                 for first in range(0, len(Phi), AT_ONCE):
                     part = slice(first, first + AT_ONCE)
-                    Phi[part], Gamma[part] = _held_map(self.A[part], self.B[part], T)
+                    Phi[part], Gamma[part] = held_maps(self.A[part], self.B[part], T)
             self._held[T] = Phi, Gamma
         return self._held[T]
 
 
-def _held_map(A: Array, B: Array, T: float) -> tuple[Array, Array]:
+def held_maps(A: Array, B: Array, T: float) -> tuple[Array, Array]:
     """Return exp(A T) and the integral of exp(A s) from 0 to T times B, for stacks A (k, N, N) and B (k, N, n).
 
     Series over h = T / 2^j, in powers of (A h)^4, doubled j times: with D = exp(A h) - 1, which loses no digits for
@@ -102,7 +102,7 @@ def _held_map(A: Array, B: Array, T: float) -> tuple[Array, Array]:
     return one + D, Gamma
 
 
-def _one_sample_map(Phi: Array, inputs: dict[int, Array], law: Controller) -> Array:
+def map_of_held(Phi: Array, inputs: dict[int, Array], law: Controller) -> Array:
     """Return the map of (z, c, earlier efforts): z+ = Phi z + sum of inputs[i] u(i samples ago), u by the law."""
     (k, n, N), m = law.F.shape, law.states
     past = max(*inputs, int(law.reads_sent))
@@ -124,7 +124,7 @@ def _one_sample_map(Phi: Array, inputs: dict[int, Array], law: Controller) -> Ar
     return loop
 
 
-def _split(delay: float, T: float) -> tuple[int, float]:
+def split(delay: float, T: float) -> tuple[int, float]:
     """Split delay / T into whole samples and a fraction; a whole number up to rounding has fraction 0."""
     samples = delay / T
     whole = round(samples) if abs(samples - round(samples)) < 1e-9 else int(samples)

@@ -21,12 +21,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..control.vdpbc.gains import Gains, relative_eigenvalues
+from ..control.vdpbc.law import TrackingLaw
 from ..control.vdpbc.linearized import feedback
 from ..errors import GainsError
 from ..numerics.checks import Array, positive
 from ..robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from ..robot.equilibrium import Equilibria, Indices, equilibria_at, plant_matrices
 from ..robot.robot import Robot
+from ..stability.drawn_plants import DrawnLoops, DrawnPlants
 from ..stability.linearization import in_error_coordinates
 from ..stability.one_sample_map import SampledLoop
 from ..stability.sampled_loop import FEW, checked_times
@@ -39,6 +41,8 @@ DESIRED_DELAYS = (0.75, 1.0, 1.5, 2.0, 3.0)  # samples beyond; the more of them 
 LEAST_DECAY = 0.5  # fraction of the rate that the sampled loop must keep
 HALVINGS = 16  # of an unreachable rate in the search of a reachable one
 LARGEST_PRODUCT = 30.0  # beta times the sample period; no loop decays by e^-15 per sample
+DRAWN_AT = 3  # configurations of the largest radius, at each screened delay, for drawn plants
+STEP_DOWN, STEPS_DOWN = 0.7, 6  # in the search of a rate that is stable with all drawn plants
 KEPT = 12  # configurations of the largest radius at each screened delay, at which gains are compared
 
 
@@ -49,6 +53,7 @@ def synthesize(
     delay: float = 0.0,
     configurations: ArrayLike | None = None,
     joints: Sequence[str] = (),
+    plants: DrawnPlants | None = None,
 ) -> Gains:
     """Return gains with block rates of at least beta [1/s] for a loop of sample_period [s] and delay [s].
 
@@ -56,13 +61,19 @@ def synthesize(
     the 1024 of `check` within the limits of the robot, so that law.rate().beta >= beta and check(...) is stable. At
     these configurations the sampled loop decays at least at beta / 2 with the given delay and with a quarter and half a
     sample more. There is no guarantee between the configurations.
+    plants: drawn plants with which the loop is to be stable, too, at the most critical configurations.
     Raises GainsError if no gains of this family meet these conditions, with the largest reachable rate, and with the
     joint (one of `joints`, their names) whose spring is too fast for the loop.
     """
     checked_times(sample_period, delay)
     positive("beta", beta, GainsError, "1/s")
     task = gain_search(robot, sample_period, delay, configurations)
-    gains = task.best(beta)
+    gains = replace(task, plants=plants).best(beta)
+    if gains is None and plants is not None and task.best(beta) is not None:
+        raise GainsError(
+            f"beta = {beta:g} 1/s is out of reach for all {len(plants)} drawn plants; "
+            f"{_reachable_by_all(task, plants, beta)}"
+        )
     if gains is None:
         raise GainsError(
             f"beta = {beta:g} 1/s is out of reach at {1 / sample_period:g} Hz with a delay of {delay:g} s; "
@@ -80,6 +91,7 @@ class GainSearch:
     s: float
     sample_period: float
     delay: float
+    plants: DrawnPlants | None = None
 
     def best(self, beta: float) -> Gains | None:
         """Return the fastest gains with the required decay and the coupling of the longest delay; None if none exist.
@@ -117,10 +129,19 @@ class GainSearch:
         equilibria = self.equilibria.at(few)
         for c in SPEED_FACTORS:
             ranked = [(self._rank(self._loop(equilibria, gains), beta), gains) for gains in self._candidates(beta, c)]
-            rank, gains = max(ranked, key=lambda pair: pair[0])
-            if rank[0]:
-                return gains
+            for rank, gains in sorted(ranked, key=lambda pair: pair[0], reverse=True):
+                if rank[0] and self._holds_for_plants(gains):
+                    return gains
         return None
+
+    def _holds_for_plants(self, gains: Gains) -> bool:
+        """Return whether the loop is stable with all drawn plants at the most critical equilibria."""
+        if self.plants is None:
+            return True
+        worst = self._loop(self.equilibria, gains).critical(self.sample_period, self.delay, DRAWN_AT)
+        law = TrackingLaw(self.equilibria.robot, gains)
+        loops = DrawnLoops(law, self.equilibria.at(worst), self.sample_period, self.delay)
+        return not loops.unstable(self.plants).any()
 
     def _candidates(self, beta: float, c: float) -> Iterator[Gains]:
         for g in COUPLING:
@@ -173,6 +194,16 @@ def gain_search(robot: Robot, sample_period: float, delay: float, configurations
         inertias += [np.asarray(vertex) for vertex in robot.links.M_l_vertices or ()]
     s = max(float(relative_eigenvalues(M_l, M)[-1]) for M_l in inertias)
     return GainSearch(equilibria, M, s, sample_period, delay)
+
+
+def _reachable_by_all(task: GainSearch, plants: DrawnPlants, beta: float) -> str:
+    """Describe the first of a few lower rates at which the loop is stable with all plants."""
+    whole = replace(task, plants=plants)
+    rates = [beta * STEP_DOWN**i for i in range(1, STEPS_DOWN + 1)]
+    found = next((rate for rate in rates if whole.best(rate) is not None), None)
+    if found is None:
+        return f"so are all rates down to {rates[-1]:.3g} 1/s; expected narrower intervals of the parameters"
+    return f"expected at most {found:.3g} 1/s, or narrower intervals of the parameters"
 
 
 def _reachable(task: GainSearch, beta: float, joints: Sequence[str]) -> str:

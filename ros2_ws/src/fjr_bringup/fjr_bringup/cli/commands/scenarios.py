@@ -100,6 +100,14 @@ def check(**given: Any) -> Any:
 @click.option("--delay", type=options.SAMPLES, metavar="D", default=0.0, help="Delay of the loop in samples.")
 @click.option("--everywhere", is_flag=True, help="Cover the joints' whole range instead of the reference only.")
 @click.option("--write", is_flag=True, help="Replace the gains in the scenario's file; its comments are kept.")
+@click.option(
+    "--from",
+    "identification",
+    type=options.PATH,
+    metavar="FILE",
+    help="identification.json of an identified robot: stable for plants drawn from it, checked on fresh draws.",
+)
+@click.option("--seed", type=options.SEED, metavar="N", default=0, help="Seed of the drawn plants.")
 @set_option
 def gains(**given: Any) -> Any:
     """Synthesise gains and print them as YAML.

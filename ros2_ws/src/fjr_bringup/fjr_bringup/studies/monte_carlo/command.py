@@ -17,6 +17,7 @@ from fjr_bringup.interrupt import Interrupted
 from fjr_bringup.progress import progress_bar
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
+from fjr_bringup.scenarios.identification_file import read_identification
 from fjr_bringup.scenarios.installed import installed
 from fjr_bringup.studies.monte_carlo import sweep_file
 from fjr_bringup.studies.monte_carlo.picture import draw
@@ -57,7 +58,8 @@ def planned(name: str | None, options: Options) -> Sweep:
         neighbour = path.parent / file.scenario
         scenario = neighbour if os.path.isfile(neighbour) else library.find(file.scenario)
         text, _ = library.as_run(scenario, {**file.changes, **options.overrides})
-        return _sweep(path.stem, text, file, options)
+        posterior = read_identification(path.parent / file.posterior).as_dict() if file.posterior else None
+        return _sweep(path.stem, text, file, options, posterior)
     except ParameterError as error:
         raise ParameterError(f"sweep {path.stem} {error}") from None
 
@@ -66,6 +68,8 @@ def sweep(name: str | None, options: Options, stop: threading.Event) -> Result:
     """Run the study, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted."""
     plan = planned(name, options)
     plan.refuse_stiff_friction()
+    if plan.identified is not None and plan.identified.left_out:
+        print(f"fjr: identified, but not drawn: {', '.join(plan.identified.left_out)}", file=sys.stderr)
     if options.scheduler is None:
         plan.loop.build()
     if plan.loop.in_python:
@@ -137,6 +141,8 @@ def _file(name: str | None) -> Path:
         raise library.ScenarioError(f"{error}; or of the sweeps {', '.join(sweeps)}") from None
 
 
-def _sweep(name: str, text: str, file: SweepFile, options: Options) -> Sweep:
+def _sweep(
+    name: str, text: str, file: SweepFile, options: Options, posterior: Mapping[str, Any] | None = None
+) -> Sweep:
     numbers = {"runs": sweep_file.RUNS, **file.numbers, **options.numbers}
-    return Sweep(name, text, vary=file.vary, success=file.success, **numbers)
+    return Sweep(name, text, vary=file.vary, success=file.success, posterior=posterior, **numbers)

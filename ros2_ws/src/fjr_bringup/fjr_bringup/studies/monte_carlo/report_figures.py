@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from fjr_bringup.formatting import percent
 from fjr_bringup.plotting.figure import Line, Plot
 from fjr_bringup.studies.monte_carlo.store import Store
-from fjr_core.experiments.monte_carlo.distributions import LOG_UNIFORM
 from fjr_core.experiments.monte_carlo.sensitivity import Effect, Summary
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch.draws import UNITS
@@ -29,7 +28,7 @@ def sweep_plots(store: Store, summary: Summary) -> list[Plot]:
     rms = np.max([store.column(f"rms.{joint}") for joint in store.sweep.scenario.joints], axis=0)
     success, plots = store.column("success"), []
     for number, effect in enumerate(summary.effects[:SHOWN]):
-        log = store.sweep.vary[effect.name.partition(".")[0]].kind == LOG_UNIFORM
+        log = store.sweep.is_logarithmic(effect.name)
         plots += [_share(number, effect, log), _runs(number, effect, log, store.column(effect.name), rms, success)]
     plots.append(_distribution(rms, success))
     return [plot for plot in plots if not plot.is_empty]

@@ -16,19 +16,24 @@ from fjr_core.experiments.monte_carlo.distributions import Distribution
 WHOLE = ("runs", "seed")
 SECONDS = ("duration", "settle_after", "band", "lost")
 MAPPINGS = ("vary", "success", "set")
-KEYS = ("scenario", *MAPPINGS, *WHOLE, *SECONDS)
+POSTERIOR = "posterior"
+KEYS = ("scenario", POSTERIOR, *MAPPINGS, *WHOLE, *SECONDS)
 RUNS = 1000
 
 
 @dataclass(frozen=True)
 class SweepFile:
-    """scenario: name or path; vary: distributions; changes: of scenario parameters; numbers: other fields of Sweep."""
+    """scenario: name or path; vary: distributions; changes: of scenario parameters; numbers: other fields of Sweep.
+
+    posterior: path of an identification.json from which plants are drawn, "" for none.
+    """
 
     scenario: str
     vary: Mapping[str, Distribution]
     changes: Mapping[str, Any] = field(default_factory=dict)
     success: Mapping[str, float] = field(default_factory=dict)
     numbers: Mapping[str, Any] = field(default_factory=dict)
+    posterior: str = ""
 
 
 def is_one(document: object) -> bool:
@@ -47,12 +52,15 @@ def read(document: Mapping[str, Any]) -> SweepFile:
         if not isinstance(document.get(key, {}), Mapping):
             raise ParameterError(f"has {document[key]!r} as '{key}'; expected a mapping")
     vary = {str(name): distributions.read(str(name), given) for name, given in document.get("vary", {}).items()}
-    if not any(one.kind != distributions.FIXED for one in vary.values()):
-        raise ParameterError(f"draws nothing; expected 'vary' with {distributions.FORM}")
+    posterior = document.get(POSTERIOR, "")
+    if not isinstance(posterior, str):
+        raise ParameterError(f"has {posterior!r} as '{POSTERIOR}'; expected the path of an identification.json")
+    if not posterior and not any(one.kind != distributions.FIXED for one in vary.values()):
+        raise ParameterError(f"draws nothing; expected '{POSTERIOR}', or 'vary' with {distributions.FORM}")
     success = {name: _number(f"success.{name}", value) for name, value in document.get("success", {}).items()}
     numbers: dict[str, Any] = {key: _whole(key, document[key]) for key in WHOLE if key in document}
     numbers |= {key: _number(key, document[key]) for key in SECONDS if key in document}
-    return SweepFile(str(document["scenario"]), vary, document.get("set", {}), success, numbers)
+    return SweepFile(str(document["scenario"]), vary, document.get("set", {}), success, numbers, posterior)
 
 
 def usual(scenario: str, sample_period: float) -> SweepFile:

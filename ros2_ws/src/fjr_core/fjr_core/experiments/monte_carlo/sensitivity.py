@@ -71,9 +71,9 @@ def summarised(sweep: Sweep, column: ReadColumn) -> Summary:
     rms = _largest(sweep, column, "rms")
     log_rms = np.log10(np.maximum(rms, 1e-300), where=stable, out=np.zeros(len(rms)))
     effects = [
-        _effect(name, sweep.vary[drawn], column(name), success, log_rms, stable)
+        _effect(name, distribution, column(name), success, log_rms, stable)
         for drawn in sweep.drawn
-        for name in sweep.columns(drawn)
+        for name, distribution in zip(sweep.columns(drawn), sweep.distributions(drawn), strict=True)
     ]
     names = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
     low, high = interval(int(success.sum()), len(success))

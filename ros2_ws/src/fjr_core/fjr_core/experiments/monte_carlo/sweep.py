@@ -17,6 +17,7 @@ from ...config.safety import safety
 from ...config.scenario import Scenario, parse_scenario
 from ...control.safety_settings import Settings
 from ...errors import ParameterError
+from ...identification.result import Identification
 from ...simulation.batch import counter_rng
 from ...simulation.batch.closed_loop import ClosedLoop
 from ...simulation.batch.draws import LEVELS, PER_RUN, SMOOTHING, Draws, width
@@ -26,6 +27,7 @@ from ...simulation.nonideal_parameters import Nonidealities, friction_rate
 from ..scenario_loop import refuse_what_is_left_out, scenario_loop
 from . import distributions
 from .distributions import Distribution
+from .posterior import Column, PosteriorDraws, column_names
 
 MEASURES = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
 """Outcomes that the success criterion may limit."""
@@ -42,7 +44,8 @@ Columns = dict[str, NDArray[Any]]
 class Sweep:
     """Study of `runs` runs of `duration` [s] of a scenario, given as its self-contained text.
 
-    vary: distributions or fixed values by field of Draws. seed: of all random numbers. settle_after [s], band, lost
+    vary: distributions or fixed values by field of Draws. posterior: plain values of an identification from which the
+    plants are drawn in addition. seed: of all random numbers. settle_after [s], band, lost
     [rad]: see ClosedLoop. success: largest value of an outcome, at every joint, of a successful stable run. Raises
     ParameterError.
     """
@@ -57,6 +60,7 @@ class Sweep:
     band: float = 0.01
     lost: float = float(np.pi / 2)
     success: Mapping[str, float] = field(default_factory=dict)
+    posterior: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.runs <= MOST_RUNS:
@@ -71,6 +75,8 @@ class Sweep:
         refuse_what_is_left_out(self.scenario, "a sweep draws these itself, use 'vary'")
         for name, distribution in self.vary.items():
             self._check(name, distribution)
+            if name in self._from_posterior:
+                raise ParameterError(f"'vary' has '{name}', which the posterior draws; expected it in one of them")
         first = self.draws(0, 1)
         for name in LEVELS:
             _ = first.columns(name, self.scenario.robot.n)
@@ -89,7 +95,9 @@ class Sweep:
 
     def refuse_stiff_friction(self) -> None:
         """Raise ParameterError if the stiffest friction that can be drawn is too stiff for the steps of the plant."""
-        least, most = ({name: one.range[side] for name, one in self.vary.items()} for side in (0, 1))
+        ranges = {name: one.range for name, one in self.vary.items()}
+        ranges |= {name: self.identified.range(name) for name in self._from_posterior if self.identified}
+        least, most = ({name: both[side] for name, both in ranges.items()} for side in (0, 1))
         robot, inertia = self.scenario.plant.robot, [least.get(name, 1.0) for name in ("link_inertia", "motor_inertia")]
         levels = {name: most[name] for name in FRICTION if name in most}
         steepest = Nonidealities(robot.n, **levels, smoothing=least.get("smoothing", SMOOTHING))
@@ -113,6 +121,8 @@ class Sweep:
             fixed[name] = np.tile(values, (count, 1)) if per_joint else values
             if name == "payload_position" and not per_joint and values.ndim:  # one number per run for x, y and z
                 fixed[name] = values[:, None]
+        if self.identified is not None:
+            fixed |= self.identified.drawn(self.seed, begin, count)
         seeds = counter_rng.rows((self.seed, distributions.stream(NOISE_SEED)), begin, count, 1)[:, 0]
         return Draws(count, **fixed, seed=seeds)
 
@@ -121,9 +131,9 @@ class Sweep:
         draws = self.draws(begin, end)
         outcomes = self.loop.run(draws)
         drawn = {
-            column: values
+            column: draws.columns(name, self.scenario.robot.n)[:, index]
             for name in self.drawn
-            for column, values in zip(self.columns(name), draws.columns(name, self.scenario.robot.n).T, strict=False)
+            for column, index in zip(self.columns(name), self._indices(name), strict=True)
         }
         results = {key: values for name in FIELDS for key, values in self._columns_of(name, outcomes).items()}
         return {"run": np.arange(begin, end), **drawn, "success": self.succeeded(outcomes), **results}
@@ -141,10 +151,42 @@ class Sweep:
     @property
     def drawn(self) -> list[str]:
         """Names of the parameters that differ between runs."""
-        return [name for name, one in self.vary.items() if one.kind != distributions.FIXED]
+        varied = [name for name, one in self.vary.items() if one.kind != distributions.FIXED]
+        return [*varied, *self._from_posterior]
+
+    @cached_property
+    def identified(self) -> PosteriorDraws | None:
+        """Draws from the posterior; raises ParameterError."""
+        if self.posterior is None:
+            return None
+        found = Identification.from_dict(self.posterior)
+        return PosteriorDraws(found, self.scenario.plant.robot, self.scenario.joints)
+
+    @property
+    def _from_posterior(self) -> Mapping[str, tuple[Column, ...]]:
+        return {} if self.identified is None else self.identified.columns
+
+    def distributions(self, name: str) -> list[Distribution]:
+        """Return the distribution of each column of a drawn parameter."""
+        if name in self._from_posterior:
+            return [column.marginal for column in self._from_posterior[name]]
+        return [self.vary[name]] * len(self.columns(name))
+
+    def is_logarithmic(self, column: str) -> bool:
+        """Return whether the values of a column spread evenly on a logarithmic scale."""
+        name = column.partition(".")[0]
+        return name in self.vary and self.vary[name].kind == distributions.LOG_UNIFORM
+
+    def _indices(self, name: str) -> list[int]:
+        """Return the indices of the columns of a drawn parameter in Draws.columns."""
+        if name in self._from_posterior:
+            return [column.entry for column in self._from_posterior[name]]
+        return list(range(len(self.columns(name))))
 
     def columns(self, name: str) -> list[str]:
         """Return the column names of a drawn parameter: one, or one per joint."""
+        if name in self._from_posterior:
+            return column_names(self._from_posterior[name], name)
         joints = self.scenario.joints
         return [f"{name}.{joint}" for joint in joints] if self.vary[name].each_joint else [name]
 
@@ -153,7 +195,8 @@ class Sweep:
         """Study as JSON; studies with equal text have equal results."""
         values = {name: getattr(self, name) for name in _PLAIN}
         vary = {name: one.as_yaml for name, one in self.vary.items()}
-        return json.dumps({**values, "vary": vary, "success": dict(self.success)}, indent=1)
+        extra = {} if self.posterior is None else {"posterior": dict(self.posterior)}
+        return json.dumps({**values, "vary": vary, "success": dict(self.success), **extra}, indent=1)
 
     def _columns_of(self, name: str, outcomes: Outcomes) -> Columns:
         values = getattr(outcomes, name)
