@@ -77,15 +77,22 @@ def design(
     """
     task = ExcitationDesign(robot, limits, noise, duration, sample_period)
     known, rng = task.deviations(before), np.random.default_rng(seed)
-    found: list[tuple[float, Array]] = []
+    best, most = None, 0.0
     for i in range(STARTS):
         progress("designing the excitation", i / (STARTS + 1))
         c = task.start(rng)
         for weight in PENALTIES:
             c = task.improved(c, weight)
-        found.append((task.least_gain(task.within(c), known), c))
+        if (gain := task.least_gain(c, known)) > most:
+            best, most = c, gain
+    if best is None:
+        raise TrajectoryError(
+            f"no motion of {STARTS} random starts keeps the limits; expected wider limits or a lighter arm"
+        )
     progress("designing the excitation", STARTS / (STARTS + 1))
-    best = task.improved(max(found, key=lambda pair: pair[0])[1], FINAL_PENALTY)
+    refined = task.improved(best, FINAL_PENALTY)
+    if task.least_gain(refined, known) > most:
+        best = refined
     reference = task.series.reference(task.within(best))
     return Excitation(reference, duration, task.series.period, task.deviations(reference), known)
 
@@ -208,8 +215,14 @@ class ExcitationDesign:
         return compiled(function).map(len(self._instants))
 
     def least_gain(self, c: Array, known: Array) -> float:
-        """Return the least factor, over the joints, by which the deviation of K is below the known one (n, 7)."""
-        found = self.deviations(self.series.reference(c))
+        """Return the least factor, over the joints, by which the deviation of K is below the known one (n, 7).
+
+        It is that of the motion within the limits, 0 if there is none.
+        """
+        try:
+            found = self.deviations(self.series.reference(self.within(c)))
+        except TrajectoryError:
+            return 0.0
         return float((known[:, 0] / found[:, 0]).min())
 
     def within(self, c: Array) -> Array:
