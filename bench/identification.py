@@ -25,7 +25,7 @@ from fjr_core.identification.elastic_arm import ElasticArm
 from fjr_core.identification.identify import identify
 from fjr_core.identification.motion_record import MotionRecord
 from fjr_core.identification.parameters import KINDS, Options, Prior, size
-from fjr_core.identification.result import UNKNOWN, Identification
+from fjr_core.identification.result import LOG, UNKNOWN, Identification
 from fjr_core.identification.shooting import HeldEffort, Shooting
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.newton_euler import serial_chain
@@ -146,17 +146,18 @@ def _rest(robot: Robot, truth: Mapping[str, Array], q: Array) -> Array:
 
 
 def compared(case: Case, found: Identification) -> list[dict[str, Any]]:
-    """Return for each parameter whether its interval contains the truth."""
+    """Return for each parameter whether its interval contains the truth; score: its error in standard deviations."""
     rows = []
-    for each in found.estimates:
+    posterior = dict(zip(found.free, zip(found.mean, np.sqrt(np.diag(found.covariance)), strict=True), strict=True))
+    for k, each in enumerate(found.estimates):
         true = float(case.truth[each.name][found.joints.index(each.joint)])
-        sd = max((each.high - each.low) / 3.92, 1e-12)
+        z, sd = posterior.get(k, (np.nan, np.nan))
         rows.append(
             {
                 "name": each.name,
                 "verdict": each.verdict,
                 "inside": bool(each.low <= true <= each.high),
-                "score": (each.value - true) / sd,
+                "score": float((z - (np.log(true) if KINDS[each.name].coordinate == LOG else true)) / sd),
                 "error": abs(each.value / true - 1) if true else float("nan"),
             }
         )

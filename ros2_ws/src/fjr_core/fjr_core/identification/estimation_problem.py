@@ -27,6 +27,7 @@ from .shooting import HeldEffort, Shooting
 PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
 ACCURATE = 0.35  # rad; angle of the fastest resonance in an integration step
 CREEP = 0.5  # decay of friction at rest in an integration step
+PASSAGE = 1.0  # change of a velocity near zero in an integration step, in smoothing velocities of the friction
 MOST_PARTS = 16  # integration steps of a sample period, while a joint creeps
 RESONANT_PARTS = 8  # of these, for a resonance
 WIDE, FAST = 0.05, 1.0  # rad, rad/s; least widths of the prior of initial states
@@ -106,8 +107,15 @@ class Estimation:
         arm = self.arm(coordinates)
         slowest, fastest, creep = _rates(arm, self.records, start)
         length = self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
-        slow = np.tile(SLOW * start["smoothing"], 2)
-        efforts = [HeldEffort(r.u, r.dt, int(_parts(r.dt * fastest)), _parts(r.dt * creep), slow) for r in self.records]
+        smoothing = np.tile(start["smoothing"], 2)
+        acceleration = _reversals(motions, SLOW * smoothing)
+        near_rest = np.maximum(creep, acceleration / smoothing / PASSAGE)
+        efforts = [
+            HeldEffort(
+                r.u, r.dt, int(_parts(r.dt * fastest)), _parts(r.dt * near_rest), SLOW * smoothing + r.dt * acceleration
+            )
+            for r in self.records
+        ]
         segments = [s for r, effort in zip(self.records, efforts, strict=True) for s in cut(r, effort, length)]
         signals = measured_signals(self.records)
         floor = np.array([_least_noise(self.records, *each) for each in signals])
@@ -143,7 +151,8 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Opti
 def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Array]) -> tuple[float, float, Array]:
     """Return the slowest resonance [rad/s], and the integration steps needed per second, of resonances and creep (2n,).
 
-    Creep is the decay of the velocity of a link or a motor, in this order, by friction at rest.
+    Creep is the decay of the velocity of a link or a motor, in this order, by friction at rest. Each side is given the
+    friction of both, because start values do not tell well how it is divided.
     """
     K, B, values = np.diag(p["joint_stiffness"]), p["motor_inertia"], packed(arm, p)
     slowest, fastest, mobility = np.inf, 0.0, np.zeros(len(B))
@@ -153,9 +162,18 @@ def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Arr
             resonances = np.sqrt(np.linalg.eigvals(K @ (inverse + np.diag(1 / B))).real)
             slowest, fastest = min(slowest, resonances.min()), max(fastest, resonances.max())
             mobility = np.maximum(mobility, np.diag(inverse))
-    friction = [np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")]
-    decay = np.concatenate([friction[0] * mobility, friction[1] / B]) / np.tile(p["smoothing"], 2)
+    friction = sum(
+        np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")
+    )
+    decay = np.concatenate([friction * mobility, friction / B]) / np.tile(p["smoothing"], 2)
     return slowest, fastest / ACCURATE, decay / CREEP
+
+
+def _reversals(motions: Sequence[FilteredMotion], slow: Array) -> Array:
+    """Return the accelerations (2n,) of links and motors, root mean square while they are slower than slow (2n,)."""
+    v, a = (np.vstack([np.hstack([getattr(m, f"{name}_{side}") for side in "lm"]) for m in motions]) for name in "va")
+    near = np.abs(v) < slow
+    return np.asarray(np.sqrt(np.sum(np.where(near, a, 0.0) ** 2, axis=0) / np.maximum(1, np.sum(near, axis=0))))
 
 
 def _state_width(motions: Sequence[FilteredMotion]) -> Array:

@@ -200,16 +200,22 @@ def _chance(
     """Return by how much the information (p, p) grows when initial states are disturbed by their own uncertainty.
 
     A spring at rest, for instance, seems to swing with the noise, at a frequency that seems to tell its stiffness.
+    Disturbances come with both signs, so that what is linear in them cancels. No segment loses more than it tells.
     """
     random, size = np.random.default_rng(0), x0.shape[1]
     draws, found = max(1, FEW // len(x0)), np.zeros_like(projected[0].H)
     for k, (x, each, own) in enumerate(zip(x0, compared, projected, strict=True)):
         scale, (factor, lower) = _state_factor(each, size, 0.0)
+        growth = np.zeros_like(found)
         for normal in random.standard_normal((draws, size)):
             dx = solve_triangular(factor, normal, trans=0 if lower else 1, lower=lower) / scale
-            disturbed = problem.compare(k, z, x + dx, noise)
-            if disturbed is not None:
-                found += (project(disturbed, size).H - own.H) / draws
+            pair = [problem.compare(k, z, x + sign * dx, noise) for sign in (1, -1)]
+            complete = [project(each, size).H for each in pair if each is not None]
+            if len(complete) == len(pair):
+                growth += (sum(complete) / 2 - own.H) / draws
+        told, grown = np.maximum(np.diag(own.H), 0.0), np.diag(growth)
+        limit = np.sqrt(np.where(grown > told, told / np.where(grown > 0, grown, 1.0), 1.0))
+        found += growth * np.outer(limit, limit)
     return found
 
 
