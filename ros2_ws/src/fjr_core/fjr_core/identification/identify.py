@@ -3,24 +3,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import StateError
+from ..numerics.checks import Array
 from ..robot.robot import Robot
+from .equation_error import filtered_judgement
 from .estimation_problem import SHORTEST, Estimation
 from .fit import fits
 from .gauss_newton import Optimum, Problem, optimise
+from .initial_guess import FilteredMotion, shared
+from .judgement import Judgement, judge
 from .motion_record import MotionRecord
-from .parameters import KINDS, PAYLOAD, Options, Prior
-from .posterior import spread
-from .result import IDENTIFIED, LOG, NONNEGATIVE, UNKNOWN, WEAK, Estimate, Identification
-from .verdict import Motion, not_identifiable, partners, reason, verdict
+from .parameters import PAYLOAD, Options, Prior
+from .result import Identification
+from .validation import predicted_deflection
+from .verdict import not_identifiable
 
 NOT_CONVERGED = (
     "the fit did not reach a minimum, so that the interval may be too narrow; check signs, units and the prior"
 )
+WORSE, DOUBTFUL = 1.5, 1.1
+"""Unexplained deflection, relative to that of filtered least squares, beyond which a simulation does not fit.
+
+The first one is for a fit that has converged, the second one for one that has not.
+"""
 
 
 def identify(
@@ -40,20 +50,63 @@ def identify(
     progress("filtered least squares", 0.0)
     motions, start = setup.start()
     progress("compilation", 0.0)
-    problem = setup.problem(setup.coordinates, start, motions)
-    x0 = problem.filtered
-    optimum = optimise(
-        problem, problem.coordinates.of_values(start), x0, lambda share: progress("prediction error", share)
-    )
-    fixed = not_identifiable(optimum.projected, optimum.chance, setup.coordinates.width)
-    if fixed:
-        problem = setup.problem(setup.coordinates.without(fixed), start, motions)
-        kept = [k for k in range(len(optimum.z)) if k not in fixed]
-        again = optimise(problem, optimum.z[kept], optimum.x0, lambda share: progress("prediction error again", share))
-    else:
-        again = optimum
+    fit = _fit(setup, motions, start, progress)
     progress("intervals", 1.0)
-    return _result(setup, problem, optimum, again, fixed)
+    doubt = "" if fit.optimum.converged else NOT_CONVERGED
+    simulated = judge(setup, fit.whole.projected, fit.whole.chance, fit.fixed, fit.z, doubt)
+    filtered = filtered_judgement(setup, motions, setup.coordinates.of_values(start))
+    replaced = _not_simulated(setup, simulated, filtered, fit.optimum.converged)
+    chosen = simulated.with_entries_of(filtered, replaced)
+    return chosen.identification(records[0].joints, fits(*(fit.at(chosen.mean) if replaced else fit.last)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Simulation:
+    """Optimum with all parameters, what it does not tell, and the optimum without these; the problem of each."""
+
+    problem: Problem
+    whole: Optimum
+    fixed: tuple[int, ...]
+    last: tuple[Problem, Optimum]
+
+    @property
+    def optimum(self) -> Optimum:
+        """Return the optimum without the parameters that are not identifiable."""
+        return self.last[1]
+
+    @property
+    def z(self) -> Array:
+        """Return z (p,) with the prior's mean of what is not identifiable."""
+        z = self.problem.coordinates.mean.copy()
+        z[[k for k in range(len(z)) if k not in self.fixed]] = self.optimum.z
+        return z
+
+    def at(self, z: Array) -> tuple[Problem, Optimum]:
+        """Return the prediction at other parameters z (p,); that of the optimum if it does not stay finite."""
+        found = self.problem.evaluate(z, self.whole.x0, self.whole.noise)
+        if found is None:
+            return self.last
+        x0, compared = found
+        return self.problem, replace(self.whole, z=z, x0=x0, compared=compared, noise=self.problem.noise(compared))
+
+
+def _fit(
+    setup: Estimation,
+    motions: Sequence[FilteredMotion],
+    start: Mapping[str, Array],
+    progress: Callable[[str, float], None],
+) -> _Simulation:
+    """Return the most likely parameters, and those without the ones that are not identifiable."""
+    problem = setup.problem(setup.coordinates, start, motions)
+    z = setup.coordinates.of_values(shared(start))
+    whole = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
+    fixed = not_identifiable(whole.projected, whole.chance, setup.coordinates.width)
+    if not fixed:
+        return _Simulation(problem, whole, fixed, (problem, whole))
+    fewer = setup.problem(setup.coordinates.without(fixed), start, motions)
+    kept = [k for k in range(len(z)) if k not in fixed]
+    again = optimise(fewer, whole.z[kept], whole.x0, lambda share: progress("prediction error again", share))
+    return _Simulation(problem, whole, fixed, (fewer, again))
 
 
 def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
@@ -70,60 +123,15 @@ def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
             )
 
 
-def _result(
-    setup: Estimation, problem: Problem, first: Optimum, optimum: Optimum, fixed: Sequence[int]
-) -> Identification:
-    """Return the estimates at the optimum without the parameters that are not identifiable."""
-    coordinates, width = setup.coordinates, setup.coordinates.width
-    kept = [k for k in range(len(width)) if k not in fixed]
-    found = spread(first.projected, first.chance, width, fixed)
-    alone = found.from_records
-    covariance = found.covariance[np.ix_(kept, kept)]
-    z = coordinates.mean.copy()
-    z[kept] = optimum.z
-    whole = spread(first.projected, first.chance, width)
-    names = [_label(setup, *each) for each in coordinates.free]
-    together = partners(whole.covariance, names)
-    sd = np.where(np.isfinite(alone), np.sqrt(np.diag(found.covariance)), width)
-    motions = [Motion.of(setup.records, j) for j in range(setup.robot.n)]
-    estimates = []
-    for k, (name, j) in enumerate(coordinates.free):
-        before = float(setup.prior.values[name][j])
-        value, low, high = _interval(name, z[k], sd[k])
-        judged = UNKNOWN if k in fixed else verdict(name, value, sd[k], width[k])
-        if judged == IDENTIFIED and not optimum.converged:
-            judged = WEAK
-        why = reason(name, judged, motions[-1 if name in PAYLOAD else j], together.get(k, ""))
-        if judged != UNKNOWN and not optimum.converged:
-            why = NOT_CONVERGED
-        joint = "" if name in PAYLOAD else setup.records[0].joints[j]
-        value = before if k in fixed else value
-        estimates.append(Estimate(name, joint, _unit(setup, name, j), value, low, high, before, judged, why))
-    kinds = tuple(KINDS[coordinates.free[k][0]].coordinate for k in kept)
-    series = fits(problem, optimum)
-    return Identification(setup.records[0].joints, tuple(estimates), tuple(kept), kinds, optimum.z, covariance, series)
+def _not_simulated(setup: Estimation, simulated: Judgement, filtered: Judgement, converged: bool) -> list[int]:
+    """Return the entries of z of joints whose deflection filtered least squares explain better; rather if in doubt."""
+    factor = WORSE if converged else DOUBTFUL
+    worse = _unexplained(setup, simulated) > factor * _unexplained(setup, filtered)
+    return [k for k, (name, j) in enumerate(setup.coordinates.free) if name not in PAYLOAD and worse[j]]
 
 
-def _interval(name: str, z: float, sd: float) -> tuple[float, float, float]:
-    ends = np.array([z, z - 1.96 * sd, z + 1.96 * sd])
-    coordinate = KINDS[name].coordinate
-    if coordinate == LOG:
-        ends = np.exp(ends)
-    elif coordinate == NONNEGATIVE:
-        ends = np.maximum(ends, 0.0)
-    value, low, high = ends.tolist()
-    return value, low, high
-
-
-def _label(setup: Estimation, name: str, j: int) -> str:
-    words = name.replace("_", " ")
-    return words if name in PAYLOAD else f"{words} of {setup.records[0].joints[j]}"
-
-
-def _unit(setup: Estimation, name: str, j: int) -> str:
-    unit = KINDS[name].unit
-    slides = bool(setup.robot.prismatic) and name not in PAYLOAD and setup.robot.prismatic[j]
-    return PRISMATIC_UNITS.get(unit, unit) if slides else unit
-
-
-PRISMATIC_UNITS = {"N m/rad": "N/m", "kg m^2": "kg", "N m s/rad": "N s/m", "N m": "N", "rad": "m"}
+def _unexplained(setup: Estimation, judgement: Judgement) -> Array:
+    """Return the root of the sum of squares (n,) of the deflections that are not explained, NaN: not measured."""
+    found = judgement.identification(setup.records[0].joints)
+    seen = [predicted_deflection(each, setup.robot, setup.prior, found, setup.options) for each in setup.records]
+    return np.asarray(np.sqrt(sum(len(each.t) * each.elastic**2 for each in seen)))

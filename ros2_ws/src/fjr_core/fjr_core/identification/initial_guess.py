@@ -72,11 +72,23 @@ def start_values(
     """Return parameters by name from all records; what the equations do not tell keeps its prior."""
     found = {name: value.copy() for name, value in prior.values.items()}
     for j in range(len(records[0].joints)):
-        chosen = [m for r, m in zip(records, motions, strict=True) if _both(r, j)]
+        chosen = [m for r, m in zip(records, motions, strict=True) if both_sides(r, j)]
         if chosen:
             _link_side(found, chosen, j, smoothing[j])
         _motor_side(found, motions, j, smoothing[j], robot_input)
     return found
+
+
+def shared(found: Mapping[str, Array]) -> dict[str, Array]:
+    """Return start values with damping and Coulomb friction divided evenly between the sides of each joint.
+
+    Only their sums are known well. A descent that starts with all friction on one side may end in a local minimum.
+    """
+    halves: dict[str, Array] = {}
+    for kind in ("damping", "coulomb_friction"):
+        half = (found[f"link_{kind}"] + found[f"motor_{kind}"]) / 2
+        halves |= {f"link_{kind}": half, f"motor_{kind}": half}
+    return {**found, **halves}
 
 
 def _link_side(found: dict[str, Array], motions: list[FilteredMotion], j: int, smoothing: float) -> None:
@@ -86,7 +98,7 @@ def _link_side(found: dict[str, Array], motions: list[FilteredMotion], j: int, s
     """
     best, D_l, prior = np.inf, found["link_damping"][j], found["joint_stiffness"][j]
     for skew in TRIED:
-        rows = [_link_rows(m, j, skew, D_l, smoothing) for m in motions]
+        rows = [link_rows(m, j, skew, D_l, smoothing) for m in motions]
         A, y = np.vstack([a for a, _ in rows]), np.concatenate([b for _, b in rows])
         solution, squares = _solved(A, y)
         if not 1 / OTHER_ORDER < prior * solution[0] < OTHER_ORDER:
@@ -99,7 +111,8 @@ def _link_side(found: dict[str, Array], motions: list[FilteredMotion], j: int, s
             found["link_coulomb_friction"][j] = max(0.0, solution[1] / solution[0])
 
 
-def _link_rows(m: FilteredMotion, j: int, skew: float, D_l: float, smoothing: float) -> tuple[Array, Array]:
+def link_rows(m: FilteredMotion, j: int, skew: float, D_l: float, smoothing: float) -> tuple[Array, Array]:
+    """Return regressors (k, 3) of (1 / K, F_l / K, offset) and the deflection (k,) of joint j at a skew [s]."""
     q_l, v_l, rigid = (shifted(each[:, j], m.dt, skew) for each in (m.q_l, m.v_l, m.rigid))
     A = np.column_stack([rigid + D_l * v_l, np.tanh(v_l / smoothing), np.ones(len(q_l))])
     return inner(A, m.dt), inner(m.q_m[:, j] - q_l, m.dt)
@@ -111,7 +124,7 @@ def _motor_side(
     """Choose the delay with the least residual of the motor's equation, and set B, D_m and F_m."""
     best, prior = np.inf, found["motor_inertia"][j]
     for delay in TRIED[TRIED >= 0]:
-        rows = [_motor_rows(found, m, j, delay, smoothing, robot_input) for m in motions]
+        rows = [motor_rows(found, m, j, delay, smoothing, robot_input) for m in motions]
         A, y = np.vstack([a for a, _ in rows]), np.concatenate([b for _, b in rows])
         solution, squares = _solved(A, y)
         if squares < best:
@@ -122,9 +135,13 @@ def _motor_side(
     found["motor_coulomb_friction"][j] = max(0.0, F_m)
 
 
-def _motor_rows(
+def motor_rows(
     found: Mapping[str, Array], m: FilteredMotion, j: int, delay: float, smoothing: float, robot_input: Array
 ) -> tuple[Array, Array]:
+    """Return regressors (k, 3) of (B, D_m, F_m) and the torque (k,) on the motor of joint j at a delay [s].
+
+    found: parameters of the link side, by name.
+    """
     v_l = shifted(m.v_l[:, j], m.dt, found["link_skew"][j])
     tau = shifted(m.rigid[:, j], m.dt, found["link_skew"][j]) + found["link_damping"][j] * v_l
     tau += found["link_coulomb_friction"][j] * np.tanh(v_l / smoothing)
@@ -138,7 +155,8 @@ def rigid_torque(arm: ElasticArm, values: Mapping[str, Array], q: Array, v: Arra
     return np.asarray(arm.link_torque(q.T, v.T, a.T, packed(arm, values)).full().T)
 
 
-def _both(record: MotionRecord, j: int) -> bool:
+def both_sides(record: MotionRecord, j: int) -> bool:
+    """Return whether link and motor of joint j are measured."""
     return bool(np.isfinite(record.q_l[:, j]).any() and np.isfinite(record.q_m[:, j]).any())
 
 

@@ -22,13 +22,15 @@ BLUNT = 0.6
 STILL = 2e-3  # rad; a joint that moves less stands still
 
 
-def not_identifiable(parts: Sequence[Projected], chance: Array, width: Array) -> tuple[int, ...]:
-    """Return the entries of z that the records do not tell, found one by one, the worst first.
+def not_identifiable(
+    parts: Sequence[Projected], chance: Array, width: Array, first: Sequence[int] = ()
+) -> tuple[int, ...]:
+    """Return the entries of z that the records do not tell: `first`, then one by one, the worst first.
 
     Each is held at its prior before the others are judged: of two parameters of which only the sum matters, one is
     not identifiable, and the other one is, as far as the prior of the first allows.
     """
-    fixed: list[int] = []
+    fixed = list(first)
     while len(fixed) < len(width):
         ratio = spread(parts, chance, width, fixed).from_records / width
         ratio[fixed] = 0.0
