@@ -26,6 +26,7 @@ from .shooting import Shooting
 MOST_ITERATIONS = 30
 FEW = 24  # segments of the first descent
 NEAR, CONVERGED = 1.0, 0.1  # standard deviations from the minimum that the normal equations predict
+NEGLIGIBLE = 1e-5  # of the prior's width; a smaller step is rounding, in records without noise
 SOFT = 1e-6  # damping of the first step
 SETTLED = 0.02  # decrease of the sum of squares, in units of the noise, that a step of an initial state is worth
 SHARE = 1e-4  # of the sum of squares: a smaller decrease is left to the next step of z
@@ -144,7 +145,7 @@ def optimise(problem: Problem, z: Array, x0: Array, progress: Callable[[float], 
 def _descended(
     problem: Problem, z: Array, x0: Array, near: float, progress: Callable[[float], None]
 ) -> tuple[Array, Array, list[Comparison], bool]:
-    """Return z, initial states and comparison, and whether the minimum is within NEAR standard deviations.
+    """Return z, initial states and comparison, and whether they are at the minimum.
 
     near: distance at which the descent ends.
     """
@@ -163,7 +164,7 @@ def _descended(
         z, x0, compared, damping = step
         if before - problem.cost(compared, z) < LEAST_DECREASE:
             break
-    return z, x0, compared, distance(problem.coordinates, z, compared) < NEAR
+    return z, x0, compared, _at_minimum(problem.coordinates, z, compared)
 
 
 def _search(
@@ -252,6 +253,15 @@ def _step(coordinates: Coordinates, z: Array, parts: Sequence[Projected], dampin
     scale = np.sqrt(np.diag(H))
     dz = np.linalg.solve(H / np.outer(scale, scale) + damping * np.eye(len(z)), g / scale) / scale
     return np.asarray(dz / max(1.0, float(np.max(np.abs(dz) / coordinates.width, initial=0.0)) / 2))
+
+
+def _at_minimum(coordinates: Coordinates, z: Array, compared: Sequence[Comparison]) -> bool:
+    """Return whether the minimum is within NEAR standard deviations, or a NEGLIGIBLE step away."""
+    if distance(coordinates, z, compared) < NEAR:
+        return True
+    size = len(compared[0].g) - len(z)
+    step = _step(coordinates, z, [project(each, size) for each in compared], 0.0)
+    return bool(np.max(np.abs(step) / coordinates.width) < NEGLIGIBLE)
 
 
 def distance(coordinates: Coordinates, z: Array, compared: Sequence[Comparison]) -> float:
