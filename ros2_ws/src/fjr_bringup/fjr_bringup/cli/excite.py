@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fjr_bringup.atomic_file import write_text
+from fjr_bringup.formatting import plural
 from fjr_bringup.progress import phase
 from fjr_bringup.result import Result
 from fjr_bringup.scaffold.first_scenario import first_values, is_robot_file
@@ -56,7 +57,7 @@ def excite(
         changes = {**first_values(loaded), **changes}
         loaded = library.as_run(path, changes)[1]
     limits = _limits(loaded, duration)
-    with phase(f"{loaded.name}: designing {duration:g} s of motion for {loaded.robot.n} joints"):
+    with phase(f"{loaded.name}: designing {duration:g} s of motion for {plural(loaded.robot.n, 'joint')}"):
         found = design(
             loaded.robot, limits, _noise(loaded, limits, noise), loaded.reference, duration, loaded.sample_period, seed
         )

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fjr_bringup.formatting import plural
 from fjr_bringup.scaffold.arm import Arm
 from fjr_bringup.scaffold.proposal import RATE, Proposal
 from fjr_bringup.scenarios.gains_block import gain_lines
@@ -59,7 +60,7 @@ def robot_text(arm: Arm, folder: Path) -> str:
     """Return the robot file, for a file in this folder."""
     stuck = {name: position for name, position in arm.locked.items() if position}
     lines = [
-        f"# {arm.urdf.stem}: {arm.robot.n} joints of {arm.urdf.name}, from base to tip; written by `fjr new`.",
+        f"# {arm.urdf.stem}: {plural(arm.robot.n, 'joint')} of {arm.urdf.name}, base to tip; written by `fjr new`.",
         "# A robot file: `robot.file` of a scenario names it. docs/your_robot.md has all parameters.",
         *([f"# Locked: {_wrapped(arm.locked)}"] if arm.locked else []),
         *(f"# {note}" for note in arm.notes),

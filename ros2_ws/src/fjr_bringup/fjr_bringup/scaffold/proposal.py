@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fjr_bringup.formatting import plural
 from fjr_bringup.progress import phase
 from fjr_core.control.vdpbc.gains import Gains
 from fjr_core.control.vdpbc.law import TrackingLaw
@@ -40,7 +41,7 @@ class Proposal:
 def proposal_of(robot: Robot, joints: Sequence[str], name: str, delay: float = 0.0) -> Proposal:
     """Return a loop with a delay [s] for the robot; raises TrajectoryError or GainsError if none is within reach."""
     motion = first_motion(robot, joints)
-    with phase(f"{name}: computing gains for {robot.n} joints"):
+    with phase(f"{name}: computing gains for {plural(robot.n, 'joint')}"):
         gains = first_gains(robot, 1 / RATE, motion.configurations(64), delay)
     q_l, q_m = _start(robot, motion, gains.gains)
     steps = least_steps(STEP_MARGIN * fastest_mode(robot, motion.configurations(64)), 1 / RATE)
