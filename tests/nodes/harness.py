@@ -57,11 +57,19 @@ class Ros:
         return self.add(kind(context=self.context, parameter_overrides=overrides, cli_args=arguments))
 
     def plant(self, **parameters: Any) -> PlantNode:
-        return self.start(PlantNode, **{"executor": self.host, "compile": self.host == "native", **parameters})
+        given = {"executor": self.host, "compile": self.host == "native"}
+        return self._known(PlantNode, **{**given, **parameters})
 
     def controller(self, **parameters: Any) -> ControllerNode:
         given = {"executor": self.host, "compile": self.host == "native", "auxiliary_rate": 0.0}
-        return self.start(ControllerNode, **{**given, "state_timeout": PATIENCE, **parameters})
+        return self._known(ControllerNode, **{**given, "state_timeout": PATIENCE, **parameters})
+
+    def _known(self, kind: type[Node], **parameters: Any) -> Any:
+        """Create a node; fail if it does not know a parameter, which it only logs."""
+        node = self.start(kind, **parameters)
+        unknown = set(node._given) - set(getattr(node, "_parameters_by_name", node._given))
+        assert not unknown, f"{node.get_name()} does not know {', '.join(sorted(unknown))}"
+        return node
 
     def until(self, happened: Callable[[], Any], what: str = "the event") -> None:
         """Spin until `happened()` is true; fail after the time limit."""

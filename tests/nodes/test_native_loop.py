@@ -33,7 +33,7 @@ def pair(ros: Ros, monkeypatch: pytest.MonkeyPatch, **parameters: Any) -> dict[s
     for host in HOSTS:
         monkeypatch.setattr(ros, "host", host, raising=False)
         arguments = ["--ros-args", "-r", f"__ns:=/{host}"]
-        node = ros.controller(arguments=arguments, **{"compile": True, "wiring_check": False, **parameters})
+        node = ros.controller(arguments=arguments, **{"compile": True, "start__wiring_check": False, **parameters})
         assert type(loop_of(node)) is LOOPS[host]
         made[host] = node, Peer(ros, f"/{host}/")
     for _, peer in made.values():

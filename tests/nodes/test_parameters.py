@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 import fjr_core as fjr
+from fjr_plant.plant_node import PlantNode
 from nodes.harness import Ros
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
@@ -72,7 +73,7 @@ def test_invalid_parameters_are_refused(ros: Ros, kind: str, parameters: dict[st
 
 
 def test_an_unknown_parameter_is_reported_with_a_suggestion(ros: Ros, capfd) -> None:
-    ros.plant(publish_rat=500.0)
+    ros.start(PlantNode, publish_rat=500.0)
     assert "unknown parameter 'publish_rat' is ignored; did you mean 'publish_rate'?" in capfd.readouterr().err
 
 
