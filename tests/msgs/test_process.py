@@ -79,6 +79,47 @@ gc.disable()
 sys.exit(process.run(Rebuilt))
 """
 
+# A node that makes a reference cycle, which no automatic collection frees, and ends when it is gone.
+CYCLE = """
+import gc, os, signal, sys, weakref
+from fjr_core.config.process import process_parameters
+from fjr_msgs_py.node import process
+from fjr_msgs_py.node.parameters import ParameterNode
+from rclpy.parameter import Parameter
+class Cyclic(ParameterNode):
+    def __init__(self):
+        super().__init__("cyclic", lambda n: process_parameters(),
+                         parameter_overrides=[Parameter("executor", value=sys.argv[1])])
+    def build(self):
+        gc.set_threshold(0)
+        self.cycle = None
+        self.create_timer(0.001, self.tick)
+    def tick(self):
+        if self.cycle is None:
+            made = Cycle()
+            made.itself, self.cycle = made, weakref.ref(made)
+        elif self.cycle() is None:
+            os.kill(os.getpid(), signal.SIGTERM)
+    def stop(self):
+        print("spins", spins, flush=True)
+class Cycle:
+    pass
+spins = 0
+def counting(kind):
+    def make():
+        executor = kind()
+        class Counting:
+            def __getattr__(self, name):
+                global spins
+                spins += name == "spin_until_future_complete"
+                return getattr(executor, name)
+        return Counting()
+    return make
+process.COLLECTION = 0.01
+process.EventsExecutor = counting(process.EventsExecutor)
+sys.exit(process.run(Cyclic))
+"""
+
 executors = pytest.mark.parametrize("executor", ["events", "single"])
 
 
@@ -104,3 +145,11 @@ def test_an_unexpected_exception_is_a_traceback_after_the_last_command(executor:
 def test_process_settings_are_applied_again_after_a_rebuild_and_garbage_is_collected() -> None:
     done = run(REBUILT)
     assert (done.returncode, done.stdout, done.stderr) == (1, "True True\nTrue\n", "ended: enough\n")
+
+
+@executors
+def test_garbage_is_collected_regularly_while_the_node_runs_and_the_events_executor_is_entered_once(
+    executor: str,
+) -> None:
+    done = run(CYCLE, executor)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"spins {int(executor == 'events')}\n", "")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 from collections.abc import Callable, Mapping
@@ -10,6 +11,7 @@ from typing import Any, Protocol
 
 import rclpy
 import rclpy.exceptions
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -30,6 +32,8 @@ except ImportError:  # an older rclpy of a ROS 2 Jazzy installation
     EventsExecutor = None
 
 POLL = 0.1  # s; longest delay of the response to a signal
+ROUND = 60.0  # s; longest time in the events executor, each of which leaks a few bytes (rclpy 7.1.6)
+COLLECTION = 1.0  # s; between two garbage collections
 
 
 class StoppableNode(Protocol):
@@ -39,6 +43,9 @@ class StoppableNode(Protocol):
 
     def get_logger(self) -> Any:
         """Return the logger, as rclpy's Node does."""
+
+    def create_timer(self, seconds: float, callback: Callable[[], Any], /, *, clock: Clock) -> Any:
+        """Create a timer, as rclpy's Node does."""
 
     def stop(self) -> None:
         """Send the last messages before the process ends."""
@@ -95,18 +102,21 @@ class _Host:
         self._node = node
         self._kind = process_settings(node.values).executor
         self._round: Future = Future()
-        self.apply_process_settings(node.values)
+        self._apply(node.values)
         if isinstance(node, ParameterNode):
             node.host = self
 
     def apply_process_settings(self, values: Mapping[str, Any]) -> None:
         """Apply the process settings of the values and freeze the garbage collector; raises ParameterError."""
+        self._apply(values)
+        freeze_garbage()
+
+    def _apply(self, values: Mapping[str, Any]) -> None:
         settings = process_settings(values)
         for refusal in apply_process_settings(settings):
             self._node.get_logger().warning(refusal)
         if settings.executor == NATIVE:
             yield_to_other_threads(settings.priority)
-        freeze_garbage()
 
     def end(self, error: FjrError) -> None:
         """Stop serving callbacks; called from a callback."""
@@ -114,8 +124,14 @@ class _Host:
         self._round.set_result(None)
 
     def spin(self, stopped: list[int]) -> None:
-        """Serve callbacks until `stopped` holds a signal or the node has ended."""
-        executor, spin = self._executor()
+        """Serve callbacks until `stopped` holds a signal or the node has ended.
+
+        A full collection takes microseconds, because all older objects are frozen, and releases the memory of Python's
+        free lists: without it they grow for minutes.
+        """
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._node.create_timer(COLLECTION, gc.collect, clock=steady)
+        executor, spin = self._executor(stopped, steady)
         executor.add_node(self._node)
         try:
             while not stopped and self.ended is None and rclpy.ok():
@@ -126,22 +142,22 @@ class _Host:
             self.ended = error
         executor.remove_node(self._node)
 
-    def _executor(self) -> tuple[Executor, Callable[[], None]]:
-        """Return the selected executor (single-threaded if rclpy has no other) and a spin that ends within POLL.
+    def _executor(self, stopped: list[int], steady: Clock) -> tuple[Executor, Callable[[], None]]:
+        """Return the selected executor (single-threaded if rclpy has no other) and a spin that signals end in POLL.
 
-        Without a timeout the events executor of rclpy 7.1.6 runs no callback and ignores signals. Each spin takes a
-        new future, since a reused one would accumulate callbacks.
+        Without a timeout the events executor of rclpy 7.1.6 runs no callback. Python handles signals in a callback.
         """
         if self._kind == "single" or EventsExecutor is None:
             single = SingleThreadedExecutor()
             return single, lambda: single.spin_once(timeout_sec=POLL)
         events = EventsExecutor()
 
-        def spin() -> None:
-            self._round = Future()
-            events.spin_until_future_complete(self._round, POLL)
+        def look() -> None:
+            if stopped or not rclpy.ok():
+                self._round.set_result(None)
 
-        return events, spin
+        self._node.create_timer(POLL, look, clock=steady)
+        return events, lambda: events.spin_until_future_complete(self._round, ROUND)
 
 
 def _end(node: StoppableNode | None) -> None:
