@@ -29,8 +29,16 @@ import rclpy
 participant.initialise(None)
 node = rclpy.create_node("real")
 participant.hand_over()
-print(node.count_publishers("/other"), participant.age() > 0, flush=True)
+print(node.count_publishers("/other"), participant.discovered_at() < time.monotonic() + participant.LATER, flush=True)
 """
+SCHEDULING = """
+import os
+def scheduling():
+    threads = [int(thread) for thread in os.listdir("/proc/self/task")]
+    return {(os.sched_getscheduler(each), frozenset(os.sched_getaffinity(each))) for each in threads}
+before = scheduling()
+"""
+COMPARING = "print(scheduling() == before, flush=True)"
 WAITING = "sys.stdin.read()"
 
 
@@ -64,6 +72,14 @@ def test_the_node_knows_at_once_whom_the_process_has_discovered_and_replaces_the
         assert process.stdout.readline() == "discovered\n"
         assert process.stdout.readline() == "1 True\n"
         ros.until(lambda: "real" in other.get_node_names() and not starting(other), "the real node alone")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for policies and cores")
+def test_joining_leaves_no_thread_with_another_policy_or_on_one_core(ros: Ros, other: Node) -> None:
+    with child(SCHEDULING, JOINING, COMPARING, WAITING) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "discovered\n"
+        assert process.stdout.readline() == "True\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -6,7 +6,6 @@ from __future__ import annotations
 import gc
 import time
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
-from fjr_controller import controller_node
 from fjr_controller.controller_node import ControllerNode
 from fjr_core.control_step.control_step import ControlStep
 from nodes.harness import Listener, Ros, nanoseconds, stamped
@@ -60,16 +58,15 @@ def test_lifecycle_transitions_are_those_of_a_managed_node(ros: Ros, manager: Ma
     assert manager.transitions() == {"activate", "cleanup", "shutdown"}
 
 
-def test_activation_waits_only_for_the_rest_of_the_discovery_time(ros: Ros, monkeypatch) -> None:
-    waits: list[float] = []
-    monkeypatch.setattr(controller_node, "time", SimpleNamespace(monotonic=time.monotonic, sleep=waits.append))
-    for age in (0.0, 1e4, 3e4):
-        monkeypatch.setattr(controller_node.participant, "age", lambda age=age: age)
-        node = ros.start(partial(ControllerNode, 2e4), compile=False)
-        node.destroy_node()
-    assert 1e4 < waits[0] <= 2e4
-    assert 0.0 < waits[1] <= 1e4
-    assert waits[2] == 0.0
+def test_states_are_answered_only_once_other_controllers_are_discovered(ros: Ros, manager: Manager) -> None:
+    since = time.monotonic() + 1.0
+    node = ros.start(partial(ControllerNode, since), executor=ros.host, compile=ros.host == "native")
+    manager.meet_controller()
+    assert node.state == "active"
+    while not manager.commands:
+        manager.state_publisher.publish(stamped(time.monotonic() - since + 1.0))
+        ros.executor.spin_once(timeout_sec=0.01)
+    assert time.monotonic() >= since
 
 
 def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager, monkeypatch) -> None:

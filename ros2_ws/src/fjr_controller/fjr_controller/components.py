@@ -74,14 +74,14 @@ class Control:
         self._action = self._create_action(node, allowed)
         self._certificate_publisher = self._create_certificate_publisher(node, np.asarray(settings.effort))
 
-    def start(self) -> None:
-        """Start tracking at the next state, with the reference that the parameters describe.
+    def start(self, since: float) -> None:
+        """Start tracking at the first state from `since` [s, steady clock] on, with the reference of the parameters.
 
         Raise ParameterError if the reference violates its limits.
         Raise CommandConflictError if another process commands the robot.
         """
         self.tracker.start(self._built_in())
-        self._command_loop.start(self._values["state_timeout"])
+        self._command_loop.start(self._values["state_timeout"], round(since * 1e9))
 
     def stop(self) -> None:
         """Send the stop effort if a command was sent before, publish the counters, and end the command loop."""

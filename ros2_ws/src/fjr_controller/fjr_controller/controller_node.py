@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import sys
-import time
 import traceback
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -25,7 +23,6 @@ from .ros.command_conflict import CONFLICTS, CommandConflictError
 from .tracking.events import Event
 
 SUCCESS, FAILURE, ERROR = (getattr(TransitionCallbackReturn, name) for name in ("SUCCESS", "FAILURE", "ERROR"))
-DISCOVERY_TIME = 0.4  # s in which processes on one machine or network discover each other's publishers
 
 
 class ControllerNode(ManagedParameterNode):
@@ -40,9 +37,9 @@ class ControllerNode(ManagedParameterNode):
     trouble: Exception | None = None
     """Error of the last transition, None if it succeeded."""
 
-    def __init__(self, discovery_time: float = 0.0, **node_kwargs: Any) -> None:
-        """Create the node; discovery_time [s]: least age of its participant when it is activated."""
-        self._discovered_at = time.monotonic() + discovery_time - participant.age()
+    def __init__(self, since: float = 0.0, **node_kwargs: Any) -> None:
+        """Create the node; since [s, steady clock]: states that arrive earlier are not answered."""
+        self._since = since
         self._control: Control | None = None
         self._starting = False  # in the constructor: errors are raised instead of logged
         super().__init__(names.CONTROLLER, builders.controller_parameters, **node_kwargs)
@@ -152,8 +149,7 @@ class ControllerNode(ManagedParameterNode):
 
     def _activate(self) -> str:
         assert self._control is not None
-        time.sleep(max(self._discovered_at - time.monotonic(), 0.0))  # until other controllers are known
-        self._control.start()
+        self._control.start(self._since)
         return f"waiting for states on {self.resolve_topic_name(names.JOINT_STATES)}"
 
     def _deactivate(self) -> str:
@@ -179,7 +175,7 @@ class ControllerNode(ManagedParameterNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM; return the exit code."""
-    return process.run(partial(ControllerNode, DISCOVERY_TIME), args)
+    return process.run(lambda: ControllerNode(participant.discovered_at()), args)
 
 
 if __name__ == "__main__":

@@ -105,16 +105,17 @@ class NativeCommandLoop:
         found.request = lambda gains, beta: self._recertify(gains, beta)
         return found
 
-    def start(self, state_timeout: float) -> None:
-        """Publish commands from the next state on.
+    def start(self, state_timeout: float, since: int = 0) -> None:
+        """Publish commands from the next state on that arrives at `since` [ns, steady clock] or later.
 
+        An earlier one is ignored: a conflicting publisher may not be discovered yet.
         Raise CommandConflictError if another process publishes on a command topic.
         """
         self._topics = CommandTopics(self._node, self._reports)
         struct = self._struct
         self._problem: Exception | None = None
         struct.efforts, struct.commands = (publisher_address(self._program, each) for each in self._topics.publishers)
-        struct.known_alone = struct.sends = 0
+        struct.known_alone, struct.sends, struct.since = 0, 0, since
         struct.silence_period = round(state_timeout / SILENCE_CHECKS * 1e9)
         self._state = State.WAITING
         self._step.lend()

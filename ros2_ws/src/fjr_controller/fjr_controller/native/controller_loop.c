@@ -153,6 +153,7 @@ int fjr_controller_message(void* self, int32_t source, const uint8_t* data, size
   struct fjr_controller_loop* l = self;
   int late = 0, outcome;
   (void)source;
+  if (arrival < l->since) return FJR_GO_ON;
   __atomic_fetch_add(&l->received, 1, __ATOMIC_RELAXED);
   const int found = read_sample(l, data, size);
   if (found != FJR_READ) return refuse(l->refusals, found, data, size), FJR_GO_ON;

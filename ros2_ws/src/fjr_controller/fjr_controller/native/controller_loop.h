@@ -70,7 +70,7 @@ struct fjr_controller_loop {
   int (*alone)(void* context); /* returns an enum fjr_alone */
   void* context;
   int32_t simulated, known_alone, sends; /* sends: a command was sent, and no last one after a failure */
-  int64_t silence_period; /* ns */
+  int64_t silence_period, since; /* ns; since: arrival of the first state that is answered (steady clock) */
   struct fjr_auxiliary_rate auxiliary;
   int64_t received, answered, last_stamp;
   struct fjr_sample sample;

@@ -75,9 +75,10 @@ class CommandLoop:
         self.add_listener(publisher.on_command)
         return publisher
 
-    def start(self, state_timeout: float) -> None:
-        """Publish commands from the next state on.
+    def start(self, state_timeout: float, since: int = 0) -> None:
+        """Publish commands from the next state on that arrives at `since` [ns, steady clock] or later.
 
+        An earlier one is ignored: a conflicting publisher may not be discovered yet.
         Raise CommandConflictError if another process publishes on a command topic.
         """
         self._topics = CommandTopics(self._node, self._reports)
@@ -85,7 +86,7 @@ class CommandLoop:
         own_time = self._node.get_clock() if self._simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self._node.create_timer(state_timeout / SILENCE_CHECKS, self._on_silence, clock=own_time)
         self._last_stamp: int | None = None
-        self._alone = False
+        self._since, self._alone = since, False
         self._state = State.WAITING
         self.active = True
 
@@ -114,10 +115,11 @@ class CommandLoop:
             self._topics.abandon()
 
     def _on_state(self, message: bytes) -> None:
-        if not self.active:
+        arrival = time.monotonic_ns()
+        if not self.active or arrival < self._since:
             return
         try:
-            self._process(message, time.monotonic_ns())
+            self._process(message, arrival)
         except Exception:
             self.stop()  # after any error: the robot must not keep the last effort
             raise

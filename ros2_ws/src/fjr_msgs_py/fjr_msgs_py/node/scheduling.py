@@ -2,6 +2,7 @@
 """Real-time settings of a process: priority, locked memory, cores, garbage collector.
 
 A setting that the system refuses is reported in one sentence and never raises: the node runs without it.
+This module imports neither NumPy nor CasADi.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ import resource
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from fjr_core.config.process import ProcessSettings
+if TYPE_CHECKING:
+    from fjr_core.config.process import ProcessSettings
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h of Linux
 _CAP_IPC_LOCK = 14  # linux/capability.h
@@ -75,6 +78,27 @@ def prioritised(priority: int) -> Iterator[None]:
                 _schedule(os.SCHED_OTHER, 0)
             except PermissionError:  # only a privileged process may clear SCHED_RESET_ON_FORK
                 _schedule(os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, 0)
+
+
+@contextmanager
+def ahead_of_new_threads() -> Iterator[bool]:
+    """Let threads that are started inside the block wait until this one sleeps or leaves it; yield False if refused.
+
+    This thread runs as SCHED_FIFO on its present core, to which new threads are confined, too. Use it for milliseconds.
+    """
+    try:
+        cores, policy, setting = os.sched_getaffinity(0), os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setaffinity(0, {_present_core()})
+    except (OSError, AttributeError):
+        yield False
+        return
+    try:
+        yield policy != os.SCHED_OTHER or not take_priority(1)
+    finally:
+        for thread in _threads():
+            with suppress(OSError):
+                os.sched_setscheduler(thread, policy, setting)
+                os.sched_setaffinity(thread, cores)
 
 
 def use_cores(cores: frozenset[int]) -> str:
@@ -156,6 +180,11 @@ def _schedule(policy: int, priority: int) -> None:
 def _threads() -> list[int]:
     """Return the thread ids of this process; any thread may end at any time."""
     return [int(thread) for thread in os.listdir("/proc/self/task")]
+
+
+def _present_core() -> int:
+    """Return the core on which this process ran last (proc_pid_stat(5))."""
+    return int(Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[36])
 
 
 def _listed(cores: Iterable[int]) -> str:
