@@ -20,6 +20,7 @@ LAYERS = {
         "files",
         "numerics",
         "robot",
+        "verification",
         "estimation trajectories",
         "control",
         "control_step",

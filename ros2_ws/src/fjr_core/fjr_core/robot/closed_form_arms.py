@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ..errors import RobotError
 from ..numerics import checks
 from .rigid_arm import ArmDynamics, EndEffector, closed_form
+from .rigid_body import Body
 from .robot import Robot
 
 STANDARD_GRAVITY = 9.81  # m/s^2, acts on the payload of a model without gravity parameter
@@ -35,7 +36,12 @@ def single_link(
     M_l = np.array([[inertia]])
     end_effector = _planar_end_effector((), STANDARD_GRAVITY)
     links = closed_form(
-        1, lambda q_l: ca.SX(M_l), lambda q_l: load * (1 - ca.cos(q_l)), vertices=(M_l,), end_effector=end_effector
+        1,
+        lambda q_l: ca.SX(M_l),
+        lambda q_l: load * (1 - ca.cos(q_l)),
+        vertices=(M_l,),
+        end_effector=end_effector,
+        bodies=(_planar_body(0.0, 0.0, 0.0, inertia),),
     )
     return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
@@ -78,6 +84,7 @@ def planar_two_link(
         potential,
         vertices=(constant + coupling, constant - coupling),
         end_effector=_planar_end_effector((l1,), g),
+        bodies=(_planar_body(0.0, m1, c1, I1), _planar_body(l1, m2, c2, I2)),
     )
     return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
@@ -95,6 +102,14 @@ def _planar_end_effector(lengths: tuple[float, ...], gravity: float) -> EndEffec
     across = ca.vertcat(ca.cos(angles[-1]), 0, ca.sin(angles[-1]))
     position = place + r[0] * _along(angles[-1]) + r[1] * across + r[2] * ca.vertcat(0, -1, 0)
     return EndEffector(ca.Function("position", [q_l, r], [position]), np.array([0.0, 0.0, -gravity]))
+
+
+def _planar_body(joint: float, mass: float, com: float, inertia: float) -> Body:
+    """Return a link that turns in a plane; joint, com [m]: places of its joint and its centre of mass along x.
+
+    inertia [kg m^2] about an axis normal to the plane; the others do not matter.
+    """
+    return Body(np.eye(3), (joint, 0.0, 0.0), (0.0, 0.0, 1.0), mass, (com, 0.0, 0.0), np.diag([inertia] * 3))
 
 
 def _along(angle: ca.SX) -> ca.SX:

@@ -52,6 +52,8 @@ def _derived(content: bytes) -> ArmDynamics:
         inertial_torque=ca.Function("inertial_torque", [q, v, w, a], [_inertial_torque(chain, frames, v, w, a)]),
         grad_T=ca.Function("grad_T", [q, v], [_kinetic_gradient(chain, frames, v)]),
         end_effector=EndEffector(_point(q, frames, turn), gravity),
+        bodies=tuple(chain),
+        order=tuple(range(n)),
     )
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -13,6 +13,7 @@ import casadi as ca
 from ..numerics.checks import Array
 from ..numerics.one_line import joints
 from ..numerics.symbolic import directional
+from .rigid_body import Body
 
 
 class RigidArm(Protocol):
@@ -53,7 +54,9 @@ class ArmDynamics:
     grad_T: (q_l, v) -> d/dq_l (v' M_l v / 2) (n,), v constant.
     M_l_vertices: matrices whose convex hull contains M_l(q_l) for every q_l, or None if unknown. A rate that holds at
     the vertices holds everywhere, because rates are convex in M_l.
-    hand: end-effector frame for a payload, or None.
+    end_effector: end-effector frame for a payload, or None.
+    bodies: of the serial chain from base to tip, with joint axes z; empty if unknown. order (n,): joint k of the robot
+    is joint order[k] of the chain.
     """
 
     n: int
@@ -65,6 +68,8 @@ class ArmDynamics:
     grad_T: ca.Function
     M_l_vertices: tuple[Array, ...] | None = None
     end_effector: EndEffector | None = None
+    bodies: tuple[Body, ...] = ()
+    order: tuple[int, ...] = ()
 
     def __repr__(self) -> str:
         return f"ArmDynamics({joints(self.n)})"
@@ -86,8 +91,11 @@ def closed_form(
     potential: Callable[[ca.SX], ca.SX],
     vertices: tuple[Array, ...] | None = None,
     end_effector: EndEffector | None = None,
+    bodies: Sequence[Body] = (),
 ) -> ArmDynamics:
     """Return the links of n joints from expressions of M_l(q_l) and P_l(q_l); the other terms by differentiation.
+
+    bodies: of a serial chain with the same inertia, from base to tip.
 
     C_ij = sum_k (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) v_k / 2  (Christoffel symbols of the first kind).
     """
@@ -105,4 +113,6 @@ def closed_form(
         grad_T=ca.Function("grad_T", [q_l, v], [ca.gradient(ca.dot(v, M_l @ v) / 2, q_l)]),
         M_l_vertices=vertices,
         end_effector=end_effector,
+        bodies=tuple(bodies),
+        order=tuple(range(n)),
     )

@@ -236,4 +236,6 @@ def _in_order(links: ArmDynamics, order: list[int]) -> ArmDynamics:
         end_effector=EndEffector(
             ca.Function("position", [named[0], r], [links.end_effector.position(q, r)]), links.end_effector.gravity
         ),
+        bodies=links.bodies,
+        order=tuple(order),
     )

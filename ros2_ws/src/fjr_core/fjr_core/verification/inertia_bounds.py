@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Proven bounds of the link inertia of a robot, relative to a constant matrix, on a domain of joint positions.
+
+    least A <= M_l(q_l) <= largest A    for every q_l of the domain
+
+A domain is a box or a tube: the positions within a radius of a motion.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import RobotError, StateError
+from ..numerics import checks
+from ..numerics.checks import Array
+from ..robot.configuration_sampling import bounds_of
+from ..robot.robot import Robot
+from .branch_and_bound import Progress, Supremum, supremum
+from .control_matrices import normalised
+from .inertia_polynomial import InertiaPolynomial, inertia_polynomial, number_of_coefficients
+from .intervals import Interval
+
+MOST_COEFFICIENTS = 5**7
+"""Largest number of control matrices: eight revolute joints."""
+CIRCLE = 2 * np.pi + 1e-9
+"""Length [rad] of a range that covers the circle in spite of rounding."""
+GOAL = 0.998
+"""Proven number relative to the one that is attained, at which the search ends."""
+MOST_BOXES = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """Joint positions in a box lower, upper (n,) [rad, m], or only those near a motion.
+
+    near (k, 2, n): lower and upper ends of boxes; if given, the domain is their union, within the large box.
+    """
+
+    lower: Array
+    upper: Array
+    near: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeInertia:
+    """Bounds of M_l relative to A: M_l(q_l) <= bound A on the domain is proven; `attained` is the value at q_l = at.
+
+    For a lower bound, M_l(q_l) >= bound A. boxes: number of boxes of the proof.
+    """
+
+    bound: float
+    attained: float
+    at: Array
+    boxes: int
+    proof: Supremum
+
+
+def is_provable(robot: Robot) -> bool:
+    """Return whether bounds can be proven: the bodies of the chain are known, and it has few enough joints."""
+    bodies = robot.links.bodies
+    return bool(bodies) and number_of_coefficients(bodies) <= MOST_COEFFICIENTS
+
+
+def joint_range(robot: Robot) -> Domain:
+    """Return the box of the joint limits; joints without limits have +-pi."""
+    return Domain(*bounds_of(robot))
+
+
+def largest_inertia(
+    robot: Robot,
+    A: ArrayLike,
+    domain: Domain | None = None,
+    goal: float = GOAL,
+    most_boxes: int = MOST_BOXES,
+    samples: ArrayLike = (),
+    progress: Progress = lambda boxes, bound, attained: None,
+) -> RelativeInertia:
+    """Return the least number that is proven to satisfy M_l(q_l) <= bound A on a domain, the joint range by default.
+
+    A (n, n): symmetric positive definite. samples (k, n): configurations at which large values are expected.
+    The search ends if attained >= goal bound, or after most_boxes. Raises RobotError unless is_provable(robot).
+    """
+    return _bound(robot, A, domain, goal, most_boxes, samples, progress, 1.0)
+
+
+def least_inertia(
+    robot: Robot,
+    A: ArrayLike,
+    domain: Domain | None = None,
+    goal: float = GOAL,
+    most_boxes: int = MOST_BOXES,
+    samples: ArrayLike = (),
+    progress: Progress = lambda boxes, bound, attained: None,
+) -> RelativeInertia:
+    """Return the largest number that is proven to satisfy M_l(q_l) >= bound A; the arguments as of largest_inertia.
+
+    The search ends if bound >= goal attained, or after most_boxes; the bound may then be negative.
+    """
+    found = _bound(robot, A, domain, goal, most_boxes, samples, progress, -1.0)
+    return RelativeInertia(-found.bound, -found.attained, found.at, found.boxes, found.proof)
+
+
+def _bound(
+    robot: Robot,
+    A: ArrayLike,
+    domain: Domain | None,
+    goal: float,
+    most_boxes: int,
+    samples: ArrayLike,
+    progress: Progress,
+    sign: float,
+) -> RelativeInertia:
+    polynomial, order = _polynomial(robot), list(robot.links.order)
+    domain = domain or joint_range(robot)
+    in_chain = np.argsort(order)
+    A = checks.positive_definite("A", checks.matrix("A", A, robot.n, StateError), StateError)
+    inertia = normalised(polynomial, Interval.exact(A[np.ix_(in_chain, in_chain)]), sign)
+    lower, upper = _covered(robot, domain)
+    first = float(lower[in_chain[0]])
+
+    def complete(q: Array) -> Array:
+        return np.concatenate([[first], q])[order]
+
+    def value(q: Array) -> float:
+        X = inertia.X
+        M_l = robot.M_l(complete(q))[np.ix_(in_chain, in_chain)]
+        return float(np.linalg.eigvalsh(sign * X @ M_l @ X.T)[-1])
+
+    tried = np.reshape(np.asarray(samples, dtype=float), (-1, robot.n))[:, in_chain[1:]]
+    if domain.near is not None:
+        tried = np.vstack([tried, np.mean(domain.near, axis=1)[:, in_chain[1:]]])
+    box = np.column_stack([lower, upper])[in_chain[1:]]
+    relevant = _near(domain, in_chain[1:])
+    found = supremum(inertia, box, value, tried, goal, most_boxes, relevant, progress)
+    return RelativeInertia(found.bound, found.attained, complete(found.at), found.boxes, found)
+
+
+def _covered(robot: Robot, domain: Domain) -> tuple[Array, Array]:
+    """Return lower and upper (n,) of the domain; a range of a whole turn is made to cover the circle."""
+    lower, upper = (
+        checks.vector("a range of joints", end, robot.n, StateError) for end in (domain.lower, domain.upper)
+    )
+    if not np.all(lower <= upper):
+        raise StateError(f"the domain is {lower.tolist()} to {upper.tolist()}; expected lower <= upper")
+    slides = np.array(robot.prismatic or (False,) * robot.n)
+    whole = ~slides & (upper - lower >= 2 * np.pi - 1e-9)
+    return lower, np.where(whole, lower + CIRCLE, upper)
+
+
+def _near(domain: Domain, joints: NDArray[np.intp]) -> Callable[[Array], bool]:
+    """Return whether a box (n - 1, 2) of the outer joints of the chain meets the domain."""
+    if domain.near is None:
+        return lambda box: True
+    lower, upper = domain.near[:, 0, joints], domain.near[:, 1, joints]
+    return lambda box: bool(np.any(np.all((lower <= box[:, 1]) & (upper >= box[:, 0]), axis=1)))
+
+
+def _polynomial(robot: Robot) -> InertiaPolynomial:
+    if not is_provable(robot):
+        known = f"{robot.n} joints" if robot.links.bodies else "an inertia matrix whose bodies are not known"
+        raise RobotError(f"the robot has {known}; expected a serial chain of at most 8 revolute joints for a proof")
+    return _cached(pickle.dumps(robot.links.bodies))
+
+
+@lru_cache(maxsize=2)
+def _cached(bodies: bytes) -> InertiaPolynomial:
+    return inertia_polynomial(pickle.loads(bodies))
