@@ -236,3 +236,53 @@ def test_initial_position_outside_the_range_of_the_robot_is_refused() -> None:
 def test_gains_are_checked_with_the_scenarios_robust_action() -> None:
     output = fjr_here("gains", "paper_k31", "--beta", "5", "--set", "robust.residual_gain:=[5000.0]", code=1)
     assert "the spectral radius with the scenario's robust.* options and observer is" in output
+
+
+def three_joints(folder: Path) -> str:
+    """Return the path of a scenario of an arm from a URDF."""
+    (folder / "arm.urdf").write_text(two_link_urdf(wrist_mass=0.3), encoding="utf-8")
+    path, robot = folder / "arm.yaml", "    joints: [shoulder, elbow, wrist]\n    robot:\n      model: urdf\n"
+    data = "      urdf: arm.urdf\n      joint_stiffness: [400.0, 400.0, 4.0]\n      motor_inertia: [0.1, 0.1, 0.05]\n"
+    path.write_text(f"/**:\n  ros__parameters:\n{robot}{data}", encoding="utf-8")
+    fjr_here("gains", str(path), "--beta", "1", "--write")
+    return str(path)
+
+
+def test_a_rate_is_proven_with_a_certificate_and_kept_until_a_gain_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path, file = three_joints(tmp_path), tmp_path / "folder" / "rate.json"
+    sampled = figures(fjr_here("check", path))
+    assert "minimum over sampled configurations, not proven" in sampled["beta"]
+    assert "1/s within 0.1 rad of the reference in each joint, proven" in sampled["near the reference"]
+    proven = figures(fjr_here("check", path, "--certificate", str(file)))
+    assert proven["beta"].endswith("in continuous time, proven over the joint range")
+    assert figures(fjr_here("check", path)) == proven
+    found = json.loads(fjr_here("check", path, "--json"))
+    assert found["beta_is_proven"] is True
+    assert 0.998 * found["beta_attained_per_s"] <= found["beta_per_s"] <= found["beta_attained_per_s"]
+    certificate = json.loads(file.read_text())
+    assert 0.9999 * found["beta_per_s"] < certificate["beta"] < found["beta_per_s"]
+    assert certificate["joints"] == ["shoulder", "elbow", "wrist"]
+    changed = figures(fjr_here("check", path, "--set", "gains.K_md:=[9.0, 9.0, 9.0]"))
+    assert "not proven" in changed["beta"]
+
+
+def test_a_proof_that_ends_early_gives_what_is_proven_beside_the_sampled_rate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    file = str(tmp_path / "rate.json")
+    rows = figures(fjr_here("check", "arm7", "--certificate", file, "--seconds", "0.001"))
+    assert rows["beta"].endswith("proven over the joint range so far")
+    assert "minimum over sampled configurations: 0.7397 1/s" in rows["rate at q_l"]
+
+
+def test_a_certificate_that_cannot_be_made_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    file = str(tmp_path / "rate.json")
+    other = fjr_here("check", "paper_k31", "--certificate", file, "--set", "law.type:=lqr", code=1)
+    assert "law.type is 'lqr'; expected 'v_dpbc' for a certificate" in other
+    (tmp_path / "file").write_text("")
+    inside = str(tmp_path / "file" / "rate.json")
+    assert "cannot be written" in fjr_here("check", "paper_k31", "--certificate", inside, code=1)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from fjr_bringup.cli.preflight import (
     refuse_unstable,
     start_outside,
 )
+from fjr_bringup.cli.rate_proof import ProvenRate, cached_rate, proven_rate, write_certificate
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_core.config.builders import tuning
@@ -40,13 +42,26 @@ from fjr_core.files.python_class import is_named
 from fjr_core.robot.joint_units import joined
 from fjr_core.stability.model_errors import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_core.stability.sampled_loop import SampledCheck
+from fjr_core.trajectories.tube import tube
+from fjr_core.verification.inertia_bounds import is_provable
+from fjr_core.verification.inertia_polynomial import number_of_coefficients
 
+OTHER_PLANT = "in continuous time; not proven here, the plant is not the law's model"
+DEFAULT_RADIUS = 0.1  # rad or m, of the tube around the reference if the tracking error has no limit
+COEFFICIENTS = 50_000  # of all boxes of the proof near the reference; a tenth of a second
 EVALUATIONS = 100  # of a law in Python, whose time is measured
 
 
-def check_scenario(scenario: str | None, assignments: Sequence[str]) -> Result:
-    """Return the check of a scenario; print its warnings and why it cannot run on standard error."""
+def check_scenario(
+    scenario: str | None, assignments: Sequence[str], certificate: Path | None = None, seconds: float = 120.0
+) -> Result:
+    """Return the check of a scenario; print its warnings and why it cannot run on standard error.
+
+    certificate: file for the proof of the rate over the joint range, which takes at most `seconds`.
+    """
     loaded = library.load(scenario, assignments)
+    if certificate is not None:
+        write_certificate(proven_rate(loaded, seconds), certificate)
     found = checked(loaded)
     rows = check_rows(loaded, found)
     for warning in _warnings(loaded):
@@ -81,10 +96,27 @@ def _values(scenario: Scenario, found: SampledCheck, rows: Mapping[str, str], re
         "delay_margin_samples": found.delay_margin,
         "lowest_stable_rate_hz": found.lowest_stable_rate,
         "sample_period_s": found.sample_period,
+        **_rates(scenario),
         "warnings": _warnings(scenario),
         "refused": refusal or None,
         "rows": {name.strip(): text for name, text in rows.items()},
     }
+
+
+def _rates(scenario: Scenario) -> dict[str, Any]:
+    """Return beta and its basis, and the rate that a configuration attains; null for laws without a rate."""
+    if not isinstance(scenario.law, TrackingLaw):
+        return {"beta_per_s": None, "beta_is_proven": False, "beta_attained_per_s": None}
+    rate, proven = scenario.law.rate(), _kept(scenario)
+    beta, attained = (proven.beta, proven.attained) if proven else (rate.beta, None)
+    is_proven = (rate.proven or proven is not None) and scenario.plant_is_the_model
+    return {"beta_per_s": beta, "beta_is_proven": is_proven, "beta_attained_per_s": attained}
+
+
+def _kept(scenario: Scenario) -> ProvenRate | None:
+    """Return the rate that an earlier command has proven over the joint range; None if a closed form proves one."""
+    closed_form = scenario.robot.links.M_l_vertices is not None
+    return None if closed_form or not is_provable(scenario.robot) else cached_rate(scenario)
 
 
 def table(rows: Mapping[str, str]) -> str:
@@ -116,11 +148,20 @@ def _decay(scenario: Scenario) -> dict[str, str]:
     """Return the rates of v-dPBC, or name and gains of another law."""
     if not isinstance(scenario.law, TrackingLaw):
         return _other_law(scenario)
-    rate = scenario.law.rate()
-    basis = _basis(rate, scenario)
+    rate, proven = scenario.law.rate(), _kept(scenario)
+    if proven is None:
+        return _rate_rows(rate.beta, rate.beta_paper, _basis(rate, scenario))
+    basis = f"in continuous time, proven over the joint range{'' if proven.complete else ' so far'}"
+    rows = _rate_rows(proven.beta, proven.beta_paper, basis if scenario.plant_is_the_model else OTHER_PLANT)
+    sampled = "" if proven.complete else f"; minimum over sampled configurations: {rate.beta:.4g} 1/s"
+    at = f"{as_list(np.array(proven.at))} {position_unit(scenario)}"
+    return {**rows, "    rate at q_l": f"{at}: {proven.attained:.4g} 1/s{sampled}"}
+
+
+def _rate_rows(beta: float, beta_paper: float, basis: str) -> dict[str, str]:
     return {
-        "beta": f"{rate.beta:.4g} 1/s: V falls at least as exp(-2 beta t), {basis}",
-        "beta of eq. (50)": f"{rate.beta_paper:.4g} 1/s, {basis}",
+        "beta": f"{beta:.4g} 1/s: V falls at least as exp(-2 beta t), {basis}",
+        "beta of eq. (50)": f"{beta_paper:.4g} 1/s, {basis}",
     }
 
 
@@ -160,7 +201,7 @@ def _basis(rate: Rate, scenario: Scenario) -> str:
     if not rate.proven:
         return "in continuous time; minimum over sampled configurations, not proven"
     if not scenario.plant_is_the_model:
-        return "in continuous time; not proven here, the plant is not the law's model"
+        return OTHER_PLANT
     return "in continuous time, proven for every configuration"
 
 
@@ -171,9 +212,29 @@ def _elsewhere(scenario: Scenario) -> dict[str, str]:
         found = checked_at(scenario, where)
         beta = f"beta {scenario.law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it)"
         margin = f"delay margin {found.delay_margin:.2f} samples"
-        return {"on the reference": f"{beta}, spectral radius {found.spectral_radius:.6f}, {margin}"}
+        row = {"on the reference": f"{beta}, spectral radius {found.spectral_radius:.6f}, {margin}"}
+        return {**row, **_near_the_reference(scenario, scenario.law)}
     found = checked_at(scenario, None)
     return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {_count(found)}"}
+
+
+def _near_the_reference(scenario: Scenario, law: TrackingLaw) -> dict[str, str]:
+    """Return the rate that is proven within a radius of the reference; no row if nothing can be proven."""
+    if not is_provable(scenario.robot):
+        return {}
+    limit = np.asarray(safety(scenario.controller_values, scenario.robot).tracking_error)
+    radius = np.where(np.isfinite(limit), limit, DEFAULT_RADIUS)
+    coefficients = number_of_coefficients(scenario.robot.links.bodies)
+    rate = law.proven_rate(tube(scenario.reference, radius), most_boxes=1 + COEFFICIENTS // coefficients)
+    basis = "proven" if scenario.plant_is_the_model else "not proven here, the plant is not the law's model"
+    near = f"within {_range(radius)} {position_unit(scenario)} of the reference in each joint"
+    return {"near the reference": f"beta {rate.beta:.4g} 1/s {near}, {basis}"}
+
+
+def _range(values: NDArray[np.float64]) -> str:
+    """Return the one value, or the smallest and the largest one."""
+    low, high = np.min(values), np.max(values)
+    return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
 
 
 def _in_the_loop(scenario: Scenario) -> dict[str, str]:

@@ -18,8 +18,13 @@ from .largest_eigenvalue import BoxBound, best_split, box_bound
 
 KEPT_NUMBERS = 2e7
 """Numbers in the control matrices that are kept for boxes not yet split; others are computed again."""
-Progress = Callable[[int, float, float], None]
-"""Called with the number of boxes, the bound and the largest eigenvalue found."""
+Watch = Callable[[int, float, float], bool]
+"""Called with the number of boxes, the bound and the largest eigenvalue found; the search ends if it returns False."""
+
+
+def unwatched(_boxes: int, _bound: float, _attained: float) -> bool:
+    """Let the search go on."""
+    return True
 
 
 @dataclass(eq=False)
@@ -56,7 +61,7 @@ def supremum(
     goal: float,
     most_boxes: int,
     relevant: Callable[[Array], bool] = lambda box: True,
-    progress: Progress = lambda boxes, bound, attained: None,
+    watch: Watch = unwatched,
 ) -> Supremum:
     """Return bounds of the largest eigenvalue of N on a box (n - 1, 2) of the joints 2 .. n.
 
@@ -70,7 +75,8 @@ def supremum(
     root = Part(box, whole_circles(inertia, box))
     search.add(root, control_matrices(inertia, box, root.circles), np.eye(inertia.n)[0])
     while search.boxes < most_boxes and search.gap(goal) and search.split_worst():
-        progress(search.boxes, search.bound, search.attained)
+        if not watch(search.boxes, search.bound, search.attained):
+            break
     return Supremum(search.bound, search.attained, search.at, search.boxes, root)
 
 

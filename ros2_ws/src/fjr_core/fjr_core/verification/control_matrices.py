@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..errors import RobotError
 from ..numerics.checks import Array
 from . import bernstein
 from .inertia_polynomial import InertiaPolynomial, pairs
@@ -19,12 +20,14 @@ LONGEST_ARC = 2.5
 
 @dataclass(frozen=True, eq=False)
 class NormalisedInertia:
-    """The polynomial N(q) = X M_l(q) X', with X the inverse Cholesky factor of a positive definite matrix A.
+    """The polynomial N(q) = sign X M_l(q) X', with X the inverse Cholesky factor of a positive definite matrix A.
 
-    coefficients: as of InertiaPolynomial, times sign. identity_error: bound of the norm of X A X' - I.
+    coefficients (n (n + 1) / 2, d_2, .., d_n): as of InertiaPolynomial. rad (n (n + 1) / 2,): bound of their errors.
+    identity_error: bound of the norm of X A X' - I.
     """
 
-    coefficients: Interval
+    coefficients: Array
+    rad: Array
     prismatic: tuple[bool, ...]
     X: Array
     identity_error: float
@@ -36,18 +39,27 @@ class NormalisedInertia:
 
 
 def normalised(polynomial: InertiaPolynomial, A: Interval, sign: float = 1.0) -> NormalisedInertia:
-    """Return sign X M_l X' for a symmetric positive definite matrix A (n, n)."""
-    n = polynomial.n
-    X = np.linalg.inv(np.linalg.cholesky(A.mid))
-    exact = Interval.exact(X)
-    E = product(exact, product(exact, A), axis=1) - Interval.exact(np.eye(n))
-    at = np.zeros((n, n), dtype=int)
-    for k, (i, j) in enumerate(pairs(n)):
-        at[i, j] = at[j, i] = k
-    N = product(exact, product(exact, polynomial.coefficients[at]), axis=1)
-    upper = N[tuple(np.transpose(pairs(n)))]
+    """Return sign X M_l X' for a symmetric positive definite matrix A (n, n); raise RobotError if it is singular."""
+    n, M = polynomial.n, polynomial.coefficients
+    X = Interval.exact(np.linalg.inv(np.linalg.cholesky(A.mid)))
+    E = product(X, product(X, A), axis=1) - Interval.exact(np.eye(n))
     error = float(UP * np.max(np.sum(E.magnitude, axis=1)))
-    return NormalisedInertia(Interval(sign * upper.mid, upper.rad), polynomial.prismatic, X, error)
+    if not error < 1e-3:
+        raise RobotError(f"A has the condition number {np.linalg.cond(A.mid):.3g}; expected a well-conditioned matrix")
+    i, j = np.transpose(pairs(n))[:, :, None]
+    k, m = np.transpose(pairs(n))[:, None, :]
+    both = Interval.exact(np.where(k == m, 0.0, 1.0))
+    congruence = X[i, k] * X[j, m] + both * X[i, m] * X[j, k]
+    values, rad = _mapped(congruence, M.mid, np.max(M.rad.reshape(len(M.rad), -1), axis=1))
+    return NormalisedInertia(sign * values, rad, polynomial.prismatic, X.mid, error)
+
+
+def _mapped(matrix: Interval, values: Array, rad: Array) -> tuple[Array, Array]:
+    """Return a matrix (p, p) times values (p, ..), and the bounds (p,) of the errors of its rows."""
+    largest = np.max(np.abs(values).reshape(len(values), -1), axis=1)
+    size, gamma = np.abs(matrix.mid) + matrix.rad, (len(values) + 1) * U
+    errors = size @ rad + (matrix.rad + gamma * size) @ (largest + rad)
+    return along(matrix.mid, values, 0), (1 + 4 * gamma) * UP * errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +124,7 @@ class ControlMatrices:
 
 def control_matrices(inertia: NormalisedInertia, box: Array, circles: tuple[bool, ...]) -> ControlMatrices:
     """Return the control matrices on a box (n - 1, 2) [rad, m]; circles: as of ControlMatrices."""
-    coefficients = inertia.coefficients
-    rad = np.max(coefficients.rad.reshape(len(coefficients.rad), -1), axis=1)
-    found = ControlMatrices(box, circles, coefficients.mid, rad)
+    found = ControlMatrices(box, circles, inertia.coefficients, inertia.rad)
     for axis, circle in enumerate(circles):
         a, b = (float(end) for end in box[axis])
         if circle:

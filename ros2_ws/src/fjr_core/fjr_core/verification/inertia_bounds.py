@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..numerics import checks
 from ..numerics.checks import Array
 from ..robot.configuration_sampling import bounds_of
 from ..robot.robot import Robot
-from .branch_and_bound import Progress, Supremum, supremum
+from .branch_and_bound import Supremum, Watch, supremum, unwatched
 from .control_matrices import normalised
 from .inertia_polynomial import InertiaPolynomial, inertia_polynomial, number_of_coefficients
 from .intervals import Interval
@@ -51,12 +51,15 @@ class Domain:
 class RelativeInertia:
     """Bounds of M_l relative to A: M_l(q_l) <= bound A on the domain is proven; `attained` is the value at q_l = at.
 
-    For a lower bound, M_l(q_l) >= bound A. boxes: number of boxes of the proof.
+    For a lower bound, M_l(q_l) >= bound A. lower, upper (n,): the box that contains the domain. boxes: number of boxes
+    of the proof.
     """
 
     bound: float
     attained: float
     at: Array
+    lower: Array
+    upper: Array
     boxes: int
     proof: Supremum
 
@@ -79,14 +82,14 @@ def largest_inertia(
     goal: float = GOAL,
     most_boxes: int = MOST_BOXES,
     samples: ArrayLike = (),
-    progress: Progress = lambda boxes, bound, attained: None,
+    watch: Watch = unwatched,
 ) -> RelativeInertia:
     """Return the least number that is proven to satisfy M_l(q_l) <= bound A on a domain, the joint range by default.
 
     A (n, n): symmetric positive definite. samples (k, n): configurations at which large values are expected.
     The search ends if attained >= goal bound, or after most_boxes. Raises RobotError unless is_provable(robot).
     """
-    return _bound(robot, A, domain, goal, most_boxes, samples, progress, 1.0)
+    return _bound(robot, A, domain, goal, most_boxes, samples, watch, 1.0)
 
 
 def least_inertia(
@@ -96,14 +99,14 @@ def least_inertia(
     goal: float = GOAL,
     most_boxes: int = MOST_BOXES,
     samples: ArrayLike = (),
-    progress: Progress = lambda boxes, bound, attained: None,
+    watch: Watch = unwatched,
 ) -> RelativeInertia:
     """Return the largest number that is proven to satisfy M_l(q_l) >= bound A; the arguments as of largest_inertia.
 
     The search ends if bound >= goal attained, or after most_boxes; the bound may then be negative.
     """
-    found = _bound(robot, A, domain, goal, most_boxes, samples, progress, -1.0)
-    return RelativeInertia(-found.bound, -found.attained, found.at, found.boxes, found.proof)
+    found = _bound(robot, A, domain, goal, most_boxes, samples, watch, -1.0)
+    return replace(found, bound=-found.bound, attained=-found.attained)
 
 
 def _bound(
@@ -113,7 +116,7 @@ def _bound(
     goal: float,
     most_boxes: int,
     samples: ArrayLike,
-    progress: Progress,
+    watch: Watch,
     sign: float,
 ) -> RelativeInertia:
     polynomial, order = _polynomial(robot), list(robot.links.order)
@@ -137,8 +140,8 @@ def _bound(
         tried = np.vstack([tried, np.mean(domain.near, axis=1)[:, in_chain[1:]]])
     box = np.column_stack([lower, upper])[in_chain[1:]]
     relevant = _near(domain, in_chain[1:])
-    found = supremum(inertia, box, value, tried, goal, most_boxes, relevant, progress)
-    return RelativeInertia(found.bound, found.attained, complete(found.at), found.boxes, found)
+    found = supremum(inertia, box, value, tried, goal, most_boxes, relevant, watch)
+    return RelativeInertia(found.bound, found.attained, complete(found.at), lower, upper, found.boxes, found)
 
 
 def _covered(robot: Robot, domain: Domain) -> tuple[Array, Array]:

@@ -85,6 +85,13 @@ def report(**given: Any) -> Any:
 
 @command()
 @scenario_argument
+@click.option(
+    "--certificate",
+    type=options.PATH,
+    metavar="FILE",
+    help="Prove the rate over the joint range and write its certificate (JSON).",
+)
+@click.option("--seconds", type=options.SECONDS, metavar="S", default=120.0, help="Longest time of the proof.")
 @set_option
 def check(**given: Any) -> Any:
     """Check rates, stability and margins before a run.

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +11,11 @@ from numpy.typing import ArrayLike
 from ...numerics.one_line import one_line
 from ...robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from ...robot.robot import Robot
+from ...verification.inertia_bounds import RelativeInertia
 from .gains import CheckedGains, relative_eigenvalues
+
+ROUNDING = 1e-9
+"""Relative margin of a proven rate for the rounding of D_l + K_ld, and of rotations that are orthogonal to 1e-14."""
 
 
 @dataclass(frozen=True)
@@ -19,8 +23,9 @@ class Rate:
     """Rates [1/s]: V(t) <= V(0) exp(-2 beta t) in continuous time with omega = 0.
 
     beta = min(beta_l, beta_m, beta_sigma_l, beta_sigma_m). beta_paper is eq. (50); it never exceeds beta.
-    proven: the rates hold for every q_l. Otherwise beta and beta_paper are minima over the sampled configurations,
-    and the true rates may be smaller.
+    proven: the rates hold for every q_l of the domain, by default all positions. Otherwise beta and beta_paper are
+    minima over the sampled configurations, and the true rates may be smaller.
+    attained: for rates proven by branch and bound, the rate at one configuration, which no proof can exceed.
     """
 
     beta: float
@@ -30,6 +35,7 @@ class Rate:
     beta_sigma_l: float
     beta_sigma_m: float
     proven: bool
+    attained: float | None = None
 
     __repr__ = one_line
 
@@ -43,11 +49,24 @@ def rate(robot: Robot, gains: CheckedGains, configurations: ArrayLike | None = N
     proven = configurations is None and robot.links.M_l_vertices is not None
     samples = () if proven else checked_configurations(robot, configurations, RATE_CONFIGURATIONS)
     inertias = [robot.M_l(q_l) for q_l in samples] or list(robot.links.M_l_vertices or ())
-    damping_l, damping_m = robot.D_l + gains.K_ld, robot.D_m + gains.K_md
+    damping_l = robot.D_l + gains.K_ld
     beta_sigma_l = min(float(relative_eigenvalues(damping_l, M_l)[0]) for M_l in inertias)
+    largest_inertia = max(float(np.linalg.eigvalsh(M)[-1]) for M in inertias)
+    return _of_blocks(robot, gains, beta_sigma_l, largest_inertia, proven)
+
+
+def rate_with(robot: Robot, gains: CheckedGains, inertia: RelativeInertia, largest: RelativeInertia) -> Rate:
+    """Return the rates that are proven by bounds of M_l relative to D_l + K_ld and to the unit matrix."""
+    found = _of_blocks(robot, gains, (1 - ROUNDING) / inertia.bound, largest.bound, True)
+    others = min(gains.beta_l, gains.beta_m, found.beta_sigma_m)
+    return replace(found, attained=min(others, 1 / inertia.attained))
+
+
+def _of_blocks(robot: Robot, gains: CheckedGains, beta_sigma_l: float, largest_inertia: float, proven: bool) -> Rate:
+    damping_l, damping_m = robot.D_l + gains.K_ld, robot.D_m + gains.K_md
     beta_sigma_m = float(relative_eigenvalues(damping_m, robot.M_m)[0])
     smallest_damping = min(float(np.linalg.eigvalsh(damping)[0]) for damping in (damping_l, damping_m))
-    largest_inertia = max(float(np.linalg.eigvalsh(M)[-1]) for M in (*inertias, robot.M_m))
+    largest_inertia = max(largest_inertia, float(np.linalg.eigvalsh(robot.M_m)[-1]))
     beta_q = min(gains.beta_l, gains.beta_m)
     return Rate(
         beta=min(beta_q, beta_sigma_l, beta_sigma_m),

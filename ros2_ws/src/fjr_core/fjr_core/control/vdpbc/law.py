@@ -15,12 +15,14 @@ from ...numerics.checks import Array
 from ...numerics.jit_cache import compiled_from_inputs
 from ...numerics.one_line import one_line
 from ...robot.robot import Robot
+from ...verification.inertia_bounds import GOAL, MOST_BOXES, Domain
 from ..lie_derivative import Flow, flow
 from ..static_law import StaticLaw
 from .convergence_rate import Rate, rate
 from .gains import Gains
 from .link_stage import LinkStage, link_stage
 from .motor_stage import MotorStage, motor_stage
+from .proof_of_rate import proof_of_rate
 from .symbolic_gains import GainTerms, terms
 
 
@@ -74,6 +76,14 @@ class TrackingLaw(StaticLaw):
     def rate(self, configurations: ArrayLike | None = None) -> Rate:
         """Return the convergence rates [1/s], proven if the vertices of M_l are known, else sampled (k, n)."""
         return rate(self.robot, self.gains, configurations)
+
+    def proven_rate(self, domain: Domain | None = None, goal: float = GOAL, most_boxes: int = MOST_BOXES) -> Rate:
+        """Return convergence rates [1/s] that are proven on a domain of positions, by default the joint range.
+
+        The search ends if beta >= goal times a rate attained at a configuration, or after most_boxes; what is proven
+        by then is returned. Raises RobotError for a robot whose bodies are unknown or with more than 8 revolute joints.
+        """
+        return proof_of_rate(self.robot, self.gains, domain, goal, most_boxes).rate
 
     @cached_property
     def function(self) -> ca.Function:

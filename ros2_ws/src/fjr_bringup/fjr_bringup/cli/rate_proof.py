@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prove the rate of a scenario over the joint range; keep the proof beside compiled code."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fjr_bringup.atomic_file import write_text
+from fjr_bringup.progress import heartbeat
+from fjr_core.config.scenario import Scenario
+from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.control.vdpbc.proof_of_rate import proof_of_rate
+from fjr_core.control.vdpbc.rate_certificate import rate_certificate
+from fjr_core.errors import FjrError, RobotError
+from fjr_core.numerics.code_cache import code_folder
+from fjr_core.numerics.jit_cache import program_digest
+from fjr_core.robot.configuration_sampling import bounds_of, sample_configurations
+from fjr_core.verification.inertia_bounds import GOAL, is_provable
+
+SAMPLES = 512
+
+
+class ProofError(FjrError):
+    """A rate that cannot be proven, or whose certificate cannot be written."""
+
+
+@dataclass(frozen=True)
+class ProvenRate:
+    """beta [1/s], proven over the joint range; attained [1/s] at the configuration `at`; boxes in the proof.
+
+    complete: beta is at least GOAL times the attained rate. certificate: see rate_certificate.
+    """
+
+    beta: float
+    beta_paper: float
+    attained: float
+    at: list[float]
+    boxes: int
+    complete: bool
+    certificate: dict[str, Any]
+
+
+def cached_rate(scenario: Scenario) -> ProvenRate | None:
+    """Return the proven rate that an earlier command has kept for this law and robot; None if there is none."""
+    with suppress(OSError, ValueError, TypeError):
+        content = code_folder().read(_name(scenario))
+        return ProvenRate(**json.loads(content)) if content else None
+    return None
+
+
+def proven_rate(scenario: Scenario, seconds: float) -> ProvenRate:
+    """Return the proven rate, kept or proven now; after `seconds`, what is proven by then. Raises ProofError."""
+    law = scenario.law
+    if not isinstance(law, TrackingLaw):
+        raise ProofError(f"law.type is {scenario.controller_values['law.type']!r}; expected 'v_dpbc' for a certificate")
+    if not is_provable(scenario.robot):
+        raise ProofError(
+            f"scenario {scenario.name} has {scenario.robot.n} joints; expected at most 8 revolute joints for a proof"
+        )
+    known = cached_rate(scenario)
+    if known is not None and known.complete:
+        return known
+    found = _prove(scenario, law, seconds)
+    with suppress(OSError):
+        code_folder().write(_name(scenario), json.dumps(vars(found)).encode())
+    return found
+
+
+def write_certificate(found: ProvenRate, path: Path) -> None:
+    """Write the certificate. Raises ProofError."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, json.dumps(found.certificate) + "\n")
+    except OSError as error:
+        raise ProofError(f"{path} cannot be written ({error.strerror}); expected a file in a writable folder") from None
+
+
+def _prove(scenario: Scenario, law: TrackingLaw, seconds: float) -> ProvenRate:
+    """Prove the rate; report the number that is proven so far on standard error."""
+    robot, state = scenario.robot, {"text": "proving a rate over the joint range"}
+    end = time.monotonic() + seconds
+
+    def watch(boxes: int, bound: float, attained: float) -> bool:
+        state["text"] = f"proven {1 / bound:.4g} of {1 / attained:.4g} 1/s for the links, {boxes} boxes"
+        return time.monotonic() < end
+
+    with heartbeat(lambda: state["text"]):
+        try:
+            proof = proof_of_rate(robot, law.gains, samples=sample_configurations(robot, SAMPLES), watch=watch)
+        except RobotError as error:
+            raise ProofError(str(error)) from None
+    attained = float(proof.rate.attained or np.nan)
+    return ProvenRate(
+        beta=proof.rate.beta,
+        beta_paper=proof.rate.beta_paper,
+        attained=attained,
+        at=proof.inertia.at.tolist(),
+        boxes=proof.inertia.boxes,
+        complete=proof.rate.beta >= GOAL * (1 - 1e-6) * attained,
+        certificate=rate_certificate(robot, law.gains, proof, scenario.joints),
+    )
+
+
+def _name(scenario: Scenario) -> str:
+    """Return the name of the kept file: a digest of program, robot, gains and joint range."""
+    digest = hashlib.sha256(program_digest().encode() + scenario.robot.fingerprint())
+    law = scenario.law
+    assert isinstance(law, TrackingLaw)
+    for array in (*law.gains.arrays().values(), *bounds_of(scenario.robot)):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    digest.update(repr(scenario.joints).encode())
+    return f"rate-{digest.hexdigest()[:32]}.json"
