@@ -20,6 +20,8 @@ LONGEST_FIRST = (
     "core/control/test_baseline_identities.py",
     "system/test_network_namespaces.py",
     "core/control/test_law.py",
+    "system/test_fjr_tune.py",
+    "core/experiments/test_tuning.py",
     "core/stability/test_complete_loop_check.py",
     "core/monitoring/test_diagnosis.py",
     "core/monitoring/test_storage_growth.py",

@@ -7,6 +7,7 @@ package_name = "fjr_bringup"
 libraries = [
     "PyYAML>=6.0.1",
     "click>=8.2",
+    "cma>=4.0",
     "jinja2>=3.1",
     "jupyter-threejs-sage>=130",
     "matplotlib>=3.6",

@@ -10,6 +10,7 @@ extras = {
     "urdf": ["pin>=3"],  # Pinocchio, which reads a URDF
     "sweep": ["pyarrow>=15"],  # reads Parquet: the tables of `fjr sweep`, motions
     "plot": ["matplotlib>=3.6"],
+    "tune": ["cma>=4.0"],  # CMA-ES, the search of `fjr tune`
 }
 
 setup(

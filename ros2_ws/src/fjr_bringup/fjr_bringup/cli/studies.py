@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr contraction`, `fjr sweep` and `fjr compare`: studies by simulation, without nodes."""
+"""`fjr contraction`, `fjr sweep`, `fjr tune` and `fjr compare`: studies by simulation, without nodes."""
 
 from __future__ import annotations
 
@@ -45,12 +45,38 @@ def sweep(
     """Run a Monte-Carlo study; None keeps the number of the study."""
     # loads pyarrow, which other commands do not need
     monte_carlo = import_module("fjr_bringup.studies.monte_carlo.command")
-    given = {"runs": runs, "seed": seed, "duration": duration}
-    numbers = {name: value for name, value in given.items() if value is not None}
+    numbers = _given(runs=runs, seed=seed, duration=duration)
     wish = monte_carlo.Options(cores, scheduler, output, library.parse_assignments(assignments), numbers)
     with stoppable() as stop:
         found: Result = monte_carlo.sweep(scenario, wish, stop)
         return found
+
+
+def tune(
+    scenario: str | None,
+    assignments: Sequence[str],
+    law: str | None,
+    draws: int | None,
+    candidates: int | None,
+    fresh: int | None,
+    seed: int | None,
+    duration: float | None,
+    cores: int,
+    scheduler: str | None,
+    output: Path,
+) -> Result:
+    """Tune gains for stated uncertainties; None keeps the number of the study."""
+    tuning = import_module("fjr_bringup.studies.tuning.command")  # loads pyarrow, as a sweep
+    monte_carlo = import_module("fjr_bringup.studies.monte_carlo.command")
+    of_sweep, size = _given(seed=seed, duration=duration), _given(draws=draws, candidates=candidates, fresh=fresh)
+    wish = monte_carlo.Options(cores, scheduler, output, library.parse_assignments(assignments), of_sweep)
+    with stoppable() as stop:
+        found: Result = tuning.tune(scenario, wish, law, size, stop)
+        return found
+
+
+def _given(**numbers: float | None) -> dict[str, float]:
+    return {name: value for name, value in numbers.items() if value is not None}
 
 
 def compare(suite: str, output: Path, cores: int | None, document: Path | None, readme: Path | None) -> Result:

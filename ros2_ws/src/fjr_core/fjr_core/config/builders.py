@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..control.python_law import own_law
-from ..control.registry import V_DPBC, law_kind
+from ..control.registry import V_DPBC, LawKind, law_kind
 from ..control.robust import Robust, sampled_law
 from ..control.static_law import StaticLaw
 from ..control.vdpbc.law import TrackingLaw
@@ -136,10 +136,14 @@ def baseline_target(values: Values, robot: Robot) -> BaselineTarget:
 
 
 def _baseline_gains(values: Values, robot: Robot) -> Any:
-    """Return the gains of a baseline: tuned, or of law.natural_frequency and law.damping_ratio."""
+    """Return the gains of a baseline: tuned, or of law.natural_frequency and law.damping_ratio; law.gain_factors."""
+    kind, factors = law_kind(str(values[law.TYPE.name])), np.asarray(values[law.GAIN_FACTORS.name])
+    return kind.scaled_gains(_rule_gains(values, robot, kind), factors)
+
+
+def _rule_gains(values: Values, robot: Robot, kind: LawKind) -> Any:
     if values[law.TUNED.name]:
         return tuning(values).law.gains
-    kind = law_kind(str(values[law.TYPE.name]))
     q_0 = np.asarray(reference(values, robot.n).jets(0.0))[0]
     frequency, damping = number(values, law.NATURAL_FREQUENCY.name), number(values, law.DAMPING_RATIO.name)
     return kind.standard(robot, q_0, frequency, damping, _sample_period(values))

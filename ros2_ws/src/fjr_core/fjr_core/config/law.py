@@ -7,7 +7,7 @@ from ..control.registry import LAWS, V_DPBC
 from ..control.robust.options import Robust
 from ..numerics.parameter_field import declared
 from ..tuning.bandwidth import START_ERROR
-from .parameter import VECTOR, Parameter, Values, named, read
+from .parameter import LIST, VECTOR, Parameter, Values, named, read
 
 TYPE = Parameter(
     "law.type",
@@ -33,6 +33,14 @@ NATURAL_FREQUENCY = Parameter(
 DAMPING_RATIO = Parameter(
     "law.damping_ratio", 1.0, "Damping ratio of the closed loop if law.tuned is false", minimum=1e-2, maximum=1e2
 )
+GAIN_FACTORS = Parameter(
+    "law.gain_factors",
+    (1.0,),
+    "Factors on the gains of a law other than v_dpbc that docs/tuning.md lists: one for all, or one each",
+    minimum=1e-4,
+    maximum=1e4,
+    shape=LIST,
+)
 INITIAL_ERROR = Parameter(
     "law.start_error",
     START_ERROR,
@@ -49,7 +57,7 @@ SAMPLE_RATE = Parameter(
     minimum=1.0,
     maximum=1e5,
 )
-LAW = (TYPE, TUNED, NATURAL_FREQUENCY, DAMPING_RATIO, INITIAL_ERROR, SAMPLE_RATE)
+LAW = (TYPE, TUNED, NATURAL_FREQUENCY, DAMPING_RATIO, GAIN_FACTORS, INITIAL_ERROR, SAMPLE_RATE)
 ROBUST = declared(Robust, "robust.")
 """Parameters robust.*; every robust action is off by default."""
 

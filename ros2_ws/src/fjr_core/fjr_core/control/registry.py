@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import GainsError, ParameterError
 from ..files.python_class import is_named, load
@@ -28,6 +31,7 @@ class LawKind:
     standard: tuning rule (robot, configuration (n,), natural frequency [rad/s], damping ratio, sample period [s])
     -> gains. usual: default damping ratio; damping: its range. The gains of a law of the user are options: no rule.
     storage: description of V, "" if the law has no storage (V is nan). adds: extension that the paper does not have.
+    scaled: gains, by their names, that `fjr tune` scales; for a law with a tuning rule in addition to its two numbers.
     """
 
     name: str
@@ -40,6 +44,19 @@ class LawKind:
     usual: float = 0.7
     damping: tuple[float, float] = (0.5, 2.0)
     adds: str = ""
+    scaled: tuple[str, ...] = ()
+
+    def scaled_gains(self, gains: Any, factors: ArrayLike) -> Any:
+        """Return the gains with those of `scaled` multiplied by factors: one for all, or one for each.
+
+        Raises GainsError for another number of factors or one that is not positive.
+        """
+        given = np.ravel(np.asarray(factors, dtype=float))
+        if len(given) not in (1, len(self.scaled)) or not np.all(given > 0):
+            names = ", ".join(self.scaled) or "no gain"
+            raise GainsError(f"the gain factors are {given.tolist()}; expected 1, or positive ones for {names}")
+        each = zip(self.scaled, np.broadcast_to(given, len(self.scaled)), strict=True)
+        return replace(gains, **{name: factor * np.asarray(getattr(gains, name)) for name, factor in each})
 
 
 _AT_REST = "decays for a constant reference"
@@ -52,6 +69,7 @@ _KINDS = (
         two_scale_gains.standard,
         usual=0.3,
         damping=(0.1, 0.5),
+        scaled=("Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md"),
     ),
     LawKind(
         "pd_gravity",
@@ -80,6 +98,7 @@ _KINDS = (
         singular_perturbation.standard,
         "link side, motor velocity",
         storage="",
+        scaled=("K_v",),
     ),
     LawKind(
         "feedback_linearisation",
@@ -88,6 +107,7 @@ _KINDS = (
         feedback_linearisation.FeedbackLinearisation,
         feedback_linearisation.standard,
         usual=1.0,
+        scaled=("A_1", "A_2", "A_3"),
     ),
     LawKind(
         "backstepping",
@@ -97,6 +117,7 @@ _KINDS = (
         backstepping.standard,
         usual=1.0,
         damping=(0.3, 2.0),
+        scaled=("K_1", "c_2"),
     ),
     LawKind(
         "torque_feedback",
@@ -106,6 +127,7 @@ _KINDS = (
         torque_feedback.standard,
         "motor side, spring torque",
         _AT_REST,
+        scaled=("M_theta",),
     ),
     LawKind(
         "torque_feedback_feedforward",
@@ -116,6 +138,7 @@ _KINDS = (
         "motor side, spring torque",
         _AT_REST,
         adds="inverse dynamics of the reference",
+        scaled=("M_theta",),
     ),
     LawKind(
         "lqr",
@@ -126,6 +149,7 @@ _KINDS = (
         storage="decays for small errors about one equilibrium",
         usual=1.0,
         damping=(0.5**0.5, 2.0),
+        scaled=("R",),
     ),
 )
 

@@ -202,6 +202,35 @@ def sweep(**given: Any) -> Any:
     return implementation("studies").sweep(**given)
 
 
+@command()
+@scenario_argument
+@click.option("--law", metavar="NAME", help="Law to tune. [default: the file's, else law.type of the scenario]")
+@click.option(
+    "--candidates", type=options.RUNS, metavar="N", help="Number of candidates. [default: the file's, else 300]"
+)
+@click.option(
+    "--draws", type=options.RUNS, metavar="N", help="Drawn plants of a candidate. [default: the file's, else 48]"
+)
+@click.option(
+    "--fresh", type=options.RUNS, metavar="N", help="Runs of the validation. [default: the file's, else 1000]"
+)
+@click.option("--seed", type=int, metavar="N", help="Seed of all random numbers. [default: the file's, else 0]")
+@duration_option("Duration of a run in seconds. [default: the file's, else 5]")
+@click.option("--cores", type=options.cores, metavar="N", default="all", help="Cores of this machine, or `all`.")
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Dask cluster to use instead of this machine, e.g. tcp://host:8786."
+)
+@output_option("Folder in which NAME_LAW/ is written.", "runs/tuned")
+@set_option
+def tune(**given: Any) -> Any:
+    """Choose gains for stated model errors.
+
+    SCENARIO is the name of an installed sweep or scenario, or a YAML file of either. The gains minimise a cost over
+    drawn plants and are validated on fresh ones (docs/tuning.md).
+    """
+    return implementation("studies").tune(**given)
+
+
 @command("export-c")
 @click.argument("scenario", shell_complete=options.complete_scenario)
 @click.argument("folder", metavar="DIR", type=options.PATH)

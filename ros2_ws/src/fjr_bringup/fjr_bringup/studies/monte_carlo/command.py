@@ -48,18 +48,23 @@ class Options:
 
 def planned(name: str | None, options: Options) -> Sweep:
     """Return the study to run; raise FjrError."""
-    path = _file(name)
-    document = ros_yaml.read(path, "sweep")
+    path = file_of(name)
+    return described(path, ros_yaml.read(path, "sweep"), options)[0]
+
+
+def described(path: Path, document: Any, options: Options) -> tuple[Sweep, SweepFile]:
+    """Return the study of a parsed file and its description, the usual one for a scenario; raise FjrError."""
     if not sweep_file.is_one(document):
         text, loaded = library.as_run(path, options.overrides)
-        return _sweep(path.stem, text, sweep_file.usual(path.stem, loaded.sample_period), options)
+        usual = sweep_file.usual(path.stem, loaded.sample_period)
+        return _sweep(path.stem, text, usual, options), usual
     try:
         file = sweep_file.read(document)
         neighbour = path.parent / file.scenario
         scenario = neighbour if os.path.isfile(neighbour) else library.find(file.scenario)
         text, _ = library.as_run(scenario, {**file.changes, **options.overrides})
         posterior = read_identification(path.parent / file.posterior).as_dict() if file.posterior else None
-        return _sweep(path.stem, text, file, options, posterior)
+        return _sweep(path.stem, text, file, options, posterior), file
     except ParameterError as error:
         raise ParameterError(f"sweep {path.stem} {error}") from None
 
@@ -67,9 +72,7 @@ def planned(name: str | None, options: Options) -> Sweep:
 def sweep(name: str | None, options: Options, stop: threading.Event) -> Result:
     """Run the study, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted."""
     plan = planned(name, options)
-    plan.refuse_stiff_friction()
-    if plan.identified is not None and plan.identified.left_out:
-        print(f"fjr: identified, but not drawn: {', '.join(plan.identified.left_out)}", file=sys.stderr)
+    check_and_warn(plan)
     if options.scheduler is None:
         plan.loop.build()
     if plan.loop.in_python:
@@ -80,6 +83,13 @@ def sweep(name: str | None, options: Options, stop: threading.Event) -> Result:
             _carry_out(store, workers, stop)
         store.complete()
         return _shown(store)
+
+
+def check_and_warn(plan: Sweep) -> None:
+    """Raise ParameterError for friction that is too stiff; name identified parameters that are not drawn."""
+    plan.refuse_stiff_friction()
+    if plan.identified is not None and plan.identified.left_out:
+        print(f"fjr: identified, but not drawn: {', '.join(plan.identified.left_out)}", file=sys.stderr)
 
 
 def _carry_out(store: Store, workers: Workers, stop: threading.Event) -> None:
@@ -130,7 +140,7 @@ ENOUGH = 200
 UNITS = {"rms": "rad", "peak": "rad", "final": "rad", "settling": "s", "effort_peak": "N m", "power": "W"}
 
 
-def _file(name: str | None) -> Path:
+def file_of(name: str | None) -> Path:
     """Return the path of an installed sweep or scenario, given its name, or of a file."""
     sweeps = installed("sweeps")
     if name in sweeps:

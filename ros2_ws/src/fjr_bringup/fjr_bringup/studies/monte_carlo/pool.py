@@ -10,6 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExec
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
+from typing import TypeVar
 
 from fjr_bringup.studies.monte_carlo.store import Store
 from fjr_core.errors import FjrError
@@ -18,6 +19,7 @@ from fjr_core.experiments.monte_carlo.sweep import Columns, run_part
 AHEAD = 3
 """Parts submitted per worker."""
 LOOK = 0.2  # s between checks of `stop`
+Result = TypeVar("Result")
 
 
 class ClusterError(FjrError):
@@ -82,7 +84,7 @@ def run_missing(store: Store, workers: Workers, on_progress: Callable[[int], obj
             done, _ = wait(pending, timeout=LOOK, return_when=FIRST_COMPLETED)
             for future in done:
                 begin, end = pending.pop(future)
-                store.keep(begin, end, _result(future, workers.remote))
+                store.keep(begin, end, result_of(future, workers.remote))
                 on_progress(end - begin)
         return False
     finally:
@@ -90,7 +92,7 @@ def run_missing(store: Store, workers: Workers, on_progress: Callable[[int], obj
             future.cancel()
 
 
-def _result(future: Future[Columns], remote: bool) -> Columns:
+def result_of(future: Future[Result], remote: bool) -> Result:
     """Return the result of a worker; raise ClusterError for errors on another machine."""
     try:
         return future.result()

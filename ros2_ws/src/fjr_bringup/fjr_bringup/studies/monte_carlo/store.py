@@ -8,7 +8,6 @@ table.parquet      all runs in order, once all parts are finished
 
 from __future__ import annotations
 
-import fcntl
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,16 +20,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from fjr_bringup.atomic_file import is_sealed, whole_file, write_text
-from fjr_core.errors import FjrError
+from fjr_bringup.atomic_file import is_sealed, whole_file
+from fjr_bringup.studies.study_folder import StoreError, check_description, locked
 from fjr_core.experiments.monte_carlo.sweep import Columns, Sweep
-from fjr_core.files.text_file import read_json
 
 LARGEST_PART, SMALLEST_PART, PARTS = 1000, 10, 200
-
-
-class StoreError(FjrError):
-    """A folder that holds another study or is in use."""
 
 
 @dataclass(frozen=True)
@@ -95,11 +89,7 @@ def open_store(folder: Path, sweep: Sweep, program: str) -> Iterator[Store]:
     program: hash of the code that computes the results. Raise StoreError.
     """
     (folder / "parts").mkdir(parents=True, exist_ok=True)
-    with (folder / ".lock").open("a") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise StoreError(f"{folder} is in use by another process; expected one at a time") from None
+    with locked(folder):
         _check(folder, sweep, program)
         for left in folder.rglob("*.part"):
             left.unlink()
@@ -115,28 +105,8 @@ def parts(runs: int) -> list[tuple[int, int]]:
 
 def _check(folder: Path, sweep: Sweep, program: str) -> None:
     """Write campaign.json, or check that it describes this study; raise StoreError."""
-    path = folder / "campaign.json"
-    wanted = {**json.loads(sweep.text), "program": program}
-    try:
-        found = read_json(path)
-    except FileNotFoundError:
-        if any(folder.glob("*.parquet")) or any(folder.glob("parts/*.parquet")):
-            raise StoreError(
-                f"{folder} holds runs without their campaign.json; expected both, or another --output"
-            ) from None
-        write_text(path, json.dumps(wanted, indent=1))
-        return
-    except ValueError:
-        raise StoreError(f"{path} cannot be read; expected the file that `fjr sweep` wrote") from None
-    different = [name for name in wanted if name != "program" and found.get(name) != wanted[name]]
-    if different:
-        differences = ", ".join(_difference(name, found.get(name), wanted[name]) for name in different)
-        raise StoreError(f"{folder} holds another study ({differences}); expected the same one, or another --output")
-    if found.get("program") != program:
-        raise StoreError(
-            f"{folder} was started by another version of this program (source, CasADi, C compiler); "
-            "expected the same version, or another --output"
-        )
+    runs = any(folder.glob("*.parquet")) or any(folder.glob("parts/*.parquet"))
+    check_description(folder / "campaign.json", json.loads(sweep.text), program, runs, "fjr sweep")
 
 
 def _check_table(table: Path) -> None:
@@ -146,11 +116,3 @@ def _check_table(table: Path) -> None:
             f"{table} is not what `fjr sweep` wrote (its SHA-256 digest differs); expected it unchanged, or "
             "removed to compute it again"
         )
-
-
-def _difference(name: str, there: object, here: object) -> str:
-    if isinstance(there, (int, float)) and isinstance(here, (int, float)):
-        return f"{name} is {there:g}, not {here:g}"
-    if isinstance(there, dict) and isinstance(here, dict):
-        return f"{name} differs in {', '.join(sorted(k for k in {*there, *here} if there.get(k) != here.get(k)))}"
-    return f"{name} differs"

@@ -15,7 +15,8 @@ from fjr_core.experiments.monte_carlo.distributions import Distribution
 
 WHOLE = ("runs", "seed")
 SECONDS = ("duration", "settle_after", "band", "lost")
-MAPPINGS = ("vary", "success", "set")
+TUNE = "tune"  # what `fjr tune` does with the study; `fjr sweep` ignores it
+MAPPINGS = ("vary", "success", "set", TUNE)
 POSTERIOR = "posterior"
 KEYS = ("scenario", POSTERIOR, *MAPPINGS, *WHOLE, *SECONDS)
 RUNS = 1000
@@ -25,7 +26,8 @@ RUNS = 1000
 class SweepFile:
     """scenario: name or path; vary: distributions; changes: of scenario parameters; numbers: other fields of Sweep.
 
-    posterior: path of an identification.json from which plants are drawn, "" for none.
+    posterior: path of an identification.json from which plants are drawn, "" for none. tune: goal and numbers of a
+    tuning study, not checked here.
     """
 
     scenario: str
@@ -34,6 +36,7 @@ class SweepFile:
     success: Mapping[str, float] = field(default_factory=dict)
     numbers: Mapping[str, Any] = field(default_factory=dict)
     posterior: str = ""
+    tune: Mapping[str, Any] = field(default_factory=dict)
 
 
 def is_one(document: object) -> bool:
@@ -60,7 +63,9 @@ def read(document: Mapping[str, Any]) -> SweepFile:
     success = {name: _number(f"success.{name}", value) for name, value in document.get("success", {}).items()}
     numbers: dict[str, Any] = {key: _whole(key, document[key]) for key in WHOLE if key in document}
     numbers |= {key: _number(key, document[key]) for key in SECONDS if key in document}
-    return SweepFile(str(document["scenario"]), vary, document.get("set", {}), success, numbers, posterior)
+    return SweepFile(
+        str(document["scenario"]), vary, document.get("set", {}), success, numbers, posterior, document.get(TUNE, {})
+    )
 
 
 def usual(scenario: str, sample_period: float) -> SweepFile:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -98,6 +98,16 @@ class ClosedLoop:
                 raise StateError(f"{name} has {part.n} joints; expected {self.robot.n}")
         if self.measurement is not None and self.measurement.observed and self.observer is None:
             raise StateError("observer is None with a measurement without velocities; expected an observer")
+
+    def with_law(self, law: SampledLaw, observer: VelocityObserver | None = None) -> ClosedLoop:
+        """Return the loop with another law of the same form, whose gains differ; nothing is compiled again.
+
+        The law has the same class, robot model, options and number of gains as that of this loop. observer: replaces
+        that of this loop, with another bandwidth. Raises StateError.
+        """
+        other = replace(self, law=law, observer=observer or self.observer)
+        other.__dict__["_program"] = self._program.with_law(law, other.observer)
+        return other
 
     def build(self) -> None:
         """Compile the loop, which the first run does otherwise; raises CompilerError without a C compiler."""

@@ -2,12 +2,13 @@
  * The closed loop of many runs: the control step that the node runs, with a simulated plant, sensors and delay.
  */
 
-#define ROW (5 * N + 6)
+#define ROW (6 * N + 6)
 #define TRACE (9 * N)
 
 /* Fields of a row of results. */
 struct sums {
-  double *stable, *lost_at, *rms, *peak, *final, *settling, *effort_rms, *effort_peak, *power, *stopped, *cause;
+  double *stable, *lost_at, *rms, *peak, *final, *settling, *effort_rms, *effort_peak;
+  double *effort_noise, *power, *stopped, *cause;
 };
 
 struct run {
@@ -80,7 +81,7 @@ static struct sums sums_of(double* row) {
   struct sums s;
   s.stable = p++, s.lost_at = p++;
   s.rms = p, s.peak = p += N, s.final = p += N, p += N;
-  s.settling = p++, s.effort_rms = p, s.effort_peak = p += N, p += N;
+  s.settling = p++, s.effort_rms = p, s.effort_peak = p += N, s.effort_noise = p += N, p += N;
   s.power = p++, s.stopped = p++, s.cause = p;
   return s;
 }
@@ -99,12 +100,14 @@ static int add_errors(const struct fjr_batch* b, struct run* r, const double* q_
   return (inside || r->controller.supervisor.stopped) && all_finite(r->x, 4 * N);
 }
 
-static void add_efforts(struct run* r, const double* u, const double* velocity) {
+static void add_efforts(const struct fjr_batch* b, struct run* r, const double* u, const double* velocity) {
   struct sums* s = &r->sums;
+  const double* last = r->sample > 0 && r->sample >= b->first ? r->ring + (r->sample - 1) % b->ring * N : u;
   double power = 0;
   for (int i = 0; i < N; ++i) {
     s->effort_rms[i] += u[i] * u[i];
     s->effort_peak[i] = fmax(s->effort_peak[i], fabs(u[i]));
+    s->effort_noise[i] += (u[i] - last[i]) * (u[i] - last[i]) / 2;
     power += u[i] * velocity[N + i];
   }
   *s->power += fabs(power);
@@ -131,6 +134,7 @@ static void finish(const struct fjr_batch* b, struct run* r) {
   struct sums* s = &r->sums;
   const int stable = r->sample > b->samples;
   const double count = r->sample > 0 ? (double)r->sample : 1;
+  const double counted = r->sample > b->first ? (double)(r->sample - b->first) : 1;
   *s->stable = stable;
   *s->lost_at = stable ? INFINITY : b->period * (double)r->sample;
   for (int i = 0; i < N; ++i) {
@@ -138,6 +142,7 @@ static void finish(const struct fjr_batch* b, struct run* r) {
     s->peak[i] = stable ? s->peak[i] : INFINITY;
     s->final[i] = stable ? s->final[i] / (double)(b->samples + 1 - b->last_second) : INFINITY;
     s->effort_rms[i] = sqrt(s->effort_rms[i] / count);
+    s->effort_noise[i] = sqrt(s->effort_noise[i] / counted);
   }
   *s->settling = stable && *s->settling <= (double)b->samples ? b->period * *s->settling : INFINITY;
   *s->power /= count;
@@ -193,7 +198,7 @@ static int answer(const struct fjr_model* m, const struct fjr_batch* b, struct r
   fjr_step(m, c, &sample, stamp, &command);
   if (c->journal.not_finite) return 0;
   note_stop(b, r);
-  add_efforts(r, c->limits.left, velocity);
+  add_efforts(b, r, c->limits.left, velocity);
   copy(r->ring + r->sample % b->ring * N, c->limits.left, N);
   if (b->trace) record(b, r, c->limits.left, &sample);
   return 1;

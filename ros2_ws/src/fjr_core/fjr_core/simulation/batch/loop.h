@@ -25,7 +25,7 @@ struct fjr_batch {
   const int64_t* segments;                    /* of each run (2, 2): age of the effort in samples, steps */
   const double* dt;                           /* of each run (2), of the steps in each segment [s] */
   const uint64_t* seeds;
-  double *rows, *trace;       /* results of each run (5 N + 6); (samples + 1, 9 N), or 0 */
+  double *rows, *trace;       /* results of each run (6 N + 6); (samples + 1, 9 N), or 0 */
   volatile int32_t cancelled; /* set by another thread: return soon, with incomplete results */
 };
 

@@ -20,7 +20,9 @@ class Outcomes:
     stable (k,): all numbers are finite and no error exceeds ClosedLoop.lost; lost_at (k,) [s]: end of a run that is not
     stable, else inf. rms, peak (k, n) [rad]: of the errors after settle_after. final (k, n) [rad]: mean magnitude of
     the errors over the last second. settling (k,) [s]: instant after which every error stays within ClosedLoop.band;
-    inf: never. effort_rms, effort_peak (k, n) [N m]: from the start. power (k,) [W]: mean of |u' dq_m|.
+    inf: never. effort_rms, effort_peak (k, n) [N m]: from the start. effort_noise (k, n) [N m]: RMS of
+    (u_k - u_(k-1)) / 2^(1/2) after settle_after, the standard deviation of white noise in the effort. power (k,) [W]:
+    mean of |u' dq_m|.
     For a run that is not stable, rms, peak, final and settling are inf and the others cover the run up to lost_at.
     stopped (k,) [s]: time at which a limit stopped the controller, inf: none. cause (k,): of the stop, e.g. "link
     velocity", else empty. A stopped run continues under the stop policy, and its error may exceed ClosedLoop.lost.
@@ -34,6 +36,7 @@ class Outcomes:
     settling: Array
     effort_rms: Array
     effort_peak: Array
+    effort_noise: Array
     power: Array
     stopped: Array
     cause: NDArray[np.str_]
@@ -60,7 +63,7 @@ _CAUSES = {
     k: name.removeprefix(f"{STOPS}: ") for k, name in enumerate(KINDS) if name.startswith((f"{STOPS}:", STARTS_REFUSED))
 }
 """Causes of a stop by the number that the control step gives them."""
-PER_JOINT = ("rms", "peak", "final", "effort_rms", "effort_peak")
+PER_JOINT = ("rms", "peak", "final", "effort_rms", "effort_peak", "effort_noise")
 
 
 def width(n: int) -> int:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from ...control_step.c_function import CFunction
 from ...control_step.library import HEADER, StepLibrary, c_text, declarations, text
 from ...control_step.reference_struct import ReferenceStruct
 from ...control_step.settings_struct import Model, model_functions, settings_struct
+from ...errors import StateError
 from ...estimation.measurement_model import Measurement
 from ...estimation.velocity_observer import VelocityObserver
 from ...files.python_class import source_digest
@@ -102,6 +103,19 @@ class BatchProgram:
         parts += [source_digest(type(own)) for own in owners if own is not None]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
+    def with_law(self, law: SampledLaw, observer: VelocityObserver | None) -> BatchProgram:
+        """Return the program of a law of the same form, whose gains differ, with all functions of this one.
+
+        Raises StateError if the law has another form.
+        """
+        mine, others = _form(self.law), _form(law)
+        if mine != others:
+            raise StateError(f"the law is {others}; expected {mine}, with other gains")
+        other = replace(self, law=law, observer=observer)
+        for name in ("library", "model_functions", "plant_functions"):
+            other.__dict__[name] = getattr(self, name)
+        return other
+
     def build(self) -> None:
         """Compile everything that `run` needs; raises CompilerError without a C compiler."""
         _ = self.library, self.model_functions, self.plant_functions
@@ -162,6 +176,12 @@ class BatchProgram:
             for what in ("step", "velocity", "state", "torque")
         ]
         return {function.name(): function for function in each}
+
+
+def _form(law: SampledLaw) -> str:
+    """Return what laws share that differ in the values of their gains only: classes, sizes, prediction."""
+    sizes = f"{len(law.gain_values)} gains and a controller state of {len(law.memory)}"
+    return f"a {type(getattr(law, 'law', law)).__name__} with {sizes}, evaluated {law.lead:g} s ahead"
 
 
 def plain_settings(n: int) -> Settings:

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr tune`: result, scenario and picture; a search that goes on where it ended; invalid files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.studies.tuning.picture import pareto
+from fjr_core.config.scenario import load_scenario
+from system.executables import fjr_here
+
+pytestmark = pytest.mark.system
+STUDY = """
+scenario: paper_k31
+duration: 0.6
+seed: 4
+vary:
+  stiffness: {log_uniform: [0.5, 2.0]}
+  delay: 0.001
+  velocity_noise: 0.1
+tune:
+  success: 0.9
+  delay_margin: 2.0
+  limits: {effort_peak: 27.0}
+  candidates: 40
+  draws: 12
+  fresh: 100
+success: {rms: 0.05}
+settle_after: 0.3
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("tuned")
+
+
+@pytest.fixture(scope="module")
+def study(folder: Path) -> Path:
+    path = folder / "joint.yaml"
+    path.write_text(STUDY)
+    return path
+
+
+@pytest.fixture(scope="module")
+def said(folder: Path, study: Path) -> str:
+    return fjr_here("tune", str(study), "--cores", "2", "--output", str(folder))
+
+
+def result(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "joint_v_dpbc" / "result.json").read_text())
+    return found
+
+
+def test_tuned_gains_are_better_on_fresh_draws_and_keep_the_constraints(folder: Path, said: str) -> None:
+    found = result(folder)
+    assert found["figures"]["rms"]["tuned_50%"] < found["figures"]["rms"]["start_50%"]
+    assert found["constraints_kept"]
+    assert found["success"]["tuned"] >= 0.9
+    assert found["figures"]["effort_peak"]["tuned_50%"] <= 27.0
+    assert "constraints are violated" not in said
+
+
+def test_the_scenario_has_the_tuned_gains(folder: Path, said: str) -> None:
+    found, written = result(folder), load_scenario(folder / "joint_v_dpbc" / "tuned.yaml")
+    for name, value in found["parameters"].items():
+        assert list(written.controller_values[name]) == pytest.approx(value, rel=1e-12)
+    assert set(found["factors"]) == set(found["parameters"])
+    assert f"scenario with these gains: {folder / 'joint_v_dpbc' / 'tuned.yaml'}" in said
+
+
+def test_a_picture_shows_the_fronts(folder: Path, said: str) -> None:
+    assert matplotlib.image.imread(folder / "joint_v_dpbc" / "overview.png")[..., :3].std() > 0.05
+
+
+def test_no_point_beats_one_on_the_front_and_all_others_are_beaten() -> None:
+    x, y = np.random.default_rng(1).uniform(size=(2, 60))
+    among = x > 0.1
+    front = set(pareto(x, y, among).tolist())
+    for i in np.flatnonzero(among):
+        beaten = any(among[j] and x[j] <= x[i] and y[j] <= y[i] for j in range(60) if j != i)
+        assert beaten != (int(i) in front)
+
+
+def test_a_search_that_was_cut_off_ends_with_the_same_result_on_another_number_of_cores(
+    folder: Path, study: Path, said: str
+) -> None:
+    whole = (folder / "joint_v_dpbc" / "evaluations.jsonl").read_bytes()
+    lines = whole.splitlines(keepends=True)
+    other = folder / "other" / "joint_v_dpbc"
+    other.mkdir(parents=True)
+    (other / "tuning.json").write_bytes((folder / "joint_v_dpbc" / "tuning.json").read_bytes())
+    (other / "evaluations.jsonl").write_bytes(b"".join(lines[: len(lines) // 2]) + lines[len(lines) // 2][:40])
+    fjr_here("tune", str(study), "--cores", "1", "--output", str(folder / "other"))
+    assert sorted((other / "evaluations.jsonl").read_bytes().splitlines()) == sorted(whole.splitlines())
+    assert (other / "result.json").read_text() == (folder / "joint_v_dpbc" / "result.json").read_text()
+
+
+def test_another_study_in_the_folder_is_refused(folder: Path, study: Path, said: str) -> None:
+    refused = fjr_here("tune", str(study), "--seed", "9", "--output", str(folder), code=Exit.FAILED)
+    assert "holds another study (seed is 4, not 9)" in refused
+
+
+def test_the_gains_of_another_law_are_its_own_parameters(folder: Path, study: Path, said: str) -> None:
+    size = ["--candidates", "6", "--draws", "4", "--fresh", "8"]
+    fjr_here("tune", str(study), "--law", "backstepping", *size, "--output", str(folder))
+    written = load_scenario(folder / "joint_backstepping" / "tuned.yaml")
+    assert written.controller_values["law.type"] == "backstepping"
+    assert written.controller_values["law.tuned"] is False
+    assert len(written.controller_values["law.gain_factors"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ("{draw: 5}", "'tune' has 'draw'; did you mean 'draws'?"),
+        ("{draws: 2.5}", "'tune' has 2.5 as 'draws'; expected a whole number"),
+        ("{minimise: rms}", "'tune' has 'rms' as 'minimise'; expected figures and numbers"),
+        ("{quantile: high}", "'tune' has 'high' as 'quantile'; expected a number"),
+        ("{law: 3}", "'tune' has 3 as 'law'; expected the name of a law"),
+        ("{law: pid}", "'pid'; expected one of v_dpbc"),
+        ("[draws]", "as 'tune'; expected a mapping"),
+    ],
+)
+def test_invalid_files_are_refused_in_one_sentence(tmp_path: Path, section: str, words: str) -> None:
+    path = tmp_path / "joint.yaml"
+    path.write_text(STUDY[: STUDY.index("tune:")] + f"tune: {section}\n")
+    refused = fjr_here("tune", str(path), "--output", str(tmp_path), code=Exit.NOT_UNDERSTOOD)
+    assert words in refused
+    assert "Traceback" not in refused
