@@ -21,6 +21,7 @@ LONGEST_FIRST = (
     "system/test_network_namespaces.py",
     "core/control/test_law.py",
     "system/test_fjr_tune.py",
+    "system/test_compare_tuned.py",
     "core/experiments/test_tuning.py",
     "core/stability/test_complete_loop_check.py",
     "core/monitoring/test_diagnosis.py",

@@ -14,6 +14,7 @@ import pytest
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.studies.tuning.picture import pareto
 from fjr_core.config.scenario import load_scenario
+from system.documented import documented_keys
 from system.executables import fjr_here
 
 pytestmark = pytest.mark.system
@@ -101,6 +102,12 @@ def test_a_search_that_was_cut_off_ends_with_the_same_result_on_another_number_o
     fjr_here("tune", str(study), "--cores", "1", "--output", str(folder / "other"))
     assert sorted((other / "evaluations.jsonl").read_bytes().splitlines()) == sorted(whole.splitlines())
     assert (other / "result.json").read_text() == (folder / "joint_v_dpbc" / "result.json").read_text()
+
+
+def test_the_json_has_the_documented_keys(folder: Path, study: Path, said: str) -> None:
+    again = fjr_here("tune", str(study), "--output", str(folder), "--json")
+    values, _ = json.JSONDecoder().raw_decode(again[again.index("{") :])
+    assert set(values) == documented_keys()["tune"]
 
 
 def test_another_study_in_the_folder_is_refused(folder: Path, study: Path, said: str) -> None:

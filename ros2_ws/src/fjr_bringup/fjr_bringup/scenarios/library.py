@@ -62,17 +62,25 @@ def as_run(path: Path, overrides: Mapping[str, Any]) -> tuple[str, Scenario]:
         raise ParameterError(f"scenario {path.stem}: {error}") from None
 
 
+def text_with(name: str, text: str, overrides: Mapping[str, Any]) -> str:
+    """Return the text of a self-contained scenario with parameters changed; raises ParameterError."""
+    return _changed(name, ros_yaml.parse(text), Path.cwd(), overrides)
+
+
 def _self_contained(path: Path, overrides: Mapping[str, Any]) -> str:
-    document = ros_yaml.read(path, "scenario")
+    return _changed(path.name, ros_yaml.read(path, "scenario"), path.parent, overrides)
+
+
+def _changed(name: str, document: Any, folder: Path, overrides: Mapping[str, Any]) -> str:
     given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
-    for name, value in overrides.items():
-        nodes = _nodes_with(name, given, path.parent)
+    for parameter, value in overrides.items():
+        nodes = _nodes_with(parameter, given, folder)
         for node in given:
-            if node in nodes or name in given[node]:  # the section for all nodes gives it to every node
-                given[node] |= robot_file.absolute({name: value}, Path.cwd())  # relative to the current folder
-    changes = "".join(f"\n#   {name}:={_brief(value)}" for name, value in overrides.items())
-    header = f"# {path.name} as it was run" + (f", with{changes}" if changes else "")
-    return f"{header}\n{ros_yaml.dump(self_contained(given, path.parent))}"
+            if node in nodes or parameter in given[node]:  # the section for all nodes gives it to every node
+                given[node] |= robot_file.absolute({parameter: value}, Path.cwd())  # relative to the current folder
+    changes = "".join(f"\n#   {parameter}:={_brief(value)}" for parameter, value in overrides.items())
+    header = f"# {name} as it was run" + (f", with{changes}" if changes else "")
+    return f"{header}\n{ros_yaml.dump(self_contained(given, folder))}"
 
 
 def _brief(value: Any) -> str:

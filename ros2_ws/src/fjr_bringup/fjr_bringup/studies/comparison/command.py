@@ -26,7 +26,7 @@ def compare(name: str, output: Path, cores: int | None, page: Path | None, stop:
     """
     chosen = suite.load(library.find(name, "suite"))
     if page is not None:
-        markdown.check(page)
+        markdown.check(page, chosen.name)
     for law in chosen.laws:
         if is_named(law.law) and not issubclass(load(law.law), StaticLaw):
             print(

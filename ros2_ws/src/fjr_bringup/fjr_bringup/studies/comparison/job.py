@@ -13,17 +13,20 @@ from typing import Any
 
 import numpy as np
 
+from fjr_bringup.scenarios import library
 from fjr_bringup.studies.comparison.suite import LawChoice, Suite, scenario_texts
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.experiments.comparison import MotionDemand, Trial, directions, motion_demand
 from fjr_core.experiments.comparison.tuned_law import TunedLaw, tuned_law
+from fjr_core.experiments.comparison.uncertainties import Uncertainties, law_for
 from fjr_core.experiments.scenario_loop import scenario_loop
 from fjr_core.files.python_class import is_named, load, source_digest
 from fjr_core.numerics.jit_cache import program_digest
 
 TRACE_POINTS = 600
 SETTLED = 0.02  # of the motion; band of the settling time
+TUNING = 0.8  # of the work on a law that is tuned to uncertainties
 Result = dict[str, Any]
 OnProgress = Callable[[float], None]
 
@@ -40,6 +43,7 @@ class Job:
     duration: float
     settle_after: float
     tracks: float
+    tune: Mapping[str, Any] | None = None
 
     @property
     def name(self) -> str:
@@ -56,7 +60,7 @@ class Job:
 def jobs(suite: Suite) -> list[Job]:
     """Return a job for every law on every robot, robot by robot; raise CompareError for an invalid robot."""
     texts = [(robot.label, scenario_texts(robot)) for robot in suite.robots]
-    shared = (suite.imperfections, suite.margins, suite.duration, suite.settle_after, suite.tracks)
+    shared = (suite.imperfections, suite.margins, suite.duration, suite.settle_after, suite.tracks, suite.tune)
     return [Job(law, robot, found, *shared) for robot, found in texts for law in suite.laws]
 
 
@@ -65,10 +69,7 @@ def work(job: Job, on_progress: OnProgress) -> Result:
     scenarios = {label: parse_scenario(job.robot, text) for label, text in job.scenarios}
     first = next(iter(scenarios.values()))
     wanted = {label: _needs(job, label, scenario) for label, scenario in scenarios.items()}
-    try:
-        chosen = tuned_law(job.law.law, job.law.robust, first, job.law.retune, job.law.options)
-    except FjrError as error:
-        raise CompareError(f"{job.name}: {error}") from None
+    chosen, uncertain = _chosen(job, first, next(iter(wanted.values())), on_progress)
     cells: Result = {}
     found: Result = {}
     runs = 0
@@ -78,7 +79,7 @@ def work(job: Job, on_progress: OnProgress) -> Result:
         cells[label] = {name: asdict(cell) for name, cell in zip(job.imperfections, each, strict=True)}
         found = found or {**_margins(job, trial), "trace": _trace(trial)}
         runs += len(each) + len(trial.evaluated)
-        on_progress(done / len(scenarios))
+        on_progress(max(done / len(scenarios), TUNING if job.tune else 0.0))
     return {
         "robot": _robot(first, wanted),
         "gains": dict(chosen.gains),
@@ -86,8 +87,33 @@ def work(job: Job, on_progress: OnProgress) -> Result:
         "effort_limit_nm": chosen.effort_limit.tolist(),
         "cells": cells,
         **found,
+        "uncertain": uncertain,
         "runs": runs,
     }
+
+
+def _chosen(
+    job: Job, first: Scenario, demand: MotionDemand, on_progress: OnProgress
+) -> tuple[TunedLaw, Mapping[str, float | None]]:
+    """Return the law with its gains, and its figures on fresh draws if it was tuned to uncertainties."""
+    law = job.law
+    try:
+        ruled = tuned_law(law.law, law.robust, first, law.retune, law.options)
+        if job.tune is None:
+            return ruled, {}
+        n = first.robot.n
+        values: dict[str, Any] = {"law.type": law.law, "robust.hold": first.sample_period}
+        values |= {
+            f"robust.{name}": [value] * n if name.endswith("gain") else value for name, value in law.robust.items()
+        }
+        text = library.text_with(job.robot, job.scenarios[0][1], values)
+        bounds = {"effort_limit": ruled.effort_limit.tolist(), "tracks": job.tracks}
+        found = law_for(
+            text, Uncertainties(**job.tune), demand, **bounds, on_progress=lambda s: on_progress(TUNING * s)
+        )
+    except FjrError as error:
+        raise CompareError(f"{job.name}: {error}") from None
+    return TunedLaw(found.law, ruled.effort_limit, found.parameters, found.sentence), found.figures
 
 
 def _margins(job: Job, trial: Trial) -> Result:

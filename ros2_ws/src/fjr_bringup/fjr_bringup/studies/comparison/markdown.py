@@ -14,28 +14,37 @@ from fjr_core.errors import CompareError
 BEGIN, END = "<!-- fjr compare: begin -->", "<!-- fjr compare: end -->"
 
 
-def check(path: Path) -> None:
-    """Check that a file has the marks; raise CompareError otherwise."""
-    _parts(path)
+def check(path: Path, suite: str) -> None:
+    """Check that a file has the marks of a suite; raise CompareError otherwise."""
+    _parts(path, suite)
+
+
+def marks(suite: str) -> tuple[str, str]:
+    """Return the lines between which the table of this suite stands in a file with several tables."""
+    return f"<!-- fjr compare {suite}: begin -->", f"<!-- fjr compare {suite}: end -->"
 
 
 def replace(path: Path, document: dict[str, Any]) -> None:
-    """Write the table of a comparison between the marks of a file; raise CompareError if it lacks them."""
-    before, after = _parts(path)
-    path.write_text(f"{before}{BEGIN}\n{markdown(document)}{END}{after}", encoding="utf-8")
+    """Write the table of a comparison between its marks in a file, else between those without a name.
+
+    Raise CompareError if the file lacks them.
+    """
+    before, begin, end, after = _parts(path, document["suite"]["name"])
+    path.write_text(f"{before}{begin}\n{markdown(document)}{end}{after}", encoding="utf-8")
 
 
-def _parts(path: Path) -> tuple[str, str]:
-    """Return the text before the first mark and after the second."""
+def _parts(path: Path, suite: str) -> tuple[str, str, str, str]:
+    """Return the text before the first mark, both marks, and the text after the second."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise CompareError(f"cannot read {path}: {error.strerror}") from None
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not (begin and end):
-        raise CompareError(f"{path} lacks the lines '{BEGIN}' and '{END}'; expected both, in this order")
-    return before, after
+    for first, last in (marks(suite), (BEGIN, END)):
+        before, begin, rest = text.partition(first)
+        _, end, after = rest.partition(last)
+        if begin and end:
+            return before, begin, end, after
+    raise CompareError(f"{path} lacks the lines '{BEGIN}' and '{END}'; expected both, in this order")
 
 
 def markdown(document: dict[str, Any]) -> str:
@@ -52,7 +61,7 @@ def markdown(document: dict[str, Any]) -> str:
 
 
 def _is_shown(row: Row, reference: str) -> bool:
-    if row.group == "margins":
+    if row.group in ("margins", "uncertain"):
         return True
     return (row.group, row.what) in {(f"errors {reference}", NOMINAL), (f"metrics {reference}", "peak effort")}
 

@@ -32,7 +32,7 @@ def write_page(path: Path, document: dict[str, Any]) -> None:
         kicker=f"fjr compare {suite['name']}",
         heading=f"{extent(document)[:-1]}: {', '.join(document['robots'])}",
         tiles=_tiles(document),
-        note=NO_RANKING,
+        note=ALL_ALIKE if suite["tune"] else NO_RANKING,
         laws=[
             {"title": law["title"], "colour": colour, "dash": dash}
             for law, (colour, dash) in zip(laws, looks(laws), strict=True)
@@ -49,7 +49,7 @@ def write_page(path: Path, document: dict[str, Any]) -> None:
             *(f"tuned on {r}" for r in document["robots"]),
         ],
         sources=[[law["title"], law["paper"], law["adds"], law["measures"], *_tunings(law, document)] for law in laws],
-        sources_text=f"All{exception_to_tuning(document)} tuned {TUNED}",
+        sources_text=f"All{exception_to_tuning(document)} tuned {TO_UNCERTAINTIES if suite['tune'] else TUNED}",
         footer=HOW,
     )
 
@@ -66,8 +66,12 @@ def _tiles(document: dict[str, Any]) -> list[tuple[str, str]]:
         (str(len(document["laws"])), "versions of control laws"),
         (str(document["runs"]), f"independent runs of {suite['duration']:g} s"),
         (f"{100 * suite['tracks']:g} % of the motion", "RMS error up to which a stable run tracks"),
-        ("one rule", f"of tuning for all laws{exception_to_tuning(document)}: docs/baselines.md"),
+        ("one rule", f"of tuning for all laws{exception_to_tuning(document)}: {_page(suite)}"),
     ]
+
+
+def _page(suite: dict[str, Any]) -> str:
+    return "docs/tuning.md" if suite["tune"] else "docs/baselines.md"
 
 
 def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -> dict[str, Any]:
@@ -84,11 +88,20 @@ def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -
         "text": f"{joints}, sample period {period}. Motions: {references}.",
         "place": place_of(i),
         "tables": [
+            *_uncertain(found),
             ("Robustness margins", _groups(found, "margins"), _margins_text(first, document)),
             ("RMS error [mrad]", _groups(found, "errors"), "Of the links, over time and joints, once settled."),
             ("The nominal run", _groups(found, "metrics"), "Errors in mrad; efforts from the start on."),
         ],
     }
+
+
+def _uncertain(found: Sequence[Row]) -> list[Any]:
+    """Return the table of the drawn plants, if the laws were tuned to uncertainties."""
+    groups = _groups(found, "uncertain")
+    return [("Drawn plants", groups, f"Fresh draws of the uncertainties that all laws are tuned to. {DASHED}")] * bool(
+        groups
+    )
 
 
 def _tunings(law: dict[str, Any], document: dict[str, Any]) -> list[str]:
@@ -108,6 +121,13 @@ def _margins_text(reference: str, document: dict[str, Any]) -> str:
 NO_RANKING = (
     "Rows are facts about one quantity each, not a ranking: the rule of tuning makes bandwidths equal, but not margins "
     "or peak efforts everywhere, and v-dPBC with the gains of the scenario is the tuning target."
+)
+ALL_ALIKE = (
+    "Every law is tuned to the same uncertainties with the same cost, draws and number of candidates. Rows are facts "
+    "about one quantity each."
+)
+TO_UNCERTAINTIES = (
+    "to the same uncertainties (docs/tuning.md); every command is cut at the same limit. Gains are in comparison.json."
 )
 TUNED = (
     "by one rule to equal bandwidth and peak effort (docs/baselines.md); every command is cut at the same "

@@ -105,10 +105,23 @@ def rows(document: dict[str, Any]) -> list[Row]:
     found: list[Row] = []
     for robot in document["robots"]:
         laws = [document["results"][robot][law["label"]] for law in document["laws"]]
+        found += _uncertain(robot, laws)
         found += _margins(robot, laws, document["suite"]["margins"])
         found += _errors(robot, laws, document)
         found += _metrics(robot, laws, document)
     return found
+
+
+def _uncertain(robot: str, laws: Sequence[Any]) -> Iterator[Row]:
+    """Yield the figures on fresh draws of laws that were tuned to uncertainties."""
+    if all(law["uncertain"] for law in laws):
+        for what, name, words, less in UNCERTAIN:
+            values = [law["uncertain"][name] for law in laws]
+            yield Row(robot, "uncertain", what, tuple(_drawn(value, words) for value in values), less)
+
+
+def _drawn(value: float | None, words: Words) -> Value:
+    return Value(value, DASH if value is None else words(value), "lost" if value is None else "tracks")
 
 
 def _margins(robot: str, laws: Sequence[Any], axes: Sequence[str]) -> Iterator[Row]:
@@ -145,6 +158,12 @@ def _errors(robot: str, laws: Sequence[Any], document: dict[str, Any]) -> Iterat
             yield Row(robot, f"errors {reference}", name, tuple(_value(cell, "rms", milliradians) for cell in cells))
 
 
+UNCERTAIN: tuple[tuple[str, str, Words, bool], ...] = (
+    ("RMS error of drawn plants, median [mrad]", "rms", lambda v: milliradians(v), True),
+    ("RMS error of drawn plants, 95 % [mrad]", "rms_outer", lambda v: milliradians(v), True),
+    ("drawn plants that track", "success", lambda v: percent(v, 1), False),
+    ("noise in the effort, drawn plants", "effort_noise", lambda v: number(v, "N m"), True),
+)
 METRICS: tuple[tuple[str, str, Words], ...] = (
     ("largest error", "peak", lambda v: milliradians(v)),
     ("settled after", "settling", lambda v: number(v, "s")),

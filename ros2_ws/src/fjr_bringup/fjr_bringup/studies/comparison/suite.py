@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +13,16 @@ from fjr_bringup.scenarios import library
 from fjr_core.config import ros_yaml
 from fjr_core.control.registry import LAWS, V_DPBC
 from fjr_core.control.robust import Robust
-from fjr_core.errors import CompareError, FjrError
+from fjr_core.errors import CompareError, FjrError, ParameterError
 from fjr_core.experiments.comparison.perturbations import directions, known
 from fjr_core.experiments.comparison.trial import TRACKS
+from fjr_core.experiments.comparison.uncertainties import uncertainties
 from fjr_core.experiments.scenario_loop import refuse_what_is_left_out
 from fjr_core.files.python_class import is_named
 from fjr_core.files.python_class import load as load_class
 
 REQUIRED = ("laws", "robots")
-KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks")
+KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks", "tune")
 NOMINAL = "nominal"
 CHANGED = ("reference.", "initial_")  # parameters that references of one robot may change
 GAINS = ("scenario", TUNED := "tuned")  # of v-dPBC
@@ -57,7 +58,8 @@ class Suite:
     """Specification of `fjr compare`. duration [s]: of every run; settle_after [s]: start of the error metrics.
 
     imperfections: name -> axis -> level; margins: axes along which the largest level is searched, with the
-    first reference. tracks: see fjr_core.experiments.comparison.Trial.
+    first reference. tracks: see fjr_core.experiments.comparison.Trial. tune: uncertainties for which every law is tuned
+    (Uncertainties as plain values), None: by the rule of equal bandwidth.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Suite:
     duration: float
     settle_after: float
     tracks: float
+    tune: Mapping[str, Any] | None = None
 
 
 def load(path: Path) -> Suite:
@@ -97,7 +100,17 @@ def read(name: str, document: Any) -> Suite:
         duration=duration,
         settle_after=_number("settle_after", given.get("settle_after", duration / 2), lambda v: 0 <= v < duration),
         tracks=_number("tracks", given.get("tracks", TRACKS), lambda value: 0 < value < 1),
+        tune=_tune(given["tune"]) if "tune" in given else None,
     )
+
+
+def _tune(given: Any) -> dict[str, Any]:
+    """Return the section `tune` with all its defaults as plain values."""
+    section = _mapping("'tune'", given)
+    try:
+        return asdict(uncertainties(section))
+    except ParameterError as error:
+        raise CompareError(f"'tune': {error}") from None
 
 
 def _laws(given: Any) -> tuple[LawChoice, ...]:

@@ -69,9 +69,9 @@ class TuningStudy:
 
     def run(self, point: Sequence[float], begin: int, end: int) -> Figures:
         """Return the figures of the runs begin .. end - 1 with the gains at a point; none if no such gains exist."""
+        first = self.sweep.loop
         try:
-            law, observer = self.coordinates.controller(point)
-            loop = self.sweep.loop.with_law(law, observer)
+            loop = first.with_law(*self.coordinates.controller(point))
         except FjrError:
             return {}
         outcomes = loop.run(self.sweep.draws(begin, end))
