@@ -24,7 +24,7 @@ from ..robot.payload import PayloadArm
 from ..robot.rigid_arm import RigidArm
 from ..robot.robot import Robot
 from ..simulation.nonideal_plant import friction
-from .parameters import KINDS, TIMING, size
+from .parameters import KINDS, OF_LINKS, POSITION_TORQUE, TIMING, size
 
 DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
 """Parameters of the equations of motion."""
@@ -71,6 +71,18 @@ class ElasticArm:
         q, v, a, parameters = s.values()
         links = self._links(self.layout.named(parameters))
         return dense_function("link_torque", s, {"torque": self._rigid(links, q, v, a)}, cse=True)
+
+    @cached_property
+    def link_torque_slopes(self) -> ca.Function:
+        """Return the function (q, v, a, parameters) -> derivatives (n, m) of link_torque by its m free parameters."""
+        n = self.robot.n
+        s = symbols(q=n, v=n, a=n, parameters=self.layout.size)
+        *motion, parameters = s.values()
+        torque = self._rigid(self._links(self.layout.named(parameters)), *motion)
+        of_links = set(free_entries(self.layout, [(name, i) for name in OF_LINKS for i in range(size(name, n))]))
+        free = [i for i in self.free if i in of_links]
+        slopes = ca.jacobian(torque, parameters)[:, free]
+        return dense_function("link_torque_slopes", s, {"slopes": ca.vec(ca.densify(slopes))}, cse=True)
 
     @cached_property
     def link_inertia(self) -> ca.Function:
@@ -127,8 +139,12 @@ class ElasticArm:
 
 def position_torque(p: SimpleNamespace, q: ca.SX, f: Any = ca) -> ca.SX:
     """Return the torque sum_k a_k sin k q + b_k cos k q (n,) [N m], k = 1, 2; f: casadi or numpy."""
-    first = p.position_torque_sin1 * f.sin(q) + p.position_torque_cos1 * f.cos(q)
-    return first + p.position_torque_sin2 * f.sin(2 * q) + p.position_torque_cos2 * f.cos(2 * q)
+    return sum(getattr(p, name) * term for name, term in zip(POSITION_TORQUE, position_terms(q, f), strict=True))
+
+
+def position_terms(q: Any, f: Any = ca) -> tuple[Any, ...]:
+    """Return what POSITION_TORQUE are the factors of: sin q, cos q, sin 2 q, cos 2 q."""
+    return f.sin(q), f.cos(q), f.sin(2 * q), f.cos(2 * q)
 
 
 def free_entries(layout: PackedVector, free: Sequence[tuple[str, int]]) -> tuple[int, ...]:

@@ -34,6 +34,8 @@ WIDE, FAST = 0.05, 1.0  # rad, rad/s; least widths of the prior of initial state
 SLOW = 3.0  # smoothing velocities; friction is steep below
 LEAST_DEFLECTION = 1e-3  # rad; of the torque that is taken as the scale of a joint without effort
 FARTHEST = 3.0  # widths of the prior, of a start value
+HARMONICS = {"1": 3.0, "2": 0.1}
+"""Widths of the prior of a torque of the position, in efforts; a small second one lets it extrapolate."""
 MOST_POSES = 20  # samples of a record at which resonances are computed
 
 
@@ -73,7 +75,7 @@ class Estimation:
         }
         found |= dict.fromkeys(("link_damping", "motor_damping"), damping)
         found |= {name: 0.3 * effort for name in KINDS if name.endswith("friction")}
-        found |= dict.fromkeys(POSITION_TORQUE, effort)
+        found |= {name: HARMONICS[name[-1]] * effort for name in POSITION_TORQUE}
         found |= {"payload_mass": np.array([10.0])}
         return {**found, **self.prior.widths}
 
@@ -94,11 +96,18 @@ class Estimation:
     @cached_property
     def _added_inertia(self) -> tuple[float, ...]:
         """Return the inertia [kg m^2] that lowers the resonance of each link to the fastest one that is integrated."""
-        where = np.vstack([_poses(record) for record in self.records])
+        where = np.vstack([poses(record) for record in self.records])
         least = least_free_inertia([self.robot.M_l(q) for q in where])
         fastest = ACCURATE * RESONANT_PARTS / max(record.dt for record in self.records)
         needed = 2 * self.prior.values["joint_stiffness"] / fastest**2
         return tuple(float(f"{value:.2g}") for value in np.where(needed > least, needed, 0.0))
+
+    def segment_length(self, start: Mapping[str, Array]) -> float:
+        """Return the length [s] of the segments that follows from start values."""
+        return self._length(_rates(self.arm(self.coordinates), self.records, start)[0])
+
+    def _length(self, slowest: float) -> float:
+        return self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
 
     def problem(
         self, coordinates: Coordinates, start: Mapping[str, Array], motions: Sequence[FilteredMotion]
@@ -106,7 +115,7 @@ class Estimation:
         """Return the segments of the records with the model; their length and steps follow from the start values."""
         arm = self.arm(coordinates)
         slowest, fastest, creep = _rates(arm, self.records, start)
-        length = self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
+        length = self._length(slowest)
         smoothing = np.tile(start["smoothing"], 2)
         acceleration = _reversals(motions, SLOW * smoothing)
         near_rest = np.maximum(creep, acceleration / smoothing / PASSAGE)
@@ -157,7 +166,7 @@ def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Arr
     K, B, values = np.diag(p["joint_stiffness"]), p["motor_inertia"], packed(arm, p)
     slowest, fastest, mobility = np.inf, 0.0, np.zeros(len(B))
     for record in records:
-        for sample in _poses(record):
+        for sample in poses(record):
             inverse = np.linalg.inv(arm.link_inertia(sample, values).full())
             resonances = np.sqrt(np.linalg.eigvals(K @ (inverse + np.diag(1 / B))).real)
             slowest, fastest = min(slowest, resonances.min()), max(fastest, resonances.max())
@@ -183,7 +192,7 @@ def _state_width(motions: Sequence[FilteredMotion]) -> Array:
     return np.concatenate([np.tile(WIDE + 2 * deflection, 2), np.tile(FAST + 2 * speed, 2)])
 
 
-def _poses(record: MotionRecord) -> Array:
+def poses(record: MotionRecord) -> Array:
     """Return some measured positions (k, n) along a record."""
     q = np.where(np.isfinite(record.q_l), record.q_l, record.q_m)
     known = q[np.all(np.isfinite(q), axis=1)]

@@ -3,30 +3,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..numerics.checks import Array
-from .gauss_newton import Optimum, Problem
+from .gauss_newton import ROUGH, Optimum, Problem
 from .motion_record import MotionRecord
 from .result import Fit
+from .segments import Comparison
 
 
 def fits(problem: Problem, optimum: Optimum) -> tuple[Fit, ...]:
+    """Return the fit of each record at the optimum."""
+    return _fits(problem, optimum.compared, optimum.noise)
+
+
+def fits_at(problem: Problem, z: Array, x0: Array) -> tuple[Fit, ...]:
+    """Return the fit of each record at z (p,), from initial states near x0 (segments, 4n); () if it is not finite."""
+    found = problem.evaluate(z, x0, np.maximum(problem.floor, ROUGH))
+    return _fits(problem, found[1], problem.noise(found[1])) if found else ()
+
+
+def _fits(problem: Problem, compared: Sequence[Comparison], noise: Array) -> tuple[Fit, ...]:
     """Return the fit of each record; samples outside the segments are predicted by NaN."""
     records = list({id(segment.record): segment.record for segment in problem.segments}.values())
-    return tuple(_fit(problem, optimum, record) for record in records)
+    return tuple(_fit(problem, compared, noise, record) for record in records)
 
 
-def _fit(problem: Problem, optimum: Optimum, record: MotionRecord) -> Fit:
+def _fit(problem: Problem, comparisons: Sequence[Comparison], deviations: Array, record: MotionRecord) -> Fit:
     names = sorted({signal for signal, _ in problem.signals})
     predicted = {name: np.full(record.u.shape, np.nan) for name in names}
     noise = {name: np.full(record.u.shape[1], np.nan) for name in names}
-    for segment, compared in zip(problem.segments, optimum.compared, strict=True):
+    for segment, compared in zip(problem.segments, comparisons, strict=True):
         if segment.record is record:
             for k, (signal, joint) in enumerate(problem.signals):
                 predicted[signal][segment.first : segment.first + segment.count, joint] = compared.predicted[k]
     for k, (signal, joint) in enumerate(problem.signals):
-        noise[signal][joint] = optimum.noise[k]
+        noise[signal][joint] = deviations[k]
     measured = {name: np.asarray(getattr(record, name)) for name in names}
     t: Array = record.dt * np.arange(len(record.u), dtype=float)
     return Fit(record.name, t, measured, predicted, noise, explained(measured, predicted))

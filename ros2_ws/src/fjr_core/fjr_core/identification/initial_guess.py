@@ -11,11 +11,12 @@ Analytical Chemistry 36(8), 1964).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.signal import savgol_filter
+from scipy.signal import resample_poly, savgol_filter
 
 from ..numerics.checks import Array
 from .coordinates import packed
@@ -25,6 +26,8 @@ from .parameters import Prior
 
 WINDOW = 0.03  # s
 ORDER = 4
+BAND, MARGIN = 0.99, 4.0  # share of the power of velocities below a frequency, and the cutoff relative to it
+CUTOFF = (8.0, 40.0)  # Hz; least and largest cutoff
 OTHER_ORDER = 8.0  # ratio of a value to its prior that is not believed
 TRIED = np.arange(-6, 6.5, 0.5) * 1e-3  # s; skews and delays
 
@@ -45,6 +48,15 @@ class FilteredMotion:
     a_m: Array
     u: Array
     rigid: Array
+
+    @cached_property
+    def stride(self) -> int:
+        """Return the number of samples from one independent sample to the next, by the bandwidth of the motion."""
+        power = np.abs(np.fft.rfft(np.nan_to_num(self.v_m), axis=0)) ** 2
+        share = np.cumsum(power, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)
+        highest = np.max(np.argmax(share >= BAND, axis=0)) / (len(self.v_m) * self.dt)
+        cutoff = np.clip(MARGIN * highest, *CUTOFF)
+        return max(1, int(0.4 / (cutoff * self.dt)))
 
     def state(self, sample: int) -> Array:
         """Return (q_l, q_m, v_l, v_m) (4n,) at a sample."""
@@ -79,16 +91,20 @@ def start_values(
     return found
 
 
-def shared(found: Mapping[str, Array]) -> dict[str, Array]:
+def shared(found: Mapping[str, Array], with_skew: Collection[int]) -> dict[str, Array]:
     """Return start values with damping and Coulomb friction divided evenly between the sides of each joint.
 
     Only their sums are known well. A descent that starts with all friction on one side may end in a local minimum.
+    with_skew: joints whose skew is free; there link damping D_l acts like a skew and a delay of D_l / K.
     """
     halves: dict[str, Array] = {}
     for kind in ("damping", "coulomb_friction"):
         half = (found[f"link_{kind}"] + found[f"motor_{kind}"]) / 2
         halves |= {f"link_{kind}": half, f"motor_{kind}": half}
-    return {**found, **halves}
+    chosen = np.isin(np.arange(len(found["joint_stiffness"])), list(with_skew))
+    late = np.where(chosen, (halves["link_damping"] - found["link_damping"]) / found["joint_stiffness"], 0.0)
+    timing = {name: found[name] + late for name in ("link_skew", "effort_delay")}
+    return {**found, **halves, **timing}
 
 
 def _link_side(found: dict[str, Array], motions: list[FilteredMotion], j: int, smoothing: float) -> None:
@@ -98,7 +114,7 @@ def _link_side(found: dict[str, Array], motions: list[FilteredMotion], j: int, s
     """
     best, D_l, prior = np.inf, found["link_damping"][j], found["joint_stiffness"][j]
     for skew in TRIED:
-        rows = [link_rows(m, j, skew, D_l, smoothing) for m in motions]
+        rows = [_link_rows(m, j, skew, D_l, smoothing) for m in motions]
         A, y = np.vstack([a for a, _ in rows]), np.concatenate([b for _, b in rows])
         solution, squares = _solved(A, y)
         if not 1 / OTHER_ORDER < prior * solution[0] < OTHER_ORDER:
@@ -111,7 +127,7 @@ def _link_side(found: dict[str, Array], motions: list[FilteredMotion], j: int, s
             found["link_coulomb_friction"][j] = max(0.0, solution[1] / solution[0])
 
 
-def link_rows(m: FilteredMotion, j: int, skew: float, D_l: float, smoothing: float) -> tuple[Array, Array]:
+def _link_rows(m: FilteredMotion, j: int, skew: float, D_l: float, smoothing: float) -> tuple[Array, Array]:
     """Return regressors (k, 3) of (1 / K, F_l / K, offset) and the deflection (k,) of joint j at a skew [s]."""
     q_l, v_l, rigid = (shifted(each[:, j], m.dt, skew) for each in (m.q_l, m.v_l, m.rigid))
     A = np.column_stack([rigid + D_l * v_l, np.tanh(v_l / smoothing), np.ones(len(q_l))])
@@ -124,7 +140,7 @@ def _motor_side(
     """Choose the delay with the least residual of the motor's equation, and set B, D_m and F_m."""
     best, prior = np.inf, found["motor_inertia"][j]
     for delay in TRIED[TRIED >= 0]:
-        rows = [motor_rows(found, m, j, delay, smoothing, robot_input) for m in motions]
+        rows = [_motor_rows(found, m, j, delay, smoothing, robot_input) for m in motions]
         A, y = np.vstack([a for a, _ in rows]), np.concatenate([b for _, b in rows])
         solution, squares = _solved(A, y)
         if squares < best:
@@ -135,7 +151,7 @@ def _motor_side(
     found["motor_coulomb_friction"][j] = max(0.0, F_m)
 
 
-def motor_rows(
+def _motor_rows(
     found: Mapping[str, Array], m: FilteredMotion, j: int, delay: float, smoothing: float, robot_input: Array
 ) -> tuple[Array, Array]:
     """Return regressors (k, 3) of (B, D_m, F_m) and the torque (k,) on the motor of joint j at a delay [s].
@@ -186,6 +202,11 @@ def shifted(signal: Array, dt: float, time: float) -> Array:
     """Return the signal (k,) `time` [s] later."""
     k = np.arange(len(signal))
     return np.interp(k - time / dt, k, signal)
+
+
+def decimated(signals: Array, stride: int) -> Array:
+    """Return every `stride`-th sample of the signals (k, ...) behind a low-pass filter."""
+    return np.asarray(resample_poly(signals, 1, stride)) if stride > 1 else signals
 
 
 def inner(rows: Array, dt: float) -> Array:

@@ -49,6 +49,8 @@ KINDS = {
 }
 """All parameters by name. A width of None follows from the efforts and velocities of the records."""
 PAYLOAD = ("payload_mass", "payload_position_x", "payload_position_y", "payload_position_z")
+OF_LINKS = PAYLOAD
+"""Parameters that the torques of the rigid links depend on."""
 POSITION_TORQUE = ("position_torque_sin1", "position_torque_cos1", "position_torque_sin2", "position_torque_cos2")
 STATIC = ("link_static_friction", "motor_static_friction")
 TIMING = ("effort_delay", "link_skew", "torque_skew")

@@ -20,7 +20,7 @@ from ..numerics import checks
 from ..numerics.checks import Array
 from ..robot.robot import Robot
 from .elastic_arm import ElasticArm, free_entries, position_torque
-from .initial_guess import filtered, inner, rigid_torque, shifted, smoothed
+from .initial_guess import decimated, filtered, inner, rigid_torque, shifted, smoothed
 from .motion_record import MotionRecord
 from .parameters import PAYLOAD, Options, Prior
 from .result import Identification
@@ -28,7 +28,7 @@ from .result import Identification
 
 @dataclass(frozen=True, eq=False)
 class Deflection:
-    """Deflection q_m - q_l of each joint in a record, less its mean, in [rad].
+    """Deflection q_m - q_l of each joint in a record within the bandwidth of the motion, less its mean, in [rad].
 
     t (k,), measured, predicted (k, n), NaN where a side is not measured. unexplained (n,): root mean square of measured
     minus predicted relative to that of measured, which is what a rigid arm without skew leaves.
@@ -76,9 +76,10 @@ def predicted_deflection(
     torque += np.asarray(position_torque(SimpleNamespace(**values), q, np))
     measured = smoothed(record.q_m - record.q_l, record.dt)
     predicted = torque / values["joint_stiffness"] - skew * v
-    keep = inner(np.arange(len(q), dtype=float), record.dt).astype(int)
-    measured, predicted = (each[keep] - np.mean(each[keep], axis=0) for each in (measured, predicted))
-    return Deflection(record.name, record.joints, record.dt * keep, measured, predicted)
+    measured, predicted = (inner(each, record.dt) for each in (measured, predicted))
+    measured, predicted = (decimated(each - np.mean(each, axis=0), motion.stride) for each in (measured, predicted))
+    t = record.dt * inner(np.arange(len(q), dtype=float), record.dt)[:: motion.stride]
+    return Deflection(record.name, record.joints, t, measured, predicted)
 
 
 def parameters_of(robot: Robot, prior: Prior, found: Identification, options: Options) -> Mapping[str, Array]:
