@@ -24,6 +24,7 @@ def identify(
     duration: float,
     accepted: Sequence[str],
     payload: bool,
+    link_inertia: bool,
     static_friction: bool,
     position_torque: str,
     output: Path,
@@ -32,6 +33,12 @@ def identify(
     unknown = [kind for kind in accepted if kind not in KINDS]
     if unknown:
         raise ParameterError(f"--accept is '{unknown[0]}'; expected one of {', '.join(KINDS)}")
-    options = Options(joints=joints, payload=payload, static_friction=static_friction, position_torque=position_torque)
+    options = Options(
+        joints=joints,
+        payload=payload,
+        link_inertia=link_inertia,
+        static_friction=static_friction,
+        position_torque=position_torque,
+    )
     reading = Reading(start=start, duration=duration, accepted=accepted)
     return identify_robot(Request(records, hold_outs, robot, mapping, reading, options, output))

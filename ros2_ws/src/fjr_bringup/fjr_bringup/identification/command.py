@@ -14,7 +14,13 @@ import numpy as np
 
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.formatting import interval, number, plural
-from fjr_bringup.identification.nominal_robot import NominalRobot, identified_values, nominal_robot
+from fjr_bringup.identification.nominal_robot import (
+    CORRECTED,
+    NominalRobot,
+    corrected_urdf,
+    identified_values,
+    nominal_robot,
+)
 from fjr_bringup.identification.page import HOLD_OUT, HoldOutRows, counted, hold_out_rows, write_page
 from fjr_bringup.identification.read_record import Reading, read_record
 from fjr_bringup.identification.record_map import read_map
@@ -105,11 +111,13 @@ def _write(
     rows: Sequence[HoldOutRows],
     values: Mapping[str, Any],
 ) -> RobotFile:
-    """Write robot.yaml, identification.json with the values, and the page."""
+    """Write robot.yaml, the URDF of corrected links, identification.json with the values, and the page."""
     request.output.mkdir(parents=True, exist_ok=True)
     names = [record.name for record in records]
     file = robot_file(nominal, found, identified_values(nominal, found, request.output), names, ROBOT)
     write_text(request.output / ROBOT, file.text)
+    if urdf := corrected_urdf(nominal, found):
+        write_text(request.output / CORRECTED, urdf)
     write_text(request.output / VALUES, json_text(values, indent=1) + "\n")
     seconds = sum(record.dt * len(record.u) for record in records)
     notes = [*values["notes"], *([f"robot.yaml has no gains: {file.reason}"] if file.reason else [])]

@@ -16,12 +16,15 @@ from fjr_core.config.parameter import complete, names
 from fjr_core.config.robot import FILE, robot_parameters
 from fjr_core.config.scenario import CONTROLLER
 from fjr_core.errors import ParameterError
+from fjr_core.identification.pseudo_inertia import corrected_bodies
 from fjr_core.identification.result import UNKNOWN, Identification
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.robot import Robot
+from fjr_core.robot.urdf_inertia import with_inertias
 
 MATRICES = {"joint_stiffness": "K", "motor_inertia": "M_m", "link_damping": "D_l", "motor_damping": "D_m"}
 GEAR_RATIO = "robot.gear_ratio"
+CORRECTED = "robot.urdf"
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,9 @@ def identified_values(nominal: NominalRobot, found: Identification, folder: Path
         name: value for name, value in nominal.given.items() if not name.startswith("robot.guesses.")
     }
     urdf = changed.get(robot_file.URDF)
-    if isinstance(urdf, str) and not robot_file.is_xml(urdf):
+    if corrected_urdf(nominal, found):
+        changed[robot_file.URDF] = CORRECTED
+    elif isinstance(urdf, str) and not robot_file.is_xml(urdf):
         changed[robot_file.URDF] = path_from(folder, Path(urdf))
     reflected = changed.pop(GEAR_RATIO, None) is not None
     for name, symbol in MATRICES.items():
@@ -75,6 +80,12 @@ def identified_values(nominal: NominalRobot, found: Identification, folder: Path
         if any(guesses):
             changed[GUESSES[name].name] = guesses
     return changed
+
+
+def corrected_urdf(nominal: NominalRobot, found: Identification) -> str:
+    """Return the text of the URDF with the identified masses and inertias of the links, "" if none is corrected."""
+    bodies = corrected_bodies(nominal.robot.links, nominal.joints, found)
+    return with_inertias(str(nominal.given[robot_file.URDF]), nominal.joints, bodies) if bodies else ""
 
 
 def _guess(nominal: NominalRobot, found: Identification, changed: Mapping[str, object], name: str, j: int) -> float:

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fjr_bringup.identification.nominal_robot import NominalRobot, joint_values, robot_of, significant
+from fjr_bringup.identification.nominal_robot import NominalRobot, corrected_urdf, joint_values, robot_of, significant
 from fjr_bringup.scaffold.proposal import RATE, Proposal, proposal_of
 from fjr_bringup.scenarios.gains_block import gain_lines
 from fjr_core.config import ros_yaml
 from fjr_core.config.builders import gain_values
 from fjr_core.config.robot_file import URDF
 from fjr_core.errors import GainsError, TrajectoryError
+from fjr_core.identification.parameters import PSEUDO_INERTIA
 from fjr_core.identification.result import UNKNOWN, Estimate, Identification
 from fjr_core.robot.robot import Robot
 from fjr_core.simulation.nonideal_parameters import Nonidealities, friction_rate
@@ -72,7 +73,7 @@ def robot_file(
     nominal: NominalRobot, found: Identification, values: Mapping[str, object], records: Sequence[str], file: str
 ) -> RobotFile:
     """Return the robot file of identified values; without a loop if no gains are found."""
-    robot, name = robot_of({**values, **_urdf(nominal)}), nominal.path.stem
+    robot, name = robot_of({**values, **_urdf(nominal, found)}), nominal.path.stem
     head = HEAD.format(name=name, records=", ".join(records), file=file)
     body = [head, *_robot_lines(found, values), *_imperfection_lines(found, nominal.joints), *_left_out(found)]
     text = "\n".join(line.rstrip("\n") for line in body) + "\n"
@@ -83,9 +84,11 @@ def robot_file(
     return RobotFile(text + _loop(robot, found, nominal.joints, proposal, file))
 
 
-def _urdf(nominal: NominalRobot) -> dict[str, object]:
-    """Return the value of the URDF with its absolute path."""
-    return {name: value for name, value in nominal.given.items() if name == URDF}
+def _urdf(nominal: NominalRobot, found: Identification) -> dict[str, object]:
+    """Return the value of the URDF with its absolute path, or its text with corrected links."""
+    given = {name: value for name, value in nominal.given.items() if name == URDF}
+    text = corrected_urdf(nominal, found)
+    return {URDF: text} if text else given
 
 
 def effort_delay(found: Identification) -> float:
@@ -130,7 +133,7 @@ def _imperfection_lines(found: Identification, joints: tuple[str, ...]) -> Itera
 
 def _left_out(found: Identification) -> Iterator[str]:
     """Yield comments on what no parameter of a scenario expresses."""
-    placed = {*OF_ROBOT, *FRICTION, *PAYLOAD, "effort_delay"}
+    placed = {*OF_ROBOT, *FRICTION, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
     others = [each for each in found.estimates if each.name not in placed and each.verdict != UNKNOWN]
     if others:
         yield "    # Without a parameter here; correct these in the driver:"

@@ -20,11 +20,13 @@ import casadi as ca
 from ..numerics.casadi_function import dense_function
 from ..numerics.packed_vector import PackedVector
 from ..numerics.symbolic import directional, solve, sparse, symbols
+from ..robot.inertial_arm import InertialArm
 from ..robot.payload import PayloadArm
-from ..robot.rigid_arm import RigidArm
+from ..robot.rigid_arm import ArmDynamics, RigidArm
 from ..robot.robot import Robot
 from ..simulation.nonideal_plant import friction
-from .parameters import KINDS, OF_LINKS, POSITION_TORQUE, TIMING, size
+from .parameters import KINDS, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, TIMING, size
+from .pseudo_inertia import corrected_arm
 
 DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
 """Parameters of the equations of motion."""
@@ -116,8 +118,8 @@ class ElasticArm:
 
     def _rigid(self, links: RigidArm, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
         """Return M_l a + C v + grad P_l, C v = dM_l v - grad T."""
-        if links is self.robot.links:
-            return self.robot.links.inertial_torque(q, v, v, a) + links.grad_P_l(q)
+        if isinstance(links, (ArmDynamics, InertialArm)):
+            return links.inertial_torque(q, v, v, a) + links.grad_P_l(q)
         dM = directional(links.M_l(q) @ v, q, v)
         return links.M_l(q) @ a + dM - links.grad_T(q, v) + links.grad_P_l(q)
 
@@ -126,15 +128,21 @@ class ElasticArm:
         return sparse(ca.diag(ca.DM(self.added_inertia or (0.0,) * self.robot.n)))
 
     def _links(self, p: SimpleNamespace) -> RigidArm:
-        """Return the links of the robot, with a payload if one is free."""
-        links, start = (
-            self.robot.links,
-            sum(size(name, self.robot.n) for name in DYNAMIC[: DYNAMIC.index("payload_mass")]),
-        )
-        if links.end_effector is None or not any(start <= i < start + 4 for i in self.free):
+        """Return the links of the robot, with a payload or with corrected inertias if one is free."""
+        links: RigidArm = self.robot.links
+        if self._is_free(PSEUDO_INERTIA):
+            theta = ca.horzcat(*(getattr(p, name) for name in PSEUDO_INERTIA))
+            links = corrected_arm(self.robot.links, [theta[i, :] for i in range(self.robot.n)])
+        end_effector = self.robot.links.end_effector
+        if end_effector is None or not self._is_free(PAYLOAD):
             return links
         position = ca.vertcat(p.payload_position_x, p.payload_position_y, p.payload_position_z)
-        return PayloadArm(links, links.end_effector, p.payload_mass, position)
+        return PayloadArm(links, end_effector, p.payload_mass, position)
+
+    def _is_free(self, names: Sequence[str]) -> bool:
+        """Return whether an entry of a parameter with one of these names is free."""
+        entries = [(name, i) for name in names for i in range(size(name, self.robot.n))]
+        return not set(free_entries(self.layout, entries)).isdisjoint(self.free)
 
 
 def position_torque(p: SimpleNamespace, q: ca.SX, f: Any = ca) -> ca.SX:

@@ -28,6 +28,7 @@ from .parameters import OF_LINKS, POSITION_TORQUE
 
 BLOCK = 1.0  # s; longer than the correlation of the errors
 FEWEST_BLOCKS = 4
+LEAST_ERROR = 1e-3  # of the deflection or the effort; no model is better
 MOVING = 2.0  # smoothing velocities; a slower motor may be at rest
 
 Values = Mapping[str, Array]
@@ -39,12 +40,14 @@ class Side:
     """Errors r (k,) of an equation of a joint, and -dr/dp of each column (k,) by (name, index) of p.
 
     p of positive parameters is the logarithm. used (k,): samples that count. Every `stride`-th one is independent.
+    measured: standard deviation of the deflection or the effort.
     """
 
     errors: Array
     columns: Columns
     used: Array
     stride: int
+    measured: float
 
 
 def equation_error(setup: Estimation, motions: Sequence[FilteredMotion], z: Array) -> list[Projected]:
@@ -95,7 +98,8 @@ def link_side(setup: Estimation, m: FilteredMotion, rigid: Rigid, z: Array, j: i
     columns[("joint_stiffness", j)] = -tau / K
     columns[("offset", j)] = np.ones(len(q))
     columns[("link_skew", j)] -= np.gradient(q, m.dt)
-    return _side(m, m.q_m[:, j] - q - p["offset"][j] - tau / K, columns, np.ones(len(q), dtype=bool))
+    z = m.q_m[:, j] - q
+    return _side(m, z, z - p["offset"][j] - tau / K, columns, np.ones(len(q), dtype=bool))
 
 
 def motor_side(setup: Estimation, m: FilteredMotion, rigid: Rigid, z: Array, j: int) -> Side:
@@ -109,7 +113,7 @@ def motor_side(setup: Estimation, m: FilteredMotion, rigid: Rigid, z: Array, j: 
     columns[("motor_coulomb_friction", j)] = friction
     columns[("effort_delay", j)] = np.gradient(u, m.dt)
     known = tau + B * m.a_m[:, j] + p["motor_damping"][j] * v + p["motor_coulomb_friction"][j] * friction
-    return _side(m, u - known, columns, np.abs(v) > MOVING * p["smoothing"][j])
+    return _side(m, u, u - known, columns, np.abs(v) > MOVING * p["smoothing"][j])
 
 
 def _spring_torque(m: FilteredMotion, rigid: Rigid, p: Values, j: int) -> tuple[Array, Columns, Array]:
@@ -125,9 +129,9 @@ def _spring_torque(m: FilteredMotion, rigid: Rigid, p: Values, j: int) -> tuple[
     return tau, columns, q
 
 
-def _side(m: FilteredMotion, errors: Array, columns: Columns, used: Array) -> Side:
+def _side(m: FilteredMotion, measured: Array, errors: Array, columns: Columns, used: Array) -> Side:
     inside = {name: inner(each, m.dt) for name, each in columns.items()}
-    return Side(inner(errors, m.dt), inside, inner(used, m.dt), m.stride)
+    return Side(inner(errors, m.dt), inside, inner(used, m.dt), m.stride, float(np.std(measured)))
 
 
 def _split(side: Side, names: Sequence[tuple[str, int]], blocks: int) -> Iterator[tuple[Array, Array]]:
@@ -138,10 +142,11 @@ def _split(side: Side, names: Sequence[tuple[str, int]], blocks: int) -> Iterato
 
 
 def _deviation(sides: Sequence[Side]) -> float:
-    """Return the root mean square error of the samples that count, 1 without any."""
+    """Return the root mean square error of the samples that count, at least a part of what is measured."""
     squares = sum(float(np.sum(decimated(side.errors * side.used, side.stride) ** 2)) for side in sides)
     shares = sum(float(np.sum(decimated(side.used.astype(float), side.stride) ** 2)) for side in sides)
-    return float(np.sqrt(squares / shares)) if squares > 0 and shares > 0 else 1.0
+    least = LEAST_ERROR * max((side.measured for side in sides), default=0.0)
+    return max(float(np.sqrt(squares / shares)) if shares > 0 else 0.0, least) or 1.0
 
 
 def _blocks(motion: FilteredMotion) -> int:

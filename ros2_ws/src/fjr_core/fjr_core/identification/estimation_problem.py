@@ -142,6 +142,10 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Opti
         raise StateError(
             f"position_torque is of joint {options.position_torque!r}; expected one of {', '.join(joints)}"
         )
+    if options.link_inertia and not robot.links.bodies:
+        raise StateError(
+            "link_inertia is of a robot without rigid bodies; expected one from a URDF, its joints in order"
+        )
     unknown = [joint for joint in options.joints if joint not in joints]
     if unknown:
         raise StateError(f"joint {unknown[0]!r} is to be identified; expected some of {', '.join(joints)}")

@@ -25,6 +25,7 @@ class Kind:
     width: float | None = None
 
 
+LOG_CHOLESKY = ("alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3")
 KINDS = {
     "joint_stiffness": Kind("N m/rad", LOG, 0.7),
     "motor_inertia": Kind("kg m^2", LOG, 0.5),
@@ -43,18 +44,21 @@ KINDS = {
     "position_torque_cos1": Kind("N m", LINEAR),
     "position_torque_sin2": Kind("N m", LINEAR),
     "position_torque_cos2": Kind("N m", LINEAR),
+    **{f"pseudo_inertia_{name}": Kind("", LINEAR, 0.1) for name in LOG_CHOLESKY},
     "effort_delay": Kind("s", LINEAR, 3e-3),
     "link_skew": Kind("s", LINEAR, 3e-3),
     "torque_skew": Kind("s", LINEAR, 3e-3),
 }
 """All parameters by name. A width of None follows from the efforts and velocities of the records."""
 PAYLOAD = ("payload_mass", "payload_position_x", "payload_position_y", "payload_position_z")
-OF_LINKS = PAYLOAD
+PSEUDO_INERTIA = tuple(f"pseudo_inertia_{name}" for name in LOG_CHOLESKY)
+"""Correction of the mass and inertia of each link (identification.pseudo_inertia); 0 is the robot file's."""
+OF_LINKS = (*PAYLOAD, *PSEUDO_INERTIA)
 """Parameters that the torques of the rigid links depend on."""
 POSITION_TORQUE = ("position_torque_sin1", "position_torque_cos1", "position_torque_sin2", "position_torque_cos2")
 STATIC = ("link_static_friction", "motor_static_friction")
 TIMING = ("effort_delay", "link_skew", "torque_skew")
-USUAL = tuple(name for name in KINDS if name not in (*PAYLOAD, *POSITION_TORQUE, *STATIC))
+USUAL = tuple(name for name in KINDS if name not in (*OF_LINKS, *POSITION_TORQUE, *STATIC))
 """Parameters that are free by default."""
 LARGEST_SKEW = 8e-3  # s
 
@@ -64,7 +68,8 @@ class Options:
     """What is identified.
 
     free: names of free parameters. joints: those whose parameters are free; empty: all. static_friction, payload: free
-    these, too (the payload is a point mass on the last link). position_torque: joint with a torque sum_k a_k sin k q +
+    these, too (the payload is a point mass on the last link). link_inertia: free a correction of mass and inertia of
+    each link, positive definite and near the robot's own. position_torque: joint with a torque sum_k a_k sin k q +
     b_k cos k q, k = 1, 2, on the link, such as a counterbalance; "": none. smoothing, stribeck [rad/s]: velocities of
     the friction model, scalar or one per joint. segment [s]: length of the pieces of the record that are predicted;
     None: from the resonances. threads: number of segments evaluated at the same time.
@@ -74,6 +79,7 @@ class Options:
     joints: tuple[str, ...] = ()
     static_friction: bool = False
     payload: bool = False
+    link_inertia: bool = False
     position_torque: str = ""
     smoothing: ArrayLike = 0.01
     stribeck: ArrayLike = 0.1
@@ -91,6 +97,7 @@ class Options:
     def names(self) -> tuple[str, ...]:
         """Return the names of all free parameters."""
         chosen = [*self.free, *(STATIC if self.static_friction else ()), *(PAYLOAD if self.payload else ())]
+        chosen += PSEUDO_INERTIA if self.link_inertia else ()
         chosen += POSITION_TORQUE if self.position_torque else ()
         return tuple(name for name in KINDS if name in chosen)
 

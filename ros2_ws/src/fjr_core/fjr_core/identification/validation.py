@@ -22,7 +22,7 @@ from ..robot.robot import Robot
 from .elastic_arm import ElasticArm, free_entries, position_torque
 from .initial_guess import decimated, filtered, inner, rigid_torque, shifted, smoothed
 from .motion_record import MotionRecord
-from .parameters import PAYLOAD, Options, Prior
+from .parameters import OF_LINKS, Options, Prior
 from .result import Identification
 
 
@@ -65,8 +65,12 @@ def predicted_deflection(
 ) -> Deflection:
     """Return the deflection of a record, predicted by an identification from other records."""
     values = parameters_of(robot, prior, found, options)
-    payload = [(name, 0) for name in PAYLOAD if any(each.name == name for each in found.estimates)]
-    arm = ElasticArm(robot, free_entries(ElasticArm(robot, ()).layout, payload))
+    of_links = [
+        (each.name, found.joints.index(each.joint) if each.joint else 0)
+        for each in found.estimates
+        if each.name in OF_LINKS
+    ]
+    arm = ElasticArm(robot, free_entries(ElasticArm(robot, ()).layout, of_links))
     motion = filtered(record, arm, values)
     q, v, a = motion.q_l, motion.v_l, motion.a_l
     skew = values["link_skew"]

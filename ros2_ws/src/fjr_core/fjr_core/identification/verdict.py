@@ -11,7 +11,7 @@ import numpy as np
 from ..numerics.checks import Array
 from .gauss_newton import Projected
 from .motion_record import MotionRecord
-from .parameters import KINDS
+from .parameters import KINDS, PSEUDO_INERTIA
 from .posterior import spread
 from .result import IDENTIFIED, LOG, WEAK
 
@@ -88,6 +88,9 @@ MISSING = {
     "torque_skew": "needs spring torques that change quickly; use faster reversals",
     **dict.fromkeys(("payload_mass",), "the payload changes the torques too little; move the joints that lift it"),
     **dict.fromkeys((f"payload_position_{axis}" for axis in "xyz"), "needs poses in which its weight pulls elsewhere"),
+    **dict.fromkeys(
+        PSEUDO_INERTIA, "the torques of the motion do not depend on it enough; use other poses, faster motion"
+    ),
     **dict.fromkeys(
         (f"position_torque_{each}" for each in ("sin1", "cos1", "sin2", "cos2")), "needs a larger range of the joint"
     ),

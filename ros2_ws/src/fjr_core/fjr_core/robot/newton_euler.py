@@ -41,23 +41,24 @@ def _derived(content: bytes) -> ArmDynamics:
     chain, turn, gravity = pickle.loads(content)
     g, n = ca.DM(gravity), len(chain)
     q, v, w, a = (ca.SX.sym(name, n) for name in ("q_l", "v", "w", "a"))
-    frames = [_frame(body, q[i]) for i, body in enumerate(chain)]
-    composites = _composites(chain, frames)
+    frames = [frame_of(body, q[i]) for i, body in enumerate(chain)]
+    masses = [mass_of(body) for body in chain]
+    composites = composite_masses(masses, frames)
     return ArmDynamics(
         n=n,
-        M_l=ca.Function("M_l", [q], [_inertia(chain, frames, composites)]),
-        P_l=ca.Function("P_l", [q], [_potential(frames, composites, g)]),
-        grad_P_l=ca.Function("grad_P_l", [q], [_gravity(chain, frames, composites, g)]),
-        C=ca.Function("C", [q, v, w], [_inertial_torque(chain, frames, v, w, ca.SX.zeros(n))]),
-        inertial_torque=ca.Function("inertial_torque", [q, v, w, a], [_inertial_torque(chain, frames, v, w, a)]),
-        grad_T=ca.Function("grad_T", [q, v], [_kinetic_gradient(chain, frames, v)]),
+        M_l=ca.Function("M_l", [q], [joint_inertia(chain, frames, composites)]),
+        P_l=ca.Function("P_l", [q], [potential_energy(frames, composites, g)]),
+        grad_P_l=ca.Function("grad_P_l", [q], [gravity_torque(chain, frames, composites, g)]),
+        C=ca.Function("C", [q, v, w], [inertial_torque(chain, masses, frames, v, w, ca.SX.zeros(n))]),
+        inertial_torque=ca.Function("inertial_torque", [q, v, w, a], [inertial_torque(chain, masses, frames, v, w, a)]),
+        grad_T=ca.Function("grad_T", [q, v], [kinetic_gradient(chain, masses, frames, v)]),
         end_effector=EndEffector(_point(q, frames, turn), gravity),
         bodies=tuple(chain),
         order=tuple(range(n)),
     )
 
 
-def _point(q: ca.SX, frames: list[_Frame], turn: Array) -> ca.Function:
+def _point(q: ca.SX, frames: list[Frame], turn: Array) -> ca.Function:
     """Return (q_l, r) -> position (3,) [m] in the base frame of the point r of the last body.
 
     turn (3, 3): rotation from the frame of the last body to frames[-1].
@@ -70,7 +71,7 @@ def _point(q: ca.SX, frames: list[_Frame], turn: Array) -> ca.Function:
 
 
 @dataclass(frozen=True)
-class _Frame:
+class Frame:
     """Pose of a body frame in its parent frame: rotation R, which turns vectors into the parent frame, and origin r."""
 
     R: ca.SX
@@ -78,51 +79,54 @@ class _Frame:
 
 
 @dataclass(frozen=True)
-class _Mass:
+class Mass:
     """Mass m, first moment h = sum m r and second moment J = sum m r r' (pseudo-inertia) about the frame origin."""
 
-    m: float
+    m: float | ca.SX
     h: ca.SX
     J: ca.SX
 
     @property
-    def I(self) -> ca.SX:  # noqa: E743 - the inertia about the origin
+    def I(self) -> ca.SX:  # noqa: E743 - the usual symbol
+        """Return the inertia about the frame origin."""
         return ca.trace(self.J) * ca.SX.eye(3) - self.J
 
-    def in_parent(self, frame: _Frame) -> _Mass:
+    def in_parent(self, frame: Frame) -> Mass:
         """Return the moments about the parent origin, in the parent frame."""
         h, r = frame.R @ self.h, frame.r
         J = frame.R @ self.J @ frame.R.T + r @ h.T + h @ r.T + self.m * r @ r.T
-        return _Mass(self.m, h + self.m * r, J)
+        return Mass(self.m, h + self.m * r, J)
 
-    def __add__(self, other: _Mass) -> _Mass:
-        return _Mass(self.m + other.m, self.h + other.h, self.J + other.J)
+    def __add__(self, other: Mass) -> Mass:
+        return Mass(self.m + other.m, self.h + other.h, self.J + other.J)
 
 
-def _frame(body: Body, q: ca.SX) -> _Frame:
+def frame_of(body: Body, q: ca.SX) -> Frame:
+    """Return the pose of the frame of a body, whose joint axis is z, at the position q of the joint."""
     rotation, translation = np.asarray(body.rotation), ca.SX(np.asarray(body.translation))
     if body.prismatic:
-        return _Frame(sparse(rotation), translation + sparse(rotation[:, 2]) * q)
+        return Frame(sparse(rotation), translation + sparse(rotation[:, 2]) * q)
     s, c = ca.sin(q), ca.cos(q)
     turn = ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
-    return _Frame(sparse(rotation) @ turn, translation)
+    return Frame(sparse(rotation) @ turn, translation)
 
 
-def _mass(body: Body) -> _Mass:
+def mass_of(body: Body) -> Mass:
+    """Return the moments of a body about the origin of its frame."""
     com, inertia = np.asarray(body.com), np.asarray(body.inertia)
     J = np.trace(inertia) / 2 * np.eye(3) - inertia + body.mass * np.outer(com, com)
-    return _Mass(body.mass, ca.SX(body.mass * com), ca.SX((J + J.T) / 2))
+    return Mass(body.mass, ca.SX(body.mass * com), ca.SX((J + J.T) / 2))
 
 
-def _composites(chain: list[Body], frames: list[_Frame]) -> list[_Mass]:
+def composite_masses(masses: Sequence[Mass], frames: Sequence[Frame]) -> list[Mass]:
     """Return the composite bodies: body i with all outer bodies, in the frame of body i."""
-    composites = [_mass(body) for body in chain]
-    for i in reversed(range(1, len(chain))):
+    composites = list(masses)
+    for i in reversed(range(1, len(composites))):
         composites[i - 1] += composites[i].in_parent(frames[i])
     return composites
 
 
-def _inertia(chain: list[Body], frames: list[_Frame], composites: list[_Mass]) -> ca.SX:
+def joint_inertia(chain: Sequence[Body], frames: Sequence[Frame], composites: Sequence[Mass]) -> ca.SX:
     """Return M_l by columns: the wrench for unit acceleration of composite i, projected onto each joint."""
     M = ca.SX.zeros(len(chain), len(chain))
     for i, (body, composite) in enumerate(zip(chain, composites, strict=True)):
@@ -138,7 +142,7 @@ def _inertia(chain: list[Body], frames: list[_Frame], composites: list[_Mass]) -
     return M
 
 
-def _gravity(chain: list[Body], frames: list[_Frame], composites: list[_Mass], g: ca.DM) -> ca.SX:
+def gravity_torque(chain: Sequence[Body], frames: Sequence[Frame], composites: Sequence[Mass], g: ca.DM) -> ca.SX:
     """Return grad P_l: minus the moment of the composite weight about joint i, or minus the weight along it."""
     torques, gravity = [], ca.SX(g)
     for body, frame, composite in zip(chain, frames, composites, strict=True):
@@ -148,12 +152,14 @@ def _gravity(chain: list[Body], frames: list[_Frame], composites: list[_Mass], g
     return ca.vertcat(*torques)
 
 
-def _potential(frames: list[_Frame], composites: list[_Mass], g: ca.DM) -> ca.SX:
+def potential_energy(frames: Sequence[Frame], composites: Sequence[Mass], g: ca.DM) -> ca.SX:
     """Return P_l = -g' h of the whole arm, zero at the base origin."""
     return -ca.dot(g, composites[0].in_parent(frames[0]).h)
 
 
-def _inertial_torque(chain: list[Body], frames: list[_Frame], v: ca.SX, w: ca.SX, dw: ca.SX) -> ca.SX:
+def inertial_torque(
+    chain: Sequence[Body], masses: Sequence[Mass], frames: Sequence[Frame], v: ca.SX, w: ca.SX, dw: ca.SX
+) -> ca.SX:
     """Return M_l dw + C(q, v) w with the Christoffel symbols, in one recursion.
 
     C(q, v) w is the polar form of c(q, v) = C(q, v) v: every product of two velocities is the mean of both orders.
@@ -162,7 +168,7 @@ def _inertial_torque(chain: list[Body], frames: list[_Frame], v: ca.SX, w: ca.SX
     omega_v = omega_w = a = alpha = ca.SX.zeros(3)
     U = ca.SX.zeros(3, 3)
     wrenches = []
-    for i, (body, frame) in enumerate(zip(chain, frames, strict=True)):
+    for i, (body, mass, frame) in enumerate(zip(chain, masses, frames, strict=True)):
         a = frame.R.T @ (a + U @ frame.r)
         omega_v, omega_w, alpha = (frame.R.T @ vector for vector in (omega_v, omega_w, alpha))
         cross = (_cross_z(omega_v) * w[i] + _cross_z(omega_w) * v[i]) / 2
@@ -172,12 +178,11 @@ def _inertial_torque(chain: list[Body], frames: list[_Frame], v: ca.SX, w: ca.SX
             alpha += cross + _along_z(dw[i])
             omega_v, omega_w = omega_v + _along_z(v[i]), omega_w + _along_z(w[i])
         U = ca.skew(alpha) + _centripetal(omega_v, omega_w)
-        mass = _mass(body)
         wrenches.append((mass.m * a + U @ mass.h, _moment(U @ mass.J) + ca.cross(mass.h, a)))
     return _joint_torques(chain, frames, wrenches)
 
 
-def _joint_torques(chain: list[Body], frames: list[_Frame], wrenches: list[tuple[ca.SX, ca.SX]]) -> ca.SX:
+def _joint_torques(chain: Sequence[Body], frames: Sequence[Frame], wrenches: list[tuple[ca.SX, ca.SX]]) -> ca.SX:
     """Project the wrenches (force, moment) on the bodies onto the joints that carry them."""
     torques = []
     force = moment = ca.SX.zeros(3)
@@ -189,18 +194,17 @@ def _joint_torques(chain: list[Body], frames: list[_Frame], wrenches: list[tuple
     return ca.vertcat(*reversed(torques))
 
 
-def _kinetic_gradient(chain: list[Body], frames: list[_Frame], v: ca.SX) -> ca.SX:
+def kinetic_gradient(chain: Sequence[Body], masses: Sequence[Mass], frames: Sequence[Frame], v: ca.SX) -> ca.SX:
     """Return d/dq (v' M_l v / 2), v constant: composite momenta times the derivative of their velocities by q_i."""
     omega = velocity = ca.SX.zeros(3)
     motions, momenta = [], []
-    for i, (body, frame) in enumerate(zip(chain, frames, strict=True)):
+    for i, (body, mass, frame) in enumerate(zip(chain, masses, frames, strict=True)):
         velocity = frame.R.T @ (velocity + ca.cross(omega, frame.r))
         omega = frame.R.T @ omega
         if body.prismatic:
             velocity += _along_z(v[i])
         else:
             omega += _along_z(v[i])
-        mass = _mass(body)
         motions.append((velocity, omega))
         momenta.append((mass.m * velocity + ca.cross(omega, mass.h), mass.I @ omega + ca.cross(mass.h, velocity)))
     gradient = []

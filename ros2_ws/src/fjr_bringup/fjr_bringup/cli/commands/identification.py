@@ -26,6 +26,7 @@ from fjr_bringup.cli.options import duration_option, output_option
     "--accept", "accepted", metavar="KIND", multiple=True, help="Report a contradiction of this kind, do not refuse it."
 )
 @click.option("--payload", is_flag=True, help="Identify a point mass at the last link.")
+@click.option("--link-inertia", is_flag=True, help="Correct mass and inertia of the links, near those of the URDF.")
 @click.option("--static-friction", is_flag=True, help="Identify static friction.")
 @click.option(
     "--position-torque", metavar="JOINT", default="", help="Joint with a torque that depends on its position."
