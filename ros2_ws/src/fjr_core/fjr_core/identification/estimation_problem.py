@@ -21,6 +21,7 @@ from .gauss_newton import Problem
 from .initial_guess import FilteredMotion, filtered, start_values
 from .motion_record import MotionRecord
 from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, Options, Prior, size
+from .pseudo_inertia import correctable
 from .segments import cut, measured_signals
 from .shooting import HeldEffort, Shooting
 
@@ -142,9 +143,9 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Opti
         raise StateError(
             f"position_torque is of joint {options.position_torque!r}; expected one of {', '.join(joints)}"
         )
-    if options.link_inertia and not robot.links.bodies:
+    if options.link_inertia and not correctable(robot.links):
         raise StateError(
-            "link_inertia is of a robot without rigid bodies; expected one from a URDF, its joints in order"
+            "link_inertia is of a robot that is no chain of bodies; expected one from a URDF, joints from base to tip"
         )
     unknown = [joint for joint in options.joints if joint not in joints]
     if unknown:

@@ -27,6 +27,11 @@ LEAST = 1e-9  # of the trace; eigenvalue that is added to a link without extensi
 ENTRIES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # of s12, s23, s13, t1, t2, t3 in U
 
 
+def correctable(links: ArmDynamics) -> bool:
+    """Return whether the links consist of bodies in the order of the joints, as from a URDF, unlike a closed form."""
+    return links.M_l_vertices is None and bool(links.bodies) and links.order == tuple(range(links.n))
+
+
 def corrected_arm(links: ArmDynamics, theta: Sequence[Any]) -> InertialArm:
     """Return the links with expressions theta, ten for each link, as in PSEUDO_INERTIA."""
     assert links.end_effector is not None  # every serial chain has one
