@@ -16,6 +16,7 @@ import pytest
 import fjr_core as fjr
 from core.oracles.cases import PLANAR, Array
 from core.oracles.chains import ARM7, ARM7_JOINTS, PinocchioLinks, random_urdf
+from fjr_core.robot import urdf_reduction
 
 CASES = [(n, seed) for n in (1, 2, 3, 5, 7) for seed in range(3)]
 all_cases = pytest.mark.parametrize("case", [pytest.param(c, id=f"{c[0]}-joints-{c[1]}") for c in CASES])
@@ -395,13 +396,30 @@ def test_missing_pinocchio_error_says_what_to_install(monkeypatch: pytest.Monkey
         read(TWO)
 
 
-def test_missing_openmp_error_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_openmp_error_names_its_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def fails(name: str) -> None:
         raise ImportError("libgomp.so.1: cannot open shared object file: No such file or directory")
 
-    monkeypatch.setattr("fjr_core.robot.urdf_import.importlib.import_module", fails)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("fjr_core.robot.urdf_reduction.importlib.import_module", fails)
     with pytest.raises(fjr.RobotError, match="Debian package libgomp1"):
         fjr.robot_from_urdf(ARM7, ARM7_JOINTS, 1e4, 0.5)
+
+
+def test_a_kept_chain_has_the_same_bits_and_needs_no_import(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def fails(name: str) -> None:
+        raise ImportError(name)
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    urdf = random_urdf(3, 0)
+    made = urdf_reduction.reduced_model(urdf.xml, urdf.locked)
+    monkeypatch.setattr(urdf_reduction.importlib, "import_module", fails)
+    assert urdf_reduction.reduced_model(urdf.xml, urdf.locked) == made
+    (kept,) = tmp_path.rglob("chain-*.json")
+    kept.write_bytes(kept.read_bytes().replace(b"0", b"1"))
+    for text, locked in ((urdf.xml, urdf.locked), (random_urdf(3, 1).xml, {})):
+        with pytest.raises(fjr.RobotError, match="Pinocchio cannot be imported"):
+            urdf_reduction.reduced_model(text, locked)
 
 
 def test_fjr_core_does_not_import_pinocchio() -> None:

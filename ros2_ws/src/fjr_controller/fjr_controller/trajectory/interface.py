@@ -42,7 +42,7 @@ class TrajectoryInterface:
         """built_in: returns the reference that the parameters describe; raises FjrError if it violates its limits."""
         self._node, self._joints, self._tracker, self._reports = node, joints, tracker, reports
         self._is_active, self._built_in = is_active, built_in
-        self._planner = Planner(node, tracker, is_active)
+        self.planner = Planner(node, tracker, is_active)
         self.on_replaced: Callable[[str], None] = lambda reason: None
         self._subscription = node.create_subscription(JointTrajectory, names.JOINT_TRAJECTORY, self._on_trajectory, 10)
         self._services = [
@@ -56,7 +56,7 @@ class TrajectoryInterface:
         allow_partial: accept trajectories that do not name every joint.
         """
         self._limits, self._join_time = limits, join_time
-        self._planner.apply(PlanningRules(self._joints, limits, TrajectoryReader(self._joints, allow_partial)))
+        self.planner.apply(PlanningRules(self._joints, limits, TrajectoryReader(self._joints, allow_partial)))
 
     def follow(
         self, message: JointTrajectory, reason: str, on_done: Callable[[Plan | None], object] = lambda _: None
@@ -76,7 +76,7 @@ class TrajectoryInterface:
                 self._refuse(outcome)
             on_done(outcome if isinstance(outcome, Plan) else None)
 
-        self._planner.request(message, end)
+        self.planner.request(message, end)
 
     def hold(self) -> None:
         """Come to a standstill; a trajectory that is being planned is tracked when it is ready."""
@@ -85,11 +85,11 @@ class TrajectoryInterface:
 
     def drop(self) -> None:
         """Discard the trajectory that is being planned."""
-        self._planner.drop()
+        self.planner.drop()
 
     def close(self) -> None:
         """Destroy the subscription, the services and the planner."""
-        self._planner.close()
+        self.planner.close()
         self._node.destroy_subscription(self._subscription)
         for service in self._services:
             self._node.destroy_service(service)

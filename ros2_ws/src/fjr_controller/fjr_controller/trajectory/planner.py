@@ -117,13 +117,22 @@ class Planner:
     that runs repeat to the last bit.
     """
 
+    loaded = False
+    """True after `load`."""
+
     def __init__(self, node: Node, tracker: Tracker, is_active: Callable[[], bool]) -> None:
         self._node, self._tracker, self._is_active = node, tracker, is_active
         simulated = bool(node.get_parameter("use_sim_time").value)
         self._worker = None if simulated else ThreadPoolExecutor(1, "fjr_planning")
-        if self._worker:
-            import_module("scipy.linalg")  # which splines need; later it would delay commands
         self._request: Request | None = None
+
+    def load(self, wait: bool) -> None:
+        """Import what splines need in the planning thread, before the first trajectory; wait: until that is done."""
+        if self._worker is not None and not self.loaded:
+            loading = self._worker.submit(import_module, "scipy.linalg")
+            if wait:
+                loading.result()
+        self.loaded = True
 
     def apply(self, rules: PlanningRules) -> None:
         """Replace the rules, also for the trajectory that is being planned."""

@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import os
 from collections.abc import Mapping, Sequence, Sized
 from difflib import get_close_matches
 from functools import cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -23,6 +21,7 @@ from .rigid_arm import ArmDynamics, EndEffector
 from .rigid_body import Body
 from .robot import Robot
 from .urdf_parser import MOVING, UrdfJoint, UrdfTree, read_urdf
+from .urdf_reduction import ReducedModel, reduced_model
 
 _log = logging.getLogger("fjr_core.robot")
 
@@ -69,9 +68,9 @@ def robot_from_urdf(
     tree = read_urdf(path_or_xml)
     named = _named(tree, joints)
     _check_links(tree, joints)
-    model = _reduced_model(tree, joints, _locked_positions(tree, joints, dict(locked or {})))
-    chain = _chain(model, joints)
-    links = serial_chain([_body(model, i, tree.joints[name]) for i, name in enumerate(chain, 1)], gravity)
+    model = reduced_model(tree.skeleton, _locked_positions(tree, joints, dict(locked or {})))
+    chain = _chain(model)
+    links = serial_chain([_body(model, i, tree.joints[name]) for i, name in enumerate(chain)], gravity)
     _check_inertia(links, chain)
     names = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
     values = (stiffness, motor_inertia, link_damping, motor_damping, input_gain)
@@ -156,29 +155,10 @@ def _position(tree: UrdfTree, joint: UrdfJoint, joints: Sequence[str], locked: d
     raise RobotError(f"joint '{joint.name}' mimics itself; expected another joint")
 
 
-def _reduced_model(tree: UrdfTree, joints: Sequence[str], positions: dict[str, float]) -> Any:
-    """Return the Pinocchio model with the joints at `positions` locked."""
-    try:
-        pin = importlib.import_module("pinocchio")
-    except ImportError as error:
-        wanted = "expected it for reading a URDF: pip install pin (fjr_core[urdf]), or ros-jazzy-pinocchio"
-        if "libgomp" in str(error):
-            wanted = "expected this library, of the Debian package libgomp1"
-        raise RobotError(f"Pinocchio cannot be imported ({error}); {wanted}") from None
-    try:
-        model = pin.buildModelFromXML(tree.skeleton)
-    except Exception as error:  # its parser raises many types
-        raise RobotError(f"Pinocchio cannot read the URDF ({error}); expected a valid one") from None
-    q = pin.neutral(model)
-    for name, position in positions.items():
-        q[model.joints[model.getJointId(name)].idx_q] = position
-    return pin.buildReducedModel(model, [model.getJointId(name) for name in positions], q)
-
-
-def _chain(model: Any, joints: Sequence[str]) -> list[str]:
-    """Return the named joints in order from base to tip."""
-    names, parents = list(model.names)[1:], list(model.parents)[1:]
-    for i, parent in enumerate(parents):
+def _chain(model: ReducedModel) -> list[str]:
+    """Return the joints in order from base to tip."""
+    names = model.names
+    for i, parent in enumerate(model.parents):
         if parent != i:
             other, base = names[i - 1], names[parent - 1] if parent else "the base"
             raise RobotError(
@@ -187,15 +167,14 @@ def _chain(model: Any, joints: Sequence[str]) -> list[str]:
     return names
 
 
-def _body(model: Any, i: int, joint: UrdfJoint) -> Body:
-    placement, inertia = model.jointPlacements[i], model.inertias[i]
+def _body(model: ReducedModel, i: int, joint: UrdfJoint) -> Body:
     return Body(
-        rotation=placement.rotation,
-        translation=placement.translation,
+        rotation=np.array(model.rotation[i]),
+        translation=np.array(model.translation[i]),
         axis=joint.axis,
-        mass=float(inertia.mass),
-        com=inertia.lever,
-        inertia=inertia.inertia,
+        mass=model.mass[i],
+        com=np.array(model.com[i]),
+        inertia=np.array(model.inertia[i]),
         prismatic=joint.kind == "prismatic",
     )
 
