@@ -11,7 +11,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
-        (f"lib/{package_name}", ["scripts/controller_node"]),
+        (f"lib/{package_name}", ["scripts/controller_node", "scripts/controller_node.py"]),
     ],
     python_requires=">=3.10",
     install_requires=[

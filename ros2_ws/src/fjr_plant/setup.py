@@ -11,7 +11,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
-        (f"lib/{package_name}", ["scripts/plant_node"]),
+        (f"lib/{package_name}", ["scripts/plant_node", "scripts/plant_node.py"]),
     ],
     python_requires=">=3.10",
     install_requires=["fjr_core", "fjr_msgs_py", "numpy>=1.26"],  # rclpy and messages: from ROS 2, or its wheels
