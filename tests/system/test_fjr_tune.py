@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,15 @@ import numpy as np
 import pytest
 
 from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.interrupt import Interrupted
+from fjr_bringup.studies.monte_carlo.command import Options
+from fjr_bringup.studies.monte_carlo.pool import threads
+from fjr_bringup.studies.tuning.command import planned
+from fjr_bringup.studies.tuning.evaluation import Evaluation
 from fjr_bringup.studies.tuning.picture import pareto
+from fjr_bringup.studies.tuning.store import open_store
 from fjr_core.config.scenario import load_scenario
+from fjr_core.experiments.tuning.search import search
 from system.documented import documented_keys
 from system.executables import fjr_here
 
@@ -115,10 +123,22 @@ def test_another_study_in_the_folder_is_refused(folder: Path, study: Path, said:
     assert "holds another study (seed is 4, not 9)" in refused
 
 
-def test_the_gains_of_another_law_are_its_own_parameters(folder: Path, study: Path, said: str) -> None:
-    size = ["--candidates", "6", "--draws", "4", "--fresh", "8"]
-    fjr_here("tune", str(study), "--law", "backstepping", *size, "--output", str(folder))
-    written = load_scenario(folder / "joint_backstepping" / "tuned.yaml")
+def test_a_search_that_is_interrupted_names_its_folder(folder: Path, study: Path, said: str) -> None:
+    numbers = {"candidates": 5, "draws": 4, "fresh": 8}
+    plan = planned(str(study), Options(1, None, folder, {}, {}), None, numbers)
+    stop = threading.Event()
+    with open_store(folder / "stopped", plan, "program") as store, threads(1) as workers:
+        evaluate = Evaluation(store, workers, stop, lambda runs: stop.set())
+        with pytest.raises(Interrupted) as ended:
+            search(plan, evaluate)
+        assert ended.value.kept == store.folder
+        assert 0 < len(store.parts) < 5
+
+
+def test_a_scenario_is_tuned_for_the_usual_uncertainties_also_with_another_law(folder: Path) -> None:
+    size = ["--candidates", "6", "--draws", "4", "--fresh", "8", "--duration", "1.2"]
+    fjr_here("tune", "paper_k31", "--law", "backstepping", *size, "--output", str(folder))
+    written = load_scenario(folder / "paper_k31_backstepping" / "tuned.yaml")
     assert written.controller_values["law.type"] == "backstepping"
     assert written.controller_values["law.tuned"] is False
     assert len(written.controller_values["law.gain_factors"]) == 2

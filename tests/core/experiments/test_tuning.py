@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,10 +21,11 @@ from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.errors import ParameterError, StateError
 from fjr_core.experiments.monte_carlo import distributions
 from fjr_core.experiments.monte_carlo.sweep import Sweep
-from fjr_core.experiments.tuning.candidates import Point, Range, TuningStudy, study_of
+from fjr_core.experiments.tuning.candidates import Point, Range, TuningStudy, run_candidate, study_of
 from fjr_core.experiments.tuning.coordinates import coordinates
 from fjr_core.experiments.tuning.goal import FIGURES, INFEASIBLE, SUCCESS, Figures, Goal, Score
 from fjr_core.experiments.tuning.search import search
+from fjr_core.identification.result import IDENTIFIED, LINEAR, LOG, Estimate, Identification
 from fjr_core.simulation.batch import ClosedLoop, Draws
 
 SCENARIO: dict[str, Any] = {
@@ -130,6 +133,25 @@ def test_candidates_run_the_draws_of_the_sweep() -> None:
     columns = given.sweep.part(2, 6)
     assert np.array_equal(given.run([0.0] * 6, 2, 6)["rms"], columns["rms.joint1"])
     assert np.array_equal(given.run([0.0] * 6, 2, 6)[SUCCESS], columns["success"])
+
+
+def test_candidates_run_the_plants_of_a_posterior() -> None:
+    known = [("joint_stiffness", 25.0), ("effort_delay", 1.5e-3)]
+    estimates = tuple(Estimate(name, "joint1", "", v, 0.9 * v, 1.1 * v, v, IDENTIFIED) for name, v in known)
+    mean, covariance = np.array([np.log(25.0), 1.5e-3]), np.diag([0.1, 2e-4]) ** 2
+    posterior = Identification(("joint1",), estimates, (0, 1), (LOG, LINEAR), mean, covariance).as_dict()
+    sweep = Sweep("joint", text(), 1, {}, duration=0.3, settle_after=0.1, posterior=posterior)
+    given = study_of(TuningStudy(sweep, Goal(), 8, 20, 16).text)
+    assert np.array_equal(given.run([0.0] * 6, 2, 6)["rms"], sweep.part(2, 6)["rms.joint1"])
+    assert len(set(sweep.part(2, 6)["stiffness.joint1"])) == 4
+
+
+def test_a_part_has_the_same_figures_in_another_process() -> None:
+    given, point = study(), (0.1,) * 6
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        elsewhere = pool.submit(run_candidate, given.text, point, 2, 6).result()
+    for name, values in given.run(point, 2, 6).items():
+        assert np.array_equal(elsewhere[name], values)
 
 
 def test_search_selection_and_validation_share_no_run() -> None:
