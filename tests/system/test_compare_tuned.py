@@ -112,7 +112,7 @@ def test_results_do_not_depend_on_the_number_of_cores(folder: Path, found: dict[
         ({"minimise": ["rms"]}, "'minimise' is ['rms']; expected a mapping"),
         ({"success": 2.0}, "'success' is 2.0; expected 0 to 1"),
         ({"draws": 0}, "'draws' is 0; expected 1 to"),
-        ({"settle_after": 0.7}, "settle_after is 0.7"),
+        ({"settle_after": 0.7}, "'settle_after' is 0.7 and 'duration' 0.6 s"),
     ],
 )
 def test_invalid_sections_are_refused_in_one_sentence(tmp_path: Path, change: dict[str, Any], words: str) -> None:

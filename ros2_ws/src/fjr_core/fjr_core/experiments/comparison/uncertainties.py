@@ -24,6 +24,8 @@ from .motion_demand import MotionDemand
 from .perturbations import known, numerically_stable
 
 MAPPINGS = ("vary", "imperfections", "minimise")
+MOST = 10**6  # candidates, draws
+LONGEST = 600.0  # s
 OUTER = 0.95  # quantile that is reported beside the median
 
 
@@ -32,6 +34,7 @@ class Uncertainties:
     """What every law is tuned for. vary: distributions as in a sweep file. imperfections: levels of perturbations.
 
     minimise, quantile, success: see Goal. candidates, draws, fresh, seed: see TuningStudy. duration, settle_after [s].
+    Raises ParameterError, CompareError.
     """
 
     vary: Mapping[str, Any] = field(default_factory=dict)
@@ -45,6 +48,21 @@ class Uncertainties:
     seed: int = 1
     duration: float = 3.0
     settle_after: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("candidates", "draws", "fresh"):
+            if not (float(getattr(self, name)).is_integer() and 1 <= getattr(self, name) <= MOST):
+                raise ParameterError(f"'{name}' is {getattr(self, name)}; expected 1 to {MOST}")
+        if not 0 <= self.settle_after < self.duration <= LONGEST:
+            raise ParameterError(
+                f"'settle_after' is {self.settle_after} and 'duration' {self.duration} s; expected 0 to less than the "
+                f"duration, and this at most {LONGEST:g} s"
+            )
+        for name, given in self.vary.items():
+            distributions.read(name, given)
+        for name, level in self.imperfections.items():
+            known(name).checked(level)
+        Goal(self.minimise, self.quantile, self.success)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +87,7 @@ def uncertainties(section: Mapping[str, Any]) -> Uncertainties:
             raise ParameterError(f"'{key}' is {value!r}; expected a mapping")
         if key not in MAPPINGS and (isinstance(value, bool) or not isinstance(value, (int, float))):
             raise ParameterError(f"'{key}' is {value!r}; expected a number")
-    found = Uncertainties(**section)
-    for name, given in found.vary.items():
-        distributions.read(name, given)
-    for name, level in found.imperfections.items():
-        known(name).checked(level)
-    Goal(found.minimise, found.quantile, found.success)
-    return found
+    return Uncertainties(**section)
 
 
 def law_for(
