@@ -24,13 +24,15 @@ from .segments import Comparison, Segment, compare
 from .shooting import Shooting
 
 MOST_ITERATIONS = 30
+HORIZONS = (16, 4, 1)  # shares of the segments that are compared first
 FEW = 24  # segments of the first descent
 NEAR, CONVERGED = 1.0, 0.1  # standard deviations from the minimum that the normal equations predict
 NEGLIGIBLE = 1e-5  # of the prior's width; a smaller step is rounding, in records without noise
 SOFT = 1e-6  # damping of the first step
 SETTLED = 0.02  # decrease of the sum of squares, in units of the noise, that a step of an initial state is worth
 SHARE = 1e-4  # of the sum of squares: a smaller decrease is left to the next step of z
-MOST_SETTLING = 5
+MOST_SETTLING = 8
+SIMILAR = 0.1  # of the logarithm of noise levels
 ROUGH = 1e-4  # rad, N m; noise that is assumed before residuals are known
 RIDGE = 1e-10  # of the scaled Hessian of an initial state, so that it can be factored
 LEAST_DECREASE = 1e-3  # of -log L, of a step after which others are tried
@@ -64,6 +66,11 @@ class Problem:
     state_width: Array
     threads: int = 2
 
+    def part(self, stride: int, share: int) -> Problem:
+        """Return the problem of every `stride`-th segment, of which the first 1 / share is compared."""
+        segments = [each.shortened(max(1, each.count // share)) for each in self.segments[::stride]]
+        return replace(self, segments=segments, filtered=self.filtered[::stride])
+
     def evaluate(self, z: Array, x0: Array, noise: Array) -> tuple[Array, list[Comparison]] | None:
         """Return settled initial states and the comparison of each segment, None if one does not stay finite."""
         _ = self.shooting.library, self.shooting.function  # compiled in this thread
@@ -83,11 +90,11 @@ class Problem:
             dx, decrease = state_step(compared, size, damping)
             if decrease < max(SETTLED, SHARE * _weighted(compared, noise)):
                 return x, compared
-            trial = self.compare(k, z, x + dx, noise)
-            if trial is not None and _weighted(trial, noise) <= _weighted(compared, noise):
-                x, compared, damping = x + dx, trial, damping / 100
-            else:
-                damping *= 100
+            trial, before = self.compare(k, z, x + dx, noise), _weighted(compared, noise)
+            gain = before - _weighted(trial, noise) if trial is not None else -1.0
+            if trial is not None and gain >= 0:
+                x, compared = x + dx, trial
+            damping *= 0.1 if gain > decrease / 2 else 1.0 if gain >= 0 else 100.0
         return None if compared is None else (x, compared)
 
     def compare(self, k: int, z: Array, x: Array, noise: Array) -> Comparison | None:
@@ -132,25 +139,50 @@ class Optimum:
 def optimise(problem: Problem, z: Array, x0: Array, progress: Callable[[float], None] = lambda share: None) -> Optimum:
     """Return the most likely z and initial states. Raises StateError if the prediction of the start is not finite.
 
-    First on some segments, then on all of them.
+    First on the beginnings of some segments, which are nearly linear in z and in the initial states, then on longer
+    parts of them, at last on all.
     """
     stride = max(1, len(problem.segments) // FEW)
-    if stride > 1:
-        some = replace(problem, segments=problem.segments[::stride], filtered=problem.filtered[::stride])
-        z = _descended(some, z, x0[::stride], NEAR, lambda share: progress(share / 2))[0]
-    z, x0, compared, converged = _descended(problem, z, x0, CONVERGED, lambda share: progress((1 + share) / 2))
-    return _final(problem, z, x0, compared, converged)
+    some, noise = x0[::stride], np.maximum(problem.floor, ROUGH)
+    for k, share in enumerate(HORIZONS):
+        part = problem.part(stride, share)
+        z, some, compared, _ = _descended(part, z, some, noise, NEAR, _scaled(progress, k, len(HORIZONS)))
+        noise = part.noise(compared)
+    x0 = some if stride == 1 else _settled(problem, z, x0, noise)
+    return refine(problem, z, x0, noise, _scaled(progress, len(HORIZONS), len(HORIZONS)))
+
+
+def refine(
+    problem: Problem, z: Array, x0: Array, noise: Array, progress: Callable[[float], None] = lambda share: None
+) -> Optimum:
+    """Return the most likely z and initial states from start values near them; noise (signals,): near theirs."""
+    return _final(problem, *_descended(problem, z, x0, noise, CONVERGED, progress))
+
+
+def _scaled(progress: Callable[[float], None], stage: int, stages: int) -> Callable[[float], None]:
+    """Return the progress of a stage of stages + 1."""
+    return lambda share: progress((stage + share) / (stages + 1))
+
+
+def _settled(problem: Problem, z: Array, x0: Array, noise: Array) -> Array:
+    """Return initial states that fit longer and longer parts of their segments."""
+    for share in HORIZONS[:-1]:
+        part = problem.part(1, share)
+        found = part.evaluate(z, x0, noise)
+        x0 = x0 if found is None else found[0]
+    return x0
 
 
 def _descended(
-    problem: Problem, z: Array, x0: Array, near: float, progress: Callable[[float], None]
+    problem: Problem, z: Array, x0: Array, noise: Array, near: float, progress: Callable[[float], None]
 ) -> tuple[Array, Array, list[Comparison], bool]:
     """Return z, initial states and comparison, and whether they are at the minimum.
 
-    near: distance at which the descent ends.
+    noise (signals,): expected. near: distance at which the descent ends.
     """
-    rough = problem.evaluate(z, x0, np.maximum(problem.floor, ROUGH))
-    start = problem.evaluate(z, rough[0], problem.noise(rough[1])) if rough else None
+    start = problem.evaluate(z, x0, noise)
+    if start is not None and np.max(np.abs(np.log(problem.noise(start[1]) / noise))) > SIMILAR:
+        start = problem.evaluate(z, start[0], problem.noise(start[1]))
     if start is None:
         raise StateError("the predicted motion does not stay finite; expected a prior nearer to the robot")
     (x0, compared), damping = start, SOFT
@@ -170,16 +202,20 @@ def _descended(
 def _search(
     problem: Problem, z: Array, x0: Array, compared: list[Comparison], damping: float
 ) -> tuple[Array, Array, list[Comparison], float] | None:
-    """Return z, initial states and comparison after a step that lowers the cost, and the next damping."""
+    """Return z, initial states and comparison after a step that lowers the cost, and the next damping.
+
+    The first trial moves the initial states to their own minimum, too; a short step of z alone always lowers the cost.
+    """
     noise, cost = problem.noise(compared), problem.cost(compared, z)
     parts = [project(each, x0.shape[1]) for each in compared]
+    settled = np.array([part.a for part in parts])
     while damping < HARDEST:
         dz = _step(problem.coordinates, z, parts, damping)
-        x_new = x0 + np.array([part.a - part.B @ dz for part in parts])
-        trial = problem.evaluate(z + dz, x_new, noise)
+        moved = x0 - np.array([part.B @ dz for part in parts])
+        trial = problem.evaluate(z + dz, moved + settled, noise)
         if trial is not None and problem.cost(trial[1], z + dz) < cost:
             return z + dz, *trial, max(damping / 100, 1e-12)
-        damping = max(100 * damping, SOFT)
+        settled, damping = np.zeros_like(settled), max(100 * damping, SOFT)
     return None
 
 

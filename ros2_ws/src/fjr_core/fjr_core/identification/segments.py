@@ -8,7 +8,7 @@ signals with a skew can be evaluated.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -32,6 +32,10 @@ class Segment:
     first: int
     count: int
     pad: int
+
+    def shortened(self, count: int) -> Segment:
+        """Return the first samples of the segment."""
+        return replace(self, count=count)
 
     def measured(self, signal: str, joint: int) -> Array:
         """Return the measurements (count,) of a signal of a joint, NaN: none."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from ..numerics.checks import Array
 from .estimation_problem import Estimation
-from .gauss_newton import Optimum, Problem, optimise
+from .gauss_newton import Optimum, Problem, optimise, refine
 from .initial_guess import FilteredMotion
 from .verdict import not_identifiable
 
@@ -50,5 +50,5 @@ def simulated_fit(
         return Simulation(problem, whole, fixed, (problem, whole))
     fewer = setup.problem(setup.coordinates.without(fixed), start, motions)
     kept = [k for k in range(len(z)) if k not in fixed]
-    again = optimise(fewer, whole.z[kept], whole.x0, lambda share: progress("prediction error again", share))
+    again = refine(fewer, whole.z[kept], whole.x0, whole.noise, lambda share: progress("prediction error again", share))
     return Simulation(problem, whole, fixed, (fewer, again))
