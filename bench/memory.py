@@ -19,7 +19,7 @@ HOSTS = ("native", "events")
 """Values of the parameter `executor` of both nodes."""
 MINUTES = 10.0
 SETTLED = 1.0  # minutes; discarded
-BOUND = 32.0  # kB/min; half a byte a sample at 1 kHz
+BOUND = 16.0  # kB/min; a quarter of a byte a sample at 1 kHz
 PERIOD = 1.0  # s
 LONGEST = 60.0  # s; timeout of the start
 
