@@ -29,6 +29,7 @@ from bench import (
     on_time,
     peers,
     periods,
+    proof,
     real_time,
     round_trip,
     start_up,
@@ -40,7 +41,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
 LONG = ("memory", "sweep-memory")
 USUAL = (
     *("law", "dynamics", "step", "loop", "virtual-machine", "build", "start", "node", "command", "real-time"),
-    *("round-trip", "on-time", "certificate", "periods", "lock-step", "campaign"),
+    *("round-trip", "on-time", "certificate", "periods", "lock-step", "campaign", "proof"),
 )
 NAMES = (*USUAL, *LONG)
 
@@ -93,6 +94,7 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         lambda: periods.late(*((10.0,) if quick else ())),
         lambda: lock_step.over_ping_pong(*((2, 3.0) if quick else ())),
         lambda: campaign.against_peers(*((500, 2) if quick else ())),
+        lambda: proof.over_joint_range_and_tube(arm, *((20,) if quick else ())),
         lambda: memory.flat(*((0.5,) if quick else ())),
         lambda: campaign_memory.bounded(*((20_000,) if quick else ())),
     )
