@@ -244,7 +244,8 @@ def three_joints(folder: Path) -> str:
     path, robot = folder / "arm.yaml", "    joints: [shoulder, elbow, wrist]\n    robot:\n      model: urdf\n"
     data = "      urdf: arm.urdf\n      joint_stiffness: [400.0, 400.0, 4.0]\n      motor_inertia: [0.1, 0.1, 0.05]\n"
     path.write_text(f"/**:\n  ros__parameters:\n{robot}{data}", encoding="utf-8")
-    fjr_here("gains", str(path), "--beta", "1", "--write")
+    said = fjr_here("gains", str(path), "--beta", "1", "--proven", "--write")
+    assert "bounded by a proof near the reference" in said
     return str(path)
 
 
@@ -255,7 +256,9 @@ def test_a_rate_is_proven_with_a_certificate_and_kept_until_a_gain_changes(
     path, file = three_joints(tmp_path), tmp_path / "folder" / "rate.json"
     sampled = figures(fjr_here("check", path))
     assert "minimum over sampled configurations, not proven" in sampled["beta"]
-    assert "1/s within 0.1 rad of the reference in each joint, proven" in sampled["near the reference"]
+    near = sampled["near the reference"]
+    assert near.endswith("1/s within 0.1 rad of the reference in each joint, proven")
+    assert float(near.split()[1]) >= 0.995  # four digits of the gains are written
     proven = figures(fjr_here("check", path, "--certificate", str(file)))
     assert proven["beta"].endswith("in continuous time, proven over the joint range")
     assert figures(fjr_here("check", path)) == proven

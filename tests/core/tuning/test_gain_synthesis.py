@@ -15,6 +15,7 @@ from core.stability.test_sampled_loop import chain3, loop_converges
 from fjr_core.stability.linearization import closed_form
 from fjr_core.stability.sampled_loop import check, spectral_radius
 from fjr_core.tuning.gain_synthesis import synthesize
+from fjr_core.verification.inertia_bounds import Domain
 
 TORQUE_LIMITS = np.array([176, 176, 110, 110, 110, 40, 40])
 HOME = np.array([0, 0.5, 0.2, -1.2, -0.2, 0.8, 0.4])
@@ -161,3 +162,15 @@ def test_invalid_rates_are_refused(beta: float) -> None:
 def test_invalid_times_are_refused(period: float, delay: float) -> None:
     with pytest.raises(fjr.StateError, match="; expected "):
         synthesize(robot("paper"), 5.0, period, delay)
+
+
+def test_gains_on_a_domain_have_the_rate_at_every_position_of_it() -> None:
+    """The straight arm has more inertia than the given configurations."""
+    robot = fjr.planar_two_link()
+    domain = Domain(np.array([-1.0, 0.0]), np.array([1.0, 2.0]))
+    given = [[0.0, 1.5], [0.5, 2.0]]
+    sampled, proven = (fjr.synthesize(robot, 5.0, 1e-3, configurations=given, domain=each) for each in (None, domain))
+    straight = [[0.0, 0.0]]
+    assert fjr.TrackingLaw(robot, sampled).rate(straight).beta < 5.0
+    assert fjr.TrackingLaw(robot, proven).rate(straight).beta >= 5.0
+    assert fjr.TrackingLaw(robot, proven).proven_rate(domain, goal=1 - 1e-6).beta >= 5.0

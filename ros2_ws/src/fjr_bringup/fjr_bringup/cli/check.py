@@ -26,7 +26,7 @@ from fjr_bringup.cli.preflight import (
     refuse_unstable,
     start_outside,
 )
-from fjr_bringup.cli.rate_proof import ProvenRate, cached_rate, proven_rate, write_certificate
+from fjr_bringup.cli.rate_proof import ProvenRate, cached_rate, near_reference, proven_rate, write_certificate
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_core.config.builders import tuning
@@ -42,12 +42,10 @@ from fjr_core.files.python_class import is_named
 from fjr_core.robot.joint_units import joined
 from fjr_core.stability.model_errors import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_core.stability.sampled_loop import SampledCheck
-from fjr_core.trajectories.tube import tube
 from fjr_core.verification.inertia_bounds import is_provable
 from fjr_core.verification.inertia_polynomial import number_of_coefficients
 
 OTHER_PLANT = "in continuous time; not proven here, the plant is not the law's model"
-DEFAULT_RADIUS = 0.1  # rad or m, of the tube around the reference if the tracking error has no limit
 COEFFICIENTS = 50_000  # of all boxes of the proof near the reference; a tenth of a second
 EVALUATIONS = 100  # of a law in Python, whose time is measured
 
@@ -222,10 +220,9 @@ def _near_the_reference(scenario: Scenario, law: TrackingLaw) -> dict[str, str]:
     """Return the rate that is proven within a radius of the reference; no row if nothing can be proven."""
     if not is_provable(scenario.robot):
         return {}
-    limit = np.asarray(safety(scenario.controller_values, scenario.robot).tracking_error)
-    radius = np.where(np.isfinite(limit), limit, DEFAULT_RADIUS)
+    domain, radius = near_reference(scenario)
     coefficients = number_of_coefficients(scenario.robot.links.bodies)
-    rate = law.proven_rate(tube(scenario.reference, radius), most_boxes=1 + COEFFICIENTS // coefficients)
+    rate = law.proven_rate(domain, most_boxes=1 + COEFFICIENTS // coefficients)
     basis = "proven" if scenario.plant_is_the_model else "not proven here, the plant is not the law's model"
     near = f"within {_range(radius)} {position_unit(scenario)} of the reference in each joint"
     return {"near the reference": f"beta {rate.beta:.4g} 1/s {near}, {basis}"}

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.cli.posterior_gains import Posterior
+from fjr_bringup.cli.rate_proof import near_reference, refuse_unprovable
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_bringup.scenarios.gains_block import GainValues, gain_lines, with_gains
@@ -23,6 +24,7 @@ from fjr_core.files.text_file import read_text
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.sampled_loop import SampledCheck, check
 from fjr_core.tuning.gain_synthesis import synthesize
+from fjr_core.verification.inertia_bounds import Domain, joint_range
 
 
 def synthesised(
@@ -31,13 +33,15 @@ def synthesised(
     beta: float,
     delay: float,
     everywhere: bool,
+    proven: bool,
     write: bool,
     identification: Path | None,
     seed: int,
 ) -> Result:
     """Return gains for a scenario's robot as YAML: rate beta [1/s] at its sample rate and a loop delay [samples].
 
-    The rate holds along the scenario's reference, or everywhere within the joints' range. write: replace the gains in
+    The rate holds along the scenario's reference, or everywhere within the joints' range. proven: it holds for all
+    positions near the reference or in the range, not only for the sampled ones. write: replace the gains in
     the scenario's file. identification: file of a posterior; the loop is then stable with plants drawn from it, and
     checked on fresh draws. Raises GainsError if no such gains exist or a fresh draw is unstable.
     """
@@ -48,9 +52,9 @@ def synthesised(
     robot, period = loaded.robot, loaded.sample_period
     where = None if everywhere else loaded.configurations()
     posterior = Posterior(identification, loaded, seed) if identification else None
-    gains = synthesize(
-        robot, beta, period, delay * period, where, loaded.joints, posterior.design if posterior else None
-    )
+    domain = _domain(loaded, everywhere) if proven else None
+    design = posterior.design if posterior else None
+    gains = synthesize(robot, beta, period, delay * period, where, loaded.joints, design, domain)
     law = TrackingLaw(robot, gains)
     found, rate = _checked(loaded, law, delay * period, where), law.rate(where)
     confirmed = posterior.confirmed(law, delay * period, where) if posterior else None
@@ -60,6 +64,9 @@ def synthesised(
         f"# for {loaded.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / period:g} Hz "
         f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples\n"
     ) + (f"# {confirmed.sentence}\n" if confirmed else "")
+    if proven:
+        place = "over the joint range" if everywhere else "near the reference (see `fjr check`)"
+        head += f"# the inertia is bounded by a proof {place}: beta is at least {beta:.3g} 1/s there before rounding\n"
     values = {name.partition(".")[2]: entries for name, entries in builders.gain_values(gains, robot.n).items()}
     numbers = {"beta_per_s": rate.beta, "beta_is_proven": rate.proven, "spectral_radius": found.spectral_radius}
     numbers["delay_margin_samples"] = found.delay_margin
@@ -71,6 +78,12 @@ def synthesised(
     where_to = f"# written to {path}:" if write else "# in place of `gains` below ros__parameters:"
     written = {"written": path if write else None}
     return Result(f"{head}{where_to}\n{block}", {"scenario": loaded.name, **numbers, "gains": values, **written})
+
+
+def _domain(scenario: Scenario, everywhere: bool) -> Domain:
+    """Return the domain of a proof: the joint range or the tube around the reference."""
+    refuse_unprovable(scenario)
+    return joint_range(scenario.robot) if everywhere else near_reference(scenario)[0]
 
 
 def _write(path: Path, values: GainValues, n: int) -> None:

@@ -15,17 +15,21 @@ import numpy as np
 
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.progress import heartbeat
+from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.control.vdpbc.proof_of_rate import proof_of_rate
 from fjr_core.control.vdpbc.rate_certificate import rate_certificate
 from fjr_core.errors import FjrError, RobotError
+from fjr_core.numerics.checks import Array
 from fjr_core.numerics.code_cache import code_folder
 from fjr_core.numerics.jit_cache import program_digest
 from fjr_core.robot.configuration_sampling import bounds_of, sample_configurations
-from fjr_core.verification.inertia_bounds import GOAL, is_provable
+from fjr_core.trajectories.tube import tube
+from fjr_core.verification.inertia_bounds import GOAL, Domain, is_provable
 
 SAMPLES = 512
+DEFAULT_RADIUS = 0.1  # rad or m, of the tube around the reference if the tracking error has no limit
 
 
 class ProofError(FjrError):
@@ -48,6 +52,21 @@ class ProvenRate:
     certificate: dict[str, Any]
 
 
+def near_reference(scenario: Scenario) -> tuple[Domain, Array]:
+    """Return the tube around the reference with the largest tracking error (n,) that the controller accepts."""
+    limit = np.asarray(safety(scenario.controller_values, scenario.robot).tracking_error)
+    radius = np.where(np.isfinite(limit), limit, DEFAULT_RADIUS)
+    return tube(scenario.reference, radius), radius
+
+
+def refuse_unprovable(scenario: Scenario) -> None:
+    """Raise ProofError if nothing can be proven about the inertia of the robot."""
+    if not is_provable(scenario.robot):
+        raise ProofError(
+            f"scenario {scenario.name} has {scenario.robot.n} joints; expected at most 8 revolute joints for a proof"
+        )
+
+
 def cached_rate(scenario: Scenario) -> ProvenRate | None:
     """Return the proven rate that an earlier command has kept for this law and robot; None if there is none."""
     with suppress(OSError, ValueError, TypeError):
@@ -61,10 +80,7 @@ def proven_rate(scenario: Scenario, seconds: float) -> ProvenRate:
     law = scenario.law
     if not isinstance(law, TrackingLaw):
         raise ProofError(f"law.type is {scenario.controller_values['law.type']!r}; expected 'v_dpbc' for a certificate")
-    if not is_provable(scenario.robot):
-        raise ProofError(
-            f"scenario {scenario.name} has {scenario.robot.n} joints; expected at most 8 revolute joints for a proof"
-        )
+    refuse_unprovable(scenario)
     known = cached_rate(scenario)
     if known is not None and known.complete:
         return known

@@ -33,6 +33,7 @@ from ..stability.linearization import in_error_coordinates
 from ..stability.one_sample_map import SampledLoop
 from ..stability.sampled_loop import FEW, checked_times
 from ..stability.spring_lag import late_spring
+from ..verification.inertia_bounds import Domain, largest_inertia
 
 SPEED_FACTORS = (2.0, 1.4, 1.0)  # c: ratio of Lambda and K_md M_m^-1 to the rate
 COUPLING = (1.0, 1.1, 1.2, 1.35, 1.5)  # g = Pi_m / K
@@ -43,6 +44,7 @@ HALVINGS = 16  # of an unreachable rate in the search of a reachable one
 LARGEST_PRODUCT = 30.0  # beta times the sample period; no loop decays by e^-15 per sample
 DRAWN_AT = 3  # configurations of the largest radius, at each screened delay, for drawn plants
 STEP_DOWN, STEPS_DOWN = 0.7, 6  # in the search of a rate that is stable with all drawn plants
+GOAL = 0.98  # attained / proven inertia at which the search of a proven s ends
 KEPT = 12  # configurations of the largest radius at each screened delay, at which gains are compared
 
 
@@ -54,6 +56,7 @@ def synthesize(
     configurations: ArrayLike | None = None,
     joints: Sequence[str] = (),
     plants: DrawnPlants | None = None,
+    domain: Domain | None = None,
 ) -> Gains:
     """Return gains with block rates of at least beta [1/s] for a loop of sample_period [s] and delay [s].
 
@@ -61,13 +64,15 @@ def synthesize(
     the 1024 of `check` within the limits of the robot, so that law.rate().beta >= beta and check(...) is stable. At
     these configurations the sampled loop decays at least at beta / 2 with the given delay and with a quarter and half a
     sample more. There is no guarantee between the configurations.
+    domain: positions on which s M >= M_l is proven (verification.inertia_bounds), so that law.proven_rate(domain) is at
+    least beta but for the gap of its own search.
     plants: drawn plants with which the loop is to be stable, too, at the most critical configurations.
     Raises GainsError if no gains of this family meet these conditions, with the largest reachable rate, and with the
     joint (one of `joints`, their names) whose spring is too fast for the loop.
     """
     checked_times(sample_period, delay)
     positive("beta", beta, GainsError, "1/s")
-    task = gain_search(robot, sample_period, delay, configurations)
+    task = gain_search(robot, sample_period, delay, configurations, domain)
     gains = replace(task, plants=plants).best(beta)
     if gains is None and plants is not None and task.best(beta) is not None:
         raise GainsError(
@@ -185,7 +190,13 @@ class GainSearch:
         return len(decays), min(decays)
 
 
-def gain_search(robot: Robot, sample_period: float, delay: float, configurations: ArrayLike | None) -> GainSearch:
+def gain_search(
+    robot: Robot,
+    sample_period: float,
+    delay: float,
+    configurations: ArrayLike | None,
+    domain: Domain | None = None,
+) -> GainSearch:
     """Return the search of gains for several rates; the arguments are those of `synthesize`."""
     equilibria = equilibria_at(robot, checked_configurations(robot, configurations))
     inertias = list(equilibria.M_l)
@@ -193,6 +204,8 @@ def gain_search(robot: Robot, sample_period: float, delay: float, configurations
     if configurations is None:
         inertias += [np.asarray(vertex) for vertex in robot.links.M_l_vertices or ()]
     s = max(float(relative_eigenvalues(M_l, M)[-1]) for M_l in inertias)
+    if domain is not None:
+        s = max(s, largest_inertia(robot, M, domain, GOAL).bound)
     return GainSearch(equilibria, M, s, sample_period, delay)
 
 

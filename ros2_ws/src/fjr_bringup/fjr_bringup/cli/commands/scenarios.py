@@ -106,6 +106,7 @@ def check(**given: Any) -> Any:
 @click.option("--beta", type=options.RATE, metavar="B", required=True, help="Required rate of convergence [1/s].")
 @click.option("--delay", type=options.SAMPLES, metavar="D", default=0.0, help="Delay of the loop in samples.")
 @click.option("--everywhere", is_flag=True, help="Cover the joints' whole range instead of the reference only.")
+@click.option("--proven", is_flag=True, help="Bound the inertia by a proof instead of samples (docs/proof.md).")
 @click.option("--write", is_flag=True, help="Replace the gains in the scenario's file; its comments are kept.")
 @click.option(
     "--from",
