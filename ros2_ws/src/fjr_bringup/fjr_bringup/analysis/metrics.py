@@ -74,7 +74,7 @@ class Storage:
 
     initial: float
     guaranteed_decay_rate_per_s: float  # 2 beta
-    guarantee_is_proven: bool  # for every configuration; else 2 beta is the minimum over sampled configurations
+    guarantee_is_proven: bool  # for every configuration, or all in the box of the visited ones; else a sampled minimum
     measured_decay_rate_per_s: float | None  # mean rate while V falls from V(0) to 1e-4 V(0)
     leaves_bound_at_s: float | None  # V stays above the bound from here on; null: never
     relative_where_it_leaves: float | None  # V / V(0) there

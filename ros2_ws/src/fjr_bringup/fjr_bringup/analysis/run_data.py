@@ -25,7 +25,9 @@ from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.monitoring.record import Record
 from fjr_core.robot.joint_units import REVOLUTE, Units
+from fjr_core.verification.inertia_bounds import Domain, few_boxes, is_provable
 
+FARTHEST = 1e4  # rad or m; a run that goes beyond has lost its robot, and bounds may overflow
 VISITED = 200  # configurations of a run at which the rate is evaluated
 TAIL = 1.0  # s; states after the last command that are dropped without a note
 OTHER_RATE = 0.05  # relative; beyond this difference the measured sample period replaces the scenario's
@@ -43,7 +45,7 @@ class RunData(Record):
     certificate: CertificateSeries  # along the states; V, dV NaN for another law than v-dPBC
     joints: tuple[str, ...]
     beta: float  # rate [1/s]: V(t) <= V(0) exp(-2 beta t) in continuous time
-    beta_is_proven: bool  # for every configuration; else beta is the least at configurations of the run
+    beta_is_proven: bool  # for every configuration, or those of the run; else beta is the least at some of the run
     torque: Array  # (k, n) N m, measured at the motors
     dV: Array  # (k - 1,) W, mean rate of V over each step by the model, the sent effort held
     reference_mismatch: float  # rad, recorded reference against the one computed here
@@ -213,10 +215,19 @@ def _certificate(scenario: Scenario, states: States, jets: Array, u: Array) -> C
 
 
 def _rate(scenario: Scenario, q_l: Array) -> Rate:
-    """Return the convergence rate of v-dPBC: proven, else sampled at visited configurations q_l (k, n)."""
+    """Return the convergence rate of v-dPBC: proven, else sampled at visited configurations q_l (k, n).
+
+    For an arm of a URDF the proof holds on the smallest box that contains all visited positions and the largest step
+    between two of them.
+    """
     law = scenario.certified_law
     if law is None:
         return NO_RATE
     rate = law.rate()
-    visited = q_l[:: max(1, len(q_l) // VISITED)]
-    return rate if rate.proven or not np.isfinite(visited).all() else law.rate(visited)
+    if rate.proven or not np.isfinite(q_l).all():
+        return rate
+    if not is_provable(scenario.robot) or np.max(np.abs(q_l), initial=0.0) > FARTHEST:
+        return law.rate(q_l[:: max(1, len(q_l) // VISITED)])
+    step = np.max(np.abs(np.diff(q_l, axis=0)), axis=0, initial=0.0)
+    domain = Domain(q_l.min(axis=0) - step, q_l.max(axis=0) + step)
+    return law.proven_rate(domain, most_boxes=few_boxes(scenario.robot))

@@ -42,11 +42,9 @@ from fjr_core.files.python_class import is_named
 from fjr_core.robot.joint_units import joined
 from fjr_core.stability.model_errors import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_core.stability.sampled_loop import SampledCheck
-from fjr_core.verification.inertia_bounds import is_provable
-from fjr_core.verification.inertia_polynomial import number_of_coefficients
+from fjr_core.verification.inertia_bounds import few_boxes, is_provable
 
 OTHER_PLANT = "in continuous time; not proven here, the plant is not the law's model"
-COEFFICIENTS = 50_000  # of all boxes of the proof near the reference; a tenth of a second
 EVALUATIONS = 100  # of a law in Python, whose time is measured
 
 
@@ -221,8 +219,7 @@ def _near_the_reference(scenario: Scenario, law: TrackingLaw) -> dict[str, str]:
     if not is_provable(scenario.robot):
         return {}
     domain, radius = near_reference(scenario)
-    coefficients = number_of_coefficients(scenario.robot.links.bodies)
-    rate = law.proven_rate(domain, most_boxes=1 + COEFFICIENTS // coefficients)
+    rate = law.proven_rate(domain, most_boxes=few_boxes(scenario.robot))
     basis = "proven" if scenario.plant_is_the_model else "not proven here, the plant is not the law's model"
     near = f"within {_range(radius)} {position_unit(scenario)} of the reference in each joint"
     return {"near the reference": f"beta {rate.beta:.4g} 1/s {near}, {basis}"}
