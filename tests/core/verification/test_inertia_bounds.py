@@ -82,6 +82,29 @@ def test_a_smaller_box_and_a_tube_have_smaller_bounds() -> None:
     assert tube.bound < 1.02 * tube.attained
 
 
+def slider(turns: int) -> fjr.Robot:
+    """Return a robot whose last link slides radially; it does not say which joints are prismatic, the bodies do."""
+    slide = fjr.Body(np.eye(3), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3), True)
+    turn = fjr.Body(np.eye(3), (0.2, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (0.1, 0.0, 0.0), 0.01 * np.eye(3))
+    one = np.eye(turns + 1)
+    return fjr.Robot(fjr.serial_chain([turn] * turns + [slide]), one, one, 0 * one, 0 * one, one)
+
+
+def test_a_motion_over_several_turns_is_covered_in_each() -> None:
+    """The slide is out in the second turn only."""
+    robot, times = slider(2), np.linspace(0.0, 1.0, 41)
+    path = np.column_stack([0 * times, 12 * times, times])
+    near = np.stack([path[:-1] - 0.01, path[1:] + 0.01], axis=1)
+    found = largest_inertia(robot, 1.0, Domain(near[:, 0].min(axis=0), near[:, 1].max(axis=0), near))
+    assert extremes(robot, np.eye(3), path)[1] <= found.bound
+
+
+def test_a_long_slide_is_no_circle() -> None:
+    domain = Domain(np.array([-1.0, -1.0]), np.array([1.0, 20.0]))
+    found = largest_inertia(slider(1), 1.0, domain)
+    assert extremes(slider(1), np.eye(2), np.array([[0.0, 20.0]]))[1] <= found.bound
+
+
 def test_joints_in_another_order_have_the_same_bounds() -> None:
     """The random URDF names its joints in an order other than that of the chain."""
     case = random_urdf(3, 1)

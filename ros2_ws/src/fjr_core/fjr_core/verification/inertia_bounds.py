@@ -131,7 +131,7 @@ def _bound(
     in_chain = np.argsort(order)
     A = checks.positive_definite("A", checks.matrix("A", A, robot.n, StateError), StateError)
     inertia = normalised(polynomial, Interval.exact(A[np.ix_(in_chain, in_chain)]), sign)
-    lower, upper = _covered(robot, domain)
+    lower, upper, whole = _covered(robot, domain)
     first = float(lower[in_chain[0]])
 
     def complete(q: Array) -> Array:
@@ -142,32 +142,35 @@ def _bound(
         M_l = robot.M_l(complete(q))[np.ix_(in_chain, in_chain)]
         return float(np.linalg.eigvalsh(sign * X @ M_l @ X.T)[-1])
 
-    tried = np.reshape(np.asarray(samples, dtype=float), (-1, robot.n))[:, in_chain[1:]]
+    tried = np.reshape(np.asarray(samples, dtype=float), (-1, robot.n))
     if domain.near is not None:
-        tried = np.vstack([tried, np.mean(domain.near, axis=1)[:, in_chain[1:]]])
+        tried = np.vstack([tried, np.mean(domain.near, axis=1)])
+    tried = np.clip(tried, lower, upper)[:, in_chain[1:]]
     box = np.column_stack([lower, upper])[in_chain[1:]]
-    relevant = _near(domain, in_chain[1:])
+    relevant = _near(domain, whole, in_chain[1:])
     found = supremum(inertia, box, value, tried, goal, most_boxes, relevant, watch)
     return RelativeInertia(found.bound, found.attained, complete(found.at), lower, upper, found.boxes, found)
 
 
-def _covered(robot: Robot, domain: Domain) -> tuple[Array, Array]:
-    """Return lower and upper (n,) of the domain; a range of a whole turn is made to cover the circle."""
-    lower, upper = (
-        checks.vector("a range of joints", end, robot.n, StateError) for end in (domain.lower, domain.upper)
-    )
+def _covered(robot: Robot, domain: Domain) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return lower and upper (n,) of the domain, and which joints turn by a whole circle: their range is one turn."""
+    ends = (domain.lower, domain.upper)
+    lower, upper = (checks.vector("an end of the domain", end, robot.n, StateError) for end in ends)
     if not np.all(lower <= upper):
         raise StateError(f"the domain is {lower.tolist()} to {upper.tolist()}; expected lower <= upper")
-    slides = np.array(robot.prismatic or (False,) * robot.n)
+    slides = np.array([robot.links.bodies[joint].prismatic for joint in robot.links.order])
     whole = ~slides & (upper - lower >= 2 * np.pi - 1e-9)
-    return lower, np.where(whole, lower + CIRCLE, upper)
+    return lower, np.where(whole, lower + CIRCLE, upper), whole
 
 
-def _near(domain: Domain, joints: NDArray[np.intp]) -> Callable[[Array], bool]:
-    """Return whether a box (n - 1, 2) of the outer joints of the chain meets the domain."""
+def _near(domain: Domain, whole: NDArray[np.bool_], joints: NDArray[np.intp]) -> Callable[[Array], bool]:
+    """Return whether a box (n - 1, 2) of the outer joints of the chain meets the domain.
+
+    A joint that turns by a whole circle meets it at every angle, as its angles in the domain may be a turn away.
+    """
     if domain.near is None:
         return lambda box: True
-    lower, upper = domain.near[:, 0, joints], domain.near[:, 1, joints]
+    lower, upper = (np.where(whole, end, domain.near[:, k])[:, joints] for k, end in enumerate((-np.inf, np.inf)))
     return lambda box: bool(np.any(np.all((lower <= box[:, 1]) & (upper >= box[:, 0]), axis=1)))
 
 
