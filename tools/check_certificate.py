@@ -327,16 +327,22 @@ def positive_definite(S: Box) -> bool:
     return eliminated(n, pairs, low, high)
 
 
+def is_split(entry: list[Any], n: int) -> bool:
+    """Return whether a list is a joint other than the first of n, and cuts."""
+    joint, *cuts = entry
+    return type(joint) is int and 0 < joint < n and all(type(cut) in (int, float) for cut in cuts)
+
+
 def leaves(tree: list[Any], ranges: list[Range]) -> Iterator[list[Range]]:
     """Yield the boxes of a tree in preorder; raise RefusedError unless they cover the ranges."""
     left, entries = [ranges], iter(tree)
     while left:
         box = left.pop()
         entry = next(entries, None)
-        if entry == 0 and not isinstance(entry, (bool, list)):
+        if type(entry) is int and entry == 0:
             yield box
             continue
-        if not (isinstance(entry, list) and len(entry) > 1 and entry[0] in range(1, len(box))):
+        if not (isinstance(entry, list) and len(entry) > 1 and is_split(entry, len(box))):
             raise RefusedError(f"the boxes do not cover the joint range: {entry!r} is neither a box nor a split")
         joint, ends = entry[0], [box[entry[0]][0], *map(float, entry[1:]), box[entry[0]][1]]
         if not all(a < b for a, b in zip(ends[:-1], ends[1:], strict=True)):
@@ -380,8 +386,9 @@ def values_of(content: dict[str, Any]) -> tuple[list[dict[str, Any]], list[Range
         shapes = {"rotation": (3, 3), "inertia": (3, 3), "translation": (3,), "com": (3,), "mass": ()}
         parts = [(np.array(body[name], dtype=float), shape) for body in bodies for name, shape in shapes.items()]
         kinds = all(isinstance(body["prismatic"], bool) for body in bodies) and isinstance(content["boxes"], list)
+        kinds = kinds and len(content["joints"]) == n and all(isinstance(name, str) for name in content["joints"])
         orthogonal = all(np.max(np.abs(R @ R.T - np.eye(3))) < ORTHOGONAL for R, shape in parts[:: len(shapes)])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RefusedError(f"a value is missing or of a wrong kind ({error!r})") from None
     sized = len(ranges) == n > 0 and all(array.shape == (n, n) for array in arrays.values())
     sized = sized and kinds and all(part.shape == shape for part, shape in parts)
@@ -390,7 +397,16 @@ def values_of(content: dict[str, Any]) -> tuple[list[dict[str, Any]], list[Range
         raise RefusedError("a value has a wrong shape or is not finite")
     if not (orthogonal and all(a <= b for a, b in ranges)):
         raise RefusedError("a rotation is not orthogonal, or a joint range is empty")
+    if not all(is_physical(float(body["mass"]), np.array(body["inertia"], dtype=float)) for body in bodies):
+        raise RefusedError("a body has a negative mass, or an inertia that is not positive semidefinite")
     return bodies, ranges, beta, {name: Box(array) for name, array in arrays.items()}
+
+
+def is_physical(mass: float, inertia: Array) -> bool:
+    """Return whether mass and inertia (3, 3) have no negative kinetic energy."""
+    size = float(np.max(np.abs(inertia)))
+    symmetric = bool(np.max(np.abs(inertia - inertia.T)) <= 1e-12 * size)
+    return mass >= 0 and symmetric and bool(np.linalg.eigvalsh(inertia)[0] >= -1e-12 * size)
 
 
 def check_blocks(beta: float, matrix: dict[str, Box]) -> None:

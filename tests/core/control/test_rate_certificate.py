@@ -159,6 +159,19 @@ def test_changed_certificates_are_refused_by_digest_and_proof(
         checked(content)
 
 
+@pytest.mark.parametrize("value", [None, "text", [], {}, [None], -1.0, [[0.5, 0.1]], [[1.0, 0.1], 0, 0]])
+def test_values_of_a_wrong_kind_are_refused(value: object) -> None:
+    for name in certificate():
+        with pytest.raises(RefusedError):
+            checked(sealed(certificate() | {name: value}) if name != "sha256" else certificate() | {name: value})
+    for name in certificate()["bodies"][0]:
+        content = certificate()
+        if value is not content["bodies"][0][name]:
+            content["bodies"][0][name] = value
+            with pytest.raises(RefusedError):
+                checked(sealed(content))
+
+
 def test_a_wider_joint_range_is_refused() -> None:
     content = certificate()
     content["upper"] = [end + 0.3 for end in content["upper"]]
