@@ -24,6 +24,7 @@ LONGEST_FIRST = (
     "system/test_compare_tuned.py",
     "core/experiments/test_tuning.py",
     "core/stability/test_complete_loop_check.py",
+    "core/stability/test_error_bound.py",
     "core/monitoring/test_diagnosis.py",
     "core/monitoring/test_storage_growth.py",
     "core/stability/test_prolonged_system.py",

@@ -289,3 +289,26 @@ def test_a_certificate_that_cannot_be_made_is_refused_in_one_sentence(tmp_path: 
     (tmp_path / "file").write_text("")
     inside = str(tmp_path / "file" / "rate.json")
     assert "cannot be written" in fjr_here("check", "paper_k31", "--certificate", inside, code=1)
+
+
+def test_the_tracking_error_is_bounded_for_stated_errors() -> None:
+    given = ("check", "paper_k31", "--error", "payload=0.2", "--delay", "1")
+    result = json.loads(fjr_here(*given, "--json"))
+    bound = result["error_bound"]
+    size = f"{1e3 * bound['position']['joint1']:.3g} mrad"
+    said = f"with 20 % payload error and one sample of delay: at most {size} at joint1, proven along this reference"
+    assert result["rows"]["error bound"] == said
+    assert bound["errors"] == {"payload": 0.2}
+    assert bound["proven"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--error", "mass=0.2"), "error 'mass' is unknown; expected some of payload, link_inertia"),
+        (("--error", "payload"), "'' is not an error; expected NAME=VALUE with 0 or a positive number"),
+        (("--delay", "1", "--set", "robust.residual_gain:=[60.0]"), "robust.* is enabled; expected a static law"),
+    ],
+)
+def test_an_error_bound_that_does_not_apply_is_refused(options: tuple[str, ...], words: str) -> None:
+    assert words in fjr_here("check", "paper_k31", *options, code=2)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fjr_bringup.cli.error_bound import errors_bounded
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import (
     StartError,
@@ -49,23 +50,31 @@ EVALUATIONS = 100  # of a law in Python, whose time is measured
 
 
 def check_scenario(
-    scenario: str | None, assignments: Sequence[str], certificate: Path | None = None, seconds: float = 120.0
+    scenario: str | None,
+    assignments: Sequence[str],
+    certificate: Path | None = None,
+    seconds: float = 120.0,
+    errors: Sequence[tuple[str, float]] = (),
+    delay: float | None = None,
 ) -> Result:
     """Return the check of a scenario; print its warnings and why it cannot run on standard error.
 
-    certificate: file for the proof of the rate over the joint range, which takes at most `seconds`.
+    certificate: file for the proof of the rate over the joint range, which takes at most `seconds`. errors: names and
+    sizes of model errors; delay [samples]. With any of them the tracking error is bounded.
     """
     loaded = library.load(scenario, assignments)
+    bound = errors_bounded(loaded, dict(errors), delay) if errors or delay is not None else None
     if certificate is not None:
         write_certificate(proven_rate(loaded, seconds), certificate)
     found = checked(loaded)
-    rows = check_rows(loaded, found)
+    rows = check_rows(loaded, found) | ({} if bound is None else {"error bound": bound.sentence})
     for warning in _warnings(loaded):
         print(f"fjr: {warning}", file=sys.stderr)
     refusal = _refusal(loaded, found)
     if refusal:
         print(f"fjr: {refusal}", file=sys.stderr)
-    return Result(table(rows), _values(loaded, found, rows, refusal), Exit.FAILED if refusal else Exit.DONE)
+    values = _values(loaded, found, rows, refusal) | ({} if bound is None else {"error_bound": bound.values})
+    return Result(table(rows), values, Exit.FAILED if refusal else Exit.DONE)
 
 
 def _warnings(scenario: Scenario) -> list[str]:

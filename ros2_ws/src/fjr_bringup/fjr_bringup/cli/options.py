@@ -44,6 +44,12 @@ def cores(text: str) -> int:
     return integer("a number of cores", "1 or more, or all", 1, 1024)(text)
 
 
+def model_error(text: str) -> tuple[str, float]:
+    """Convert NAME=VALUE, the largest error of a parameter."""
+    name, _, value = text.partition("=")
+    return name, number("an error", "NAME=VALUE with 0 or a positive number", lambda size: 0 <= size < math.inf)(value)
+
+
 def remap(text: str) -> str:
     """Check a remap FROM:=TO."""
     if not all(text.partition(":=")[::2]):

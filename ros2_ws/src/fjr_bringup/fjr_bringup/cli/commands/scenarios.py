@@ -92,11 +92,24 @@ def report(**given: Any) -> Any:
     help="Prove the rate over the joint range and write its certificate (JSON).",
 )
 @click.option("--seconds", type=options.SECONDS, metavar="S", default=120.0, help="Longest time of the proof.")
+@click.option(
+    "--error",
+    "errors",
+    type=options.model_error,
+    metavar="NAME=VALUE",
+    multiple=True,
+    help="Bound the tracking error for a robot whose NAME is wrong by up to VALUE, e.g. payload=0.2; may be repeated.",
+)
+@click.option(
+    "--delay", type=options.SAMPLES, metavar="D", help="Delay in samples for this bound. [default: the scenario's]"
+)
 @set_option
 def check(**given: Any) -> Any:
     """Check rates, stability and margins before a run.
 
-    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file. With --error or --delay a bound
+    of the tracking error along the reference is computed. Relative errors: payload (inertia and weight of the links),
+    link_inertia, gravity, stiffness, motor_inertia, link_damping, motor_damping; in N m: link_torque, motor_torque.
     """
     return implementation("check").check_scenario(**given)
 

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bound the tracking error of a sampled loop along a reference, for model errors, hold and delay (docs/method.md).
+
+The box of the robot's factors is divided until each part has an invariant tube (invariant_tube.py); the bound is the
+largest of the parts. With closed-form links and sines as the reference every constant is enclosed by interval
+arithmetic, and the bound is proven. Otherwise the ranges are those of random points of the same boxes: sampled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...control.static_law import StaticLaw
+from ...errors import ParameterError
+from ...numerics.checks import Array
+from ...numerics.one_line import one_line
+from ...trajectories.reference import Reference
+from .deviation_model import FACTORS
+from .search import Part, Search
+
+TORQUES = ("link_torque", "motor_torque")
+"""Names of errors in N m; the others, FACTORS, are relative."""
+LARGEST = 0.9  # relative error of a factor
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBound:
+    """Bound of the deviations from the reference for all model errors up to `errors`.
+
+    position, velocity (n,) [rad, rad/s]: ultimate bounds of |q_l - q_ld| and |dq_l - dq_ld|, once the start has
+    decayed; infinite if no invariant tube was found. from_start (n,) [rad]: bound of the positions at all times,
+    infinite unless proven. errors: relative errors of FACTORS, and TORQUES in N m. parts: number of parts of the box of
+    factors. proven: every constant is verified; otherwise the bound rests on sampled constants.
+    """
+
+    position: Array
+    velocity: Array
+    from_start: Array
+    errors: Mapping[str, float]
+    sample_period: float
+    delay: float
+    parts: int
+    proven: bool
+
+    __repr__ = one_line
+
+    @property
+    def found(self) -> bool:
+        """True if the bound is finite."""
+        return bool(np.all(np.isfinite(self.position)))
+
+
+def bound_errors(
+    law: StaticLaw, reference: Reference, sample_period: float, delay: float = 0.0, errors: Mapping[str, float] = {}
+) -> ErrorBound:
+    """Return a bound of the tracking errors on the reference of the law sampled every sample_period [s].
+
+    delay [s]: constant, from a state to the effort that answers it. errors: largest relative errors of the robot's
+    factors (FACTORS: one factor for all joints, "payload" for inertia and weight of the links together), and largest
+    TORQUES [N m] that act at any joint with any time course. The robot starts on the reference.
+    Raises ParameterError for an unknown name, or an error that is negative or too large.
+    """
+    checked = _checked(errors)
+    half = np.array([checked.get(name, 0.0) for name in FACTORS])
+    disturbing = np.repeat([checked.get(name, 0.0) for name in TORQUES], law.robot.n)
+    given = law, reference, sample_period, delay, disturbing
+    search = Search(*given, verified=True)
+    if search.applies:
+        parts = search.parts(1 - half, 1 + half)
+        if all(part.tube is not None for part in parts):
+            return _result(parts, law.robot.n, checked, (sample_period, delay), proven=True)
+    parts = Search(*given, verified=False).parts(1 - half, 1 + half)
+    return _result(parts, law.robot.n, checked, (sample_period, delay), proven=False)
+
+
+def _result(
+    parts: Sequence[Part], n: int, errors: Mapping[str, float], times: tuple[float, float], proven: bool
+) -> ErrorBound:
+    none = np.full(4 * n, np.inf)
+    z = np.max([none if part.tube is None else part.tube.z for part in parts], axis=0)
+    start = np.max([none if part.from_start is None else part.from_start.z for part in parts], axis=0)
+    return ErrorBound(z[:n], z[2 * n : 3 * n], start[:n], errors, *times, len(parts), proven)
+
+
+def _checked(errors: Mapping[str, float]) -> dict[str, float]:
+    for name, value in errors.items():
+        if name not in (*FACTORS, *TORQUES):
+            raise ParameterError(f"error '{name}' is unknown; expected some of {', '.join((*FACTORS, *TORQUES))}")
+        limit = LARGEST if name in FACTORS else np.inf
+        if not 0 <= value <= limit or not np.isfinite(value):
+            raise ParameterError(f"error '{name}' is {value}; expected 0 to {limit}")
+    return dict(errors)
