@@ -312,3 +312,34 @@ def test_the_tracking_error_is_bounded_for_stated_errors() -> None:
 )
 def test_an_error_bound_that_does_not_apply_is_refused(options: tuple[str, ...], words: str) -> None:
     assert words in fjr_here("check", "paper_k31", *options, code=2)
+
+
+def test_contraction_of_the_sampled_loop_is_proven_on_request() -> None:
+    fast = ("paper_k31", "--set", "reference.frequency:=[20.0]", "--set", "reference.amplitude:=[0.2]")
+    rows = figures(fjr_here("check", *fast, "--prove-sampled", "--delay", "1"))
+    found = re.fullmatch(
+        r"contracts at ([\d.]+) 1/s within ([\d.]+) mrad of the reference, delay up to 1 sample",
+        rows["sampled loop, proven"],
+    )
+    assert found is not None
+    assert float(found[1]) > 10.0
+    assert float(found[2]) > 50.0
+    assert rows["remaining error"].endswith("mrad of a link")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("arm7",), "the law has 7 joints; expected at most 2, more take too long"),
+        (("paper_k31", "--set", "law.type:=lqr"), "law.type is lqr; expected v_dpbc"),
+        (
+            ("paper_k31", "--set", "robust.integral_gain:=[1.0]"),
+            "robust.* gives the law a state; expected a law without",
+        ),
+        (("paper_k31", "--delay", "2"), "delay is 2.0 samples; expected 0 to 1"),
+    ],
+)
+def test_loops_that_the_proof_does_not_cover_are_named(arguments: tuple[str, ...], reason: str) -> None:
+    rows = figures(fjr_here("check", *arguments, "--prove-sampled", code=1))
+    assert rows["sampled loop"].startswith(f"NOT proven: {reason}")
+    assert rows["as sampled"] == "stable"

@@ -28,6 +28,7 @@ from fjr_bringup.cli.preflight import (
     start_outside,
 )
 from fjr_bringup.cli.rate_proof import ProvenRate, cached_rate, near_reference, proven_rate, write_certificate
+from fjr_bringup.cli.sampled_proof import sampled_proof
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_core.config.builders import tuning
@@ -55,26 +56,33 @@ def check_scenario(
     certificate: Path | None = None,
     seconds: float = 120.0,
     errors: Sequence[tuple[str, float]] = (),
+    prove_sampled: bool = False,
     delay: float | None = None,
 ) -> Result:
     """Return the check of a scenario; print its warnings and why it cannot run on standard error.
 
     certificate: file for the proof of the rate over the joint range, which takes at most `seconds`. errors: names and
-    sizes of model errors; delay [samples]. With any of them the tracking error is bounded.
+    sizes of model errors. prove_sampled: also prove contraction of the sampled loop (sampled_proof). delay [samples] of
+    this proof and of the bound of the tracking error, which is made for errors, or for a delay alone.
     """
     loaded = library.load(scenario, assignments)
-    bound = errors_bounded(loaded, dict(errors), delay) if errors or delay is not None else None
+    alone = delay is not None and not prove_sampled
+    bound = errors_bounded(loaded, dict(errors), delay) if errors or alone else None
     if certificate is not None:
         write_certificate(proven_rate(loaded, seconds), certificate)
     found = checked(loaded)
     rows = check_rows(loaded, found) | ({} if bound is None else {"error bound": bound.sentence})
+    proof = sampled_proof(loaded, delay) if prove_sampled else None
+    rows |= proof.rows if proof else {}
     for warning in _warnings(loaded):
         print(f"fjr: {warning}", file=sys.stderr)
     refusal = _refusal(loaded, found)
     if refusal:
         print(f"fjr: {refusal}", file=sys.stderr)
     values = _values(loaded, found, rows, refusal) | ({} if bound is None else {"error_bound": bound.values})
-    return Result(table(rows), values, Exit.FAILED if refusal else Exit.DONE)
+    values |= {"sampled_proof": proof.values} if proof else {}
+    failed = refusal or (proof and not proof.found)
+    return Result(table(rows), values, Exit.FAILED if failed else Exit.DONE)
 
 
 def _warnings(scenario: Scenario) -> list[str]:

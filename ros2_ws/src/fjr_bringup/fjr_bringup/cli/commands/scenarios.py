@@ -101,7 +101,13 @@ def report(**given: Any) -> Any:
     help="Bound the tracking error for a robot whose NAME is wrong by up to VALUE, e.g. payload=0.2; may be repeated.",
 )
 @click.option(
-    "--delay", type=options.SAMPLES, metavar="D", help="Delay in samples for this bound. [default: the scenario's]"
+    "--prove-sampled", is_flag=True, help="Prove that the sampled loop contracts near the reference; takes seconds."
+)
+@click.option(
+    "--delay",
+    type=options.SAMPLES,
+    metavar="D",
+    help="Largest delay in samples, of the bound and of this proof. [default: the scenario's]",
 )
 @set_option
 def check(**given: Any) -> Any:

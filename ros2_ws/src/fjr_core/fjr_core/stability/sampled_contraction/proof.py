@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prove that the sampled loop contracts on a tube about a periodic reference.
+
+Piece j of the reference has the norm |W_j chi| in error coordinates, the tube is |W_j chi| <= radius. The mean value
+theorem on this ball, which is convex, gives for two solutions |W_j+1 (chi' - chi)| <= rho_j |W_j (chi' - chi)|. The
+distance of the reference after one sample, d_j, makes the tube invariant if rho_j radius + d_j <= radius.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ...control.vdpbc.law import TrackingLaw
+from ...errors import StateError, TrajectoryError
+from ...numerics.checks import Array, positive
+from ...numerics.one_line import one_line
+from ...robot.equilibrium import Indices
+from ...trajectories.reference import Reference
+from ...trajectories.sine import Sines
+from ...verification.interval_matrices import ABOVE
+from .error_system import ErrorSystem
+from .metric import Metric, mean_rate, periodic_metric, periods, source
+from .one_sample import OneSample, Pieces, joined
+from .sine_jets import period_of
+
+MOST_JOINTS = 2
+MOST_PIECES = 30_000
+"""Samples in a period of the reference; more take minutes."""
+CHUNK = 2048
+"""Pieces that are verified together."""
+SEARCHED = 24
+"""Pieces on which the radius of the tube is searched before all are verified."""
+RATE_SHARE = 0.9
+"""The tube is the largest whose rate is at least this share of the rate near the reference."""
+WEIGHTS = (30.0, 300.0, 3000.0)
+"""Weights of w in the source of the metric, of which the best is taken."""
+SMALLEST = 1e-6
+"""Smallest tube [rad, m] that is searched."""
+BISECTIONS, SHRINKS = 4, 6
+Progress = Callable[[float], None]
+"""Called with the share of the pieces that is verified."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampledContraction:
+    """Proven contraction of the sampled loop on a tube about its reference.
+
+    rate [1/s]: distances of any two solutions that start in the tube fall as exp(-rate t), on average over each period
+    of the reference, up to a constant factor. tube (n,) [rad, m]: largest link errors of states in the tube, which no
+    solution leaves. offset (n,) [rad, m]: bound of the link errors that remain. delay [samples]: every delay from 0 to
+    this one is covered, also one that changes from sample to sample. pieces: number of pieces of the reference.
+    """
+
+    rate: float
+    tube: Array
+    offset: Array
+    delay: float
+    sample_period: float
+    pieces: int
+
+    __repr__ = one_line
+
+
+def sampled_contraction(
+    law: TrackingLaw,
+    reference: Reference,
+    sample_period: float,
+    delay: float = 0.0,
+    on_progress: Progress = lambda share: None,
+) -> SampledContraction | None:
+    """Prove contraction of the law on its own robot with a sample period [s] and delays up to `delay` samples.
+
+    Returns None if no proof is found. Raises StateError for more than MOST_JOINTS joints and a delay outside 0 .. 1
+    samples, TrajectoryError for a reference that is no sum of sines with a common period.
+    """
+    _check(law, sample_period, delay)
+    period = period_of(reference) or 3 * sample_period
+    pieces = max(3, int(np.ceil(period / sample_period * (1 - 1e-12))))
+    if pieces > MOST_PIECES:
+        raise TrajectoryError(f"reference has {pieces} samples in its period; expected at most {MOST_PIECES}")
+    assert isinstance(reference, Sines)
+    proof = _Proof(OneSample(ErrorSystem(law), reference, sample_period, delay), pieces, on_progress)
+    return proof.result()
+
+
+def _check(law: TrackingLaw, sample_period: float, delay: float) -> None:
+    positive("sample_period", sample_period, StateError)
+    if law.robot.n > MOST_JOINTS:
+        raise StateError(f"the law has {law.robot.n} joints; expected at most {MOST_JOINTS}, more take too long")
+    if not 0 <= delay <= 1:
+        raise StateError(f"delay is {delay} samples; expected 0 to 1")
+
+
+@dataclass(frozen=True, eq=False)
+class _Proof:
+    """The search for metric and tube on some transitions, and the proof on all of them."""
+
+    sample: OneSample
+    pieces: int
+    on_progress: Progress
+
+    @cached_property
+    def nodes(self) -> Pieces:
+        """All pieces; the centres follow the periodic solution at the middle of the delays, in floating point."""
+        zero = self._pieces(np.zeros((self.pieces, 5 * self.sample.system.n)))
+        maps, drift = self._on_centre(zero)
+        maps, centre = maps.mean(axis=1), np.zeros_like(zero.centre)
+        c, rate = np.zeros(self.sample.states), mean_rate(maps, self.sample.h)
+        for _ in range(periods(rate, self.pieces, self.sample.h) if rate > 0 else 0):
+            for j in range(self.pieces):
+                centre[j, : len(c)] = c
+                c = maps[j] @ c + drift[j]
+        return self._pieces(centre)
+
+    def _pieces(self, centre: Array) -> Pieces:
+        return joined([self.sample.pieces(part, centre[part]) for part in chunks(np.arange(self.pieces))])
+
+    def _on_centre(self, pieces: Pieces) -> tuple[Array, Array]:
+        parts = [self.sample.on_centre(pieces.at(part)) for part in chunks(np.arange(self.pieces))]
+        maps, drift = zip(*parts, strict=True)
+        return np.concatenate(maps), np.concatenate(drift)
+
+    @cached_property
+    def transitions(self) -> tuple[Indices, Indices]:
+        """Pieces before and after each transition.
+
+        A period of T = (N - 1) h + rest has N or N - 1 samples: piece 0 follows piece N - 1, or N - 2.
+        """
+        before = np.append(np.arange(self.pieces), self.pieces - 2)
+        after = np.append(np.arange(1, self.pieces), [0, 0])
+        return before, after
+
+    @property
+    def searched(self) -> Indices:
+        """Transitions on which the tube is searched."""
+        return np.unique(np.linspace(0, self.pieces - 1, SEARCHED).astype(np.intp))
+
+    def result(self) -> SampledContraction | None:
+        """Return what is proven; None if nothing is."""
+        metric = self._best_metric()
+        radius = None if metric is None else self._largest_radius(metric)
+        if metric is None or radius is None:
+            return None
+        everything = np.arange(self.pieces + 1)
+        displacement = self._displacements(metric, everything)
+        for _ in range(SHRINKS):
+            rho = self._factors(metric, radius, everything, self.on_progress)
+            if ultimate_radius(rho, displacement) <= radius:
+                return self._stated(metric, radius, rho, displacement)
+            radius *= 0.8
+        return None
+
+    def _best_metric(self) -> Metric | None:
+        """Return the metric with the highest rate near the reference."""
+        q_l = self.sample.jets(np.arange(self.pieces), 0.0).mid[: self.sample.system.n].T
+        maps, _ = self._on_centre(self.nodes)
+        law, h = self.sample.system.law, self.sample.h
+        sources = [source(law, q_l, h, weight) for weight in (WEIGHTS if self.sample.delay else (None,))]
+        found = [metric for metric in (periodic_metric(maps, each, h) for each in sources) if metric is not None]
+        rated = [(self._rate_near(metric), i) for i, metric in enumerate(found)]
+        return found[max(rated)[1]] if rated and max(rated)[0] > 0 else None
+
+    def _rate_near(self, metric: Metric) -> float:
+        return self._mean_rate(self._factors(metric, 0.0, self.searched))
+
+    def _largest_radius(self, metric: Metric) -> float | None:
+        """Return the radius of the largest tube that passes on the searched transitions."""
+        near, displacement = self._factors(metric, 0.0, self.searched), self._displacements(metric, self.searched)
+        smallest = SMALLEST / metric.extent(1.0)[:, : self.sample.system.n].max()
+        radius = max(2 * ultimate_radius(near, displacement), smallest)
+
+        def holds(radius: float, least: float) -> bool:
+            rho = self._factors(metric, radius, self.searched)
+            return ultimate_radius(rho, displacement) <= radius and self._mean_rate(rho) >= least
+
+        least = RATE_SHARE * self._mean_rate(near)
+        if not np.isfinite(radius) or not holds(radius, -np.inf):
+            return None
+        if not holds(radius, least):
+            return radius
+        step = 2.0
+        while holds(radius * step, least):
+            radius *= step
+        for _ in range(BISECTIONS):
+            step = np.sqrt(step)
+            if holds(radius * step, least):
+                radius *= step
+        return float(0.95 * radius)
+
+    def _mean_rate(self, rho: Array) -> float:
+        return float(-np.mean(np.log(rho)) / self.sample.h) if np.isfinite(rho).all() else -np.inf
+
+    def _factors(
+        self, metric: Metric, radius: float, transitions: Indices, on_progress: Progress = lambda share: None
+    ) -> Array:
+        """Return contraction factors (k,) of transitions in a tube."""
+        rho: list[Array] = []
+        for part in chunks(transitions):
+            before, after = (pieces[part] for pieces in self.transitions)
+            rho.append(self.sample.factors(self.nodes.at(before), metric.at(before), metric.at(after), radius))
+            on_progress(sum(map(len, rho)) / len(transitions))
+        return np.concatenate(rho)
+
+    def _displacements(self, metric: Metric, transitions: Indices) -> Array:
+        """Return displacements (k,) of the centre of the tube in transitions."""
+        found = []
+        for part in chunks(transitions):
+            before, after = (pieces[part] for pieces in self.transitions)
+            found.append(self.sample.displacement(self.nodes.at(before), metric.at(after), self.nodes.centre[after]))
+        return np.concatenate(found)
+
+    def _stated(self, metric: Metric, radius: float, rho: Array, displacement: Array) -> SampledContraction:
+        n, decays = self.sample.system.n, -np.log(rho) / self.sample.h
+        to_start, whole = np.append(decays[: self.pieces - 2], decays[-1]), decays[:-1]
+        centre, final = np.abs(self.nodes.centre[:, :n]), self._final_radii(rho, displacement)
+        return SampledContraction(
+            rate=float(min(to_start.mean(), whole.mean()) / ABOVE),
+            tube=(centre + metric.extent(radius)[:, :n]).max(axis=0),
+            offset=(centre + metric.extent(final)[:, :n]).max(axis=0),
+            delay=self.sample.delay,
+            sample_period=self.sample.h,
+            pieces=self.pieces,
+        )
+
+    def _final_radii(self, rho: Array, displacement: Array) -> Array:
+        """Return radii (N,) of the balls that every solution is in after a while: r_j+1 = rho_j r_j + d_j."""
+        r, radii = ultimate_radius(rho, displacement), np.empty(self.pieces)
+        for _ in range(2):
+            for j in range(self.pieces):
+                radii[j] = r
+                r = float(ABOVE * (rho[j] * r + displacement[j]))
+            r = max(r, float(ABOVE * (rho[-1] * radii[-2] + displacement[-1])))
+        return radii
+
+
+def ultimate_radius(rho: Array, displacement: Array) -> float:
+    """Return the radius of a ball that every solution enters; infinite if some factor is not below 1."""
+    return float(ABOVE * np.max(displacement / (1 - rho))) if np.all(rho < 1) else float(np.inf)
+
+
+def chunks(pieces: Indices) -> list[Indices]:
+    """Split pieces into parts of at most CHUNK."""
+    return np.array_split(pieces, -(-len(pieces) // CHUNK))
