@@ -146,7 +146,8 @@ def optimise(problem: Problem, z: Array, x0: Array, progress: Callable[[float], 
     some, noise = x0[::stride], np.maximum(problem.floor, ROUGH)
     for k, share in enumerate(HORIZONS):
         part = problem.part(stride, share)
-        z, some, compared, _ = _descended(part, z, some, noise, NEAR, _scaled(progress, k, len(HORIZONS)))
+        stage = _scaled(progress, k, len(HORIZONS))
+        z, some, compared, _ = descended(part, z, some, NEAR, stage, noise=noise)
         noise = part.noise(compared)
     x0 = some if stride == 1 else _settled(problem, z, x0, noise)
     return refine(problem, z, x0, noise, _scaled(progress, len(HORIZONS), len(HORIZONS)))
@@ -156,7 +157,7 @@ def refine(
     problem: Problem, z: Array, x0: Array, noise: Array, progress: Callable[[float], None] = lambda share: None
 ) -> Optimum:
     """Return the most likely z and initial states from start values near them; noise (signals,): near theirs."""
-    return _final(problem, *_descended(problem, z, x0, noise, CONVERGED, progress))
+    return _final(problem, *descended(problem, z, x0, CONVERGED, progress, noise=noise))
 
 
 def _scaled(progress: Callable[[float], None], stage: int, stages: int) -> Callable[[float], None]:
@@ -173,20 +174,28 @@ def _settled(problem: Problem, z: Array, x0: Array, noise: Array) -> Array:
     return x0
 
 
-def _descended(
-    problem: Problem, z: Array, x0: Array, noise: Array, near: float, progress: Callable[[float], None]
+def descended(
+    problem: Problem,
+    z: Array,
+    x0: Array,
+    near: float,
+    progress: Callable[[float], None] = lambda share: None,
+    iterations: int | None = None,
+    noise: Array | None = None,
 ) -> tuple[Array, Array, list[Comparison], bool]:
     """Return z, initial states and comparison, and whether they are at the minimum.
 
-    noise (signals,): expected. near: distance at which the descent ends.
+    near: distance at which the descent ends. iterations: at most; None: MOST_ITERATIONS. noise (signals,): expected.
+    Raises StateError if the prediction of the start is not finite.
     """
+    noise = np.maximum(problem.floor, ROUGH) if noise is None else noise
     start = problem.evaluate(z, x0, noise)
     if start is not None and np.max(np.abs(np.log(problem.noise(start[1]) / noise))) > SIMILAR:
         start = problem.evaluate(z, start[0], problem.noise(start[1]))
     if start is None:
         raise StateError("the predicted motion does not stay finite; expected a prior nearer to the robot")
     (x0, compared), damping = start, SOFT
-    for iteration in range(MOST_ITERATIONS):
+    for iteration in range(MOST_ITERATIONS if iterations is None else iterations):
         away = distance(problem.coordinates, z, compared)
         progress(iteration / (iteration + np.log1p(away)) if iteration else 0.0)
         step = None if away < near else _search(problem, z, x0, compared, damping)
