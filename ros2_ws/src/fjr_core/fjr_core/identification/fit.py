@@ -9,6 +9,7 @@ import numpy as np
 
 from ..numerics.checks import Array
 from .gauss_newton import ROUGH, Optimum, Problem
+from .initial_guess import FilteredMotion, decimated
 from .motion_record import MotionRecord
 from .result import Fit
 from .segments import Comparison
@@ -57,3 +58,19 @@ def explained(measured: dict[str, Array], predicted: dict[str, Array]) -> Array:
         for j in range(seen.shape[1])
     ]
     return np.array(shares)
+
+
+def deflection_error(found: Sequence[Fit], motions: Sequence[FilteredMotion]) -> Array:
+    """Return the root mean square (n,) [rad] of the deflections that fits leave, within the bandwidth of the motions.
+
+    NaN where a side is not measured.
+    """
+    slow = []
+    for fit, motion in zip(found, motions, strict=True):
+        if not {"q_l", "q_m"} <= set(fit.measured):
+            return np.full(motion.u.shape[1], np.nan)
+        error = {name: fit.measured[name] - fit.predicted[name] for name in ("q_l", "q_m")}
+        deflection = error["q_m"] - error["q_l"]
+        known = ~np.all(np.isnan(deflection), axis=0)
+        slow.append(np.where(known, decimated(np.nan_to_num(deflection), motion.stride), np.nan))
+    return np.asarray(np.sqrt(np.mean(np.vstack(slow) ** 2, axis=0)))

@@ -12,7 +12,7 @@ from ..numerics.checks import Array
 from ..robot.robot import Robot
 from .estimation_problem import SHORTEST, Estimation
 from .filtered_fit import filtered_fit, filtered_judgement, simulation_start
-from .fit import fits, fits_at
+from .fit import deflection_error, fits, fits_at
 from .judgement import Judgement, judge
 from .motion_record import MotionRecord
 from .parameters import PAYLOAD, Options, Prior
@@ -58,10 +58,12 @@ def identify(
     progress("intervals", 1.0)
     doubt = "" if fit.optimum.converged else NOT_CONVERGED
     simulated = judge(setup, fit.whole.projected, fit.whole.chance, fit.fixed, fit.z, doubt)
-    replaced = _not_simulated(setup, simulated, filtered, fit.optimum.converged)
+    predicted = fits(*fit.last)
+    residual = deflection_error(predicted, motions)
+    replaced = _not_simulated(setup, simulated, filtered, fit.optimum.converged, residual)
     chosen = simulated.with_entries_of(filtered, replaced)
-    predicted = fits_at(fit.problem, chosen.mean, fit.whole.x0) if replaced else ()
-    return chosen.identification(records[0].joints, predicted or fits(*fit.last))
+    other = fits_at(fit.problem, chosen.mean, fit.whole.x0) if replaced else ()
+    return chosen.identification(records[0].joints, other or predicted)
 
 
 def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
@@ -78,19 +80,23 @@ def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
             )
 
 
-def _not_simulated(setup: Estimation, simulated: Judgement, filtered: Judgement, converged: bool) -> list[int]:
+def _not_simulated(
+    setup: Estimation, simulated: Judgement, filtered: Judgement, converged: bool, residual: Array
+) -> list[int]:
     """Return the entries of z of joints whose deflection filtered least squares explain better; rather if in doubt.
 
-    Joints without a measured deflection are among them if the fit is in doubt and another joint is.
+    residual (n,) [rad]: what the simulation leaves of the deflection. Joints without a measured deflection are among
+    them if the fit is in doubt and another joint is.
     """
     factor, own = WORSE if converged else DOUBTFUL, _unexplained(setup, simulated)
-    worse = own > factor * _unexplained(setup, filtered)
+    worse = np.fmin(own, residual) > factor * _unexplained(setup, filtered)
     worse |= np.isnan(own) & (not converged and bool(worse.any()))
     return [k for k, (name, j) in enumerate(setup.coordinates.free) if name not in PAYLOAD and worse[j]]
 
 
 def _unexplained(setup: Estimation, judgement: Judgement) -> Array:
-    """Return the root of the sum of squares (n,) of the deflections that are not explained, NaN: not measured."""
+    """Return the root mean square (n,) of the deflections that are not explained, NaN: not measured."""
     found = judgement.identification(setup.records[0].joints)
     seen = [predicted_deflection(each, setup.robot, setup.prior, found, setup.options) for each in setup.records]
-    return np.asarray(np.sqrt(sum(len(each.t) * each.elastic**2 for each in seen)))
+    count = sum(len(each.t) for each in seen)
+    return np.asarray(np.sqrt(sum(len(each.t) * each.elastic**2 for each in seen) / count))
