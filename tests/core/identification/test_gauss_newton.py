@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The descent begins with short parts of the segments, in which initial states far from the truth are found."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from core.identification.test_equation_error import JOINT, NOISE, setup_of
+from core.identification.test_identify import TRUTH
+from fjr_core.identification.gauss_newton import HORIZONS, ROUGH, Problem, optimise
+from fjr_core.numerics.checks import Array
+
+
+def problem_at_truth() -> tuple[Problem, Array]:
+    """Return segments of a record of the joint, with the parameters z that made it."""
+    setup = setup_of()
+    motions, start = setup.start()
+    true = {**start, **{name: np.array([getattr(JOINT, field)]) for name, field in TRUTH.items()}}
+    return setup.problem(setup.coordinates, true, motions), setup.coordinates.of_values(true)
+
+
+def test_a_part_has_the_beginnings_of_some_segments() -> None:
+    problem, z = problem_at_truth()
+    part = problem.part(2, 4)
+    assert [each.first for each in part.segments] == [each.first for each in problem.segments[::2]]
+    assert [each.count for each in part.segments] == [each.count // 4 for each in problem.segments[::2]]
+    found, whole = (each.compare(0, z, each.filtered[0], np.full(2, NOISE)) for each in (part, problem))
+    assert found is not None
+    assert whole is not None
+    np.testing.assert_array_equal(found.predicted, whole.predicted[:, : found.predicted.shape[1]])
+
+
+def test_states_far_from_the_truth_are_found_through_the_beginnings_of_segments() -> None:
+    problem, z = problem_at_truth()
+    x0 = problem.filtered + np.array([0.0, 0.0, 6.0, -6.0])  # rad/s
+    noise = np.maximum(problem.floor, ROUGH)
+    direct = problem.evaluate(z, x0, noise)
+    assert direct is not None
+    for share in HORIZONS:
+        found = problem.part(1, share).evaluate(z, x0, noise)
+        assert found is not None
+        x0 = found[0]
+    assert np.all(problem.noise(found[1]) < 4 * NOISE)
+    assert np.all(problem.noise(found[1]) < 0.2 * problem.noise(direct[1]))
+
+
+def test_the_optimum_fits_as_well_as_the_truth() -> None:
+    problem, z = problem_at_truth()
+    start = z + 0.3 * problem.coordinates.width * np.random.default_rng(4).standard_normal(len(z))
+    found = optimise(problem, np.where(np.abs(z) > 1, z + 0.1, np.clip(start, 0.0, None)), problem.filtered)
+    true = problem.evaluate(z, problem.filtered, np.maximum(problem.floor, ROUGH))
+    assert true is not None
+    assert found.converged
+    assert problem.cost(found.compared, found.z) < problem.cost(true[1], z)
+    assert np.all(found.noise < 1.5 * NOISE)
