@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coverage of the intervals of `fjr identify`: random arms and records, identified, compared with the truth.
 
-    python -m bench.identification --cases 200 --joints 1 2 3 7 --out coverage.json
+    python -m bench.identification --cases 200 --joints 1 2 3 7 --measured motor-torque --out coverage.json
 
 Each case draws an arm of the joints' number, springs, friction, noise and steps of the encoders, skews and a delay of
 the effort. Its record follows a multi-sine by PD control. A study of hours for many joints: no part of `make bench`.
+--measured: both encoders, the motors' alone, or a torque sensor in place of one of them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -26,6 +27,7 @@ from fjr_core.identification.identify import identify
 from fjr_core.identification.motion_record import MotionRecord
 from fjr_core.identification.parameters import KINDS, Options, Prior, size
 from fjr_core.identification.result import LOG, UNKNOWN, Identification
+from fjr_core.identification.segments import SIGNALS, SKEWS
 from fjr_core.identification.shooting import HeldEffort, Shooting
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.newton_euler import serial_chain
@@ -34,6 +36,14 @@ from fjr_core.robot.robot import Robot
 
 FINE = 1e-4  # s; step of the simulation, and grain of skews and delays
 ARMS = 3  # different arms of each number of joints; their equations are compiled once
+MEASURED = {
+    "both": ("q_l", "q_m"),
+    "motor": ("q_m",),
+    "motor-torque": ("q_m", "torque"),
+    "link-torque": ("q_l", "torque"),
+}
+"""Signals of a record by kind of measurement."""
+SENSOR = 1e-3  # of the torque's root mean square; least noise and steps of a torque sensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +73,20 @@ def _body(rng: np.random.Generator, i: int) -> Body:
     return Body(np.eye(3), np.array([0, 0, 0.35 * (i > 0)]), axis, mass, com, inertia + 0.01 * mass * np.eye(3) * 0.3)
 
 
-def draw(n: int, seed: int, duration: float | None = None) -> Case:
-    """Return a random case of n joints."""
+def draw(n: int, seed: int, duration: float | None = None, measured: str = "both") -> Case:
+    """Return a random case of n joints with one kind of measurement; times count from the motor's, or else the link's.
+
+    Cases of the same n and seed have the same arm, friction and reference.
+    """
     rng = np.random.default_rng([n, seed, 1])
     robot = arm(n, seed % ARMS)
     truth = _true_parameters(rng, robot)
-    record = _record(rng, robot, truth, duration or rng.uniform(8, 16))
+    signals = MEASURED[measured]
+    truth |= {} if "q_m" in signals else {"link_skew": np.zeros(n)}
+    if "torque" in signals:
+        truth["torque_skew"] = np.round(np.random.default_rng([n, seed, 2]).uniform(-4e-3, 4e-3, n) / FINE) * FINE
+    whole = _record(rng, robot, truth, duration or rng.uniform(8, 16))
+    record = _only(whole, signals)
     spread = {"joint_stiffness": 0.5, "motor_inertia": 0.3}
     guess = {name: truth[name] * np.exp(sd * rng.standard_normal(n)) for name, sd in spread.items()}
     return Case(record, robot, Prior.of(robot, guess), truth)
@@ -122,13 +140,26 @@ def _measured(
 ) -> MotionRecord:
     n, k, fine = u.shape[1], len(u), round(dt / FINE)
     at = np.arange(k)[:, None] * fine
-    skew = np.round(truth["link_skew"] / FINE).astype(int)
-    link = x[np.clip(at + skew, 0, len(x) - 1), np.arange(n)]
-    motor = x[at, n + np.arange(n)]
+    read = {name: np.clip(at + np.round(truth[name] / FINE).astype(int), 0, len(x) - 1) for name in SKEWS.values()}
+    link, motor = x[read["link_skew"], np.arange(n)], x[at, n + np.arange(n)]
+    deflection = (x[:, n : 2 * n] - x[:, :n])[read["torque_skew"], np.arange(n)] - truth["offset"]
     bits = 2 * np.pi / 2.0 ** rng.integers(18, 23, n)
     q_l, q_m = (q + s * rng.standard_normal(q.shape) for q, s in zip((link, motor), noise, strict=True))
     joints = tuple(f"joint{j + 1}" for j in range(n))
-    return MotionRecord("simulated", joints, dt, u, bits * np.round(q_l / bits), q_m, np.full_like(u, np.nan))
+    torque = _sensed(rng, truth["joint_stiffness"] * deflection)
+    return MotionRecord("simulated", joints, dt, u, bits * np.round(q_l / bits), q_m, torque)
+
+
+def _only(record: MotionRecord, signals: Collection[str]) -> MotionRecord:
+    """Return the record with these signals only."""
+    kept = (getattr(record, name) * (1.0 if name in signals else np.nan) for name in SIGNALS)
+    return MotionRecord(record.name, record.joints, record.dt, record.u, *kept)
+
+
+def _sensed(rng: np.random.Generator, torque: Array) -> Array:
+    """Return torques (k, n) with the noise and the steps of a sensor."""
+    noise = SENSOR * rng.uniform(1, 4, torque.shape[1]) * np.sqrt(np.mean(torque**2, axis=0))
+    return np.asarray(noise * np.round(torque / noise + rng.standard_normal(torque.shape)))
 
 
 def _reference(rng: np.random.Generator, n: int, t: Array) -> Array:
@@ -183,12 +214,13 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--joints", type=int, nargs="+", default=[1, 1, 1, 2, 2, 3])
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--measured", choices=MEASURED, default="both")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
     for seed in range(options.first, options.first + options.cases):
         n = options.joints[seed % len(options.joints)]
-        case, began = draw(n, seed), time.perf_counter()
+        case, began = draw(n, seed, measured=options.measured), time.perf_counter()
         found = identify([case.record], case.robot, case.prior, Options(threads=1))
         own = [{**row, "seed": seed, "joints": n} for row in compared(case, found)]
         rows += own

@@ -37,6 +37,7 @@ LONGEST_FIRST = (
     "system/test_fjr_command.py",
     "nodes/test_malformed.py",
     "system/test_identify.py",
+    "system/test_identify_measurements.py",
     "system/test_fjr_sweep.py",
     "docs/test_build.py",
     "system/test_fjr_check.py",

@@ -10,6 +10,7 @@ from ..numerics.checks import Array
 from .estimation_problem import Estimation
 from .gauss_newton import Optimum, Problem, optimise, refine
 from .initial_guess import FilteredMotion
+from .prior_test import contradicted
 from .verdict import not_identifiable
 
 
@@ -45,7 +46,8 @@ def simulated_fit(
     problem = setup.problem(setup.coordinates, start, motions)
     z = setup.coordinates.of_values(start)
     whole = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
-    fixed = not_identifiable(whole.projected, whole.chance, setup.coordinates.width)
+    unknown = not_identifiable(whole.projected, whole.chance, setup.coordinates.width)
+    fixed = tuple(k for k in unknown if not contradicted(problem, whole, k))
     if not fixed:
         return Simulation(problem, whole, fixed, (problem, whole))
     fewer = setup.problem(setup.coordinates.without(fixed), start, motions)
