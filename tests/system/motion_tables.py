@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from core.oracles.elastic_joint import ElasticJoint, usual_record
+from core.oracles.elastic_joint import ElasticJoint, exact, multi_sine, usual_record
 from core.oracles.elastic_two_link import ElasticTwoLink, recorded
 from fjr_core.identification.result import Identification
 from system.executables import fjr_here
@@ -58,6 +58,7 @@ class MotionTable:
     t: Array
     signals: Mapping[str, Array]
     truth: Mapping[str, Array] = field(default_factory=dict)
+    robot: str = ""  # more lines of the robot file
 
     def of(self, *names: str) -> MotionTable:
         """Return the table with the effort and these signals only; without motors, times count from the links."""
@@ -93,7 +94,9 @@ class MotionTable:
         n, (K, B) = len(self.joints), PRIOR[len(self.joints)]
         values = f"joint_stiffness: {K}\n      motor_inertia: {B}\n"
         guesses = f"      guesses: {{joint_stiffness: {K}, motor_inertia: {B}}}\n"
-        (folder / "arm.yaml").write_text(f"/**:\n  ros__parameters:\n    {ROBOTS[n]}      {values}{guesses}")
+        (folder / "arm.yaml").write_text(
+            f"/**:\n  ros__parameters:\n    {ROBOTS[n]}      {values}{guesses}{self.robot}"
+        )
         files = {"": "motion.csv", "--robot": "arm.yaml", "--map": "map.yaml", "--output": "out"}
         return ["identify", *(part for key, name in files.items() for part in (key, str(folder / name)) if part)]
 
@@ -121,9 +124,31 @@ def one_joint() -> MotionTable:
 
 
 @cache
-def two_joints(moving: int = 2) -> MotionTable:
-    """Return the record of the planar arm; the joints from `moving` on stand still."""
-    found = recorded(moving=moving)
+def without_gravity() -> MotionTable:
+    """Return the motor side of a joint with a vertical axis, excited near its resonance of 15 Hz, too."""
+    return _linear([0.4, 1.1, 5.0, 15.0, 17.0], 0.15, STEP)
+
+
+@cache
+def without_resonance() -> MotionTable:
+    """Return the motor side of the same joint under slow, small efforts, with coarse encoders."""
+    return _linear([0.4, 0.9], 0.01, 100 * STEP)
+
+
+def _linear(frequencies: list[float], amplitude: float, step: float) -> MotionTable:
+    joint, dt, t = replace(ElasticJoint().linear(), skew=1.5e-3, delay=2.5e-3), 2e-3, 2e-3 * np.arange(1500)
+    u = multi_sine(t, np.array(frequencies), amplitude, 2) * np.sin(np.pi * t / t[-1]) ** 4
+    motor = exact(joint, u, dt, 5e-4)[1]
+    noise = step * np.random.default_rng(7).standard_normal(len(u))
+    truth = {name: np.array([getattr(joint, attribute)]) for name, attribute in TRUTH.items()}
+    signals = {"effort": u[:, None], "motor": step * np.round((motor + noise) / step)[:, None]}
+    return MotionTable(("joint1",), t, signals, truth, "      gravity_torque: [0.0]\n")
+
+
+@cache
+def two_joints() -> MotionTable:
+    """Return the record of the planar arm."""
+    found = recorded()
     signals = [found.u, found.link, found.motor, found.torque]
     return _table(("shoulder", "elbow"), found.dt * np.arange(len(found.u)), signals, ElasticTwoLink())
 

@@ -40,17 +40,17 @@ def line(x: Array, y: Array, others: Sequence[Array], independent: float) -> Lin
 
 
 def bounded_slope(
-    x: Array, y: Array, load: Array, compliance: tuple[float, float], independent: float
+    x: Array, y: Array, load: Array, others: Sequence[Array], compliance: tuple[float, float], independent: float
 ) -> tuple[float, float] | None:
-    """Return the range of slopes r of y = r x + c load + constant, for c within its bounds, each within 5 deviations.
+    """Return the range of slopes r of y = r x + c load + others + constant, for c within its bounds, +- 5 deviations.
 
     None if x does not move enough to tell.
     """
     one = np.ones((len(x), 1))
-    free = line(load, y, (x,), independent)
+    free = line(load, y, (x, *others), independent)
     low, high = np.clip([free.slope - 5 * free.deviation, free.slope + 5 * free.deviation], *compliance)
-    fits = [line(x, y - c * load, (), independent) for c in (low, high)]
-    if any(not abs(each.slope) > 20 * each.deviation for each in fits) or not np.any(_without(one, x)):
+    fits = [line(x, y - c * load, others, independent) for c in (low, high)]
+    if any(not max(1.0, abs(each.slope)) > 20 * each.deviation for each in fits) or not np.any(_without(one, x)):
         return None
     return min(each.slope - 5 * each.deviation for each in fits), max(each.slope + 5 * each.deviation for each in fits)
 

@@ -12,9 +12,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..robot.robot import Robot
-from .finding import DEGREES, GEAR_RATIO, SCALE, SIGN, SWAPPED, Finding
+from .finding import DEGREES, GEAR_RATIO, SCALE, SIGN, SKEW, SWAPPED, Finding
 from .line_fit import Line, bounded_slope, line
 from .motion_record import MotionRecord
+from .parameters import LARGEST_SKEW
 from .rigid_motion import RigidMotion, rigid_motion
 from .signal_checks import still_joints
 
@@ -52,16 +53,35 @@ def _leaves_range(robot: Robot, motion: RigidMotion, moving: list[int]) -> bool:
 
 def _prefers(motion: RigidMotion, other: RigidMotion, j: int) -> bool:
     """Return whether the efforts fit another unit of the positions much better, with a plausible slope."""
-    here, there = _effort_line(motion, j), _effort_line(other, j)
+    here, there = effort_line(motion, j), effort_line(other, j)
     good = 1 / SPREAD < there.slope < SPREAD and there.slope > 3 * there.deviation
     return good and there.unexplained < 0.5 * here.unexplained
 
 
-def _effort_line(motion: RigidMotion, j: int) -> Line:
-    """Fit the effort of a joint by the torque that its motion needs, with friction and an offset."""
+def effort_line(motion: RigidMotion, j: int, effort: int | None = None) -> Line:
+    """Fit the effort of joint `effort` (None: j) by the torque that the motion of joint j needs, with friction."""
     v_l, v_m = motion.velocity[:, j], motion.motor_velocity[:, j]
     friction = (v_l, np.tanh(v_l / 0.01), *(() if np.array_equal(v_l, v_m) else (v_m, np.tanh(v_m / 0.01))))
-    return line(motion.needed[:, j], motion.u[:, j], friction, motion.independent)
+    return line(motion.needed[:, j], motion.u[:, j if effort is None else effort], friction, motion.independent)
+
+
+def skews(record: MotionRecord, motion: RigidMotion) -> Iterator[Finding]:
+    """Find link encoders and torque sensors that are read too much later or earlier than the other side."""
+    for j, joint in enumerate(record.joints):
+        v, tau = motion.velocity[:, j], motion.tau[:, j]
+        lines = {}
+        if motion.both[j]:
+            lines["q_l"] = line(v, motion.deflection[:, j], (tau, np.tanh(v / 0.01)), motion.independent)
+        if np.all(np.isfinite(motion.torque[:, j])):
+            lines["torque"] = line(-np.gradient(tau, motion.dt), motion.torque[:, j], (tau, v), motion.independent)
+        for name, fit in lines.items():
+            if abs(fit.slope) - 5 * fit.deviation > LARGEST_SKEW:
+                when = "later" if fit.slope > 0 else "earlier"
+                sentence = (
+                    f"{name} of {joint} is read {1e3 * abs(fit.slope):.3g} ms {when} than the other side; "
+                    f"expected at most {1e3 * LARGEST_SKEW:g} ms"
+                )
+                yield Finding(SKEW, joint, sentence)
 
 
 def sides(record: MotionRecord, robot: Robot, motion: RigidMotion) -> Iterator[Finding]:
@@ -87,7 +107,10 @@ def _slopes(motion: RigidMotion, robot: Robot, j: int) -> tuple[float, float] | 
         return None
     nominal = 1.0 / robot.K[j, j]
     compliances = nominal / SPREAD, nominal * SPREAD
-    return bounded_slope(motion.q_l[:, j], motion.q_m[:, j], motion.tau[:, j], compliances, motion.independent)
+    v = motion.velocity[:, j]  # a skew, and friction of the link
+    return bounded_slope(
+        motion.q_l[:, j], motion.q_m[:, j], motion.tau[:, j], (v, np.tanh(v / 0.01)), compliances, motion.independent
+    )
 
 
 def _differs(slopes: tuple[float, float] | None) -> bool:
@@ -138,7 +161,7 @@ def efforts(record: MotionRecord, motion: RigidMotion) -> Iterator[Finding]:
     for j, joint in enumerate(record.joints):
         if joint in still:
             continue
-        lines = {"effort": _effort_line(motion, j)}
+        lines = {"effort": effort_line(motion, j)}
         if np.all(np.isfinite(motion.torque[:, j])):
             lines["torque"] = line(motion.tau[:, j], motion.torque[:, j], (), motion.independent)
         for name, fit in lines.items():

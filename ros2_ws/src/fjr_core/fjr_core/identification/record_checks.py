@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find what contradicts a record: sides swapped, a wrong gear ratio, sign or unit, no motion, a clipped effort."""
+"""Find what contradicts a record: sides swapped, gear ratio, sign, unit, order of joints, a clipped effort."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator
 
 from ..errors import RecordError
 from ..robot.robot import Robot
-from . import motion_checks, signal_checks
+from . import continuity_checks, joint_checks, motion_checks, signal_checks
 from .finding import Finding
 from .motion_record import MotionRecord
 from .rigid_motion import rigid_motion
@@ -33,9 +33,16 @@ def _checks(record: MotionRecord, robot: Robot) -> Iterator[Iterable[Finding]]:
     yield signal_checks.short(record)
     yield signal_checks.rest(record)
     yield signal_checks.constant(record)
+    yield continuity_checks.same_sides(record)
+    yield continuity_checks.jumps(record)
+    yield continuity_checks.stuck(record)
+    yield joint_checks.crossed_sides(record)
     motion = rigid_motion(record, robot)
     yield motion_checks.degrees(record, robot, motion)
+    yield motion_checks.skews(record, motion)
     yield motion_checks.sides(record, robot, motion)
     yield motion_checks.swapped(record, robot, motion)
+    yield joint_checks.crossed(record, robot, motion)
     yield motion_checks.efforts(record, motion)
+    yield joint_checks.turned(record, robot, motion)
     yield signal_checks.clipped(record)

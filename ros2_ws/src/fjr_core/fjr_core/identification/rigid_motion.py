@@ -27,7 +27,7 @@ class RigidMotion:
     q_l, q_m, torque, u: as in the record, NaN where not measured. position, velocity: of the link, of the motor where
     the link is not measured. motor_velocity: of the motor or else of the link. tau: spring torque that the motion of
     the links needs. needed: effort that both sides need. both (n,): whether both sides are measured and move.
-    independent: number of independent samples.
+    independent: number of independent samples. dt [s]: between two of the k samples.
     """
 
     q_l: Array
@@ -41,6 +41,7 @@ class RigidMotion:
     needed: Array
     both: Array
     independent: float
+    dt: float
 
     @property
     def deflection(self) -> Array:
@@ -72,6 +73,7 @@ def rigid_motion(record: MotionRecord, robot: Robot, scale: Array | float = 1.0,
         needed,
         moves,
         max(4.0, 2 * CUTOFF * len(u) * record.dt),
+        record.dt * rows.step,
     )
 
 
