@@ -24,6 +24,7 @@ from bench import (
     campaign_memory,
     certificate,
     closed_loop,
+    identification_peers,
     lock_step,
     memory,
     on_time,
@@ -41,7 +42,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
 LONG = ("memory", "sweep-memory")
 USUAL = (
     *("law", "dynamics", "step", "loop", "virtual-machine", "build", "start", "node", "command", "real-time"),
-    *("round-trip", "on-time", "certificate", "periods", "lock-step", "campaign", "proof"),
+    *("round-trip", "on-time", "certificate", "periods", "lock-step", "campaign", "proof", "identification"),
 )
 NAMES = (*USUAL, *LONG)
 
@@ -95,6 +96,7 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         lambda: lock_step.over_ping_pong(*((2, 3.0) if quick else ())),
         lambda: campaign.against_peers(*((500, 2) if quick else ())),
         lambda: proof.over_joint_range_and_tube(arm, *((20,) if quick else ())),
+        lambda: identification_peers.against_mujoco(arm, *((2, 0.5) if quick else ())),
         lambda: memory.flat(*((0.5,) if quick else ())),
         lambda: campaign_memory.bounded(*((20_000,) if quick else ())),
     )

@@ -43,9 +43,10 @@ class MujocoArm:
         return np.array(self.data.qacc)
 
 
-def mjcf(model: Any, robot: Robot, dt: float) -> str:
-    """Return the model as XML: links are nested bodies, motors are separate rotors."""
-    flags = " ".join(f'{name}="disable"' for name in OFF)
+def mjcf(model: Any, robot: Robot, dt: float, actuated: bool = False) -> str:
+    """Return the model as XML: links are nested bodies, motors are separate rotors; actuated: efforts are controls."""
+    flags = " ".join(f'{name}="disable"' for name in OFF if not (actuated and name == "actuation"))
+    actuators = "".join(f'<motor name="u{i}" joint="m{i}"/>' for i in range(robot.n)) if actuated else ""
     links = "".join(_link(model, i, robot) for i in range(robot.n)) + "</body>" * robot.n
     motors = "\n".join(_motor(i, robot) for i in range(robot.n))
     springs = "\n".join(_spring(i, robot) for i in range(robot.n))
@@ -59,6 +60,7 @@ def mjcf(model: Any, robot: Robot, dt: float) -> str:
   <tendon>
     {springs}
   </tendon>
+  <actuator>{actuators}</actuator>
 </mujoco>"""
 
 
@@ -84,14 +86,14 @@ def _axis(model: Any, i: int) -> Array:
 def _motor(i: int, robot: Robot) -> str:
     M_m = robot.M_m[i, i]
     return (
-        f'<body><inertial pos="0 0 0" mass="1" diaginertia="{_text([M_m] * 3)}"/>'
+        f'<body name="r{i}"><inertial pos="0 0 0" mass="1" diaginertia="{_text([M_m] * 3)}"/>'
         f'<joint name="m{i}" axis="0 0 1" damping="{robot.D_m[i, i]:.17g}"/></body>'
     )
 
 
 def _spring(i: int, robot: Robot) -> str:
     ends = f'<joint joint="l{i}" coef="-1"/><joint joint="m{i}" coef="1"/>'
-    return f'<fixed stiffness="{robot.K[i, i]:.17g}" springlength="0">{ends}</fixed>'
+    return f'<fixed name="k{i}" stiffness="{robot.K[i, i]:.17g}" springlength="0">{ends}</fixed>'
 
 
 def _text(numbers: ArrayLike) -> str:

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Identification of elastic joints against mujoco.sysid, from the same simulated records with encoder noise.
+
+Both start from the same wrong stiffness and rotor inertia and estimate these and the damping of both sides. MuJoCo gets
+the true initial state, and the likelihood of its intervals is exact: the record has white noise and no delay.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import sysid
+
+from bench.arm import Arm
+from bench.campaign_peers import pendulum
+from bench.figures import Figure
+from bench.mujoco_arm import mjcf
+from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_core.identification.identify import identify
+from fjr_core.identification.motion_record import MotionRecord
+from fjr_core.identification.parameters import Options, Prior
+from fjr_core.numerics.checks import Array
+
+NAMES = ("joint_stiffness", "motor_inertia", "link_damping", "motor_damping")
+WRONG = {"joint_stiffness": 1.3, "motor_inertia": 0.8, "link_damping": 0.5, "motor_damping": 2.0}  # times the truth
+LARGEST = 5.0  # factor of a parameter that MuJoCo may try, and its inverse
+NOISE = 1e-5  # rad
+SINGLE = Path(__file__).resolve().parents[1] / "ros2_ws/src/fjr_bringup/scenarios/paper_k31.yaml"
+
+
+@dataclass(frozen=True, eq=False)
+class Estimated:
+    """Values, low and high ends of 95 % intervals (4, n) in the order of NAMES, and the seconds that they took."""
+
+    values: Array
+    low: Array
+    high: Array
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A simulated record of a scenario, its true initial state and Pinocchio's model of the links."""
+
+    scenario: Scenario
+    model: Any
+    record: MotionRecord
+    q: Array
+    v: Array
+
+    @property
+    def truth(self) -> Array:
+        """Return the true parameters (4, n)."""
+        robot = self.scenario.robot
+        return np.array([np.diag(each) for each in (robot.K, robot.M_m, robot.D_l, robot.D_m)])
+
+    @property
+    def start(self) -> Array:
+        """Return the parameters (4, n) from which both start."""
+        return self.truth * np.array(list(WRONG.values()))[:, None]
+
+
+def simulated(scenario: Scenario, model: Any, duration: float, seed: int) -> Case:
+    """Return a case of `duration` seconds with white noise on all encoders."""
+    n, run, random = scenario.robot.n, scenario.simulate(duration), np.random.default_rng(seed)
+    k = len(run.u)
+    q = run.x[:k, : 2 * n] + NOISE * random.standard_normal((k, 2 * n))
+    nothing = np.full((k, n), np.nan)
+    record = MotionRecord("simulated", scenario.joints, scenario.sample_period, run.u, q[:, :n], q[:, n:], nothing)
+    return Case(scenario, model, record, run.x[0, : 2 * n], np.concatenate(scenario.robot.velocities(run.x[0])))
+
+
+def ours(case: Case) -> Estimated:
+    """Estimate by this project."""
+    prior = Prior.of(case.scenario.robot, dict(zip(NAMES, case.start, strict=True)))
+    began = time.perf_counter()
+    found = identify([case.record], case.scenario.robot, prior, Options(free=NAMES))
+    seconds = time.perf_counter() - began
+    ends = np.array([[each.value, each.low, each.high] for each in found.estimates])
+    values, low, high = ends.T.reshape(3, len(NAMES), -1)
+    return Estimated(values, low, high, seconds)
+
+
+def theirs(case: Case) -> Estimated:
+    """Estimate by mujoco.sysid with its defaults; each parameter is a factor of its start."""
+    record, n, robot = case.record, case.scenario.robot.n, case.scenario.robot
+    spec = mujoco.MjSpec.from_string(mjcf(case.model, robot, record.dt, actuated=True))
+    model = spec.compile()
+    t = record.dt * np.arange(len(record.u))
+    observed = sysid.TimeSeries(t, np.hstack([record.q_l, record.q_m]), _positions(model, n))
+    control = sysid.TimeSeries(t, record.u)
+    state = sysid.create_initial_state(model, case.q, case.v)
+    sequence = sysid.ModelSequences("arm", spec, "record", state, control, observed, allow_missing_sensors=True)
+    began = time.perf_counter()
+    residual = sysid.build_residual_fn(models_sequences=[sequence], enabled_observations=_observations(model, n))
+    with redirect_stdout(StringIO()):
+        found, result = sysid.optimize(_factors(case), residual, verbose=False)
+    at_end, _, _ = residual(result.x, found)
+    half = sysid.calculate_intervals(at_end, result.jac)[1]
+    seconds = time.perf_counter() - began
+    values, half = (np.reshape(each, (len(NAMES), n)) * case.start for each in (result.x, half))
+    return Estimated(values, values - half, values + half, seconds)
+
+
+def _positions(model: Any, n: int) -> dict[str, Any]:
+    """Return the mapping of all joint positions to the columns of a table."""
+    mapping = sysid.TimeSeries.compute_all_state_mappings(model)[0]
+    names = [*(f"l{i}_qpos" for i in range(n)), *(f"m{i}_qpos" for i in range(n))]
+    return {name: (mapping[name][0], np.array([column])) for column, name in enumerate(names)}
+
+
+def _observations(model: Any, n: int) -> list[tuple[str, Any]]:
+    return [(name, kind) for name, (kind, _) in _positions(model, n).items()]
+
+
+def _factors(case: Case) -> Any:
+    """Return the parameters of mujoco.sysid, each with its change of the model."""
+    parameters = sysid.ParameterDict()
+    for name, starts in zip(NAMES, case.start, strict=True):
+        for i, start in enumerate(starts):
+            change = CHANGES[name](i, float(start))
+            parameters.add(sysid.Parameter(f"{name} {i}", 1.0, 1 / LARGEST, LARGEST, modifier=change))
+    return parameters
+
+
+def _linear(value: float) -> Array:
+    """Return the polynomial of a linear spring or damper."""
+    return np.array([value, 0.0, 0.0])
+
+
+def _stiffness(i: int, start: float) -> Callable[[Any, Any], None]:
+    def change(spec: Any, parameter: Any) -> None:
+        spec.tendon(f"k{i}").stiffness = _linear(start * parameter.value[0])
+
+    return change
+
+
+def _inertia(i: int, start: float) -> Callable[[Any, Any], None]:
+    def change(spec: Any, parameter: Any) -> None:
+        spec.body(f"r{i}").inertia = np.full(3, start * parameter.value[0])
+
+    return change
+
+
+def _damping(side: str) -> Callable[[int, float], Callable[[Any, Any], None]]:
+    def of(i: int, start: float) -> Callable[[Any, Any], None]:
+        def change(spec: Any, parameter: Any) -> None:
+            spec.joint(f"{side}{i}").damping = _linear(start * parameter.value[0])
+
+        return change
+
+    return of
+
+
+CHANGES = dict(zip(NAMES, (_stiffness, _inertia, _damping("l"), _damping("m")), strict=True))
+
+
+def figures(label: str, cases: Sequence[Case]) -> list[Figure]:
+    """Return error and coverage of stiffness and rotor inertia, and seconds, of both on the same records."""
+    found = {"ours": [ours(each) for each in cases], "sysid": [theirs(each) for each in cases]}
+    truth = cases[0].truth
+    error, inside, seconds = {}, {}, {}
+    for name, each in found.items():
+        error[f"{name} [%]"] = 100 * float(np.median([np.abs(e.values / truth - 1)[:2] for e in each]))
+        inside[f"{name} [%]"] = 100 * float(np.mean([(e.low <= truth) & (truth <= e.high) for e in each]))
+        seconds[f"{name} [s]"] = float(np.median([e.seconds for e in each]))
+    return [
+        Figure(f"error of K and rotor inertia, {label}, median", error["ours [%]"], "%", parts=error),
+        Figure(f"95 % intervals with the truth, {label}", inside["ours [%]"], "%", parts=inside),
+        Figure(f"identification, {label}, over mujoco.sysid", _ratio(seconds), "", parts=seconds),
+    ]
+
+
+def _ratio(seconds: dict[str, float]) -> float:
+    ours, theirs = seconds.values()
+    return ours / theirs
+
+
+def against_mujoco(arm: Arm, records: int = 10, duration: float = 2.0) -> list[Figure]:
+    """Compare on records of the paper's joint, and on a tenth as many of the seven-joint arm, half as long [s]."""
+    joint = load_scenario(SINGLE)
+    M_l, load = float(joint.robot.M_l([0.0])[0, 0]), float(joint.robot.grad_P_l([np.pi / 2])[0])
+    single = [simulated(joint, pendulum(M_l, load), duration, seed) for seed in range(records)]
+    ours(single[0])  # compiled
+    seven = [simulated(arm.scenario, arm.model, duration / 2, seed) for seed in range(max(1, records // 10))]
+    ours(seven[0])
+    return [*figures("one joint", single), *figures("seven joints", seven)]
