@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from fjr_core import ParameterError
 from fjr_core.config.process import ProcessSettings, cores, process_parameters, process_settings
 from fjr_msgs_py.node import scheduling
-from fjr_msgs_py.node.scheduling import apply_process_settings, prioritised, take_priority
+from fjr_msgs_py.node.scheduling import ahead_of_new_threads, apply_process_settings, prioritised, take_priority
 from msgs.child import run
 
 NOBODY = 65534
@@ -77,6 +77,22 @@ def test_zero_leaves_scheduling_and_affinity_unchanged(monkeypatch: pytest.Monke
     monkeypatch.setattr(os, "sched_setscheduler", lambda *_: pytest.fail("asked"))
     monkeypatch.setattr(os, "sched_setaffinity", lambda *_: pytest.fail("asked"))
     assert apply_process_settings(ProcessSettings()) == []
+
+
+@linux
+@pytest.mark.parametrize("refused", ["sched_setscheduler", "sched_setaffinity"])
+def test_without_permission_new_threads_are_not_held_back_and_nothing_changes(
+    monkeypatch: pytest.MonkeyPatch, refused: str
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    before = os.sched_getscheduler(0), os.sched_getaffinity(0)
+    with monkeypatch.context() as patched:
+        patched.setattr(os, refused, refuse)
+        with ahead_of_new_threads() as ahead:
+            assert not ahead
+    assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
 
 
 def test_a_refusal_is_one_sentence_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -119,6 +119,14 @@ def test_a_fault_in_the_thread_ends_the_node_with_the_stop_effort_and_one_senten
     assert str(node.ended) == "the native command loop failed: the control step failed; the stop effort was sent"
 
 
+def test_the_planner_loads_after_the_first_command_where_python_does_not_send_it(ros: Ros, monkeypatch) -> None:
+    for host, (node, peer) in pair(ros, monkeypatch).items():
+        planner = node._control._interface.planner
+        assert planner.loaded == (host == "events")
+        peer.answer(stamped(0.0))
+        ros.until(lambda planner=planner: planner.loaded, "the planner")
+
+
 def test_a_law_in_python_runs_in_rclpy_and_says_why(ros: Ros, capfd) -> None:
     node = ros.controller(executor="native", compile=False)
     assert type(loop_of(node)) is CommandLoop

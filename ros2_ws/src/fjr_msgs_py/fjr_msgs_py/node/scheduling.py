@@ -97,8 +97,8 @@ def ahead_of_new_threads() -> Iterator[bool]:
     finally:
         for thread in _threads():
             with suppress(OSError):
-                os.sched_setscheduler(thread, policy, setting)
                 os.sched_setaffinity(thread, cores)
+                os.sched_setscheduler(thread, policy, setting)
 
 
 def use_cores(cores: frozenset[int]) -> str:
