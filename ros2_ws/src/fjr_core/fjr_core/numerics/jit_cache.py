@@ -8,6 +8,7 @@ generating its C code takes a third of a second; hashing its inputs takes millis
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -18,7 +19,7 @@ import casadi as ca
 from .code_cache import code_folder, is_intact
 from .jit import CompileError, compile_named, compiled, external, machine
 
-SOURCES = ("*.py", "*.c", "*.h")
+SOURCES = (".py", ".c", ".h")
 PACKAGE = Path(__file__).parents[1]
 
 
@@ -49,11 +50,16 @@ def program_digest() -> str:
 
 @cache
 def source_digest(folder: Path = PACKAGE) -> str:
-    """Return a hash of all Python and C files in a folder with their names; by default this package."""
+    """Return a hash of all Python and C files in a folder with their names; by default this package.
+
+    Without pathlib: each start of a node waits for it.
+    """
     digest = hashlib.sha256()
-    for path in sorted(path for pattern in SOURCES for path in folder.rglob(pattern)):
-        digest.update(f"{path.relative_to(folder)} {path.stat().st_size}\n".encode())
-        digest.update(path.read_bytes())
+    files = (os.path.join(base, name) for base, _, names in os.walk(folder) for name in names)
+    for path in sorted(path for path in files if path.endswith(SOURCES)):
+        with open(path, "rb") as stream:
+            content = stream.read()
+        digest.update(f"{path.removeprefix(str(folder))} {len(content)}\n".encode() + content)
     return digest.hexdigest()
 
 
