@@ -126,8 +126,8 @@ class _Host:
     def spin(self, stopped: list[int]) -> None:
         """Serve callbacks until `stopped` holds a signal or the node has ended.
 
-        A full collection takes microseconds, because all older objects are frozen, and releases the memory of Python's
-        free lists: without it they grow for minutes.
+        A full collection takes 0.1 ms, because all older objects are frozen, and releases the memory of Python's free
+        lists: without it they grow for minutes.
         """
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._node.create_timer(COLLECTION, gc.collect, clock=steady)

@@ -93,7 +93,7 @@ def ahead_of_new_threads() -> Iterator[bool]:
         yield False
         return
     try:
-        yield policy != os.SCHED_OTHER or not take_priority(1)
+        yield policy in (os.SCHED_FIFO, os.SCHED_RR) or not take_priority(1)
     finally:
         for thread in _threads():
             with suppress(OSError):
