@@ -59,9 +59,9 @@ hosts: ## feed all hosts of the control step with the same states, half an hour,
 	$(SETUP) test
 	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.hosts $(HOSTS_ARGS)
 
-compare: ## compare all laws on three robots, minutes, and write the table into docs/compare.md (COMPARE_ARGS="...")
+compare: ## compare all laws on three robots, minutes, and write both tables into docs/compare.md (COMPARE_ARGS="...")
 	$(SETUP) build
-	@$(ENTER) && exec fjr compare paper --document $(COMPARE_ARGS)
+	@$(ENTER) && fjr compare paper --document $(COMPARE_ARGS) && exec fjr compare paper_tuned --document $(COMPARE_ARGS)
 
 robots: ## try `fjr new` on public robots, an hour, and write the table into docs/robots.md
 	$(SETUP) test

@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -283,7 +284,7 @@ def test_a_law_of_the_user_has_options_and_is_named_as_not_tuned(tmp_path: Path)
     assert comparison_report.exception_to_tuning({"laws": laws[:1]}) == ""
 
 
-@pytest.mark.parametrize("name", ["paper", "quick"])
+@pytest.mark.parametrize("name", ["paper", "quick", "paper_tuned", "arm7_tuned"])
 def test_installed_suites_are_valid(name: str) -> None:
     chosen = suite.load(library.find(name, "suite"))
     assert chosen.name == name
@@ -296,6 +297,13 @@ def test_the_paper_suite_holds_every_law_and_the_three_robots() -> None:
     assert {law.law for law in chosen.laws} == set(LAWS)
     assert [robot.scenario for robot in chosen.robots] == ["paper_k31", "two_link", "arm7"]
     assert chosen.margins == ("stiffness", "inertia", "delay", "noise", "friction", "load")
+
+
+def test_the_tuned_suites_hold_every_law_and_differ_in_their_robots_only() -> None:
+    few, seven = (suite.load(library.find(name, "suite")) for name in ("paper_tuned", "arm7_tuned"))
+    assert {law.law for law in few.laws} == set(LAWS)
+    assert [robot.scenario for robot in (*few.robots, *seven.robots)] == ["paper_k31", "two_link", "arm7"]
+    assert replace(few, name=seven.name, robots=seven.robots) == seven
 
 
 WRONG: list[tuple[Any, str]] = [
