@@ -73,11 +73,11 @@ def test_every_law_has_its_figures_on_fresh_draws_and_its_parameters(found: dict
 
 def test_fresh_figures_are_rows_beside_the_margins(found: dict[str, Any]) -> None:
     drawn = [row for row in rows(found) if row.group == "uncertain"]
-    assert [row.what.partition(",")[0] for row in drawn] == [
-        "RMS error of drawn plants",
-        "RMS error of drawn plants",
-        "drawn plants that track",
-        "noise in the effort",
+    assert [row.what for row in drawn] == [
+        "drawn: RMS error [mrad]",
+        "drawn: its 95 % [mrad]",
+        "drawn: share that tracks",
+        "drawn: noise of effort",
     ]
     assert [row.what for row in rows(found) if row.group == "margins"] == ["delay up to"]
 
@@ -85,7 +85,7 @@ def test_fresh_figures_are_rows_beside_the_margins(found: dict[str, Any]) -> Non
 def test_the_table_stands_between_the_marks_of_its_suite(found: dict[str, Any], page: Path) -> None:
     before, _, rest = page.read_text().partition(marks("alike")[0])
     table, _, after = rest.partition(marks("alike")[1])
-    assert "| drawn plants that track |" in table
+    assert "| drawn: share that tracks |" in table
     assert before == "before\n"
     assert after == f"\nbetween\n{BEGIN}\nkept\n{END}\n"
 

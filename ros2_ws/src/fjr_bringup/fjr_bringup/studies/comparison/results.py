@@ -159,10 +159,10 @@ def _errors(robot: str, laws: Sequence[Any], document: dict[str, Any]) -> Iterat
 
 
 UNCERTAIN: tuple[tuple[str, str, Words, bool], ...] = (
-    ("RMS error of drawn plants, median [mrad]", "rms", lambda v: milliradians(v), True),
-    ("RMS error of drawn plants, 95 % [mrad]", "rms_outer", lambda v: milliradians(v), True),
-    ("drawn plants that track", "success", lambda v: percent(v, 1), False),
-    ("noise in the effort, drawn plants", "effort_noise", lambda v: number(v, "N m"), True),
+    ("drawn: RMS error [mrad]", "rms", lambda v: milliradians(v), True),
+    ("drawn: its 95 % [mrad]", "rms_outer", lambda v: milliradians(v), True),
+    ("drawn: share that tracks", "success", lambda v: percent(v, 1), False),
+    ("drawn: noise of effort", "effort_noise", lambda v: number(v, "N m"), True),
 )
 METRICS: tuple[tuple[str, str, Words], ...] = (
     ("largest error", "peak", lambda v: milliradians(v)),
