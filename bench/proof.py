@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time of the proof of a rate for the seven-joint arm, and the proven rate relative to sampled and attained ones.
 
-Times are processor times of one core.
+Times are processor times of one core. `python -m bench.proof FILE.png` draws the proven rate against the number of
+boxes.
 """
 
 from __future__ import annotations
 
+import sys
 import time
 
-from bench.arm import Arm
+from bench.arm import Arm, arm7
 from bench.figures import Figure
 from bench.measure import one_core
+from fjr_core.control.vdpbc.proof_of_rate import proof_of_rate
+from fjr_core.robot.configuration_sampling import RATE_CONFIGURATIONS, sample_configurations
 from fjr_core.trajectories.tube import tube
 
 RADIUS = 1e-3  # rad, of the tube
@@ -39,3 +43,30 @@ def over_joint_range_and_tube(arm: Arm, most_boxes: int = 4000) -> list[Figure]:
         ),
         Figure("proven / attained rate over the range", whole.beta / attained, "", LEAST, at_least=True),
     ]
+
+
+def draw(arm: Arm, path: str) -> None:
+    """Draw proven, attained and sampled rate over the joint range against the number of boxes of the proof."""
+    from matplotlib.figure import Figure as Picture
+
+    rows: list[tuple[float, ...]] = []
+
+    def watch(boxes: int, bound: float, attained: float) -> bool:
+        rows.append((boxes, 1 / bound, 1 / attained))
+        return True
+
+    samples = sample_configurations(arm.robot, RATE_CONFIGURATIONS)
+    proof_of_rate(arm.robot, arm.law.gains, samples=samples, watch=watch)
+    boxes, proven, attained = zip(*rows, strict=True)
+    figure = Picture(figsize=(7.5, 3.4), layout="constrained")
+    axes = figure.add_subplot()
+    axes.axhline(arm.law.rate().beta, color="0.5", linestyle=":", label=f"{RATE_CONFIGURATIONS} sampled configurations")
+    axes.semilogx(boxes, attained, color="C1", label="attained at a configuration")
+    axes.semilogx(boxes, proven, color="C0", label="proven for every configuration")
+    axes.set(xlabel="boxes", ylabel="rate beta [1/s]", ylim=(0, None), title="arm7 over its joint range")
+    axes.legend(loc="lower right")
+    figure.savefig(path, dpi=110)
+
+
+if __name__ == "__main__":
+    draw(arm7(), sys.argv[1])
