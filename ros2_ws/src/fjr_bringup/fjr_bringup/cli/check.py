@@ -27,7 +27,8 @@ from fjr_bringup.cli.preflight import (
     refuse_unstable,
     start_outside,
 )
-from fjr_bringup.cli.rate_proof import ProvenRate, cached_rate, near_reference, proven_rate, write_certificate
+from fjr_bringup.cli.rate_proof import proven_rate, write_certificate
+from fjr_bringup.cli.rate_rows import rate_rows, rate_values, row_near_the_reference
 from fjr_bringup.cli.sampled_proof import sampled_proof
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
@@ -38,15 +39,12 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.config.user_options import options
 from fjr_core.control.registry import law_kind
 from fjr_core.control.robust import Robust
-from fjr_core.control.vdpbc.convergence_rate import Rate
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.files.python_class import is_named
 from fjr_core.robot.joint_units import joined
 from fjr_core.stability.model_errors import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_core.stability.sampled_loop import SampledCheck
-from fjr_core.verification.inertia_bounds import few_boxes, is_provable
 
-OTHER_PLANT = "in continuous time; not proven here, the plant is not the law's model"
 EVALUATIONS = 100  # of a law in Python, whose time is measured
 
 
@@ -109,27 +107,11 @@ def _values(scenario: Scenario, found: SampledCheck, rows: Mapping[str, str], re
         "delay_margin_samples": found.delay_margin,
         "lowest_stable_rate_hz": found.lowest_stable_rate,
         "sample_period_s": found.sample_period,
-        **_rates(scenario),
+        **rate_values(scenario),
         "warnings": _warnings(scenario),
         "refused": refusal or None,
         "rows": {name.strip(): text for name, text in rows.items()},
     }
-
-
-def _rates(scenario: Scenario) -> dict[str, Any]:
-    """Return beta and its basis, and the rate that a configuration attains; null for laws without a rate."""
-    if not isinstance(scenario.law, TrackingLaw):
-        return {"beta_per_s": None, "beta_is_proven": False, "beta_attained_per_s": None}
-    rate, proven = scenario.law.rate(), _kept(scenario)
-    beta, attained = (proven.beta, proven.attained) if proven else (rate.beta, None)
-    is_proven = (rate.proven or proven is not None) and scenario.plant_is_the_model
-    return {"beta_per_s": beta, "beta_is_proven": is_proven, "beta_attained_per_s": attained}
-
-
-def _kept(scenario: Scenario) -> ProvenRate | None:
-    """Return the rate that an earlier command has proven over the joint range; None if a closed form proves one."""
-    closed_form = scenario.robot.links.M_l_vertices is not None
-    return None if closed_form or not is_provable(scenario.robot) else cached_rate(scenario)
 
 
 def table(rows: Mapping[str, str]) -> str:
@@ -161,21 +143,7 @@ def _decay(scenario: Scenario) -> dict[str, str]:
     """Return the rates of v-dPBC, or name and gains of another law."""
     if not isinstance(scenario.law, TrackingLaw):
         return _other_law(scenario)
-    rate, proven = scenario.law.rate(), _kept(scenario)
-    if proven is None:
-        return _rate_rows(rate.beta, rate.beta_paper, _basis(rate, scenario))
-    basis = f"in continuous time, proven over the joint range{'' if proven.complete else ' so far'}"
-    rows = _rate_rows(proven.beta, proven.beta_paper, basis if scenario.plant_is_the_model else OTHER_PLANT)
-    sampled = "" if proven.complete else f"; minimum over sampled configurations: {rate.beta:.4g} 1/s"
-    at = f"{as_list(np.array(proven.at))} {position_unit(scenario)}"
-    return {**rows, "    rate at q_l": f"{at}: {proven.attained:.4g} 1/s{sampled}"}
-
-
-def _rate_rows(beta: float, beta_paper: float, basis: str) -> dict[str, str]:
-    return {
-        "beta": f"{beta:.4g} 1/s: V falls at least as exp(-2 beta t), {basis}",
-        "beta of eq. (50)": f"{beta_paper:.4g} 1/s, {basis}",
-    }
+    return rate_rows(scenario, scenario.law)
 
 
 def _other_law(scenario: Scenario) -> dict[str, str]:
@@ -209,15 +177,6 @@ def _evaluation_time(scenario: Scenario) -> float:
     return float(np.median(times))
 
 
-def _basis(rate: Rate, scenario: Scenario) -> str:
-    """Return the basis of a rate: a proof or samples."""
-    if not rate.proven:
-        return "in continuous time; minimum over sampled configurations, not proven"
-    if not scenario.plant_is_the_model:
-        return OTHER_PLANT
-    return "in continuous time, proven for every configuration"
-
-
 def _elsewhere(scenario: Scenario) -> dict[str, str]:
     """Return the check on the configurations that `checked` leaves out: the reference, or the whole range."""
     if isinstance(scenario.law, TrackingLaw):
@@ -226,26 +185,9 @@ def _elsewhere(scenario: Scenario) -> dict[str, str]:
         beta = f"beta {scenario.law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it)"
         margin = f"delay margin {found.delay_margin:.2f} samples"
         row = {"on the reference": f"{beta}, spectral radius {found.spectral_radius:.6f}, {margin}"}
-        return {**row, **_near_the_reference(scenario, scenario.law)}
+        return {**row, **row_near_the_reference(scenario, scenario.law)}
     found = checked_at(scenario, None)
     return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {_count(found)}"}
-
-
-def _near_the_reference(scenario: Scenario, law: TrackingLaw) -> dict[str, str]:
-    """Return the rate that is proven within a radius of the reference; no row if nothing can be proven."""
-    if not is_provable(scenario.robot):
-        return {}
-    domain, radius = near_reference(scenario)
-    rate = law.proven_rate(domain, most_boxes=few_boxes(scenario.robot))
-    basis = "proven" if scenario.plant_is_the_model else "not proven here, the plant is not the law's model"
-    near = f"within {_range(radius)} {position_unit(scenario)} of the reference in each joint"
-    return {"near the reference": f"beta {rate.beta:.4g} 1/s {near}, {basis}"}
-
-
-def _range(values: NDArray[np.float64]) -> str:
-    """Return the one value, or the smallest and the largest one."""
-    low, high = np.min(values), np.max(values)
-    return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
 
 
 def _in_the_loop(scenario: Scenario) -> dict[str, str]:
