@@ -203,7 +203,7 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
         known = [row for row in own if row["verdict"] != UNKNOWN]
         inside = float(np.mean([row["inside"] for row in known])) if known else float("nan")
         score = float(np.sqrt(np.mean([row["score"] ** 2 for row in known]))) if known else float("nan")
-        error = float(np.median([row["error"] for row in known])) if known else float("nan")
+        error = float(np.nanmedian([row["error"] for row in known])) if known else float("nan")
         lines.append(f"{name:26s} {len(known):6d} {inside:7.1%} {len(own) - len(known):8d} {score:9.2f} {error:12.2%}")
     return lines
 
