@@ -17,7 +17,7 @@ from .peak_gains import response
 from .reference_cells import Cells
 from .sampled_deviation import LinearCells
 
-MOST_ROUNDS = 200
+MOST_ROUNDS = 500
 DIVERGED = 50.0  # growth of the bounds at which the iteration ends
 GROWING = 4  # repetitions of the bound of a rate between samples, which depends on itself
 MARGIN = 1 + 1e-3  # of the disturbance that is verified over the fixed point of the iteration
@@ -63,19 +63,24 @@ class Centre:
         return Centre(*(np.zeros_like(value) for value in (self.z, self.rate, self.acceleration, self.effort)))
 
 
-def centre_of(linear: LinearCells, cells: Cells, torque: Array) -> Centre:
-    """Return the steady response to torques (c, 2n) [N m] that are constant over each cell."""
-    n, steady = linear.n, response(linear.models, cells, torque)
+def centre_of(linear: LinearCells, cells: Cells, torque: Array, aging: Array) -> Centre:
+    """Return the steady response to torques (c, 2n) [N m] in each cell, and to `aging` times the age of the effort."""
+    n, T, steady = linear.n, linear.sample_period, response(linear.models, cells, torque, aging)
     z, by_effort, by_torque = steady[:, : 4 * n], *linear.inputs
-    own, efforts = np.einsum("cij,cj->ci", linear.A, z), [np.einsum("cij,cj->ci", linear.F, z)]
-    own += np.einsum("cij,cj->ci", by_torque, torque)
-    efforts += [steady[:, start : start + n] for start in range(4 * n, steady.shape[1], n)]
-    rates = [own + np.einsum("cij,cj->ci", by_effort, effort) for effort in efforts]
-    slope, half = np.abs(linear.A).max(axis=0), linear.sample_period / 2
+    ends = [torque + age * aging for age in (linear.delay, linear.delay + T)]
+    own = [_times(linear.A, z) + _times(by_torque, each) for each in ends]
+    in_transit = [steady[:, start : start + n] for start in range(4 * n, steady.shape[1], n)]
+    efforts = [_times(linear.F, z), *in_transit]
+    rates = [each + _times(by_effort, effort) for each in own for effort in efforts]
+    slope, half = np.abs(linear.A).max(axis=0), linear.between
     rate = steepest = _largest(*rates)
     for _ in range(GROWING):
         steepest = rate + half * slope @ steepest
-    return Centre(_largest(z), MARGIN * steepest, _largest(own)[2 * n : 3 * n], _largest(*efforts))
+    return Centre(_largest(z), MARGIN * steepest, _largest(*own)[2 * n : 3 * n], _largest(*efforts))
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray(np.einsum("cij,cj->ci", matrices, vectors))
 
 
 def _largest(*values: Array) -> Array:
@@ -110,8 +115,8 @@ def _disturbance(found: Deviations, spread: Spread) -> Array:
 
 
 def _deviations(linear: LinearCells, gains: Array, disturbance: Array, centre: Centre) -> Deviations:
-    """Return the bounds of deviations under disturbances; between samples a bound grows by its rate over T / 2."""
-    n, S, half = linear.n, linear.models.loop.shape[1], linear.sample_period / 2
+    """Return the bounds of deviations under disturbances; between samples a bound grows by its rate."""
+    n, S, half = linear.n, linear.models.loop.shape[1], linear.between
     torque, error, at_samples = disturbance[: 2 * n], disturbance[2 * n :], gains @ disturbance
     effort = at_samples[S + n :] + error
     slope = np.abs(linear.A).max(axis=0)

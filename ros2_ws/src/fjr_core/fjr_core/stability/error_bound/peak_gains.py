@@ -31,7 +31,8 @@ STEADY = 1e-12  # relative change of a period's response that has become periodi
 class CellModels:
     """Sampled loop of each of c cells: loop (c, S, S), torque inputs (c, S, m) at the end and the start of a sample.
 
-    torque_held (c, S, m): input of torques that are constant over a sample, the integral of exp(A s) E.
+    torque_held (c, S, m): input of torques that are constant over a sample, the integral of exp(A s) E. torque_aged
+    (c, S, m): of torques that are the age [s] of the acting effort.
     curvature (c, S, m): bound of T^3 / 12 |exp(A s) A^2 E|. effort (c, S, n): input of e. outputs (c, r, S): rows
     whose gains are computed in addition to those of Z.
     """
@@ -40,6 +41,7 @@ class CellModels:
     torque_late: Array
     torque_early: Array
     torque_held: Array
+    torque_aged: Array
     curvature: Array
     effort: Array
     outputs: Array
@@ -51,9 +53,12 @@ def curvature(A: Array, E: Array, T: float) -> Array:
     return np.asarray(T**3 / 12 * growth @ np.abs(A @ A @ E))
 
 
-def response(models: CellModels, cells: Cells, torque: Array) -> Array:
-    """Return Z (c, S) at the end of each cell under torques (c, m) that are constant over it, in the steady state."""
-    drive = np.einsum("csm,cm->cs", models.torque_held, torque)
+def response(models: CellModels, cells: Cells, torque: Array, aging: Array) -> Array:
+    """Return Z (c, S) at the end of each cell in the steady state.
+
+    The torques in a cell are those of `torque` (c, m), constant, and `aging` (c, m) times the age of the acting effort.
+    """
+    drive = np.einsum("csm,cm->cs", models.torque_held, torque) + np.einsum("csm,cm->cs", models.torque_aged, aging)
     Z, ends = np.zeros(models.loop.shape[1]), np.zeros(drive.shape)
     for _ in range(MOST_PERIODS if cells.periodic else 1):
         before = ends.copy()

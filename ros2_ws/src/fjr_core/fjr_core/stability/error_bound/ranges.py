@@ -10,44 +10,47 @@ from ...numerics.checks import Array
 from ...numerics.interval_evaluation import Box, enclosure
 from .deviation_model import DeviationModel
 from .invariant_tube import Spread
-from .reference_cells import PIECES, Cells
+from .reference_cells import Cells
 from .sampled_deviation import LinearCells
 
-POINTS = 4  # random corners of each box at which a sampled range is evaluated
+PIECES = {True: 8, False: 1}
+"""Pieces of a window, each of which is a box, by whether ranges are verified."""
+SAMPLED = 64  # cells at which ranges that are not verified are evaluated
+POINTS = 8  # random corners of each box at which a sampled range is evaluated
 SEED = 0
 KEPT = 4.0  # ratio of a kept tube to a smaller one for which its range of the law is used again
 
 
 class Ranges:
-    """Ranges of the functions of a deviation model, by interval arithmetic if `verified`, else at random corners."""
+    """Ranges of the deviation model's functions: by interval arithmetic on verified cells, else at random corners."""
 
-    def __init__(self, model: DeviationModel, cells: Cells, verified: bool) -> None:
-        self.model, self.cells, self.verified = model, cells, verified
+    def __init__(self, model: DeviationModel, cells: Cells) -> None:
+        self.model, self.cells, self.pieces = model, cells, PIECES[cells.verified]
+        count = cells.count if cells.verified else min(SAMPLED, cells.count)
+        self._at = np.unique(np.linspace(0, cells.count - 1, count).round().astype(int))
         self._law: tuple[Array, int, Array] | None = None
 
-    def middle_torque(self, factors: Array, delay: float) -> Array:
-        """Return the torque errors (c, 2n) [N m] at factors (7,) in the middle of each cell, and of the mean hold."""
+    def known_torque(self, factors: Array) -> tuple[Array, Array]:
+        """Return torque errors (c, 2n) [N m] in the middle of each cell at factors (7,), and those by age [N m/s]."""
         jets, f = self.cells.middles, np.tile(factors[:, None], self.cells.count)
         d_l, d_m, rate = (box.lower for box in sampled_range(self.model.torque_errors, Box(jets, jets), Box(f, f)))
-        age = delay + self.cells.sample_period / 2
-        return np.concatenate([d_l, d_m - age * rate / factors[4]]).T
+        return np.concatenate([d_l, d_m]).T, np.concatenate([np.zeros_like(rate), -rate / factors[4]]).T
 
-    def torque(self, low: Array, high: Array, blocks: int, delay: float, middle: Array) -> Array:
-        """Return bounds (2n,) [N m] of the torque errors along the reference minus `middle` (c, 2n); delay [s]."""
-        age = delay, delay + self.cells.sample_period
-        windows = self.cells.windows(blocks, age[1])
-        d_l, d_m, rate = self._range(self.model.torque_errors, windows, self._factors(low, high))
-        ends = [-time * each / f for time in age for each in (rate.lower, rate.upper) for f in (low[4], high[4])]
-        d_m = Box(d_m.lower + np.min(ends, axis=0), d_m.upper + np.max(ends, axis=0))
-        points = np.tile(middle.T, PIECES)
-        n = self.model.n
-        return np.concatenate([d_l.distance(points[:n]).max(axis=1), d_m.distance(points[n:]).max(axis=1)])
+    def torque(self, low: Array, high: Array, blocks: int, delay: float, known: tuple[Array, Array]) -> Array:
+        """Return bounds (2n,) [N m] of the torque errors along the reference minus those known; delay [s]."""
+        n, age = self.model.n, delay + self.cells.sample_period
+        d_l, d_m, rate = self._range(self.model.torque_errors, self._windows(blocks, age), self._factors(low, high))
+        by_factor = [each / f for each in (rate.lower, rate.upper) for f in (low[4], high[4])]
+        aging = Box(-np.max(by_factor, axis=0), -np.min(by_factor, axis=0))
+        errors, by_age = (np.tile(each[self._at].T, self.pieces) for each in known)
+        motors = d_m.distance(errors[n:]) + age * aging.distance(by_age[n:])
+        return np.concatenate([d_l.distance(errors[:n]).max(axis=1), motors.max(axis=1)])
 
     def spread(
         self, linear: LinearCells, low: Array, high: Array, tube: Array, blocks: int, torque: Array
     ) -> Spread | None:
         """Return the differences from the linear model in a tube (4n,); None if they cannot be enclosed."""
-        windows, deviations = self.cells.windows(blocks), self._tube(tube)
+        windows, deviations = self._windows(blocks), self._tube(tube)
         try:
             H, M = self._range(self.model.link_slope, windows, deviations, self._factors(low, high))
             F = self._law_spread(linear, tube, blocks)
@@ -56,10 +59,10 @@ class Ranges:
         G, B = self._range(self.model.motor_slope, self._factors(low, high))
         return Spread(
             torque,
-            H=_largest(H, linear.H),
-            M=_largest(M, linear.M),
-            G=_largest(G, np.tile(linear.G, (self.cells.count, 1, 1))),
-            B=_largest(B, np.tile(linear.B, (self.cells.count, 1, 1))),
+            H=self._largest(H, linear.H),
+            M=self._largest(M, linear.M),
+            G=self._largest(G, np.tile(linear.G, (self.cells.count, 1, 1))),
+            B=self._largest(B, np.tile(linear.B, (self.cells.count, 1, 1))),
             F=F,
         )
 
@@ -69,19 +72,33 @@ class Ranges:
             kept, covered, found = self._law
             if covered >= blocks and np.all(tube <= kept) and np.any(KEPT * tube >= kept):
                 return found
-        (F,) = self._range(self.model.law_slope, self.cells.windows(blocks), self._tube(tube))
-        self._law = tube, blocks, _largest(F, linear.F)
+        windows = self._chosen(self.cells.sampling(blocks, self.pieces))
+        (F,) = self._range(self.model.law_slope, windows, self._tube(tube))
+        self._law = tube, blocks, self._largest(F, linear.F)
         return self._law[2]
 
+    def _windows(self, blocks: int, earlier: float = 0.0) -> Box:
+        return self._chosen(self.cells.windows(blocks, self.pieces, earlier))
+
+    def _chosen(self, windows: Box) -> Box:
+        at = (self.cells.count * np.arange(self.pieces)[:, None] + self._at).ravel()
+        return Box(windows.lower[:, at], windows.upper[:, at])
+
     def _tube(self, tube: Array) -> Box:
-        columns = np.tile(tube[:, None], PIECES * self.cells.count)
+        columns = np.tile(tube[:, None], self.pieces * len(self._at))
         return Box(-columns, columns)
 
     def _factors(self, low: Array, high: Array) -> Box:
-        return Box(*(np.tile(each[:, None], PIECES * self.cells.count) for each in (low, high)))
+        return Box(*(np.tile(each[:, None], self.pieces * len(self._at)) for each in (low, high)))
 
     def _range(self, function: ca.Function, *boxes: Box) -> list[Box]:
-        return enclosure(function, *boxes) if self.verified else sampled_range(function, *boxes)
+        return enclosure(function, *boxes) if self.cells.verified else sampled_range(function, *boxes)
+
+    def _largest(self, box: Box, middle: Array) -> Array:
+        """Return the largest distances (rows, columns) of matrices in boxes from those in the middle of the cells."""
+        rows, columns = middle.shape[1:]
+        flat = np.tile(middle[self._at].transpose(2, 1, 0).reshape(rows * columns, -1), self.pieces)
+        return np.asarray(box.distance(flat).max(axis=1).reshape(columns, rows).T)
 
 
 def sampled_range(function: ca.Function, *boxes: Box) -> list[Box]:
@@ -101,10 +118,3 @@ def sampled_range(function: ca.Function, *boxes: Box) -> list[Box]:
             rows, columns = function.size_out(i)
             found[i].append(result.full().reshape(rows, k, columns).transpose(2, 0, 1).reshape(rows * columns, k))
     return [Box(np.min(values, axis=0), np.max(values, axis=0)) for values in found]
-
-
-def _largest(box: Box, middle: Array) -> Array:
-    """Return the largest distances (rows, columns) of matrices in boxes (size, PIECES c) from those in the middle."""
-    rows, columns = middle.shape[1:]
-    flat = np.tile(middle.transpose(2, 1, 0).reshape(rows * columns, -1), PIECES)
-    return np.asarray(box.distance(flat).max(axis=1).reshape(columns, rows).T)

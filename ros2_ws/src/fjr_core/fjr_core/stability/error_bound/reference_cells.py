@@ -13,11 +13,11 @@ from ...trajectories.reference import JETS, Reference
 from ...trajectories.sine import Sines, common_period
 from .deviation_model import DERIVATIVES
 
-MOST_CELLS = 800
+MOST_CELLS = {True: 800, False: 2500}
+"""Cells at which bounds are verified, or sampled."""
 LONGEST_PERIOD = 60.0  # s; longest period that is covered whole
 SETTLED = 1.0  # s after the end of a reference that ends
 LONGEST = 30.0  # s of a reference without period or end
-PIECES = 8  # of a window, each of which is a box of intervals
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +25,7 @@ class Cells:
     """c cells of `samples` sample periods each, that cover a reference: a period of it, or all of it.
 
     length [s]: of a cell; differs a little from samples * sample_period if the period is not a multiple of it.
+    verified: bounds are verified, else sampled.
     """
 
     reference: Reference
@@ -33,10 +34,11 @@ class Cells:
     count: int
     length: float
     periodic: bool
+    verified: bool
 
     @property
-    def verified(self) -> bool:
-        """True if the bounds of `windows` hold between the points, and the cells cover all times."""
+    def verifiable(self) -> bool:
+        """True if the bounds of `windows` hold between points, and the cells cover all times."""
         return self.periodic and isinstance(self.reference, Sines)
 
     @property
@@ -49,28 +51,52 @@ class Cells:
         earlier = cells - number
         return np.asarray(earlier % self.count if self.periodic else np.maximum(earlier, 0))
 
-    def windows(self, blocks: int, earlier: float = 0.0) -> Box:
-        """Return bounds (6n, PIECES c) of q_ld .. d5q_ld on the window of each cell, in pieces: first all first pieces.
+    @property
+    def instants(self) -> Array:
+        """Argument `jets` (6n, c) in the middle of the sampling instants of each cell."""
+        return self._columns(
+            self._middle if self.verified else self._first + (self.samples - 1) * self.sample_period / 2
+        )
+
+    def windows(self, blocks: int, pieces: int, earlier: float = 0.0) -> Box:
+        """Return bounds (6n, pieces c) of q_ld .. d5q_ld on the window of each cell: first all first pieces.
 
         The window contains every instant at which a chain of `blocks` cells, counted back from the cell of any sample,
         uses the model of the cell: from samples - 1 samples before the cell to two samples after it, and by the
-        accumulated difference of `length` more on either side.
+        accumulated difference of `length` more on either side. earlier [s]: extends it. Sampled cells (not verified)
+        are those of chains from the end of a cell: their windows are the cells.
         """
-        T = self.sample_period
-        drift = blocks * abs(self.length - self.samples * T)
-        radius = (self.length + (self.samples + 1) * T) / 2 + drift
-        offsets = radius * (2 * np.arange(PIECES) + 1 - PIECES) / PIECES
-        middle = (self._middle + offsets[:, None]).ravel()
+        radius = self.length / 2 + earlier
+        if self.verified:
+            drift = blocks * abs(self.length - self.samples * self.sample_period)
+            radius += (self.samples + 1) * self.sample_period / 2 + drift
+        return self._around(self._middle, radius, pieces)
+
+    def sampling(self, blocks: int, pieces: int) -> Box:
+        """Return bounds as `windows` on the sampling instants of each cell."""
+        if self.verified:
+            return self.windows(blocks, pieces)
+        reach = (self.samples - 1) * self.sample_period / 2
+        return self._around(self._first + reach, reach + abs(self.length - self.samples * self.sample_period), pieces)
+
+    def _around(self, middle: Array, radius: float, pieces: int) -> Box:
+        offsets = radius * (2 * np.arange(pieces) + 1 - pieces) / pieces
+        middle = (middle + offsets[:, None]).ravel()
         if isinstance(self.reference, Sines):
-            return _around_sines(self.reference, middle, radius / PIECES)
-        ends = [self._columns(middle + side * radius / PIECES) for side in (-1, 0, 1)]
+            return _around_sines(self.reference, middle, radius / pieces)
+        ends = [self._columns(middle + side * radius / pieces) for side in (-1, 0, 1)]
         return Box(np.min(ends, axis=0), np.max(ends, axis=0))
+
+    @property
+    def _first(self) -> Array:
+        """First instant of each cell (c,) [s]."""
+        return np.asarray(self.length * np.arange(self.count))
 
     @property
     def _middle(self) -> Array:
         """Middle of each window (c,) [s]."""
-        T = self.sample_period
-        return np.asarray(self.length * np.arange(self.count) + (self.length + (3 - self.samples) * T) / 2)
+        later = (3 - self.samples) * self.sample_period if self.verified else 0.0
+        return self._first + (self.length + later) / 2
 
     def _columns(self, t: Array) -> Array:
         t = np.asarray(t) if self.periodic else np.maximum(t, 0.0)
@@ -82,14 +108,14 @@ class Cells:
         return np.concatenate([jets.reshape(len(t), -1), fifth], axis=1).T
 
 
-def cells_of(reference: Reference, sample_period: float) -> Cells:
+def cells_of(reference: Reference, sample_period: float, verified: bool) -> Cells:
     """Return the cells of a reference."""
     period = _period(reference, sample_period)
     periodic = period is not None and period <= LONGEST_PERIOD
     whole = period if period is not None and periodic else min(reference.end + SETTLED, LONGEST)
-    samples = max(1, int(np.ceil(whole / sample_period / MOST_CELLS)))
+    samples = max(1, int(np.ceil(whole / sample_period / MOST_CELLS[verified])))
     count = max(1, round(whole / (samples * sample_period)))
-    return Cells(reference, sample_period, samples, count, whole / count, periodic)
+    return Cells(reference, sample_period, samples, count, whole / count, periodic, verified)
 
 
 def _period(reference: Reference, sample_period: float) -> float | None:

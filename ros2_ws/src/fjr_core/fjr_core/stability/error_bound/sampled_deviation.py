@@ -21,7 +21,8 @@ class LinearCells:
     """Linear model of the deviation in each of c cells at the factors f (7,).
 
     M (c, n, n), H (c, n, 4n): M dz_3 = H z + d_l;  G (n, 4n), B (n, n): M_m dz_4 = G z + B v + d_m, v the deviation of
-    the effort. F (c, n, 4n): v = F z at the sample. Z is (z, v of earlier samples in transit).
+    the effort. F (c, n, 4n): v = F z at the sample. Z is (z, v of earlier samples in transit). between [s]: time from
+    the nearest sample that bounds cover, T / 2, or 0 for bounds at the samples.
     """
 
     model: DeviationModel
@@ -32,6 +33,7 @@ class LinearCells:
     F: Array
     sample_period: float
     delay: float
+    between: float
 
     @property
     def n(self) -> int:
@@ -82,24 +84,48 @@ class LinearCells:
         outputs = np.zeros((c, 2 * n, S))
         outputs[:, :n, : 4 * n], outputs[:, n:, : 4 * n] = self.A[:, 2 * n : 3 * n], self.F
         held_torque, bend = held_maps(self.A, by_torque, T)[1], curvature(self.A, by_torque, T)
-        late, early, constant, bent = (padded(each) for each in (by_torque, Phi @ by_torque, held_torque, bend))
-        return CellModels(loop, late, early, constant, bent, effort, outputs)
+        aged = self._aged(by_torque, whole, fraction)
+        return CellModels(
+            loop,
+            torque_late=padded(by_torque),
+            torque_early=padded(Phi @ by_torque),
+            torque_held=padded(held_torque),
+            torque_aged=padded(aged),
+            curvature=padded(bend),
+            effort=effort,
+            outputs=outputs,
+        )
+
+    def _aged(self, by_torque: Array, whole: int, fraction: float) -> Array:
+        """Return the integral of exp(A (T - s)) E age(s) over a sample.
+
+        The effort that acts after s is s + whole T old, and T older while s < fraction T.
+        """
+        T, (c, N, m) = self.sample_period, by_torque.shape
+        ramp = np.zeros((c, N + m, N + m))
+        ramp[:, :N, :N], ramp[:, :N, N:] = self.A, by_torque
+        aged = held_maps(ramp, np.broadcast_to(np.eye(N + m)[:, N:], (c, N + m, m)), T)[1][:, :N]
+        aged += whole * T * held_maps(self.A, by_torque, T)[1]
+        if fraction:
+            older = held_maps(self.A, by_torque, fraction * T)[1]
+            aged += T * held_maps(self.A, by_torque, (1 - fraction) * T)[0] @ older
+        return aged
 
 
 def linear_cells(
     model: DeviationModel, cells: Cells, F: Array, factors: Array, sample_period: float, delay: float
 ) -> LinearCells:
     """Return the linear model in the middle of each cell at the factors f (7,); F (c, n, 4n): slopes of the law."""
-    n, jets = model.n, cells.middles
+    n, jets, between = model.n, cells.middles, sample_period / 2 if cells.verified else 0.0
     zero, f = np.zeros((4 * n, cells.count)), np.tile(factors[:, None], cells.count)
     H, M = model.link_slope.map(cells.count)(_matrices(jets, n), zero, f)
     G, B = (each.full() for each in model.motor_slope(factors))
-    return LinearCells(model, stacked(M.full(), n), stacked(H.full(), 4 * n), G, B, F, sample_period, delay)
+    return LinearCells(model, stacked(M.full(), n), stacked(H.full(), 4 * n), G, B, F, sample_period, delay, between)
 
 
 def law_slopes(model: DeviationModel, cells: Cells) -> Array:
-    """Return the slopes F (c, n, 4n) of the law in the middle of each cell."""
-    F = model.law_slope.map(cells.count)(_matrices(cells.middles, model.n), np.zeros((4 * model.n, cells.count)))
+    """Return the slopes F (c, n, 4n) of the law at the sampling instants of each cell."""
+    F = model.law_slope.map(cells.count)(_matrices(cells.instants, model.n), np.zeros((4 * model.n, cells.count)))
     return stacked(F.full(), 4 * model.n)
 
 

@@ -99,14 +99,14 @@ class Search:
         self, law: StaticLaw, reference: Reference, T: float, delay: float, disturbing: Array, verified: bool
     ) -> None:
         """disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors."""
-        self.model, self.cells = DeviationModel(law), cells_of(reference, T)
-        self.T, self.delay, self.disturbing, self.verified = T, delay, disturbing, verified
-        self.ranges = Ranges(self.model, self.cells, verified)
+        self.model, self.cells = DeviationModel(law), cells_of(reference, T, verified)
+        self.T, self.delay, self.disturbing = T, delay, disturbing
+        self.ranges = Ranges(self.model, self.cells)
 
     @property
     def applies(self) -> bool:
         """True if the constants can be verified: closed-form links, and a reference with bounds between points."""
-        return self.cells.verified and self.model.robot.links.M_l_vertices is not None
+        return self.cells.verifiable and self.model.robot.links.M_l_vertices is not None
 
     @cached_property
     def F(self) -> Array:
@@ -133,22 +133,22 @@ class Search:
         gains = peak_gains(linear.models, self.cells, self.T, blocks, self._finals)
         if not np.all(np.isfinite(gains)):
             return Part(low, high)
-        known = self.ranges.middle_torque((low + high) / 2, self.delay)
+        known = self.ranges.known_torque((low + high) / 2)
         unknown = self.ranges.torque(low, high, blocks, self.delay, known) + self.disturbing
-        centre = centre_of(linear, self.cells, known)
+        centre = centre_of(linear, self.cells, *known)
         least = gains[: 4 * self.model.n, : 2 * self.model.n] @ unknown + centre.z
 
         def within(tube: Array, torque: Array, about: Centre) -> Deviations | None:
             spread = self.ranges.spread(linear, low, high, tube, blocks, torque)
             return None if spread is None else fixed_point(linear, gains, spread, about)
 
-        if not self.verified:
+        if not self.cells.verified:
             tube = _grown(lambda tube: within(tube, unknown, centre), least)
             credible = tube is not None and tube.z[: self.model.n].max() <= CREDIBLE
             return Part(low, high, tube if credible else None, least)
-        largest, still = unknown + np.abs(known).max(axis=0), centre.none()
+        largest = unknown + np.max(np.abs(known[0]) + (self.delay + self.T) * np.abs(known[1]), axis=0)
         first = gains[: 4 * self.model.n, : 2 * self.model.n] @ largest
-        from_start = _grown(lambda tube: within(tube, largest, still), first)
+        from_start = _grown(lambda tube: within(tube, largest, centre.none()), first)
         if from_start is None:
             return Part(low, high)
         ultimate = _shrunk(lambda tube: within(tube, unknown, centre), from_start)
@@ -164,5 +164,5 @@ class Search:
 
     @property
     def _finals(self) -> Array:
-        count = self.cells.count if self.verified else min(SAMPLED_FINALS, self.cells.count)
+        count = self.cells.count if self.cells.verified else min(SAMPLED_FINALS, self.cells.count)
         return np.unique(np.linspace(0, self.cells.count - 1, count).round().astype(int))
