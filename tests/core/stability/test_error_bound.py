@@ -13,7 +13,8 @@ import pytest
 from scipy.linalg import expm
 
 import fjr_core as fjr
-from core.oracles.chains import arm7
+from docs.pages import ROOT
+from fjr_core.config.scenario import load_scenario
 from fjr_core.control.inverse_dynamics import inverse_dynamics
 from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop, Draws
@@ -110,7 +111,7 @@ def test_ten_thousand_runs_stay_within_the_bound(law, reference, errors) -> None
 
 @pytest.mark.full
 def test_hold_and_delay_stay_within_the_sampled_bound_of_seven_joints() -> None:
-    made = arm7()
+    made = load_scenario(ROOT / "ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
     law = fjr.TrackingLaw(made.robot, made.gains, compile=True)
     bound = bound_errors(law, made.reference, T, T)
     seen = largest_errors(law, made.reference, T, {}, 1, 4.0)

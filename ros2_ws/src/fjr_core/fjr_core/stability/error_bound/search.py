@@ -114,8 +114,15 @@ class Search:
         return law_slopes(self.model, self.cells)
 
     def parts(self, low: Array, high: Array) -> list[Part]:
-        """Divide the part with the largest bound until it is tight, or cannot become tighter."""
+        """Divide the part with the largest bound until it is tight, or cannot become tighter.
+
+        If the smallest part at the largest factors has no tube either, it is returned alone.
+        """
         parts = [self._part(low, high)]
+        if parts[0].tube is None:
+            smallest = self._part(np.maximum(low, high - NARROWEST), high)
+            if smallest.tube is None:
+                return [smallest]
         while len(parts) < MOST_PARTS:
             worst = max(reversed(parts), key=lambda part: part.size)
             if worst.excess <= TIGHT or np.all(worst.high - worst.low <= NARROWEST):
