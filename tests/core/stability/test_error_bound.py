@@ -8,8 +8,11 @@ from dataclasses import replace
 from functools import cache
 from itertools import product
 
+import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.linalg import expm
 
 import fjr_core as fjr
@@ -19,6 +22,7 @@ from fjr_core.control.inverse_dynamics import inverse_dynamics
 from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_core.stability.error_bound import ErrorBound, bound_errors
+from fjr_core.stability.error_bound.box import Box, enclosure
 from fjr_core.stability.error_bound.deviation_model import FACTORS
 from fjr_core.stability.error_bound.error_bound import TORQUES
 from fjr_core.trajectories.reference import Reference
@@ -213,3 +217,15 @@ def test_a_bound_on_links_without_closed_form_is_not_proven() -> None:
 def test_errors_out_of_range_are_refused(errors: dict[str, float], words: str) -> None:
     with pytest.raises(fjr.FjrError, match=words):
         bound_errors(joint(), SWING, T, 0.0, errors)
+
+
+@given(st.lists(st.floats(-10, 10), min_size=2, max_size=2), st.integers(0, 2**32))
+def test_an_enclosure_contains_the_values_of_every_point_of_its_box(ends: list[float], seed: int) -> None:
+    x = ca.SX.sym("x")
+    function = ca.Function("f", [x], [ca.vertcat(ca.sin(x) * x, (x**2 - 1) / (25 + x))])
+    low, high = sorted(ends)
+    (box,) = enclosure(function, Box(np.array([[low]]), np.array([[high]])))
+    for point in np.random.default_rng(seed).uniform(low, high, 20).clip(low, high):
+        value = function(point).full()
+        assert np.all(box.lower <= value)
+        assert np.all(value <= box.upper)

@@ -107,7 +107,7 @@ def report(**given: Any) -> Any:
     "--delay",
     type=options.SAMPLES,
     metavar="D",
-    help="Largest delay in samples, of the bound and of this proof. [default: the scenario's]",
+    help="Delay in samples: constant for the bound, largest for this proof. [default: the scenario's]",
 )
 @set_option
 def check(**given: Any) -> Any:

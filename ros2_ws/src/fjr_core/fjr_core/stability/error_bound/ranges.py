@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from ...numerics.checks import Array
-from ...numerics.interval_evaluation import Box, enclosure
+from .box import Box, enclosure
 from .deviation_model import DeviationModel
 from .invariant_tube import Spread
 from .reference_cells import Cells

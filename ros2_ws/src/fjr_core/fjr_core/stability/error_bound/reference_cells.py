@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...numerics.checks import Array
-from ...numerics.interval_evaluation import Box
 from ...trajectories.reference import JETS, Reference
 from ...trajectories.sine import Sines, common_period
+from .box import Box
 from .deviation_model import DERIVATIVES
 
 MOST_CELLS = {True: 800, False: 2500}
