@@ -219,6 +219,18 @@ def test_errors_out_of_range_are_refused(errors: dict[str, float], words: str) -
         bound_errors(joint(), SWING, T, 0.0, errors)
 
 
+def test_a_reference_that_ends_is_bounded_from_samples() -> None:
+    bound = bound_errors(joint(), fjr.Spline([0.0, 1.0, 2.0], [[0.0], [0.5], [0.0]]), T, T, {"payload": 0.05})
+    assert bound.found
+    assert not bound.proven
+
+
+@pytest.mark.parametrize("reference", [fjr.Sine(0.5, 0.01), fjr.MultiSine([[0.3], [0.1]], [[1.0], [np.sqrt(2)]])])
+def test_a_reference_that_cannot_be_covered_is_refused(reference: Reference) -> None:
+    with pytest.raises(fjr.FjrError, match="neither a common period nor an end within 60 s"):
+        bound_errors(joint(), reference, T)
+
+
 @given(st.lists(st.floats(-10, 10), min_size=2, max_size=2), st.integers(0, 2**32))
 def test_an_enclosure_contains_the_values_of_every_point_of_its_box(ends: list[float], seed: int) -> None:
     x = ca.SX.sym("x")

@@ -61,7 +61,8 @@ def bound_errors(
     delay [s]: constant, from a state to the effort that answers it. errors: largest relative errors of the robot's
     factors (FACTORS: one factor for all joints, "payload" for inertia and weight of the links together), and largest
     TORQUES [N m] that act at any joint with any time course. The robot starts on the reference.
-    Raises ParameterError for an unknown name, or an error that is negative or too large.
+    Raises ParameterError for an unknown name, an error that is negative or too large, and a reference that has neither
+    a common period nor an end within 60 s.
     """
     checked = _checked(errors)
     half = np.array([checked.get(name, 0.0) for name in FACTORS])

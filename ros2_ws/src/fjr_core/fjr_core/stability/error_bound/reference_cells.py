@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...errors import ParameterError
 from ...numerics.checks import Array
 from ...trajectories.reference import JETS, Reference
 from ...trajectories.sine import Sines, common_period
@@ -15,9 +16,8 @@ from .deviation_model import DERIVATIVES
 
 MOST_CELLS = {True: 800, False: 2500}
 """Cells at which bounds are verified, or sampled."""
-LONGEST_PERIOD = 60.0  # s; longest period that is covered whole
+LONGEST = 60.0  # s; longest period or reference that is covered
 SETTLED = 1.0  # s after the end of a reference that ends
-LONGEST = 30.0  # s of a reference without period or end
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,13 +109,17 @@ class Cells:
 
 
 def cells_of(reference: Reference, sample_period: float, verified: bool) -> Cells:
-    """Return the cells of a reference."""
+    """Return the cells of a reference; raises ParameterError unless a period or its end is within LONGEST seconds."""
     period = _period(reference, sample_period)
-    periodic = period is not None and period <= LONGEST_PERIOD
-    whole = period if period is not None and periodic else min(reference.end + SETTLED, LONGEST)
+    whole = reference.end + SETTLED if period is None else period
+    if whole > LONGEST:
+        raise ParameterError(
+            f"the reference has neither a common period nor an end within {LONGEST:g} s; expected one of them for a "
+            "bound of the tracking error"
+        )
     samples = max(1, int(np.ceil(whole / sample_period / MOST_CELLS[verified])))
     count = max(1, round(whole / (samples * sample_period)))
-    return Cells(reference, sample_period, samples, count, whole / count, periodic, verified)
+    return Cells(reference, sample_period, samples, count, whole / count, period is not None, verified)
 
 
 def _period(reference: Reference, sample_period: float) -> float | None:
