@@ -26,6 +26,7 @@ LONGEST_FIRST = (
     "core/stability/test_complete_loop_check.py",
     "core/stability/test_error_bound.py",
     "core/monitoring/test_diagnosis.py",
+    "core/stability/sampled_contraction/test_proof.py",
     "core/monitoring/test_storage_growth.py",
     "core/stability/test_prolonged_system.py",
     "core/simulation/test_batch.py",

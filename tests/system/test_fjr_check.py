@@ -336,7 +336,7 @@ def test_contraction_of_the_sampled_loop_is_proven_on_request() -> None:
             ("paper_k31", "--set", "robust.integral_gain:=[1.0]"),
             "robust.* gives the law a state; expected a law without",
         ),
-        (("paper_k31", "--delay", "2"), "delay is 2.0 samples; expected 0 to 1"),
+        (("paper_k31", "--delay", "2"), "delay is 0 to 2 samples; expected within 0 and 1"),
     ],
 )
 def test_loops_that_the_proof_does_not_cover_are_named(arguments: tuple[str, ...], reason: str) -> None:

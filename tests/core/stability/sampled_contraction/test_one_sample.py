@@ -14,24 +14,25 @@ from fjr_core.stability.sampled_contraction.one_sample import OneSample
 
 H = 1e-3
 CASES = {
-    "joint": (joint(), fjr.Sine(1.0, 2.0), 0.05, 1.0),
-    "joint without delay": (joint(), fjr.Sine(1.0, 2.0), 0.1, 0.0),
-    "cubic": (joint(CUBIC), fjr.Sine(1.0, 2.0), 0.1, 0.5),
-    "two links": (two_link(), fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0]), 0.003, 1.0),
-    "two links without delay": (two_link(), fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0]), 0.01, 0.0),
+    "joint": (joint(), fjr.Sine(1.0, 2.0), 0.05, (0.0, 1.0)),
+    "joint without delay": (joint(), fjr.Sine(1.0, 2.0), 0.1, (0.0, 0.0)),
+    "cubic": (joint(CUBIC), fjr.Sine(1.0, 2.0), 0.1, (0.3, 0.5)),
+    "two links": (two_link(), fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0]), 0.003, (0.0, 1.0)),
+    "two links, one delay": (two_link(), fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0]), 0.003, (0.7, 0.7)),
+    "two links without delay": (two_link(), fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0]), 0.01, (0.0, 0.0)),
 }
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_pairs_of_solutions_and_the_centre_move_within_the_bounds(name: str) -> None:
-    law, reference, radius, delay = CASES[name]
+    law, reference, radius, (least, longest) = CASES[name]
     rng, n = np.random.default_rng(8), law.robot.n
-    sample = OneSample(ErrorSystem(law), reference, H, delay)
+    sample = OneSample(ErrorSystem(law), reference, H, least, longest)
     index = np.array([0, 700, 1900])
     s, centre = sample.states, np.zeros((3, 5 * n))
     centre[:, :s] = 1e-4 * rng.standard_normal((3, s))
     q_l = reference.jets(H * index)[:, 0]
-    weighted = source(law, q_l, H, 1e3 if delay else None)
+    weighted = source(law, q_l, H, 1e3 if longest else None)
     metric, after = Metric.of(weighted), Metric.of(1.1 * weighted)
     pieces, next_centre = sample.pieces(index, centre), 0.5 * centre
     rho = sample.factors(pieces, metric, after, radius)
@@ -41,7 +42,7 @@ def test_pairs_of_solutions_and_the_centre_move_within_the_bounds(name: str) -> 
     closest = 0.0
     for k in (0, 1, 2):
         for _ in range(3):
-            t, tau = H * (index[k] + rng.uniform()), H * delay * rng.choice([0.0, rng.uniform(), 1.0])
+            t, tau = H * (index[k] + rng.uniform()), H * rng.choice([least, rng.uniform(least, longest), longest])
             y = rng.standard_normal((2, s))
             y *= radius / np.linalg.norm(y, axis=1)[:, None]
             starts = np.zeros((3, 5 * n))

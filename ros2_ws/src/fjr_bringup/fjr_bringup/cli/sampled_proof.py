@@ -33,7 +33,7 @@ class SampledProof:
         tube, offset = (1e3 * float(each.max()) for each in (self.found.tube, self.found.offset))
         decay = f"contracts at {self.found.rate:.4g} 1/s within {tube:.4g} m{self.unit} of the reference"
         return {
-            f"{ROW}, proven": f"{decay}, {_delay(self.found.delay)}",
+            f"{ROW}, proven": f"{decay}, {_delay(self.found.least_delay, self.found.longest_delay)}",
             "    remaining error": f"at most {offset:.2g} m{self.unit} of a link",
         }
 
@@ -47,27 +47,28 @@ class SampledProof:
             "rate": self.found.rate,
             "tube": self.found.tube.tolist(),
             "offset": self.found.offset.tolist(),
-            "delay_samples": self.found.delay,
+            "delay_samples": [self.found.least_delay, self.found.longest_delay],
             "sample_period_s": self.found.sample_period,
         }
 
 
 def sampled_proof(scenario: Scenario, delay: float | None) -> SampledProof:
-    """Prove contraction of the loop of a scenario with delays up to `delay` samples; None: the scenario's delay."""
+    """Prove contraction of the loop of a scenario with all delays up to `delay` samples; None: with its own delay."""
     reason, law = not_covered(scenario), scenario.law
     if reason or not isinstance(law, TrackingLaw):
         return SampledProof(None, reason)
     period = scenario.sample_period
-    longest = scenario.loop_delay / period if delay is None else delay
+    own = scenario.loop_delay / period
+    delays = (own, own) if delay is None else (0.0, delay)
     try:
         with progress_bar("proving contraction of the sampled loop", PROGRESS, total=1.0, desc="proof") as bar:
             found = sampled_contraction(
-                law, scenario.reference, period, longest, lambda share: bar.update(share - bar.n)
+                law, scenario.reference, period, delays, lambda share: bar.update(share - bar.n)
             )
     except FjrError as error:
         return SampledProof(None, str(error))
     unit = " or m".join(dict.fromkeys(each.position for each in scenario.robot.units))
-    return SampledProof(found, f"no tube found about the reference, {_delay(longest)}", unit)
+    return SampledProof(found, f"no tube found about the reference, {_delay(*delays)}", unit)
 
 
 def not_covered(scenario: Scenario) -> str:
@@ -86,6 +87,8 @@ def not_covered(scenario: Scenario) -> str:
     return next((sentence for sentence, applies in causes.items() if applies), "")
 
 
-def _delay(samples: float) -> str:
-    """Return a largest delay in words."""
-    return f"delay up to {samples:g} sample{'' if samples == 1 else 's'}" if samples else "without delay"
+def _delay(least: float, longest: float) -> str:
+    """Return delays [samples] in words."""
+    if not longest:
+        return "without delay"
+    return f"delay {'up to' if least < longest else 'of'} {longest:g} sample{'' if longest == 1 else 's'}"

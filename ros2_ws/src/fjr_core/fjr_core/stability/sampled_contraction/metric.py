@@ -39,7 +39,7 @@ class Metric:
         V = np.linalg.inv(W)
         error = matmul(Interval.exact(W), Interval.exact(V)) - Interval.exact(np.eye(W.shape[-1]))
         distance = ABOVE * np.sqrt(np.sum(error.magnitude**2, axis=(1, 2)))
-        return Metric(W, V, ABOVE / (1 - np.minimum(distance, 0.5)))
+        return Metric(W, V, np.where(distance < 0.5, ABOVE / (1 - np.minimum(distance, 0.5)), np.inf))
 
     def at(self, pieces: Indices) -> Metric:
         """Return the norms of these pieces."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bound how much one sample of the nonlinear loop contracts in a tube, on pieces of the reference.
 
-The held effort changes at the time tau after a sample, 0 <= tau <= delay <= 1 sample. With D(s) the Jacobian of the
-error system along a solution, the Jacobian of the one-sample map is
+The held effort changes at a time tau after a sample, at most one sample and between the least and the longest delay.
+With D(s) the Jacobian of the error system along a solution, the Jacobian of the one-sample map is
 
     J = Psi(h, tau) (Psi(tau, 0) - S),    dPsi/ds = D(s) Psi,    S = diag(0, I): w loses the old effort at tau.
 
@@ -87,22 +87,24 @@ class Flow:
 
 @dataclass(frozen=True, eq=False)
 class OneSample:
-    """The one-sample map of an error system with a sample period h [s] and delays from 0 to `delay` samples."""
+    """The one-sample map of an error system with a sample period h [s] and delays from least to longest [samples]."""
 
     system: ErrorSystem
     reference: Sines
     h: float
-    delay: float
+    least: float
+    longest: float
 
     @property
     def states(self) -> int:
         """Number of states: without delay w is zero at every sample."""
-        return (5 if self.delay else 4) * self.system.n
+        return (5 if self.longest else 4) * self.system.n
 
     @property
     def taus(self) -> Array:
-        """Instants (CELLS + 1,) [s] at which the effort changes, or one without delay."""
-        return np.asarray(self.h * self.delay * np.linspace(0, 1, CELLS + 1 if self.delay else 1))
+        """Instants (CELLS + 1,) [s] at which the effort changes; twice the only one, if there is only one."""
+        cells = CELLS if self.longest > self.least else 1
+        return np.asarray(self.h * np.linspace(self.least, self.longest, cells + 1))
 
     def jets(self, index: Indices, spread: float) -> Interval:
         """Return the reference over (j + 1) h +- spread h for the pieces j (k,)."""
@@ -166,8 +168,7 @@ class OneSample:
         late = excess(A, R, R, h)
         error = h * late @ column.magnitude + late @ held
         error = error + h * h * (by_time + growth(A + R, h) @ by_time)
-        if self.delay:
-            error = error + self._curved(A, self.h * self.delay / CELLS, h) @ held
+        error = error + self._curved(A, self.taus[1] - self.taus[0], h) @ held
         moved = Interval.exact((pieces.centre - next_centre)[:, :, None]) + matmul(exponential_integral(C, h), column)
         bounds = []
         for tau in self.taus:
@@ -183,16 +184,17 @@ class OneSample:
         if not np.isfinite(flow.box).all():
             return np.full(len(flow.box.T), np.inf)
         H, by_time = self.system.curvature(Interval(pieces.centre.T, flow.box), flow.jets)
-        n = self.system.n
-        errors, held = H.mid[: 4 * n], H.mid[4 * n :]
+        n, h = self.system.n, self.h
+        errors, others = H.mid[: 4 * n], np.concatenate([H.mid[4 * n :], by_time.mid[None]])
+        reach = np.concatenate([flow.box[4 * n :], np.full((1, len(flow.box.T)), h)])  # of w, and of the time
         linear = np.einsum("iek,ik->ek", np.abs(errors), flow.start[: 4 * n])
+        linear += np.einsum("iek,ik->ek", np.abs(others), reach)
         rest = np.einsum("iek,ik->ek", np.abs(errors), flow.grown[: 4 * n])
-        rest += np.einsum("iek,ik->ek", np.abs(held), flow.box[4 * n :])
-        rest += np.einsum("iek,ik->ek", H.rad, flow.box) + self.h * by_time.magnitude
+        rest += np.einsum("iek,ik->ek", H.rad, flow.box) + h * by_time.rad
         R1, R2 = (ABOVE * self._scattered(part) for part in (linear, rest))
         R2 += pieces.C.rad
-        bound = self.h * self._together(errors, metric, after, radius)
-        bound += 1e-12 * self._by_entries(self.h * R1, metric, after)
+        bound = self._together(errors, metric, after, radius) + self._one_by_one(others, reach, metric, after)
+        bound = h * bound + 1e-12 * self._by_entries(h * R1, metric, after)
         return np.asarray(ABOVE * metric.slack * (self._constant(pieces.C.mid, R1, R2, metric, after) + bound))
 
     def _constant(self, C: Array, R1: Array, R2: Array, metric: Metric, after: Metric) -> Array:
@@ -204,8 +206,6 @@ class OneSample:
             J = (whole - late)[:, :s, :s]
             J = matmul(matmul(Interval.exact(after.W), J), Interval.exact(metric.V))
             ends.append(spectral_norm(J.mid) + magnitude_norm(J.rad))
-        if not self.delay:
-            return ends[0] + self._by_entries(self._remainder(C, R1, R2, 0.0, 0.0), metric, after)
         cells = [
             np.maximum(ends[i], ends[i + 1])
             + self._by_entries(self._remainder(C, R1, R2, taus[i], taus[i + 1]), metric, after)
@@ -239,15 +239,28 @@ class OneSample:
         the matrices G_j side by side, and of those on top of each other.
         """
         s, k = self.states, H.shape[-1]
-        dense = np.stack([self._scattered(part)[:, :s, :s] for part in H], axis=1)
         weights, bounds = metric.V[:, : len(H)], []
-        without_w = (np.eye(5 * self.system.n) - self._switch)[:s, :s] @ metric.V
-        for right in (metric.V, without_w)[: 2 if self.delay else 1]:
-            parts = after.W[:, None] @ dense @ right[:, None]
+        for parts in self._in_metric(H, metric, after):
             G = np.einsum("kij,kiab->kjab", weights, parts)
             beside = np.swapaxes(G, 1, 2).reshape(k, s, -1)
             bounds.append(np.minimum(spectral_norm(beside), spectral_norm(G.reshape(k, -1, s))))
         return np.asarray(ABOVE * metric.slack * radius * np.max(bounds, axis=0))
+
+    def _one_by_one(self, H: Array, reach: Array, metric: Metric, after: Metric) -> Array:
+        """Return bounds (k,) of |W+ (sum H_i y_i) V| for |y_i| at most reach (i, k)."""
+        bounds = [
+            sum(spectral_norm(parts[:, i]) * reach[i] for i in range(len(H)))
+            for parts in self._in_metric(H, metric, after)
+        ]
+        return np.asarray(ABOVE * np.max(bounds, axis=0))
+
+    def _in_metric(self, H: Array, metric: Metric, after: Metric) -> list[Array]:
+        """Return W+ H_i V (k, i, s, s); with delay also with V less the rows of w."""
+        s = self.states
+        dense = np.stack([self._scattered(part)[:, :s, :s] for part in H], axis=1)
+        without_w = (np.eye(5 * self.system.n) - self._switch)[:s, :s] @ metric.V
+        rights = (metric.V, without_w)[: 2 if self.longest else 1]
+        return [after.W[:, None] @ dense @ right[:, None] for right in rights]
 
     def _by_entries(self, X: Array, metric: Metric, after: Metric) -> Array:
         """Return bounds (k,) of |W+ Y V| for all matrices |Y| <= X (k, m, m)."""

@@ -49,16 +49,18 @@ Progress = Callable[[float], None]
 class SampledContraction:
     """Proven contraction of the sampled loop on a tube about its reference.
 
-    rate [1/s]: distances of any two solutions that start in the tube fall as exp(-rate t), on average over each period
-    of the reference, up to a constant factor. tube (n,) [rad, m]: largest link errors of states in the tube, which no
-    solution leaves. offset (n,) [rad, m]: bound of the link errors that remain. delay [samples]: every delay from 0 to
-    this one is covered, also one that changes from sample to sample. pieces: number of pieces of the reference.
+    rate [1/s]: distances of any two solutions from the tube, with equal delays, fall as exp(-rate t), on average over
+    each period of the reference, up to a constant factor. tube (n,) [rad, m]: largest link errors of states in the
+    tube, which no solution leaves. offset (n,) [rad, m]: bound of the link errors that remain. least_delay,
+    longest_delay [samples]: every delay between them is covered, also one that changes from sample to sample. pieces:
+    number of pieces of the reference.
     """
 
     rate: float
     tube: Array
     offset: Array
-    delay: float
+    least_delay: float
+    longest_delay: float
     sample_period: float
     pieces: int
 
@@ -69,30 +71,30 @@ def sampled_contraction(
     law: TrackingLaw,
     reference: Reference,
     sample_period: float,
-    delay: float = 0.0,
+    delays: tuple[float, float] = (0.0, 0.0),
     on_progress: Progress = lambda share: None,
 ) -> SampledContraction | None:
-    """Prove contraction of the law on its own robot with a sample period [s] and delays up to `delay` samples.
+    """Prove contraction of the law on its own robot with a sample period [s] and delays from .. to [samples].
 
-    Returns None if no proof is found. Raises StateError for more than MOST_JOINTS joints and a delay outside 0 .. 1
-    samples, TrajectoryError for a reference that is no sum of sines with a common period.
+    Returns None if no proof is found. Raises StateError for more than MOST_JOINTS joints and delays outside 0 .. 1
+    sample, TrajectoryError for a reference that is no sum of sines with a common period.
     """
-    _check(law, sample_period, delay)
+    _check(law, sample_period, delays)
     period = period_of(reference) or 3 * sample_period
     pieces = max(3, int(np.ceil(period / sample_period * (1 - 1e-12))))
     if pieces > MOST_PIECES:
         raise TrajectoryError(f"reference has {pieces} samples in its period; expected at most {MOST_PIECES}")
     assert isinstance(reference, Sines)
-    proof = _Proof(OneSample(ErrorSystem(law), reference, sample_period, delay), pieces, on_progress)
+    proof = _Proof(OneSample(ErrorSystem(law), reference, sample_period, *delays), pieces, on_progress)
     return proof.result()
 
 
-def _check(law: TrackingLaw, sample_period: float, delay: float) -> None:
+def _check(law: TrackingLaw, sample_period: float, delays: tuple[float, float]) -> None:
     positive("sample_period", sample_period, StateError)
     if law.robot.n > MOST_JOINTS:
         raise StateError(f"the law has {law.robot.n} joints; expected at most {MOST_JOINTS}, more take too long")
-    if not 0 <= delay <= 1:
-        raise StateError(f"delay is {delay} samples; expected 0 to 1")
+    if not 0 <= delays[0] <= delays[1] <= 1:
+        raise StateError(f"delay is {' to '.join(f'{each:g}' for each in delays)} samples; expected within 0 and 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +161,7 @@ class _Proof:
         q_l = self.sample.jets(np.arange(self.pieces), 0.0).mid[: self.sample.system.n].T
         maps, _ = self._on_centre(self.nodes)
         law, h = self.sample.system.law, self.sample.h
-        sources = [source(law, q_l, h, weight) for weight in (WEIGHTS if self.sample.delay else (None,))]
+        sources = [source(law, q_l, h, weight) for weight in (WEIGHTS if self.sample.longest else (None,))]
         found = [metric for metric in (periodic_metric(maps, each, h) for each in sources) if metric is not None]
         rated = [(self._rate_near(metric), i) for i, metric in enumerate(found)]
         return found[max(rated)[1]] if rated and max(rated)[0] > 0 else None
@@ -221,7 +223,8 @@ class _Proof:
             rate=float(min(to_start.mean(), whole.mean()) / ABOVE),
             tube=(centre + metric.extent(radius)[:, :n]).max(axis=0),
             offset=(centre + metric.extent(final)[:, :n]).max(axis=0),
-            delay=self.sample.delay,
+            least_delay=self.sample.least,
+            longest_delay=self.sample.longest,
             sample_period=self.sample.h,
             pieces=self.pieces,
         )
