@@ -14,8 +14,8 @@ from fjr_core.stability.sampled_contraction.one_sample import OneSample
 
 H = 1e-3
 CASES = {
-    "joint": (joint(), fjr.Sine(1.0, 2.0), 0.05, (0.0, 1.0)),
-    "joint without delay": (joint(), fjr.Sine(1.0, 2.0), 0.1, (0.0, 0.0)),
+    "joint": (joint(), fjr.Sine(1.0, 2.0), 0.5, (0.0, 1.0)),
+    "joint without delay": (joint(), fjr.Sine(1.0, 2.0), 2.0, (0.0, 0.0)),
     "cubic": (joint(CUBIC), fjr.Sine(1.0, 2.0), 0.1, (0.3, 0.5)),
     "two links": (two_link(), fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0]), 0.003, (0.0, 1.0)),
     "two links, one delay": (two_link(), fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0]), 0.003, (0.7, 0.7)),

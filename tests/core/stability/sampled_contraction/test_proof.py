@@ -89,6 +89,18 @@ def test_a_reference_at_rest_is_proven_at_the_rate_of_the_linear_loop() -> None:
     assert found.offset[0] < 1e-12
 
 
+def test_the_tube_of_a_linear_loop_ends_at_the_largest_that_is_searched() -> None:
+    law = fjr.TrackingLaw(fjr.single_link(gravity_torque=0.0), fjr.PAPER_GAINS)
+    found = sampled_contraction(law, FAST_SINE, H)
+    assert found is not None
+    assert 1.0 < found.tube[0] < 5.0
+
+
+def test_gains_that_are_unstable_as_sampled_are_not_proven() -> None:
+    hard = replace(fjr.PAPER_GAINS, K_md=30.0)
+    assert sampled_contraction(joint(hard), FAST_SINE, H) is None
+
+
 def test_two_links_contract_on_a_tube_about_a_short_motion() -> None:
     law = two_link()
     found = sampled_contraction(law, fjr.Sine([0.1, 0.1], [10.0, 10.0], [0.3, 0.0]), H)
@@ -103,7 +115,9 @@ def test_what_the_proof_does_not_cover_is_refused() -> None:
         sampled_contraction(law, fjr.Spline([0.0, 1.0], [[0.0], [1.0]]), H)
     with pytest.raises(TrajectoryError, match="expected a common period"):
         sampled_contraction(two_link(), fjr.Sine(0.1, [1.0, np.sqrt(2)]), H)
-    with pytest.raises(TrajectoryError, match="expected at most 30000"):
+    with pytest.raises(TrajectoryError, match="expected 3 to 30000"):
         sampled_contraction(law, fjr.Sine(0.1, 0.01), H)
+    with pytest.raises(TrajectoryError, match="has 2 samples in its period"):
+        sampled_contraction(law, fjr.Sine(0.1, 3500.0), H)
     with pytest.raises(StateError, match="delay is 0.5 to 1.5 samples; expected within 0 and 1"):
         sampled_contraction(law, FAST_SINE, H, (0.5, 1.5))

@@ -67,7 +67,10 @@ def periodic_metric(maps: Array, source: Array, sample_period: float) -> Metric 
         for j in range(len(maps) - 1, -1, -1):
             P = (transposed[j] @ P @ maps[j]).sum(axis=0) + source[j]
             found[j] = P = (P + P.T) / 2
-    return Metric.of(found) if np.isfinite(found).all() else None
+    try:
+        return Metric.of(found) if np.isfinite(found).all() else None
+    except np.linalg.LinAlgError:
+        return None
 
 
 def source(law: TrackingLaw, q_l: Array, sample_period: float, weight: float | None) -> Array:

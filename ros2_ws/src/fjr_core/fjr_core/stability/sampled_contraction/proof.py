@@ -28,7 +28,7 @@ from .one_sample import OneSample, Pieces, joined
 from .sine_jets import period_of
 
 MOST_JOINTS = 2
-MOST_PIECES = 30_000
+LEAST_PIECES, MOST_PIECES = 3, 30_000
 """Samples in a period of the reference; more take minutes."""
 CHUNK = 2048
 """Pieces that are verified together."""
@@ -38,8 +38,10 @@ RATE_SHARE = 0.9
 """The tube is the largest whose rate is at least this share of the rate near the reference."""
 WEIGHTS = (30.0, 300.0, 3000.0)
 """Weights of w in the source of the metric, of which the best is taken."""
-SMALLEST = 1e-6
-"""Smallest tube [rad, m] that is searched."""
+SMALLEST, LARGEST = 1e-6, 3.0
+"""Extents of the smallest and the largest tube [rad, m] that are searched."""
+NO_BOUND = (ZeroDivisionError, np.linalg.LinAlgError)
+"""Errors where intervals become too wide."""
 BISECTIONS, SHRINKS = 4, 6
 Progress = Callable[[float], None]
 """Called with the share of the pieces that is verified."""
@@ -80,10 +82,10 @@ def sampled_contraction(
     sample, TrajectoryError for a reference that is no sum of sines with a common period.
     """
     _check(law, sample_period, delays)
-    period = period_of(reference) or 3 * sample_period
-    pieces = max(3, int(np.ceil(period / sample_period * (1 - 1e-12))))
-    if pieces > MOST_PIECES:
-        raise TrajectoryError(f"reference has {pieces} samples in its period; expected at most {MOST_PIECES}")
+    period = period_of(reference) or LEAST_PIECES * sample_period
+    pieces = int(np.ceil(period / sample_period * (1 - 1e-12)))
+    if not LEAST_PIECES <= pieces <= MOST_PIECES:
+        raise TrajectoryError(f"reference has {pieces} samples in its period; expected {LEAST_PIECES} to {MOST_PIECES}")
     assert isinstance(reference, Sines)
     proof = _Proof(OneSample(ErrorSystem(law), reference, sample_period, *delays), pieces, on_progress)
     return proof.result()
@@ -172,8 +174,8 @@ class _Proof:
     def _largest_radius(self, metric: Metric) -> float | None:
         """Return the radius of the largest tube that passes on the searched transitions."""
         near, displacement = self._factors(metric, 0.0, self.searched), self._displacements(metric, self.searched)
-        smallest = SMALLEST / metric.extent(1.0)[:, : self.sample.system.n].max()
-        radius = max(2 * ultimate_radius(near, displacement), smallest)
+        extent = metric.extent(1.0)[:, : self.sample.system.n].max()
+        radius = max(2 * ultimate_radius(near, displacement), SMALLEST / extent)
 
         def holds(radius: float, least: float) -> bool:
             rho = self._factors(metric, radius, self.searched)
@@ -185,7 +187,7 @@ class _Proof:
         if not holds(radius, least):
             return radius
         step = 2.0
-        while holds(radius * step, least):
+        while radius * step * extent < LARGEST and holds(radius * step, least):
             radius *= step
         for _ in range(BISECTIONS):
             step = np.sqrt(step)
@@ -203,7 +205,10 @@ class _Proof:
         rho: list[Array] = []
         for part in chunks(transitions):
             before, after = (pieces[part] for pieces in self.transitions)
-            rho.append(self.sample.factors(self.nodes.at(before), metric.at(before), metric.at(after), radius))
+            try:
+                rho.append(self.sample.factors(self.nodes.at(before), metric.at(before), metric.at(after), radius))
+            except NO_BOUND:
+                rho.append(np.full(len(part), np.inf))
             on_progress(sum(map(len, rho)) / len(transitions))
         return np.concatenate(rho)
 
@@ -212,7 +217,11 @@ class _Proof:
         found = []
         for part in chunks(transitions):
             before, after = (pieces[part] for pieces in self.transitions)
-            found.append(self.sample.displacement(self.nodes.at(before), metric.at(after), self.nodes.centre[after]))
+            pieces, centre = self.nodes.at(before), self.nodes.centre[after]
+            try:
+                found.append(self.sample.displacement(pieces, metric.at(after), centre))
+            except NO_BOUND:
+                found.append(np.full(len(part), np.inf))
         return np.concatenate(found)
 
     def _stated(self, metric: Metric, radius: float, rho: Array, displacement: Array) -> SampledContraction:
