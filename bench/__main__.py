@@ -96,7 +96,7 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         lambda: lock_step.over_ping_pong(*((2, 3.0) if quick else ())),
         lambda: campaign.against_peers(*((500, 2) if quick else ())),
         lambda: proof.over_joint_range_and_tube(arm, *((20,) if quick else ())),
-        lambda: identification_peers.against_mujoco(arm, *((2, 0.5) if quick else ())),
+        lambda: identification_peers.against_mujoco(arm, *((2,) if quick else ())),
         lambda: memory.flat(*((0.5,) if quick else ())),
         lambda: campaign_memory.bounded(*((20_000,) if quick else ())),
     )

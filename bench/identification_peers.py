@@ -184,12 +184,12 @@ def _ratio(seconds: dict[str, float]) -> float:
     return ours / theirs
 
 
-def against_mujoco(arm: Arm, records: int = 10, duration: float = 2.0) -> list[Figure]:
-    """Compare on records of the paper's joint, and on a tenth as many of the seven-joint arm, half as long [s]."""
+def against_mujoco(arm: Arm, records: int = 10, duration: float = 1.0) -> list[Figure]:
+    """Compare on records of `duration` [s] of the paper's joint, and on a tenth as many of the seven-joint arm."""
     joint = load_scenario(SINGLE)
     M_l, load = float(joint.robot.M_l([0.0])[0, 0]), float(joint.robot.grad_P_l([np.pi / 2])[0])
     single = [simulated(joint, pendulum(M_l, load), duration, seed) for seed in range(records)]
     ours(single[0])  # compiled
-    seven = [simulated(arm.scenario, arm.model, duration / 2, seed) for seed in range(max(1, records // 10))]
+    seven = [simulated(arm.scenario, arm.model, duration, seed) for seed in range(max(1, records // 10))]
     ours(seven[0])
     return [*figures("one joint", single), *figures("seven joints", seven)]

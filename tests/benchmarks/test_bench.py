@@ -16,7 +16,7 @@ import pinocchio as pin
 import pytest
 
 import bench.__main__ as command
-from bench import build, campaign, campaign_peers, driver, lock_step, memory, on_time, periods
+from bench import build, campaign, campaign_peers, driver, identification_peers, lock_step, memory, on_time, periods
 from bench.arm import Arm, arm7, random_motion
 from bench.chain_urdf import chain_urdf, joint_names
 from bench.figures import Figure, table
@@ -24,6 +24,7 @@ from bench.measure import in_turns, ratio
 from bench.mujoco_arm import MujocoArm
 from bench.tap import Seen
 from fjr_core import Plant, TrackingLaw, robot_from_urdf
+from fjr_core.config.scenario import load_scenario
 from fjr_core.monitoring.certificate import Certificate
 
 
@@ -189,3 +190,12 @@ def test_study_measures_wall_time_and_two_ratios() -> None:
     assert (wall.unit, scipy.unit, mujoco_figure.unit) == ("s", "x", "x")
     assert scipy.value > 1
     assert mujoco_figure.value > 1
+
+
+def test_identification_and_mujoco_find_the_same_joint_in_the_same_record() -> None:
+    joint = load_scenario(identification_peers.SINGLE)
+    M_l, load = float(joint.robot.M_l([0.0])[0, 0]), float(joint.robot.grad_P_l([np.pi / 2])[0])
+    case = identification_peers.simulated(joint, campaign_peers.pendulum(M_l, load), 0.9, seed=0)
+    for found in (identification_peers.ours(case), identification_peers.theirs(case)):
+        np.testing.assert_allclose(found.values[:2], case.truth[:2], rtol=1e-2)
+        assert np.all(found.low < found.high)
