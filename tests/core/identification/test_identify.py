@@ -71,12 +71,13 @@ def found_in(record: MotionRecord, joint: ElasticJoint, **options: object) -> di
     return {each.name: each for each in found.estimates}
 
 
-def test_all_parameters_of_a_joint_are_found_within_their_intervals() -> None:
-    found = found_in(noisy(*usual_record(), 4e-3), ElasticJoint())
+@pytest.mark.parametrize("seed", [0, 1])
+def test_all_parameters_of_a_joint_are_found_within_their_intervals(seed: int) -> None:
+    found = found_in(noisy(*usual_record(seed), 4e-3), ElasticJoint())
     for name, field in TRUTH.items():
         true, estimate = getattr(ElasticJoint(), field), found[name]
         sd = (estimate.high - estimate.low) / 3.92
-        assert abs(estimate.value - true) < 4 * sd, name
+        assert abs(estimate.value - true) < 3 * sd, name
         assert estimate.verdict == IDENTIFIED, name
     assert found["joint_stiffness"].value == pytest.approx(31.0, rel=1e-3)
     assert found["motor_inertia"].value == pytest.approx(0.004, rel=1e-3)
@@ -89,7 +90,7 @@ def test_two_records_give_narrower_intervals_than_one() -> None:
     for chosen in (records[:1], records):
         found = identify(chosen, robot, Prior.of(robot))
         widths.append([each.high - each.low for each in found.estimates])
-    assert np.median(np.array(widths[1]) / np.array(widths[0])) < 0.9
+    assert np.median(np.array(widths[1]) / np.array(widths[0])) < 0.8
 
 
 def test_the_resonance_tells_the_stiffness_from_the_motor_side_alone() -> None:

@@ -33,6 +33,7 @@ MOST_PARTS = 16  # integration steps of a sample period, while a joint creeps
 RESONANT_PARTS = 8  # of these, for a resonance
 WIDE, FAST = 0.05, 1.0  # rad, rad/s; least widths of the prior of initial states
 SLOW = 3.0  # smoothing velocities; friction is steep below
+PEAK = 3.0  # of accelerations, relative to their root mean square; a velocity may cross zero within a sample period
 LEAST_DEFLECTION = 1e-3  # rad; of the torque that is taken as the scale of a joint without effort
 FARTHEST = 3.0  # widths of the prior, of a start value
 HARMONICS = {"1": 3.0, "2": 0.1}
@@ -122,7 +123,11 @@ class Estimation:
         near_rest = np.maximum(creep, acceleration / smoothing / PASSAGE)
         efforts = [
             HeldEffort(
-                r.u, r.dt, int(_parts(r.dt * fastest)), _parts(r.dt * near_rest), SLOW * smoothing + r.dt * acceleration
+                r.u,
+                r.dt,
+                int(_parts(r.dt * fastest)),
+                _parts(r.dt * near_rest),
+                SLOW * smoothing + PEAK * r.dt * acceleration,
             )
             for r in self.records
         ]

@@ -24,6 +24,7 @@ from .segments import Comparison, Segment, compare
 from .shooting import Shooting
 
 MOST_ITERATIONS = 30
+FEWEST = 25  # samples that are compared of a segment
 HORIZONS = (16, 4, 1)  # shares of the segments that are compared first
 FEW = 24  # segments of the first descent
 NEAR, CONVERGED = 1.0, 0.1  # standard deviations from the minimum that the normal equations predict
@@ -67,8 +68,9 @@ class Problem:
     threads: int = 2
 
     def part(self, stride: int, share: int) -> Problem:
-        """Return the problem of every `stride`-th segment, of which the first 1 / share is compared."""
-        segments = [each.shortened(max(1, each.count // share)) for each in self.segments[::stride]]
+        """Return the problem of the first 1 / share, at least FEWEST samples, of every `stride`-th segment."""
+        counts = [max(each.count // share, min(each.count, FEWEST)) for each in self.segments[::stride]]
+        segments = [each.shortened(count) for each, count in zip(self.segments[::stride], counts, strict=True)]
         return replace(self, segments=segments, filtered=self.filtered[::stride])
 
     def evaluate(self, z: Array, x0: Array, noise: Array) -> tuple[Array, list[Comparison]] | None:
