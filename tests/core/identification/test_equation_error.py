@@ -18,7 +18,7 @@ from fjr_core.identification.filtered_fit import confounded, filtered_fit, simul
 from fjr_core.identification.identify import identify
 from fjr_core.identification.motion_record import MotionRecord
 from fjr_core.identification.parameters import KINDS, Options, Prior
-from fjr_core.identification.result import LOG, UNKNOWN, WEAK
+from fjr_core.identification.result import IDENTIFIED, LOG, UNKNOWN, WEAK
 from fjr_core.identification.unmodelled_torque import MOST, displacement
 from fjr_core.numerics.checks import Array
 
@@ -125,3 +125,11 @@ def test_torques_that_the_model_lacks_are_not_simulated() -> None:
     found = {each.name: each for each in identify([wrong], robot, Prior.of(robot)).estimates}
     assert found["joint_stiffness"].value == pytest.approx(JOINT.K, rel=0.05)
     assert "filtered least squares" in found["joint_stiffness"].reason
+
+
+def test_a_link_damping_four_times_too_large_does_not_keep_the_motion_from_being_simulated() -> None:
+    robot = fjr.single_link(stiffness=25.0, motor_inertia=0.005, link_damping=4 * JOINT.D_l)
+    found = {each.name: each for each in identify([noisy(*usual_record(), 4e-3)], robot, Prior.of(robot)).estimates}
+    for name, true in (("joint_stiffness", JOINT.K), ("motor_inertia", JOINT.B), ("link_damping", JOINT.D_l)):
+        assert found[name].verdict == IDENTIFIED
+        assert found[name].value == pytest.approx(true, rel=5e-3)

@@ -31,22 +31,28 @@ NOT_SIMULATED = (
 )
 
 
-def filtered_fit(setup: Estimation, motions: Sequence[FilteredMotion], z: Array, fixed: Collection[int] = ()) -> Array:
+def filtered_fit(
+    setup: Estimation,
+    motions: Sequence[FilteredMotion],
+    z: Array,
+    fixed: Collection[int] = (),
+    free: Collection[int] = (),
+) -> Array:
     """Return z (p,) with the least errors of the equations and the least distance from the prior.
 
-    fixed: entries that keep their prior; so do those that `undetermined` lists.
+    fixed: entries that keep their prior; so do those that `undetermined` lists, other than `free`.
     """
-    fixed = {*fixed, *undetermined(setup, motions)}
+    fixed = {*fixed, *undetermined(setup, motions)} - {*free}
     z = np.where([k in fixed for k in range(len(z))], setup.coordinates.mean, z)
     mean, width = setup.coordinates.mean, setup.coordinates.width
     bounded = np.array([KINDS[name].coordinate == NONNEGATIVE for name, _ in setup.coordinates.free], dtype=bool)
-    free = np.array([k for k in range(len(z)) if k not in fixed], dtype=int)
-    for _ in range(MOST_ITERATIONS if len(free) else 0):
+    fitted = np.array([k for k in range(len(z)) if k not in fixed], dtype=int)
+    for _ in range(MOST_ITERATIONS if len(fitted) else 0):
         parts = equation_error(setup, motions, z)
         H = np.asarray(sum(part.H for part in parts)) + np.diag(width**-2.0)
         g = np.asarray(sum(part.g for part in parts)) - (z - mean) / width**2
         step = np.zeros(len(z))
-        step[free] = _bounded_step(H[np.ix_(free, free)], g[free], z[free], bounded[free])
+        step[fitted] = _bounded_step(H[np.ix_(fitted, fitted)], g[fitted], z[fitted], bounded[fitted])
         largest = float(np.max(np.abs(step) / width))
         z = z + step / max(1.0, largest / LARGEST_STEP)
         if largest < CONVERGED:

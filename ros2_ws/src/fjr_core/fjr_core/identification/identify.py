@@ -11,8 +11,9 @@ from ..errors import StateError
 from ..numerics.checks import Array
 from ..robot.robot import Robot
 from .estimation_problem import SHORTEST, Estimation
-from .filtered_fit import filtered_fit, filtered_judgement, simulation_start
+from .filtered_fit import confounded, filtered_fit, filtered_judgement, simulation_start
 from .fit import deflection_error, fits, fits_at
+from .initial_guess import FilteredMotion
 from .judgement import Judgement, judge
 from .motion_record import MotionRecord
 from .parameters import PAYLOAD, Options, Prior
@@ -49,9 +50,10 @@ def identify(
     motions, start = setup.start()
     z = filtered_fit(setup, motions, setup.coordinates.of_values(start))
     filtered = filtered_judgement(setup, motions, z)
-    start = simulation_start(setup, z)
+    simulated_from = _simulated_from(setup, motions, z)
+    start = simulation_start(setup, z if simulated_from is None else simulated_from)
     progress("compilation", 0.0)
-    if not is_simulated(setup, motions, z):
+    if simulated_from is None:
         problem = setup.problem(setup.coordinates, start, motions)
         return filtered.identification(records[0].joints, fits_at(problem, filtered.mean, problem.filtered))
     fit = simulated_fit(setup, motions, start, progress)
@@ -64,6 +66,17 @@ def identify(
     chosen = simulated.with_entries_of(filtered, replaced)
     other = fits_at(fit.problem, chosen.mean, fit.whole.x0) if replaced else ()
     return chosen.identification(records[0].joints, other or predicted)
+
+
+def _simulated_from(setup: Estimation, motions: Sequence[FilteredMotion], z: Array) -> Array | None:
+    """Return the fit from which the motion can be simulated, None without one.
+
+    z (p,): the fit with link dampings at their prior. A wrong prior displaces the motion; free dampings may not.
+    """
+    for found in (z, filtered_fit(setup, motions, z, free=confounded(setup))):
+        if is_simulated(setup, motions, found):
+            return found
+    return None
 
 
 def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
