@@ -370,7 +370,7 @@ def test_invalid_robot_is_refused_in_one_sentence(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nosuite"], "unknown suite 'nosuite': expected a YAML file or one of paper, quick"),
+        (["nosuite"], "unknown suite 'nosuite': expected a YAML file or one of arm7_tuned, paper, paper_tuned, quick"),
         (["quick", "--cores", "0"], "expected 1 or more, or all"),
         (["quick", "--document", "nowhere.md"], "cannot read nowhere.md"),
     ],

@@ -37,16 +37,16 @@ def start() -> Iterator[Callable[..., Executable]]:
 
 
 def children(pid: int) -> dict[str, int]:
-    """Return the processes started by `pid`, by the name of their executable."""
+    """Return the processes started by `pid`, by the name that ps shows."""
     found = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            arguments = (folder / "cmdline").read_bytes().decode().split("\0")
+            name = (folder / "comm").read_text().strip()
         except (OSError, IndexError):
             continue
         if parent == pid:
-            found |= {Path(argument).name: int(folder.name) for argument in arguments[:2]}
+            found[name] = int(folder.name)
     return found
 
 

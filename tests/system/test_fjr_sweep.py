@@ -138,7 +138,7 @@ def test_parameter_name_that_is_no_text_is_refused_in_one_sentence(tmp_path: Pat
 
 
 def test_unknown_name_and_invalid_file_are_refused_in_one_sentence(tmp_path: Path) -> None:
-    assert "or of the sweeps paper_joint" in fjr_here("sweep", "no_such", code=2)
+    assert "or of the sweeps arm7_tune, paper_joint" in fjr_here("sweep", "no_such", code=2)
     wrong = Path(sweep_file(tmp_path))
     wrong.write_text(wrong.read_text().replace("uniform", "unifrom", 1))
     assert "expected {uniform" in fjr_here("sweep", str(wrong), code=2)

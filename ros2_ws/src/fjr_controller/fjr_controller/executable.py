@@ -6,6 +6,7 @@ from __future__ import annotations
 from fjr_msgs_py.node.loading import (
     ament_index_of_wheels,
     end_on_signals,
+    name_process,
     pause_garbage_collection,
     without_blas_threads,
 )
@@ -14,6 +15,7 @@ from fjr_msgs_py.node.loading import (
 def main() -> int:
     """Run the node until SIGINT or SIGTERM; return the exit code."""
     end_on_signals()
+    name_process("controller_node")
     pause_garbage_collection()
     without_blas_threads()
     ament_index_of_wheels()
