@@ -16,6 +16,7 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..control.inverse_dynamics import inverse_dynamics
 from ..errors import TrajectoryError
@@ -25,7 +26,7 @@ from ..robot.robot import Robot
 from ..trajectories.fourier_series import FEWEST, RestingSeries, logarithmic_harmonics
 from ..trajectories.reference import JETS, Reference
 from ..trajectories.sine import MultiSine
-from .information import InformationModel, JointMotion, JointNoise
+from .information import EMPHASIS, InformationModel, JointMotion, JointNoise
 from .motion_envelope import QUANTITIES, MotionEnvelope, elastic_motion
 
 LONGEST_PERIOD = 10.0  # s
@@ -37,6 +38,7 @@ FEWEST_INSTANTS = 256
 STARTS = 3
 PENALTIES, FINAL_PENALTY = (1e3, 1e4), 1e5  # weights of the excess in the search from each start, and from the best
 STEPS = 80  # of L-BFGS-B per weight
+ROUNDS = 3  # of the search from the best motion, with more emphasis on the joints whose stiffness gains least
 START = 0.1  # of the acceleration that random coefficients may ask for
 FINE = 8  # times as many instants when limits are checked
 HALVINGS = 40
@@ -90,9 +92,11 @@ def design(
             f"no motion of {STARTS} random starts keeps the limits; expected wider limits or a lighter arm"
         )
     progress("designing the excitation", STARTS / (STARTS + 1))
-    refined = task.improved(best, FINAL_PENALTY)
-    if task.least_gain(refined, known) > most:
-        best = refined
+    for _ in range(ROUNDS):
+        gains = task.gains(best, known)
+        refined = task.improved(best, FINAL_PENALTY, EMPHASIS * gains.max() / gains)
+        if (least := task.least_gain(refined, known)) > most:
+            best, most = refined, least
     reference = task.series.reference(task.within(best))
     return Excitation(reference, duration, task.series.period, task.deviations(reference), known)
 
@@ -155,14 +159,17 @@ class ExcitationDesign:
         c[-1] = self.limits.middle[0] + 0.5 * self._scale()[-1] * rng.uniform(-1, 1, self.robot.n)
         return c
 
-    def improved(self, coefficients: Array, weight: float) -> Array:
-        """Return coefficients of a locally largest criterion minus weight times the mean squared excess."""
+    def improved(self, coefficients: Array, weight: float, emphasis: ArrayLike = EMPHASIS) -> Array:
+        """Return coefficients of a locally largest criterion minus weight times the mean squared excess.
+
+        emphasis: scalar or (n,), on the stiffness of each joint.
+        """
         from scipy.optimize import minimize  # loaded on use: see control/vdpbc/gains.py
 
-        scale = self._scale()
+        scale, emphasised = self._scale(), np.broadcast_to(np.asarray(emphasis, float), self.robot.n)
 
         def loss(x: Array) -> tuple[float, Array]:
-            value, slope = self._loss(x.reshape(coefficients.shape) * scale, weight)
+            value, slope = self._loss(x.reshape(coefficients.shape) * scale, weight, emphasised)
             return value, (slope * scale).ravel()
 
         options = {"maxiter": STEPS, "maxcor": 30}
@@ -176,12 +183,14 @@ class ExcitationDesign:
         scale[-1] = (self.limits.upper[0] - self.limits.lower[0]) / 2
         return scale
 
-    def _loss(self, c: Array, weight: float) -> tuple[float, Array]:
+    def _loss(self, c: Array, weight: float, emphasis: Array) -> tuple[float, Array]:
         """Return the loss of coefficients and its gradient (size, n)."""
         jets = np.einsum("rks,sn->krn", self._basis, c)
         motion = elastic_motion(self.robot, jets, self._inverse_dynamics)
         values = motion.stacked
-        information, rate = self.model.criterion(JointMotion(motion.torque, motion.dq_l, motion.dq_m, motion.ddq_m))
+        information, rate = self.model.criterion(
+            JointMotion(motion.torque, motion.dq_l, motion.dq_m, motion.ddq_m), emphasis
+        )
         over = np.sign(r := self.limits.ratios(values)) * np.maximum(np.abs(r) - 1.0, 0.0)
         k = len(jets)
         loss = -information + weight * float((over**2).sum()) / k
@@ -215,15 +224,18 @@ class ExcitationDesign:
         return compiled(function).map(len(self._instants))
 
     def least_gain(self, c: Array, known: Array) -> float:
-        """Return the least factor, over the joints, by which the deviation of K is below the known one (n, 7).
-
-        It is that of the motion within the limits, 0 if there is none.
-        """
+        """Return the least of the gains, 0 if the limits leave no room for the motion."""
         try:
-            found = self.deviations(self.series.reference(self.within(c)))
+            return float(self.gains(c, known).min())
         except TrajectoryError:
             return 0.0
-        return float((known[:, 0] / found[:, 0]).min())
+
+    def gains(self, c: Array, known: Array) -> Array:
+        """Return the factors (n,) by which the deviations of K of the motion within the limits are below known (n, 7).
+
+        Raises TrajectoryError if the limits leave no room for it.
+        """
+        return known[:, 0] / self.deviations(self.series.reference(self.within(c)))[:, 0]
 
     def within(self, c: Array) -> Array:
         """Return the coefficients scaled about the offset until the motion keeps all limits.

@@ -79,14 +79,14 @@ class InformationModel:
         J = self._regressors(motion)
         return _products(J, self._whitened(J))
 
-    def criterion(self, motion: JointMotion) -> tuple[float, JointMotion]:
-        """Return the sum of log det F + EMPHASIS log 1 / var(log K) over the joints, and its gradient in the motion."""
+    def criterion(self, motion: JointMotion, emphasis: Array) -> tuple[float, JointMotion]:
+        """Return the sum of log det F + emphasis log 1 / var(log K) over the joints, and its gradient in the motion."""
         J = self._regressors(motion)
         filtered = self._whitened(J)
         F = _products(J, filtered)
         C = np.linalg.inv(F)
-        value = np.linalg.slogdet(F)[1] - EMPHASIS * np.log(C[:, 0, 0])
-        weight = C + EMPHASIS * C[:, :, :1] * C[:, :1, :] / C[:, :1, :1]
+        value = np.linalg.slogdet(F)[1] - emphasis * np.log(C[:, 0, 0])
+        weight = C + emphasis[:, None, None] * C[:, :, :1] * C[:, :1, :] / C[:, :1, :1]
         slope = 2 * np.einsum("eknp,npq->eknq", filtered, weight)
         return float(value.sum()), self._chained(slope, motion)
 
