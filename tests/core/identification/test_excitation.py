@@ -77,8 +77,9 @@ def test_the_gradient_of_the_search_is_that_of_its_loss():
     c = 20 * task.start(rng)
     direction = rng.standard_normal(c.shape) * np.abs(c)
     h = 1e-6
-    difference = (task._loss(c + h * direction, 1e3)[0] - task._loss(c - h * direction, 1e3)[0]) / (2 * h)
-    assert (task._loss(c, 1e3)[1] * direction).sum() == pytest.approx(difference, rel=1e-4)
+    given = 1e3, np.array([4.0, 9.0])  # weight of the excess, emphasis on each stiffness
+    difference = (task._loss(c + h * direction, *given)[0] - task._loss(c - h * direction, *given)[0]) / (2 * h)
+    assert (task._loss(c, *given)[1] * direction).sum() == pytest.approx(difference, rel=1e-4)
 
 
 def response(w: np.ndarray, u: np.ndarray, J: float, p: np.ndarray) -> np.ndarray:
