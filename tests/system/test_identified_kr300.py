@@ -34,6 +34,7 @@ def with_drawn_plant(folder: Path) -> Path:
     return folder / "drawn.yaml"
 
 
+@pytest.mark.full  # 25 s
 def test_a_real_record_becomes_a_loop_that_tracks_on_a_plant_of_its_posterior(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
