@@ -1,182 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coverage of the intervals of `fjr identify`: random arms and records, identified, compared with the truth.
 
-    python -m bench.identification --cases 200 --joints 1 2 3 7 --measured motor-torque --out coverage.json
+    python -m bench.identification --cases 30 --joints 1 2 3 4 5 6 7 --measured both --out coverage.jsonl
 
-Each case draws an arm of the joints' number, springs, friction, noise and steps of the encoders, skews and a delay of
-the effort. Its record follows a multi-sine by PD control. A study of hours for many joints: no part of `make bench`.
---measured: both encoders, the motors' alone, or a torque sensor in place of one of them.
+Each case is added to the file as it ends. The same command goes on with the missing ones, and prints the tables of the
+cases that the present code has identified. A study of an hour for many joints: no part of `make bench`.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import time
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
-from fjr_core.identification.coordinates import packed
-from fjr_core.identification.elastic_arm import ElasticArm
+import fjr_core.identification
+from bench import identification_cases
+from bench.identification_cases import MEASURED, Case, draw
+from fjr_core.errors import FjrError
 from fjr_core.identification.identify import identify
-from fjr_core.identification.motion_record import MotionRecord
-from fjr_core.identification.parameters import KINDS, Options, Prior, size
+from fjr_core.identification.parameters import KINDS, Options
 from fjr_core.identification.result import LOG, UNKNOWN, Identification
-from fjr_core.identification.segments import SIGNALS, SKEWS
-from fjr_core.identification.shooting import HeldEffort, Shooting
-from fjr_core.numerics.checks import Array
-from fjr_core.robot.newton_euler import serial_chain
-from fjr_core.robot.rigid_body import Body
-from fjr_core.robot.robot import Robot
 
-FINE = 1e-4  # s; step of the simulation, and grain of skews and delays
-ARMS = 3  # different arms of each number of joints; their equations are compiled once
-MEASURED = {
-    "both": ("q_l", "q_m"),
-    "motor": ("q_m",),
-    "motor-torque": ("q_m", "torque"),
-    "link-torque": ("q_l", "torque"),
-}
-"""Signals of a record by kind of measurement."""
-SENSOR = 1e-3  # of the torque's root mean square; least noise and steps of a torque sensor
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """A record with the robot and the prior that the estimator is given, and the true parameters by name."""
-
-    record: MotionRecord
-    robot: Robot
-    prior: Prior
-    truth: Mapping[str, Array]
+Row = dict[str, Any]
+Key = tuple[str, int, int]
+"""Kind of measurement, number of joints, and seed of a case."""
+FIRST = 1000
+"""First seed, so that no case is one by which the estimator was made."""
 
 
 @cache
-def arm(n: int, number: int) -> Robot:
-    """Return a random serial arm of n joints with unit springs, motors and no damping."""
-    rng = np.random.default_rng([n, number])
-    bodies = [_body(rng, i) for i in range(n)]
-    one, none = np.eye(n), np.zeros((n, n))
-    return Robot(serial_chain(bodies), M_m=one, K=one, D_l=none, D_m=none, B_m=one)
+def code() -> str:
+    """Return a digest of the estimator and of the cases: results of another code do not count."""
+    folder = Path(next(iter(fjr_core.identification.__path__)))
+    files = [*sorted(folder.glob("*.py")), *sorted(folder.glob("*.[ch]")), Path(identification_cases.__file__)]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 
 
-def _body(rng: np.random.Generator, i: int) -> Body:
-    length, mass = rng.uniform(0.2, 0.4), rng.uniform(2, 6) * 0.75**i
-    axis = np.eye(3)[(0, 1, 2, 1)[i % 4] if i else rng.integers(3)]
-    inertia = mass * length**2 / 12 * np.diag(rng.uniform(0.5, 1.5, 3))
-    com = np.array([rng.uniform(-0.03, 0.03), rng.uniform(-0.03, 0.03), length / 2])
-    return Body(np.eye(3), np.array([0, 0, 0.35 * (i > 0)]), axis, mass, com, inertia + 0.01 * mass * np.eye(3) * 0.3)
+def identified(key: Key) -> Row:
+    """Identify a case; return its estimates beside the truth, or why it was refused."""
+    measured, n, seed = key
+    case, began = draw(n, seed, measured=measured), time.perf_counter()
+    line: Row = {"code": code(), "measured": measured, "joints": n, "seed": seed}
+    try:
+        rows = compared(case, identify([case.record], case.robot, case.prior, Options(threads=1)))
+    except FjrError as error:
+        return {**line, "error": str(error), "rows": []}
+    return {**line, "seconds": round(time.perf_counter() - began, 2), "rows": rows}
 
 
-def draw(n: int, seed: int, duration: float | None = None, measured: str = "both") -> Case:
-    """Return a random case of n joints with one kind of measurement; times count from the motor's, or else the link's.
-
-    Cases of the same n and seed have the same arm, friction and reference.
-    """
-    rng = np.random.default_rng([n, seed, 1])
-    robot = arm(n, seed % ARMS)
-    truth = _true_parameters(rng, robot)
-    signals = MEASURED[measured]
-    truth |= {} if "q_m" in signals else {"link_skew": np.zeros(n)}
-    if "torque" in signals:
-        truth["torque_skew"] = np.round(np.random.default_rng([n, seed, 2]).uniform(-4e-3, 4e-3, n) / FINE) * FINE
-    whole = _record(rng, robot, truth, duration or rng.uniform(8, 16))
-    record = _only(whole, signals)
-    spread = {"joint_stiffness": 0.5, "motor_inertia": 0.3}
-    guess = {name: truth[name] * np.exp(sd * rng.standard_normal(n)) for name, sd in spread.items()}
-    return Case(record, robot, Prior.of(robot, guess), truth)
-
-
-def _true_parameters(rng: np.random.Generator, robot: Robot) -> dict[str, Array]:
-    n = robot.n
-    where = rng.uniform(-1, 1, (20, n))
-    free = np.mean([1 / np.diag(np.linalg.inv(robot.M_l(q))) for q in where], axis=0)
-    torque = np.max([np.abs(robot.grad_P_l(q)) for q in where], axis=0) + 10 * free
-    K, B = free * (2 * np.pi * rng.uniform(7, 18, n)) ** 2, free * rng.uniform(0.4, 2.5, n)
-    damping = 2 * np.sqrt(K * B)
-    found: dict[str, Array] = {name: np.zeros(size(name, n)) for name in KINDS}
-    found |= {"joint_stiffness": K, "motor_inertia": B}
-    found |= {name: damping * rng.uniform(0.004, 0.04, n) for name in ("link_damping", "motor_damping")}
-    found |= {f"{side}_coulomb_friction": torque * rng.uniform(0, 0.05, n) for side in ("link", "motor")}
-    found["offset"] = rng.uniform(-5e-3, 5e-3, n)
-    found["link_skew"] = np.round(rng.uniform(-4e-3, 4e-3, n) / FINE) * FINE
-    found["effort_delay"] = np.full(n, np.round(rng.uniform(0, 4e-3) / FINE) * FINE)
-    return found
-
-
-def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], duration: float) -> MotionRecord:
-    n, dt = robot.n, float(rng.choice([1e-3, 1e-3, 2e-3]))
-    fine, samples = round(dt / FINE), round(duration / dt)
-    step = Shooting(ElasticArm(robot, ()), ())
-    numbers = packed(step.arm, {**truth, "smoothing": np.full(n, 0.01), "stribeck": np.full(n, 0.1)})
-    reference = _reference(rng, n, dt * np.arange(samples, dtype=float))
-    x = _rest(robot, truth, reference[0])
-    late = round(float(truth["effort_delay"][0]) / FINE)
-    noise = rng.uniform(2e-6, 3e-5, (2, n))
-    states, efforts, sent = [x[None]], [], [robot.grad_P_l(x[:n])] * (late // fine + 2)
-    always = np.ones(2 * n, dtype=np.int32), np.zeros(2 * n)
-    gain = truth["motor_inertia"] * (2 * np.pi * 2.5) ** 2
-    for k in range(samples):
-        q, v = x[n : 2 * n] + noise[1] * rng.standard_normal(n), x[3 * n :]
-        u = gain * (reference[k] - q) - 1.0 * np.sqrt(gain * truth["motor_inertia"]) * v + robot.grad_P_l(reference[k])
-        sent.append(u + 0.05 * np.abs(gain) * rng.standard_normal(n) * 0.1)
-        efforts.append(sent[-1])
-        ages = [(late - i + fine - 1) // fine if late > i else 0 for i in range(fine)]
-        held = HeldEffort(np.array([sent[-1 - age] for age in ages]), FINE, 1, *always)
-        found = step(x, held, 0, fine, numbers, np.zeros(n))
-        assert found is not None
-        states.append(found[0][1:])
-        x = found[0][-1]
-    return _measured(rng, np.vstack(states), np.array(efforts), truth, dt, noise)
-
-
-def _measured(
-    rng: np.random.Generator, x: Array, u: Array, truth: Mapping[str, Array], dt: float, noise: Array
-) -> MotionRecord:
-    n, k, fine = u.shape[1], len(u), round(dt / FINE)
-    at = np.arange(k)[:, None] * fine
-    read = {name: np.clip(at + np.round(truth[name] / FINE).astype(int), 0, len(x) - 1) for name in SKEWS.values()}
-    link, motor = x[read["link_skew"], np.arange(n)], x[at, n + np.arange(n)]
-    deflection = (x[:, n : 2 * n] - x[:, :n])[read["torque_skew"], np.arange(n)] - truth["offset"]
-    bits = 2 * np.pi / 2.0 ** rng.integers(18, 23, n)
-    q_l, q_m = (q + s * rng.standard_normal(q.shape) for q, s in zip((link, motor), noise, strict=True))
-    joints = tuple(f"joint{j + 1}" for j in range(n))
-    torque = _sensed(rng, truth["joint_stiffness"] * deflection)
-    return MotionRecord("simulated", joints, dt, u, bits * np.round(q_l / bits), q_m, torque)
-
-
-def _only(record: MotionRecord, signals: Collection[str]) -> MotionRecord:
-    """Return the record with these signals only."""
-    kept = (getattr(record, name) * (1.0 if name in signals else np.nan) for name in SIGNALS)
-    return MotionRecord(record.name, record.joints, record.dt, record.u, *kept)
-
-
-def _sensed(rng: np.random.Generator, torque: Array) -> Array:
-    """Return torques (k, n) with the noise and the steps of a sensor."""
-    noise = SENSOR * rng.uniform(1, 4, torque.shape[1]) * np.sqrt(np.mean(torque**2, axis=0))
-    return np.asarray(noise * np.round(torque / noise + rng.standard_normal(torque.shape)))
-
-
-def _reference(rng: np.random.Generator, n: int, t: Array) -> Array:
-    """Return a multi-sine (k, n) of 0.1 to 3 Hz about a random pose."""
-    f = np.array([0.13, 0.31, 0.73, 1.6, 3.1])
-    amplitude = np.array([0.4, 0.3, 0.15, 0.06, 0.02]) * rng.uniform(0.5, 1.2, (n, 1))
-    phase = rng.uniform(0, 2 * np.pi, (n, 5))
-    waves = np.sin(2 * np.pi * f * t[:, None, None] + phase)
-    return rng.uniform(-0.6, 0.6, n) + np.sum(amplitude * waves, axis=2)
-
-
-def _rest(robot: Robot, truth: Mapping[str, Array], q: Array) -> Array:
-    motor = q + robot.grad_P_l(q) / truth["joint_stiffness"] + truth["offset"]
-    return np.concatenate([q, motor, np.zeros(2 * robot.n)])
-
-
-def compared(case: Case, found: Identification) -> list[dict[str, Any]]:
+def compared(case: Case, found: Identification) -> list[Row]:
     """Return for each parameter whether its interval contains the truth; score: its error in standard deviations."""
     rows = []
     posterior = dict(zip(found.free, zip(found.mean, np.sqrt(np.diag(found.covariance)), strict=True), strict=True))
@@ -186,6 +68,7 @@ def compared(case: Case, found: Identification) -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": each.name,
+                "joint": each.joint,
                 "verdict": each.verdict,
                 "inside": bool(each.low <= true <= each.high),
                 "score": float((z - (np.log(true) if KINDS[each.name].coordinate == LOG else true)) / sd),
@@ -195,40 +78,67 @@ def compared(case: Case, found: Identification) -> list[dict[str, Any]]:
     return rows
 
 
-def table(rows: list[dict[str, Any]]) -> list[str]:
-    """Return one line for each kind of parameter."""
-    lines = [f"{'parameter':26s} {'count':>6s} {'inside':>7s} {'unknown':>8s} {'rms score':>9s} {'median error':>12s}"]
+def table(rows: Sequence[Row]) -> list[str]:
+    """Return a Markdown table with one line for each kind of parameter; behind the share, its 95 % Wilson interval."""
+    lines = [
+        "| parameter | intervals | inside | not identifiable | median error |",
+        "| --- | ---: | ---: | ---: | ---: |",
+    ]
     for name in dict.fromkeys(row["name"] for row in rows):
         own = [row for row in rows if row["name"] == name]
         known = [row for row in own if row["verdict"] != UNKNOWN]
-        inside = float(np.mean([row["inside"] for row in known])) if known else float("nan")
-        score = float(np.sqrt(np.mean([row["score"] ** 2 for row in known]))) if known else float("nan")
-        error = float(np.nanmedian([row["error"] for row in known])) if known else float("nan")
-        lines.append(f"{name:26s} {len(known):6d} {inside:7.1%} {len(own) - len(known):8d} {score:9.2f} {error:12.2%}")
+        line = f"| {name.replace('_', ' ')} | {len(known)} | "
+        if known:
+            test = binomtest(sum(row["inside"] for row in known), len(known))
+            low, high = test.proportion_ci(method="wilson")
+            line += f"{test.statistic:.1%} ({100 * low:.1f} to {100 * high:.1f})"
+        error = f"{np.nanmedian([row['error'] for row in known]):.2%}" if known else ""
+        lines.append(f"{line} | {len(own) - len(known)} | {error} |")
     return lines
 
 
+def report(lines: Sequence[Row]) -> Iterable[str]:
+    """Return the table of each kind of measurement, below what it consists of."""
+    for measured in dict.fromkeys(line["measured"] for line in lines):
+        own = [line for line in lines if line["measured"] == measured]
+        numbers = {n: sum(line["joints"] == n for line in own) for n in sorted({line["joints"] for line in own})}
+        refused = sum("error" in line for line in own)
+        shares = ", ".join(f"{count} of {n}" for n, count in numbers.items())
+        yield f"\n{measured}: {len(own)} records (joints: {shares}), {refused} refused\n"
+        yield from table([row for line in own for row in line["rows"]])
+
+
+def finished(file: Path) -> list[Row]:
+    """Return the results of the present code in a file."""
+    lines = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    return [line for line in lines if line["code"] == code()]
+
+
+def told(line: Row) -> str:
+    """Return one line about a case."""
+    outside = ", ".join(f"{row['name']} {row['score']:.1f}" for row in line["rows"] if not row["inside"])
+    found = line.get("error") or f"{line['seconds']:.1f} s; outside: {outside or 'none'}"
+    return f"{line['measured']} n={line['joints']} seed {line['seed']}: {found}"
+
+
 def main() -> None:
-    """Run the study and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=200)
-    parser.add_argument("--joints", type=int, nargs="+", default=[1, 1, 1, 2, 2, 3])
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--measured", choices=MEASURED, default="both")
-    parser.add_argument("--out", type=Path)
+    """Run what is missing of the study, and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", type=int, default=30, help="of each number of joints and kind of measurement")
+    parser.add_argument("--joints", type=int, nargs="+", default=[1, 2, 3, 4, 5, 6, 7])
+    parser.add_argument("--measured", choices=MEASURED, nargs="+", default=["both"])
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("coverage.jsonl"))
     options = parser.parse_args()
-    rows: list[dict[str, Any]] = []
-    for seed in range(options.first, options.first + options.cases):
-        n = options.joints[seed % len(options.joints)]
-        case, began = draw(n, seed, measured=options.measured), time.perf_counter()
-        found = identify([case.record], case.robot, case.prior, Options(threads=1))
-        own = [{**row, "seed": seed, "joints": n} for row in compared(case, found)]
-        rows += own
-        outside = [f"{row['name']} {row['score']:.1f}" for row in own if not row["inside"]]
-        print(f"{seed} n={n} {time.perf_counter() - began:.1f} s; outside: {', '.join(outside) or 'none'}", flush=True)
-        if options.out:
-            options.out.write_text(json.dumps(rows))
-    print("\n".join(table(rows)))
+    done = {(line["measured"], line["joints"], line["seed"]) for line in finished(options.out)}
+    seeds = range(FIRST, FIRST + options.cases)
+    missing = [key for s, n, m in product(seeds, options.joints, options.measured) if (key := (m, n, s)) not in done]
+    with ProcessPoolExecutor(options.processes) as pool, options.out.open("a") as out:
+        for k, future in enumerate(as_completed([pool.submit(identified, key) for key in missing]), 1):
+            out.write(json.dumps(future.result()) + "\n")
+            out.flush()
+            print(f"{k}/{len(missing)} {told(future.result())}", flush=True)
+    print("\n".join(report(finished(options.out))))
 
 
 if __name__ == "__main__":

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from core.oracles.elastic_joint import ElasticJoint, exact, multi_sine, usual_record
-from core.oracles.elastic_two_link import ElasticTwoLink, recorded
+from core.oracles.elastic_joint import TRUTH, ElasticJoint, exact, multi_sine, usual_record
+from core.oracles.elastic_two_link import ElasticTwoLink, Recorded, recorded
 from fjr_core.identification.result import Identification
 from system.executables import fjr_here
 
@@ -36,17 +36,6 @@ SIGNALS = {
     "link": "link_position: {column: 'link_{joint}', unit: rad}",
     "motor": "motor_position: {column: 'motor_{joint}', unit: rad}",
     "torque": "joint_torque: {column: 'torque_{joint}', unit: N m}",
-}
-TRUTH = {
-    "joint_stiffness": "K",
-    "motor_inertia": "B",
-    "link_damping": "D_l",
-    "motor_damping": "D_m",
-    "link_coulomb_friction": "F_l",
-    "motor_coulomb_friction": "F_m",
-    "offset": "offset",
-    "effort_delay": "delay",
-    "link_skew": "skew",
 }
 
 
@@ -148,9 +137,25 @@ def _linear(frequencies: list[float], amplitude: float, step: float) -> MotionTa
 @cache
 def two_joints() -> MotionTable:
     """Return the record of the planar arm."""
-    found = recorded()
+    return _planar(recorded(), ElasticTwoLink())
+
+
+@cache
+def shoulder_at_rest() -> MotionTable:
+    """Return a record, 0.5 s after its start, of a planar arm that moves its elbow a little and holds its shoulder."""
+    return _planar(recorded(3.0, (0.0, 0.04)), ElasticTwoLink()).rows(slice(125, None))
+
+
+@cache
+def two_joints_without_gravity() -> MotionTable:
+    """Return a record of the planar arm in a horizontal plane."""
+    arm = ElasticTwoLink(g=0.0)
+    return replace(_planar(recorded(3.0, arm=arm), arm), robot="      gravity: 0.0\n")
+
+
+def _planar(found: Recorded, arm: ElasticTwoLink) -> MotionTable:
     signals = [found.u, found.link, found.motor, found.torque]
-    return _table(("shoulder", "elbow"), found.dt * np.arange(len(found.u)), signals, ElasticTwoLink())
+    return _table(("shoulder", "elbow"), found.dt * np.arange(len(found.u)), signals, arm)
 
 
 def _table(joints: tuple[str, ...], t: Array, signals: list[Array], arm: object) -> MotionTable:

@@ -13,7 +13,7 @@ import pytest
 from system.motion_tables import MotionTable, one_joint, two_joints
 
 pytestmark = pytest.mark.system
-BOTH, MOTOR, SENSOR = ("link", "motor"), ("motor",), ("motor", "torque")
+BOTH, MOTOR, SENSOR, LINK = ("link", "motor"), ("motor",), ("motor", "torque"), ("link", "torque")
 Change = Callable[[MotionTable], MotionTable]
 
 
@@ -78,6 +78,19 @@ ONE_FAULT: Mapping[str, tuple[tuple[str, ...], Change, str]] = {
     "joints of the efforts exchanged": (MOTOR, exchanged("effort"), "the efforts of shoulder and elbow fit the motion"),
     "joints of the links exchanged": (BOTH, exchanged("link"), "q_m of shoulder follows q_l of elbow"),
     "all joints exchanged": (BOTH, exchanged("effort", *BOTH), "all signals of shoulder and elbow fit the robot in"),
+    "joints of the motors exchanged": (SENSOR, exchanged("motor"), "the positions of shoulder and elbow fit the robot"),
+    "half a gear ratio, motors alone": (
+        MOTOR,
+        elbow("motor", lambda x: 2 * x),
+        "motion of elbow fit the links of the robot only with positions 0.5 times as large",
+    ),
+    "gear ratio of position and effort, motors alone": (
+        MOTOR,
+        lambda t: elbow("effort", lambda x: 2 * x)(elbow("motor", lambda x: x / 2)(t)),
+        "only with positions 2 times and efforts 0.5 times as large",
+    ),
+    "a time of half the length, motors alone": (MOTOR, lambda t: replace(t, t=t.t / 2), "with a time 2 times as long"),
+    "a time of twice the length, links": (LINK, lambda t: replace(t, t=2 * t.t), "with a time 0.5 times as long"),
     "milliseconds as seconds": (BOTH, lambda t: replace(t, t=1e3 * t.t), "is the unit of the time right?"),
     "row numbers as time": (BOTH, lambda t: replace(t, t=np.arange(len(t.t), dtype=float)), "unit of the time right?"),
     "a row twice": (BOTH, lambda t: t.rows([*range(500), 499, *range(500, 900)]), "time stands still at sample 500"),

@@ -48,6 +48,8 @@ def test_each_kind_of_measurement_tells_the_joints_in_encoder_steps(tmp_path: Pa
     names = {each.name for each in found.estimates}
     assert ("link_skew" in names) == ({"link", "motor"} <= set(KINDS[kind]))
     assert ("torque_skew" in names) == ("torque" in KINDS[kind])
+    unknown = {each.reason for each in found.estimates if each.name == "offset" and each.verdict == UNKNOWN}
+    assert any("measure the motor" in reason for reason in unknown) == ("motor" not in KINDS[kind])
     scenario = load_scenario(tmp_path / "out/robot.yaml")
     assert scenario.guess_warnings == ()
     assert np.diag(scenario.robot.K) == pytest.approx(table.truth["joint_stiffness"], rel=0.01)

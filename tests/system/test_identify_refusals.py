@@ -10,7 +10,15 @@ import pytest
 
 from fjr_core.config.scenario import load_scenario
 from fjr_core.identification.result import UNKNOWN, Estimate
-from system.motion_tables import PRIOR, MotionTable, one_joint, without_gravity, without_resonance
+from system.motion_tables import (
+    PRIOR,
+    MotionTable,
+    one_joint,
+    shoulder_at_rest,
+    two_joints_without_gravity,
+    without_gravity,
+    without_resonance,
+)
 
 pytestmark = pytest.mark.system
 K, B = (values[0] for values in PRIOR[1])
@@ -54,3 +62,34 @@ def test_without_gravity_the_motor_side_tells_the_stiffness_and_not_the_offset(t
     assert "offset of joint1: without a link encoder the offset shifts the link alone; measure the link" in said
     assert "offset of joint1" not in text  # it is listed where it is known only
     assert found["joint_stiffness"].value == pytest.approx(table.truth["joint_stiffness"][0], rel=0.01)
+
+
+def of_joint(table: MotionTable, joint: str, folder: Path) -> dict[str, Estimate]:
+    """Return the estimates of a joint by name; no interval is wrong, and what is not identifiable keeps its prior."""
+    found, _ = table.identified(folder)
+    for each in found.estimates:
+        true = float(table.truth[each.name][table.joints.index(each.joint)])
+        sd = (each.high - each.low) / 3.92
+        assert each.verdict == UNKNOWN or abs(each.value - true) < max(4 * sd, 2e-3 * abs(true)), (each, true)
+        assert each.verdict != UNKNOWN or each.value == each.prior
+    return {each.name: each for each in found.estimates if each.joint == joint}
+
+
+@pytest.mark.parametrize("signals", [("link", "motor"), ("motor", "torque")])
+def test_a_joint_that_stands_still_beside_one_that_moves_is_not_guessed(
+    tmp_path: Path, signals: tuple[str, ...]
+) -> None:
+    shoulder = of_joint(shoulder_at_rest().of(*signals), "shoulder", tmp_path)
+    for name in ("motor_damping", "effort_delay", "torque_skew" if "torque" in signals else "link_skew"):
+        assert shoulder[name].verdict == UNKNOWN
+        assert "the joint stands still" in shoulder[name].reason
+
+
+@pytest.mark.parametrize("signals", [("motor",), ("motor", "torque")])
+def test_without_gravity_and_link_the_first_of_two_offsets_is_not_told(
+    tmp_path: Path, signals: tuple[str, ...]
+) -> None:
+    shoulder = of_joint(two_joints_without_gravity().of(*signals), "shoulder", tmp_path)
+    assert shoulder["offset"].verdict == UNKNOWN
+    assert "measure the link" in shoulder["offset"].reason
+    assert shoulder["joint_stiffness"].value == pytest.approx(220.0, rel=0.01)

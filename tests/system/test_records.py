@@ -15,16 +15,15 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 
 from docs.pages import ROOT
+from fjr_bringup.identification.page_figures import fit_plots
 from fjr_bringup.identification.read_record import Reading, read_record
 from fjr_bringup.identification.record_map import TableMap, read_map
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import FjrError
-from fjr_core.identification.estimation_problem import Estimation
-from fjr_core.identification.filtered_fit import filtered_fit, filtered_judgement
 from fjr_core.identification.hold_out import hold_out
+from fjr_core.identification.identify import identify
 from fjr_core.identification.parameters import Options, Prior
-from fjr_core.identification.result import UNKNOWN, WEAK
-from fjr_core.identification.unmodelled_torque import is_simulated
+from fjr_core.identification.result import DEFLECTION, UNKNOWN, WEAK
 from fjr_core.robot.robot import Robot
 from system.bags import rewritten
 from system.shared_runs import shared_run
@@ -56,21 +55,23 @@ def test_records_of_a_real_robot_are_read_in_si_units_without_a_finding(
     assert record.u[:, 1] == pytest.approx(267.43 * raw["a2_motor_torque_nm"])
     assert np.isnan(record.q_l[:, 3:]).all()
     assert np.isnan(record.torque).all()
-    assert notes == ()
+    (note,) = notes
+    assert "one side alone does not tell errors of gear ratio and time of a4 (" in note
+    assert "a3" not in note
 
 
 def test_filtered_least_squares_of_a_real_record_predict_the_deflection_in_the_other_one(
     kr300: Robot, reading: Reading
 ) -> None:
     records = [read_record(EXAMPLE / f"record_{name}.csv.gz", AXES, kr300, reading)[0] for name in "ab"]
-    options, found = Options(position_torque="a2"), []
+    prior, options, found = Prior.of(kr300), Options(position_torque="a2"), []
     for record, held_out in (records, records[::-1]):
-        setup = Estimation([record], kr300, Prior.of(kr300), options)
-        motions, start = setup.start()
-        z = filtered_fit(setup, motions, setup.coordinates.of_values(start))
-        assert not is_simulated(setup, motions, z)
-        found.append(filtered_judgement(setup, motions, z).identification(AXES))
-        compared = hold_out(found[-1], held_out, kr300, setup.prior, setup.options)
+        found.append(identify([record], kr300, prior, options))
+        (fit,) = found[-1].fits
+        assert set(fit.measured) == {DEFLECTION}  # nothing is simulated
+        assert np.all(fit.explained[1:3] > 0.98)
+        assert [plot.title[:2] for plot in fit_plots(fit, AXES, "record-0")[:4]] == ["a1", "a2", "a3", "Re"]
+        compared = hold_out(found[-1], held_out, kr300, prior, options)
         assert np.all(compared.model[:3] < 0.25)  # 1: joints without elasticity and without skew
         assert np.all(compared.model[1:3] < 0.75 * compared.rigid[1:3])
         assert np.all(np.isnan(compared.model[3:]))

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from core.identification.test_equation_error import JOINT, NOISE, setup_of
-from core.identification.test_identify import TRUTH
-from fjr_core.identification.gauss_newton import FEWEST, ROUGH, Problem, optimise
+from core.oracles.elastic_joint import TRUTH
+from fjr_core.identification.gauss_newton import optimise
+from fjr_core.identification.multiple_shooting import FEWEST, ROUGH, Problem
 from fjr_core.numerics.checks import Array
 
 
@@ -30,10 +33,24 @@ def test_a_part_has_the_beginnings_of_some_segments() -> None:
     np.testing.assert_array_equal(found.predicted, whole.predicted[:, : found.predicted.shape[1]])
 
 
+def wrong_start(problem: Problem, z: Array) -> Array:
+    start = z + 0.3 * problem.coordinates.width * np.random.default_rng(4).standard_normal(len(z))
+    return np.where(np.abs(z) > 1, z + 0.1, np.clip(start, 0.0, None))
+
+
+def test_residuals_below_the_steps_of_the_encoders_lead_to_the_minimum_too() -> None:
+    problem, z = problem_at_truth()
+    coarse = replace(problem, floor=np.full(2, 3 * NOISE))
+    found = optimise(coarse, wrong_start(problem, z), problem.filtered)
+    assert found.converged
+    assert np.all(found.noise < 1.1 * coarse.floor)
+    stiffness = [name for name, _ in problem.coordinates.free].index("joint_stiffness")
+    assert abs(found.z[stiffness] - z[stiffness]) < 1e-3
+
+
 def test_the_optimum_fits_as_well_as_the_truth() -> None:
     problem, z = problem_at_truth()
-    start = z + 0.3 * problem.coordinates.width * np.random.default_rng(4).standard_normal(len(z))
-    found = optimise(problem, np.where(np.abs(z) > 1, z + 0.1, np.clip(start, 0.0, None)), problem.filtered)
+    found = optimise(problem, wrong_start(problem, z), problem.filtered)
     true = problem.evaluate(z, problem.filtered, np.maximum(problem.floor, ROUGH))
     assert true is not None
     assert found.converged

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.oracles.elastic_joint import ElasticJoint, exact, multi_sine, usual_record
+from core.oracles.elastic_joint import TRUTH, ElasticJoint, exact, multi_sine, usual_record
 from fjr_core.identification.identify import identify
 from fjr_core.identification.motion_record import MotionRecord
 from fjr_core.identification.parameters import Options, Prior
@@ -21,17 +21,6 @@ from fjr_core.numerics.checks import Array
 
 NOISE = 2e-5  # rad
 LINEAR = ElasticJoint().linear()
-TRUTH = {
-    "joint_stiffness": "K",
-    "motor_inertia": "B",
-    "link_damping": "D_l",
-    "motor_damping": "D_m",
-    "link_coulomb_friction": "F_l",
-    "motor_coulomb_friction": "F_m",
-    "offset": "offset",
-    "effort_delay": "delay",
-    "link_skew": "skew",
-}
 
 
 def robot_like(joint: ElasticJoint) -> fjr.Robot:
@@ -47,13 +36,20 @@ def robot_like(joint: ElasticJoint) -> fjr.Robot:
 
 
 def noisy(
-    u: Array, link: Array | None, motor: Array, dt: float, torque: Array | None = None, noise: float = NOISE
+    u: Array, link: Array | None, motor: Array | None, dt: float, torque: Array | None = None, noise: float = NOISE
 ) -> MotionRecord:
     random = np.random.default_rng(7)
     nothing = np.full_like(u, np.nan)
-    q_l = nothing if link is None else link + noise * random.standard_normal(len(u))
-    columns = (u, q_l, motor + noise * random.standard_normal(len(u)), nothing if torque is None else torque)
+    q_l, q_m = (nothing if each is None else each + noise * random.standard_normal(len(u)) for each in (link, motor))
+    columns = (u, q_l, q_m, nothing if torque is None else torque)
     return MotionRecord("a record", ("joint1",), dt, *(each[:, None] for each in columns))
+
+
+def sensed(joint: ElasticJoint, q_l: Array, q_m: Array) -> Array:
+    """Return what a torque sensor measures of the usual record, at the time of the motor."""
+    k = np.arange(len(q_m))
+    torque = joint.K * (q_m - np.interp(k - joint.skew / 4e-3, k, q_l) - joint.offset)
+    return np.asarray(torque + 2e-3 * np.random.default_rng(3).standard_normal(len(k)))
 
 
 def linear_record(frequencies: list[float], amplitude: float, link: bool, noise: float = NOISE) -> MotionRecord:
@@ -115,6 +111,16 @@ def test_without_gravity_the_motor_side_does_not_tell_the_offset() -> None:
     assert "measure the link" in found["offset"].reason
 
 
+def test_without_the_motor_position_the_offset_is_not_told_however_wide_its_prior_and_many_the_segments() -> None:
+    joint, robot, (u, q_l, q_m) = ElasticJoint(), robot_like(ElasticJoint()), usual_record()
+    record = noisy(u, q_l, None, 4e-3, sensed(joint, q_l, q_m), noise=2e-6)
+    found = identify([record], robot, Prior.of(robot, widths={"offset": 0.1}), Options(segment=0.1))
+    assert found.value("joint_stiffness") == pytest.approx(joint.K, rel=0.02)
+    offset = next(each for each in found.estimates if each.name == "offset")
+    assert (offset.verdict, offset.value) == (UNKNOWN, 0.0)
+    assert "measure the motor" in offset.reason
+
+
 def test_a_joint_that_stands_still_keeps_its_prior() -> None:
     k = 500
     found = found_in(noisy(np.zeros(k), np.zeros(k), np.zeros(k), 2e-3), LINEAR)
@@ -128,9 +134,7 @@ def test_a_joint_that_stands_still_keeps_its_prior() -> None:
 def test_a_torque_sensor_replaces_the_link_encoder() -> None:
     u, q_l, q_m = usual_record()
     joint = ElasticJoint()
-    torque = joint.K * (q_m - np.interp(np.arange(len(u)) - joint.skew / 4e-3, np.arange(len(u)), q_l) - joint.offset)
-    torque = torque + 2e-3 * np.random.default_rng(3).standard_normal(len(u))
-    found = found_in(noisy(u, None, q_m, 4e-3, torque), joint)
+    found = found_in(noisy(u, None, q_m, 4e-3, sensed(joint, q_l, q_m)), joint)
     assert found["joint_stiffness"].value == pytest.approx(joint.K, rel=0.02)
     assert found["motor_inertia"].value == pytest.approx(joint.B, rel=0.02)
 

@@ -14,10 +14,13 @@ from core.oracles.elastic_joint import ElasticJoint, integrated, multi_sine
 from fjr_core.identification.coordinates import Coordinates, packed
 from fjr_core.identification.elastic_arm import ElasticArm, free_entries
 from fjr_core.identification.motion_record import MotionRecord
-from fjr_core.identification.parameters import KINDS, Prior, size
+from fjr_core.identification.parameters import KINDS, USUAL, Prior, size
 from fjr_core.identification.segments import Segment, compare
 from fjr_core.identification.shooting import HeldEffort, Shooting
 from fjr_core.numerics.checks import Array
+from fjr_core.robot.newton_euler import serial_chain
+from fjr_core.robot.rigid_body import Body
+from fjr_core.robot.robot import Robot
 
 FREE = (
     "joint_stiffness",
@@ -113,6 +116,46 @@ def test_sensitivities_equal_central_differences(name: str) -> None:
     residual = -predicted(z)
     assert found.H[4, 4] == pytest.approx(np.sum(difference**2), rel=1e-4)
     assert found.g[4] == pytest.approx(np.sum(difference * residual), rel=1e-4)
+
+
+def three_joints() -> Robot:
+    """Return an arm whose sensitivities with all usual parameters are more than a block of columns."""
+    body = Body(np.eye(3), np.array([0.0, 0.0, 0.3]), np.array([0.0, 1.0, 0.0]), 2.0, np.zeros(3), 0.02 * np.eye(3))
+    turned = replace(body, axis=np.array([0.0, 0.0, 1.0]), com=np.array([0.05, 0.02, 0.1]))
+    one, none = np.eye(3), np.zeros((3, 3))
+    return Robot(serial_chain([body, turned, body]), M_m=0.1 * one, K=300 * one, D_l=none, D_m=none, B_m=one)
+
+
+def test_all_columns_of_the_sensitivities_are_the_derivatives_of_the_motion() -> None:
+    robot, dt, random = three_joints(), 1e-3, np.random.default_rng(2)
+    p = values(3, joint_stiffness=300.0, motor_inertia=0.1, link_damping=0.3, motor_coulomb_friction=0.2, offset=0.01)
+    free = [(name, j) for name in USUAL[:7] for j in range(3)]
+    coordinates = Coordinates.of([*free, ("effort_delay", 0), ("effort_delay", 2)], p, dict.fromkeys(KINDS, np.ones(3)))
+    arm = ElasticArm(robot, free_entries(ElasticArm(robot, ()).layout, coordinates.dynamic))
+    shooting, effort = Shooting(arm, coordinates.delays), held(2 * random.standard_normal((30, 3)), dt, 2)
+    assert coordinates.delays == (0, 2)
+    assert shooting.padded > 8 * shooting.vectors
+    x0, z = 0.5 * random.standard_normal(12), np.concatenate([coordinates.mean[:-2], [3.3e-3, 2.6e-3]])
+    direction = random.standard_normal(shooting.columns) * np.concatenate([np.ones(33), [1e-3, 1e-3]])
+
+    def moved(step: float) -> tuple[Array, Array]:
+        at = coordinates.parameters(z + step * direction[12:])
+        found = shooting(x0 + step * direction[:12], effort, 6, 20, packed(arm, at), at["effort_delay"])
+        assert found is not None
+        return found
+
+    S = moved(0.0)[1] * np.concatenate([np.ones(12), coordinates.scale(z)])
+    difference = (moved(1e-5)[0] - moved(-1e-5)[0]) / 2e-5
+    np.testing.assert_allclose(S @ direction, difference, rtol=0, atol=1e-6 * np.max(np.abs(difference)))
+
+
+@pytest.mark.parametrize("rows", [3, 21])
+def test_normal_equations_are_products_of_the_jacobian(rows: int) -> None:
+    random, shooting = np.random.default_rng(rows), Shooting(ElasticArm(fjr.single_link(), ()), ())
+    J, r = random.standard_normal((rows, 5)), random.standard_normal(rows)
+    H, g = shooting.normal_equations(J, r)
+    np.testing.assert_allclose(H, J.T @ J, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(g, J.T @ r, rtol=0, atol=1e-13)
 
 
 def test_prior_of_a_robot_holds_its_values_and_those_that_are_given() -> None:

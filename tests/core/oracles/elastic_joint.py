@@ -17,6 +17,18 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 Array = NDArray[Any]
+TRUTH = {
+    "joint_stiffness": "K",
+    "motor_inertia": "B",
+    "link_damping": "D_l",
+    "motor_damping": "D_m",
+    "link_coulomb_friction": "F_l",
+    "motor_coulomb_friction": "F_m",
+    "offset": "offset",
+    "effort_delay": "delay",
+    "link_skew": "skew",
+}
+"""Fields of the joint by the name of the identified parameter."""
 
 
 @dataclass(frozen=True)

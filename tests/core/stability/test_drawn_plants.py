@@ -11,7 +11,14 @@ import pytest
 import fjr_core as fjr
 from fjr_core.control.robust import Robust, sampled_law
 from fjr_core.robot.equilibrium import equilibria_at
-from fjr_core.stability.drawn_plants import DrawnLoops, DrawnPlants, contracting, draws_needed, largest_share
+from fjr_core.stability.drawn_plants import (
+    DrawnLoops,
+    DrawnPlants,
+    Peculiarity,
+    contracting,
+    draws_needed,
+    largest_share,
+)
 from fjr_core.stability.linear_controller import Sensing, controller
 from fjr_core.stability.linearization import as_sampled, on_plant
 from fjr_core.tuning.gain_synthesis import gain_search
@@ -70,6 +77,29 @@ def test_gains_are_stable_for_all_drawn_plants_or_refused() -> None:
     assert gain_search(ROBOT, T, 0.0, CONFIGURATIONS).best(5.0) is not None
     with pytest.raises(fjr.GainsError, match="out of reach for all 2 drawn plants"):
         fjr.synthesize(ROBOT, 5.0, T, configurations=CONFIGURATIONS, plants=late)
+
+
+def test_gains_hold_where_drawn_plants_are_worst_not_only_where_their_own_model_is() -> None:
+    where, rng = np.random.default_rng(2).uniform(-3, 3, (150, 2)), np.random.default_rng(1)
+    plants = drawn(40, 0.0)
+    plants = replace(plants, motor_inertia=plants.motor_inertia * 4 ** rng.uniform(-1, 1, (40, 2)))
+    search = gain_search(ROBOT, T, 0.0, where)
+    gains = search.best(5.0)
+    assert gains is not None
+    lost = search.lost(gains, plants)
+    everywhere = DrawnLoops(fjr.TrackingLaw(ROBOT, gains), equilibria_at(ROBOT, where), T, 0.0)
+    worst_of_model = [int(np.argmax(everywhere.radii(drawn(1, 0.0))[0]))]
+    there = DrawnLoops(fjr.TrackingLaw(ROBOT, gains), equilibria_at(ROBOT, where[worst_of_model]), T, 0.0)
+    assert 0 < there.unstable(plants).sum() < lost.sum()
+    assert np.array_equal(lost, everywhere.unstable(plants))
+
+
+def test_the_parameter_in_which_lost_draws_differ_is_named() -> None:
+    plants = drawn(60, 0.1, delay=1e-4)
+    lost = plants.motor_inertia[:, 1] > np.quantile(plants.motor_inertia[:, 1], 0.9)
+    sentence = Peculiarity.of(plants, lost).sentence(("a", "b"))
+    assert "motor inertia of b" in sentence
+    assert "delay: " in Peculiarity.of(plants, plants.delay > 9e-5).sentence()
 
 
 def test_4603_draws_of_which_none_is_lost_show_one_in_a_thousand_with_99_percent() -> None:

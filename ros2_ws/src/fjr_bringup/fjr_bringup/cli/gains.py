@@ -18,6 +18,7 @@ from fjr_core.config import builders
 from fjr_core.config.builders import robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.robust import sampled_law
+from fjr_core.control.vdpbc.convergence_rate import Rate
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import GainsError, ParameterError
 from fjr_core.files.text_file import read_text
@@ -45,39 +46,48 @@ def synthesised(
     the scenario's file. identification: file of a posterior; the loop is then stable with plants drawn from it, and
     checked on fresh draws. Raises GainsError if no such gains exist or a fresh draw is unstable.
     """
-    path = library.find(scenario)
-    if write and scenario in installed("scenarios"):
-        raise ScenarioError(f"'{scenario}' is an installed scenario; expected a file of your own for --write")
+    path = _file(scenario, write)
     loaded = library.load(scenario, assignments)
     robot, period = loaded.robot, loaded.sample_period
     where = None if everywhere else loaded.configurations()
     posterior = Posterior(identification, loaded, seed) if identification else None
-    domain = _domain(loaded, everywhere) if proven else None
-    design = posterior.design if posterior else None
+    design, domain = posterior.design if posterior else None, _domain(loaded, everywhere) if proven else None
     gains = synthesize(robot, beta, period, delay * period, where, loaded.joints, design, domain)
     law = TrackingLaw(robot, gains)
     found, rate = _checked(loaded, law, delay * period, where), law.rate(where)
     confirmed = posterior.confirmed(law, delay * period, where) if posterior else None
-    place = "everywhere" if everywhere else "along its reference"
-    basis = "proven" if rate.proven else "sampled"
-    head = (
-        f"# for {loaded.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / period:g} Hz "
-        f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples\n"
-    ) + (f"# {confirmed.sentence}\n" if confirmed else "")
-    if proven:
-        place = "over the joint range" if everywhere else "near the reference (see `fjr check`)"
-        head += f"# the inertia is bounded by a proof {place}: beta is at least {beta:.3g} 1/s there before rounding\n"
-    values = {name.partition(".")[2]: entries for name, entries in builders.gain_values(gains, robot.n).items()}
+    head = _head(loaded, rate, found, everywhere, beta if proven else None)
+    head += f"# {confirmed.sentence}\n" if confirmed else ""
     numbers = {"beta_per_s": rate.beta, "beta_is_proven": rate.proven, "spectral_radius": found.spectral_radius}
-    numbers["delay_margin_samples"] = found.delay_margin
-    if confirmed:
-        numbers |= confirmed.numbers
-    block = "\n".join(["    gains:", *gain_lines(values, robot.n, indent=6)])
+    numbers |= {"delay_margin_samples": found.delay_margin, **(confirmed.numbers if confirmed else {})}
+    values = {name.partition(".")[2]: entries for name, entries in builders.gain_values(gains, robot.n).items()}
     if write:
         _write(path, values, robot.n)
     where_to = f"# written to {path}:" if write else "# in place of `gains` below ros__parameters:"
-    written = {"written": path if write else None}
-    return Result(f"{head}{where_to}\n{block}", {"scenario": loaded.name, **numbers, "gains": values, **written})
+    block = "\n".join([f"{head}{where_to}", "    gains:", *gain_lines(values, robot.n, indent=6)])
+    return Result(block, {"scenario": loaded.name, **numbers, "gains": values, "written": path if write else None})
+
+
+def _file(scenario: str | None, write: bool) -> Path:
+    """Return the file of a scenario; raise ScenarioError if an installed one is to be changed."""
+    if write and scenario in installed("scenarios"):
+        raise ScenarioError(f"'{scenario}' is an installed scenario; expected a file of your own for --write")
+    return library.find(scenario)
+
+
+def _head(scenario: Scenario, rate: Rate, found: SampledCheck, everywhere: bool, proven: float | None) -> str:
+    """Return the comment above the gains; proven [1/s]: rate for which a proof bounds the inertia, None without one."""
+    place, basis = "everywhere" if everywhere else "along its reference", "proven" if rate.proven else "sampled"
+    head = (
+        f"# for {scenario.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / scenario.sample_period:g} Hz "
+        f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples\n"
+    )
+    if proven is None:
+        return head
+    place = "over the joint range" if everywhere else "near the reference (see `fjr check`)"
+    return (
+        f"{head}# the inertia is bounded by a proof {place}: beta is at least {proven:.3g} 1/s there before rounding\n"
+    )
 
 
 def _domain(scenario: Scenario, everywhere: bool) -> Domain:

@@ -9,8 +9,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fjr_bringup.progress import progress_bar
 from fjr_bringup.scenarios.identification_file import read_identification
 from fjr_core.config.builders import robust_action
@@ -23,11 +21,17 @@ from fjr_core.identification.result import Identification
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.configuration_sampling import checked_configurations
 from fjr_core.robot.equilibrium import equilibria_at
-from fjr_core.stability.drawn_plants import CONFIDENCE, DrawnLoops, DrawnPlants, draws_needed, largest_share
+from fjr_core.stability.drawn_plants import (
+    CONFIDENCE,
+    DrawnLoops,
+    DrawnPlants,
+    Peculiarity,
+    draws_needed,
+    largest_share,
+)
 
 DESIGN_DRAWS, WIDER = 200, 1.5  # from the posterior with standard deviations this many times as large
 SHARE = 1e-3  # largest share of lost plants that fresh draws are to exclude
-SCREENED, CLOSELY = 16, 8  # design draws that choose the worst configurations, and configurations of the check
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
 
 
@@ -83,12 +87,13 @@ class Posterior:
         fresh = drawn_plants(self._found, self._scenario.robot, count, 2 * self._seed + 1)
         loops, configurations = self._loops(law, delay, where)
         with progress_bar(f"checking {count:,} fresh draws", PROGRESS, total=1.0, desc="fresh draws") as bar:
-            lost = int(loops.unstable(fresh, lambda share: bar.update(share - bar.n)).sum())
-        if lost:
+            unstable = loops.unstable(fresh, lambda share: bar.update(share - bar.n))
+        if lost := int(unstable.sum()):
             raise GainsError(
                 f"{lost} of {count:,} fresh draws of the identified robot are unstable (at most "
-                f"{100 * largest_share(lost, count):.2g} % with {100 * CONFIDENCE:g} %); expected none: try a "
-                "lower rate, or narrower intervals from a record of more motion (fjr excite)"
+                f"{100 * largest_share(lost, count):.2g} % with {100 * CONFIDENCE:g} %), and "
+                f"{Peculiarity.of(fresh, unstable).sentence(self._scenario.joints)}; expected none: try a lower rate, "
+                "or a narrower interval of that parameter from a record of more motion (fjr excite)"
             )
         return Confirmed(count, configurations, self.kept)
 
@@ -97,7 +102,5 @@ class Posterior:
         scenario = self._scenario
         equilibria = equilibria_at(law.robot, checked_configurations(law.robot, where))
         sampled = sampled_law(law, robust_action(scenario.controller_values, law))
-        screened = DrawnLoops(law, equilibria, scenario.sample_period, delay)
-        radii = screened.radii(self.design.at(slice(0, SCREENED))).max(axis=0)
-        worst = np.sort(np.argsort(-radii, kind="stable")[:CLOSELY])
+        worst = DrawnLoops(law, equilibria, scenario.sample_period, delay).worst(self.design)
         return DrawnLoops(sampled, equilibria.at(worst), scenario.sample_period, delay, scenario.sensing), len(worst)

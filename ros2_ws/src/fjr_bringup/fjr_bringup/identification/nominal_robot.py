@@ -16,13 +16,13 @@ from fjr_core.config.parameter import complete, names
 from fjr_core.config.robot import FILE, robot_parameters
 from fjr_core.config.scenario import CONTROLLER
 from fjr_core.errors import ParameterError
+from fjr_core.identification.drawn_plants import MATRICES
 from fjr_core.identification.pseudo_inertia import corrected_bodies
 from fjr_core.identification.result import UNKNOWN, Identification
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.robot import Robot
 from fjr_core.robot.urdf_inertia import with_inertias
 
-MATRICES = {"joint_stiffness": "K", "motor_inertia": "M_m", "link_damping": "D_l", "motor_damping": "D_m"}
 GEAR_RATIO = "robot.gear_ratio"
 CORRECTED = "robot.urdf"
 

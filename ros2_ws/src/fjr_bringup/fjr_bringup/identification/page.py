@@ -12,7 +12,7 @@ from fjr_bringup.formatting import percent, plural
 from fjr_bringup.identification.page_figures import fit_plots
 from fjr_bringup.identification.page_rows import BAR_HEAD, groups
 from fjr_bringup.report import html
-from fjr_core.identification.result import IDENTIFIED, UNKNOWN, WEAK, Identification
+from fjr_core.identification.result import DEFLECTION, IDENTIFIED, UNKNOWN, WEAK, Identification
 
 HOLD_OUT = ("", "this model", "rigid joints", "without skew")
 HOLD_OUT_TEXT = (
@@ -27,6 +27,13 @@ FOOTER = (
     "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. robot.yaml and "
     "identification.json are in the same folder. Needs no network."
 )
+BY_SEGMENTS = (
+    "Each segment of the record is predicted from its first state; the states of all segments are identified, too."
+)
+BY_MOTION = (
+    "Torques that the model lacks move the joints too far for a simulation. The deflections follow from the filtered "
+    "motion of the record and the identified parameters; nothing is simulated."
+)
 HoldOutRows = tuple[str, Sequence[Sequence[float]]]
 """Name of a record, and for each joint the unexplained shares of the columns of HOLD_OUT."""
 
@@ -39,9 +46,6 @@ def write_page(
     plots = [
         plot for place, fit in zip(places, found.fits, strict=True) for plot in fit_plots(fit, found.joints, place)
     ]
-    text = (
-        "Each segment of the record is predicted from its first state; the states of all segments are identified, too."
-    )
     counts = counted(found)
     html.write_page(
         path,
@@ -63,7 +67,10 @@ def write_page(
             (f"Hold-out: {record}", hold_out_rows(found.joints, rows), HOLD_OUT_TEXT) for record, rows in hold_outs
         ],
         hold_out_head=HOLD_OUT,
-        sections=[(place, fit.record, text) for place, fit in zip(places, found.fits, strict=True)],
+        sections=[
+            (place, fit.record, BY_MOTION if DEFLECTION in fit.measured else BY_SEGMENTS)
+            for place, fit in zip(places, found.fits, strict=True)
+        ],
         json=html.as_json(found.as_dict()),
         footer=FOOTER,
     )

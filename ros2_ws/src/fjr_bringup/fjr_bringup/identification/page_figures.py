@@ -8,12 +8,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from fjr_bringup.plotting.figure import Line, Plot, colour
-from fjr_core.identification.result import Fit
+from fjr_core.identification.result import DEFLECTION, Fit
 from fjr_core.numerics.checks import Array
 
 LONGEST_LAG = 1.0  # s
 MOST_LAGS = 1000
-TITLES = {"q_l": "links", "q_m": "motors", "torque": "torque sensors"}
+TITLES = {"q_l": "links", "q_m": "motors", "torque": "torque sensors", DEFLECTION: "deflections"}
+BY_SIMULATION = "predicted from the effort and the state at the start of each segment"
+BY_MOTION = "predicted from the motion of the record"
 
 
 def fit_plots(fit: Fit, joints: tuple[str, ...], place: str) -> list[Plot]:
@@ -26,18 +28,23 @@ def _fits(fit: Fit, joints: tuple[str, ...], place: str) -> Iterator[Plot]:
     """Yield measured and predicted deflection of each joint; torque or motor position where a side is missing."""
     for j, joint in enumerate(joints):
         what, measured, predicted = _compared(fit, j)
+        if not np.isfinite(measured).any():
+            continue
         lines = [
             Line("measured", measured, "grey", 1.2),
             Line("predicted", predicted, colour(j), 1.5),
         ]
         share = fit.explained[j]
         title = f"{joint}: {1 - share:.1%} of the deflection unexplained" if np.isfinite(share) else f"{joint}: {what}"
-        caption = f"{what}; predicted from the effort and the state at the start of each segment."
+        caption = f"{what}; {BY_MOTION if DEFLECTION in fit.measured else BY_SIMULATION}."
         yield Plot(f"{place}-fit-{j}", title, caption, fit.t, lines, y_label=what, place=place)
 
 
 def _compared(fit: Fit, j: int) -> tuple[str, Array, Array]:
     """Return what a plot compares, measured and predicted (k,)."""
+    if DEFLECTION in fit.measured:
+        measured, predicted = (each[DEFLECTION][:, j] * 1e3 for each in (fit.measured, fit.predicted))
+        return "q_m - q_l [mrad]", measured, predicted
     known = [
         name
         for name in ("q_l", "q_m", "torque")

@@ -18,6 +18,7 @@ from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RecordError
 from fjr_core.identification.motion_record import MotionRecord
 from fjr_core.identification.record_checks import findings
+from fjr_core.identification.scale_checks import unseen
 from fjr_core.identification.signal_checks import still_joints
 from fjr_core.robot.robot import Robot
 
@@ -73,7 +74,7 @@ def _bag_map(path: Path, reading: Reading, joints: tuple[str, ...], robot: Robot
 
 
 def _checked(path: Path, record: MotionRecord, robot: Robot, accepted: Collection[str]) -> tuple[str, ...]:
-    """Return a sentence for each accepted contradiction and for joints at rest; raise RecordError for others."""
+    """Return a sentence for accepted contradictions, joints at rest and unseen scales; raise RecordError for others."""
     found = findings(record, robot, accepted)
     refused = [each for each in found if each.kind not in accepted]
     if refused:
@@ -81,4 +82,5 @@ def _checked(path: Path, record: MotionRecord, robot: Robot, accepted: Collectio
         raise RecordError(f"{path}: {refused[0].sentence}{more}; --accept {refused[0].kind} identifies nevertheless")
     still = still_joints(record)
     rest = (f"{path}: standing still: {', '.join(still)}",) if still else ()
-    return (*(f"{path}: {each.sentence}" for each in found), *rest)
+    scales = (f"{path}: {each}" for each in unseen(record, robot))
+    return (*(f"{path}: {each.sentence}" for each in found), *rest, *scales)

@@ -16,6 +16,7 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.builders import gain_values
 from fjr_core.config.robot_file import URDF
 from fjr_core.errors import GainsError, TrajectoryError
+from fjr_core.identification.drawn_plants import MATRICES
 from fjr_core.identification.parameters import PSEUDO_INERTIA
 from fjr_core.identification.result import UNKNOWN, Estimate, Identification
 from fjr_core.robot.robot import Robot
@@ -28,7 +29,6 @@ FRICTION = {
     "motor_static_friction": "static_m",
 }
 PAYLOAD = ("payload_mass", "payload_position_x", "payload_position_y", "payload_position_z")
-OF_ROBOT = ("joint_stiffness", "motor_inertia", "link_damping", "motor_damping")
 STABLE_STEP = 2.0  # friction rate times inner step; Runge-Kutta 4 is stable below 2.78
 MOST_STEPS = 200
 HEAD = """\
@@ -133,7 +133,7 @@ def _imperfection_lines(found: Identification, joints: tuple[str, ...]) -> Itera
 
 def _left_out(found: Identification) -> Iterator[str]:
     """Yield comments on what no parameter of a scenario expresses."""
-    placed = {*OF_ROBOT, *FRICTION, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
+    placed = {*MATRICES, *FRICTION, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
     others = [each for each in found.estimates if each.name not in placed and each.verdict != UNKNOWN]
     if others:
         yield "    # Without a parameter here; correct these in the driver:"

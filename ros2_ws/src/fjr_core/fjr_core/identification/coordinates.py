@@ -11,7 +11,7 @@ import numpy as np
 from ..numerics.checks import Array
 from .elastic_arm import DYNAMIC, ElasticArm
 from .parameters import KINDS
-from .result import LOG
+from .result import LOG, NONNEGATIVE
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +33,11 @@ class Coordinates:
         """Return coordinates with the values as mean of the prior and the widths by name."""
         mean = [_coordinate(name, values[name][i]) for name, i in free]
         return cls(tuple(free), values, np.array(mean), np.array([widths[name][i] for name, i in free], dtype=float))
+
+    @property
+    def nonnegative(self) -> Array:
+        """Return which entries (p,) of z are not negative."""
+        return np.array([KINDS[name].coordinate == NONNEGATIVE for name, _ in self.free], dtype=bool)
 
     def without(self, dropped: Sequence[int]) -> Coordinates:
         """Return the coordinates without some entries, which keep their values."""

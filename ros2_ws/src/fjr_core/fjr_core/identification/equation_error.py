@@ -22,9 +22,9 @@ from ..numerics.checks import Array
 from .coordinates import packed
 from .elastic_arm import ElasticArm, position_terms
 from .estimation_problem import Estimation
-from .gauss_newton import Projected
 from .initial_guess import FilteredMotion, both_sides, decimated, inner, shifted
 from .parameters import OF_LINKS, POSITION_TORQUE
+from .variable_projection import Projected
 
 BLOCK = 1.0  # s; longer than the correlation of the errors
 FEWEST_BLOCKS = 4

@@ -13,12 +13,11 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from ..numerics.checks import Array
+from .bounded_step import bounded_step
 from .equation_error import equation_error
 from .estimation_problem import Estimation
 from .initial_guess import FilteredMotion, both_sides, decimated, shared
 from .judgement import Judgement, judge
-from .parameters import KINDS
-from .result import NONNEGATIVE
 from .verdict import not_identifiable
 
 MOST_ITERATIONS = 12
@@ -45,14 +44,14 @@ def filtered_fit(
     fixed = {*fixed, *undetermined(setup, motions)} - {*free}
     z = np.where([k in fixed for k in range(len(z))], setup.coordinates.mean, z)
     mean, width = setup.coordinates.mean, setup.coordinates.width
-    bounded = np.array([KINDS[name].coordinate == NONNEGATIVE for name, _ in setup.coordinates.free], dtype=bool)
+    bounded = setup.coordinates.nonnegative
     fitted = np.array([k for k in range(len(z)) if k not in fixed], dtype=int)
     for _ in range(MOST_ITERATIONS if len(fitted) else 0):
         parts = equation_error(setup, motions, z)
         H = np.asarray(sum(part.H for part in parts)) + np.diag(width**-2.0)
         g = np.asarray(sum(part.g for part in parts)) - (z - mean) / width**2
         step = np.zeros(len(z))
-        step[fitted] = _bounded_step(H[np.ix_(fitted, fitted)], g[fitted], z[fitted], bounded[fitted])
+        step[fitted] = bounded_step(H[np.ix_(fitted, fitted)], g[fitted], z[fitted], bounded[fitted])
         largest = float(np.max(np.abs(step) / width))
         z = z + step / max(1.0, largest / LARGEST_STEP)
         if largest < CONVERGED:
@@ -92,18 +91,3 @@ def confounded(setup: Estimation) -> tuple[int, ...]:
     """Return the entries of link dampings with a free skew: both change a slow deflection alike."""
     free = setup.coordinates.free
     return tuple(k for k, (name, j) in enumerate(free) if name == "link_damping" and ("link_skew", j) in free)
-
-
-def _bounded_step(H: Array, g: Array, z: Array, bounded: Array) -> Array:
-    """Return the step of the quadratic model; entries that it would make negative become 0, one after the other."""
-    step, held = np.zeros(len(z)), np.zeros(len(z), dtype=bool)
-    for _ in range(len(z) + 1):
-        moved = np.flatnonzero(~held)
-        scale = np.sqrt(np.diag(H)[moved])
-        rest = g[moved] - H[np.ix_(moved, np.flatnonzero(held))] @ step[held]
-        step[moved] = np.linalg.solve(H[np.ix_(moved, moved)] / np.outer(scale, scale), rest / scale) / scale
-        below = bounded & ~held & (z + step < -1e-12 * (1 + np.abs(z)))
-        if not below.any():
-            break
-        step[below], held = -z[below], held | below
-    return step

@@ -7,8 +7,23 @@ from dataclasses import dataclass
 
 AT_REST, CONSTANT, TOO_SHORT, CLIPPED = "at_rest", "constant", "too_short", "clipped"
 DEGREES, GEAR_RATIO, SIGN, SWAPPED, SCALE = "degrees", "gear_ratio", "sign", "swapped_sides", "effort_scale"
-JUMP, STUCK, SKEW, ORDER = "jump", "stuck", "skew", "joint_order"
-KINDS = (TOO_SHORT, AT_REST, CONSTANT, JUMP, STUCK, DEGREES, ORDER, GEAR_RATIO, SIGN, SKEW, SWAPPED, SCALE, CLIPPED)
+JUMP, STUCK, SKEW, ORDER, TIME = "jump", "stuck", "skew", "joint_order", "time_scale"
+KINDS = (
+    TOO_SHORT,
+    AT_REST,
+    CONSTANT,
+    JUMP,
+    STUCK,
+    DEGREES,
+    ORDER,
+    GEAR_RATIO,
+    SIGN,
+    SKEW,
+    SWAPPED,
+    SCALE,
+    TIME,
+    CLIPPED,
+)
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..numerics.checks import Array
-from .gauss_newton import ROUGH, Optimum, Problem
+from .estimation_problem import Estimation
+from .gauss_newton import Optimum
 from .initial_guess import FilteredMotion, decimated
 from .motion_record import MotionRecord
-from .result import Fit
+from .multiple_shooting import ROUGH, Problem
+from .result import DEFLECTION, Fit, Identification
 from .segments import Comparison
+from .validation import Deflection, predicted_deflection
 
 
 def fits(problem: Problem, optimum: Optimum) -> tuple[Fit, ...]:
@@ -24,6 +27,19 @@ def fits_at(problem: Problem, z: Array, x0: Array) -> tuple[Fit, ...]:
     """Return the fit of each record at z (p,), from initial states near x0 (segments, 4n); () if it is not finite."""
     found = problem.evaluate(z, x0, np.maximum(problem.floor, ROUGH))
     return _fits(problem, found[1], problem.noise(found[1])) if found else ()
+
+
+def motion_fits(setup: Estimation, found: Identification) -> tuple[Fit, ...]:
+    """Return the deflection of each record with the one that follows from its motion; nothing is simulated."""
+    return tuple(
+        _motion_fit(predicted_deflection(each, setup.robot, setup.prior, found, setup.options))
+        for each in setup.records
+    )
+
+
+def _motion_fit(seen: Deflection) -> Fit:
+    measured, predicted = {DEFLECTION: seen.measured}, {DEFLECTION: seen.predicted}
+    return Fit(seen.record, seen.t, measured, predicted, {DEFLECTION: seen.elastic}, 1 - seen.unexplained**2)
 
 
 def _fits(problem: Problem, compared: Sequence[Comparison], noise: Array) -> tuple[Fit, ...]:

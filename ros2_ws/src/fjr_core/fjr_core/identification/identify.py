@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from ..numerics.checks import Array
 from ..robot.robot import Robot
 from .estimation_problem import SHORTEST, Estimation
 from .filtered_fit import confounded, filtered_fit, filtered_judgement, simulation_start
-from .fit import deflection_error, fits, fits_at
+from .fit import deflection_error, fits, fits_at, motion_fits
 from .initial_guess import FilteredMotion
 from .judgement import Judgement, judge
 from .motion_record import MotionRecord
@@ -51,15 +52,15 @@ def identify(
     z = filtered_fit(setup, motions, setup.coordinates.of_values(start))
     filtered = filtered_judgement(setup, motions, z)
     simulated_from = _simulated_from(setup, motions, z)
-    start = simulation_start(setup, z if simulated_from is None else simulated_from)
-    progress("compilation", 0.0)
     if simulated_from is None:
-        problem = setup.problem(setup.coordinates, start, motions)
-        return filtered.identification(records[0].joints, fits_at(problem, filtered.mean, problem.filtered))
+        found = filtered.identification(records[0].joints)
+        return replace(found, fits=motion_fits(setup, found))
+    start = simulation_start(setup, simulated_from)
+    progress("compilation", 0.0)
     fit = simulated_fit(setup, motions, start, progress)
     progress("intervals", 1.0)
     doubt = "" if fit.optimum.converged else NOT_CONVERGED
-    simulated = judge(setup, fit.whole.projected, fit.whole.chance, fit.fixed, fit.z, doubt)
+    simulated = judge(setup, fit.whole.projected, fit.chance, fit.fixed, fit.z, doubt)
     predicted = fits(*fit.last)
     residual = deflection_error(predicted, motions)
     replaced = _not_simulated(setup, simulated, filtered, fit.optimum.converged, residual)

@@ -24,6 +24,7 @@ from .signal_checks import still_joints
 
 POOR, GOOD = 0.5, 0.25  # unexplained share of an effort without and with the change
 BETTER = 0.5  # unexplained with the change, relative to without
+NEAR = 1.25  # factor; a slope within it is right
 EXCHANGED = {"the positions": ("q_l", "q_m"), "all signals": ("u", "q_l", "q_m", "torque")}
 FOLLOWS = 0.1  # unexplained share of one side's position by that of another joint
 
@@ -87,15 +88,24 @@ def _moving(record: MotionRecord) -> list[tuple[int, str]]:
 
 def _explains(here: Line, there: Line) -> bool:
     """Return whether a change makes an effort fit, with a slope of the right order."""
-    good = 1 / SPREAD < there.slope < SPREAD and there.slope > 5 * there.deviation
-    return good and there.unexplained < min(GOOD, BETTER * here.unexplained)
+    return _fits(there) and there.unexplained < BETTER * here.unexplained
+
+
+def _fits(line: Line) -> bool:
+    """Return whether an effort follows from the motion with a slope of the right order."""
+    right_order = 1 / SPREAD < line.slope < SPREAD and line.slope > 5 * line.deviation
+    return right_order and line.unexplained < GOOD
 
 
 def _all_explain(here: Sequence[Line], there: Sequence[Line]) -> bool:
-    """Return whether a change makes both efforts fit, and both slopes come nearer to 1."""
-    return all(
-        _explains(a, b) and (a.slope <= 0 or abs(np.log(b.slope)) < abs(np.log(a.slope)))
-        for a, b in zip(here, there, strict=True)
+    """Return whether a change makes both efforts fit better, together by BETTER each, with slopes nearer to 1."""
+    pairs = list(zip(here, there, strict=True))
+    together = np.prod([b.unexplained for _, b in pairs]) < np.prod([BETTER * a.unexplained for a, _ in pairs])
+    return bool(together) and all(
+        _fits(b)
+        and b.unexplained < a.unexplained
+        and (a.slope <= 0 or abs(np.log(b.slope)) < max(abs(np.log(a.slope)), np.log(NEAR)))
+        for a, b in pairs
     )
 
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from ..numerics.checks import Array
 from .estimation_problem import Estimation
-from .gauss_newton import Projected
 from .parameters import KINDS, PAYLOAD
 from .posterior import spread
 from .result import IDENTIFIED, LOG, NONNEGATIVE, UNKNOWN, WEAK, Estimate, Fit, Identification
+from .variable_projection import Projected
 from .verdict import Motion, partners, reason, verdict
 
 

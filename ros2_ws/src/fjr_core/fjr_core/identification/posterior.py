@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import norm, t
 
 from ..numerics.checks import Array
-from .gauss_newton import Projected
+from .variable_projection import Projected
 
 CONFIDENCE = 0.95
 CAUTION = 4.0  # chance is drawn once

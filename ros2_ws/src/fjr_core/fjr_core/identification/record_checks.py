@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator
 
 from ..errors import RecordError
 from ..robot.robot import Robot
-from . import continuity_checks, joint_checks, motion_checks, signal_checks
+from . import continuity_checks, joint_checks, motion_checks, scale_checks, signal_checks
 from .finding import Finding
 from .motion_record import MotionRecord
 from .rigid_motion import rigid_motion
@@ -46,3 +46,4 @@ def _checks(record: MotionRecord, robot: Robot) -> Iterator[Iterable[Finding]]:
     yield motion_checks.efforts(record, motion)
     yield joint_checks.turned(record, robot, motion)
     yield signal_checks.clipped(record)
+    yield scale_checks.scales(record, robot)

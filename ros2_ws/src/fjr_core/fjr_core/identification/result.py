@@ -14,6 +14,8 @@ from ..numerics.checks import Array
 IDENTIFIED, WEAK, UNKNOWN = "identified", "weakly identified", "not identifiable"
 LOG, NONNEGATIVE, LINEAR = "log", "non-negative", "linear"
 """Coordinates of a parameter in the posterior: its logarithm, or the parameter, whose draws may be clipped at 0."""
+DEFLECTION = "deflection"
+"""Signal q_m - q_l of a fit that follows from the motion."""
 
 
 def natural(z: Array, coordinate: str) -> Array:
@@ -47,8 +49,9 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Measured, predicted and residual signals of one record; of one quantity (`q_l`, `q_m`, `torque`) each (k, n).
+    """Measured and predicted signals of one record by name, `q_l`, `q_m`, `torque` or DEFLECTION, each (k, n).
 
+    DEFLECTION: of a record that is not simulated, from its filtered motion, less the mean;
     noise: standard deviation of the measurement of each joint (n,). explained: share of the deflection's variance that
     the model explains, per joint, NaN where there is no link measurement.
     """

@@ -58,7 +58,7 @@ def rigid_motion(record: MotionRecord, robot: Robot, scale: Array | float = 1.0,
     dq_l, dq_m = (np.gradient(each, record.dt, axis=0) for each in (link, motor))
     ddq_l, ddq_m = (np.gradient(each, record.dt, axis=0) for each in (dq_l, dq_m))
     rows = _kept(len(u), record.dt)
-    tau = _spring_torques(robot, link[rows], dq_l[rows], ddq_l[rows])
+    tau = spring_torques(robot, link[rows], dq_l[rows], ddq_l[rows])
     needed = (tau + ddq_m[rows] @ robot.M_m.T + dq_m[rows] @ robot.D_m.T) @ np.linalg.inv(robot.B_m).T
     moves = np.isfinite(q_l).all(axis=0) & np.isfinite(q_m).all(axis=0) & (np.ptp(link, axis=0) > 0)
     return RigidMotion(
@@ -93,7 +93,7 @@ def _kept(k: int, dt: float) -> slice:
     return slice(edge, k - edge, max(1, k // SAMPLES))
 
 
-def _spring_torques(robot: Robot, q: Array, dq: Array, ddq: Array) -> Array:
+def spring_torques(robot: Robot, q: Array, dq: Array, ddq: Array) -> Array:
     """Return the spring torques (k, n) of a motion of the links, each (k, n)."""
     return np.asarray(_spring_torque(robot)(q.T, dq.T, ddq.T)).T
 

@@ -47,7 +47,8 @@ class Comparison:
     """Prediction of a segment: predicted (signals, count), and with residuals in units of their noise, J = d predicted.
 
     squares, counts (signals,): sum of squared residuals in units of the signals, and their number. H = J'J, g = J'r by
-    the initial state (4n) and z.
+    the initial state (4n) and z. penalty: what the prior of the initial state adds to the sum of squares; unsettled:
+    by how much the most likely initial state would lower it.
     """
 
     predicted: Array
@@ -56,6 +57,7 @@ class Comparison:
     H: Array
     g: Array
     penalty: float = 0.0
+    unsettled: float = 0.0
 
 
 def measured_signals(records: Sequence[MotionRecord]) -> tuple[tuple[str, int], ...]:
@@ -97,19 +99,24 @@ def compare(
         _own_columns(J[k, :, 4 * n :], coordinates, signal, joint, dy, y / p["joint_stiffness"][joint], p)
         predicted[k] = y
     J[:, :, 4 * n :] *= scale
-    return _compared(segment, signals, predicted, J, noise)
+    return _compared(segment, shooting, signals, predicted, J, noise)
 
 
 def _compared(
-    segment: Segment, signals: Sequence[tuple[str, int]], predicted: Array, J: Array, noise: Array
+    segment: Segment,
+    shooting: Shooting,
+    signals: Sequence[tuple[str, int]],
+    predicted: Array,
+    J: Array,
+    noise: Array,
 ) -> Comparison:
     residual = np.array([segment.measured(*each) for each in signals]) - predicted
     known = np.isfinite(residual)
     residual[~known] = 0.0
     J[~known] = 0.0
     J /= noise[:, None, None]
-    flat, r = J.reshape(-1, J.shape[2]), (residual / noise[:, None]).ravel()
-    return Comparison(predicted, np.sum(residual**2, axis=1), known.sum(axis=1), flat.T @ flat, flat.T @ r)
+    H, g = shooting.normal_equations(J.reshape(-1, J.shape[2]), (residual / noise[:, None]).ravel())
+    return Comparison(predicted, np.sum(residual**2, axis=1), known.sum(axis=1), H, g)
 
 
 def _output(segment: Segment, signal: str, joint: int, p: Mapping[str, Array], X: Array, S: Array) -> tuple[Array, ...]:

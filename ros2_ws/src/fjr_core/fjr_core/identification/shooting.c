@@ -1,56 +1,77 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Integrate an elastic arm and its sensitivities over one segment of a record, Runge-Kutta 4 with piecewise linear efforts.
- * N joints, M columns of sensitivities: the initial state (4 N), then parameters.
+ * N joints, M columns of sensitivities: the initial state (4 N), then parameters, then zeros up to a multiple of 8 L.
  */
 
-/* dS = (S_v, A S + P); x and S are states in the order (q_l, q_m, v_l, v_m). */
-static int derivative(const struct fjr_arm* m, const double* x, const double* S, const double* u, const double* du,
-                      const double* parameters, double* dx, double* dS) {
-  m->arg[0] = x, m->arg[1] = u, m->arg[2] = parameters;
-  m->res[0] = dx + 2 * N, m->res[1] = m->nonzeros;
-  if (m->f(m->arg, m->res, m->iw, m->w, 0)) return 1;
-  memcpy(dx, x + 2 * N, 2 * N * sizeof *dx);
-  memcpy(dS, S + 2 * N * M, 2 * N * M * sizeof *dS);
-  memset(dS + 2 * N * M, 0, 2 * N * M * sizeof *dS);
-  for (int64_t k = 0; k < m->count; ++k) {
-    const double d = m->nonzeros[k];
-    const int32_t column = m->column[k], joint = m->joint[k];
-    double* target = dS + (2 * N + m->row[k]) * M;
-    if (column < 0) continue;
-    if (joint >= 0) {
-      target[column] += d * du[joint];
-    } else if (column < 4 * N) {
-      const double* source = S + column * M;
-      for (int c = 0; c < M; ++c) target[c] += d * source[c];
-    } else {
-      target[column] += d;
-    }
+/* Columns of sensitivities are integrated in blocks of L vectors, which stay in the cache during a step. */
+typedef double vector __attribute__((vector_size(8 * sizeof(double)), aligned(sizeof(double)), may_alias));
+typedef vector block[4 * N][L];
+enum { BLOCKS = M / (8 * L) };
+
+static const double node[4] = {0, 0.5, 0.5, 1}, weight[4] = {1. / 6, 1. / 3, 1. / 3, 1. / 6};
+
+/* The velocities' part of A S + P at a stage; d: nonzeros of A and P there, du: derivatives of the efforts by the delay. */
+static void slopes(const struct fjr_arm* m, int b, const double* d, const double* du, block S, vector (*slope)[L]) {
+  memset(slope, 0, 2 * N * sizeof *slope);
+  for (int32_t e = m->forced_start[b]; e < m->forced_start[b + 1]; ++e) {
+    const int32_t joint = m->forced_joint[e], column = m->forced_column[e] - b * 8 * L;
+    slope[m->forced_row[e]][column / 8][column % 8] += d[m->forced_entry[e]] * (joint < 0 ? 1 : du[joint]);
   }
-  return 0;
+  for (int i = 0; i < 2 * N; ++i) {
+    vector sum[L];
+    for (int l = 0; l < L; ++l) sum[l] = slope[i][l];
+    for (int32_t e = m->row_start[i]; e < m->row_start[i + 1]; ++e) {
+      const vector* source = S[m->column[e]];
+      for (int l = 0; l < L; ++l) sum[l] += d[m->entry[e]] * source[l];
+    }
+    for (int l = 0; l < L; ++l) slope[i][l] = sum[l];
+  }
+}
+
+/* One step of length h of block b of S (4 N, M), with what the state's step has left in m. */
+static void step_block(const struct fjr_arm* m, int b, double (*du)[N], double h, double* S) {
+  block at = {0}, sum;
+  vector slope[2 * N][L] = {0};
+  for (int i = 0; i < 4 * N; ++i) memcpy(sum[i], S + i * M + b * 8 * L, sizeof sum[i]);
+  for (int stage = 0; stage < 4; ++stage) {
+    for (int i = 0; i < 2 * N; ++i) {
+      const vector *position = (vector*)(S + i * M) + b * L, *velocity = (vector*)(S + (2 * N + i) * M) + b * L;
+      for (int l = 0; l < L; ++l) {
+        at[i][l] = position[l] + h * node[stage] * at[2 * N + i][l];
+        at[2 * N + i][l] = velocity[l] + h * node[stage] * slope[i][l];
+      }
+    }
+    slopes(m, b, m->nonzeros + stage * m->count, du[stage], at, slope);
+    for (int i = 0; i < 2 * N; ++i)
+      for (int l = 0; l < L; ++l) {
+        sum[i][l] += h * weight[stage] * at[2 * N + i][l];
+        sum[2 * N + i][l] += h * weight[stage] * slope[i][l];
+      }
+  }
+  for (int i = 0; i < 4 * N; ++i) memcpy(S + i * M + b * 8 * L, sum[i], sizeof sum[i]);
 }
 
 static void advance(const double* a, const double* b, double h, double* sum, int n) {
   for (int i = 0; i < n; ++i) sum[i] = a[i] + h * b[i];
 }
 
-/* One step of length h; work: 12 N (M + 1) numbers. */
+/* One step of length h of the state (q_l, q_m, v_l, v_m) and of S; u, du as fjr_line returns them. */
 static int step(const struct fjr_arm* m, double* x, double* S, const double* u, const double* du,
-                const double* parameters, double h, double* work) {
-  static const double node[4] = {0, 0.5, 0.5, 1}, weight[4] = {1. / 6, 1. / 3, 1. / 3, 1. / 6};
-  double effort[N], d_effort[N], *at = work, *slope = at + 4 * N * (M + 1), *sum = slope + 4 * N * (M + 1);
-  memcpy(sum, x, 4 * N * sizeof *x);
-  memcpy(sum + 4 * N, S, 4 * N * M * sizeof *S);
-  memset(slope, 0, 4 * N * (M + 1) * sizeof *slope);
+                const double* parameters, double h) {
+  double effort[N], d_effort[4][N], at[4 * N], slope[4 * N] = {0}, sum[4 * N];
+  memcpy(sum, x, sizeof sum);
+  m->arg[0] = at, m->arg[1] = effort, m->arg[2] = parameters, m->res[0] = slope + 2 * N;
   for (int stage = 0; stage < 4; ++stage) {
     advance(x, slope, h * node[stage], at, 4 * N);
-    advance(S, slope + 4 * N, h * node[stage], at + 4 * N, 4 * N * M);
     advance(u, u + N, 2 * node[stage] - 1, effort, N);
-    advance(du, du + N, 2 * node[stage] - 1, d_effort, N);
-    if (derivative(m, at, at + 4 * N, effort, d_effort, parameters, slope, slope + 4 * N)) return 1;
-    advance(sum, slope, h * weight[stage], sum, 4 * N * (M + 1));
+    advance(du, du + N, 2 * node[stage] - 1, d_effort[stage], N);
+    m->res[1] = m->nonzeros + stage * m->count;
+    if (m->f(m->arg, m->res, m->iw, m->w, 0)) return 1;
+    memcpy(slope, at + 2 * N, 2 * N * sizeof *slope);
+    advance(sum, slope, h * weight[stage], sum, 4 * N);
   }
-  memcpy(x, sum, 4 * N * sizeof *x);
-  memcpy(S, sum + 4 * N, 4 * N * M * sizeof *S);
+  memcpy(x, sum, sizeof sum);
+  for (int b = 0; b < BLOCKS; ++b) step_block(m, b, d_effort, h, S);
   return 0;
 }
 
@@ -80,7 +101,7 @@ static int64_t parts_at(const struct fjr_input* input, const double* x) {
 }
 
 int fjr_shoot(const struct fjr_arm* m, const struct fjr_input* input, const double* parameters, int64_t samples,
-              double* X, double* S, double* work) {
+              double* X, double* S) {
   for (int64_t k = 0; k < samples; ++k) {
     double *x = X + (k + 1) * 4 * N, *s = S + (k + 1) * 4 * N * M, u[2 * N], du[2 * N];
     memcpy(x, x - 4 * N, 4 * N * sizeof *x);
@@ -88,10 +109,25 @@ int fjr_shoot(const struct fjr_arm* m, const struct fjr_input* input, const doub
     const int64_t parts = parts_at(input, x);
     for (int64_t part = 0; part < parts; ++part) {
       fjr_line(input, k, part, parts, u, du);
-      if (step(m, x, s, u, du, parameters, input->dt / (double)parts, work)) return 1;
+      if (step(m, x, s, u, du, parameters, input->dt / (double)parts)) return 1;
     }
     for (int i = 0; i < 4 * N; ++i)
       if (!isfinite(x[i])) return 1;
   }
   return 0;
+}
+
+void fjr_normal_equations(const double* J, const double* r, int64_t rows, int64_t columns, double* H, double* g) {
+  enum { TOGETHER = 8 };
+  for (int64_t first = 0; first < rows; first += TOGETHER) {
+    const int64_t last = first + TOGETHER < rows ? first + TOGETHER : rows;
+    for (int64_t i = 0; i < columns; ++i)
+      for (int64_t k = first; k < last; ++k) {
+        const double *row = J + k * columns, factor = row[i];
+        g[i] += factor * r[k];
+        for (int64_t j = i; j < columns; ++j) H[i * columns + j] += factor * row[j];
+      }
+  }
+  for (int64_t i = 0; i < columns; ++i)
+    for (int64_t j = 0; j < i; ++j) H[i * columns + j] = H[j * columns + i];
 }

@@ -3,16 +3,19 @@
  */
 typedef int (*fjr_function)(const double** arg, double** res, long long* iw, double* w, int mem);
 
-/* Accelerations (x, u, parameters) -> dv (2 N), nonzeros of d dv / d(x, free, u), and the memory that they need. */
+/* Accelerations (x, u, parameters) -> dv (2 N), nonzeros of d dv / d(x, free, u), and the memory that they need.
+ * dS = (S_v, A S + P): row i of A has nonzeros row_start[i] .. row_start[i + 1] - 1; P has those of block b of columns from
+ * forced_start[b] on. entry: where the function puts a nonzero. forced_joint: of a derivative by an effort, else -1. */
 struct fjr_arm {
   fjr_function f;
   const double** arg;
   double** res;
   long long* iw;
   double* w;
-  double* nonzeros;
-  const int32_t *row, *column, *joint; /* of each nonzero: column of S, -1: none; joint of an effort, else -1 */
+  double* nonzeros; /* (4, count), of the stages of a step */
   int64_t count;
+  const int32_t *row_start, *entry, *column;
+  const int32_t *forced_start, *forced_entry, *forced_row, *forced_column, *forced_joint;
 };
 
 /* Efforts u (count, N) of a record, held for a sample period, of which one starts a segment at index `first`.
@@ -27,11 +30,14 @@ struct fjr_input {
   double dt;
 };
 
-/* Integrate one segment. X (samples + 1, 4 N), S (samples + 1, 4 N, M): their first entries are given. work: 12 N (M + 1)
- * numbers. Return 1 if the state does not stay finite. */
+/* Integrate one segment. X (samples + 1, 4 N), S (samples + 1, 4 N, M): their first entries are given. Return 1 if the
+ * state does not stay finite. */
 int fjr_shoot(const struct fjr_arm* m, const struct fjr_input* input, const double* parameters, int64_t samples,
-              double* X, double* S, double* work);
+              double* X, double* S);
 
 /* Effort over a part of sample period k: u (2, N), mean and half of its increment, and du, their derivatives by the
  * delay. */
 void fjr_line(const struct fjr_input* input, int64_t k, int64_t part, int64_t parts, double* u, double* du);
+
+/* Add J'J to H (columns, columns) and J'r to g (columns), which are 0 before; J (rows, columns), r (rows). */
+void fjr_normal_equations(const double* J, const double* r, int64_t rows, int64_t columns, double* H, double* g);

@@ -17,6 +17,7 @@ from ..numerics.c_types import ffi_of
 from ..numerics.checks import Array
 from .elastic_arm import ElasticArm
 
+VECTOR, LARGEST_BLOCK = 8, 4  # doubles in a vector of the C code, vectors in a row of a block of sensitivities
 INCLUDED = ("#include <math.h>", "#include <stdint.h>", "#include <string.h>")
 
 
@@ -60,6 +61,17 @@ class Shooting:
         """Return the number of columns of the sensitivities."""
         return 4 * self.arm.robot.n + len(self.arm.free) + len(self.delays)
 
+    @property
+    def vectors(self) -> int:
+        """Return the number of vectors of a row in a block: equally many in all, at most LARGEST_BLOCK."""
+        blocks = -(-self.columns // (VECTOR * LARGEST_BLOCK))
+        return -(-self.columns // (VECTOR * blocks))
+
+    @property
+    def padded(self) -> int:
+        """Return the number of columns in memory, a multiple of the block's."""
+        return -(-self.columns // (VECTOR * self.vectors)) * VECTOR * self.vectors
+
     def __call__(
         self, x0: Array, effort: HeldEffort, first: int, samples: int, parameters: Array, delay: Array
     ) -> tuple[Array, Array] | None:
@@ -68,22 +80,30 @@ class Shooting:
         delay (n,) [s]: of the effort. None if the state does not stay finite.
         """
         n, columns = self.arm.robot.n, self.columns
-        X, S = np.empty((samples + 1, 4 * n)), np.empty((samples + 1, 4 * n, columns))
-        X[0], S[0] = x0, np.eye(4 * n, columns)
+        X, S = np.empty((samples + 1, 4 * n)), np.empty((samples + 1, 4 * n, self.padded))
+        X[0], S[0] = x0, np.eye(4 * n, self.padded)
         ffi, lib = self.library
         held = effort.struct(ffi, first, delay)
         arrays = [ffi.from_buffer("double[]", each) for each in (np.ascontiguousarray(parameters), X, S)]
-        failed = lib.fjr_shoot(self._memory.arm, held[0], arrays[0], samples, *arrays[1:], self._memory.work)
-        return None if failed else (X, S)
+        failed = lib.fjr_shoot(self._memory.arm, held[0], arrays[0], samples, *arrays[1:])
+        return None if failed else (X, S[:, :, :columns])
+
+    def normal_equations(self, J: Array, r: Array) -> tuple[Array, Array]:
+        """Return J'J (m, m) and J'r (m,) of J (k, m) and r (k,), in this thread alone."""
+        ffi, lib = self.library
+        rows, columns = J.shape
+        H, g = np.zeros((columns, columns)), np.zeros(columns)
+        of_J, of_r, of_H, of_g = (ffi.from_buffer("double[]", each) for each in (J, r, H, g))
+        lib.fjr_normal_equations(of_J, of_r, rows, columns, of_H, of_g)
+        return H, g
 
     @cached_property
     def library(self) -> tuple[Any, Any]:
         """Return cffi's types and the compiled loop."""
-        n, columns = self.arm.robot.n, self.columns
+        sizes = {"N": self.arm.robot.n, "M": self.padded, "L": self.vectors}
         header, code = (Path(__file__).with_name(f"shooting.{kind}").read_text(encoding="utf-8") for kind in "hc")
-        path = jit.shared_object(
-            "shooting", "\n".join([*INCLUDED, f"#define N {n}", f"#define M {columns}", header, code])
-        )
+        defined = [f"#define {name} {value}" for name, value in sizes.items()]
+        path = jit.shared_object("shooting", "\n".join([*INCLUDED, *defined, header, code]))
         ffi = ffi_of(header)
         return ffi, ffi.dlopen(path)
 
@@ -109,31 +129,49 @@ class _Memory:
 
     def __init__(self, shooting: Shooting) -> None:
         ffi, _ = shooting.library
-        n, f = shooting.arm.robot.n, shooting.function
-        rows, columns = shooting.arm.pattern
-        first_effort = 4 * n + len(shooting.arm.free)
-        targets = [_target(column, first_effort, shooting.delays) for column in columns]
+        f = shooting.function
         self.arm = ffi.new("struct fjr_arm *")
         self.held = {
             "arg": ffi.new("const double*[]", max(3, f.sz_arg())),
             "res": ffi.new("double*[]", max(2, f.sz_res())),
             "iw": ffi.new("long long[]", max(1, f.sz_iw())),
             "w": ffi.new("double[]", max(1, f.sz_w())),
-            "nonzeros": ffi.new("double[]", len(rows)),
-            "row": ffi.new("int32_t[]", list(rows)),
-            "column": ffi.new("int32_t[]", [column for column, _ in targets]),
-            "joint": ffi.new("int32_t[]", [joint for _, joint in targets]),
+            "nonzeros": ffi.new("double[]", 4 * len(shooting.arm.pattern[0])),
+            **{name: ffi.new("int32_t[]", list(map(int, each))) for name, each in _indices(shooting).items()},
         }
         for name, value in self.held.items():
             setattr(self.arm, name, value)
         self.arm.f = ffi.cast("fjr_function", jit.machine_code(f))
-        self.arm.count = len(rows)
-        self.work = ffi.new("double[]", 3 * 4 * n * (shooting.columns + 1))
+        self.arm.count = len(shooting.arm.pattern[0])
 
 
-def _target(column: int, first_effort: int, delays: tuple[int, ...]) -> tuple[int, int]:
-    """Return the column of the sensitivities that a column of the Jacobian adds to, and the joint of an effort."""
+def _indices(shooting: Shooting) -> dict[str, Any]:
+    """Return where the nonzeros of the Jacobian act, as struct fjr_arm has it."""
+    n = shooting.arm.robot.n
+    rows, columns = map(np.array, shooting.arm.pattern)
+    first_effort = 4 * n + len(shooting.arm.free)
+    joints = np.where(columns < first_effort, -1, columns - first_effort)
+    targets = np.array([_target(column, first_effort, shooting.delays) for column in columns])
+    of_state = np.flatnonzero(columns < 4 * n)
+    of_state = of_state[np.argsort(rows[of_state], kind="stable")]
+    forced = np.flatnonzero((columns >= 4 * n) & (targets >= 0))
+    forced = forced[np.argsort(targets[forced], kind="stable")]
+    blocks = np.arange(0, shooting.padded + 1, VECTOR * shooting.vectors)
+    return {
+        "row_start": np.searchsorted(rows[of_state], np.arange(2 * n + 1)),
+        "entry": of_state,
+        "column": columns[of_state],
+        "forced_start": np.searchsorted(targets[forced], blocks),
+        "forced_entry": forced,
+        "forced_row": rows[forced],
+        "forced_column": targets[forced],
+        "forced_joint": joints[forced],
+    }
+
+
+def _target(column: int, first_effort: int, delays: tuple[int, ...]) -> int:
+    """Return the column of the sensitivities that a column of the Jacobian adds to, -1: none."""
     if column < first_effort:
-        return column, -1
+        return column
     joint = column - first_effort
-    return (first_effort + delays.index(joint), joint) if joint in delays else (-1, -1)
+    return first_effort + delays.index(joint) if joint in delays else -1

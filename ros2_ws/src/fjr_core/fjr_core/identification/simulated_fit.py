@@ -7,19 +7,25 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from ..numerics.checks import Array
+from .chance_information import assumed_information, chance_information
 from .estimation_problem import Estimation
-from .gauss_newton import Optimum, Problem, optimise, refine
+from .gauss_newton import Optimum, optimise, refine
 from .initial_guess import FilteredMotion
-from .prior_test import contradicted
+from .multiple_shooting import Problem
+from .prior_test import at_prior, contradicted
 from .verdict import not_identifiable
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Optimum with all parameters, what it does not tell, and the optimum without these; the problem of each."""
+    """Optimum with all parameters, what it does not tell, and the optimum without these; the problem of each.
+
+    chance (p, p): information about all parameters that is due to noise and to the prior of the initial states.
+    """
 
     problem: Problem
     whole: Optimum
+    chance: Array
     fixed: tuple[int, ...]
     last: tuple[Problem, Optimum]
 
@@ -46,11 +52,14 @@ def simulated_fit(
     problem = setup.problem(setup.coordinates, start, motions)
     z = setup.coordinates.of_values(start)
     whole = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
-    unknown = not_identifiable(whole.projected, whole.chance, setup.coordinates.width)
+    progress("intervals", 0.0)
+    chance = chance_information(problem, whole) + assumed_information(problem, whole)
+    unknown = not_identifiable(whole.projected, chance, setup.coordinates.width)
     fixed = tuple(k for k in unknown if not contradicted(problem, whole, k))
     if not fixed:
-        return Simulation(problem, whole, fixed, (problem, whole))
+        return Simulation(problem, whole, chance, fixed, (problem, whole))
     fewer = setup.problem(setup.coordinates.without(fixed), start, motions)
     kept = [k for k in range(len(z)) if k not in fixed]
-    again = refine(fewer, whole.z[kept], whole.x0, whole.noise, lambda share: progress("prediction error again", share))
-    return Simulation(problem, whole, fixed, (fewer, again))
+    z, x0 = at_prior(problem, whole, fixed) or (whole.z, whole.x0)
+    again = refine(fewer, z[kept], x0, whole.noise, lambda share: progress("prediction error again", share))
+    return Simulation(problem, whole, chance, fixed, (fewer, again))

@@ -9,7 +9,7 @@ without skew has a constant deflection.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -93,16 +93,6 @@ def parameters_of(robot: Robot, prior: Prior, found: Identification, options: Op
         values[each.name][found.joints.index(each.joint) if each.joint else 0] = each.value
     velocities = {name: getattr(options, name) for name in ("smoothing", "stribeck")}
     return {**values, **{name: checks.vector(name, v, robot.n, StateError) for name, v in velocities.items()}}
-
-
-def table(deflections: Sequence[Deflection]) -> list[tuple[str, str, float, float, float]]:
-    """Return (record, joint, rigid, elastic, unexplained) of each joint with encoders on both sides."""
-    return [
-        (each.record, joint, float(each.rigid[j]), float(each.elastic[j]), float(each.unexplained[j]))
-        for each in deflections
-        for j, joint in enumerate(each.joints)
-        if np.isfinite(each.rigid[j])
-    ]
 
 
 def _rms(signal: Array) -> Array:

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..numerics.checks import Array
-from .gauss_newton import Projected
 from .motion_record import MotionRecord
 from .parameters import KINDS, PSEUDO_INERTIA
 from .posterior import spread
 from .result import IDENTIFIED, LOG, WEAK
+from .variable_projection import Projected
 
 SHARP = 0.25
 """Standard deviation of an identified parameter: of its logarithm, or relative to its size or to its prior's width."""
@@ -43,18 +43,19 @@ def not_identifiable(
 
 @dataclass(frozen=True)
 class Motion:
-    """How a joint moved: ranges of its positions [rad] and of its effort [N m], and whether its link is measured."""
+    """How a joint moved: ranges of its positions [rad] and of its effort [N m], and which sides are measured."""
 
     position: float
     effort: float
     link_measured: bool
+    motor_measured: bool
 
     @classmethod
     def of(cls, records: Sequence[MotionRecord], j: int) -> Motion:
         """Return the motion of joint j in all records."""
-        link = any(np.isfinite(r.q_l[:, j]).any() for r in records)
+        link, motor = (any(np.isfinite(getattr(r, q)[:, j]).any() for r in records) for q in ("q_l", "q_m"))
         seen = [r.q_m[:, j] if np.isfinite(r.q_m[:, j]).any() else r.q_l[:, j] for r in records]
-        return cls(max(_range(each) for each in seen), max(_range(r.u[:, j]) for r in records), link)
+        return cls(max(_range(each) for each in seen), max(_range(r.u[:, j]) for r in records), link, motor)
 
 
 def verdict(name: str, value: float, sd: float, width: float) -> str:
@@ -70,7 +71,8 @@ def reason(name: str, verdict: str, motion: Motion, partner: str) -> str:
     if motion.position < STILL and name not in ("offset", "joint_stiffness"):
         return f"the joint stands still (it moves {motion.position:.2g} rad); move it"
     shared = f"nearly the effect of {partner}; " if partner else ""
-    return shared + (MISSING[name] if motion.link_measured or name not in WITHOUT_LINK else WITHOUT_LINK[name])
+    without = WITHOUT_LINK if not motion.link_measured else {} if motion.motor_measured else WITHOUT_MOTOR
+    return shared + without.get(name, MISSING[name])
 
 
 MISSING = {
@@ -103,6 +105,7 @@ WITHOUT_LINK = {
     "link_static_friction": _RESONANCE,
     "offset": "without a link encoder the offset shifts the link alone; measure the link, or a gravity torque",
 }
+WITHOUT_MOTOR = {"offset": "without a motor position the offset shifts the motor alone; measure the motor"}
 
 
 def partners(covariance: Array, names: Sequence[str]) -> Mapping[int, str]:

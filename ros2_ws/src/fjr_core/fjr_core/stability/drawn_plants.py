@@ -8,7 +8,7 @@ radii. The maps that it does not decide get their eigenvalues.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,7 @@ CONFIDENCE = 0.99
 SQUARINGS = 14
 MOST_MAPS = 512  # in memory at a time
 FIELDS = ("stiffness", "motor_inertia", "link_damping", "motor_damping")
+SCREENED, CLOSELY = 16, 8  # draws that choose the worst configurations, and how many these are
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +56,33 @@ class DrawnPlants:
     def at(self, which: slice | Indices) -> DrawnPlants:
         """Return the selected draws."""
         return DrawnPlants(*(getattr(self, name)[which] for name in (*FIELDS, "delay")))
+
+
+@dataclass(frozen=True)
+class Peculiarity:
+    """Where lost draws differ most from all draws: a field of DrawnPlants, a joint (-1: delay) and both means."""
+
+    field: str
+    joint: int
+    lost: float
+    all: float
+
+    @classmethod
+    def of(cls, plants: DrawnPlants, lost: NDArray[np.bool_]) -> Peculiarity:
+        """Compare the lost draws (k,) with all in standard deviations of each drawn number."""
+        drawn = np.column_stack([*(getattr(plants, name) for name in FIELDS), plants.delay])
+        mean, own, spread = drawn.mean(axis=0), drawn[lost].mean(axis=0), drawn.std(axis=0)
+        which = int(np.argmax(np.abs(own - mean) / np.where(spread > 1e-9 * np.abs(mean), spread, np.inf)))
+        field, joint = divmod(which, plants.stiffness.shape[1])
+        name, joint = (FIELDS[field], joint) if field < len(FIELDS) else ("delay", -1)
+        return cls(name, joint, float(own[which]), float(mean[which]))
+
+    def sentence(self, joints: Sequence[str] = ()) -> str:
+        """Return what the lost draws have in common; joints: their names, joint1 to jointn if empty."""
+        names = joints or [f"joint{j + 1}" for j in range(self.joint + 1)]
+        where = f" of {names[self.joint]}" if self.joint >= 0 else ""
+        what = self.field.replace("_", " ")
+        return f"the lost draws differ most in {what}{where}: {self.lost:.3g} on average, {self.all:.3g} over all draws"
 
 
 class DrawnLoops:
@@ -90,6 +118,11 @@ class DrawnLoops:
         for chosen, maps in self._groups(plants):
             found[chosen] = np.abs(np.linalg.eigvals(maps)).max(axis=1).reshape(len(chosen), -1)
         return found
+
+    def worst(self, plants: DrawnPlants) -> Indices:
+        """Return the sorted indices of the CLOSELY configurations that are worst for some of the first draws."""
+        radii = self.radii(plants.at(slice(0, SCREENED))).max(axis=0)
+        return np.sort(np.argsort(-radii, kind="stable")[:CLOSELY])
 
     def _groups(self, plants: DrawnPlants) -> Iterator[tuple[Indices, Array]]:
         """Yield a few draws of equal whole samples of delay, which determine the size of a map, and their maps."""

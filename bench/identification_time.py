@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Time and memory of `fjr identify` for a minute of seven joints at 1 kHz, on the motion that `fjr excite` designs.
+
+The record is a run in lock-step with encoder noise; stiffness and rotor inertia in the robot file are wrong.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from bench.arm import SCENARIO
+from bench.figures import Figure
+from fjr_core.config.scenario import load_scenario
+
+DURATION = 60.0  # s
+NOISE = 1e-5  # rad
+WRONG = {"joint_stiffness": 1.3, "motor_inertia": 0.8}  # times the truth
+LONGEST = 60.0  # s, on two cores
+TRUE = {"joint_stiffness": "K", "motor_inertia": "M_m", "link_damping": "D_l", "motor_damping": "D_m"}
+"""Attributes of the robot by parameter; the others are 0."""
+
+
+@dataclass(frozen=True)
+class Used:
+    """Wall time [s], processor time [s] and largest resident memory [MB] of a command."""
+
+    seconds: float
+    processor: float
+    memory: float
+
+
+def of_a_minute(duration: float = DURATION) -> list[Figure]:
+    """Measure the command on a record of `duration` [s], and count the intervals that contain the truth."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _record(folder, duration)
+        output = folder / "identified"
+        used = _fjr("identify", str(folder / "runs" / "excited"), "--robot", _robot(folder), "--output", str(output))
+        inside = _inside(json.loads((output / "identification.json").read_text(encoding="utf-8")))
+    label = f"{duration:g} s of seven joints"
+    bound = LONGEST if duration == DURATION else None
+    parts = {"processor [s]": used.processor, "memory [MB]": used.memory}
+    return [
+        Figure(f"fjr identify, {label}", used.seconds, "s", bound=bound, parts=parts),
+        Figure(f"95 % intervals with the truth, {label}", 100 * sum(inside) / len(inside), "%"),
+    ]
+
+
+def _record(folder: Path, duration: float) -> None:
+    """Record the designed motion in folder/runs/excited."""
+    excited = str(folder / "excited.yaml")
+    noise = [f"imperfections.{side}_position_noise:={[NOISE] * 7}" for side in ("link", "motor")]
+    changes = [argument for each in noise for argument in ("--set", each)]
+    _fjr("excite", str(SCENARIO), "--duration", f"{min(duration, 20.0):g}", "--output", excited)
+    run = ["--lockstep", "--no-report", "--duration", f"{duration:g}", "--output", str(folder / "runs")]
+    _fjr("run", excited, *run, *changes)
+
+
+def _robot(folder: Path) -> str:
+    """Return a robot file with wrong stiffness and rotor inertia."""
+    robot: dict[str, Any] = {"file": "package://fjr_bringup/robots/arm7.yaml"}
+    for name, factor in WRONG.items():
+        robot[name] = [factor * value for value in _true(name)]
+    path = folder / "guessed.yaml"
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"robot": robot}}}), encoding="utf-8")
+    return str(path)
+
+
+def _true(name: str) -> list[float]:
+    robot = load_scenario(SCENARIO).robot
+    matrix = getattr(robot, TRUE[name]) if name in TRUE else None
+    return [0.0] * robot.n if matrix is None else [float(matrix[j, j]) for j in range(robot.n)]
+
+
+def _inside(found: dict[str, Any]) -> list[bool]:
+    """Return for each estimate whether its interval contains the truth."""
+    joints = load_scenario(SCENARIO).joints
+    return [
+        each["low"] <= _true(each["name"])[joints.index(each["joint"])] <= each["high"] for each in found["estimates"]
+    ]
+
+
+def _fjr(*arguments: str) -> Used:
+    """Run `fjr` to its end."""
+    command = shutil.which("fjr")
+    if command is None:
+        raise RuntimeError("fjr is not on the path; expected a sourced workspace")
+    began = time.perf_counter()
+    process = subprocess.Popen([command, *arguments], stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"fjr {arguments[0]} ended with {process.returncode}; expected 0")
+    return Used(time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)

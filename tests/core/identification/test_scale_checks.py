@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gear ratios and times of one-sided records: errors are found, healthy records pass, and the limits are stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.identification import draw
+from core.identification import recorded_joint
+from fjr_core.identification.motion_record import MotionRecord
+from fjr_core.identification.record_checks import findings
+from fjr_core.identification.scale_checks import unseen
+
+
+def motor_side() -> MotionRecord:
+    record = recorded_joint.record()
+    return replace(record, q_l=np.nan * record.q_l)
+
+
+@pytest.mark.parametrize("factor", [0.01, 0.5, 2.0, 100.0])
+@pytest.mark.parametrize("with_effort", [False, True])
+def test_wrong_gear_ratio_of_the_only_side_is_found(factor: float, with_effort: bool) -> None:
+    right = motor_side()
+    record = replace(right, q_m=right.q_m * factor, u=right.u / factor if with_effort else right.u)
+    found = findings(record, recorded_joint.robot())
+    assert {each.kind for each in found} <= {"gear_ratio", "effort_scale"}
+    assert [each.joint for each in found] == ["joint1"]
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_wrong_time_of_the_only_side_is_found(factor: float) -> None:
+    record = replace(motor_side(), dt=factor * motor_side().dt)
+    (found,) = findings(record, recorded_joint.robot())
+    assert found.kind == "time_scale"
+    assert f"a time {1 / factor:g} times as long" in found.sentence
+
+
+def test_what_one_side_does_not_tell_is_stated() -> None:
+    (said,) = unseen(motor_side(), recorded_joint.robot())
+    assert "gear ratio and time of joint1 (ratio below a factor of " in said
+    assert "motor inertia, stiffness and friction absorb them" in said
+    assert unseen(recorded_joint.record(), recorded_joint.robot()) == ()
+    slightly_wrong = replace(motor_side(), q_m=1.01 * motor_side().q_m)
+    assert findings(slightly_wrong, recorded_joint.robot()) == ()
+    assert unseen(slightly_wrong, recorded_joint.robot()) != ()
+
+
+def test_a_short_record_is_not_compared() -> None:
+    record = motor_side()
+    short = {name: getattr(record, name)[:210] for name in ("u", "q_l", "q_m", "torque")}
+    assert unseen(replace(record, **short), recorded_joint.robot()) == ()
+
+
+@pytest.mark.parametrize(("n", "measured"), [(1, "motor"), (1, "link-torque"), (2, "motor-torque")])
+def test_healthy_record_of_the_coverage_study_has_no_finding(n: int, measured: str) -> None:
+    case = draw(n, 2, duration=8.0, measured=measured)
+    guessed = {name: np.diag(case.prior.values[name]) for name in ("joint_stiffness", "motor_inertia")}
+    robot = replace(case.robot, K=guessed["joint_stiffness"], M_m=guessed["motor_inertia"])
+    assert findings(case.record, robot) == ()
