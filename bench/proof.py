@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time of the proof of a rate for the seven-joint arm, and the proven rate relative to sampled and attained ones.
 
-Times are processor times of one core. `python -m bench.proof FILE.png` draws the proven rate against the number of
-boxes.
+Times are processor times of one core. `python -m bench.proof` prints the table of docs/proof.md, and with FILE.png
+draws the proven rate against the number of boxes.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from bench.measure import one_core
 from fjr_core.control.vdpbc.proof_of_rate import proof_of_rate
 from fjr_core.robot.configuration_sampling import RATE_CONFIGURATIONS, sample_configurations
 from fjr_core.trajectories.tube import tube
+from fjr_core.verification.inertia_bounds import Domain
 
-RADIUS = 1e-3  # rad, of the tube
+RADIUS, WIDER = 1e-3, 0.05  # rad, of the tubes
 LONGEST = 120.0  # s
 LEAST = 0.9  # proven / sampled
 NEAR_BOUND = 1.0  # s
@@ -45,6 +46,21 @@ def over_joint_range_and_tube(arm: Arm, most_boxes: int = 4000) -> list[Figure]:
     ]
 
 
+def table(arm: Arm) -> str:
+    """Return sampled, proven and smallest rates [1/s] near the reference and over the joint range, and times [s]."""
+    law, where, rows = arm.law, arm.scenario.configurations(), []
+    for radius in (RADIUS, WIDER, None):
+        with one_core():
+            begin = time.process_time()
+            near = tube(arm.scenario.reference, radius) if radius else None
+            found = law.proven_rate(near and Domain(near.lower, near.upper))
+            seconds = time.process_time() - begin
+        name = f"within {radius:g} rad of the reference in each joint" if radius else "joint range"
+        sampled, attained = law.rate(where if radius else None).beta, found.attained or float("nan")
+        rows.append(f"| {name} | {sampled:.3g} | {found.beta:.3g} | {attained:.3g} | {seconds:.2g} s |")
+    return "\n".join(rows)
+
+
 def draw(arm: Arm, path: str) -> None:
     """Draw proven, attained and sampled rate over the joint range against the number of boxes of the proof."""
     from matplotlib.figure import Figure as Picture
@@ -69,4 +85,7 @@ def draw(arm: Arm, path: str) -> None:
 
 
 if __name__ == "__main__":
-    draw(arm7(), sys.argv[1])
+    if sys.argv[1:]:
+        draw(arm7(), sys.argv[1])
+    else:
+        print(table(arm7()))

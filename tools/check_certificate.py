@@ -6,10 +6,10 @@
 It needs NumPy and mpmath, and shares no code with the program that makes certificates. Of the file it takes the robot,
 the gains, the claimed rate and the boxes; every other number is computed again, by other means:
 
-- M_l is the sum of J' M J over the bodies, with the Jacobians of the forward kinematics, at 5 angles (3 positions) of
-  each joint. These values determine it, as it is a trigonometric (ordinary) polynomial of degree 2 in each joint.
-- Interpolation at these nodes and the tangent of the half angle give the control matrices of D_l + K_ld - beta M_l on
-  a box, of which it is a convex combination.
+- M_l is the sum over the bodies of trace(dT/dq_i S (dT/dq_j)'), with the pose T (4, 4) and the pseudo-inertia S of a
+  body. Its values at 5 angles (3 positions) of each joint determine it, as it has degree 2 in each joint.
+- On a box, each joint has a basis of nonnegative functions with the sum 1. Its values at the same nodes, inverted, give
+  the control matrices of D_l + K_ld - beta M_l, of which it is a convex combination.
 - Gaussian elimination in interval arithmetic proves them positive definite.
 
 All arithmetic encloses the exact values: by mpmath.iv for angles, by rounding outwards for arrays.
@@ -21,9 +21,10 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import lru_cache, reduce
-from math import comb
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,20 +33,30 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Range = tuple[float, float]
-iv.prec = 100
-FULL = 2.6  # rad; a longer range has the control matrices of the whole circle
-KERNEL = (0.65, 0.34)
-ORTHOGONAL = 1e-12
+Joint = tuple[bool, float, float]  # whether it is prismatic, and its range
+iv.prec = 300  # the inverse of a basis on a short box loses many digits
+FULL, SHORT = 2.6, 1e-6  # rad, rad or m; a longer range has the basis of the whole circle, a shorter one is enlarged
+KERNEL = (0.65, 0.34)  # 1 + 2 k_1 cos q + 2 k_2 cos 2q >= 0
+TOLERANCE = 1e-12  # of rotations, symmetric inertias and diagonal cubic gains
 TOGETHER = 1000  # matrices that are eliminated together; they fit into the cache
-MATRICES = ("M_m", "D_l", "D_m", "Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md", "Gamma_l", "Gamma_m")
+SYMMETRIC = ("D_l", "D_m", "M_m", "Pi_l", "K_ld", "Pi_m", "K_md")
+MATRICES = (*SYMMETRIC, "Lambda_l", "Lambda_m", "Gamma_l", "Gamma_m")
+SLIDE, TURN = np.diag([0.0, 0.0, 1.0], 1), np.diag([-1.0, 0.0, 0.0], 1) + np.diag([1.0, 0.0, 0.0], -1)  # dT/dq at q = 0
+SHAPES = {"rotation": (3, 3), "inertia": (3, 3), "translation": (3,), "com": (3,), "mass": ()}
 
 
 class RefusedError(Exception):
     """A certificate that does not prove its claim."""
 
 
+def require(condition: Any, otherwise: str) -> None:
+    """Raise RefusedError unless a condition holds."""
+    if not condition:
+        raise RefusedError(otherwise)
+
+
 class Box:
-    """Arrays of intervals [lo, hi]; every operation rounds outwards."""
+    """Arrays of intervals [lo, hi]; every operation rounds outwards. Matrices are the last two axes."""
 
     def __init__(self, lo: Any, hi: Any = None) -> None:
         self.lo = np.asarray(lo, dtype=float)
@@ -54,264 +65,130 @@ class Box:
     def __getitem__(self, at: Any) -> Box:
         return Box(self.lo[at], self.hi[at])
 
-    def __neg__(self) -> Box:
-        return Box(-self.hi, -self.lo)
-
     def __add__(self, other: Box) -> Box:
         return Box(np.nextafter(self.lo + other.lo, -np.inf), np.nextafter(self.hi + other.hi, np.inf))
 
     def __sub__(self, other: Box) -> Box:
-        return self + -other
+        return self + Box(-other.hi, -other.lo)
 
     def __mul__(self, other: Box) -> Box:
         ends = [x * y for x in (self.lo, self.hi) for y in (other.lo, other.hi)]
         low, high = reduce(np.minimum, ends), reduce(np.maximum, ends)
         return Box(np.nextafter(low, -np.inf), np.nextafter(high, np.inf))
 
-    def inverse(self) -> Box:
-        """Return 1 / self for positive intervals."""
-        return Box(np.nextafter(1 / self.hi, -np.inf), np.nextafter(1 / self.lo, np.inf))
+    def __matmul__(self, other: Box) -> Box:
+        inner = range(self.lo.shape[-1])
+        return reduce(Box.__add__, (self[..., :, k, None] * other[..., None, k, :] for k in inner))
+
+    def transposed(self) -> Box:
+        """Return the transposed matrices."""
+        return Box(self.lo.swapaxes(-1, -2), self.hi.swapaxes(-1, -2))
 
 
-def total(terms: list[Box]) -> Box:
-    """Return the sum."""
-    return reduce(Box.__add__, terms)
+def enclosed(values: Any) -> Array:
+    """Return lower and upper ends (2, ..) of nested lists of intervals of mpmath."""
+    if isinstance(values, list):
+        return np.stack([enclosed(value) for value in values], axis=1)
+    return np.array([np.nextafter(float(mpf(end)), side) for end, side in ((values.a, -np.inf), (values.b, np.inf))])
 
 
-def dot(left: list[Box], right: list[Box]) -> Box:
-    """Return the inner product."""
-    return total([x * y for x, y in zip(left, right, strict=True)])
+def nodes(prismatic: bool, a: float, b: float) -> list[Any]:
+    """Return the angles 72 j degrees, or the positions of a prismatic joint, at which the inertia is evaluated."""
+    return [iv.mpf(x) for x in (a - 1.0, (a + b) / 2, b + 1.0)] if prismatic else [2 * iv.pi * j / 5 for j in range(5)]
 
 
-def cross(a: list[Box], b: list[Box]) -> list[Box]:
-    """Return the vector product."""
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-
-
-def times(A: list[list[Box]], B: list[list[Box]]) -> list[list[Box]]:
-    """Return the matrix product."""
-    return [[dot(row, list(column)) for column in zip(*B, strict=True)] for row in A]
-
-
-def applied(A: list[list[Box]], v: list[Box]) -> list[Box]:
-    """Return the product of a matrix and a vector."""
-    return [dot(row, v) for row in A]
-
-
-def constant(values: Any) -> list[Any]:
-    """Return nested lists of numbers as intervals."""
-    return [constant(value) if isinstance(value, list) else Box(value) for value in values]
-
-
-def ends_of(value: Any) -> Range:
-    """Return two doubles that enclose an interval of mpmath."""
-    return float(np.nextafter(float(mpf(value.a)), -np.inf)), float(np.nextafter(float(mpf(value.b)), np.inf))
-
-
-# The inertia at the nodes
-
-
-def node_angle(j: int) -> Any:
-    """Return the angle of node j: 72 j degrees."""
-    return 2 * iv.pi * j / 5
-
-
-def nodes(body: dict[str, Any], a: float, b: float) -> list[float]:
-    """Return the positions of a prismatic joint at which the inertia is evaluated."""
-    return [a, a + (b - a) / 2, b] if b > a else [a - 1.0, a, a + 1.0]
-
-
-def along_axis(values: list[Range], axis: int, axes: int) -> Box:
-    """Return intervals as an array of 1 x .. x k x .. x 1."""
-    shape = [1] * axes
-    shape[axis] = len(values)
-    return Box(*(np.reshape(side, shape) for side in zip(*values, strict=True)))
-
-
-def inertia_at_nodes(bodies: list[dict[str, Any]], ranges: list[Range]) -> dict[tuple[int, int], Box]:
-    """Return M_ij, i <= j, at all nodes of the joints 2 .. n; the first joint stands at zero."""
-    axes = len(bodies) - 1
-    R, p = constant(np.eye(3).tolist()), constant([0.0] * 3)
-    directions: list[list[Box]] = []
-    origins: list[list[Box]] = []
-    M: dict[tuple[int, int], Box] = {}
+def inertia_at_nodes(bodies: list[dict[str, Any]], at: list[list[Any]]) -> Box:
+    """Return M_l (k_2, .., k_n, n, n) at all nodes of the joints 2 .. n; the first joint stands at zero."""
+    n = len(bodies)
+    T, slopes, M = Box(np.eye(4)), Box(np.zeros((n, 4, 4))), Box(np.zeros((n, n)))
     for k, body in enumerate(bodies):
-        if k:
-            R, p = moved(R, p, body, k - 1, axes, ranges[k])
-        directions.append([row[2] for row in R])
-        origins.append(p)
-        com = [x + y for x, y in zip(p, applied(R, constant(body["com"])), strict=True)]
-        transposed = [list(column) for column in zip(*R, strict=True)]
-        inertia = times(times(R, constant(body["inertia"])), transposed)
-        for i, j, term in kinetic_terms(bodies[: k + 1], directions, origins, com, inertia, Box(body["mass"])):
-            M[i, j] = M[i, j] + term if (i, j) in M else term
+        pose = np.block([[np.array(body["rotation"]), np.reshape(body["translation"], (3, 1))], [np.eye(4)[3:]]])
+        step = Box(pose) @ motion(body["prismatic"], at[k], k - 1, n - 1) if k else Box(np.eye(4))
+        T, generators = T @ step, np.zeros((n, 4, 4))
+        generators[k] = SLIDE if body["prismatic"] else TURN
+        slopes = slopes @ step[..., None, :, :] + T[..., None, :, :] @ Box(generators)
+        inertia, r = Box(np.pad(body["inertia"], (0, 1))), Box([*body["com"], 1.0])
+        half_trace = (inertia[0, 0] + inertia[1, 1] + inertia[2, 2]) * Box(np.diag([0.5, 0.5, 0.5, 0.0]))
+        S = Box(body["mass"]) * r[:, None] * r[None] + half_trace - inertia  # integral of (r, 1) (r, 1)' over the mass
+        for row in (slopes[..., i, :] for i in range(3)):
+            M = M + row @ S @ row.transposed()
     return M
 
 
-def moved(R: Any, p: Any, body: dict[str, Any], axis: int, axes: int, limits: Range) -> tuple[Any, Any]:
-    """Return the pose of a body from that of its parent."""
-    p = [x + y for x, y in zip(p, applied(R, constant(body["translation"])), strict=True)]
-    R = times(R, constant(body["rotation"]))
-    if body["prismatic"]:
-        q = along_axis([(x, x) for x in nodes(body, *limits)], axis, axes)
-        return R, [x + row[2] * q for x, row in zip(p, R, strict=True)]
-    c, s = (along_axis([ends_of(f(node_angle(j))) for j in range(5)], axis, axes) for f in (iv.cos, iv.sin))
-    return [[row[0] * c + row[1] * s, row[1] * c - row[0] * s, row[2]] for row in R], p
-
-
-def kinetic_terms(
-    bodies: list[dict[str, Any]],
-    directions: list[list[Box]],
-    origins: list[list[Box]],
-    com: list[Box],
-    inertia: list[list[Box]],
-    mass: Box,
-) -> Iterator[tuple[int, int, Box]]:
-    """Yield m v_i . v_j + w_i . I w_j of the last body: v, w are its velocities for unit velocity of each joint."""
-    linear = []
-    for body, z, o in zip(bodies, directions, origins, strict=True):
-        arm = [x - y for x, y in zip(com, o, strict=True)]
-        linear.append(z if body["prismatic"] else cross(z, arm))
-    turned = [applied(inertia, z) for z in directions]
-    for j, other in enumerate(bodies):
-        for i in range(j + 1):
-            term = mass * dot(linear[i], linear[j])
-            if not (bodies[i]["prismatic"] or other["prismatic"]):
-                term = term + dot(directions[i], turned[j])
-            yield i, j, term
-
-
-# From values at the nodes to control values
+def motion(prismatic: bool, at: list[Any], axis: int, axes: int) -> Box:
+    """Return the motion (1, .., k, .., 1, 4, 4) of a joint at its nodes."""
+    found = np.zeros((2, len(at), 4, 4)) + np.eye(4)
+    if prismatic:
+        found[:, :, 2, 3] = enclosed(at)
+    else:
+        c, s = enclosed([iv.cos(x) for x in at]), enclosed([iv.sin(x) for x in at])
+        found[:, :, 0, 0], found[:, :, 1, 1], found[:, :, 1, 0], found[:, :, 0, 1] = c, c, s, -s[::-1]
+    return Box(*found.reshape(2, *[len(at) if k == axis else 1 for k in range(axes)], 4, 4))
 
 
 @lru_cache(4096)
-def control_map(prismatic: bool, a: float, b: float, at: tuple[float, ...]) -> tuple[Array, Array]:
-    """Return the matrix from values at the nodes to control values on [a, b], and the radii of its entries."""
-    if prismatic:
-        rows = [[lagrange(at, j, u, v) for j in range(3)] for u, v in ((a, a), (a, b), (b, b))]
-    elif b - a > FULL:
-        rows = [[deconvolution(k - j) for j in range(5)] for k in range(5)]
-    else:
-        rows = arc_rows(iv.mpf(a), iv.mpf(b))
-    low, high = (np.array([[ends_of(entry)[side] for entry in row] for row in rows]) for side in (0, 1))
-    mid = (low + high) / 2
-    return mid, np.nextafter(np.maximum(high - mid, mid - low), np.inf) * (1 + 1e-12)
+def control_map(prismatic: bool, lower: float, upper: float, a: float, b: float) -> tuple[Array, float, float]:
+    """Return the matrix from values at the nodes to control values on [a, b], its norm and its relative error.
 
-
-def lagrange(at: tuple[float, ...], j: int, u: float, v: float) -> Any:
-    """Return the blossom at (u, v) of the Lagrange polynomial of node j."""
-    x, y = (iv.mpf(at[k]) for k in range(3) if k != j)
-    node, first, second = iv.mpf(at[j]), iv.mpf(u), iv.mpf(v)
-    return (first * second - (x + y) * (first + second) / 2 + x * y) / ((node - x) * (node - y))
-
-
-def deconvolution(steps: int) -> Any:
-    """Return the weight of a node `steps` nodes away: the inverse of the kernel 1 + 2 k_1 cos q + 2 k_2 cos 2q >= 0."""
-    angle = node_angle(steps)
-    return (1 + 2 * iv.cos(angle) / iv.mpf(KERNEL[0]) + 2 * iv.cos(2 * angle) / iv.mpf(KERNEL[1])) / 5
-
-
-def arc_rows(a: Any, b: Any) -> list[list[Any]]:
-    """Return control values on an arc of the trigonometric Lagrange polynomials D of the five nodes.
-
-    With t = tan((q - m) / 2), m the middle of the arc, (1 + t^2)^2 D is a polynomial of degree 4. Its Bernstein
-    coefficients, over those of (1 + t^2)^2, are the control values.
+    lower, upper: range of the joint. The basis of an arc, sin^(4 - k)((b - q) / 2) sin^k((q - a) / 2) times the
+    coefficients of 1 = (sin^2 + sin^2 + 2 cos((b - a) / 2) sin sin)^2 / sin^4((b - a) / 2), is nonnegative below pi.
     """
-    one, c1, s1, c2, s2 = [1, 0, 2, 0, 1], [1, 0, 0, 0, -1], [0, 2, 0, 2, 0], [1, 0, -6, 0, 1], [0, 4, 0, -4, 0]
-    quarter = (b - a) / 4
-    T = iv.sin(quarter) / iv.cos(quarter)
-    weights = bernstein(one, T)
-    columns = []
-    for j in range(5):
-        x = (a + b) / 2 - node_angle(j)
-        factors = (1, 2 * iv.cos(x), -2 * iv.sin(x), 2 * iv.cos(2 * x), -2 * iv.sin(2 * x))
-        powers = [sum(f * row[i] for f, row in zip(factors, (one, c1, s1, c2, s2), strict=True)) for i in range(5)]
-        columns.append([value / (5 * weight) for value, weight in zip(bernstein(powers, T), weights, strict=True)])
-    return [list(row) for row in zip(*columns, strict=True)]
+    left, right = iv.mpf(a), iv.mpf(max(b, a + SHORT))
+    c, whole = iv.cos((right - left) / 2), iv.sin((right - left) / 2)
+
+    def basis(q: Any) -> list[Any]:
+        if prismatic:
+            x = (q - left) / (right - left)
+            return [(1 - x) ** 2, 2 * x * (1 - x), x**2]
+        if b - a > FULL:
+            turned = [q - 2 * iv.pi * k / 5 for k in range(5)]
+            return [(1 + 2 * iv.mpf(KERNEL[0]) * iv.cos(x) + 2 * iv.mpf(KERNEL[1]) * iv.cos(2 * x)) / 5 for x in turned]
+        u, v = iv.sin((right - q) / 2) / whole, iv.sin((q - left) / 2) / whole
+        return [w * u ** (4 - k) * v**k for k, w in enumerate((1, 4 * c, 2 + 4 * c**2, 4 * c, 1))]
+
+    low, high = enclosed(inverted([basis(q) for q in nodes(prismatic, lower, upper)]))
+    matrix = (low + high) / 2
+    radius = np.maximum(high - matrix, matrix - low) * (1 + TOLERANCE)
+    size = (np.abs(matrix) + radius) * (1 + TOLERANCE)
+    return matrix, np.max(np.sum(size, axis=1)), np.max(np.sum(radius + 12 * 2.0**-53 * size, axis=1))
 
 
-def bernstein(powers: list[Any], T: Any) -> list[Any]:
-    """Return the Bernstein coefficients on t = -T .. T of a polynomial of degree 4 with coefficients of 1 .. t^4."""
-    found = []
-    for k in range(5):
-        value = iv.mpf(0)
-        for i in range(5):
-            signed = sum(
-                comb(k, m) * comb(4 - k, i - m) * (-1) ** (i - m) for m in range(max(0, i + k - 4), min(i, k) + 1)
-            )
-            value += powers[i] * T**i * signed / comb(4, i)
-        found.append(value)
-    return found
+def inverted(matrix: list[list[Any]]) -> list[list[Any]]:
+    """Return the inverse of a matrix by Gauss-Jordan elimination."""
+    n = len(matrix)
+    rows = [[*row, *(iv.mpf(int(i == k)) for k in range(n))] for i, row in enumerate(matrix)]
+    for k in range(n):
+        best = max(range(k, n), key=lambda i: abs(float(mpf(rows[i][k].mid))))
+        rows[k], rows[best] = rows[best], rows[k]
+        rows[k] = [x / rows[k][k] for x in rows[k]]
+        for i in {*range(n)} - {k}:
+            rows[i] = [x - rows[i][k] * y for x, y in zip(rows[i], rows[k], strict=True)]
+    return [row[n:] for row in rows]
 
 
-# The inequality on the boxes
+def holds(S: Box, joints: list[Joint], box: list[Range]) -> bool:
+    """Return whether S (k_2, .., k_n, n, n), given at the nodes, is proven positive definite on a box of the joints."""
+    n, values = len(joints), (S.lo + S.hi) / 2
+    error = np.max(np.maximum(S.hi - values, values - S.lo).reshape(-1, n, n), axis=0) * (1 + TOLERANCE)
+    for axis, (joint, part) in enumerate(zip(joints[1:], box[1:], strict=True)):
+        matrix, size, rounding = control_map(*joint, *part)
+        largest = np.max(np.abs(values).reshape(-1, n, n), axis=0)
+        error = (size * error + rounding * (largest + error)) * (1 + TOLERANCE) + 2.0**-1000
+        values = np.moveaxis(np.tensordot(matrix, values, axes=(1, axis)), 0, axis)
+    values = values.reshape(-1, n, n)
+    low, high = np.nextafter(values - error, -np.inf), np.nextafter(values + error, np.inf)
+    parts = (slice(k, k + TOGETHER) for k in range(0, len(values), TOGETHER))
+    return all(positive_definite(Box(low[part], high[part])) for part in parts)
 
 
-class Inequality:
-    """A - beta M_l > 0: values (n (n + 1) / 2, ..) at the nodes, and bounds of their errors (n (n + 1) / 2,)."""
-
-    def __init__(self, A: Box, M: dict[tuple[int, int], Box], beta: float, bodies: Any, ranges: list[Range]) -> None:
-        self.pairs = sorted(M)
-        self.n = len(bodies)
-        self.prismatic = [bool(body["prismatic"]) for body in bodies[1:]]
-        self.at = [tuple(nodes(body, *limits)) for body, limits in zip(bodies[1:], ranges[1:], strict=True)]
-        shape = tuple(3 if slides else 5 for slides in self.prismatic)
-        S = [A[i, j] - Box(beta) * M[i, j] for i, j in self.pairs]
-        low, high = (np.stack([np.broadcast_to(side(entry), shape) for entry in S]) for side in (lower_end, upper_end))
-        mid = (low + high) / 2
-        radius = np.nextafter(np.maximum(high - mid, mid - low), np.inf)
-        self.steps: list[tuple[Range | None, Array, Array]] = [(None, mid, largest(radius))]
-
-    def holds(self, ranges: list[Range]) -> bool:
-        """Return whether all control matrices on a box of the joints 2 .. n are proven positive definite."""
-        for axis, limits in enumerate(ranges):
-            if len(self.steps) > axis + 1 and self.steps[axis + 1][0] == limits:
-                continue
-            del self.steps[axis + 1 :]
-            matrix, radius = control_map(self.prismatic[axis], *limits, self.at[axis])
-            _, values, error = self.steps[axis]
-            self.steps.append((limits, *mapped(matrix, radius, values, error, axis + 1)))
-        _, values, error = self.steps[-1]
-        values, error = values.reshape(len(values), -1), error[:, None]
-        return eliminated(
-            self.n, self.pairs, np.nextafter(values - error, -np.inf), np.nextafter(values + error, np.inf)
-        )
-
-
-def lower_end(entry: Box) -> Array:
-    """Return the lower ends."""
-    return entry.lo
-
-
-def upper_end(entry: Box) -> Array:
-    """Return the upper ends."""
-    return entry.hi
-
-
-def largest(values: Array) -> Array:
-    """Return the largest absolute value of each entry (n (n + 1) / 2,)."""
-    return np.asarray(np.max(np.abs(values).reshape(len(values), -1), axis=1))
-
-
-def mapped(matrix: Array, radius: Array, values: Array, error: Array, axis: int) -> tuple[Array, Array]:
-    """Return the values times a matrix along an axis, and the bounds of the errors of each entry."""
-    size = np.abs(matrix) + radius
-    rounding = np.max(np.sum(radius + 12 * 2.0**-53 * size, axis=1))
-    grown = np.max(np.sum(size, axis=1)) * error + rounding * (largest(values) + error)
-    found: Array = np.moveaxis(np.asarray(np.tensordot(matrix, values, axes=(1, axis)), dtype=float), 0, axis)
-    return found, np.asarray(grown * (1 + 1e-14) + 2.0**-1000)
-
-
-def eliminated(n: int, pairs: list[tuple[int, int]], low: Array, high: Array) -> bool:
-    """Return whether Gaussian elimination in interval arithmetic has positive pivots for all matrices (.., k)."""
-    if low.shape[1] > TOGETHER:
-        parts = (slice(begin, begin + TOGETHER) for begin in range(0, low.shape[1], TOGETHER))
-        return all(eliminated(n, pairs, low[:, part], high[:, part]) for part in parts)
-    G = {pair: Box(*entry) for pair, *entry in zip(pairs, low, high, strict=True)}
+def positive_definite(S: Box) -> bool:
+    """Return whether Gaussian elimination has positive pivots for all symmetric matrices (.., n, n); reads i <= j."""
+    n = S.lo.shape[-1]
+    G = {(i, j): S[..., i, j] for i in range(n) for j in range(i, n)}
     for i in range(n):
         if not np.all(G[i, i].lo > 0):
             return False
-        inverse = G[i, i].inverse()
+        inverse = Box(np.nextafter(1 / G[i, i].hi, -np.inf), np.nextafter(1 / G[i, i].lo, np.inf))
         for j in range(i + 1, n):
             factor = G[i, j] * inverse
             for k in range(j, n):
@@ -319,124 +196,79 @@ def eliminated(n: int, pairs: list[tuple[int, int]], low: Array, high: Array) ->
     return True
 
 
-def positive_definite(S: Box) -> bool:
-    """Return whether a symmetric matrix (n, n) is proven positive definite."""
-    n = len(S.lo)
-    pairs = [(i, j) for i in range(n) for j in range(i, n)]
-    low, high = (np.array([[side[pair]] for pair in pairs]) for side in (S.lo, S.hi))
-    return eliminated(n, pairs, low, high)
+def leaves(entries: Iterator[Any], box: list[Range]) -> Iterator[list[Range]]:
+    """Yield the boxes of a tree in preorder; raise RefusedError unless they cover a box."""
+    entry: Any = next(entries, None)
+    if type(entry) is int and entry == 0:
+        yield box
+        return
+    refusal = f"the boxes do not cover the joint range: {entry!r} is neither a box nor a split of {box}"
+    numbers = isinstance(entry, list) and len(entry) > 1 and all(type(x) in (int, float) for x in entry)
+    require(numbers and type(entry[0]) is int and 0 < entry[0] < len(box), refusal)
+    joint, cuts = entry[0], map(float, entry[1:])
+    for a, b in pairwise([box[joint][0], *cuts, box[joint][1]]):
+        require(a < b, refusal)
+        yield from leaves(entries, [*box[:joint], (a, b), *box[joint + 1 :]])
 
 
-def is_split(entry: list[Any], n: int) -> bool:
-    """Return whether a list is a joint other than the first of n, and cuts."""
-    joint, *cuts = entry
-    return type(joint) is int and 0 < joint < n and all(type(cut) in (int, float) for cut in cuts)
-
-
-def leaves(tree: list[Any], ranges: list[Range]) -> Iterator[list[Range]]:
-    """Yield the boxes of a tree in preorder; raise RefusedError unless they cover the ranges."""
-    left, entries = [ranges], iter(tree)
-    while left:
-        box = left.pop()
-        entry = next(entries, None)
-        if type(entry) is int and entry == 0:
-            yield box
-            continue
-        if not (isinstance(entry, list) and len(entry) > 1 and is_split(entry, len(box))):
-            raise RefusedError(f"the boxes do not cover the joint range: {entry!r} is neither a box nor a split")
-        joint, ends = entry[0], [box[entry[0]][0], *map(float, entry[1:]), box[entry[0]][1]]
-        if not all(a < b for a, b in zip(ends[:-1], ends[1:], strict=True)):
-            raise RefusedError(f"the boxes do not cover the joint range: {ends} do not increase")
-        parts = zip(ends[:-1], ends[1:], strict=True)
-        left += reversed([[*box[:joint], part, *box[joint + 1 :]] for part in parts])
-    if next(entries, None) is not None:
-        raise RefusedError("there are boxes beside those that cover the joint range")
-
-
-# The certificate
-
-
-def checked(content: dict[str, Any], progress: Callable[[int], None] = lambda boxes: None) -> int:
+def checked(content: dict[str, Any]) -> int:
     """Return the number of boxes of a certificate that proves its claim; raise RefusedError."""
     digest = content.pop("sha256", None)
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    if digest != hashlib.sha256(text.encode()).hexdigest():
-        raise RefusedError("sha256 is not the digest of the other entries")
-    bodies, ranges, beta, matrix = values_of(content)
+    require(digest == hashlib.sha256(text.encode()).hexdigest(), "sha256 is not the digest of the other entries")
+    bodies, joints, beta, matrix = values_of(content)
     check_blocks(beta, matrix)
-    M = inertia_at_nodes(bodies, ranges)
-    inequality = Inequality(matrix["D_l"] + matrix["K_ld"], M, beta, bodies, ranges)
-    boxes = 0
-    for boxes, box in enumerate(leaves(content["boxes"], ranges), 1):
-        if not inequality.holds(box[1:]):
-            raise RefusedError(f"D_l + K_ld - beta M_l is not proven positive definite on the box {box}")
-        progress(boxes)
+    S = matrix["D_l"] + matrix["K_ld"] - Box(beta) * inertia_at_nodes(bodies, [nodes(*joint) for joint in joints])
+    boxes, entries = 0, iter(content["boxes"])
+    for box in leaves(entries, [joint[1:] for joint in joints]):
+        require(holds(S, joints, box), f"D_l + K_ld - beta M_l is not proven positive definite on the box {box}")
+        boxes += 1
+    require(next(entries, None) is None, "there are boxes beside those that cover the joint range")
     return boxes
 
 
-def values_of(content: dict[str, Any]) -> tuple[list[dict[str, Any]], list[Range], float, dict[str, Box]]:
-    """Return bodies, joint ranges, beta and matrices; raise RefusedError for values of a wrong kind."""
-    if content.get("format") != "rate certificate 1":
-        raise RefusedError(f"format is {content.get('format')!r}; expected 'rate certificate 1'")
+def values_of(content: dict[str, Any]) -> tuple[list[dict[str, Any]], list[Joint], float, dict[str, Box]]:
+    """Return bodies, joints, beta and matrices; raise RefusedError for values of a wrong kind."""
     try:
-        bodies, beta = list(content["bodies"]), float(content["beta"])
-        n = len(bodies)
-        ranges = [(float(a), float(b)) for a, b in zip(content["lower"], content["upper"], strict=True)]
-        arrays = {name: np.array(content[name], dtype=float) for name in MATRICES}
-        shapes = {"rotation": (3, 3), "inertia": (3, 3), "translation": (3,), "com": (3,), "mass": ()}
-        parts = [(np.array(body[name], dtype=float), shape) for body in bodies for name, shape in shapes.items()]
-        kinds = all(isinstance(body["prismatic"], bool) for body in bodies) and isinstance(content["boxes"], list)
-        kinds = kinds and len(content["joints"]) == n and all(isinstance(name, str) for name in content["joints"])
-        orthogonal = all(np.max(np.abs(R @ R.T - np.eye(3))) < ORTHOGONAL for R, shape in parts[:: len(shapes)])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        bodies, joints, beta = list(content["bodies"]), content["joints"], np.array(float(content["beta"]))
+        ranges = np.array([content["lower"], content["upper"]], dtype=float)
+        matrix = {name: np.array(content[name], dtype=float) for name in MATRICES}
+        parts = [{name: np.array(body[name], dtype=float) for name in SHAPES} for body in bodies]
+        kinds = [type(body["prismatic"]) is bool for body in bodies] + [type(name) is str for name in list(joints)]
+        kinds += [len(joints) == len(bodies) > 0, type(content["boxes"]) is list]
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise RefusedError(f"a value is missing or of a wrong kind ({error!r})") from None
-    sized = len(ranges) == n > 0 and all(array.shape == (n, n) for array in arrays.values())
-    sized = sized and kinds and all(part.shape == shape for part, shape in parts)
-    numbers = [np.ravel(array) for array in (*arrays.values(), *(part for part, _ in parts), np.array(ranges))]
-    if not (sized and np.isfinite(np.concatenate(numbers)).all() and np.isfinite(beta) and beta > 0):
-        raise RefusedError("a value has a wrong shape or is not finite")
-    if not (orthogonal and all(a <= b for a, b in ranges)):
-        raise RefusedError("a rotation is not orthogonal, or a joint range is empty")
-    if not all(is_physical(float(body["mass"]), np.array(body["inertia"], dtype=float)) for body in bodies):
-        raise RefusedError("a body has a negative mass, or an inertia that is not positive semidefinite")
-    return bodies, ranges, beta, {name: Box(array) for name, array in arrays.items()}
-
-
-def is_physical(mass: float, inertia: Array) -> bool:
-    """Return whether mass and inertia (3, 3) have no negative kinetic energy."""
-    size = float(np.max(np.abs(inertia)))
-    symmetric = bool(np.max(np.abs(inertia - inertia.T)) <= 1e-12 * size)
-    return mass >= 0 and symmetric and bool(np.linalg.eigvalsh(inertia)[0] >= -1e-12 * size)
+    n = len(bodies)
+    arrays = [(beta, ()), (ranges, (2, n)), *((array, (n, n)) for array in matrix.values())]
+    arrays += [(part[name], shape) for part in parts for name, shape in SHAPES.items()]
+    shaped = all(array.shape == shape and np.isfinite(array).all() for array, shape in arrays)
+    require(content.get("format") == "rate certificate 1", "format is not 'rate certificate 1'")
+    require(all(kinds) and shaped, "a value has a wrong kind or shape, or is not finite")
+    require(beta > 0 and np.all(ranges[0] <= ranges[1]), "the rate is not positive, or a joint range is empty")
+    for R, inertia, mass in ((part["rotation"], part["inertia"], part["mass"]) for part in parts):
+        close = TOLERANCE * np.max(np.abs(inertia))
+        symmetric = np.max(np.abs(inertia - inertia.T)) <= close
+        require(np.max(np.abs(R @ R.T - np.eye(3))) < TOLERANCE, "a rotation is not orthogonal")
+        require(mass >= 0, "a body has a negative mass")
+        require(symmetric and np.linalg.eigvalsh(inertia)[0] >= -close, "an inertia is not positive semidefinite")
+    found = [(body["prismatic"], float(a), float(b)) for body, (a, b) in zip(bodies, ranges.T, strict=True)]
+    return bodies, found, float(beta), {name: Box(array) for name, array in matrix.items()}
 
 
 def check_blocks(beta: float, matrix: dict[str, Box]) -> None:
-    """Raise RefusedError unless the blocks of the position errors and of the motors have the rate beta."""
-    for name in ("D_l", "K_ld", "D_m", "K_md", "M_m", "Pi_l", "Pi_m"):
-        array = matrix[name].lo
-        if np.max(np.abs(array - array.T)) > 0:
-            raise RefusedError(f"{name} is not symmetric")
-    blocks = {"D_m + K_md - beta M_m": matrix["D_m"] + matrix["K_md"] - Box(beta) * matrix["M_m"]}
-    for side in "lm":
-        Pi, Lambda, Gamma = (matrix[f"{name}_{side}"] for name in ("Pi", "Lambda", "Gamma"))
-        blocks |= {f"Pi_{side}": Pi, f"sym(Pi_{side} Lambda_{side}) - beta Pi_{side}": rate_block(Pi, Lambda, beta)}
-        cubic = Pi.lo @ Gamma.lo
-        if np.any(np.abs(cubic - np.diag(np.diag(cubic))) > 1e-12 * np.max(np.abs(cubic))) or np.any(
-            np.diag(cubic) < 0
-        ):
-            raise RefusedError(f"Pi_{side} Gamma_{side} is not diagonal and nonnegative")
+    """Raise RefusedError unless V is positive and the blocks of positions and motors have the rate beta."""
+    for name in SYMMETRIC:
+        require(np.all(matrix[name].lo == matrix[name].lo.T), f"{name} is not symmetric")
+    blocks = {name: matrix[name] for name in ("M_m", "Pi_l", "Pi_m")}
+    blocks["D_m + K_md - beta M_m"] = matrix["D_m"] + matrix["K_md"] - Box(beta) * matrix["M_m"]
+    for Pi, Lambda, Gamma in (("Pi_l", "Lambda_l", "Gamma_l"), ("Pi_m", "Lambda_m", "Gamma_m")):
+        twice, cubic = matrix[Pi] @ matrix[Lambda], matrix[Pi].lo @ matrix[Gamma].lo
+        twice = twice + twice.transposed()
+        blocks[f"sym({Pi} {Lambda}) - beta {Pi}"] = twice * Box(0.5) - Box(beta) * matrix[Pi]
+        off = np.max(np.abs(cubic - np.diag(np.diag(cubic)))) <= TOLERANCE * np.max(np.abs(cubic))
+        require(off and np.all(np.diag(cubic) >= 0), f"{Pi} {Gamma} is not diagonal and nonnegative")
     for name, block in blocks.items():
-        if not positive_definite(block):
-            raise RefusedError(f"{name} is not proven positive definite")
-
-
-def rate_block(Pi: Box, Lambda: Box, beta: float) -> Box:
-    """Return (Pi Lambda + Lambda' Pi) / 2 - beta Pi."""
-    n = len(Pi.lo)
-    product = [
-        [dot([Pi[i, k] for k in range(n)], [Lambda[k, j] for k in range(n)]) for j in range(n)] for i in range(n)
-    ]
-    rows = [[(product[i][j] + product[j][i]) * Box(0.5) - Box(beta) * Pi[i, j] for j in range(n)] for i in range(n)]
-    return Box(*(np.array([[side(entry) for entry in row] for row in rows]) for side in (lower_end, upper_end)))
+        require(positive_definite(block), f"{name} is not proven positive definite")
 
 
 def main(arguments: list[str]) -> int:
@@ -445,16 +277,14 @@ def main(arguments: list[str]) -> int:
         print("usage: python tools/check_certificate.py FILE", file=sys.stderr)
         return 2
     try:
-        with open(arguments[0], encoding="utf-8") as file:
-            content = json.load(file)
-        if not isinstance(content, dict):
-            raise RefusedError("it is not a JSON object")
+        content = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
+        require(isinstance(content, dict), "it is not a JSON object")
         boxes = checked(content)
-    except (OSError, ValueError, RecursionError, RefusedError) as error:
+    except (OSError, ValueError, ArithmeticError, RecursionError, RefusedError) as error:
         print(f"{arguments[0]}: refused: {error}", file=sys.stderr)
         return 1
-    joints = ", ".join(map(str, content["joints"]))
-    print(f"{arguments[0]}: proven: beta = {content['beta']:.6g} 1/s on {boxes} boxes, joints {joints}")
+    said = f"proven: beta = {content['beta']:.6g} 1/s on {boxes} boxes, joints {', '.join(content['joints'])}"
+    print(f"{arguments[0]}: {said}")
     return 0
 
 

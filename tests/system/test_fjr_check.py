@@ -293,12 +293,16 @@ def test_a_certificate_that_cannot_be_made_is_refused_in_one_sentence(tmp_path: 
 
 def test_the_tracking_error_is_bounded_for_stated_errors() -> None:
     given = ("check", "paper_k31", "--error", "payload=0.2", "--delay", "1")
-    result = json.loads(fjr_here(*given, "--json"))
+    printed = fjr_here(*given, "--json")
+    assert printed.count("bounding the tracking error") == 1
+    result = json.loads(printed[: printed.rindex("}") + 1])
     bound = result["error_bound"]
     size = f"{1e3 * bound['position']['joint1']:.3g} mrad"
-    said = f"with 20 % payload error and one sample of delay: at most {size} at joint1, proven along this reference"
+    given = f"with 20 % payload error and one sample of delay: at most {size} at joint1"
+    said = f"{given}, V at most {1e3 * bound['V_J']:.3g} mJ, proven along this reference"
     assert result["rows"]["error bound"] == said
     assert bound["errors"] == {"payload": 0.2}
+    assert bound["from_start"]["joint1"] > bound["position"]["joint1"]
     assert bound["proven"]
 
 

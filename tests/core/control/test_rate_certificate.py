@@ -111,12 +111,20 @@ def lower_Lambda_m(content: Certificate) -> None:
     content["Lambda_m"] = (1e-3 * np.array(content["Lambda_m"])).tolist()
 
 
+def negative_motor_inertia(content: Certificate) -> None:
+    content["M_m"] = (-np.array(content["M_m"])).tolist()
+
+
 def negative_Gamma_l(content: Certificate) -> None:
     content["Gamma_l"] = (-np.eye(3)).tolist()
 
 
 def nan_in_the_range(content: Certificate) -> None:
     content["upper"][1] = float("nan")
+
+
+def integer_beyond_all_doubles(content: Certificate) -> None:
+    content["upper"][1] = 10**400
 
 
 def remove_gains(content: Certificate) -> None:
@@ -140,8 +148,10 @@ CHANGES = [
     skew_K_ld,
     lower_motor_damping,
     lower_Lambda_m,
+    negative_motor_inertia,
     negative_Gamma_l,
     nan_in_the_range,
+    integer_beyond_all_doubles,
     remove_gains,
     words_for_numbers,
 ]

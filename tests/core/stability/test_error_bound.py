@@ -18,13 +18,17 @@ from scipy.linalg import expm
 import fjr_core as fjr
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
+from fjr_core.control.baselines.singular_perturbation import CompositeGains
 from fjr_core.control.inverse_dynamics import inverse_dynamics
+from fjr_core.control.registry import LAWS
 from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_core.stability.error_bound import ErrorBound, bound_errors
 from fjr_core.stability.error_bound.box import Box, enclosure
-from fjr_core.stability.error_bound.deviation_model import FACTORS
+from fjr_core.stability.error_bound.deviation_model import FACTORS, DeviationModel
 from fjr_core.stability.error_bound.error_bound import TORQUES
+from fjr_core.stability.error_bound.reference_cells import cells_of
+from fjr_core.stability.error_bound.steady_motion import steady_motion
 from fjr_core.trajectories.reference import Reference
 
 T = 1e-3
@@ -84,7 +88,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("law", "reference", "delay", "errors"), CASES)
-def test_no_run_within_the_errors_exceeds_a_proven_bound_which_is_at_most_five_times_as_large(
+def test_no_run_within_the_errors_exceeds_a_proven_bound_which_is_at_most_twice_as_large(
     law, reference, delay, errors
 ) -> None:
     made = law()
@@ -92,7 +96,8 @@ def test_no_run_within_the_errors_exceeds_a_proven_bound_which_is_at_most_five_t
     seen = largest_errors(made, reference, delay, errors, 40 if errors else 1, 4.0)
     assert bound.proven
     assert np.all(seen <= bound.position)
-    assert np.all(bound.position <= 5 * seen)
+    assert np.all(bound.position <= bound.from_start)
+    assert np.all(bound.position <= 2.1 * seen)
 
 
 @pytest.mark.full
@@ -101,27 +106,69 @@ def test_no_run_within_the_errors_exceeds_a_proven_bound_which_is_at_most_five_t
     [
         (joint, SWING, {"payload": 0.2}),
         (joint, SWING, {"payload": 0.2, "stiffness": 0.1, "link_damping": 0.3}),
-        (two_link, TWO_LINK_SWING, {"motor_inertia": 0.1}),
-        (two_link, TWO_LINK_SWING, {"payload": 0.05}),
+        (two_link, TWO_LINK_SWING, {"payload": 0.2}),
     ],
 )
 def test_ten_thousand_runs_stay_within_the_bound(law, reference, errors) -> None:
     made = law()
     bound = bound_errors(made, reference, T, T, errors)
     seen = largest_errors(made, reference, T, errors, 10_000, 7.5)
+    assert bound.proven
     assert np.all(seen <= bound.position)
-    assert np.all(bound.position <= 5 * seen)
+    assert np.all(bound.position <= 2 * seen)
 
 
 @pytest.mark.full
-def test_hold_and_delay_stay_within_the_sampled_bound_of_seven_joints() -> None:
+@pytest.mark.parametrize("errors", [{}, {"payload": 0.02}])
+def test_runs_of_seven_joints_stay_within_the_sampled_bound(errors: dict[str, float]) -> None:
     made = load_scenario(ROOT / "ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
     law = fjr.TrackingLaw(made.robot, made.gains, compile=True)
-    bound = bound_errors(law, made.reference, T, T)
-    seen = largest_errors(law, made.reference, T, {}, 1, 4.0)
+    bound = bound_errors(law, made.reference, T, T, errors)
+    seen = largest_errors(law, made.reference, T, errors, 50 if errors else 1, 3.0)
     assert not bound.proven
     assert np.all(seen <= bound.position)
+    assert largest_storage(law, made.reference, errors.get("payload", 0.0)) <= bound.storage
     assert np.all(bound.position <= 2 * seen)
+
+
+def largest_storage(law: fjr.TrackingLaw, reference: Reference, payload: float) -> float:
+    """Return the largest V [J] from 2.5 s on of runs with payloads up to one sign and the other, one sample late."""
+    robot, factors = law.robot, 1 + payload * np.array([-1.0, 0.3, 1.0])
+    loop = ClosedLoop(robot, AsSampledLaw(law), reference, on_reference(robot, reference), 5.0, T)
+    _, run = loop.recorded(Draws(len(factors), link_inertia=factors, gravity=factors, delay=T))
+    settled = [(m, t) for states in run.measured for m, t in zip(states[2500::17], run.t[2500::17], strict=True)]
+    return max(law.measured_command(*np.split(m, 2), reference.jets(t))[1] for m, t in settled)
+
+
+@pytest.mark.parametrize(
+    ("law", "reference", "payload"), [(joint, SWING, 0.0), (joint, SWING, 0.2), (two_link, TWO_LINK_SWING, 0.0)]
+)
+def test_V_of_settled_runs_stays_within_its_bound(law, reference, payload) -> None:
+    made = law()
+    bound = bound_errors(made, reference, T, T, {"payload": payload})
+    seen = largest_storage(made, reference, payload)
+    assert bound.proven
+    assert seen <= bound.storage
+    assert bound.storage < 10 * seen or not payload
+
+
+def test_a_law_without_storage_has_no_bound_of_V() -> None:
+    law = LAWS["singular_perturbation"].make(fjr.single_link(), CompositeGains(K_p=100.0, K_v=20.0, K_f=0.1))
+    bound = bound_errors(law, SWING, T, 0.0, {"payload": 0.01})
+    assert bound.found
+    assert np.isnan(bound.storage)
+
+
+def test_the_centre_of_a_tube_is_the_steady_motion_of_the_simulated_late_loop() -> None:
+    law, payload = joint(), 1.2
+    factors = np.where(np.array(FACTORS) == "payload", payload, 1.0)
+    centre = steady_motion(DeviationModel(law), cells_of(SWING, T, verified=True, most=100), factors, T)
+    loop = ClosedLoop(law.robot, AsSampledLaw(law), SWING, on_reference(law.robot, SWING), 4.0, T)
+    _, run = loop.recorded(Draws(1, link_inertia=payload, gravity=payload, delay=T))
+    settled = run.t > 2.0
+    positions = centre.path.reference.jets(run.t[settled])[:, 0]
+    error = np.abs(run.x[0, settled, :1] - positions).max()
+    assert error < 1e-3 * np.abs(positions - SWING.jets(run.t[settled])[:, 0]).max()
 
 
 def linear_step(robot: fjr.Robot, torque: float, z: np.ndarray, u: float) -> np.ndarray:
@@ -202,7 +249,7 @@ def test_a_bound_on_links_without_closed_form_is_not_proven() -> None:
     arm = replace(law.robot, links=replace(law.robot.links, M_l_vertices=None))
     sampled = bound_errors(fjr.TrackingLaw(arm, fjr.PAPER_GAINS), SWING, T, T)
     assert not sampled.proven
-    assert sampled.position == pytest.approx(paper(T).position, rel=0.2)
+    assert sampled.position <= paper(T).position <= 1.5 * sampled.position
 
 
 @pytest.mark.parametrize(

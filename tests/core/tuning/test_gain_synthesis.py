@@ -41,6 +41,12 @@ def workspace(k: int = 40) -> np.ndarray:
     return HOME + np.random.default_rng(0).uniform(-0.4, 0.4, (k, 7))
 
 
+@cache
+def workspace_gains() -> fjr.Gains:
+    """Return the gains of arm7 for its workspace, on which several tests rest."""
+    return synthesize(robot("arm7"), 6.0, 1e-3, configurations=workspace())
+
+
 def elsewhere(arm: fjr.Robot, k: int = 1500) -> np.ndarray:
     """Return random configurations that neither check nor synthesis uses, half of them with aligned axes."""
     rng, limits = np.random.default_rng(11), arm.limits
@@ -82,9 +88,12 @@ def test_synthesised_gains_have_the_rate_and_half_a_sample_of_margin(
 
 @pytest.mark.parametrize("name", ["planar", "full", "chain", "arm7"])
 def test_margins_hold_at_configurations_outside_the_check(name: str) -> None:
-    """The gains are for one configuration and the check uses a larger, different set."""
-    arm, q_l = robot(name), workspace() if name == "arm7" else np.zeros((1, robot(name).n))
-    law = fjr.TrackingLaw(arm, synthesize(arm, 6.0, 1e-3, configurations=q_l))
+    """The gains are for one configuration (of arm7: for a workspace), and the check uses a larger, different set."""
+    arm = robot(name)
+    at_zero = [np.zeros(arm.n)]
+    law = fjr.TrackingLaw(
+        arm, workspace_gains() if name == "arm7" else synthesize(arm, 6.0, 1e-3, configurations=at_zero)
+    )
     found, loop = check(law, 1e-3), closed_form(law, elsewhere(arm), fjr.Plant(arm))
     assert found.configurations >= 1000
     assert found.lowest_stable_rate is not None
@@ -98,8 +107,7 @@ def test_margins_hold_at_configurations_outside_the_check(name: str) -> None:
 def test_gains_for_a_workspace_reach_a_higher_rate() -> None:
     """M_l varies less away from singular configurations, so one more sample of delay is tolerated."""
     q_l = workspace()
-    gains = synthesize(robot("arm7"), 6.0, 1e-3, configurations=q_l)
-    law = fjr.TrackingLaw(robot("arm7"), gains)
+    law = fjr.TrackingLaw(robot("arm7"), workspace_gains())
     assert law.rate(q_l).beta >= 6 * (1 - 1e-9)
     assert check(law, 1e-3, configurations=q_l).delay_margin > 1.5
     with pytest.raises(fjr.GainsError, match="out of reach"):
@@ -107,7 +115,7 @@ def test_gains_for_a_workspace_reach_a_higher_rate() -> None:
 
 
 def test_stiff_arm_with_synthesised_gains_is_stable_as_sampled_and_in_simulation() -> None:
-    law = fjr.TrackingLaw(robot("arm7"), synthesize(robot("arm7"), 6.0, 1e-3, configurations=workspace()))
+    law = fjr.TrackingLaw(robot("arm7"), workspace_gains())
     for delay in (0.0, 1e-3):
         for q_l in workspace(3):
             assert spectral_radius(law, 1e-3, delay, [q_l])[0] < 1
@@ -116,7 +124,7 @@ def test_stiff_arm_with_synthesised_gains_is_stable_as_sampled_and_in_simulation
 
 def test_stiff_arm_tracks_sines_from_an_offset_within_its_torques() -> None:
     arm = robot("arm7")
-    law = fjr.TrackingLaw(arm, synthesize(arm, 6.0, 1e-3, configurations=workspace()))
+    law = fjr.TrackingLaw(arm, workspace_gains())
     reference = fjr.Sine(np.full(7, 0.3), np.pi, HOME, -np.pi / 2)
     q_l = reference.jets(0.0)[0] + 0.05
     x0 = arm.state(q_l, q_l + np.linalg.solve(arm.K, arm.grad_P_l(q_l)), 0, 0)

@@ -82,6 +82,23 @@ def test_a_smaller_box_and_a_tube_have_smaller_bounds() -> None:
     assert tube.bound < 1.02 * tube.attained
 
 
+@pytest.mark.parametrize(
+    "near",
+    [
+        [[[-1.0, 0.9], [1.0, 1.0]], [[np.nan, -0.1], [1.0, 0.1]]],  # left out, this part would make the bound too small
+        [[[-1.0, 0.9], [1.0, 1.0]], [[-1.0, 0.1], [1.0, -0.1]]],
+        [[[-1.0, 0.9], [1.0, 1.0]], [[-1.0, 3.0], [1.0, 3.1]]],
+        [[[-1.0, 3.0], [1.0, np.inf]]],
+        np.zeros((0, 2, 2)),
+        np.zeros((3, 2)),
+    ],
+)
+def test_parts_of_a_domain_that_a_search_would_leave_out_are_refused(near: object) -> None:
+    domain = Domain(np.array([-1.0, -1.0]), np.array([1.0, 1.0]), np.asarray(near, dtype=float))
+    with pytest.raises(fjr.StateError, match="near .*; expected"):
+        largest_inertia(fjr.planar_two_link(), np.eye(2), domain, most_boxes=50)
+
+
 def slider(turns: int) -> fjr.Robot:
     """Return a robot whose last link slides radially; it does not say which joints are prismatic, the bodies do."""
     slide = fjr.Body(np.eye(3), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3), True)

@@ -37,6 +37,7 @@ def test_pairs_of_solutions_and_the_centre_move_within_the_bounds(name: str) -> 
     pieces, next_centre = sample.pieces(index, centre), 0.5 * centre
     rho = sample.factors(pieces, metric, after, radius)
     moved = sample.displacement(pieces, after, next_centre)
+    reached = sample.flow(pieces, metric.extent(radius)).reached[: 4 * n]
     assert np.all(np.isfinite(rho))
     assert np.all(rho < 1.5)
     closest = 0.0
@@ -55,4 +56,7 @@ def test_pairs_of_solutions_and_the_centre_move_within_the_bounds(name: str) -> 
             assert seen <= bound
             assert np.linalg.norm(after.W[k] @ (third - next_centre[k, :s])) <= moved[k]
             closest = max(closest, seen / bound)
+        start = centre[k] + starts[0]
+        between = one_sample(sample.system, start, reference, t, H / 2, min(tau, H / 2)) - centre[k]
+        assert np.all(np.abs(between[: 4 * n]) <= reached[:, k])
     assert closest > 0.5

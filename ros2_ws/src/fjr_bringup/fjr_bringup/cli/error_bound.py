@@ -9,11 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from fjr_bringup.progress import progress_bar
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.robust import RobustLaw
 from fjr_core.errors import ParameterError
+from fjr_core.numerics.checks import Array
 from fjr_core.stability.error_bound import ErrorBound, bound_errors
 from fjr_core.stability.error_bound.error_bound import TORQUES
+
+PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,9 @@ def errors_bounded(scenario: Scenario, errors: Mapping[str, float], delay: float
     _refuse(scenario)
     period = scenario.sample_period
     late = scenario.loop_delay if delay is None else delay * period
-    found = bound_errors(scenario.law, scenario.reference, period, late, errors)
+    given = scenario.law, scenario.reference, period, late, errors
+    with progress_bar("bounding the tracking error", PROGRESS, total=1.0, desc="error bound") as bar:
+        found = bound_errors(*given, lambda share: bar.update(share - bar.n))
     return Bound(_sentence(scenario, found), _values(scenario, found))
 
 
@@ -58,10 +64,13 @@ def _sentence(scenario: Scenario, found: ErrorBound) -> str:
         return f"with {conditions}: none found; expected smaller errors"
     joint = int(np.argmax(found.position))
     unit = scenario.robot.units[joint].position
-    basis = (
-        "proven along this reference" if found.proven else "along this reference; from sampled constants, not proven"
-    )
-    return f"with {conditions}: at most {1e3 * found.position[joint]:.3g} m{unit} at {scenario.joints[joint]}, {basis}"
+    basis = "along this reference; from sampled constants, not proven"
+    if found.proven:
+        steady = "" if np.all(np.isfinite(found.from_start)) else "in steady motion, "
+        basis = f"{steady}proven along this reference"
+    storage = "" if np.isnan(found.storage) else f", V at most {1e3 * found.storage:.3g} mJ"
+    largest = f"{1e3 * found.position[joint]:.3g} m{unit} at {scenario.joints[joint]}"
+    return f"with {conditions}: at most {largest}{storage}, {basis}"
 
 
 def _error(name: str, size: float) -> str:
@@ -77,12 +86,18 @@ def _delay(found: ErrorBound) -> str:
 
 
 def _values(scenario: Scenario, found: ErrorBound) -> dict[str, Any]:
-    """Return the bound of each joint; null without a bound."""
-    positions = zip(scenario.joints, found.position, strict=True)
+    """Return the bounds of each joint; null without a bound."""
     return {
         "errors": dict(found.errors),
         "delay_samples": found.delay / found.sample_period,
-        "position": {joint: float(size) if found.found else None for joint, size in positions},
+        "position": _by_joint(scenario, found.position),
+        "from_start": _by_joint(scenario, found.from_start),
+        "V_J": found.storage if np.isfinite(found.storage) else None,
         "proven": found.proven,
         "parts": found.parts,
     }
+
+
+def _by_joint(scenario: Scenario, sizes: Array) -> dict[str, float | None]:
+    finite = np.isfinite(sizes)
+    return {joint: float(size) if finite.all() else None for joint, size in zip(scenario.joints, sizes, strict=True)}

@@ -37,7 +37,8 @@ def tube(reference: Reference, radius: ArrayLike, parts: int = PARTS) -> Domain:
     if np.isfinite(reference.end):
         intervals.append((horizon, np.inf))
     bounds = [reference.motion_bounds(float(t0), float(t1)) for t0, t1 in intervals]
-    return Domain(lower, upper, np.array([[each.lower[0] - reach, each.upper[0] + reach] for each in bounds]))
+    near = np.array([[each.lower[0] - reach, each.upper[0] + reach] for each in bounds])
+    return Domain(np.minimum(lower, near[:, 0].min(axis=0)), np.maximum(upper, near[:, 1].max(axis=0)), near)
 
 
 def _horizon(reference: Reference) -> float | None:

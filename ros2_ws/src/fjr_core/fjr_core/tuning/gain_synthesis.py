@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..control.vdpbc.gains import Gains, relative_eigenvalues
 from ..control.vdpbc.law import TrackingLaw
@@ -28,7 +28,7 @@ from ..numerics.checks import Array, positive
 from ..robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from ..robot.equilibrium import Equilibria, Indices, equilibria_at, plant_matrices
 from ..robot.robot import Robot
-from ..stability.drawn_plants import DrawnLoops, DrawnPlants
+from ..stability.drawn_plants import DrawnLoops, DrawnPlants, Peculiarity
 from ..stability.linearization import in_error_coordinates
 from ..stability.one_sample_map import SampledLoop
 from ..stability.sampled_loop import FEW, checked_times
@@ -43,6 +43,7 @@ LEAST_DECAY = 0.5  # fraction of the rate that the sampled loop must keep
 HALVINGS = 16  # of an unreachable rate in the search of a reachable one
 LARGEST_PRODUCT = 30.0  # beta times the sample period; no loop decays by e^-15 per sample
 DRAWN_AT = 3  # configurations of the largest radius, at each screened delay, for drawn plants
+SCREENED_AT = 100  # configurations, about as many, of which the worst for some drawn plants are added
 STEP_DOWN, STEPS_DOWN = 0.7, 6  # in the search of a rate that is stable with all drawn plants
 GOAL = 0.98  # attained / proven inertia at which the search of a proven s ends
 KEPT = 12  # configurations of the largest radius at each screened delay, at which gains are compared
@@ -74,9 +75,11 @@ def synthesize(
     positive("beta", beta, GainsError, "1/s")
     task = gain_search(robot, sample_period, delay, configurations, domain)
     gains = replace(task, plants=plants).best(beta)
-    if gains is None and plants is not None and task.best(beta) is not None:
+    if gains is None and plants is not None and (own := task.best(beta)) is not None:
+        lost = task.lost(own, plants)
+        why = f" ({Peculiarity.of(plants, lost).sentence(joints)})" if lost.any() else ""
         raise GainsError(
-            f"beta = {beta:g} 1/s is out of reach for all {len(plants)} drawn plants; "
+            f"beta = {beta:g} 1/s is out of reach for all {len(plants)} drawn plants{why}; "
             f"{_reachable_by_all(task, plants, beta)}"
         )
     if gains is None:
@@ -140,13 +143,17 @@ class GainSearch:
         return None
 
     def _holds_for_plants(self, gains: Gains) -> bool:
-        """Return whether the loop is stable with all drawn plants at the most critical equilibria."""
-        if self.plants is None:
-            return True
-        worst = self._loop(self.equilibria, gains).critical(self.sample_period, self.delay, DRAWN_AT)
-        law = TrackingLaw(self.equilibria.robot, gains)
-        loops = DrawnLoops(law, self.equilibria.at(worst), self.sample_period, self.delay)
-        return not loops.unstable(self.plants).any()
+        """Return whether the loop is stable with all drawn plants, if there are any."""
+        return self.plants is None or not self.lost(gains, self.plants).any()
+
+    def lost(self, gains: Gains, plants: DrawnPlants) -> NDArray[np.bool_]:
+        """Return which drawn plants (k,) are unstable where the loop is worst for its own model or for some of them."""
+        law, T = TrackingLaw(self.equilibria.robot, gains), self.sample_period
+        count = len(self.equilibria.q_l)
+        screened = np.arange(0, count, max(1, count // SCREENED_AT))
+        worst = screened[DrawnLoops(law, self.equilibria.at(screened), T, self.delay).worst(plants)]
+        own = self._loop(self.equilibria, gains).critical(T, self.delay, DRAWN_AT)
+        return DrawnLoops(law, self.equilibria.at(np.union1d(own, worst)), T, self.delay).unstable(plants)
 
     def _candidates(self, beta: float, c: float) -> Iterator[Gains]:
         for g in COUPLING:

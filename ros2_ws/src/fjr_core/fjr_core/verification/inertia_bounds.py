@@ -90,42 +90,14 @@ def largest_inertia(
     most_boxes: int = MOST_BOXES,
     samples: ArrayLike = (),
     watch: Watch = unwatched,
+    sign: float = 1.0,
 ) -> RelativeInertia:
     """Return the least number that is proven to satisfy M_l(q_l) <= bound A on a domain, the joint range by default.
 
     A (n, n): symmetric positive definite. samples (k, n): configurations at which large values are expected.
-    The search ends if attained >= goal bound, or after most_boxes. Raises RobotError unless is_provable(robot).
+    sign: -1 for -M_l(q_l) <= bound A. The search ends if attained >= goal bound (bound >= goal attained if negative),
+    or after most_boxes. Raises RobotError unless is_provable(robot), StateError for a domain without positions.
     """
-    return _bound(robot, A, domain, goal, most_boxes, samples, watch, 1.0)
-
-
-def least_inertia(
-    robot: Robot,
-    A: ArrayLike,
-    domain: Domain | None = None,
-    goal: float = GOAL,
-    most_boxes: int = MOST_BOXES,
-    samples: ArrayLike = (),
-    watch: Watch = unwatched,
-) -> RelativeInertia:
-    """Return the largest number that is proven to satisfy M_l(q_l) >= bound A; the arguments as of largest_inertia.
-
-    The search ends if bound >= goal attained, or after most_boxes; the bound may then be negative.
-    """
-    found = _bound(robot, A, domain, goal, most_boxes, samples, watch, -1.0)
-    return replace(found, bound=-found.bound, attained=-found.attained)
-
-
-def _bound(
-    robot: Robot,
-    A: ArrayLike,
-    domain: Domain | None,
-    goal: float,
-    most_boxes: int,
-    samples: ArrayLike,
-    watch: Watch,
-    sign: float,
-) -> RelativeInertia:
     polynomial, order = _polynomial(robot), list(robot.links.order)
     domain = domain or joint_range(robot)
     in_chain = np.argsort(order)
@@ -152,15 +124,36 @@ def _bound(
     return RelativeInertia(found.bound, found.attained, complete(found.at), lower, upper, found.boxes, found)
 
 
+def least_inertia(robot: Robot, A: ArrayLike, domain: Domain | None = None, goal: float = GOAL) -> RelativeInertia:
+    """Return the largest number that is proven to satisfy M_l(q_l) >= bound A; see largest_inertia."""
+    found = largest_inertia(robot, A, domain, goal, sign=-1.0)
+    return replace(found, bound=-found.bound, attained=-found.attained)
+
+
 def _covered(robot: Robot, domain: Domain) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return lower and upper (n,) of the domain, and which joints turn by a whole circle: their range is one turn."""
     ends = (domain.lower, domain.upper)
     lower, upper = (checks.vector("an end of the domain", end, robot.n, StateError) for end in ends)
     if not np.all(lower <= upper):
         raise StateError(f"the domain is {lower.tolist()} to {upper.tolist()}; expected lower <= upper")
+    if domain.near is not None:
+        _check_near(domain.near, lower, upper)
     slides = np.array([robot.links.bodies[joint].prismatic for joint in robot.links.order])
     whole = ~slides & (upper - lower >= 2 * np.pi - 1e-9)
     return lower, np.where(whole, lower + CIRCLE, upper), whole
+
+
+def _check_near(near: Array, lower: Array, upper: Array) -> None:
+    """Raise StateError for boxes (k, 2, n) that are not ordered within lower, upper (n,).
+
+    A search would leave them out: its bound would not hold on them.
+    """
+    if np.ndim(near) != 3 or not len(near) or near.shape[1:] != (2, len(lower)):
+        raise StateError(f"near has shape {np.shape(near)}; expected (k, 2, {len(lower)}) with k > 0")
+    inside = (lower <= near[:, 0]) & (near[:, 0] <= near[:, 1]) & (near[:, 1] <= upper)
+    if not np.all(inside):
+        worst = near[np.argmin(inside.all(axis=1))].tolist()
+        raise StateError(f"near contains {worst}; expected lower <= upper, within the domain")
 
 
 def _near(domain: Domain, whole: NDArray[np.bool_], joints: NDArray[np.intp]) -> Callable[[Array], bool]:

@@ -8,14 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...numerics.checks import Array
 from ...numerics.one_line import one_line
 from ...robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from ...robot.robot import Robot
 from ...verification.inertia_bounds import RelativeInertia
+from ...verification.intervals import Interval, product
+from ...verification.matrix_pencil import least_eigenvalue
 from .gains import CheckedGains, relative_eigenvalues
 
 ROUNDING = 1e-9
-"""Relative margin of a proven rate for the rounding of D_l + K_ld, and of rotations that are orthogonal to 1e-14."""
+"""Relative margin of a proven rate for the rounding of the damping matrices and of rotations (orthogonal to 1e-14)."""
 
 
 @dataclass(frozen=True)
@@ -58,22 +61,38 @@ def rate(robot: Robot, gains: CheckedGains, configurations: ArrayLike | None = N
 def rate_with(robot: Robot, gains: CheckedGains, inertia: RelativeInertia, largest: RelativeInertia) -> Rate:
     """Return the rates that are proven by bounds of M_l relative to D_l + K_ld and to the unit matrix."""
     found = _of_blocks(robot, gains, (1 - ROUNDING) / inertia.bound, largest.bound, True)
-    others = min(gains.beta_l, gains.beta_m, found.beta_sigma_m)
+    others = min(found.beta_l, found.beta_m, found.beta_sigma_m)
     return replace(found, attained=min(others, 1 / inertia.attained))
 
 
 def _of_blocks(robot: Robot, gains: CheckedGains, beta_sigma_l: float, largest_inertia: float, proven: bool) -> Rate:
     damping_l, damping_m = robot.D_l + gains.K_ld, robot.D_m + gains.K_md
-    beta_sigma_m = float(relative_eigenvalues(damping_m, robot.M_m)[0])
+    beta_sigma_m, beta_l, beta_m = float(relative_eigenvalues(damping_m, robot.M_m)[0]), gains.beta_l, gains.beta_m
+    if proven:
+        beta_sigma_m = _safe(beta_sigma_m, Interval.exact(damping_m), robot.M_m)
+        beta_l = _safe(beta_l, _position_block(gains.Pi_l, gains.Lambda_l), gains.Pi_l)
+        beta_m = _safe(beta_m, _position_block(gains.Pi_m, gains.Lambda_m), gains.Pi_m)
     smallest_damping = min(float(np.linalg.eigvalsh(damping)[0]) for damping in (damping_l, damping_m))
     largest_inertia = max(largest_inertia, float(np.linalg.eigvalsh(robot.M_m)[-1]))
-    beta_q = min(gains.beta_l, gains.beta_m)
+    beta_q = min(beta_l, beta_m)
     return Rate(
         beta=min(beta_q, beta_sigma_l, beta_sigma_m),
         beta_paper=min(beta_q, smallest_damping / largest_inertia),
-        beta_l=gains.beta_l,
-        beta_m=gains.beta_m,
+        beta_l=beta_l,
+        beta_m=beta_m,
         beta_sigma_l=beta_sigma_l,
         beta_sigma_m=beta_sigma_m,
         proven=proven,
     )
+
+
+def _position_block(Pi: Array, Lambda: Array) -> Interval:
+    """Return sym(Pi Lambda), the matrix of conditions (32) and (41)."""
+    twice = product(Interval.exact(Pi), Interval.exact(Lambda))
+    return (twice + Interval(twice.mid.T, twice.rad.T)) * Interval.exact(0.5)
+
+
+def _safe(rate: float, A: Interval, B: Array) -> float:
+    """Return a rate in floating point if A >= rate B is proven up to ROUNDING, else the lower one that is proven."""
+    proven = least_eigenvalue(A, Interval.exact(B))
+    return rate if proven >= (1 - ROUNDING) * rate else max(proven, 0.0)

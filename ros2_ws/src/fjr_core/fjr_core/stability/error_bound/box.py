@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes by their lower and upper bounds, and the enclosure of CasADi functions on them."""
+"""Boxes by their lower and upper bounds, tubes, and the enclosure of CasADi functions on boxes."""
 
 from __future__ import annotations
 
@@ -29,6 +29,11 @@ class Box(NamedTuple):
         """Return the box middle +- radius, rounded outwards."""
         return cls(np.nextafter(middle - radius, -np.inf), np.nextafter(middle + radius, np.inf))
 
+    @classmethod
+    def point(cls, values: Array) -> Box:
+        """Return the box that contains these values only."""
+        return cls(values, values)
+
     @property
     def interval(self) -> Interval:
         """The box by midpoint and radius, rounded outwards."""
@@ -39,6 +44,22 @@ class Box(NamedTuple):
     def distance(self, point: Array) -> Array:
         """Return the largest distances of numbers in the box from a point."""
         return np.asarray(np.nextafter(np.maximum(self.upper - point, point - self.lower), np.inf))
+
+
+class Tube(NamedTuple):
+    """Deviations z (4n,) with |S z| at most `radius` (4n,)."""
+
+    S_inverse: Array
+    radius: Array
+
+    def box(self, k: int) -> Box:
+        """Return k boxes (4n, k) that contain the tube."""
+        radius = np.tile((np.abs(self.S_inverse) @ self.radius)[:, None], k)
+        return Box(-radius, radius)
+
+    def corners(self, share: Array) -> Array:
+        """Return points (4n, k) of the tube at shares (4n, k) of its width."""
+        return np.asarray(self.S_inverse @ ((2 * share - 1) * self.radius[:, None]))
 
 
 def enclosure(function: ca.Function, *arguments: Box) -> list[Box]:

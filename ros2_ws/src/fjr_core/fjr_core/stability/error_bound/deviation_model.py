@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Equations of the deviation z of the robot from its ideal motion along a reference, with wrong parameters.
+"""Equations of the deviation z of the robot from a centre motion, the exact motion of a robot with other parameters.
 
-    z = (q_l - q_ld, zeta - zeta_d, dq_l - dq_ld, dq_m - dq_md),   zeta = q_m - q_l
-    M_l(q_l) dz_3 = h(z) = (f_K K zeta - f_D D_l dq_l) / (p f_M) - C dq_l - f_g / f_M grad P_l - M_l(q_l) ddq_ld
-    M_m dz_4      = (B_m u - f_K K zeta - f_Dm D_m dq_m) / f_Mm - M_m ddq_md
+    z = (q_l - q_lc, zeta - zeta_c, dq_l - dq_lc, dq_m - dq_mc),   zeta = q_m - q_l
+    M_l(q_l) dz_3 = h(z) = (f_K K zeta - f_D D_l dq_l) / (p f_M) - C dq_l - f_g / f_M grad P_l - M_l(q_l) ddq_lc
+    M_m dz_4      = (B_m u - f_K K zeta - f_Dm D_m dq_m) / f_Mm - M_m ddq_mc
 
-The ideal motion (index d) solves the equations of the model: u_d keeps the links on the reference. The factors of the
-true robot are `FACTORS`; p multiplies inertia and weight of the links together. At z = 0, h is the torque error d_l of
-the links along the reference, in which the terms of the model cancel; likewise d_m of the motors.
+The centre motion (index c) solves the equations of a robot with the factors c: its links move along q_lc(t), which
+determines the springs, the motors and the effort u_c(t). The factors of the true robot are f (`FACTORS`); p multiplies
+inertia and weight of the links together. At z = 0, h is the torque error d_l of the links, which vanishes for f = c;
+likewise d_m of the motors. The law answers the centre motion by u_c + e_c, with the defect e_c.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from ...control.inverse_dynamics import spring_torque
+from ...control.inverse_dynamics import MotorMotion
 from ...control.static_law import StaticLaw
 from ...numerics.symbolic import directional, sparse
 from ...trajectories.reference import JETS
@@ -33,43 +34,64 @@ FACTORS = (
 )
 """Factors of the true robot on the parameters of the model, 1 without an error."""
 DERIVATIVES = JETS + 1
-"""Columns of the arguments `jets` here: q_ld .. d5q_ld; the rate of the effort needs the fifth derivative."""
+"""Columns of the arguments `path` and `jets`: q .. d5q; the rate of the effort needs the fifth derivative."""
 
 
 class DeviationModel:
     """CasADi functions of the deviation under a static law and its robot; n joints.
 
-    Arguments: jets (n, 6) q_ld .. d5q_ld, z (4n,), f (7,) factors.
+    Arguments: path (n, 6) q_lc .. d5q_lc of the centre motion, jets (n, 6) q_ld .. d5q_ld of the reference, z (4n,),
+    c and f (7,) factors of the centre motion and of the robot.
     """
 
     def __init__(self, law: StaticLaw) -> None:
         self.law, self.robot, self.n = law, law.robot, law.robot.n
-        self._jets = ca.SX.sym("jets", self.n, DERIVATIVES)
-        self._z, self._f = ca.SX.sym("z", 4 * self.n), ca.SX.sym("f", len(FACTORS))
+        self._path, self._jets = (ca.SX.sym(name, self.n, DERIVATIVES) for name in ("path", "jets"))
+        self._z, (self._c, self._f) = ca.SX.sym("z", 4 * self.n), (ca.SX.sym(name, len(FACTORS)) for name in "cf")
 
     @cached_property
-    def torque_errors(self) -> ca.Function:
-        """(jets, f) -> torque errors d_l, d_m (n,) [N m] along the reference, rate of B_m u_d (n,) [N m/s]."""
-        robot, (p, f_M, f_g, f_K, f_Mm, f_D, f_Dm) = self.robot, ca.vertsplit(self._f)
-        q, dq, ddq = (self._jets[:, i] for i in range(3))
-        inertial = robot.links.inertial_torque(q, dq, dq, ddq)
-        friction, weight = sparse(robot.D_l) @ dq, robot.links.grad_P_l(q)
-        d_l = (f_K / (p * f_M) - 1) * inertial + (f_K - f_D) / (p * f_M) * friction
-        d_l += (f_K / p - f_g) / f_M * weight
-        tau, _, dq_m, ddq_m, torque = self._ideal
-        motors = (1 - f_Mm) * (sparse(robot.M_m) @ ddq_m) + (1 - f_Dm) * (sparse(robot.D_m) @ dq_m) + (1 - f_K) * tau
-        return self._function("torque_errors", (self._jets, self._f), (d_l, motors / f_Mm, self._rate(torque)))
+    def torque_terms(self) -> ca.Function:
+        """(path, c) -> terms T (2n, 6) [N m] of the torque errors (d_l, d_m) = T a(f)."""
+        robot = self.robot
+        motors = sparse(robot.M_m) @ self._centre.ddtheta, sparse(robot.D_m) @ self._centre.dtheta, self._centre.tau
+        terms = ca.diagcat(ca.horzcat(*self._link_torques), ca.horzcat(*motors))
+        return self._function("torque_terms", (self._path, self._c), (terms,))
+
+    @cached_property
+    def coefficients(self) -> ca.Function:
+        """(c, f) -> derivatives (6, 7) of the coefficients a(f) of the torque terms with respect to f; a(c) = 0."""
+        p, f_M, f_g, f_K, f_Mm, f_D, f_Dm = ca.vertsplit(self._f)
+        c_p, c_M, c_g, c_K, c_Mm, c_D, c_Dm = ca.vertsplit(self._c)
+        inertial, friction = c_p * c_M * f_K / c_K / (p * f_M) - 1, (c_D * f_K / c_K - f_D) / (p * f_M)
+        weight = (c_p * c_g * f_K / c_K / p - f_g) / f_M
+        motors = (c_Mm - f_Mm) / f_Mm, (c_Dm - f_Dm) / f_Mm, (1 - f_K / c_K) / f_Mm
+        derivatives = ca.jacobian(ca.vertcat(inertial, friction, weight, *motors), self._f)
+        return self._function("coefficients", (self._c, self._f), (derivatives,))
+
+    @cached_property
+    def defect(self) -> ca.Function:
+        """(path, jets, c) -> defect e_c of the law (n,) [N m], its rate [N m/s], and the rate of B_m u_c (n,)."""
+        torque = self._centre.torque
+        e = self._law(ca.DM.zeros(4 * self.n)) - ca.DM(np.linalg.inv(self.robot.B_m)) @ torque
+        return self._function("defect", (self._path, self._jets, self._c), (e, self._rate(e), self._rate(torque)))
+
+    @cached_property
+    def states(self) -> ca.Function:
+        """(path, c) -> state of the centre motion: q_l, zeta, dq_l and dq_m (4n,), and the effort u_c (n,)."""
+        effort = ca.DM(np.linalg.inv(self.robot.B_m)) @ self._centre.torque
+        state = ca.vertcat(*self._moving(ca.DM.zeros(4 * self.n)))
+        return self._function("states", (self._path, self._c), (state, effort))
 
     @cached_property
     def link_slope(self) -> ca.Function:
-        """(jets, z, f) -> dh/dz (n, 4n), M_l(q_l) (n, n)."""
+        """(path, z, c, f) -> dh/dz (n, 4n), M_l(q_l) (n, n)."""
         p, f_M, f_g, f_K, _, f_D, _ = ca.vertsplit(self._f)
-        robot, (q_l, zeta, dq_l, _) = self.robot, self._moving
+        robot, (q_l, zeta, dq_l, _) = self.robot, self._moving(self._z)
         spring, friction = f_K * (sparse(robot.K) @ zeta), f_D * (sparse(robot.D_l) @ dq_l)
         h = (spring - friction) / (p * f_M) - f_g / f_M * robot.links.grad_P_l(q_l)
-        h -= robot.links.inertial_torque(q_l, dq_l, dq_l, self._jets[:, 2])
+        h -= robot.links.inertial_torque(q_l, dq_l, dq_l, self._path[:, 2])
         results = ca.jacobian(h, self._z), robot.links.M_l(q_l)
-        return self._function("link_slope", (self._jets, self._z, self._f), results)
+        return self._function("link_slope", (self._path, self._z, self._c, self._f), results)
 
     @cached_property
     def motor_slope(self) -> ca.Function:
@@ -81,35 +103,64 @@ class DeviationModel:
 
     @cached_property
     def law_slope(self) -> ca.Function:
-        """(jets, z) -> du/dz (n, 4n) of the law."""
-        q_l, zeta, dq_l, dq_m = self._moving
-        position, velocity = ca.vertcat(q_l, q_l + zeta), ca.vertcat(dq_l, dq_m)
-        jets, gains = self._jets[:, :JETS], ca.DM(self.law.gain_values)
-        u, _ = self.law.measured_expression(position, velocity, jets, gains)
-        return self._function("law_slope", (self._jets, self._z), (ca.jacobian(u, self._z),))
-
-    @property
-    def _moving(self) -> list[ca.SX]:
-        """q_l, zeta, dq_l and dq_m (n,) at the deviation z."""
-        tau, _, dq_m, _, _ = self._ideal
-        zeta = ca.DM(np.linalg.inv(self.robot.K)) @ tau
-        ideal = ca.vertcat(self._jets[:, 0], zeta, self._jets[:, 1], dq_m)
-        return ca.vertsplit(ideal + self._z, self.n)
+        """(path, jets, z, c) -> du/dz (n, 4n) of the law."""
+        slope = ca.jacobian(self._law(self._z), self._z)
+        return self._function("law_slope", (self._path, self._jets, self._z, self._c), (slope,))
 
     @cached_property
-    def _ideal(self) -> tuple[ca.SX, ...]:
-        """Spring torque, motor position, velocity and acceleration, and motor torque B_m u_d along the reference."""
-        robot, jets = self.robot, self._jets
-        tau = spring_torque(robot, *(jets[:, i] for i in range(3)))
-        q_m = jets[:, 0] + sparse(np.linalg.inv(robot.K)) @ tau
+    def storage(self) -> ca.Function:
+        """(path, jets, z, c) -> V [J] of the law, nan if it has none, and dV/dz (4n,)."""
+        _, V = self._answer(self._z)
+        return self._function("storage", (self._path, self._jets, self._z, self._c), (V, ca.gradient(V, self._z)))
+
+    @cached_property
+    def storage_curvature(self) -> ca.Function:
+        """(path, jets, z, c) -> second derivatives of V in z (4n, 4n), and the rate of V for constant z."""
+        _, V = self._answer(self._z)
+        results = ca.hessian(V, self._z)[0], self._rate(V)
+        return self._function("storage_curvature", (self._path, self._jets, self._z, self._c), results)
+
+    def _law(self, z: ca.SX) -> ca.SX:
+        """Return the effort (n,) of the law at the deviation z."""
+        return self._answer(z)[0]
+
+    def _answer(self, z: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the effort (n,) of the law and its storage V at the deviation z."""
+        q_l, zeta, dq_l, dq_m = self._moving(z)
+        position, velocity = ca.vertcat(q_l, q_l + zeta), ca.vertcat(dq_l, dq_m)
+        gains = ca.DM(self.law.gain_values)
+        u, V = self.law.measured_expression(position, velocity, self._jets[:, :JETS], gains)
+        return u, V
+
+    def _moving(self, z: ca.SX) -> list[ca.SX]:
+        """Return q_l, zeta, dq_l and dq_m (n,) at the deviation z."""
+        zeta = sparse(np.linalg.inv(self.robot.K)) @ self._centre.tau / self._c[FACTORS.index("stiffness")]
+        centre = ca.vertcat(self._path[:, 0], zeta, self._path[:, 1], self._centre.dtheta)
+        return ca.vertsplit(centre + z, self.n)
+
+    @cached_property
+    def _link_torques(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Inertial torque, friction and weight (n,) [N m] of the model along the centre motion."""
+        q, dq, ddq = (self._path[:, i] for i in range(3))
+        links = self.robot.links
+        return links.inertial_torque(q, dq, dq, ddq), sparse(self.robot.D_l) @ dq, links.grad_P_l(q)
+
+    @cached_property
+    def _centre(self) -> MotorMotion:
+        """Spring torque, motor motion and motor torque B_m u_c of the robot with the factors c."""
+        robot, (c_p, c_M, c_g, c_K, c_Mm, c_D, c_Dm) = self.robot, ca.vertsplit(self._c)
+        inertial, friction, weight = self._link_torques
+        tau = c_p * c_M * inertial + c_D * friction + c_p * c_g * weight
+        q_m = self._path[:, 0] + sparse(np.linalg.inv(robot.K)) @ tau / c_K
         dq_m = self._rate(q_m)
         ddq_m = self._rate(dq_m)
-        torque = sparse(robot.M_m) @ ddq_m + sparse(robot.D_m) @ dq_m + tau
-        return tau, q_m, dq_m, ddq_m, torque
+        torque = c_Mm * (sparse(robot.M_m) @ ddq_m) + c_Dm * (sparse(robot.D_m) @ dq_m) + tau
+        return MotorMotion(tau, q_m, dq_m, ddq_m, torque)
 
     def _rate(self, e: ca.SX) -> ca.SX:
-        """Return de/dt along the reference; e must not depend on d5q_ld."""
-        return directional(e, ca.vec(self._jets[:, :-1]), ca.vec(self._jets[:, 1:]))
+        """Return de/dt along path and reference; e must not depend on their fifth derivatives."""
+        states = ca.veccat(self._path[:, :-1], self._jets[:, :-1])
+        return directional(e, states, ca.veccat(self._path[:, 1:], self._jets[:, 1:]))
 
     @staticmethod
     def _function(name: str, arguments: tuple[ca.SX, ...], results: tuple[ca.SX, ...]) -> ca.Function:

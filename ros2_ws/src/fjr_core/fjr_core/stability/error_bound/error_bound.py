@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bound the tracking error of a sampled loop along a reference, for model errors, hold and delay (docs/method.md).
 
-The box of the robot's factors is divided until each part has an invariant tube (invariant_tube.py); the bound is the
-largest of the parts. With closed-form links and sines as the reference every constant is enclosed by interval
+The box of the robot's factors is divided until each part has an invariant tube about its own steady motion; the bound
+is the largest of the parts. With closed-form links and sines as the reference every constant is enclosed by interval
 arithmetic, and the bound is proven. Otherwise the ranges are those of random points of the same boxes: sampled.
 """
 
@@ -19,7 +19,8 @@ from ...numerics.checks import Array
 from ...numerics.one_line import one_line
 from ...trajectories.reference import Reference
 from .deviation_model import FACTORS
-from .search import Part, Search
+from .part import Part
+from .search import Progress, Search
 
 TORQUES = ("link_torque", "motor_torque")
 """Names of errors in N m; the others, FACTORS, are relative."""
@@ -30,15 +31,17 @@ LARGEST = 0.9  # relative error of a factor
 class ErrorBound:
     """Bound of the deviations from the reference for all model errors up to `errors`.
 
-    position, velocity (n,) [rad, rad/s]: ultimate bounds of |q_l - q_ld| and |dq_l - dq_ld|, once the start has
-    decayed; infinite if no invariant tube was found. from_start (n,) [rad]: bound of the positions at all times,
-    infinite unless proven. errors: relative errors of FACTORS, and TORQUES in N m. parts: number of parts of the box of
-    factors. proven: every constant is verified; otherwise the bound rests on sampled constants.
+    position, velocity (n,) [rad, rad/s]: ultimate bounds of |q_l - q_ld| and |dq_l - dq_ld| in steady motion; infinite
+    if no invariant tube was found. from_start (n,) [rad]: bound of the positions at all times for a robot that starts
+    on the reference, and then ends within `position`; infinite unless proven. errors: relative errors of FACTORS, and
+    TORQUES in N m. storage [J]: ultimate bound of V in steady motion; nan if the law has none. parts: number of parts
+    of the box of factors. proven: every constant is verified; otherwise the bound rests on sampled constants.
     """
 
     position: Array
     velocity: Array
     from_start: Array
+    storage: float
     errors: Mapping[str, float]
     sample_period: float
     delay: float
@@ -54,13 +57,18 @@ class ErrorBound:
 
 
 def bound_errors(
-    law: StaticLaw, reference: Reference, sample_period: float, delay: float = 0.0, errors: Mapping[str, float] = {}
+    law: StaticLaw,
+    reference: Reference,
+    sample_period: float,
+    delay: float = 0.0,
+    errors: Mapping[str, float] = {},
+    progress: Progress = lambda share: None,
 ) -> ErrorBound:
     """Return a bound of the tracking errors on the reference of the law sampled every sample_period [s].
 
     delay [s]: constant, from a state to the effort that answers it. errors: largest relative errors of the robot's
     factors (FACTORS: one factor for all joints, "payload" for inertia and weight of the links together), and largest
-    TORQUES [N m] that act at any joint with any time course. The robot starts on the reference.
+    TORQUES [N m] that act at any joint with any time course. progress: called with the share that is done, 0 to 1.
     Raises ParameterError for an unknown name, an error that is negative or too large, and a reference that has neither
     a common period nor an end within 60 s.
     """
@@ -70,20 +78,20 @@ def bound_errors(
     given = law, reference, sample_period, delay, disturbing
     search = Search(*given, verified=True)
     if search.applies:
-        parts = search.parts(1 - half, 1 + half)
-        if all(part.tube is not None for part in parts):
+        parts = search.parts(1 - half, 1 + half, progress)
+        if all(part.found for part in parts):
             return _result(parts, law.robot.n, checked, (sample_period, delay), proven=True)
-    parts = Search(*given, verified=False).parts(1 - half, 1 + half)
+    parts = Search(*given, verified=False).parts(1 - half, 1 + half, progress)
     return _result(parts, law.robot.n, checked, (sample_period, delay), proven=False)
 
 
 def _result(
     parts: Sequence[Part], n: int, errors: Mapping[str, float], times: tuple[float, float], proven: bool
 ) -> ErrorBound:
-    none = np.full(4 * n, np.inf)
-    z = np.max([none if part.tube is None else part.tube.z for part in parts], axis=0)
-    start = np.max([none if part.from_start is None else part.from_start.z for part in parts], axis=0)
-    return ErrorBound(z[:n], z[2 * n : 3 * n], start[:n], errors, *times, len(parts), proven)
+    ultimate = np.max([part.ultimate for part in parts], axis=0)
+    start = np.max([part.from_start for part in parts], axis=0)
+    storage = float(np.max([part.storage for part in parts]))
+    return ErrorBound(ultimate[:n], ultimate[n:], start[:n], storage, errors, *times, len(parts), proven)
 
 
 def _checked(errors: Mapping[str, float]) -> dict[str, float]:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...numerics.checks import Array
+from ...robot.equilibrium import Indices
 from ..one_sample_map import held_maps
 from .reference_cells import Cells
 
@@ -23,16 +24,10 @@ ROUNDING = 1 + 1e-9
 """Factor that covers the rounding of products and sums: less than 1e5 operations of relative error 2^-53 each."""
 
 
-MOST_PERIODS = 50
-STEADY = 1e-12  # relative change of a period's response that has become periodic
-
-
 @dataclass(frozen=True, eq=False)
 class CellModels:
     """Sampled loop of each of c cells: loop (c, S, S), torque inputs (c, S, m) at the end and the start of a sample.
 
-    torque_held (c, S, m): input of torques that are constant over a sample, the integral of exp(A s) E. torque_aged
-    (c, S, m): of torques that are the age [s] of the acting effort.
     curvature (c, S, m): bound of T^3 / 12 |exp(A s) A^2 E|. effort (c, S, n): input of e. outputs (c, r, S): rows
     whose gains are computed in addition to those of Z.
     """
@@ -40,8 +35,6 @@ class CellModels:
     loop: Array
     torque_late: Array
     torque_early: Array
-    torque_held: Array
-    torque_aged: Array
     curvature: Array
     effort: Array
     outputs: Array
@@ -53,26 +46,8 @@ def curvature(A: Array, E: Array, T: float) -> Array:
     return np.asarray(T**3 / 12 * growth @ np.abs(A @ A @ E))
 
 
-def response(models: CellModels, cells: Cells, torque: Array, aging: Array) -> Array:
-    """Return Z (c, S) at the end of each cell in the steady state.
-
-    The torques in a cell are those of `torque` (c, m), constant, and `aging` (c, m) times the age of the acting effort.
-    """
-    drive = np.einsum("csm,cm->cs", models.torque_held, torque) + np.einsum("csm,cm->cs", models.torque_aged, aging)
-    Z, ends = np.zeros(models.loop.shape[1]), np.zeros(drive.shape)
-    for _ in range(MOST_PERIODS if cells.periodic else 1):
-        before = ends.copy()
-        for i in range(cells.count):
-            for _ in range(cells.samples):
-                Z = models.loop[i] @ Z + drive[i]
-            ends[i] = Z
-        if np.abs(ends - before).max() <= STEADY * np.abs(ends).max():
-            break
-    return ends
-
-
-def peak_gains(models: CellModels, cells: Cells, T: float, blocks: int, finals: Array) -> Array:
-    """Return the gains (S + r, m + n) from torques and effort errors to |Z| and the outputs.
+def peak_gains(models: CellModels, cells: Cells, T: float, blocks: int, finals: Indices) -> Array:
+    """Return the gains (S + r, m + n + S) from torques, effort errors and |Z| before the sums to |Z| and the outputs.
 
     The supremum is over the samples at the end of the cells `finals`; T [s]: sample period. blocks: length of the sums
     in cells. Infinite if the last product is not a contraction.
@@ -89,7 +64,7 @@ def peak_gains(models: CellModels, cells: Cells, T: float, blocks: int, finals: 
         sums[:, :, m:] += effort
         X = X @ chain[i]
     rest = np.abs(X).max(axis=0)
-    gains = sums.max(axis=0)
+    gains = np.hstack([sums.max(axis=0), rest])
     if not np.all(np.isfinite(rest)) or np.abs(np.linalg.eigvals(rest[:S])).max() >= 1:
         return np.full_like(gains, np.inf)
     states = np.linalg.solve(np.eye(S) - rest[:S], gains[:S])

@@ -1,31 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sampled loop of the deviation in each cell of a reference, with the robot's factors in the middle of their box."""
+"""Sampled loop of the deviation in each cell of a reference, linear about a centre motion."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ...numerics.checks import Array
+from ...robot.equilibrium import Indices
 from ..linear_controller import static
 from ..one_sample_map import held_maps, map_of_held, split
+from .centre_motion import CentreMotion
 from .deviation_model import DeviationModel
+from .modal_coordinates import Coordinates
 from .peak_gains import CellModels, curvature
-from .reference_cells import Cells
 
 
 @dataclass(frozen=True, eq=False)
 class LinearCells:
-    """Linear model of the deviation in each of c cells at the factors f (7,).
+    """Linear model of the deviation in each of c cells about a centre motion.
 
     M (c, n, n), H (c, n, 4n): M dz_3 = H z + d_l;  G (n, 4n), B (n, n): M_m dz_4 = G z + B v + d_m, v the deviation of
-    the effort. F (c, n, 4n): v = F z at the sample. Z is (z, v of earlier samples in transit). between [s]: time from
-    the nearest sample that bounds cover, T / 2, or 0 for bounds at the samples.
+    the effort. F (c, n, 4n): v = F z at the sample. between [s]: time from the nearest sample that bounds cover, T / 2,
+    or 0 for bounds at the samples. The properties are in `coordinates`: y for z, and likewise for torques and efforts.
     """
 
     model: DeviationModel
+    coordinates: Coordinates
     M: Array
     H: Array
     G: Array
@@ -40,26 +44,37 @@ class LinearCells:
         """Number of joints."""
         return self.model.n
 
+    def at(self, cells: Indices) -> LinearCells:
+        """Return the models of the selected cells."""
+        return replace(self, **{name: getattr(self, name)[cells] for name in "MHF"})
+
     @cached_property
     def A(self) -> Array:
-        """Matrices (c, 4n, 4n) of dz/dt = A z + .."""
-        n, one = self.n, np.eye(self.n)
+        """Matrices (c, 4n, 4n) of dy/dt = A y + .."""
+        n, one, S = self.n, np.eye(self.n), self.coordinates
         A = np.zeros((len(self.M), 4 * n, 4 * n))
         A[:, :n, 2 * n : 3 * n] = one
         A[:, n : 2 * n, 2 * n :] = np.hstack([-one, one])
         A[:, 2 * n : 3 * n] = np.linalg.solve(self.M, self.H)
         A[:, 3 * n :] = np.linalg.solve(self.model.robot.M_m, self.G)
-        return A
+        return np.asarray(S.S @ A @ S.S_inverse)
+
+    @cached_property
+    def law(self) -> Array:
+        """Slopes (c, n, 4n) of the effort of the law."""
+        return np.asarray(self.coordinates.effort @ self.F @ self.coordinates.S_inverse)
 
     @cached_property
     def inputs(self) -> tuple[Array, Array]:
-        """Inputs of v (c, 4n, n) and of the torques d_l, d_m (c, 4n, 2n)."""
-        n, c = self.n, len(self.M)
-        by_effort, by_torque = np.zeros((c, 4 * n, n)), np.zeros((c, 4 * n, 2 * n))
+        """Inputs of the effort (c, 4n, n), and of the torques d_l, d_m and link accelerations (c, 4n, 3n)."""
+        n, c, S = self.n, len(self.M), self.coordinates
+        by_effort, by_torque = np.zeros((c, 4 * n, n)), np.zeros((c, 4 * n, 3 * n))
         M_m_inverse = np.linalg.inv(self.model.robot.M_m)
         by_effort[:, 3 * n :] = M_m_inverse @ self.B
-        by_torque[:, 2 * n : 3 * n, :n], by_torque[:, 3 * n :, n:] = np.linalg.inv(self.M), M_m_inverse
-        return by_effort, by_torque
+        by_torque[:, 2 * n : 3 * n, :n], by_torque[:, 3 * n :, n : 2 * n] = np.linalg.inv(self.M), M_m_inverse
+        by_torque[:, 2 * n : 3 * n, 2 * n :] = np.eye(n)
+        to_torques = block_diag(np.linalg.inv(S.torques), S.acceleration)
+        return S.S @ by_effort @ S.effort_inverse, S.S @ by_torque @ to_torques
 
     @cached_property
     def models(self) -> CellModels:
@@ -73,7 +88,7 @@ class LinearCells:
             first, Gamma_late = held_maps(self.A, by_effort, fraction * T)
             held[whole + 1] = Phi @ Gamma_late
             Phi = Phi @ first
-        loop = map_of_held(Phi, held, static(self.F))
+        loop = map_of_held(Phi, held, static(self.law))
         c, S = loop.shape[:2]
 
         def padded(rows: Array) -> Array:
@@ -82,51 +97,53 @@ class LinearCells:
         effort = padded(held.get(0, np.zeros((c, 4 * n, n))))
         effort[:, 4 * n : 5 * n] = np.eye(n)[: S - 4 * n]
         outputs = np.zeros((c, 2 * n, S))
-        outputs[:, :n, : 4 * n], outputs[:, n:, : 4 * n] = self.A[:, 2 * n : 3 * n], self.F
-        held_torque, bend = held_maps(self.A, by_torque, T)[1], curvature(self.A, by_torque, T)
-        aged = self._aged(by_torque, whole, fraction)
+        outputs[:, :n, : 4 * n], outputs[:, n:, : 4 * n] = self.A[:, 2 * n : 3 * n], self.law
+        bend = curvature(self.A, by_torque, T) if self.between else np.zeros_like(by_torque)
         return CellModels(
             loop,
             torque_late=padded(by_torque),
             torque_early=padded(Phi @ by_torque),
-            torque_held=padded(held_torque),
-            torque_aged=padded(aged),
             curvature=padded(bend),
             effort=effort,
             outputs=outputs,
         )
 
-    def _aged(self, by_torque: Array, whole: int, fraction: float) -> Array:
-        """Return the integral of exp(A (T - s)) E age(s) over a sample.
+    def forced(self, torque: Array, aging: Array) -> Array:
+        """Return the integral of exp(A (T - s)) E (torque + aging age(s)) over a sample (c, 4n, k).
 
-        The effort that acts after s is s + whole T old, and T older while s < fraction T.
+        torque (c, 2n, k); aging (c, 2n) belongs to the first column. The effort that acts after s is s + whole T old,
+        and T older while s < fraction T.
         """
-        T, (c, N, m) = self.sample_period, by_torque.shape
-        ramp = np.zeros((c, N + m, N + m))
-        ramp[:, :N, :N], ramp[:, :N, N:] = self.A, by_torque
-        aged = held_maps(ramp, np.broadcast_to(np.eye(N + m)[:, N:], (c, N + m, m)), T)[1][:, :N]
-        aged += whole * T * held_maps(self.A, by_torque, T)[1]
+        T, (whole, fraction), E = self.sample_period, split(self.delay, self.sample_period), self.inputs[1]
+        force, slope = E[:, :, : 2 * self.n] @ torque, E[:, :, : 2 * self.n] @ aging[:, :, None]
+        force[:, :, :1] += whole * T * slope
+        c, N, k = force.shape
+        ramp, inputs = np.zeros((c, N + 1, N + 1)), np.zeros((c, N + 1, k + 1))
+        ramp[:, :N, :N], ramp[:, :N, N:], inputs[:, :N, :k], inputs[:, N, k] = self.A, slope, force, 1.0
+        integral = held_maps(ramp, inputs, T)[1][:, :N]
+        integral[:, :, 0] += integral[:, :, k]
         if fraction:
-            older = held_maps(self.A, by_torque, fraction * T)[1]
-            aged += T * held_maps(self.A, by_torque, (1 - fraction) * T)[0] @ older
-        return aged
+            older = held_maps(self.A, slope, fraction * T)[1]
+            integral[:, :, :1] += T * held_maps(self.A, slope, (1 - fraction) * T)[0] @ older
+        return np.asarray(integral[:, :, :k])
 
 
-def linear_cells(
-    model: DeviationModel, cells: Cells, F: Array, factors: Array, sample_period: float, delay: float
-) -> LinearCells:
-    """Return the linear model in the middle of each cell at the factors f (7,); F (c, n, 4n): slopes of the law."""
-    n, jets, between = model.n, cells.middles, sample_period / 2 if cells.verified else 0.0
-    zero, f = np.zeros((4 * n, cells.count)), np.tile(factors[:, None], cells.count)
-    H, M = model.link_slope.map(cells.count)(_matrices(jets, n), zero, f)
-    G, B = (each.full() for each in model.motor_slope(factors))
-    return LinearCells(model, stacked(M.full(), n), stacked(H.full(), 4 * n), G, B, F, sample_period, delay, between)
+def linear_cells(model: DeviationModel, centre: CentreMotion, delay: float) -> LinearCells:
+    """Return the linear model in the middle of each cell about a centre motion, for a robot with its factors.
 
-
-def law_slopes(model: DeviationModel, cells: Cells) -> Array:
-    """Return the slopes F (c, n, 4n) of the law at the sampling instants of each cell."""
-    F = model.law_slope.map(cells.count)(_matrices(cells.instants, model.n), np.zeros((4 * model.n, cells.count)))
-    return stacked(F.full(), 4 * model.n)
+    Verified cells have the coordinates of the joints, as intervals lose the signs that others preserve.
+    """
+    n, cells, c = model.n, centre.cells, centre.factors
+    zero, factors = np.zeros((4 * n, cells.count)), np.tile(c[:, None], cells.count)
+    H, M = model.link_slope.map(cells.count)(_matrices(centre.path.middles, n), zero, factors, factors)
+    G, B = (each.full() for each in model.motor_slope(c))
+    path, jets = (_matrices(each.instants, n) for each in (centre.path, cells))
+    F = model.law_slope.map(cells.count)(path, jets, zero, factors)
+    inertia, slopes, law = stacked(M.full(), n), stacked(H.full(), 4 * n), stacked(F.full(), 4 * n)
+    modal, between = Coordinates.modal(model.robot, inertia.mean(axis=0)), 0.0
+    if cells.verified:
+        modal, between = Coordinates.of_joints(model.robot), cells.sample_period / 2
+    return LinearCells(model, modal, inertia, slopes, G, B, law, cells.sample_period, delay, between)
 
 
 def stacked(side_by_side: Array, columns: int) -> Array:

@@ -4,92 +4,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from ...control.static_law import StaticLaw
 from ...numerics.checks import Array
+from ...robot.equilibrium import Indices
 from ...trajectories.reference import Reference
+from .box import Tube
+from .centre_motion import CentreMotion
 from .deviation_model import DeviationModel
-from .invariant_tube import Centre, Deviations, centre_of, fixed_point
+from .part import Part
 from .peak_gains import peak_gains
 from .ranges import Ranges
-from .reference_cells import cells_of
-from .sampled_deviation import LinearCells, law_slopes, linear_cells
+from .reference_cells import Cells, cells_of
+from .sampled_deviation import LinearCells, linear_cells
+from .steady_motion import spectral_radius, steady_motion
+from .tube_problem import TubeProblem
 
-MOST_PARTS = 64
-NARROWEST = 0.01  # width of factors of a part that is not divided
-TIGHT = 1.5  # ratio of a bound to that without feedback, below which a part is not divided
+MOST_PARTS = 128
+TIGHT = 1.25  # ratio of a bound to that to first order, below which a part is not divided
+WORTH = 0.95  # ratio of the bounds of halves to that of a part, up to which it is divided
 REMAINS = 1e-3  # of a deviation after the sums of the gains
 LONGEST_SUM = 20_000  # samples
-SAMPLED_FINALS = 64  # cells at whose end the gains of a sampled bound are computed
-CREDIBLE = 0.3  # rad; largest position of a tube whose constants are sampled
-GROWTH, ROUNDS = 1.5, 8  # of the tube that is tried
-SHRINKS = 0.9  # ratio of an ultimate bound to the last one at which it is final
+SAMPLED_FINALS = 16  # cells at whose end the gains of a sampled bound are computed
+COARSE = 100  # cells on which centre motions are found
 
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """Part of the box of factors, low to high (7,).
-
-    tube: ultimate bounds. least (4n,): these without feedback of z. from_start: bounds at all times, if verified.
-    """
-
-    low: Array
-    high: Array
-    tube: Deviations | None = None
-    least: Array = field(default_factory=lambda: np.zeros(0))
-    from_start: Deviations | None = None
-
-    @property
-    def size(self) -> float:
-        """Largest bound of a position; infinite without a tube."""
-        return np.inf if self.tube is None else float(self.tube.z[: self.tube.effort.size].max())
-
-    @property
-    def excess(self) -> float:
-        """Ratio of the bound of the positions to that without feedback of z."""
-        if self.tube is None:
-            return np.inf
-        n = self.tube.effort.size
-        return float(np.max(self.tube.z[:n] / np.maximum(self.least[:n], 1e-12)))
-
-    def divided(self) -> list[tuple[Array, Array]]:
-        """Return both halves, divided at the widest factor."""
-        widest = int(np.argmax(self.high - self.low))
-        left, right = self.high.copy(), self.low.copy()
-        left[widest] = right[widest] = (self.low[widest] + self.high[widest]) / 2
-        return [(self.low, left), (right, self.high)]
-
-
-Within = Callable[[Array], Deviations | None]
-"""Return bounds of the deviations that hold while these stay within a tube (4n,); None without any."""
-
-
-def _grown(within: Within, first: Array) -> Deviations | None:
-    """Return bounds that lie within their tube, which grows from `first` (4n,) on; None if none are found."""
-    tube = GROWTH * first
-    for _ in range(ROUNDS):
-        found = within(tube)
-        if found is None or np.all(found.z <= tube):
-            return found
-        tube = GROWTH * np.maximum(found.z, tube / GROWTH)
-    return None
-
-
-def _shrunk(within: Within, tube: Deviations) -> Deviations:
-    """Return ultimate bounds of deviations that stay within a tube: each bound is the tube of the next one."""
-    for _ in range(ROUNDS):
-        found = within(tube.z)
-        if found is None:
-            return tube
-        bounded = replace(found, z=np.minimum(found.z, tube.z))
-        if np.all(bounded.z > SHRINKS * tube.z):
-            return bounded
-        tube = bounded
-    return tube
+Progress = Callable[[float], None]
+"""Called with the share of the box of factors that is done, from 0 to 1."""
 
 
 class Search:
@@ -101,75 +45,88 @@ class Search:
         """disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors."""
         self.model, self.cells = DeviationModel(law), cells_of(reference, T, verified)
         self.T, self.delay, self.disturbing = T, delay, disturbing
-        self.ranges = Ranges(self.model, self.cells)
 
     @property
     def applies(self) -> bool:
         """True if the constants can be verified: closed-form links, and a reference with bounds between points."""
         return self.cells.verifiable and self.model.robot.links.M_l_vertices is not None
 
-    @cached_property
-    def F(self) -> Array:
-        """Slopes of the law in each cell."""
-        return law_slopes(self.model, self.cells)
+    def parts(self, low: Array, high: Array, progress: Progress = lambda share: None) -> list[Part]:
+        """Divide the box until each part has a tube, then the part with the largest bound until it is tight.
 
-    def parts(self, low: Array, high: Array) -> list[Part]:
-        """Divide the part with the largest bound until it is tight, or cannot become tighter.
-
-        If the smallest part at the largest factors has no tube either, it is returned alone.
+        The division ends, with a part that has no tube, where a part is narrow or the parts are too many.
         """
-        parts = [self._part(low, high)]
-        if parts[0].tube is None:
-            smallest = self._part(np.maximum(low, high - NARROWEST), high)
-            if smallest.tube is None:
-                return [smallest]
+        waiting: list[tuple[Array, Array, CentreMotion | None]] = [(low, high, None)]
+        parts: list[Part] = []
+        while waiting:
+            part = self._part(*waiting.pop())
+            if part.found:
+                parts.append(part)
+                progress(len(parts) / (len(parts) + len(waiting)))
+                continue
+            boxes = part.divided()
+            if part.narrow or len(waiting) + len(parts) + len(boxes) > MOST_PARTS:
+                return [part]
+            waiting += [(*ends, part.centre) for ends in boxes]
+        return self._tightened(parts)
+
+    def _tightened(self, parts: list[Part]) -> list[Part]:
         while len(parts) < MOST_PARTS:
-            worst = max(reversed(parts), key=lambda part: part.size)
-            if worst.excess <= TIGHT or np.all(worst.high - worst.low <= NARROWEST):
+            worst = max(parts, key=lambda part: part.size)
+            if worst.excess <= TIGHT or worst.narrow:
                 break
-            parts.remove(worst)
-            parts += [self._part(*ends) for ends in worst.divided()]
+            halves = [self._part(*ends, worst.centre) for ends in worst.divided()]
+            if max(half.size for half in halves) > WORTH * worst.size:
+                break
+            parts = [part for part in parts if part is not worst] + halves
         return parts
 
-    def _part(self, low: Array, high: Array) -> Part:
+    def _part(self, low: Array, high: Array, start: CentreMotion | None) -> Part:
         """Return the part of the box between the factors low and high (7,), with its invariant tube if there is one."""
-        linear = linear_cells(self.model, self.cells, self.F, (low + high) / 2, self.T, self.delay)
+        n, middle = self.model.n, (low + high) / 2
+        centre = steady_motion(self.model, self.coarse, middle, self.delay, start).about(self.cells, middle)
+        linear, none = linear_cells(self.model, centre, self.delay), np.full(2 * n, np.inf)
+        part = Part(low, high, centre, np.ones(np.count_nonzero(high > low)), none, none, none)
         blocks = self._blocks(linear)
         if blocks is None:
-            return Part(low, high)
+            return part
         gains = peak_gains(linear.models, self.cells, self.T, blocks, self._finals)
         if not np.all(np.isfinite(gains)):
-            return Part(low, high)
-        known = self.ranges.known_torque((low + high) / 2)
-        unknown = self.ranges.torque(low, high, blocks, self.delay, known) + self.disturbing
-        centre = centre_of(linear, self.cells, *known)
-        least = gains[: 4 * self.model.n, : 2 * self.model.n] @ unknown + centre.z
+            return part
+        ranges = Ranges(self.model, centre, low, high, blocks, self.delay)
+        return _solved(part, TubeProblem(linear, gains, ranges, self.disturbing))
 
-        def within(tube: Array, torque: Array, about: Centre) -> Deviations | None:
-            spread = self.ranges.spread(linear, low, high, tube, blocks, torque)
-            return None if spread is None else fixed_point(linear, gains, spread, about)
-
-        if not self.cells.verified:
-            tube = _grown(lambda tube: within(tube, unknown, centre), least)
-            credible = tube is not None and tube.z[: self.model.n].max() <= CREDIBLE
-            return Part(low, high, tube if credible else None, least)
-        largest = unknown + np.max(np.abs(known[0]) + (self.delay + self.T) * np.abs(known[1]), axis=0)
-        first = gains[: 4 * self.model.n, : 2 * self.model.n] @ largest
-        from_start = _grown(lambda tube: within(tube, largest, centre.none()), first)
-        if from_start is None:
-            return Part(low, high)
-        ultimate = _shrunk(lambda tube: within(tube, unknown, centre), from_start)
-        return Part(low, high, ultimate, least, from_start)
+    @cached_property
+    def coarse(self) -> Cells:
+        """Cells on which centre motions are found."""
+        return cells_of(self.cells.reference, self.T, self.cells.verified, COARSE)
 
     def _blocks(self, linear: LinearCells) -> int | None:
         """Return the number of cells after which a deviation has decayed to REMAINS; None for an unstable loop."""
-        radius = float(np.abs(np.linalg.eigvals(linear.models.loop)).max())
+        radius = spectral_radius(linear.at(self._finals))
         if not radius < 1:
             return None
         samples = np.log(REMAINS) / np.log(radius) if radius > 0 else 1.0
         return None if samples > LONGEST_SUM else int(np.ceil(samples / self.cells.samples)) + 1
 
     @property
-    def _finals(self) -> Array:
+    def _finals(self) -> Indices:
         count = self.cells.count if self.cells.verified else min(SAMPLED_FINALS, self.cells.count)
         return np.unique(np.linspace(0, self.cells.count - 1, count).round().astype(int))
+
+
+def _solved(part: Part, problem: TubeProblem) -> Part:
+    """Return the part with the bounds of its problem."""
+
+    def bound(z: Array) -> Array:
+        q, _, dq, _ = np.split(z, 4)
+        return np.asarray(part.centre.largest + np.concatenate([q, dq]))
+
+    part = replace(part, effect=problem.effect, first_order=bound(problem.in_joints()))
+    if problem.tube is None:
+        return replace(part, share=problem.share)
+    storage = problem.ranges.storage(Tube(problem.linear.coordinates.S_inverse, problem.tube.z))
+    part = replace(part, ultimate=bound(problem.in_joints(problem.tube)), storage=storage)
+    if problem.from_start is None:
+        return part
+    return replace(part, from_start=bound(np.abs(problem.linear.coordinates.S_inverse) @ problem.from_start.z))

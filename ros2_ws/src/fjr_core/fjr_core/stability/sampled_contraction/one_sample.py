@@ -13,7 +13,6 @@ whole ball, all others entry by entry.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,56 +32,13 @@ from ...verification.interval_matrices import (
 )
 from ...verification.intervals import Interval
 from .error_system import DERIVATIVES, ErrorSystem
+from .flow import Flow, enclosed_flow
 from .metric import Metric
+from .pieces import Pieces
 from .sine_jets import sine_jets
 
 CELLS = 4
 """Cells of the delay; in each J lies between its values at the ends, up to a bounded error."""
-STEPS = 4
-"""Steps of a sample, each with a box that no solution leaves."""
-TRIALS = 12
-"""Attempts to find such a box."""
-
-
-@dataclass(frozen=True, eq=False)
-class Pieces:
-    """Pieces of the reference: piece j holds the samples at times from j h to (j + 1) h.
-
-    index (k,). centre (k, m): centre of the tube. C (k, m, m): Jacobian there at (j + 1) h. rate (k, m): the field.
-    """
-
-    index: Indices
-    centre: Array
-    C: Interval
-    rate: Interval
-
-    def at(self, chosen: Indices) -> Pieces:
-        """Return these of the pieces."""
-        return Pieces(self.index[chosen], self.centre[chosen], self.C[chosen], self.rate[chosen])
-
-
-def joined(parts: Sequence[Pieces]) -> Pieces:
-    """Return the pieces of all parts."""
-    C, rate = ([getattr(part, name) for part in parts] for name in ("C", "rate"))
-    return Pieces(
-        np.concatenate([part.index for part in parts]),
-        np.concatenate([part.centre for part in parts]),
-        *(Interval(np.concatenate([x.mid for x in each]), np.concatenate([x.rad for x in each])) for each in (C, rate)),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Flow:
-    """Solutions during one sample, as deviations from the centre (m, k).
-
-    start: bounds at the start. grown: bounds of the change. box: bounds throughout, infinite without a bound. jets: the
-    reference over the piece and the sample after it.
-    """
-
-    start: Array
-    grown: Array
-    box: Array
-    jets: Interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,27 +85,7 @@ class OneSample:
 
     def flow(self, pieces: Pieces, start: Array) -> Flow:
         """Return bounds of solutions that start with |chi - c| at most start (k, s)."""
-        jets, first = self.jets(pieces.index, 1.0), np.zeros_like(pieces.centre.T)
-        first[: self.states] = start.T
-        first[-self.system.n :] += np.abs(pieces.centre.T[-self.system.n :])  # w after the change of the effort
-        reached, box = first, first
-        for _ in range(STEPS):
-            box, rates = self._step(pieces, jets, reached)
-            reached = reached + ABOVE * self.h / STEPS * rates
-            if not np.isfinite(reached).all():
-                break
-        return Flow(first, ABOVE * (reached - first), box, jets)
-
-    def _step(self, pieces: Pieces, jets: Interval, reached: Array) -> tuple[Array, Array]:
-        """Return bounds of |chi - c| and of the field over a step from |chi - c| <= reached; infinite without."""
-        box = reached
-        for _ in range(TRIALS):
-            rates = self.system.enclosed_field(Interval(pieces.centre.T, box), jets)[0].magnitude
-            end = reached + ABOVE * self.h / STEPS * rates
-            if np.all(end <= box):
-                return box, rates
-            box = 1.02 * end + 1e-300
-        return np.full_like(box, np.inf), np.full_like(box, np.inf)
+        return enclosed_flow(self.system, pieces.centre.T, start.T, self.jets(pieces.index, 1.0), self.h)
 
     def displacement(self, pieces: Pieces, after: Metric, next_centre: Array) -> Array:
         """Return bounds (k,) of |W+ (chi - c+)| for the solution that starts at the centre c, one sample later.

@@ -24,14 +24,13 @@ from ...trajectories.sine import Sines
 from ...verification.interval_matrices import ABOVE
 from .error_system import ErrorSystem
 from .metric import Metric, mean_rate, periodic_metric, periods, source
-from .one_sample import OneSample, Pieces, joined
+from .one_sample import OneSample
+from .pieces import Pieces, chunks, final_radii, joined, number_of_pieces, transitions_of, ultimate_radius
 from .sine_jets import period_of
 
 MOST_JOINTS = 2
 LEAST_PIECES, MOST_PIECES = 3, 30_000
 """Samples in a period of the reference; more take minutes."""
-CHUNK = 2048
-"""Pieces that are verified together."""
 SEARCHED = 24
 """Pieces on which the radius of the tube is searched before all are verified."""
 RATE_SHARE = 0.9
@@ -53,9 +52,9 @@ class SampledContraction:
 
     rate [1/s]: distances of any two solutions from the tube, with equal delays, fall as exp(-rate t), on average over
     each period of the reference, up to a constant factor. tube (n,) [rad, m]: largest link errors of states in the
-    tube, which no solution leaves. offset (n,) [rad, m]: bound of the link errors that remain. least_delay,
-    longest_delay [samples]: every delay between them is covered, also one that changes from sample to sample. pieces:
-    number of pieces of the reference.
+    tube, which no solution leaves at a sample. offset (n,) [rad, m]: bound of the link errors that remain, at the
+    samples and between them. least_delay, longest_delay [samples]: every delay between them is covered, also one that
+    changes from sample to sample. pieces: number of pieces of the reference.
     """
 
     rate: float
@@ -83,7 +82,7 @@ def sampled_contraction(
     """
     _check(law, sample_period, delays)
     period = period_of(reference) or LEAST_PIECES * sample_period
-    pieces = int(np.ceil(period / sample_period * (1 - 1e-12)))
+    pieces = number_of_pieces(period, sample_period)
     if not LEAST_PIECES <= pieces <= MOST_PIECES:
         raise TrajectoryError(f"reference has {pieces} samples in its period; expected {LEAST_PIECES} to {MOST_PIECES}")
     assert isinstance(reference, Sines)
@@ -127,16 +126,6 @@ class _Proof:
         parts = [self.sample.on_centre(pieces.at(part)) for part in chunks(np.arange(self.pieces))]
         maps, drift = zip(*parts, strict=True)
         return np.concatenate(maps), np.concatenate(drift)
-
-    @cached_property
-    def transitions(self) -> tuple[Indices, Indices]:
-        """Pieces before and after each transition.
-
-        A period of T = (N - 1) h + rest has N or N - 1 samples: piece 0 follows piece N - 1, or N - 2.
-        """
-        before = np.append(np.arange(self.pieces), self.pieces - 2)
-        after = np.append(np.arange(1, self.pieces), [0, 0])
-        return before, after
 
     @property
     def searched(self) -> Indices:
@@ -204,7 +193,7 @@ class _Proof:
         """Return contraction factors (k,) of transitions in a tube."""
         rho: list[Array] = []
         for part in chunks(transitions):
-            before, after = (pieces[part] for pieces in self.transitions)
+            before, after = (pieces[part] for pieces in transitions_of(self.pieces))
             try:
                 rho.append(self.sample.factors(self.nodes.at(before), metric.at(before), metric.at(after), radius))
             except NO_BOUND:
@@ -216,7 +205,7 @@ class _Proof:
         """Return displacements (k,) of the centre of the tube in transitions."""
         found = []
         for part in chunks(transitions):
-            before, after = (pieces[part] for pieces in self.transitions)
+            before, after = (pieces[part] for pieces in transitions_of(self.pieces))
             pieces, centre = self.nodes.at(before), self.nodes.centre[after]
             try:
                 found.append(self.sample.displacement(pieces, metric.at(after), centre))
@@ -227,33 +216,22 @@ class _Proof:
     def _stated(self, metric: Metric, radius: float, rho: Array, displacement: Array) -> SampledContraction:
         n, decays = self.sample.system.n, -np.log(rho) / self.sample.h
         to_start, whole = np.append(decays[: self.pieces - 2], decays[-1]), decays[:-1]
-        centre, final = np.abs(self.nodes.centre[:, :n]), self._final_radii(rho, displacement)
+        centre = np.abs(self.nodes.centre[:, :n])
+        between = self._between_samples(metric, final_radii(rho, displacement))
         return SampledContraction(
             rate=float(min(to_start.mean(), whole.mean()) / ABOVE),
             tube=(centre + metric.extent(radius)[:, :n]).max(axis=0),
-            offset=(centre + metric.extent(final)[:, :n]).max(axis=0),
+            offset=(centre + between).max(axis=0),
             least_delay=self.sample.least,
             longest_delay=self.sample.longest,
             sample_period=self.sample.h,
             pieces=self.pieces,
         )
 
-    def _final_radii(self, rho: Array, displacement: Array) -> Array:
-        """Return radii (N,) of the balls that every solution is in after a while: r_j+1 = rho_j r_j + d_j."""
-        r, radii = ultimate_radius(rho, displacement), np.empty(self.pieces)
-        for _ in range(2):
-            for j in range(self.pieces):
-                radii[j] = r
-                r = float(ABOVE * (rho[j] * r + displacement[j]))
-            r = max(r, float(ABOVE * (rho[-1] * radii[-2] + displacement[-1])))
-        return radii
-
-
-def ultimate_radius(rho: Array, displacement: Array) -> float:
-    """Return the radius of a ball that every solution enters; infinite if some factor is not below 1."""
-    return float(ABOVE * np.max(displacement / (1 - rho))) if np.all(rho < 1) else float(np.inf)
-
-
-def chunks(pieces: Indices) -> list[Indices]:
-    """Split pieces into parts of at most CHUNK."""
-    return np.array_split(pieces, -(-len(pieces) // CHUNK))
+    def _between_samples(self, metric: Metric, radii: Array) -> Array:
+        """Return bounds (N, n) of the link errors, less the centre, until a sample after those with radii (N,)."""
+        found = []
+        for part in chunks(np.arange(self.pieces)):
+            flow = self.sample.flow(self.nodes.at(part), metric.at(part).extent(radii[part]))
+            found.append(flow.reached[: self.sample.system.n].T)
+        return np.concatenate(found)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bound of the tracking error against the largest error of simulated runs with factors drawn within the stated errors.
+
+`python -m bench.error_bound SCENARIO [RUNS]` prints the figures of one scenario.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+from tqdm import tqdm
+
+from bench.figures import Figure, table
+from fjr_bringup.scenarios import library
+from fjr_core.config.scenario import Scenario
+from fjr_core.control.inverse_dynamics import motor_motion
+from fjr_core.control.sampled_law import AsSampledLaw
+from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.numerics.checks import Array
+from fjr_core.simulation.batch import ClosedLoop, Draws
+from fjr_core.stability.error_bound import bound_errors
+
+PAYLOAD = 0.2  # relative error of inertia and weight of the links
+RUNS = 10_000
+AT_ONCE = 250  # runs between two steps of the bar
+LARGEST_RATIO = 5.0  # of bound and largest error
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Time [s] until errors count and length [s] of a run; a period of the reference is between them."""
+
+    settled: float
+    duration: float
+
+
+SCENARIOS = {"paper_k31": Observed(1.0, 7.3), "two_link": Observed(1.0, 7.3), "arm7": Observed(1.0, 3.0)}
+
+
+def of_scenario(name: str, runs: int) -> list[Figure]:
+    """Bound the tracking error for a payload error and one sample of delay; compare with runs."""
+    scenario = library.load(name, [])
+    T = scenario.sample_period
+    bound = bound_errors(scenario.law, scenario.reference, T, T, {"payload": PAYLOAD})
+    peaks = largest_errors(scenario, SCENARIOS[name], runs)
+    beyond = np.count_nonzero(np.any(peaks > bound.position, axis=1))
+    basis = "proven" if bound.proven else "sampled"
+    joint = int(np.argmax(bound.position))
+    sizes = {"bound [mrad]": 1e3 * bound.position[joint], "largest [mrad]": 1e3 * peaks[:, joint].max()}
+    ratio = float(np.max(bound.position / peaks.max(axis=0)))
+    return [
+        Figure(f"{name}, {basis} error bound: runs of {runs} beyond it", beyond, "", 0),
+        Figure(f"{name}, {basis} error bound / largest error, worst joint", ratio, "", LARGEST_RATIO, parts=sizes),
+    ]
+
+
+def largest_errors(scenario: Scenario, observed: Observed, runs: int) -> Array:
+    """Return the largest |q_l - q_ld| (runs, n) [rad] once settled, of runs that start on the reference."""
+    law, reference, T = TrackingLaw(scenario.robot, scenario.gains), scenario.reference, scenario.sample_period
+    q, dq, *more = reference.jets(0.0)
+    motors = motor_motion(scenario.robot, q, dq, *more)
+    x0 = scenario.robot.state(q, motors.theta.full().ravel(), dq, motors.dtheta.full().ravel())
+    loop = ClosedLoop(
+        scenario.robot, AsSampledLaw(law), reference, x0, observed.duration, T, settle_after=observed.settled
+    )
+    factor = 1 + np.random.default_rng(0).uniform(-PAYLOAD, PAYLOAD, runs)
+    draws = Draws(runs, link_inertia=factor, gravity=factor, delay=T)
+    parts = [draws.taken(slice(i, i + AT_ONCE)) for i in range(0, runs, AT_ONCE)]
+    outcomes = [loop.run(part) for part in tqdm(parts, desc=scenario.name, disable=not sys.stderr.isatty())]
+    if not all(part.stable.all() for part in outcomes):
+        raise RuntimeError(f"a run of {scenario.name} is not stable; expected all of them to be")
+    return np.concatenate([part.peak for part in outcomes])
+
+
+if __name__ == "__main__":
+    print(table(of_scenario(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else RUNS)))

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steady response of the linear loop about a centre motion to what is known of torque and effort errors.
+
+What a robot differs from the centre motion in is, to first order, known up to the factors f, which are constant: the
+age of the acting effort, the defect of the law, and the torque errors' derivatives with respect to f. The response to
+each is computed over a period. It is not bounded, so that it keeps its signs and its course in time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...numerics.checks import Array
+from .modal_coordinates import Coordinates
+from .peak_gains import ROUNDING
+from .reference_cells import Cells
+from .sampled_deviation import LinearCells
+
+GROWING = 4  # repetitions of the bound of a rate between samples, which depends on itself
+MARGIN = 1 + 1e-3  # of a rate over the repetitions
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Known torques and efforts in each of c cells: the first of k columns, and the others times -1 to 1.
+
+    torque (c, 2n, k) [N m]; aging (c, 2n) [N m/s] times the age of the acting effort and effort (c, n) [N m], both in
+    the first column.
+    """
+
+    torque: Array
+    aging: Array
+    effort: Array
+
+    def in_coordinates(self, coordinates: Coordinates) -> Drive:
+        """Return the drive in coordinates of torques and efforts."""
+        torques = coordinates.torques
+        return Drive(torques @ self.torque, self.aging @ torques.T, self.effort @ coordinates.effort.T)
+
+    def at_age(self, age: float) -> Array:
+        """Return the torques (c, 2n, k) at an age [s] of the effort."""
+        return _added_first(self.torque, age * self.aging)
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Response Z (c, S, k) at the end of each cell, and largest magnitudes over all cells and all columns together.
+
+    z, rate (4n,): deviation and its rate. acceleration, effort (n,). remaining (S,): of Z before the sums of the gains.
+    """
+
+    Z: Array
+    z: Array
+    rate: Array
+    acceleration: Array
+    effort: Array
+    remaining: Array
+
+    def __add__(self, other: Response) -> Response:
+        """Return the sum of the largest magnitudes; Z stays."""
+        names = ("z", "rate", "acceleration", "effort", "remaining")
+        return Response(self.Z, *(getattr(self, name) + getattr(other, name) for name in names))
+
+
+def steady_response(linear: LinearCells, cells: Cells, drive: Drive, blocks: int = 0) -> Response:
+    """Return the steady response to a drive in each cell; from rest if the reference is not periodic.
+
+    blocks: cells of the sums of the gains. A chain that is longer than them ends `slips` cells beside the one in which
+    it is, where the samples do not divide the period.
+    """
+    models, drive = linear.models, drive.in_coordinates(linear.coordinates)
+    force = np.zeros((*models.loop.shape[:2], drive.torque.shape[2]))
+    force[:, :, 0] = np.einsum("csn,cn->cs", models.effort, drive.effort)
+    force[:, : 4 * linear.n] += linear.forced(drive.torque, drive.aging)
+    step, pushed = _over_a_cell(models.loop, force, cells.samples)
+    Z, ends = np.zeros(force.shape[1:]), np.zeros(force.shape)
+    if cells.periodic:
+        whole: Array = np.eye(len(Z))
+        for A, b in zip(step, pushed, strict=True):
+            whole, Z = np.asarray(A @ whole), A @ Z + b
+        Z = np.asarray(np.linalg.solve(np.eye(len(Z)) - whole, Z))
+    for i in range(cells.count):
+        Z = step[i] @ Z + pushed[i]
+        ends[i] = Z
+    drift = abs(cells.length - cells.samples * cells.sample_period) if cells.verified else 0.0
+    slips = np.ceil(blocks * drift / cells.length) + 1 if drift else 0.0
+    return _magnitudes(linear, ends, drive, slips * _largest(ends - np.roll(ends, 1, axis=0)))
+
+
+def _over_a_cell(loop: Array, force: Array, samples: int) -> tuple[Array, Array]:
+    """Return the maps of the cells and their inputs from those of one sample."""
+    step, pushed = loop, force
+    for _ in range(samples - 1):
+        step, pushed = loop @ step, loop @ pushed + force
+    return step, pushed
+
+
+def transient(linear: LinearCells, cells: Cells, Z: Array, blocks: int) -> Response:
+    """Return the decay of Z (S, k) at time 0 over a number of cells."""
+    at = np.repeat(np.arange(blocks) % cells.count, cells.samples)
+    course = np.empty((len(at), *Z.shape))
+    for k, i in enumerate(at):
+        course[k] = Z
+        Z = linear.models.loop[i] @ Z
+    n, columns = linear.n, Z.shape[1]
+    quiet = Drive(np.zeros((len(at), 2 * n, columns)), np.zeros((len(at), 2 * n)), np.zeros((len(at), n)))
+    return _magnitudes(linear.at(at), course, quiet, _largest(course))
+
+
+def _magnitudes(linear: LinearCells, Z: Array, drive: Drive, remaining: Array) -> Response:
+    """Return the response with its largest magnitudes; the acting torque is that of either end of a sample."""
+    n, T, (by_effort, by_torque) = linear.n, linear.sample_period, linear.inputs
+    z, in_transit = Z[:, : 4 * n], [Z[:, start : start + n] for start in range(4 * n, Z.shape[1], n)]
+    own = [linear.A @ z + by_torque[:, :, : 2 * n] @ drive.at_age(age) for age in (linear.delay, linear.delay + T)]
+    efforts = [_added_first(linear.law @ z, drive.effort), *in_transit]
+    slope, half = np.abs(linear.A).max(axis=0), linear.between
+    rate = steepest = np.max([_largest(each + by_effort @ effort) for each in own for effort in efforts], axis=0)
+    for _ in range(GROWING):
+        steepest = rate + half * slope @ steepest
+    acceleration = np.max([_largest(each[:, 2 * n : 3 * n]) for each in own], axis=0)
+    effort = np.max([_largest(each) for each in efforts], axis=0)
+    return Response(Z, _largest(z), MARGIN * steepest, acceleration, effort, remaining)
+
+
+def _largest(columns: Array) -> Array:
+    """Return the largest magnitudes (rows,) of the sums of columns (c, rows, k), all but the first with any sign."""
+    return np.asarray(ROUNDING * np.abs(columns).sum(axis=2).max(axis=0))
+
+
+def _added_first(columns: Array, values: Array) -> Array:
+    """Return columns (c, rows, k) with values (c, rows) added to the first."""
+    result = columns.copy()
+    result[:, :, 0] += values
+    return result
