@@ -59,9 +59,9 @@ hosts: ## feed all hosts of the control step with the same states, half an hour,
 	$(SETUP) test
 	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.hosts $(HOSTS_ARGS)
 
-compare: ## compare all laws on three robots, minutes, and write both tables into docs/compare.md (COMPARE_ARGS="...")
+compare: ## compare all laws on three robots, half an hour, and write the tables into docs/compare.md (COMPARE_ARGS="...")
 	$(SETUP) build
-	@$(ENTER) && fjr compare paper --document $(COMPARE_ARGS) && exec fjr compare paper_tuned --document $(COMPARE_ARGS)
+	@$(ENTER) && for suite in paper paper_tuned arm7_tuned; do fjr compare $$suite --document $(COMPARE_ARGS) || exit $$?; done
 
 robots: ## try `fjr new` on public robots, an hour, and write the table into docs/robots.md
 	$(SETUP) test

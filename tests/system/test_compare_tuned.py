@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import yaml
 
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.studies.comparison.markdown import BEGIN, END, marks
-from fjr_bringup.studies.comparison.results import rows
+from fjr_bringup.studies.comparison.results import rows, table_rows
 from system.executables import fjr_here
 
 pytestmark = pytest.mark.system
@@ -88,6 +89,26 @@ def test_the_table_stands_between_the_marks_of_its_suite(found: dict[str, Any], 
     assert "| drawn: share that tracks |" in table
     assert before == "before\n"
     assert after == f"\nbetween\n{BEGIN}\nkept\n{END}\n"
+
+
+def test_drawn_figures_of_a_law_that_tracks_too_few_draws_do_not_count(found: dict[str, Any]) -> None:
+    changed = copy.deepcopy(found)
+    figures = changed["results"]["one joint"]["lqr"]["uncertain"]
+    figures |= {"success": 0.94, "rms": 1e-6, "effort_noise": 1e-6}
+    drawn = {row.what: row for row in rows(changed) if row.group == "uncertain"}
+    assert [drawn[what].best[1] for what in ("drawn: RMS error [mrad]", "drawn: noise of effort")] == [False, False]
+    assert drawn["drawn: share that tracks"].values[1].words == "94.0 %"
+    figures["success"] = 0.95
+    assert next(row for row in rows(changed) if row.what == "drawn: noise of effort").best[1]
+
+
+def test_rows_are_counted_in_which_a_law_is_best(found: dict[str, Any], page: Path) -> None:
+    shown = [row.best for row in table_rows(found)]
+    v_dpbc, lqr = (sum(any(best[i] for i in columns) for best in shown) for columns in ((0, 2), (1,)))
+    first, second = sorted([("v-dPBC", v_dpbc), ("LQR", lqr)], key=lambda one: -one[1])
+    sentence = f"best, or within 5 % of it: {first[0]} {first[1]}, {second[0]} {second[1]}."
+    assert f"Rows of 7 in which a version of a law is {sentence}" in page.read_text()
+    assert max(v_dpbc, lqr) <= 7 <= v_dpbc + lqr
 
 
 def test_the_page_says_how_the_laws_were_tuned(folder: Path, found: dict[str, Any]) -> None:

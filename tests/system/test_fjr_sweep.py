@@ -10,7 +10,6 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -142,15 +141,6 @@ def test_unknown_name_and_invalid_file_are_refused_in_one_sentence(tmp_path: Pat
     wrong = Path(sweep_file(tmp_path))
     wrong.write_text(wrong.read_text().replace("uniform", "unifrom", 1))
     assert "expected {uniform" in fjr_here("sweep", str(wrong), code=2)
-
-
-@pytest.fixture
-def local_cluster() -> Iterator[Any]:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
-    ) as made:
-        yield made
 
 
 @pytest.mark.slow

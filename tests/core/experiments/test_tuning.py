@@ -18,17 +18,26 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.control.registry import LAWS
 from fjr_core.control.sampled_law import AsSampledLaw
-from fjr_core.errors import ParameterError, StateError
+from fjr_core.errors import GainsError, ParameterError, StateError
+from fjr_core.experiments.comparison.tuned_law import tuned_law
 from fjr_core.experiments.monte_carlo import distributions
 from fjr_core.experiments.monte_carlo.sweep import Sweep
-from fjr_core.experiments.tuning.candidates import Point, Range, TuningStudy, run_candidate, study_of
-from fjr_core.experiments.tuning.coordinates import coordinates
+from fjr_core.experiments.tuning.candidates import (
+    OF_SCENARIO,
+    Point,
+    Range,
+    TuningStudy,
+    run_candidate,
+    study_of,
+    with_better_start,
+)
+from fjr_core.experiments.tuning.coordinates import RULE, SCENARIO, coordinates, starts
 from fjr_core.experiments.tuning.goal import FIGURES, INFEASIBLE, SUCCESS, Figures, Goal, Score
 from fjr_core.experiments.tuning.search import search
 from fjr_core.identification.result import IDENTIFIED, LINEAR, LOG, Estimate, Identification
 from fjr_core.simulation.batch import ClosedLoop, Draws
 
-SCENARIO: dict[str, Any] = {
+JOINT: dict[str, Any] = {
     "joints": ["joint1"],
     "robot": {
         "model": "single_link",
@@ -52,7 +61,7 @@ VARY: dict[str, Any] = {
 
 
 def text(**changes: Any) -> str:
-    return ros_yaml.dump({"/**": {"ros__parameters": SCENARIO | changes}})
+    return ros_yaml.dump({"/**": {"ros__parameters": JOINT | changes}})
 
 
 def scenario(**changes: Any) -> Scenario:
@@ -109,6 +118,45 @@ def test_a_parameter_file_of_any_point_gives_its_gains(law: str) -> None:
     point = 0.05 * np.arange(1, 1 + len(space))
     written = scenario(**ros_yaml.tree_of(space.values(point)))
     assert written.sampled_law.gain_values == pytest.approx(space.controller(point)[0].gain_values, rel=1e-12)
+
+
+def test_v_dpbc_may_start_at_the_rule_of_equal_bandwidth() -> None:
+    given = scenario(robust={"residual_gain": [20.0]})
+    ruled = tuned_law("v_dpbc", {}, given, retune=True).gains
+    space = coordinates(given, RULE)
+    assert list(space.values(np.zeros(7))["gains.K_md"]) == pytest.approx(np.ravel(ruled["K_md"]))
+    assert list(space.values(np.zeros(7))["robust.residual_gain"]) == [20.0]
+    assert starts(given) == (SCENARIO, RULE)
+    assert starts(scenario(law={"type": "lqr"})) == (SCENARIO,)
+
+
+@pytest.mark.parametrize(("changes", "better"), [({"gains": {"K_md": [1e-5]}}, RULE), ({}, None)])
+def test_the_search_starts_where_the_cost_is_less(changes: dict[str, Any], better: str | None) -> None:
+    given = study(changes=changes)
+    each = {start: replace(given, start=start) for start in (SCENARIO, RULE)}
+    costs = {start: one.score(one.origin, one.run(one.origin, 0, 8)).cost for start, one in each.items()}
+    chosen = with_better_start(given).start
+    assert costs[chosen] == min(costs.values())
+    assert chosen == (better or chosen)
+
+
+def test_the_search_starts_at_the_gains_of_the_scenario_where_the_rule_has_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise GainsError("no gains are stable")
+
+    monkeypatch.setattr("fjr_core.experiments.tuning.coordinates.tune", refused)
+    assert with_better_start(study()).start == SCENARIO
+
+
+def test_the_gains_of_the_scenario_run_also_in_a_search_that_starts_elsewhere() -> None:
+    given, elsewhere = study(), replace(study(), start=RULE)
+    own = elsewhere.run(OF_SCENARIO, 0, 4)
+    assert np.array_equal(own["rms"], given.run(given.origin, 0, 4)["rms"])
+    assert not np.array_equal(own["rms"], elsewhere.run(elsewhere.origin, 0, 4)["rms"])
+    assert study_of(elsewhere.text).run(OF_SCENARIO, 0, 4)["rms"] == pytest.approx(own["rms"])
+    assert elsewhere.score(OF_SCENARIO, own) == given.score(given.origin, own)
 
 
 def test_robust_gains_and_the_observer_bandwidth_are_coordinates_that_change_the_runs() -> None:
@@ -193,7 +241,7 @@ class Bowl:
 
     def __init__(self, bottom: Sequence[float], most: float = np.inf) -> None:
         self.bottom, self.most = np.array(bottom), most
-        self.coordinates, self.candidates = range(len(bottom)), 400
+        self.origin, self.candidates = (0.0,) * len(bottom), 400
         self.search_runs, self.selection_runs = (0, 8), (8, 40)
         self.sweep = SimpleNamespace(seed=5)
 

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from fjr_bringup.interrupt import stoppable
 from fjr_bringup.result import Result
@@ -32,50 +33,39 @@ def contraction(
         return contraction_study.run_and_draw(loaded, wish, run_folder, output / "contraction", stop)
 
 
-def sweep(
-    scenario: str | None,
-    assignments: Sequence[str],
-    runs: int | None,
-    seed: int | None,
-    duration: float | None,
-    cores: int,
-    scheduler: str | None,
-    output: Path,
-) -> Result:
-    """Run a Monte-Carlo study; None keeps the number of the study."""
-    # loads pyarrow, which other commands do not need
-    monte_carlo = import_module("fjr_bringup.studies.monte_carlo.command")
-    numbers = _given(runs=runs, seed=seed, duration=duration)
-    wish = monte_carlo.Options(cores, scheduler, output, library.parse_assignments(assignments), numbers)
+def sweep(scenario: str | None, runs: int | None, **given: Any) -> Result:
+    """Run a Monte-Carlo study; runs: None keeps the number of the study. given: see _options."""
+    monte_carlo = _monte_carlo()
     with stoppable() as stop:
-        found: Result = monte_carlo.sweep(scenario, wish, stop)
+        found: Result = monte_carlo.sweep(scenario, _options(runs=runs, **given), stop)
         return found
 
 
 def tune(
-    scenario: str | None,
-    assignments: Sequence[str],
-    law: str | None,
-    draws: int | None,
-    candidates: int | None,
-    fresh: int | None,
-    seed: int | None,
-    duration: float | None,
-    cores: int,
-    scheduler: str | None,
-    output: Path,
+    scenario: str | None, law: str | None, draws: int | None, candidates: int | None, fresh: int | None, **given: Any
 ) -> Result:
-    """Tune gains for stated uncertainties; None keeps the number of the study."""
+    """Tune gains for stated uncertainties; None keeps the number of the study. given: see _options."""
     tuning = import_module("fjr_bringup.studies.tuning.command")  # loads pyarrow, as a sweep
-    monte_carlo = import_module("fjr_bringup.studies.monte_carlo.command")
-    of_sweep, size = _given(seed=seed, duration=duration), _given(draws=draws, candidates=candidates, fresh=fresh)
-    wish = monte_carlo.Options(cores, scheduler, output, library.parse_assignments(assignments), of_sweep)
+    size = _without_none(draws=draws, candidates=candidates, fresh=fresh)
     with stoppable() as stop:
-        found: Result = tuning.tune(scenario, wish, law, size, stop)
+        found: Result = tuning.tune(scenario, _options(**given), law, size, stop)
         return found
 
 
-def _given(**numbers: float | None) -> dict[str, float]:
+def _monte_carlo() -> Any:
+    """Return the module of a sweep; it loads pyarrow, which other commands do not need."""
+    return import_module("fjr_bringup.studies.monte_carlo.command")
+
+
+def _options(
+    assignments: Sequence[str], cores: int, scheduler: str | None, output: Path, **numbers: float | None
+) -> Any:
+    """Return the Options of a study of drawn plants; numbers: of the study, None keeps its own."""
+    overrides = library.parse_assignments(assignments)
+    return _monte_carlo().Options(cores, scheduler, output, overrides, _without_none(**numbers))
+
+
+def _without_none(**numbers: float | None) -> dict[str, float]:
     return {name: value for name, value in numbers.items() if value is not None}
 
 

@@ -5,7 +5,8 @@ A command returns a Result, which is printed as text or, with --json, as JSON.
 """
 
 from fjr_bringup.cli.commands import scenarios  # isort: skip  # the order of the help
+from fjr_bringup.cli.commands import studies  # isort: skip
 from fjr_bringup.cli.commands import identification, running_loop
 from fjr_bringup.cli.commands.declaration import COMMANDS
 
-__all__ = ["COMMANDS", "identification", "running_loop", "scenarios"]
+__all__ = ["COMMANDS", "identification", "running_loop", "scenarios", "studies"]

@@ -41,5 +41,6 @@ def compare(name: str, output: Path, cores: int | None, page: Path | None, stop:
     report.write_page(folder / PAGE, document)
     if page is not None:
         markdown.replace(page, document)
-    text = f"{results.extent(document)}\npage and figures: {folder / PAGE}, {RESULTS}"
-    return Result(text, {"page": folder / PAGE, **document})
+    lines = [results.extent(document), *([results.best_in(document)] if chosen.tune else [])]
+    lines.append(f"page and figures: {folder / PAGE}, {RESULTS}")
+    return Result("\n".join(lines), {"page": folder / PAGE, **document})

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fjr_bringup.formatting import DASH
-from fjr_bringup.studies.comparison.results import Row, extent, rows
-from fjr_bringup.studies.comparison.suite import NOMINAL
+from fjr_bringup.studies.comparison.results import Row, best_in, extent, table_rows
 from fjr_core.errors import CompareError
 
 BEGIN, END = "<!-- fjr compare: begin -->", "<!-- fjr compare: end -->"
@@ -51,19 +50,13 @@ def markdown(document: dict[str, Any]) -> str:
     """Return the extent of the comparison and one table: a row for each metric of each robot, a column for each law."""
     names = [str(law["title"]) for law in document["laws"]]
     lines = [_line(["", *names]), _line(["---"] * (len(names) + 1))]
-    for robot, data in document["robots"].items():
-        first = next(iter(data["references"]))
+    for robot in document["robots"]:
         lines.append(_line([f"**{robot}**", *[""] * len(names)]))
-        lines += [_row(row) for row in rows(document) if row.robot == robot and _is_shown(row, first)]
+        lines += [_row(row) for row in table_rows(document) if row.robot == robot]
     command = f"`fjr compare {document['suite']['name']}`"
     legend = f"*{command}. {DASH}: does not track the nominal robot.*"
-    return "\n".join([extent(document), "", *lines, "", legend, ""])
-
-
-def _is_shown(row: Row, reference: str) -> bool:
-    if row.group in ("margins", "uncertain"):
-        return True
-    return (row.group, row.what) in {(f"errors {reference}", NOMINAL), (f"metrics {reference}", "peak effort")}
+    counts = ["", best_in(document)] if document["suite"]["tune"] else []
+    return "\n".join([extent(document), "", *lines, "", legend, *counts, ""])
 
 
 def _row(row: Row) -> str:

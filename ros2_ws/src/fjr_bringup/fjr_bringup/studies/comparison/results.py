@@ -91,6 +91,30 @@ class Row:
         return tuple(cost < math.inf and cost <= least * (1 + TIE) for cost in costs)
 
 
+def table_rows(document: dict[str, Any]) -> list[Row]:
+    """Return the rows of the table: drawn plants, margins, and error and peak effort of the nominal run."""
+    first = {robot: next(iter(data["references"])) for robot, data in document["robots"].items()}
+    return [row for row in rows(document) if _is_in_table(row, first[row.robot])]
+
+
+def _is_in_table(row: Row, reference: str) -> bool:
+    if row.group in ("margins", "uncertain"):
+        return True
+    return (row.group, row.what) in {(f"errors {reference}", NOMINAL), (f"metrics {reference}", "peak effort")}
+
+
+def best_in(document: dict[str, Any]) -> str:
+    """Count the rows of the table in which a version of a law is best or within TIE of it, as a sentence."""
+    shown = table_rows(document)
+    versions: dict[str, list[int]] = {}
+    for i, law in enumerate(document["laws"]):
+        versions.setdefault(law_without_additions(law), []).append(i)
+    counts = {name: sum(any(row.best[i] for i in each) for row in shown) for name, each in versions.items()}
+    ranked = sorted(counts.items(), key=lambda one: -one[1])
+    each = ", ".join(f"{SHORT.get(name, law_kind(name).title)} {count}" for name, count in ranked)
+    return f"Rows of {len(shown)} in which a version of a law is best, or within {percent(TIE, 0)} of it: {each}."
+
+
 def _cost(value: Value, less: bool) -> float:
     """Return a positive cost of a law; infinite if it does not count."""
     if value.number is None or value.state != "tracks":
@@ -105,23 +129,29 @@ def rows(document: dict[str, Any]) -> list[Row]:
     found: list[Row] = []
     for robot in document["robots"]:
         laws = [document["results"][robot][law["label"]] for law in document["laws"]]
-        found += _uncertain(robot, laws)
+        found += _uncertain(robot, laws, document["suite"]["tune"])
         found += _margins(robot, laws, document["suite"]["margins"])
         found += _errors(robot, laws, document)
         found += _metrics(robot, laws, document)
     return found
 
 
-def _uncertain(robot: str, laws: Sequence[Any]) -> Iterator[Row]:
-    """Yield the figures on fresh draws of laws that were tuned to uncertainties."""
-    if all(law["uncertain"] for law in laws):
+def _uncertain(robot: str, laws: Sequence[Any], tune: dict[str, Any] | None) -> Iterator[Row]:
+    """Yield the figures on fresh draws of laws tuned to uncertainties; a law that tracks too few draws does not count.
+
+    An arm that a limit has stopped has little noise and a small effort.
+    """
+    if tune and all(law["uncertain"] for law in laws):
         for what, name, words, less in UNCERTAIN:
-            values = [law["uncertain"][name] for law in laws]
-            yield Row(robot, "uncertain", what, tuple(_drawn(value, words) for value in values), less)
+            yield Row(
+                robot, "uncertain", what, tuple(_drawn(law["uncertain"], name, words, tune) for law in laws), less
+            )
 
 
-def _drawn(value: float | None, words: Words) -> Value:
-    return Value(value, DASH if value is None else words(value), "lost" if value is None else "tracks")
+def _drawn(figures: dict[str, float | None], name: str, words: Words, tune: dict[str, Any]) -> Value:
+    value = figures[name]
+    counts = name == "success" or (figures["success"] or 0.0) >= tune["success"]
+    return Value(value, DASH if value is None else words(value), "tracks" if counts and value is not None else "lost")
 
 
 def _margins(robot: str, laws: Sequence[Any], axes: Sequence[str]) -> Iterator[Row]:

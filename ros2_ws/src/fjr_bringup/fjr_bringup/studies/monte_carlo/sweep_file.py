@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import difflib
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeGuard
 
 from fjr_core.errors import ParameterError
 from fjr_core.experiments.monte_carlo import distributions
@@ -46,11 +46,7 @@ def is_one(document: object) -> bool:
 
 def read(document: Mapping[str, Any]) -> SweepFile:
     """Return the sweep of a parsed document; raise ParameterError."""
-    for key in document:
-        if key not in KEYS:
-            close = difflib.get_close_matches(str(key), KEYS, n=1)
-            hint = f"did you mean '{close[0]}'?" if close else f"expected some of {', '.join(KEYS)}"
-            raise ParameterError(f"has '{key}'; {hint}")
+    check_keys(document, KEYS)
     for key in MAPPINGS:
         if not isinstance(document.get(key, {}), Mapping):
             raise ParameterError(f"has {document[key]!r} as '{key}'; expected a mapping")
@@ -60,9 +56,9 @@ def read(document: Mapping[str, Any]) -> SweepFile:
         raise ParameterError(f"has {posterior!r} as '{POSTERIOR}'; expected the path of an identification.json")
     if not posterior and not any(one.kind != distributions.FIXED for one in vary.values()):
         raise ParameterError(f"draws nothing; expected '{POSTERIOR}', or 'vary' with {distributions.FORM}")
-    success = {name: _number(f"success.{name}", value) for name, value in document.get("success", {}).items()}
-    numbers: dict[str, Any] = {key: _whole(key, document[key]) for key in WHOLE if key in document}
-    numbers |= {key: _number(key, document[key]) for key in SECONDS if key in document}
+    success = {name: number(f"success.{name}", value) for name, value in document.get("success", {}).items()}
+    numbers: dict[str, Any] = {key: whole(key, document[key]) for key in WHOLE if key in document}
+    numbers |= {key: number(key, document[key]) for key in SECONDS if key in document}
     return SweepFile(
         str(document["scenario"]), vary, document.get("set", {}), success, numbers, posterior, document.get(TUNE, {})
     )
@@ -82,18 +78,29 @@ def usual(scenario: str, sample_period: float) -> SweepFile:
     return SweepFile(scenario, {name: distributions.read(name, given) for name, given in document.items()})
 
 
-def _whole(name: str, value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _is_finite(value) or value != int(value):
-        raise ParameterError(f"has {value!r} as '{name}'; expected a whole number")
+def check_keys(given: Mapping[str, Any], keys: Sequence[str], where: str = "") -> None:
+    """Raise ParameterError for an unknown key, with the one it resembles; where: section, as a start of the message."""
+    for key in given:
+        if key not in keys:
+            close = difflib.get_close_matches(str(key), keys, n=1)
+            hint = f"did you mean '{close[0]}'?" if close else f"expected some of {', '.join(keys)}"
+            raise ParameterError(f"{where}has '{key}'; {hint}")
+
+
+def whole(name: str, value: object, where: str = "") -> int:
+    """Return a whole number of the file; raise ParameterError for anything else."""
+    if not _is_finite(value) or value != int(value):
+        raise ParameterError(f"{where}has {value!r} as '{name}'; expected a whole number")
     return int(value)
 
 
-def _number(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _is_finite(value):
-        raise ParameterError(f"has {value!r} as '{name}'; expected a number")
+def number(name: str, value: object, where: str = "") -> float:
+    """Return a finite number of the file; raise ParameterError for anything else."""
+    if not _is_finite(value):
+        raise ParameterError(f"{where}has {value!r} as '{name}'; expected a number")
     return float(value)
 
 
-def _is_finite(value: float) -> bool:
-    """Return whether a number is finite as a double."""
-    return abs(value) <= sys.float_info.max
+def _is_finite(value: object) -> TypeGuard[int | float]:
+    """Return whether a value is a number that is finite as a double."""
+    return not isinstance(value, bool) and isinstance(value, (int, float)) and abs(value) <= sys.float_info.max

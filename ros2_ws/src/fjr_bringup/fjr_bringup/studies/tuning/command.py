@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
+from concurrent.futures import wait
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +15,27 @@ import numpy as np
 
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.formatting import number, percent, plural
+from fjr_bringup.interrupt import Interrupted
 from fjr_bringup.progress import progress_bar
 from fjr_bringup.result import Result, json_text
 from fjr_bringup.scenarios import library
 from fjr_bringup.studies.monte_carlo.command import Options, check_and_warn, described, file_of
-from fjr_bringup.studies.monte_carlo.pool import cluster, threads
+from fjr_bringup.studies.monte_carlo.pool import LOOK, Workers, cluster, result_of, threads
 from fjr_bringup.studies.tuning import tuning_file
 from fjr_bringup.studies.tuning.evaluation import Evaluation
 from fjr_bringup.studies.tuning.picture import draw
 from fjr_bringup.studies.tuning.store import open_store
 from fjr_core.config import ros_yaml
 from fjr_core.config.law import TYPE
-from fjr_core.experiments.tuning.candidates import SELECTION, TuningStudy
+from fjr_core.experiments.tuning.candidates import (
+    OF_SCENARIO,
+    SELECTION,
+    Point,
+    TuningStudy,
+    run_candidate,
+    with_better_start,
+)
+from fjr_core.experiments.tuning.coordinates import RULE, SCENARIO
 from fjr_core.experiments.tuning.goal import Figures, Score
 from fjr_core.experiments.tuning.search import FINALISTS, Found, search
 
@@ -37,15 +48,16 @@ SHOWN = {
 }
 UNITS = {"rms": "rad", "peak": "rad", "effort_noise": "N m", "effort_peak": "N m"}
 QUANTILES = (0.5, 0.95)
+STARTS = {SCENARIO: "the scenario", RULE: "the rule of equal bandwidth"}
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """Result of a search and its validation: figures and scores of the start and of the chosen gains on fresh draws."""
+    """Result of a search and its validation: the gains of the scenario and the chosen ones on fresh draws."""
 
     study: TuningStudy
     found: Found
-    start: Figures
+    scenario: Figures
     chosen: Figures
     scores: tuple[Score, Score]
 
@@ -70,20 +82,31 @@ def tune(
     if options.scheduler is None:
         study.sweep.loop.build()
     folder = options.output / f"{study.sweep.name}_{study.sweep.scenario.controller_values[TYPE.name]}"
-    where = cluster(options.scheduler) if options.scheduler else threads(options.cores)
-    with open_store(folder, study, study.sweep.loop.fingerprint) as store, where as workers:
-        total = study.draws * study.candidates + (FINALISTS + 1) * SELECTION * study.draws + 2 * study.fresh
-        line = f"{study.sweep.name}: {plural(study.candidates, 'candidate')} on {plural(workers.count, 'core')}"
-        with progress_bar(line, PROGRESS, total=total, desc=study.sweep.name, unit=" runs") as bar:
-            tuned = _searched(study, Evaluation(store, workers, stop, bar.update))
+    with cluster(options.scheduler) if options.scheduler else threads(options.cores) as workers:
+        study = with_better_start(study, partial(_run, workers, stop))
+        with open_store(folder, study, study.sweep.loop.fingerprint) as store:
+            total = study.draws * study.candidates + (FINALISTS + 1) * SELECTION * study.draws + 2 * study.fresh
+            line = f"{study.sweep.name}: {plural(study.candidates, 'candidate')} on {plural(workers.count, 'core')}"
+            with progress_bar(line, PROGRESS, total=total, desc=study.sweep.name, unit=" runs") as bar:
+                tuned = _searched(study, Evaluation(store, workers, stop, bar.update))
     return _shown(tuned, folder)
+
+
+def _run(workers: Workers, stop: threading.Event, study: TuningStudy, point: Point, begin: int, end: int) -> Figures:
+    """Run a part of a point on a worker; raise Interrupted when `stop` is set."""
+    future = workers.executor.submit(run_candidate, study.text, point, begin, end)
+    while not wait([future], timeout=LOOK).done:
+        if stop.is_set():
+            future.cancel()
+            raise Interrupted(None)
+    return result_of(future, workers.remote)
 
 
 def _searched(study: TuningStudy, evaluate: Evaluation) -> Tuned:
     found = search(study, evaluate)
-    points = [found.start.point, found.chosen]
-    start, chosen = evaluate.figures(points, study.fresh_runs)
-    return Tuned(study, found, start, chosen, (study.score(points[0], start), study.score(points[1], chosen)))
+    points = [OF_SCENARIO, found.chosen]
+    scenario, chosen = evaluate.figures(points, study.fresh_runs)
+    return Tuned(study, found, scenario, chosen, (study.score(points[0], scenario), study.score(points[1], chosen)))
 
 
 def _shown(tuned: Tuned, folder: Path) -> Result:
@@ -99,21 +122,22 @@ def _shown(tuned: Tuned, folder: Path) -> Result:
 
 
 def _values(tuned: Tuned, values: Mapping[str, Any]) -> dict[str, Any]:
-    start, chosen = tuned.scores
+    scenario, chosen = tuned.scores
     axes = tuned.study.coordinates.axes
     return {
         "name": tuned.study.sweep.name,
         "law": tuned.study.sweep.scenario.controller_values[TYPE.name],
         "candidates": len(tuned.found.candidates),
         "fresh_runs": tuned.study.fresh,
+        "start": tuned.study.start,
         "parameters": dict(values),
         "factors": {axis.name: float(np.exp(z)) for axis, z in zip(axes, tuned.found.chosen, strict=True)},
         "constraints_kept": chosen.feasible,
-        "success": {"start": start.success, "tuned": chosen.success},
+        "success": {"scenario": scenario.success, "tuned": chosen.success},
         "figures": {
             name: {
                 f"{label}_{percent(q, 0).replace(' ', '')}": quantile(runs[name], q)
-                for label, runs in (("start", tuned.start), ("tuned", tuned.chosen))
+                for label, runs in (("scenario", tuned.scenario), ("tuned", tuned.chosen))
                 for q in QUANTILES
             }
             for name in UNITS
@@ -122,18 +146,19 @@ def _values(tuned: Tuned, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _table(tuned: Tuned) -> list[str]:
-    study, (start, chosen) = tuned.study, tuned.scores
+    study, (scenario, chosen) = tuned.study, tuned.scores
     law = study.sweep.scenario.controller_values[TYPE.name]
     lines = [
         f"{study.sweep.name}, {law}: best of {len(tuned.found.candidates)} candidates, on {study.fresh:,} fresh draws",
-        f"  {'':32}{'start':>12}{'tuned':>12}{'ratio':>9}",
+        f"  {'':32}{'scenario':>12}{'tuned':>12}{'ratio':>9}",
     ]
     for name, unit in UNITS.items():
         for q in QUANTILES:
-            pair = quantile(tuned.start[name], q), quantile(tuned.chosen[name], q)
+            pair = quantile(tuned.scenario[name], q), quantile(tuned.chosen[name], q)
             what = f"{SHOWN[name]}, {'median' if q == 0.5 else percent(q, 0)}"
             lines.append(f"  {what:32}{number(pair[0]):>12}{number(pair[1]):>12}{_ratio(*pair):>9} {unit}")
-    lines.append(f"  {'successful runs':32}{percent(start.success):>12}{percent(chosen.success):>12}")
+    lines.append(f"  {'successful runs':32}{percent(scenario.success):>12}{percent(chosen.success):>12}")
+    lines.append(f"  factors on the gains of {STARTS[study.start]}:")
     axes = zip(study.coordinates.axes, tuned.found.chosen, strict=True)
     lines += [f"  {axis.name:32}{f'× {np.exp(z):.3g}':>24}" for axis, z in axes]
     if not chosen.feasible:

@@ -30,7 +30,7 @@ def draw(tuned: Tuned, path: Path) -> Path:
     axes = figure.subplots(1, 3)
     for ax, name in zip(axes, AXES, strict=False):
         _front(ax, tuned, name)
-    _distribution(axes[2], tuned.start, tuned.chosen)
+    _distribution(axes[2], tuned.scenario, tuned.chosen)
     title = f"{tuned.study.sweep.name}: {len(tuned.found.candidates)} candidates, {tuned.study.fresh:,} fresh draws"
     figure.suptitle(title, fontsize=13, x=0.01, ha="left")
     figure.savefig(path)
@@ -49,7 +49,7 @@ def _front(ax: Axes, tuned: Tuned, name: str) -> None:
     best = pareto(x, y, finite & (kept if kept.any() else True))
     ax.plot(x[best], 1e3 * y[best], "-", drawstyle="steps-post", color=COLOURS[0], lw=1.5, label="Pareto front")
     at = [next(i for i, one in enumerate(found.candidates) if one.point == point) for point in _points(tuned)]
-    for i, marker, label in zip(at, "s*", ("start", "chosen"), strict=True):
+    for i, marker, label in zip(at, "s*", ("start of the search", "chosen"), strict=True):
         if finite[i]:
             ax.plot(x[i], 1e3 * y[i], marker, ms=9, color=COLOURS[1] if marker == "*" else GREY, label=label)
     ax.set(xscale="log", yscale="log", xlabel=AXES[name], ylabel="RMS error [mrad]")
@@ -72,9 +72,9 @@ def pareto(x: Array, y: Array, among: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.array(best, dtype=np.intp)
 
 
-def _distribution(ax: Axes, start: Figures, chosen: Figures) -> None:
+def _distribution(ax: Axes, scenario: Figures, chosen: Figures) -> None:
     """Draw the share of the fresh draws whose error is at most a level; lost runs are missing at the top."""
-    for runs, colour, label in ((start, GREY, "start"), (chosen, COLOURS[1], "chosen")):
+    for runs, colour, label in ((scenario, GREY, "scenario"), (chosen, COLOURS[1], "chosen")):
         rms = np.sort(runs["rms"])
         share = 100.0 * np.arange(1, len(rms) + 1) / len(rms)
         stable = np.isfinite(rms) & (rms > 0)

@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Any
 
-from fjr_bringup.studies.monte_carlo.sweep_file import TUNE
+from fjr_bringup.studies.monte_carlo.sweep_file import TUNE, check_keys, number, whole
 from fjr_core.errors import ParameterError
 from fjr_core.experiments.monte_carlo.sweep import Sweep
 from fjr_core.experiments.tuning.candidates import TuningStudy
@@ -17,21 +16,18 @@ NUMBERS = ("draws", "candidates", "fresh")
 GOAL = ("minimise", "quantile", "success", "limits", "delay_margin")
 LAW = "law"
 KEYS = (LAW, *GOAL, *NUMBERS)
+HERE = f"'{TUNE}' "  # start of a message
 
 
 def read(sweep: Sweep, section: Mapping[str, Any], numbers: Mapping[str, int]) -> TuningStudy:
     """Return the study of the section `tune` of a sweep file; numbers: replace its own. Raise ParameterError."""
-    for key in section:
-        if key not in KEYS:
-            close = difflib.get_close_matches(str(key), KEYS, n=1)
-            hint = f"did you mean '{close[0]}'?" if close else f"expected some of {', '.join(KEYS)}"
-            raise ParameterError(f"'tune' has '{key}'; {hint}")
+    check_keys(section, KEYS, HERE)
     goal: dict[str, Any] = {}
     for key in GOAL:
         if key in section:
             given = section[key]
-            goal[key] = _mapping(key, given) if key in ("minimise", "limits") else _number(key, given)
-    size = {key: _whole(key, section[key]) for key in NUMBERS if key in section} | dict(numbers)
+            goal[key] = _mapping(key, given) if key in ("minimise", "limits") else number(key, given, HERE)
+    size: dict[str, Any] = {key: whole(key, section[key], HERE) for key in NUMBERS if key in section} | dict(numbers)
     return TuningStudy(sweep, Goal(**goal), **size)
 
 
@@ -47,17 +43,4 @@ def law_of(document: object) -> str | None:
 def _mapping(key: str, given: object) -> dict[str, float]:
     if not isinstance(given, Mapping):
         raise ParameterError(f"'tune' has {given!r} as '{key}'; expected figures and numbers, e.g. {{rms: 1.0}}")
-    return {str(name): _number(f"{key}.{name}", value) for name, value in given.items()}
-
-
-def _number(key: str, given: object) -> float:
-    if isinstance(given, bool) or not isinstance(given, (int, float)):
-        raise ParameterError(f"'tune' has {given!r} as '{key}'; expected a number")
-    return float(given)
-
-
-def _whole(key: str, given: object) -> int:
-    number = _number(key, given)
-    if not number.is_integer():
-        raise ParameterError(f"'tune' has {given!r} as '{key}'; expected a whole number")
-    return int(number)
+    return {str(name): number(f"{key}.{name}", value, HERE) for name, value in given.items()}

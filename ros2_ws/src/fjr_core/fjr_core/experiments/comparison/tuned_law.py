@@ -18,6 +18,7 @@ from ...files.python_class import is_named
 from ...numerics.checks import Array
 from ...stability.sampled_loop import spectral_radius
 from ...tuning.equal_bandwidth import BaselineTarget, tune
+from ..baseline_target import baseline_target
 
 FEW = 4  # configurations of the reference at which a loop is checked
 
@@ -48,17 +49,13 @@ def tuned_law(
     period. A law of the user, module:Class, is not tuned: it has its options, arguments of its constructor. Raises
     FjrError if there is no such law or no stable gains.
     """
-    robot, n = scenario.robot, scenario.robot.n
-    start = scenario.x0[: 2 * n], np.hstack(robot.velocities(scenario.x0))
-    baseline_target = BaselineTarget(robot, scenario.reference, scenario.gains, start, scenario.sample_period)
+    target = baseline_target(scenario)
     hold = Robust(**robust, hold=scenario.sample_period)
     if is_named(name):
-        own, options = own_law(name, robot, options or {}, compile=False), options or {}
+        own, options = own_law(name, scenario.robot, options or {}, compile=False), options or {}
         law = sampled_law(own, hold)
-        return TunedLaw(
-            law, baseline_target.effort_limit, dict(options), _own(own, baseline_target) + _unstable(law, scenario)
-        )
-    found = tune(name, baseline_target, retune=retune)
+        return TunedLaw(law, target.effort_limit, dict(options), _own(own, target) + _unstable(law, scenario))
+    found = tune(name, target, retune=retune)
     law = sampled_law(found.law, hold)
     gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}
     return TunedLaw(law, found.effort_limit, gains, found.sentence + _unstable(law, scenario))

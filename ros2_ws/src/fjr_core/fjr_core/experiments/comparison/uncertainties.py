@@ -17,7 +17,7 @@ from ...errors import ParameterError
 from ..monte_carlo import distributions
 from ..monte_carlo.distributions import FIXED, Distribution
 from ..monte_carlo.sweep import Sweep
-from ..tuning.candidates import SELECTION, Point, Range, TuningStudy
+from ..tuning.candidates import SELECTION, Point, Range, TuningStudy, with_better_start
 from ..tuning.goal import Goal, Score
 from ..tuning.search import FINALISTS, search
 from .motion_demand import MotionDemand
@@ -103,7 +103,7 @@ def law_for(
     demand: of the motion, for the levels. effort_limit (n,) [N m]: of every command. tracks: a run succeeds if its
     error is at most this fraction of the motion, at every joint. on_progress: called with the share done, 0 to 1.
     """
-    study = _study(text, wanted, demand, effort_limit, tracks)
+    study = with_better_start(_study(text, wanted, demand, effort_limit, tracks))
     total = wanted.draws * (wanted.candidates + (FINALISTS + 1) * SELECTION)
     done = 0
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -14,15 +15,18 @@ import numpy as np
 
 from ...control.sampled_law import SampledLaw
 from ...errors import FjrError, ParameterError
+from ...estimation.velocity_observer import VelocityObserver
 from ...stability.sampled_loop import spectral_radius
 from ..monte_carlo.sweep import Sweep, from_text
-from .coordinates import Coordinates, coordinates
+from .coordinates import RULE, SCENARIO, Coordinates, coordinates, starts
 from .goal import Figures, Goal, Score, figures
 
 FEW = 4  # configurations of the reference at which a loop is checked
 FINER = 2.0  # delays that are checked per sample
 SELECTION = 4  # times the draws of the search: those of the selection
 Point = tuple[float, ...]
+OF_SCENARIO: Point = ()
+"""The gains of the scenario, also where the search starts at others."""
 Range = tuple[int, int]
 
 
@@ -30,9 +34,10 @@ Range = tuple[int, int]
 class TuningStudy:
     """A search of gains for a goal over the draws of a sweep.
 
-    draws: runs of each candidate. candidates: number of them. fresh: runs of the validation. Runs are numbered: the
-    first `draws` are those of the search, the next ones those of the selection, then those of the validation, so that
-    each stage sees draws that no earlier one has seen. The seed is that of the sweep. Raises ParameterError.
+    start: of the search, see coordinates.starts. draws: runs of each candidate. candidates: number of them. fresh: runs
+    of the validation. Runs are numbered: the first `draws` are those of the search, the next ones those of the
+    selection, then those of the validation, so that each stage sees draws that no earlier one has seen. The seed is
+    that of the sweep. Raises ParameterError.
     """
 
     sweep: Sweep
@@ -40,6 +45,7 @@ class TuningStudy:
     draws: int = 48
     candidates: int = 300
     fresh: int = 1000
+    start: str = SCENARIO
 
     def __post_init__(self) -> None:
         for name in ("draws", "candidates", "fresh"):
@@ -49,7 +55,12 @@ class TuningStudy:
     @cached_property
     def coordinates(self) -> Coordinates:
         """Search space of the scenario's law."""
-        return coordinates(self.sweep.scenario)
+        return coordinates(self.sweep.scenario, self.start)
+
+    @property
+    def origin(self) -> Point:
+        """Point of the start."""
+        return (0.0,) * len(self.coordinates)
 
     @property
     def search_runs(self) -> Range:
@@ -71,7 +82,7 @@ class TuningStudy:
         """Return the figures of the runs begin .. end - 1 with the gains at a point; none if no such gains exist."""
         first = self.sweep.loop
         try:
-            loop = first.with_law(*self.coordinates.controller(point))
+            loop = first.with_law(*self._controller(point))
         except FjrError:
             return {}
         outcomes = loop.run(self.sweep.draws(begin, end))
@@ -81,7 +92,10 @@ class TuningStudy:
         """Return the score of a point from its runs."""
         if not runs:
             return self.goal.refused()
-        return self.goal.score(runs, self._instability(self.coordinates.controller(point)[0]))
+        return self.goal.score(runs, self._instability(self._controller(point)[0]))
+
+    def _controller(self, point: Sequence[float]) -> tuple[SampledLaw, VelocityObserver | None]:
+        return self.coordinates.controller(point) if len(point) else (self.sweep.scenario.sampled_law, None)
 
     def _instability(self, law: SampledLaw) -> float:
         """Return how far the spectral radius exceeds 1 with a delay within the required margin; 0 if it does not."""
@@ -99,15 +113,30 @@ class TuningStudy:
     def text(self) -> str:
         """Study as JSON; studies with equal text have equal results."""
         numbers = {name: getattr(self, name) for name in ("draws", "candidates", "fresh")}
-        return json.dumps({**json.loads(self.sweep.text), "goal": asdict(self.goal), **numbers}, indent=1)
+        goal = {"goal": asdict(self.goal), "start": self.start}
+        return json.dumps({**json.loads(self.sweep.text), **goal, **numbers}, indent=1)
+
+
+def with_better_start(
+    study: TuningStudy, run: Callable[[TuningStudy, Point, int, int], Figures] = TuningStudy.run
+) -> TuningStudy:
+    """Return the study with the start that costs less on the draws of the search; run: runs a part of a point."""
+
+    def cost(one: TuningStudy) -> float:
+        return one.score(one.origin, run(one, one.origin, *one.search_runs)).cost
+
+    if RULE in starts(study.sweep.scenario):
+        with suppress(FjrError):  # the rule may have no gains for this robot; another error comes again in the search
+            return min(study, replace(study, start=RULE), key=cost)
+    return study
 
 
 def study_of(text: str) -> TuningStudy:
     """Return the study described by TuningStudy.text."""
     values: dict[str, Any] = json.loads(text)
-    goal = Goal(**values.pop("goal"))
+    goal, start = Goal(**values.pop("goal")), values.pop("start")
     numbers = {name: values.pop(name) for name in ("draws", "candidates", "fresh")}
-    return TuningStudy(from_text(json.dumps(values)), goal, **numbers)
+    return TuningStudy(from_text(json.dumps(values)), goal, **numbers, start=start)
 
 
 _recent = lru_cache(maxsize=2)(study_of)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -20,11 +20,16 @@ from ...control.registry import V_DPBC, law_kind
 from ...control.robust import sampled_law
 from ...control.robust.options import GAINS as ROBUST_GAINS
 from ...control.sampled_law import SampledLaw
+from ...control.vdpbc.gains import Gains
 from ...errors import ParameterError
 from ...estimation.velocity_observer import VelocityObserver
 from ...files.python_class import is_named
+from ...tuning.equal_bandwidth import tune
+from ..baseline_target import baseline_target
 
 Entries = tuple[float, ...]
+SCENARIO, RULE = "scenario", "rule"
+"""Starts of a search: the gains of the scenario, those of the rule of equal bandwidth."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,7 @@ class Coordinate:
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """Search space of a scenario's law around its gains, the origin; every point is a set of parameter values.
+    """Search space of a scenario's law around its start, the origin; every point is a set of parameter values.
 
     v-dPBC: a factor on each gain. Another law: its natural frequency, its damping ratio and law.gain_factors. Each
     robust gain that is enabled in the scenario, and the bandwidth of its velocity observer. start: parameter values at
@@ -77,25 +82,37 @@ class Coordinates:
         return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
 
 
-def coordinates(scenario: Scenario) -> Coordinates:
-    """Return the search space of a scenario's law; raises ParameterError for a law of the user."""
+def starts(scenario: Scenario) -> tuple[str, ...]:
+    """Return the possible starts of a scenario's law; a law with a tuning rule has its gains in the scenario only."""
+    return (SCENARIO, RULE) if scenario.controller_values[law_parameters.TYPE.name] == V_DPBC else (SCENARIO,)
+
+
+def coordinates(scenario: Scenario, start: str = SCENARIO) -> Coordinates:
+    """Return the search space of a scenario's law around one of its starts.
+
+    Raises ParameterError for a law of the user, GainsError if the rule of equal bandwidth has no stable gains.
+    """
     values, name = scenario.controller_values, str(scenario.controller_values[law_parameters.TYPE.name])
     if is_named(name):
         raise ParameterError(f"parameter 'law.type' is {name!r}; expected a law of fjr_core, whose gains can be tuned")
-    start, axes = _v_dpbc(scenario) if name == V_DPBC else _by_rule(scenario, name)
+    origin, axes = _v_dpbc(scenario, start) if name == V_DPBC else _by_rule(scenario, name)
     for option in ROBUST_GAINS:
         parameter = ROBUST[option].name
         if np.any(values[parameter]):
-            start[parameter] = values[parameter]
+            origin[parameter] = values[parameter]
             axes.append(Coordinate(parameter))
     if scenario.sensing.bandwidth is not None:
-        start[OBSERVER_BANDWIDTH.name] = values[OBSERVER_BANDWIDTH.name]
+        origin[OBSERVER_BANDWIDTH.name] = values[OBSERVER_BANDWIDTH.name]
         axes.append(Coordinate(OBSERVER_BANDWIDTH.name))
-    return Coordinates(scenario, start, tuple(axes))
+    return Coordinates(scenario, origin, tuple(axes))
 
 
-def _v_dpbc(scenario: Scenario) -> tuple[dict[str, Any], list[Coordinate]]:
-    given = gain_values(scenario.gains, scenario.robot.n)
+def _v_dpbc(scenario: Scenario, start: str) -> tuple[dict[str, Any], list[Coordinate]]:
+    gains = scenario.gains
+    if start == RULE:
+        found = tune(V_DPBC, baseline_target(scenario), retune=True).law.gains
+        gains = Gains(**{each.name: getattr(found, each.name) for each in fields(Gains)})
+    given = gain_values(gains, scenario.robot.n)
     scaled = [f"gains.{gain}" for gain in law_kind(V_DPBC).scaled]
     return {name: tuple(given[name]) for name in scaled}, [Coordinate(name) for name in scaled]
 

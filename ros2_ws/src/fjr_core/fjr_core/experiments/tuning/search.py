@@ -48,13 +48,13 @@ class Found:
 
     @property
     def start(self) -> Candidate:
-        """The gains of the scenario."""
+        """The start of the search."""
         return self.candidates[0]
 
 
 def search(study: TuningStudy, evaluate: Evaluate) -> Found:
     """Search the gains of a study; the results depend only on the study. Raises ParameterError without `cma`."""
-    start: Point = (0.0,) * len(study.coordinates)
+    start = study.origin
     kept = [Candidate(start, evaluate([start], study.search_runs)[0])]
     strategy = _strategy(len(start), study.sweep.seed)
     while len(kept) < study.candidates and not strategy.stop():
