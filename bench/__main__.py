@@ -25,6 +25,7 @@ from bench import (
     certificate,
     closed_loop,
     identification_peers,
+    identification_time,
     lock_step,
     memory,
     on_time,
@@ -43,6 +44,7 @@ LONG = ("memory", "sweep-memory")
 USUAL = (
     *("law", "dynamics", "step", "loop", "virtual-machine", "build", "start", "node", "command", "real-time"),
     *("round-trip", "on-time", "certificate", "periods", "lock-step", "campaign", "proof", "identification"),
+    "identification-time",
 )
 NAMES = (*USUAL, *LONG)
 
@@ -96,7 +98,8 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         lambda: lock_step.over_ping_pong(*((2, 3.0) if quick else ())),
         lambda: campaign.against_peers(*((500, 2) if quick else ())),
         lambda: proof.over_joint_range_and_tube(arm, *((20,) if quick else ())),
-        lambda: identification_peers.against_mujoco(arm, *((2,) if quick else ())),
+        lambda: identification_peers.against_mujoco(arm, *((2, 0) if quick else ())),
+        lambda: identification_time.of_a_minute(*((5.0,) if quick else ())),
         lambda: memory.flat(*((0.5,) if quick else ())),
         lambda: campaign_memory.bounded(*((20_000,) if quick else ())),
     )

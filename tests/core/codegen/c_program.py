@@ -58,9 +58,13 @@ def program_output(program: Path, *arguments: str, code: int = 0) -> str:
     return done.stdout + done.stderr
 
 
-def replayed(folder: Path, code: int = 0) -> Mapping[str, float]:
+def replayed(folder: Path) -> Mapping[str, float]:
     """Run the replay program of the folder; return the numbers that it compares, by what they are."""
-    program = built(C99, sorted(folder.glob("*.c")), folder / "replay")
-    lines = program_output(program, str(folder / "case.txt"), code=code).splitlines()
+    return compared(built(C99, sorted(folder.glob("*.c")), folder / "replay"), folder / "case.txt")
+
+
+def compared(program: Path, case: Path, code: int = 0) -> Mapping[str, float]:
+    """Replay a case file; return the numbers that the program compares, by what they are."""
+    lines = program_output(program, str(case), code=code).splitlines()
     found = (re.match(r"  (\w.*?)  +(\S+)  \(", line) for line in lines)
     return {row[1]: float(row[2]) for row in found if row}

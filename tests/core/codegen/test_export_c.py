@@ -13,7 +13,7 @@ import pytest
 
 import fjr_core as fjr
 import own_code
-from core.codegen.c_program import C99, CPP, SHIPPED, built, changed, exported, loop, program_output, replayed
+from core.codegen.c_program import C99, CPP, SHIPPED, built, changed, compared, exported, loop, program_output, replayed
 from fjr_core.codegen import Loop, export, loop_of, prefix_of
 from fjr_core.codegen.c_code import casadi_code, checked_prefix, numbers, quoted
 from fjr_core.config.scenario import parse_scenario
@@ -72,22 +72,26 @@ def test_built_in_references_replay(name: str, tmp_path: Path) -> None:
     replays(changed("two_link", reference=references[name]), tmp_path)
 
 
+@pytest.fixture(scope="module")
+def replay(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the replay program of paper_k31, next to its recorded case."""
+    folder = exported(loop("paper_k31"), tmp_path_factory.mktemp("replay"))
+    return built(C99, sorted(folder.glob("*.c")), folder / "replay")
+
+
 @pytest.mark.parametrize("column", [2, 5, -1])
-def test_replay_detects_a_wrong_number(column: int, tmp_path: Path) -> None:
-    folder = exported(loop("paper_k31"), tmp_path)
-    rows = [line.split() for line in (folder / "case.txt").read_text().splitlines()]
+def test_replay_detects_a_wrong_number(column: int, replay: Path, tmp_path: Path) -> None:
+    rows = [line.split() for line in replay.with_name("case.txt").read_text().splitlines()]
     rows[40][column] = float.hex(float.fromhex(rows[40][column]) + 1e-8)
-    (folder / "case.txt").write_text("".join(" ".join(row) + "\n" for row in rows))
-    assert replayed(folder, code=1)[EFFORTS] >= 1
+    (tmp_path / "case.txt").write_text("".join(" ".join(row) + "\n" for row in rows))
+    assert compared(replay, tmp_path / "case.txt", code=1)[EFFORTS] >= 1
 
 
 @pytest.mark.parametrize("text", ["", "t\n", "0 0 1.0\n", "1e3 0\n"])
-def test_replay_reports_an_invalid_case_file(text: str, tmp_path: Path) -> None:
-    folder = exported(loop("paper_k31"), tmp_path)
-    program = built(C99, sorted(folder.glob("*.c")), folder / "replay")
-    (folder / "case.txt").write_text(text)
-    assert "is not a case of this export" in program_output(program, str(folder / "case.txt"), code=2)
-    assert "cannot be opened" in program_output(program, str(folder / "nothing.txt"), code=2)
+def test_replay_reports_an_invalid_case_file(text: str, replay: Path, tmp_path: Path) -> None:
+    (tmp_path / "case.txt").write_text(text)
+    assert "is not a case of this export" in program_output(replay, str(tmp_path / "case.txt"), code=2)
+    assert "cannot be opened" in program_output(replay, str(tmp_path / "nothing.txt"), code=2)
 
 
 TWO = r"""
@@ -171,16 +175,14 @@ def test_constants_in_c_round_trip_exactly() -> None:
     assert set(values) <= found
 
 
-ODD = ('a"b', "c\\d", "grün", "what??/", "*/ int evil;", "%s")
-"""Names of scenario and joint."""
+ODD = """a"b c\\d grün *//* */ int evil; %s what??/"""
+"""Name of scenario and joint."""
 
 
 def test_any_scenario_or_joint_name_compiles(tmp_path: Path) -> None:
-    for name in ODD:
-        folder = exported(changed("paper_k31", name=name, joints=(name,)), tmp_path / prefix_of(name), samples=3)
-        assert program_output(
-            built(C99, sorted(folder.glob("*.c")), folder / "replay"), str(folder / "case.txt")
-        ).startswith(name)
+    folder = exported(changed("paper_k31", name=ODD, joints=(ODD,)), tmp_path, samples=3)
+    program = built(C99, sorted(folder.glob("*.c")), folder / "replay")
+    assert program_output(program, str(folder / "case.txt")).startswith(ODD)
 
 
 @pytest.mark.parametrize(
