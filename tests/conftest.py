@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import atexit
+import faulthandler
 import fcntl
 import gc
 import os
@@ -51,6 +52,7 @@ settings.load_profile("any machine")
 CORE = Path(__file__).parent / "core"
 TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
 QUEUE = TURN.with_suffix(".queue")
+LONGEST_WAIT = 3600.0  # s for a turn
 _turn: list[TextIO] = []  # the lock of this process, kept from one real_time test to the next
 
 
@@ -110,9 +112,11 @@ def _needs_the_clock(item: pytest.Item) -> bool:
 def _next_turn(alone: bool) -> TextIO:
     """Wait for a turn, alone or with others, in the order of asking: who waits to be alone is not passed by others."""
     turn = TURN.open("w")
+    faulthandler.dump_traceback_later(LONGEST_WAIT, exit=True)
     with QUEUE.open("w") as queue:
         fcntl.flock(queue, fcntl.LOCK_EX)
         fcntl.flock(turn, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+    faulthandler.cancel_dump_traceback_later()
     return turn
 
 
