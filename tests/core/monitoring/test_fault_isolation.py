@@ -79,6 +79,15 @@ def test_wrong_parameter_is_isolated_with_its_size(
     assert finding.sentence in found.sentence
 
 
+@pytest.mark.parametrize(("change", "named"), [(0.05, True), (-0.05, False)])
+def test_friction_that_would_add_energy_is_not_named(change: float, named: bool) -> None:
+    """The motors of the model have a damping of 0.01 N m s/rad."""
+    seen = record()
+    u = seen.u + change * seen.velocity[:, 2:] * [1.0, 0.0]
+    kinds = [finding.kind for finding in diagnose(replace(seen, u=u), law(), axes=AXES).findings]
+    assert ("viscous friction" in kinds) is named
+
+
 def test_wrong_mass_is_a_gravity_load_on_its_link() -> None:
     (finding,) = verdict(fjr.planar_two_link(link_mass=(1.2, 0.9))).findings
     assert (finding.kind, finding.joint, finding.side, finding.unit) == ("gravity load", "elbow", "link", "N m")

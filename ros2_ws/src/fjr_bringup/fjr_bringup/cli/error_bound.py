@@ -68,7 +68,7 @@ def _sentence(scenario: Scenario, found: ErrorBound) -> str:
     if found.proven:
         steady = "" if np.all(np.isfinite(found.from_start)) else "in steady motion, "
         basis = f"{steady}proven along this reference"
-    storage = "" if np.isnan(found.storage) else f", V at most {1e3 * found.storage:.3g} mJ"
+    storage = "" if not np.isfinite(found.storage) else f", V at most {1e3 * found.storage:.3g} mJ"
     largest = f"{1e3 * found.position[joint]:.3g} m{unit} at {scenario.joints[joint]}"
     return f"with {conditions}: at most {largest}{storage}, {basis}"
 

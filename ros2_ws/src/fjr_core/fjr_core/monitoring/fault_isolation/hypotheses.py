@@ -55,11 +55,11 @@ def hypotheses(seen: Residuals) -> Iterator[Hypothesis]:
 
 def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypothesis]:
     """Return constant torque, frictions and position offset of one side of a joint."""
-    dq = seen.dq[:, channel]
-    one = _single(seen, channel)
+    dq, robot = seen.dq[:, channel], seen.robot
+    one, damping = _single(seen, channel), (robot.D_l if side == LINK else robot.D_m)[j, j]
     yield Hypothesis("constant torque", j, side, "N m", one(np.ones_like(dq)))
-    yield Hypothesis("Coulomb friction", j, side, "N m", one(-np.tanh(dq / SMOOTHING)), _positive)
-    yield Hypothesis("viscous friction", j, side, "N m s/rad", one(-dq))
+    yield Hypothesis("Coulomb friction", j, side, "N m", one(-np.tanh(dq / SMOOTHING)), _at_least(0.0))
+    yield Hypothesis("viscous friction", j, side, "N m s/rad", one(-dq), _at_least(-damping))
     image = seen.of_offset(channel)[:, :, None]
     yield Hypothesis("position offset", j, side, "rad", image)
 
@@ -118,8 +118,9 @@ def _placed(seen: Residuals, signals: dict[int, Array]) -> Array:
     return columns
 
 
-def _positive(fitted: Array) -> float | None:
-    return float(fitted[0]) if fitted[0] > 0 else None
+def _at_least(least: float) -> Callable[[Array], float | None]:
+    """Return a function that gives the size of a friction; None if the friction would add energy."""
+    return lambda fitted: float(fitted[0]) if fitted[0] > least else None
 
 
 def _free_play(half: float) -> Callable[[Array], float | None]:

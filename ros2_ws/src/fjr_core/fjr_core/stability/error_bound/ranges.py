@@ -127,11 +127,14 @@ class Ranges:
         )
 
     def storage(self, tube: Tube) -> float:
-        """Return the largest V [J] of the law in a tube; nan if the law has none."""
+        """Return the largest V [J] of the law in a tube; nan if the law has none, inf if it cannot be enclosed."""
         k, centre = self._pieces * len(self._at), self._factors(self.centre.factors, self.centre.factors)
         middles = [self._chosen(cells.middles_of_pieces(self.blocks)) for cells in (self._path, self._jets)]
         if self._jets.verified:
-            return self._storage_bound(middles, tube.box(k), centre)
+            try:
+                return self._storage_bound(middles, tube.box(k), centre)
+            except ZeroDivisionError:
+                return np.inf
         return self._sampled_storage(middles, tube, np.full((len(tube.radius), k), 0.5), centre)
 
     def _storage_bound(self, middles: list[Box], z: Box, c: Box) -> float:
@@ -204,9 +207,6 @@ class Ranges:
     def _chosen(self, windows: Box) -> Box:
         at = (self._jets.count * np.arange(self._pieces)[:, None] + self._at).ravel()
         return Box(windows.lower[:, at], windows.upper[:, at])
-
-    def _tube(self, tube: Array) -> Box:
-        return self._factors(-tube, tube)
 
     def _factors(self, low: Array, high: Array) -> Box:
         return Box(*(np.tile(each[:, None], self._pieces * len(self._at)) for each in (low, high)))
