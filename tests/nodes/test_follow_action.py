@@ -41,6 +41,7 @@ class Client:
     def __init__(self, ros: Ros, manager: Manager) -> None:
         self._ros = ros
         self._client = ActionClient(manager, Fibonacci, "fjr_controller/follow_joint_trajectory")
+        ros.at_close(self._client.destroy)  # which rclpy's Node does not
         ros.until(self._client.server_is_ready, "the action server")
         self.feedback: list[int] = []
 
