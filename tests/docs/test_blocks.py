@@ -51,7 +51,6 @@ def test_every_shell_block_is_valid_bash(block: Block) -> None:
 
 @pytest.mark.system
 @pytest.mark.slow
-@pytest.mark.timeout(3600)
 @pytest.mark.usefixtures("background_processes_ended")
 @pytest.mark.parametrize("page", WITH_BLOCKS, ids=lambda page: page.stem)
 def test_blocks_of_a_page_run_in_order(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
