@@ -10,13 +10,13 @@ from scipy.optimize import nnls
 from fjr_core.identification.bounded_step import bounded_step
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(50))
 def test_the_step_ends_at_the_nonnegative_least_squares_of_scipy(seed: int) -> None:
     random = np.random.default_rng(seed)
-    J, r, z = np.eye(12, 4) + 0.1 * random.standard_normal((12, 4)), random.standard_normal(12), np.full(4, 0.2)
+    J, r, z = random.standard_normal((12, 4)), random.standard_normal(12), np.full(4, 0.2)
     expected, _ = nnls(J, r)
     step = bounded_step(J.T @ J, J.T @ (r - J @ z), z, np.ones(4, dtype=bool))
-    np.testing.assert_allclose(z + step, expected, atol=1e-12)
+    np.testing.assert_allclose(z + step, expected, atol=1e-6)
 
 
 def test_entries_without_a_bound_may_become_negative() -> None:

@@ -12,7 +12,7 @@ from bench.identification import draw
 from core.identification import recorded_joint
 from fjr_core.identification.motion_record import MotionRecord
 from fjr_core.identification.record_checks import findings
-from fjr_core.identification.scale_checks import unseen
+from fjr_core.identification.scale_checks import LONGEST, _most_moving, unseen
 
 
 def motor_side() -> MotionRecord:
@@ -38,6 +38,17 @@ def test_wrong_time_of_the_only_side_is_found(factor: float) -> None:
     assert f"a time {1 / factor:g} times as long" in found.sentence
 
 
+def test_the_minute_of_a_long_record_is_compared_in_which_the_joint_moves() -> None:
+    """Rows of ten minutes would be too far apart for accelerations."""
+    right, names = motor_side(), ("u", "q_l", "q_m", "torque")
+    rest = [np.repeat(getattr(right, name)[[0]], round(300.0 / right.dt), 0) for name in names]
+    long = {name: np.vstack([still, getattr(right, name), still]) for name, still in zip(names, rest, strict=True)}
+    compared = _most_moving(replace(right, **long))
+    assert len(compared.u) * right.dt == pytest.approx(LONGEST, abs=right.dt)
+    assert np.ptp(compared.q_m) == np.ptp(right.q_m)
+    assert _most_moving(right) is right
+
+
 def test_what_one_side_does_not_tell_is_stated() -> None:
     (said,) = unseen(motor_side(), recorded_joint.robot())
     assert "gear ratio and time of joint1 (ratio below a factor of " in said
@@ -52,6 +63,8 @@ def test_a_short_record_is_not_compared() -> None:
     record = motor_side()
     short = {name: getattr(record, name)[:210] for name in ("u", "q_l", "q_m", "torque")}
     assert unseen(replace(record, **short), recorded_joint.robot()) == ()
+    slow = {name: getattr(record, name)[::25][:18] for name in ("u", "q_l", "q_m", "torque")}
+    assert unseen(replace(record, dt=25 * record.dt, **slow), recorded_joint.robot()) == ()
 
 
 @pytest.mark.parametrize(("n", "measured"), [(1, "motor"), (1, "link-torque"), (2, "motor-torque")])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Information about z that is in the normal equations and not in the records, because of the initial states.
+"""Information about z that the normal equations contain although the records do not tell it. It has two causes.
 
-They fit noise: a spring at rest seems to swing, at a frequency that seems to tell its stiffness. And they have a prior:
-the offset of a spring only shifts a motor that is not measured, but away from the prior of its initial positions.
+Initial states fit noise: a spring at rest seems to swing, at a frequency that seems to tell its stiffness. And initial
+states have a prior: without a motor encoder the offset of a spring only shifts the motor, away from this prior.
 """
 
 from __future__ import annotations
@@ -16,17 +16,19 @@ from .multiple_shooting import Problem
 from .variable_projection import RIDGE, project, state_factor
 
 LEAST_DRAWS = 24  # of all segments together
+CAUTION = 4.0  # factor on the growth, which is estimated from few draws
 
 
 def chance_information(problem: Problem, optimum: Optimum) -> Array:
-    """Return by how much the information (p, p) grows when initial states are disturbed by their own uncertainty.
+    """Return CAUTION times the growth of the information (p, p) under disturbances of the initial states.
 
-    Disturbances come with both signs, so that what is linear in them cancels. No segment loses more than it tells.
+    Disturbances have the covariance of the initial states and come with both signs, so that what is linear in them
+    cancels. No segment loses more than it tells, before CAUTION.
     """
     segments, size = optimum.x0.shape
     draws = max(1, LEAST_DRAWS // segments)
     normals = np.random.default_rng(0).standard_normal((segments, draws, size))
-    return np.asarray(sum(problem.of_each(lambda k: _of_segment(problem, optimum, k, normals[k]))))
+    return CAUTION * np.asarray(sum(problem.of_each(lambda k: _of_segment(problem, optimum, k, normals[k]))))
 
 
 def assumed_information(problem: Problem, optimum: Optimum) -> Array:
@@ -46,7 +48,7 @@ def _of_segment(problem: Problem, optimum: Optimum, k: int, normals: Array) -> A
     scale, (factor, lower) = state_factor(optimum.compared[k], size, 0.0)
     growth = np.zeros_like(told)
     for normal in normals:
-        dx = solve_triangular(factor, normal, trans=0 if lower else 1, lower=lower) / scale
+        dx = solve_triangular(factor, normal, trans=1 if lower else 0, lower=lower) / scale
         pair = [problem.compare(k, optimum.z, x + sign * dx, optimum.noise) for sign in (1, -1)]
         complete = [project(each, size).H for each in pair if each is not None]
         if len(complete) == len(pair):

@@ -81,7 +81,7 @@ def design(
     known, rng = task.deviations(before), np.random.default_rng(seed)
     best, most = None, 0.0
     for i in range(STARTS):
-        progress("designing the excitation", i / (STARTS + 1))
+        progress("designing the excitation", i / (STARTS + ROUNDS))
         c = task.start(rng)
         for weight in PENALTIES:
             c = task.improved(c, weight)
@@ -91,12 +91,13 @@ def design(
         raise TrajectoryError(
             f"no motion of {STARTS} random starts keeps the limits; expected wider limits or a lighter arm"
         )
-    progress("designing the excitation", STARTS / (STARTS + 1))
-    for _ in range(ROUNDS):
+    for k in range(ROUNDS):
+        progress("designing the excitation", (STARTS + k) / (STARTS + ROUNDS))
         gains = task.gains(best, known)
         refined = task.improved(best, FINAL_PENALTY, EMPHASIS * gains.max() / gains)
-        if (least := task.least_gain(refined, known)) > most:
-            best, most = refined, least
+        if (least := task.least_gain(refined, known)) <= most:
+            break
+        best, most = refined, least
     reference = task.series.reference(task.within(best))
     return Excitation(reference, duration, task.series.period, task.deviations(reference), known)
 

@@ -98,7 +98,11 @@ def _fits(line: Line) -> bool:
 
 
 def _all_explain(here: Sequence[Line], there: Sequence[Line]) -> bool:
-    """Return whether a change makes both efforts fit better, together by BETTER each, with slopes nearer to 1."""
+    """Return whether both efforts fit after a change.
+
+    Each fits better, the product of the unexplained shares is below BETTER^2 of that before, and the slopes are nearer
+    to 1, or within NEAR of it.
+    """
     pairs = list(zip(here, there, strict=True))
     together = np.prod([b.unexplained for _, b in pairs]) < np.prod([BETTER * a.unexplained for a, _ in pairs])
     return bool(together) and all(

@@ -2,8 +2,10 @@
 """The likelihood of z over all segments, each simulated from its own initial state (H. G. Bock, multiple shooting).
 
 -log L = sum_i (N_i log s_i^2 + sum r_i^2 / s_i^2) / 2 + ((z - z_prior) / width)^2 / 2
+         + sum_k ((x_k - filtered_k) / state_width)^2 / 2
 
-s_i: root mean square of the residuals r_i of signal i, but at least the noise of its steps.
+s_i: root mean square of the residuals r_i of signal i, but at least the noise of its steps. x_k: initial state of
+segment k.
 """
 
 from __future__ import annotations
@@ -87,7 +89,7 @@ class Problem:
     def compare(self, k: int, z: Array, x: Array, noise: Array) -> Comparison | None:
         """Return the comparison of segment k at z and the initial state x (4n,)."""
         found = compare(self.segments[k], self.shooting, self.coordinates, z, x, self.signals, noise)
-        if found is None:
+        if found is None or not np.isfinite(found.H).all():
             return None
         size, away = len(x), (x - self.filtered[k]) / self.state_width
         found.H[range(size), range(size)] += self.state_width**-2

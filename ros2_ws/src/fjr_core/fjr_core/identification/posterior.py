@@ -19,7 +19,6 @@ from ..numerics.checks import Array
 from .variable_projection import Projected
 
 CONFIDENCE = 0.95
-CAUTION = 4.0  # chance is drawn once
 LAGS = 2
 """Segments over which scores are taken to be correlated, with the weights of Bartlett (W. Newey, K. West, 1987)."""
 
@@ -35,9 +34,9 @@ class Spread:
 def spread(parts: Sequence[Projected], chance: Array, width: Array, fixed: Sequence[int] = ()) -> Spread:
     """Return the covariance of z from the normal equations of the segments and the prior's width (p,).
 
-    chance (p, p): information that is due to noise; it does not count in from_records. fixed: entries of z that keep
-    their prior; their uncertainty is that of the prior and acts on the others, and their own entries in from_records
-    are inf.
+    chance (p, p): information that is due to noise and to the prior of the initial states; it does not count in
+    from_records. fixed: entries of z that keep their prior; their uncertainty is that of the prior and acts on the
+    others, and their own entries in from_records are inf.
     """
     H = np.asarray(sum(part.H for part in parts))
     free = [k for k in range(len(width)) if k not in fixed]
@@ -49,7 +48,7 @@ def spread(parts: Sequence[Projected], chance: Array, width: Array, fixed: Seque
         by_prior = posterior @ H[np.ix_(free, list(fixed))] * width[list(fixed)]
         covariance = covariance + by_prior @ by_prior.T
     alone = np.full(len(width), np.inf)
-    alone[free] = _standard_deviations(chosen - CAUTION * chance[np.ix_(free, free)], width[free]) * factor
+    alone[free] = _standard_deviations(chosen - chance[np.ix_(free, free)], width[free]) * factor
     whole = np.zeros_like(H)
     whole[np.ix_(free, free)] = covariance
     return Spread(whole, alone)

@@ -51,9 +51,9 @@ class Estimate:
 class Fit:
     """Measured and predicted signals of one record by name, `q_l`, `q_m`, `torque` or DEFLECTION, each (k, n).
 
-    DEFLECTION: of a record that is not simulated, from its filtered motion, less the mean;
-    noise: standard deviation of the measurement of each joint (n,). explained: share of the deflection's variance that
-    the model explains, per joint, NaN where there is no link measurement.
+    DEFLECTION [rad]: of a record that is not simulated, from its filtered motion, less its mean. noise (n,): standard
+    deviation of the measurement of each joint; of DEFLECTION the root mean square residual. explained (n,): share of
+    the deflection's variance that the model explains, NaN where there is no link measurement.
     """
 
     record: str

@@ -4,14 +4,15 @@
     u / e = tau(g q, g dq / s, g ddq / s^2) + B g ddq / s^2 + D dq + F tanh(dq / v0) + constant
 
 tau: torque that the links of the robot file need, with all of their weight and inertia. B is free within a factor of
-TRUST about that of the file, D, F and the constant are free. A scale g of the positions, e of the effort or s of the
-time is found if the effort fits BETTER with it than without, by five standard deviations.
+TRUST about that of the file, D, F and the constant are free. Three hypotheses are tried: positions wrong by g (e = 1),
+positions and effort wrong by a gear ratio (e = g), and time wrong by s. One is found if it leaves less than BETTER of
+the variance that is unexplained without it, by five standard deviations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..robot.robot import Robot
 from .finding import GEAR_RATIO, TIME, Finding
 from .motion_record import MotionRecord
 from .rigid_motion import RigidMotion, rigid_motion, spring_torques
+from .segments import SIGNALS
 from .signal_checks import still_joints
 
 CUTOFF = 2.0  # Hz; well below resonances, which the rigid links do not have
@@ -31,7 +33,9 @@ BETTER = 1 / 3  # unexplained with the scale, relative to without
 DEVIATIONS = 5.0
 LARGEST, STEP = 128.0, 2 ** (1 / 3)  # scales that are tried, from 1 / LARGEST on
 SMALLEST = 1.25  # factor; less is an error of the links
-SHORTEST = 1.0  # s; length of a record that is compared
+SHORTEST, LONGEST = 1.0, 60.0  # s of a record that are compared; rows of longer ones are too far apart
+SETTLING = 15  # rows that the filter needs at an end
+SMOOTHING = 0.01  # rad/s; v0
 PARAMETERS = 5  # B, D, F, constant and the scale
 POSITION, RATIO, SECONDS = "position", "ratio", "time"
 WORDS = {
@@ -91,7 +95,7 @@ def unseen(record: MotionRecord, robot: Robot) -> tuple[str, ...]:
     limits = []
     for joint, scan in scans.items():
         factors = (max(scan.least_found(what) for what in (POSITION, RATIO)), scan.least_found(SECONDS))
-        words = [f"below a factor of {each:.2g}" if np.isfinite(each) else "of any size" for each in factors]
+        words = [f"below a factor of {each:.3g}" if np.isfinite(each) else "of any size" for each in factors]
         limits.append(f"{joint} (ratio {words[0]}, time {words[1]})")
     return (
         "one side alone does not tell errors of gear ratio and time of "
@@ -104,8 +108,10 @@ def _scans(record: MotionRecord, robot: Robot) -> dict[str, Scan]:
     """Return the scan of each moving joint of one measured side, by name; none for a short or incomplete record."""
     if np.isfinite(record.q_l).all() and np.isfinite(record.q_m).all():
         return {}
+    record = _most_moving(record)
     motion, still = rigid_motion(record, robot), still_joints(record)
-    if len(record.u) * record.dt < SHORTEST or not np.all(np.isfinite(motion.position)):
+    short = len(record.u) * record.dt < SHORTEST or len(motion.u) <= SETTLING
+    if short or not np.all(np.isfinite(motion.position)):
         return {}
     moving = [j for j, joint in enumerate(record.joints) if joint not in still and np.ptp(record.u[:, j]) > 0]
     chosen = [j for j in moving if not motion.both[j]]
@@ -113,6 +119,16 @@ def _scans(record: MotionRecord, robot: Robot) -> dict[str, Scan]:
     tried = STEP ** np.arange(-count, count + 1, dtype=float)
     late = [_terms(motion, robot, scale=1.0, time=s) for s in tried] if chosen else []
     return {record.joints[j]: _scan(motion, robot, j, tried, late) for j in chosen}
+
+
+def _most_moving(record: MotionRecord) -> MotionRecord:
+    """Return the LONGEST seconds of a record in which the joints move farthest."""
+    count, q = int(LONGEST / record.dt), np.where(np.isfinite(record.q_m), record.q_m, record.q_l)
+    if len(q) <= count or not np.all(np.isfinite(q)):
+        return record
+    path = np.append(0.0, np.cumsum(np.sum(np.abs(np.diff(q, axis=0)), axis=1)))
+    first = int(np.argmax(path[count - 1 :] - path[: len(path) - count + 1]))
+    return replace(record, **{name: getattr(record, name)[first : first + count] for name in ("u", *SIGNALS)})
 
 
 def _scan(motion: RigidMotion, robot: Robot, j: int, tried: Array, late: list[Terms]) -> Scan:
@@ -157,12 +173,12 @@ def _terms(motion: RigidMotion, robot: Robot, scale: Array | float = 1.0, time: 
     q, v = motion.position * scale, motion.velocity * scale / time
     a = np.gradient(v, motion.dt * time, axis=0)
     links = spring_torques(robot, q[rows], v[rows], a[rows])
-    terms = (links, (a @ robot.M_m.T)[rows], v[rows], np.tanh(v[rows] / 0.01), motion.u[rows] @ robot.B_m.T)
+    terms = (links, (a @ robot.M_m.T)[rows], v[rows], np.tanh(v[rows] / SMOOTHING), motion.u[rows] @ robot.B_m.T)
     dt = motion.dt * (rows.step or 1)
     edge = int(0.3 / CUTOFF / dt)
     sections = butter(4, min(2 * CUTOFF * dt, 0.9), output="sos")
     slow = [sosfiltfilt(sections, each, axis=0)[edge : len(each) - edge] for each in terms]
-    return Terms(slow[0], slow[1], slow[2], slow[3], slow[4], 2 * CUTOFF * dt * len(slow[0]))
+    return Terms(slow[0], slow[1], slow[2], slow[3], slow[4], min(2 * CUTOFF * dt, 1.0) * len(slow[0]))
 
 
 def _fitted(columns: list[Array], y: Array) -> tuple[Array, Array]:
