@@ -106,15 +106,27 @@ def report(lines: Sequence[Row]) -> Iterable[str]:
         shares = ", ".join(f"{count} of {n}" for n, count in numbers.items())
         yield f"\n{measured}: {len(own)} records (joints: {shares}), {refused} refused\n"
         yield from table([row for line in own for row in line["rows"]])
+        known = [row for line in own for row in line["rows"] if row["verdict"] != UNKNOWN]
+        largest = max((abs(row["score"]) for row in known), default=0.0)
+        times = {n: [line["seconds"] for line in own if line["joints"] == n and "seconds" in line] for n in numbers}
+        medians = ", ".join(f"{np.median(each):.1f} s ({n})" for n, each in times.items() if each)
+        longest = max((each for own in times.values() for each in own), default=0.0)
+        yield f"\nlargest error: {largest:.1f} standard deviations"
+        yield f"median time (joints): {medians}; longest: {longest:.0f} s"
 
 
 def finished(file: Path) -> list[Row]:
     """Return the results of the present code in a file."""
-    lines = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    lines = [json.loads(line) for line in _complete(file)] if file.exists() else []
     return [line for line in lines if line["code"] == code()]
 
 
-def told(line: Row) -> str:
+def _complete(file: Path) -> list[str]:
+    """Return the complete lines of a file; the last one may have been cut off when the study was killed."""
+    return [line for line in file.read_text().splitlines() if line.endswith("}")]
+
+
+def summary(line: Row) -> str:
     """Return one line about a case."""
     outside = ", ".join(f"{row['name']} {row['score']:.1f}" for row in line["rows"] if not row["inside"])
     found = line.get("error") or f"{line['seconds']:.1f} s; outside: {outside or 'none'}"
@@ -133,11 +145,13 @@ def main() -> None:
     done = {(line["measured"], line["joints"], line["seed"]) for line in finished(options.out)}
     seeds = range(FIRST, FIRST + options.cases)
     missing = [key for s, n, m in product(seeds, options.joints, options.measured) if (key := (m, n, s)) not in done]
+    if options.out.exists():
+        options.out.write_text("".join(f"{line}\n" for line in _complete(options.out)))
     with ProcessPoolExecutor(options.processes) as pool, options.out.open("a") as out:
         for k, future in enumerate(as_completed([pool.submit(identified, key) for key in missing]), 1):
             out.write(json.dumps(future.result()) + "\n")
             out.flush()
-            print(f"{k}/{len(missing)} {told(future.result())}", flush=True)
+            print(f"{k}/{len(missing)} {summary(future.result())}", flush=True)
     print("\n".join(report(finished(options.out))))
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,9 +49,7 @@ def gains_of_arm7(study: Sweep, tuned: Path) -> dict[str, fjr.Gains]:
         "`Pi_m = K`": softer,
         f"`K_md` {STIFFER:g} times as large": replace(given, K_md=STIFFER * np.asarray(given.K_md)),
         "both": replace(softer, K_md=STIFFER * np.asarray(given.K_md)),
-        "[tuning rule](baselines.md#tuning-rule)": fjr.Gains(
-            **{each.name: getattr(by_rule, each.name) for each in fields(fjr.Gains)}
-        ),
+        "[tuning rule](baselines.md#tuning-rule)": by_rule.gains,
         "`fjr tune arm7_tune`": load_scenario(tuned).gains,
     }
 

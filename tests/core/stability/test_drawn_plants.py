@@ -14,7 +14,7 @@ from fjr_core.robot.equilibrium import equilibria_at
 from fjr_core.stability.drawn_plants import (
     DrawnLoops,
     DrawnPlants,
-    Peculiarity,
+    LargestMeanDifference,
     contracting,
     draws_needed,
     largest_share,
@@ -97,9 +97,9 @@ def test_gains_hold_where_drawn_plants_are_worst_not_only_where_their_own_model_
 def test_the_parameter_in_which_lost_draws_differ_is_named() -> None:
     plants = drawn(60, 0.1, delay=1e-4)
     lost = plants.motor_inertia[:, 1] > np.quantile(plants.motor_inertia[:, 1], 0.9)
-    sentence = Peculiarity.of(plants, lost).sentence(("a", "b"))
+    sentence = LargestMeanDifference.of(plants, lost).sentence(("a", "b"))
     assert "motor inertia of b" in sentence
-    assert "delay: " in Peculiarity.of(plants, plants.delay > 9e-5).sentence()
+    assert "delay: " in LargestMeanDifference.of(plants, plants.delay > 9e-5).sentence()
 
 
 def test_4603_draws_of_which_none_is_lost_show_one_in_a_thousand_with_99_percent() -> None:

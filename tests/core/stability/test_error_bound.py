@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
+from scipy.optimize import brentq
 
 import fjr_core as fjr
 from docs.pages import ROOT
@@ -224,6 +225,24 @@ def test_a_robot_that_rests_without_errors_stays_on_the_reference() -> None:
     assert np.all(bound.position < 1e-12)
 
 
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_a_robot_of_another_weight_rests_within_its_bound(factor: float) -> None:
+    """At rest the spring carries the weight, and the effort of the law holds the spring."""
+    law, at = joint(), 0.5
+    K, weight = float(law.robot.K[0, 0]), ca.Function("g", [q := ca.SX.sym("q")], [law.robot.links.grad_P_l(q)])
+    jets = np.zeros((5, 1))
+    jets[0] = at
+
+    def unbalanced(q_l: float) -> float:
+        torque = factor * float(weight(q_l))
+        return float(law.measured_command([q_l, q_l + torque / K], [0.0, 0.0], jets)[0][0]) - torque
+
+    error = abs(brentq(unbalanced, at - 0.1, at + 0.1) - at)
+    bound = bound_errors(law, fjr.Sine(0.0, 1.0, offset=at), T, T, {"gravity": 0.05})
+    assert bound.proven
+    assert error <= bound.position[0] <= 1.1 * error
+
+
 @pytest.mark.parametrize("name", [*FACTORS, *TORQUES])
 def test_every_error_enlarges_the_bound(name: str) -> None:
     assert paper(T, **{name: 0.05}).position > paper(T).position
@@ -240,6 +259,16 @@ def test_errors_too_large_for_a_tube_give_no_bound() -> None:
     assert np.all(np.isinf(found.position))
 
 
+@pytest.mark.parametrize(
+    ("reference", "errors"),
+    [(fjr.Sine(1.0, 8.0), dict.fromkeys(FACTORS, 0.3)), (STILL, {"payload": 0.45, "link_inertia": 0.45})],
+    ids=["millions of parts", "a divisor whose interval contains zero"],
+)
+def test_several_large_errors_are_bounded_or_have_no_bound(reference: Reference, errors: dict[str, float]) -> None:
+    found = bound_errors(joint(), reference, T, 5 * T, errors)
+    assert found.found == np.all(np.isfinite(found.position))
+
+
 def test_an_unstable_loop_has_no_bound() -> None:
     assert not paper(20 * T).found
 
@@ -250,6 +279,26 @@ def test_a_bound_on_links_without_closed_form_is_not_proven() -> None:
     sampled = bound_errors(fjr.TrackingLaw(arm, fjr.PAPER_GAINS), SWING, T, T)
     assert not sampled.proven
     assert sampled.position <= paper(T).position <= 1.5 * sampled.position
+
+
+class Saturated(fjr.TrackingLaw):
+    """The law with a smooth limit of its effort, which interval arithmetic does not know."""
+
+    def measured_expression(self, *arguments: ca.SX) -> tuple[ca.SX, ca.SX]:
+        u, V = super().measured_expression(*arguments)
+        return 20.0 * ca.tanh(u / 20.0), V
+
+
+def test_a_bound_of_a_law_with_other_operations_is_sampled() -> None:
+    found = bound_errors(Saturated(fjr.single_link(gravity_torque=0.8), fjr.PAPER_GAINS), STILL, T, 0.0)
+    assert found.found
+    assert not found.proven
+
+
+@pytest.mark.parametrize(("period", "delay"), [(0.0, 0.0), (np.nan, 0.0), (T, -T)])
+def test_times_that_are_not_positive_are_refused(period: float, delay: float) -> None:
+    with pytest.raises(fjr.FjrError, match="expected"):
+        bound_errors(joint(), SWING, period, delay)
 
 
 @pytest.mark.parametrize(

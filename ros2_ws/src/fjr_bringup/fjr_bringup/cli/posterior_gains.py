@@ -25,7 +25,7 @@ from fjr_core.stability.drawn_plants import (
     CONFIDENCE,
     DrawnLoops,
     DrawnPlants,
-    Peculiarity,
+    LargestMeanDifference,
     draws_needed,
     largest_share,
 )
@@ -89,11 +89,12 @@ class Posterior:
         with progress_bar(f"checking {count:,} fresh draws", PROGRESS, total=1.0, desc="fresh draws") as bar:
             unstable = loops.unstable(fresh, lambda share: bar.update(share - bar.n))
         if lost := int(unstable.sum()):
+            which = f", and {LargestMeanDifference.of(fresh, unstable).sentence(self._scenario.joints)}"
+            which = which if lost < count else ""
             raise GainsError(
                 f"{lost} of {count:,} fresh draws of the identified robot are unstable (at most "
-                f"{100 * largest_share(lost, count):.2g} % with {100 * CONFIDENCE:g} %), and "
-                f"{Peculiarity.of(fresh, unstable).sentence(self._scenario.joints)}; expected none: try a lower rate, "
-                "or a narrower interval of that parameter from a record of more motion (fjr excite)"
+                f"{100 * largest_share(lost, count):.2g} % with {100 * CONFIDENCE:g} %){which}; expected none: try "
+                "a lower rate, or narrower intervals from a record of more motion (fjr excite)"
             )
         return Confirmed(count, configurations, self.kept)
 

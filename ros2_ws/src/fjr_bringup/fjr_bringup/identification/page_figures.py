@@ -34,8 +34,9 @@ def _fits(fit: Fit, joints: tuple[str, ...], place: str) -> Iterator[Plot]:
             Line("measured", measured, "grey", 1.2),
             Line("predicted", predicted, colour(j), 1.5),
         ]
-        share = fit.explained[j]
-        title = f"{joint}: {1 - share:.1%} of the deflection unexplained" if np.isfinite(share) else f"{joint}: {what}"
+        title, share = f"{joint}: {what}", np.sqrt(np.maximum(1 - fit.explained[j], 0.0))
+        if np.isfinite(share):
+            title = f"{joint}: {share:.1%} of the deflection unexplained (root mean square)"
         caption = f"{what}; {BY_MOTION if DEFLECTION in fit.measured else BY_SIMULATION}."
         yield Plot(f"{place}-fit-{j}", title, caption, fit.t, lines, y_label=what, place=place)
 

@@ -16,7 +16,7 @@ from .multiple_shooting import Problem
 from .variable_projection import RIDGE, project, state_factor
 
 LEAST_DRAWS = 24  # of all segments together
-CAUTION = 4.0  # factor on the growth, which is estimated from few draws
+CAUTION = 4.0  # factor on both: growth is estimated from few draws, the prior's share to first order
 
 
 def chance_information(problem: Problem, optimum: Optimum) -> Array:
@@ -32,7 +32,7 @@ def chance_information(problem: Problem, optimum: Optimum) -> Array:
 
 
 def assumed_information(problem: Problem, optimum: Optimum) -> Array:
-    """Return the information (p, p) that is due to the prior of the initial states and to the ridge of their Hessian.
+    """Return CAUTION times the information (p, p) that is due to the prior of the initial states and to their ridge.
 
     Initial states follow z by -B dz, away from their prior: sum_s B' diag(1 / width^2 + ridge) B.
     """
@@ -40,7 +40,7 @@ def assumed_information(problem: Problem, optimum: Optimum) -> Array:
     for compared, part in zip(optimum.compared, optimum.projected, strict=True):
         weight = problem.state_width**-2 + RIDGE * np.diag(compared.H)[:size]
         found.append(part.B.T @ (weight[:, None] * part.B))
-    return np.asarray(sum(found))
+    return CAUTION * np.asarray(sum(found))
 
 
 def _of_segment(problem: Problem, optimum: Optimum, k: int, normals: Array) -> Array:

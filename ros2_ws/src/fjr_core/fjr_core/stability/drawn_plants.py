@@ -59,8 +59,11 @@ class DrawnPlants:
 
 
 @dataclass(frozen=True)
-class Peculiarity:
-    """Where lost draws differ most from all draws: a field of DrawnPlants, a joint (-1: delay) and both means."""
+class LargestMeanDifference:
+    """Drawn parameter whose mean over the lost draws differs most from that over all, in standard deviations.
+
+    field: of DrawnPlants. joint: index, -1 for the delay. lost, all: both means.
+    """
 
     field: str
     joint: int
@@ -68,7 +71,7 @@ class Peculiarity:
     all: float
 
     @classmethod
-    def of(cls, plants: DrawnPlants, lost: NDArray[np.bool_]) -> Peculiarity:
+    def of(cls, plants: DrawnPlants, lost: NDArray[np.bool_]) -> LargestMeanDifference:
         """Compare the lost draws (k,) with all in standard deviations of each drawn number."""
         drawn = np.column_stack([*(getattr(plants, name) for name in FIELDS), plants.delay])
         mean, own, spread = drawn.mean(axis=0), drawn[lost].mean(axis=0), drawn.std(axis=0)

@@ -28,7 +28,7 @@ from ..numerics.checks import Array, positive
 from ..robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from ..robot.equilibrium import Equilibria, Indices, equilibria_at, plant_matrices
 from ..robot.robot import Robot
-from ..stability.drawn_plants import DrawnLoops, DrawnPlants, Peculiarity
+from ..stability.drawn_plants import DrawnLoops, DrawnPlants, LargestMeanDifference
 from ..stability.linearization import in_error_coordinates
 from ..stability.one_sample_map import SampledLoop
 from ..stability.sampled_loop import FEW, checked_times
@@ -77,7 +77,7 @@ def synthesize(
     gains = replace(task, plants=plants).best(beta)
     if gains is None and plants is not None and (own := task.best(beta)) is not None:
         lost = task.lost(own, plants)
-        why = f" ({Peculiarity.of(plants, lost).sentence(joints)})" if lost.any() else ""
+        why = f" ({LargestMeanDifference.of(plants, lost).sentence(joints)})" if lost.any() and not lost.all() else ""
         raise GainsError(
             f"beta = {beta:g} 1/s is out of reach for all {len(plants)} drawn plants{why}; "
             f"{_reachable_by_all(task, plants, beta)}"

@@ -26,7 +26,7 @@ FINER = 2.0  # delays that are checked per sample
 SELECTION = 4  # times the draws of the search: those of the selection
 Point = tuple[float, ...]
 OF_SCENARIO: Point = ()
-"""The gains of the scenario, also where the search starts at others."""
+"""Point that stands for the gains of the scenario, wherever the search starts."""
 Range = tuple[int, int]
 
 

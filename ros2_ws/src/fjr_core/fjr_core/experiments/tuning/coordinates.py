@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from ...control.registry import V_DPBC, law_kind
 from ...control.robust import sampled_law
 from ...control.robust.options import GAINS as ROBUST_GAINS
 from ...control.sampled_law import SampledLaw
-from ...control.vdpbc.gains import Gains
 from ...errors import ParameterError
 from ...estimation.velocity_observer import VelocityObserver
 from ...files.python_class import is_named
@@ -83,7 +82,10 @@ class Coordinates:
 
 
 def starts(scenario: Scenario) -> tuple[str, ...]:
-    """Return the possible starts of a scenario's law; a law with a tuning rule has its gains in the scenario only."""
+    """Return the gains from which a law can be searched: of v-dPBC those of the scenario and of the tuning rule.
+
+    Another law can be searched from those of the scenario only.
+    """
     return (SCENARIO, RULE) if scenario.controller_values[law_parameters.TYPE.name] == V_DPBC else (SCENARIO,)
 
 
@@ -110,8 +112,7 @@ def coordinates(scenario: Scenario, start: str = SCENARIO) -> Coordinates:
 def _v_dpbc(scenario: Scenario, start: str) -> tuple[dict[str, Any], list[Coordinate]]:
     gains = scenario.gains
     if start == RULE:
-        found = tune(V_DPBC, baseline_target(scenario), retune=True).law.gains
-        gains = Gains(**{each.name: getattr(found, each.name) for each in fields(Gains)})
+        gains = tune(V_DPBC, baseline_target(scenario), retune=True).law.gains.gains
     given = gain_values(gains, scenario.robot.n)
     scaled = [f"gains.{gain}" for gain in law_kind(V_DPBC).scaled]
     return {name: tuple(given[name]) for name in scaled}, [Coordinate(name) for name in scaled]

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from ...errors import StateError
 from ...numerics.checks import Array
 from ...verification.interval_function import IntervalFunction
 from ...verification.intervals import Interval
@@ -70,6 +71,15 @@ def enclosure(function: ca.Function, *arguments: Box) -> list[Box]:
     points = [np.all(box.lower == box.upper) for box in arguments]
     given = [Interval.exact(box.lower) if exact else box.interval for exact, box in zip(points, arguments, strict=True)]
     return [Box.around(result.mid, result.rad) for result in _evaluator(function)(*given)]
+
+
+def enclosable(function: ca.Function) -> bool:
+    """Return whether all operations of a function can be evaluated on intervals."""
+    try:
+        _evaluator(function)
+    except StateError:
+        return False
+    return True
 
 
 _evaluator = lru_cache(maxsize=8)(IntervalFunction)

@@ -18,6 +18,7 @@ from ...errors import ParameterError
 from ...numerics.checks import Array
 from ...numerics.one_line import one_line
 from ...trajectories.reference import Reference
+from ..sampled_loop import checked_times
 from .deviation_model import FACTORS
 from .part import Part
 from .search import Progress, Search
@@ -68,10 +69,11 @@ def bound_errors(
 
     delay [s]: constant, from a state to the effort that answers it. errors: largest relative errors of the robot's
     factors (FACTORS: one factor for all joints, "payload" for inertia and weight of the links together), and largest
-    TORQUES [N m] that act at any joint with any time course. progress: called with the share that is done, 0 to 1.
+    TORQUES [N m] that act at any joint with any time course. progress: see `search.Progress`.
     Raises ParameterError for an unknown name, an error that is negative or too large, and a reference that has neither
-    a common period nor an end within 60 s.
+    a common period nor an end within 60 s; StateError unless the sample period is positive and the delay not negative.
     """
+    checked_times(sample_period, delay)
     checked = _checked(errors)
     half = np.array([checked.get(name, 0.0) for name in FACTORS])
     disturbing = np.repeat([checked.get(name, 0.0) for name in TORQUES], law.robot.n)

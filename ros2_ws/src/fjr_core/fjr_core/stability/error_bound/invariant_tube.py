@@ -3,7 +3,8 @@
 
 With |z| <= tube the torques w_l, w_m and errors e of the effort, by which the robot differs from the linear model of
 its cell, are bounded by `Spread`. Peak gains turn these bounds into bounds of z. If the new bounds lie within the tube,
-no solution that starts at z = 0 leaves it: at the first instant at which one did, it would still be within the bounds.
+no solution that starts in its known response (steady, or with the decay of a start) leaves it: up to the first instant
+at which one did, it would be within the bounds.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from ...numerics.checks import Array
 from .sampled_deviation import LinearCells
-from .steady_response import GROWING, Response
+from .steady_response import Response
 
 MOST_ROUNDS = 500
 DIVERGED = 50.0  # growth of the bounds at which the iteration ends
@@ -55,7 +56,7 @@ def fixed_point(linear: LinearCells, gains: Array, spread: Spread, known: Respon
     """
     n = linear.n
     disturbance = spread.unknown
-    most = DIVERGED * (float(known.rate.max()) + float((gains[: 4 * n, : 4 * n] @ disturbance).max()))
+    most = DIVERGED * (float(known.z.max()) + float((gains[: 4 * n, : 4 * n] @ disturbance).max()))
     for _ in range(MOST_ROUNDS):
         assumed = MARGIN * disturbance
         found = _deviations(linear, gains, assumed, known)
@@ -81,11 +82,7 @@ def _deviations(linear: LinearCells, gains: Array, disturbance: Array, known: Re
     effort = at_samples[S + n :] + error
     slope = np.abs(linear.A).max(axis=0)
     by_effort, by_torque = (np.abs(each).max(axis=0) for each in linear.inputs)
-    rate = between = by_effort @ effort + by_torque @ torque
-    for _ in range(GROWING):
-        between = at_samples[: 4 * n] + half * rate
-        rate = slope @ between + by_effort @ effort + by_torque @ torque
-    rate = MARGIN * rate
+    rate = linear.growth @ (slope @ at_samples[: 4 * n] + by_effort @ effort + by_torque @ torque)
     links = slice(2 * n, 3 * n)
     acceleration = at_samples[S : S + n] + (by_torque @ torque)[links] + half * slope[links] @ rate
     return Deviations(

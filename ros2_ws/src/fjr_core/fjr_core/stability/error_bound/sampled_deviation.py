@@ -16,7 +16,7 @@ from ..one_sample_map import held_maps, map_of_held, split
 from .centre_motion import CentreMotion
 from .deviation_model import DeviationModel
 from .modal_coordinates import Coordinates
-from .peak_gains import CellModels, curvature
+from .peak_gains import ROUNDING, CellModels, curvature
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +75,17 @@ class LinearCells:
         by_torque[:, 2 * n : 3 * n, 2 * n :] = np.eye(n)
         to_torques = block_diag(np.linalg.inv(S.torques), S.acceleration)
         return S.S @ by_effort @ S.effort_inverse, S.S @ by_torque @ to_torques
+
+    @cached_property
+    def growth(self) -> Array:
+        """Matrix (4n, 4n) from bounds of dy/dt at the nearest sample to bounds r between samples; inf: there are none.
+
+        r = rate + between |A| r, |A| elementwise and the largest of all cells.
+        """
+        grown = self.between * np.abs(self.A).max(axis=0)
+        if np.abs(np.linalg.eigvals(grown)).max() >= 1:
+            return np.full_like(grown, np.inf)
+        return np.asarray(ROUNDING * np.linalg.inv(np.eye(len(grown)) - grown))
 
     @cached_property
     def models(self) -> CellModels:

@@ -13,7 +13,7 @@ from ...control.static_law import StaticLaw
 from ...numerics.checks import Array
 from ...robot.equilibrium import Indices
 from ...trajectories.reference import Reference
-from .box import Tube
+from .box import Tube, enclosable
 from .centre_motion import CentreMotion
 from .deviation_model import DeviationModel
 from .part import Part
@@ -25,6 +25,7 @@ from .steady_motion import spectral_radius, steady_motion
 from .tube_problem import TubeProblem
 
 MOST_PARTS = 128
+HOPELESS = 1000  # parts of the whole box, if all were as narrow as those of one part, at which the division ends
 TIGHT = 1.25  # ratio of a bound to that to first order, below which a part is not divided
 WORTH = 0.95  # ratio of the bounds of halves to that of a part, up to which it is divided
 REMAINS = 1e-3  # of a deviation after the sums of the gains
@@ -33,7 +34,7 @@ SAMPLED_FINALS = 16  # cells at whose end the gains of a sampled bound are compu
 COARSE = 100  # cells on which centre motions are found
 
 Progress = Callable[[float], None]
-"""Called with the share of the box of factors that is done, from 0 to 1."""
+"""Called with the share of the parts found so far that have a tube, 0 to 1; falls when a part is divided."""
 
 
 class Search:
@@ -48,13 +49,19 @@ class Search:
 
     @property
     def applies(self) -> bool:
-        """True if the constants can be verified: closed-form links, and a reference with bounds between points."""
-        return self.cells.verifiable and self.model.robot.links.M_l_vertices is not None
+        """True if the constants can be verified.
+
+        That takes links in closed form, a reference with bounds between points, and a law of known operations.
+        """
+        if not self.cells.verifiable or self.model.robot.links.M_l_vertices is None:
+            return False
+        model = self.model
+        return all(map(enclosable, (model.law_slope, model.defect, model.storage, model.storage_curvature)))
 
     def parts(self, low: Array, high: Array, progress: Progress = lambda share: None) -> list[Part]:
         """Divide the box until each part has a tube, then the part with the largest bound until it is tight.
 
-        The division ends, with a part that has no tube, where a part is narrow or the parts are too many.
+        The division ends, with a part that has no tube, where a part is narrow or the parts are, or will be, too many.
         """
         waiting: list[tuple[Array, Array, CentreMotion | None]] = [(low, high, None)]
         parts: list[Part] = []
@@ -64,10 +71,11 @@ class Search:
                 parts.append(part)
                 progress(len(parts) / (len(parts) + len(waiting)))
                 continue
-            boxes = part.divided()
-            if part.narrow or len(waiting) + len(parts) + len(boxes) > MOST_PARTS:
+            counts = part.counts()
+            boxes = np.prod(counts, dtype=float)
+            if part.narrow or len(waiting) + len(parts) + boxes > MOST_PARTS or boxes > HOPELESS * part.of(low, high):
                 return [part]
-            waiting += [(*ends, part.centre) for ends in boxes]
+            waiting += [(*ends, part.centre) for ends in part.divided(counts)]
         return self._tightened(parts)
 
     def _tightened(self, parts: list[Part]) -> list[Part]:
@@ -75,7 +83,7 @@ class Search:
             worst = max(parts, key=lambda part: part.size)
             if worst.excess <= TIGHT or worst.narrow:
                 break
-            halves = [self._part(*ends, worst.centre) for ends in worst.divided()]
+            halves = [self._part(*ends, worst.centre) for ends in worst.divided(worst.counts())]
             if max(half.size for half in halves) > WORTH * worst.size:
                 break
             parts = [part for part in parts if part is not worst] + halves
@@ -94,7 +102,10 @@ class Search:
         if not np.all(np.isfinite(gains)):
             return part
         ranges = Ranges(self.model, centre, low, high, blocks, self.delay)
-        return _solved(part, TubeProblem(linear, gains, ranges, self.disturbing))
+        try:
+            return _solved(part, TubeProblem(linear, gains, ranges, self.disturbing))
+        except ZeroDivisionError:  # an interval of a divisor contains zero: the part is too wide
+            return part
 
     @cached_property
     def coarse(self) -> Cells:

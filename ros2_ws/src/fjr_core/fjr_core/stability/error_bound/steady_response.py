@@ -18,9 +18,6 @@ from .peak_gains import ROUNDING
 from .reference_cells import Cells
 from .sampled_deviation import LinearCells
 
-GROWING = 4  # repetitions of the bound of a rate between samples, which depends on itself
-MARGIN = 1 + 1e-3  # of a rate over the repetitions
-
 
 @dataclass(frozen=True, eq=False)
 class Drive:
@@ -74,25 +71,26 @@ def steady_response(linear: LinearCells, cells: Cells, drive: Drive, blocks: int
     force = np.zeros((*models.loop.shape[:2], drive.torque.shape[2]))
     force[:, :, 0] = np.einsum("csn,cn->cs", models.effort, drive.effort)
     force[:, : 4 * linear.n] += linear.forced(drive.torque, drive.aging)
-    step, pushed = _over_a_cell(models.loop, force, cells.samples)
-    Z, ends = np.zeros(force.shape[1:]), np.zeros(force.shape)
+    before_last = _over_samples(models.loop, force, cells.samples - 1)
+    step, pushed = models.loop @ before_last[0], models.loop @ before_last[1] + force
+    Z, ends, earlier = np.zeros(force.shape[1:]), np.zeros(force.shape), np.zeros(force.shape)
     if cells.periodic:
         whole: Array = np.eye(len(Z))
         for A, b in zip(step, pushed, strict=True):
             whole, Z = np.asarray(A @ whole), A @ Z + b
         Z = np.asarray(np.linalg.solve(np.eye(len(Z)) - whole, Z))
     for i in range(cells.count):
-        Z = step[i] @ Z + pushed[i]
-        ends[i] = Z
+        earlier[i] = before_last[0][i] @ Z + before_last[1][i]
+        ends[i] = Z = step[i] @ Z + pushed[i]
     drift = abs(cells.length - cells.samples * cells.sample_period) if cells.verified else 0.0
     slips = np.ceil(blocks * drift / cells.length) + 1 if drift else 0.0
-    return _magnitudes(linear, ends, drive, slips * _largest(ends - np.roll(ends, 1, axis=0)))
+    return _magnitudes(linear, ends, earlier, drive, slips * _largest(ends - np.roll(ends, 1, axis=0)))
 
 
-def _over_a_cell(loop: Array, force: Array, samples: int) -> tuple[Array, Array]:
-    """Return the maps of the cells and their inputs from those of one sample."""
-    step, pushed = loop, force
-    for _ in range(samples - 1):
+def _over_samples(loop: Array, force: Array, samples: int) -> tuple[Array, Array]:
+    """Return the maps over a number of samples and their inputs from those of one sample."""
+    step, pushed = np.zeros_like(loop) + np.eye(loop.shape[1]), np.zeros_like(force)
+    for _ in range(samples):
         step, pushed = loop @ step, loop @ pushed + force
     return step, pushed
 
@@ -106,22 +104,28 @@ def transient(linear: LinearCells, cells: Cells, Z: Array, blocks: int) -> Respo
         Z = linear.models.loop[i] @ Z
     n, columns = linear.n, Z.shape[1]
     quiet = Drive(np.zeros((len(at), 2 * n, columns)), np.zeros((len(at), 2 * n)), np.zeros((len(at), n)))
-    return _magnitudes(linear.at(at), course, quiet, _largest(course))
+    return _magnitudes(linear.at(at), course, np.roll(course, 1, axis=0), quiet, _largest(course))
 
 
-def _magnitudes(linear: LinearCells, Z: Array, drive: Drive, remaining: Array) -> Response:
-    """Return the response with its largest magnitudes; the acting torque is that of either end of a sample."""
-    n, T, (by_effort, by_torque) = linear.n, linear.sample_period, linear.inputs
-    z, in_transit = Z[:, : 4 * n], [Z[:, start : start + n] for start in range(4 * n, Z.shape[1], n)]
+def _magnitudes(linear: LinearCells, Z: Array, earlier: Array, drive: Drive, remaining: Array) -> Response:
+    """Return the response with its largest magnitudes; the acting torque is that of either end of a sample.
+
+    earlier: Z one sample before. The last of its efforts acts until the sample.
+    """
+    n, T, (by_effort, by_torque), z = linear.n, linear.sample_period, linear.inputs, Z[:, : 4 * linear.n]
     own = [linear.A @ z + by_torque[:, :, : 2 * n] @ drive.at_age(age) for age in (linear.delay, linear.delay + T)]
-    efforts = [_added_first(linear.law @ z, drive.effort), *in_transit]
-    slope, half = np.abs(linear.A).max(axis=0), linear.between
-    rate = steepest = np.max([_largest(each + by_effort @ effort) for each in own for effort in efforts], axis=0)
-    for _ in range(GROWING):
-        steepest = rate + half * slope @ steepest
+    efforts = [*_efforts(linear, Z, drive), _efforts(linear, earlier, drive)[-1]]
+    rate = np.max([_largest(each + by_effort @ effort) for each in own for effort in efforts], axis=0)
     acceleration = np.max([_largest(each[:, 2 * n : 3 * n]) for each in own], axis=0)
     effort = np.max([_largest(each) for each in efforts], axis=0)
-    return Response(Z, _largest(z), MARGIN * steepest, acceleration, effort, remaining)
+    return Response(Z, _largest(z), linear.growth @ rate, acceleration, effort, remaining)
+
+
+def _efforts(linear: LinearCells, Z: Array, drive: Drive) -> list[Array]:
+    """Return the efforts (c, n, k) of the law at Z and of those in transit, the oldest last."""
+    n = linear.n
+    own = _added_first(linear.law @ Z[:, : 4 * n], drive.effort)
+    return [own, *(Z[:, start : start + n] for start in range(4 * n, Z.shape[1], n))]
 
 
 def _largest(columns: Array) -> Array:
