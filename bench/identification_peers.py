@@ -45,7 +45,7 @@ SINGLE = Path(__file__).resolve().parents[1] / "ros2_ws/src/fjr_bringup/scenario
 
 @dataclass(frozen=True, eq=False)
 class Estimated:
-    """Values, low and high ends of 95 % intervals (4, n) in the order of NAMES, and the seconds that they took."""
+    """Values, low and high ends of 95 % intervals (4, n) in the order of NAMES, and the processor time [s]."""
 
     values: Array
     low: Array
@@ -87,9 +87,9 @@ def simulated(scenario: Scenario, model: Any, duration: float, seed: int) -> Cas
 def ours(case: Case) -> Estimated:
     """Estimate by this project."""
     prior = Prior.of(case.scenario.robot, dict(zip(NAMES, case.start, strict=True)))
-    began = time.perf_counter()
+    began = time.process_time()
     found = identify([case.record], case.scenario.robot, prior, Options(free=NAMES))
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     ends = np.array([[each.value, each.low, each.high] for each in found.estimates])
     values, low, high = ends.T.reshape(3, len(NAMES), -1)
     return Estimated(values, low, high, seconds)
@@ -104,14 +104,14 @@ def theirs(case: Case, pieces: int = 1) -> Estimated:
     logging.set_verbosity(logging.ERROR)  # it warns of each piece that the model has no sensors
     spec = mujoco.MjSpec.from_string(mjcf(case.model, robot, case.record.dt, actuated=True))
     model = spec.compile()
-    began = time.perf_counter()
+    began = time.process_time()
     sequences = [_sequences(case, spec, model, pieces)]
     residual = sysid.build_residual_fn(models_sequences=sequences, enabled_observations=_observations(model, n))
     with redirect_stdout(StringIO()):
         found, result = sysid.optimize(_factors(case), residual, verbose=False)
     at_end, _, _ = residual(result.x, found)
     half = sysid.calculate_intervals(at_end, result.jac)[1]
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     values, half = (np.reshape(each, (len(NAMES), n)) * case.start for each in (result.x, half))
     return Estimated(values, values - half, values + half, seconds)
 
@@ -186,7 +186,7 @@ CHANGES = dict(zip(NAMES, (_stiffness, _inertia, _damping("l"), _damping("m")), 
 
 
 def figures(label: str, cases: Sequence[Case], pieces: int = 1) -> list[Figure]:
-    """Return the error of K, the coverage of all parameters, and seconds, of both on the same records."""
+    """Return the error of K, the coverage of all parameters, and processor time, of both on the same records."""
     ours(cases[0])  # compiled
     found = {"ours": [ours(each) for each in cases], "sysid": [theirs(each, pieces) for each in cases]}
     truth = cases[0].truth
@@ -198,7 +198,7 @@ def figures(label: str, cases: Sequence[Case], pieces: int = 1) -> list[Figure]:
     return [
         Figure(f"error of the stiffness, {label}, median", error["ours [%]"], "%", parts=error),
         Figure(f"95 % intervals with the truth, {label}", inside["ours [%]"], "%", parts=inside),
-        Figure(f"identification, {label}, over mujoco.sysid", _ratio(seconds), "", parts=seconds),
+        Figure(f"identification, {label}, processor time relative to mujoco.sysid", _ratio(seconds), "", parts=seconds),
     ]
 
 
