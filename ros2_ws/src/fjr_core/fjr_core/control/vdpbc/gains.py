@@ -88,13 +88,13 @@ class CheckedGains:
     __repr__ = one_line
 
     @property
-    def gains(self) -> Gains:
-        """The matrices alone."""
+    def matrices(self) -> Gains:
+        """The gains without their rates."""
         return Gains(**{each.name: getattr(self, each.name) for each in fields(Gains)})
 
     def arrays(self, _robot: Robot | None = None) -> dict[str, Array]:
         """Return the arrays of the law's equations by name: the matrices and the inverse of Pi_m."""
-        return {**vars(self.gains), "Pi_m_inverse": np.linalg.inv(self.Pi_m)}
+        return {**vars(self.matrices), "Pi_m_inverse": np.linalg.inv(self.Pi_m)}
 
 
 PAPER_GAINS = Gains(Lambda_l=10.0, Pi_l=20.0, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=0.3)
