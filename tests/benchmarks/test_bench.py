@@ -16,7 +16,18 @@ import pinocchio as pin
 import pytest
 
 import bench.__main__ as command
-from bench import build, campaign, campaign_peers, driver, identification_peers, lock_step, memory, on_time, periods
+from bench import (
+    build,
+    campaign,
+    campaign_peers,
+    driver,
+    identification,
+    identification_peers,
+    lock_step,
+    memory,
+    on_time,
+    periods,
+)
 from bench.arm import Arm, arm7, random_motion
 from bench.chain_urdf import chain_urdf, joint_names
 from bench.figures import Figure, table
@@ -199,3 +210,11 @@ def test_identification_and_mujoco_find_the_same_joint_in_the_same_record() -> N
     for found in (identification_peers.ours(case), identification_peers.theirs(case, pieces=3)):
         np.testing.assert_allclose(found.values[:2], case.truth[:2], rtol=1e-2)
         assert np.all(found.low < found.high)
+
+
+def test_a_study_of_coverage_goes_on_after_a_line_that_was_cut_off(tmp_path: Path) -> None:
+    line = json.dumps({"code": identification.code(), "measured": "both", "joints": 1, "seed": 1000, "rows": []})
+    file = tmp_path / "coverage.jsonl"
+    file.write_text(f"{line}\n{line[:40]}")
+    assert [each["seed"] for each in identification.finished(file)] == [1000]
+    assert identification.finished(tmp_path / "none.jsonl") == []
