@@ -6,10 +6,12 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +28,8 @@ from std_msgs.msg import String
 
 from fjr_bringup.recording import message_types
 from fjr_bringup.recording.reader import Bag, BagError, header_stamp, read_bag
-from fjr_bringup.recording.recorder import Recorder, Track
+from fjr_bringup.recording.recorder import QUEUE_DEPTH, Recorder, Track
+from fjr_bringup.recording.writer import BagWriter
 from fjr_bringup.runner.run import JOINT_COMMANDS, _Run
 from system.talker import TALKER
 from time_limits import Limit
@@ -236,6 +239,30 @@ def test_a_weaker_publisher_that_joins_is_recorded_too(node: Node, tmp_path: Pat
         "weak",
         "strong",
     ]
+
+
+def test_a_topic_faster_than_the_disk_keeps_no_other_waiting(
+    node: Node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fast = node.create_publisher(String, "/fast", QUEUE_DEPTH)
+    write, slow_disk = BagWriter.write, threading.Event()
+
+    def slow_write(*arguments: Any) -> None:
+        if slow_disk.is_set():
+            fast.publish(String(data="two come"))
+            fast.publish(String(data="while one is written"))
+        write(*arguments)
+
+    monkeypatch.setattr(BagWriter, "write", slow_write)
+    slow = node.create_publisher(String, "/slow", 10)
+    with Recorder(tmp_path / "bag") as recorder:
+        matched(recorder, fast, slow)
+        slow_disk.set()
+        fast.publish(String(data="first"))
+        until(lambda: bool(last(recorder, "/fast")))
+        slow.publish(String(data="in its turn"))
+        until(lambda: bool(last(recorder, "/slow")))
+        slow_disk.clear()
 
 
 def test_lost_messages_show_in_the_numbering(recorded: tuple[Path, list[bytes]]) -> None:

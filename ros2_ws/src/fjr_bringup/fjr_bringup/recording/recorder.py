@@ -25,6 +25,7 @@ from fjr_bringup.recording.message_types import SchemaError, interface_class, ty
 from fjr_bringup.recording.writer import BagWriter, Channel
 
 QUEUE_DEPTH = 5000  # messages per topic between two drains: 5 s at 1 kHz
+BATCH = 500  # messages taken of one topic before the next has its turn: no fast topic keeps the others waiting
 DRAIN_PERIOD = 0.01  # s
 DISCOVERY_PERIOD = 0.1  # s
 FLUSH_PERIOD = 0.5  # s; a kill loses at most this much and the batch in progress
@@ -105,18 +106,17 @@ class Recorder:
 
     def _record(self) -> None:
         look = flush = 0.0
-        stopping = False
-        while not stopping:
-            stopping = self._stop.wait(DRAIN_PERIOD)
+        left = False  # messages in a queue
+        while not self._stop.wait(0.0 if left else DRAIN_PERIOD):
             now = time.monotonic()
-            if now >= look and not stopping:
+            if now >= look:
                 self._discover()
                 look = now + DISCOVERY_PERIOD
-            for track in tuple(self._tracks.values()):
-                self._drain(track)
+            left = self._drain_all(BATCH)
             if now >= flush:
                 self._write(self.writer.flush)
                 flush = now + FLUSH_PERIOD
+        self._drain_all(QUEUE_DEPTH)
 
     def _write(self, write: Callable[..., object], *arguments: object) -> None:
         """Write unless an earlier write failed; a full or missing disk ends the recording, not the run."""
@@ -128,13 +128,19 @@ class Recorder:
             self.loss = f"recording stopped: {error.strerror or error}"
             print(f"fjr: {self.loss}; the run continues, {self.writer.path} holds the messages so far", file=sys.stderr)
 
-    def _drain(self, track: Track) -> None:
-        """Write all messages in the queue of a subscription: receive time, send time, serialised bytes."""
+    def _drain_all(self, most: int) -> bool:
+        """Write at most `most` messages of each topic; return whether one may have more."""
+        left = [self._drain(track, most) for track in tuple(self._tracks.values())]
+        return any(left)
+
+    def _drain(self, track: Track, most: int) -> bool:
+        """Write at most `most` messages of a subscription; return whether there were as many."""
         take, kind = track.subscription.handle.take_message, track.subscription.msg_type
         write, keep, channel = self._write, self.writer.write, track.channel
         first = last = b""
-        sent = 0
-        while (taken := take(kind, True)) is not None:
+        count = sent = 0
+        while count < most and (taken := take(kind, True)) is not None:
+            count += 1
             last, info = taken
             first = first or last
             sequence = info["publication_sequence_number"] or 0
@@ -143,6 +149,7 @@ class Recorder:
         if last:
             track.sent = sent
             track.ends = (track.ends[0] if track.ends else first, last)
+        return count == most
 
     def _discover(self) -> None:
         """Subscribe to new topics; adapt the QoS to new publishers."""
@@ -173,7 +180,7 @@ class Recorder:
         wanted, old = adapted_qos(publishers), track.subscription
         present = old.qos_profile
         if (wanted.reliability, wanted.durability) != (present.reliability, present.durability):
-            self._drain(track)
+            self._drain(track, QUEUE_DEPTH)
             track.subscription = self._subscription(old.msg_type, old.topic, publishers)
             self.node.destroy_subscription(old)
 
