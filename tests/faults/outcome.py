@@ -16,6 +16,7 @@ from faults.rig import SECOND, STEPPED, Rig
 from faults.watcher import STATES
 
 STALL = SECOND // 20  # half of state_timeout: a longer silence is a fault that no row injected
+START = 5.0  # s in which nodes that were started track
 TRIES = 3
 
 
@@ -73,9 +74,19 @@ class Pair:
         self._rig, self._before = None, Counter()
 
     def _started(self, row: Row) -> Rig:
-        self._rig = Rig(row.setting, row.mode, self._executor)
-        self._rig.start_both()
-        return self._rig
+        """Return new nodes that track; a machine without time for their start may make the arm stop: then others."""
+        for _ in range(TRIES):
+            self._rig = rig = Rig(row.setting, row.mode, self._executor)
+            rig.start_both()
+            if rig.mode == STEPPED:
+                break
+            rig.until_calm(START)
+            if rig.calm:
+                break
+            self.close()
+        else:
+            raise AssertionError(f"the nodes did not track within {START} s, {TRIES} times")
+        return rig
 
     def _tried(self, row: Row, rig: Rig) -> tuple[Outcome, bool]:
         if row.counted and self._before is None:

@@ -226,10 +226,12 @@ class Rig:
     def until_calm(self, limit: float) -> None:
         """Wait until the error has been small for CALM, at most `limit` seconds of robot time."""
         end = self.robot_time + round(limit * SECOND)
-        while not self._is_calm() and self.robot_time < end:
+        while not self.calm and self.robot_time < end:
             self.until_stamp(self.robot_time + LOOK_AHEAD)
 
-    def _is_calm(self) -> bool:
+    @property
+    def calm(self) -> bool:
+        """True if the error has been small for CALM."""
         newest = self.now
         tail = [h for h in self.watcher.heard[self.truth][-2000:] if h.stamp > newest - CALM]
         motion = self._motion(tail)
