@@ -22,7 +22,9 @@ setup(
             "py.typed",
             "control_step/*.[ch]",
             "simulation/batch/*.[ch]",
+            "verification/*.[ch]",
             "identification/*.[ch]",
+            "stability/error_bound/*.[ch]",
             "codegen/templates/*",
             "codegen/ros2_control/templates/*",
         ]
