@@ -43,7 +43,7 @@ def of_scenario(name: str, runs: int) -> list[Figure]:
     """Bound the tracking error for a payload error and one sample of delay; compare with runs."""
     scenario = library.load(name, [])
     T = scenario.sample_period
-    bound = bound_errors(scenario.law, scenario.reference, T, T, {"payload": PAYLOAD})
+    bound = bound_errors(scenario.law, scenario.reference, T, T, {"payload": PAYLOAD}, prove=True)
     peaks = largest_errors(scenario, SCENARIOS[name], runs)
     beyond = np.count_nonzero(np.any(peaks > bound.position, axis=1))
     basis = "proven" if bound.proven else "sampled"

@@ -310,6 +310,7 @@ def test_the_tracking_error_is_bounded_for_stated_errors() -> None:
     ("options", "words"),
     [
         (("--error", "mass=0.2"), "error 'mass' is unknown; expected some of payload, link_inertia"),
+        (("--error", "payload=0.1", "--error", "payload=0.2"), "error 'payload' is given 2 times; expected it once"),
         (("--error", "payload"), "'' is not an error; expected NAME=VALUE with 0 or a positive number"),
         (("--delay", "1", "--set", "robust.residual_gain:=[60.0]"), "robust.* is enabled; expected a static law"),
     ],

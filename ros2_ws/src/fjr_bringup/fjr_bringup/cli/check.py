@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,7 @@ from fjr_core.config.user_options import options
 from fjr_core.control.registry import law_kind
 from fjr_core.control.robust import Robust
 from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.errors import ParameterError
 from fjr_core.files.python_class import is_named
 from fjr_core.robot.joint_units import joined
 from fjr_core.stability.model_errors import FACTORS, QUANTITIES, radii_with_model_errors
@@ -54,18 +56,20 @@ def check_scenario(
     certificate: Path | None = None,
     seconds: float = 120.0,
     errors: Sequence[tuple[str, float]] = (),
+    prove_error: bool = False,
     prove_sampled: bool = False,
     delay: float | None = None,
 ) -> Result:
     """Return the check of a scenario; print its warnings and why it cannot run on standard error.
 
     certificate: file for the proof of the rate over the joint range, which takes at most `seconds`. errors: names and
-    sizes of model errors. prove_sampled: also prove contraction of the sampled loop (sampled_proof). delay [samples] of
-    this proof and of the bound of the tracking error, which is made for errors, or for a delay alone.
+    sizes of model errors. prove_error: prove their bound for any number of joints. prove_sampled: also prove
+    contraction of the sampled loop (sampled_proof). delay [samples] of this proof and of the bound of the tracking
+    error, which is made for errors, or for a delay alone.
     """
     loaded = library.load(scenario, assignments)
     alone = delay is not None and not prove_sampled
-    bound = errors_bounded(loaded, dict(errors), delay) if errors or alone else None
+    bound = errors_bounded(loaded, _once(errors), delay, prove_error or None) if errors or alone else None
     if certificate is not None:
         write_certificate(proven_rate(loaded, seconds), certificate)
     found = checked(loaded)
@@ -81,6 +85,14 @@ def check_scenario(
     values |= {"sampled_proof": proof.values} if proof else {}
     failed = refusal or (proof and not proof.found)
     return Result(table(rows), values, Exit.FAILED if failed else Exit.DONE)
+
+
+def _once(errors: Sequence[tuple[str, float]]) -> dict[str, float]:
+    """Return the errors by name; raise ParameterError for one that is given twice."""
+    for name, count in Counter(name for name, _ in errors).items():
+        if count > 1:
+            raise ParameterError(f"error '{name}' is given {count} times; expected it once")
+    return dict(errors)
 
 
 def _warnings(scenario: Scenario) -> list[str]:

@@ -28,17 +28,20 @@ class Bound:
     values: Mapping[str, Any]
 
 
-def errors_bounded(scenario: Scenario, errors: Mapping[str, float], delay: float | None) -> Bound:
+def errors_bounded(
+    scenario: Scenario, errors: Mapping[str, float], delay: float | None, prove: bool | None = None
+) -> Bound:
     """Return the bound for model errors and a delay [samples], by default that of the scenario.
 
-    Raises ParameterError for an unknown error, and for a scenario that the bound does not cover.
+    prove: see `bound_errors`. Raises ParameterError for an unknown error, and for a scenario that the bound does not
+    cover.
     """
     _refuse(scenario)
     period = scenario.sample_period
     late = scenario.loop_delay if delay is None else delay * period
     given = scenario.law, scenario.reference, period, late, errors
     with progress_bar("bounding the tracking error", PROGRESS, total=1.0, desc="error bound") as bar:
-        found = bound_errors(*given, lambda share: bar.update(share - bar.n))
+        found = bound_errors(*given, lambda share: bar.update(share - bar.n), prove)
     return Bound(_sentence(scenario, found), _values(scenario, found))
 
 

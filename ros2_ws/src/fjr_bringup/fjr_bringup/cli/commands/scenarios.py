@@ -101,6 +101,11 @@ def report(**given: Any) -> Any:
     help="Bound the tracking error for a robot whose NAME is wrong by up to VALUE, e.g. payload=0.2; may be repeated.",
 )
 @click.option(
+    "--prove-error",
+    is_flag=True,
+    help="Prove the bound of --error for three or more joints, too; takes minutes.",
+)
+@click.option(
     "--prove-sampled", is_flag=True, help="Prove that the sampled loop contracts near the reference; takes seconds."
 )
 @click.option(

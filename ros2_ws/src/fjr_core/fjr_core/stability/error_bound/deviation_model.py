@@ -55,7 +55,7 @@ class DeviationModel:
         robot = self.robot
         motors = sparse(robot.M_m) @ self._centre.ddtheta, sparse(robot.D_m) @ self._centre.dtheta, self._centre.tau
         terms = ca.diagcat(ca.horzcat(*self._link_torques), ca.horzcat(*motors))
-        return self._function("torque_terms", (self._path, self._c), (terms,))
+        return self._function("torque_terms", "path c", terms)
 
     @cached_property
     def coefficients(self) -> ca.Function:
@@ -66,21 +66,21 @@ class DeviationModel:
         weight = (c_p * c_g * f_K / c_K / p - f_g) / f_M
         motors = (c_Mm - f_Mm) / f_Mm, (c_Dm - f_Dm) / f_Mm, (1 - f_K / c_K) / f_Mm
         derivatives = ca.jacobian(ca.vertcat(inertial, friction, weight, *motors), self._f)
-        return self._function("coefficients", (self._c, self._f), (derivatives,))
+        return self._function("coefficients", "c f", derivatives)
 
     @cached_property
     def defect(self) -> ca.Function:
-        """(path, jets, c) -> defect e_c of the law (n,) [N m], its rate [N m/s], and the rate of B_m u_c (n,)."""
+        """(path, jets, c) -> defect e_c of the law (n,) [N m], and the rate of B_m u_c (n,) [N m/s]."""
         torque = self._centre.torque
         e = self._law(ca.DM.zeros(4 * self.n)) - ca.DM(np.linalg.inv(self.robot.B_m)) @ torque
-        return self._function("defect", (self._path, self._jets, self._c), (e, self._rate(e), self._rate(torque)))
+        return self._function("defect", "path jets c", e, self._rate(torque))
 
     @cached_property
     def states(self) -> ca.Function:
         """(path, c) -> state of the centre motion: q_l, zeta, dq_l and dq_m (4n,), and the effort u_c (n,)."""
         effort = ca.DM(np.linalg.inv(self.robot.B_m)) @ self._centre.torque
         state = ca.vertcat(*self._moving(ca.DM.zeros(4 * self.n)))
-        return self._function("states", (self._path, self._c), (state, effort))
+        return self._function("states", "path c", state, effort)
 
     @cached_property
     def link_slope(self) -> ca.Function:
@@ -91,7 +91,7 @@ class DeviationModel:
         h = (spring - friction) / (p * f_M) - f_g / f_M * robot.links.grad_P_l(q_l)
         h -= robot.links.inertial_torque(q_l, dq_l, dq_l, self._path[:, 2])
         results = ca.jacobian(h, self._z), robot.links.M_l(q_l)
-        return self._function("link_slope", (self._path, self._z, self._c, self._f), results)
+        return self._function("link_slope", "path z c f", *results)
 
     @cached_property
     def motor_slope(self) -> ca.Function:
@@ -99,26 +99,31 @@ class DeviationModel:
         _, _, _, f_K, f_Mm, _, f_Dm = ca.vertsplit(self._f)
         zero = ca.SX(self.n, self.n)
         slope = ca.horzcat(zero, -f_K / f_Mm * self.robot.K, zero, -f_Dm / f_Mm * self.robot.D_m)
-        return self._function("motor_slope", (self._f,), (slope, self.robot.B_m / f_Mm))
+        return self._function("motor_slope", "f", slope, self.robot.B_m / f_Mm)
 
     @cached_property
     def law_slope(self) -> ca.Function:
         """(path, jets, z, c) -> du/dz (n, 4n) of the law."""
         slope = ca.jacobian(self._law(self._z), self._z)
-        return self._function("law_slope", (self._path, self._jets, self._z, self._c), (slope,))
+        return self._function("law_slope", "path jets z c", slope)
+
+    @cached_property
+    def has_storage(self) -> bool:
+        """True if the law has a storage V."""
+        _, V = self._answer(self._z)
+        return not (V.is_constant() and np.isnan(float(V)))
 
     @cached_property
     def storage(self) -> ca.Function:
-        """(path, jets, z, c) -> V [J] of the law, nan if it has none, and dV/dz (4n,)."""
+        """(path, jets, z, c) -> V [J] of the law."""
         _, V = self._answer(self._z)
-        return self._function("storage", (self._path, self._jets, self._z, self._c), (V, ca.gradient(V, self._z)))
+        return self._function("storage", "path jets z c", V)
 
     @cached_property
-    def storage_curvature(self) -> ca.Function:
-        """(path, jets, z, c) -> second derivatives of V in z (4n, 4n), and the rate of V for constant z."""
+    def storage_slope(self) -> ca.Function:
+        """(path, jets, z, c) -> V [J] and dV/dz (4n,)."""
         _, V = self._answer(self._z)
-        results = ca.hessian(V, self._z)[0], self._rate(V)
-        return self._function("storage_curvature", (self._path, self._jets, self._z, self._c), results)
+        return self._function("storage_slope", "path jets z c", V, ca.gradient(V, self._z))
 
     def _law(self, z: ca.SX) -> ca.SX:
         """Return the effort (n,) of the law at the deviation z."""
@@ -162,6 +167,9 @@ class DeviationModel:
         states = ca.veccat(self._path[:, :-1], self._jets[:, :-1])
         return directional(e, states, ca.veccat(self._path[:, 1:], self._jets[:, 1:]))
 
-    @staticmethod
-    def _function(name: str, arguments: tuple[ca.SX, ...], results: tuple[ca.SX, ...]) -> ca.Function:
-        return ca.Function(name, list(arguments), [ca.densify(ca.SX(result)) for result in results], {"cse": True})
+    def _function(self, name: str, arguments: str, *results: ca.SX) -> ca.Function:
+        """Return a function of the named arguments, with dense results."""
+        names = arguments.split()
+        dense = [ca.densify(ca.SX(result)) for result in results]
+        outputs = [f"result{i}" for i in range(len(dense))]
+        return ca.Function(name, [getattr(self, f"_{each}") for each in names], dense, names, outputs, {"cse": True})

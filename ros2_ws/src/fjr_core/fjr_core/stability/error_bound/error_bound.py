@@ -2,8 +2,8 @@
 """Bound the tracking error of a sampled loop along a reference, for model errors, hold and delay (docs/method.md).
 
 The box of the robot's factors is divided until each part has an invariant tube about its own steady motion; the bound
-is the largest of the parts. With closed-form links and sines as the reference every constant is enclosed by interval
-arithmetic, and the bound is proven. Otherwise the ranges are those of random points of the same boxes: sampled.
+is the largest of the parts. With sines as the reference every constant is enclosed by Taylor models, and the bound is
+proven. Otherwise the ranges are those of random points of the same boxes: sampled.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from .search import Progress, Search
 
 TORQUES = ("link_torque", "motor_torque")
 """Names of errors in N m; the others, FACTORS, are relative."""
+SECONDS_TO_PROVE = 2  # joints
 LARGEST = 0.9  # relative error of a factor
 
 
@@ -64,14 +65,17 @@ def bound_errors(
     delay: float = 0.0,
     errors: Mapping[str, float] = {},
     progress: Progress = lambda share: None,
+    prove: bool | None = None,
 ) -> ErrorBound:
     """Return a bound of the tracking errors on the reference of the law sampled every sample_period [s].
 
     delay [s]: constant, from a state to the effort that answers it. errors: largest relative errors of the robot's
     factors (FACTORS: one factor for all joints, "payload" for inertia and weight of the links together), and largest
-    TORQUES [N m] that act at any joint with any time course. progress: see `search.Progress`.
+    TORQUES [N m] that act at any joint with any time course. progress: see `search.Progress`. prove: whether a proof is
+    tried; None: where it takes seconds, with up to SECONDS_TO_PROVE joints or without an error of a factor.
     Raises ParameterError for an unknown name, an error that is negative or too large, and a reference that has neither
-    a common period nor an end within 60 s; StateError unless the sample period is positive and the delay not negative.
+    a common period nor an end within 60 s; StateError unless the sample period is positive and the delay not negative;
+    CompilerError without a C compiler.
     """
     checked_times(sample_period, delay)
     checked = _checked(errors)
@@ -79,7 +83,9 @@ def bound_errors(
     disturbing = np.repeat([checked.get(name, 0.0) for name in TORQUES], law.robot.n)
     given = law, reference, sample_period, delay, disturbing
     search = Search(*given, verified=True)
-    if search.applies:
+    if prove is None:
+        prove = law.robot.n <= SECONDS_TO_PROVE or not np.any(half)
+    if prove and search.applies:
         parts = search.parts(1 - half, 1 + half, progress)
         if all(part.found for part in parts):
             return _result(parts, law.robot.n, checked, (sample_period, delay), proven=True)

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find a tube of deviations that no admissible disturbance leaves: peak gains and a fixed point.
 
-With |z| <= tube the torques w_l, w_m and errors e of the effort, by which the robot differs from the linear model of
-its cell, are bounded by `Spread`. Peak gains turn these bounds into bounds of z. If the new bounds lie within the tube,
-no solution that starts in its known response (steady, or with the decay of a start) leaves it: up to the first instant
-at which one did, it would be within the bounds.
+The deviation z is a sum of known lines and a rest. While the rest stays in a tube, the torques w_l, w_m and errors e
+of the effort, by which the robot differs from the linear model of its cell, are bounded by `Spread`. Peak gains turn
+these bounds into bounds of z. If the new bounds lie within the tube, no solution that starts in its known response
+(steady, or with the decay of a start) leaves it: up to the first instant at which one did, it would be within the
+bounds.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ MARGIN = 1 + 1e-3  # of the disturbance that is verified over the fixed point of
 class Spread:
     """Bounds over all cells, tube and factors of the differences from the linear model.
 
-    unknown (4n,): torque errors d_l, d_m, accelerations (none) and defects of the law along the centre motion, beside
-    the known ones. H (n, 4n), G (n, 4n), B (n, n), F (n, 4n): largest differences of the slopes from those of the
-    model, elementwise. M (n, n): of M_i^-1 M_l(q_l) from the identity. All in the coordinates of the linear model.
+    unknown (4n,): torque errors d_l, d_m, accelerations (none) and defects of the law along the centre motion and the
+    lines, beside the known ones. H (n, 4n), G (n, 4n), B (n, n), F (n, 4n): largest differences of the slopes from
+    those of the model, elementwise. M (n, n): of M_i^-1 M_l(q_l) from the identity. All in the coordinates of the
+    linear model.
     """
 
     unknown: Array
@@ -41,7 +43,10 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Bounds in the coordinates of the linear model: z (4n,) at all times, effort v (n,), link acceleration (n,)."""
+    """Bounds in the coordinates of the linear model at all times.
+
+    z (4n,): of what the lines leave of the deviation; effort (n,) and link acceleration (n,) of the whole deviation.
+    """
 
     z: Array
     effort: Array
@@ -75,9 +80,15 @@ def _disturbance(found: Deviations, spread: Spread) -> Array:
 
 
 def _deviations(linear: LinearCells, gains: Array, disturbance: Array, known: Response) -> Deviations:
-    """Return the bounds of deviations under disturbances; between samples a bound grows by its rate."""
+    """Return the bounds of deviations under disturbances; between samples a bound grows by its rate.
+
+    Efforts and accelerations at the end of a cell are those of its own model or, if aligned, of the next.
+    """
     n, S, half = linear.n, linear.models.loop.shape[1], linear.between
     at_samples = gains @ np.append(disturbance, known.remaining)
+    slope_jump, law_jump = linear.jumps
+    at_samples[S : S + n] += slope_jump[2 * n : 3 * n] @ at_samples[: 4 * n]
+    at_samples[S + n :] += law_jump @ at_samples[: 4 * n]
     torque, error = disturbance[: 3 * n], disturbance[3 * n :]
     effort = at_samples[S + n :] + error
     slope = np.abs(linear.A).max(axis=0)

@@ -20,11 +20,11 @@ NARROWEST = 0.002
 class Part:
     """Part of the box of factors, low to high (7,).
 
-    centre: of the robot in the middle; the reference itself if the loop is unstable or has no period. effect: deviation
-    of a position [rad] by each uncertain factor. first_order, ultimate, from_start (2n,): bounds of |q_l - q_ld| and
-    |dq_l - dq_ld|: to first order in the factors; in the steady state; at all times for a robot that starts on the
-    reference. The latter two are infinite without a tube. storage: largest V [J] in the steady state; nan if the law
-    has none. share: width of parts of this one that have a tube, relative to it.
+    centre: of the robot in the middle; the reference itself if the loop is unstable or has no period. effect:
+    deviation of a position [rad] by each uncertain factor. first_order, ultimate, from_start (2n,): bounds of |q_l -
+    q_ld| and |dq_l - dq_ld|: by the known response to the factors alone; in the steady state; at all times for a
+    robot that starts on the reference. The latter two are infinite without a tube. storage: largest V [J] in the
+    steady state; nan if the law has none. share: width of parts of this one that have a tube, relative to it.
     """
 
     low: Array

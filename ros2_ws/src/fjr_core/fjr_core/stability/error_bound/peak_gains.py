@@ -11,15 +11,23 @@ T^3 / 12 max |g''|. The rest of the sum beyond the last lag is bounded by (1 - |
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import reduce
+from os import cpu_count
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from ...numerics import jit
+from ...numerics.c_types import ffi_of
 from ...numerics.checks import Array
 from ...robot.equilibrium import Indices
 from ..one_sample_map import held_maps
 from .reference_cells import Cells
 
+INCLUDED = ("#include <math.h>", "#include <stdint.h>", "#include <string.h>")
 ROUNDING = 1 + 1e-9
 """Factor that covers the rounding of products and sums: less than 1e5 operations of relative error 2^-53 each."""
 
@@ -52,23 +60,50 @@ def peak_gains(models: CellModels, cells: Cells, T: float, blocks: int, finals: 
     The supremum is over the samples at the end of the cells `finals`; T [s]: sample period. blocks: length of the sums
     in cells. Infinite if the last product is not a contraction.
     """
-    S, m = models.loop.shape[1], models.torque_late.shape[2]
-    chain, early, bent = _chained(models, cells.samples)
-    X = np.concatenate([np.broadcast_to(np.eye(S), (len(finals), S, S)), models.outputs[finals]], axis=1)
-    sums = np.zeros((len(finals), X.shape[1], m + models.effort.shape[2]))
-    for block in range(blocks):
-        i = cells.before(finals, block)
-        response = np.abs(X @ early[i]).reshape(*X.shape[:2], cells.samples, -1).sum(axis=2)
-        ends, effort = np.split(response, [2 * m], axis=2)
-        sums[:, :, :m] += T / 2 * (ends[:, :, :m] + ends[:, :, m:]) + np.abs(X) @ bent[i]
-        sums[:, :, m:] += effort
-        X = X @ chain[i]
-    rest = np.abs(X).max(axis=0)
-    gains = np.hstack([sums.max(axis=0), rest])
-    if not np.all(np.isfinite(rest)) or np.abs(np.linalg.eigvals(rest[:S])).max() >= 1:
+    S, m, n = models.loop.shape[1], models.torque_late.shape[2], models.effort.shape[2]
+    chain = _Chain(models, cells.samples, T)
+
+    def of_chain(final: Indices) -> tuple[Array, Array]:
+        X, sums = np.concatenate([np.eye(S), models.outputs[final]]), np.zeros((S + models.outputs.shape[1], m + n))
+        chain.add(np.array([cells.before(final, block) for block in range(blocks)]), X, sums)
+        return sums, np.abs(X)
+
+    with ThreadPoolExecutor(cpu_count()) as pool:
+        found = reduce(lambda a, b: (np.maximum(a[0], b[0]), np.maximum(a[1], b[1])), pool.map(of_chain, finals))
+    rest, gains = found[1], np.hstack(found)
+    if not np.all(np.isfinite(gains)) or np.abs(np.linalg.eigvals(rest[:S])).max() >= 1:
         return np.full_like(gains, np.inf)
     states = np.linalg.solve(np.eye(S) - rest[:S], gains[:S])
     return np.asarray(ROUNDING * np.concatenate([states, gains[S:] + rest[S:] @ states]))
+
+
+class _Chain:
+    """Cells of a loop as peak_gains.c reads them. Raises CompilerError without a C compiler."""
+
+    def __init__(self, models: CellModels, samples: int, T: float) -> None:
+        loop, inputs, bent = _chained(models, samples)
+        header, code = (Path(__file__).with_name(f"peak_gains.{kind}").read_text(encoding="utf-8") for kind in "hc")
+        path = jit.shared_object("peak_gains", "\n".join([*INCLUDED, header, code]))
+        self._ffi = ffi_of(header)
+        self._library = self._ffi.dlopen(path)
+        self._maps, self._bent = np.concatenate([inputs, loop], axis=2), np.ascontiguousarray(bent)
+        given = {"maps": self._pointer(self._maps), "bent": self._pointer(self._bent), "half": T / 2}
+        _, states, torques = bent.shape
+        sizes = {"states": states, "torques": torques, "efforts": models.effort.shape[2], "samples": samples}
+        self._struct = self._ffi.new("struct fjr_chain *", {**given, **sizes})
+
+    def add(self, cells: Array, X: Array, sums: Array) -> None:
+        """Add the absolute responses X maps of a chain of cells, back from X (rows, S), to sums (rows, m + n).
+
+        X becomes the product of X and the loops of the cells.
+        """
+        product = np.empty((len(X), self._maps.shape[2]))
+        chain = self._ffi.from_buffer("int64_t[]", np.ascontiguousarray(cells, dtype=np.int64))
+        arrays = map(self._pointer, (X, sums, product))
+        self._library.fjr_chain_sums(self._struct, chain, len(cells), len(X), *arrays)
+
+    def _pointer(self, array: Array) -> Any:
+        return self._ffi.from_buffer("double[]", array)
 
 
 def _chained(models: CellModels, samples: int) -> tuple[Array, Array, Array]:

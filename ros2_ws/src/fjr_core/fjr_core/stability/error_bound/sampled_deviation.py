@@ -17,6 +17,7 @@ from .centre_motion import CentreMotion
 from .deviation_model import DeviationModel
 from .modal_coordinates import Coordinates
 from .peak_gains import ROUNDING, CellModels, curvature
+from .points import values
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,8 @@ class LinearCells:
 
     M (c, n, n), H (c, n, 4n): M dz_3 = H z + d_l;  G (n, 4n), B (n, n): M_m dz_4 = G z + B v + d_m, v the deviation of
     the effort. F (c, n, 4n): v = F z at the sample. between [s]: time from the nearest sample that bounds cover, T / 2,
-    or 0 for bounds at the samples. The properties are in `coordinates`: y for z, and likewise for torques and efforts.
+    or 0 for bounds at the samples. aligned: the model of a cell does not hold after its end (Cells.aligned). The
+    properties are in `coordinates`: y for z, and likewise for torques and efforts.
     """
 
     model: DeviationModel
@@ -38,6 +40,7 @@ class LinearCells:
     sample_period: float
     delay: float
     between: float
+    aligned: bool
 
     @property
     def n(self) -> int:
@@ -47,6 +50,10 @@ class LinearCells:
     def at(self, cells: Indices) -> LinearCells:
         """Return the models of the selected cells."""
         return replace(self, **{name: getattr(self, name)[cells] for name in "MHF"})
+
+    def shifted(self, cells: int) -> LinearCells:
+        """Return the models of the cells a number of cells before."""
+        return self.at(np.roll(np.arange(len(self.M)), cells))
 
     @cached_property
     def A(self) -> Array:
@@ -75,6 +82,14 @@ class LinearCells:
         by_torque[:, 2 * n : 3 * n, 2 * n :] = np.eye(n)
         to_torques = block_diag(np.linalg.inv(S.torques), S.acceleration)
         return S.S @ by_effort @ S.effort_inverse, S.S @ by_torque @ to_torques
+
+    @cached_property
+    def jumps(self) -> tuple[Array, Array]:
+        """Largest changes (4n, 4n) and (n, 4n) of `A` and `law` from a cell to the next; zero unless aligned."""
+        if not self.aligned:
+            return np.zeros((4 * self.n, 4 * self.n)), np.zeros((self.n, 4 * self.n))
+        slope, law = (np.abs(np.roll(each, -1, axis=0) - each).max(axis=0) for each in (self.A, self.law))
+        return slope, law
 
     @cached_property
     def growth(self) -> Array:
@@ -140,29 +155,13 @@ class LinearCells:
 
 
 def linear_cells(model: DeviationModel, centre: CentreMotion, delay: float) -> LinearCells:
-    """Return the linear model in the middle of each cell about a centre motion, for a robot with its factors.
-
-    Verified cells have the coordinates of the joints, as intervals lose the signs that others preserve.
-    """
+    """Return the linear model in the middle of each cell about a centre motion, for a robot with its factors."""
     n, cells, c = model.n, centre.cells, centre.factors
     zero, factors = np.zeros((4 * n, cells.count)), np.tile(c[:, None], cells.count)
-    H, M = model.link_slope.map(cells.count)(_matrices(centre.path.middles, n), zero, factors, factors)
+    H, M = values(model.link_slope, centre.path.middles, zero, factors, factors)
     G, B = (each.full() for each in model.motor_slope(c))
-    path, jets = (_matrices(each.instants, n) for each in (centre.path, cells))
-    F = model.law_slope.map(cells.count)(path, jets, zero, factors)
-    inertia, slopes, law = stacked(M.full(), n), stacked(H.full(), 4 * n), stacked(F.full(), 4 * n)
-    modal, between = Coordinates.modal(model.robot, inertia.mean(axis=0)), 0.0
-    if cells.verified:
-        modal, between = Coordinates.of_joints(model.robot), cells.sample_period / 2
-    return LinearCells(model, modal, inertia, slopes, G, B, law, cells.sample_period, delay, between)
-
-
-def stacked(side_by_side: Array, columns: int) -> Array:
-    """Return matrices (c, n, columns) from (n, c columns)."""
-    n = len(side_by_side)
-    return np.ascontiguousarray(side_by_side.reshape(n, -1, columns).swapaxes(0, 1))
-
-
-def _matrices(jets: Array, n: int) -> Array:
-    """Return jets (n, 6 c) side by side from columns (6n, c)."""
-    return jets.T.reshape(jets.shape[1], -1, n).transpose(2, 0, 1).reshape(n, -1)
+    (F,) = values(model.law_slope, centre.path.instants, cells.instants, zero, factors)
+    inertia, slopes, law = (each.T.reshape(cells.count, -1, n).swapaxes(1, 2).copy() for each in (M, H, F))
+    modal = Coordinates.modal(model.robot, inertia.mean(axis=0))
+    between = cells.sample_period / 2 if cells.verified else 0.0
+    return LinearCells(model, modal, inertia, slopes, G, B, law, cells.sample_period, delay, between, cells.aligned)

@@ -10,10 +10,11 @@ from functools import cached_property
 import numpy as np
 
 from ...control.static_law import StaticLaw
+from ...errors import StateError
 from ...numerics.checks import Array
 from ...robot.equilibrium import Indices
 from ...trajectories.reference import Reference
-from .box import Tube, enclosable
+from ...verification.taylor_models import taylor_function
 from .centre_motion import CentreMotion
 from .deviation_model import DeviationModel
 from .part import Part
@@ -26,7 +27,7 @@ from .tube_problem import TubeProblem
 
 MOST_PARTS = 128
 HOPELESS = 1000  # parts of the whole box, if all were as narrow as those of one part, at which the division ends
-TIGHT = 1.25  # ratio of a bound to that to first order, below which a part is not divided
+TIGHT = 1.1  # ratio of a bound to that of the known response, below which a part is not divided
 WORTH = 0.95  # ratio of the bounds of halves to that of a part, up to which it is divided
 REMAINS = 1e-3  # of a deviation after the sums of the gains
 LONGEST_SUM = 20_000  # samples
@@ -51,12 +52,17 @@ class Search:
     def applies(self) -> bool:
         """True if the constants can be verified.
 
-        That takes links in closed form, a reference with bounds between points, and a law of known operations.
+        That takes a reference with bounds between points and a law of known operations.
         """
-        if not self.cells.verifiable or self.model.robot.links.M_l_vertices is None:
+        if not self.cells.verifiable:
             return False
         model = self.model
-        return all(map(enclosable, (model.law_slope, model.defect, model.storage, model.storage_curvature)))
+        try:
+            for function in (model.law_slope, model.defect):
+                taylor_function(function)
+        except StateError:
+            return False
+        return True
 
     def parts(self, low: Array, high: Array, progress: Progress = lambda share: None) -> list[Part]:
         """Divide the box until each part has a tube, then the part with the largest bound until it is tight.
@@ -104,7 +110,7 @@ class Search:
         ranges = Ranges(self.model, centre, low, high, blocks, self.delay)
         try:
             return _solved(part, TubeProblem(linear, gains, ranges, self.disturbing))
-        except ZeroDivisionError:  # an interval of a divisor contains zero: the part is too wide
+        except ZeroDivisionError:  # a divisor may be zero: the part is too wide
             return part
 
     @cached_property
@@ -136,8 +142,8 @@ def _solved(part: Part, problem: TubeProblem) -> Part:
     part = replace(part, effect=problem.effect, first_order=bound(problem.in_joints()))
     if problem.tube is None:
         return replace(part, share=problem.share)
-    storage = problem.ranges.storage(Tube(problem.linear.coordinates.S_inverse, problem.tube.z))
+    storage = problem.ranges.storage(problem.as_tube(problem.tube))
     part = replace(part, ultimate=bound(problem.in_joints(problem.tube)), storage=storage)
     if problem.from_start is None:
         return part
-    return replace(part, from_start=bound(np.abs(problem.linear.coordinates.S_inverse) @ problem.from_start.z))
+    return replace(part, from_start=bound(problem.as_tube(problem.from_start).box))

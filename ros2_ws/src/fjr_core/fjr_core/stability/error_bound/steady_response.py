@@ -23,8 +23,8 @@ from .sampled_deviation import LinearCells
 class Drive:
     """Known torques and efforts in each of c cells: the first of k columns, and the others times -1 to 1.
 
-    torque (c, 2n, k) [N m]; aging (c, 2n) [N m/s] times the age of the acting effort and effort (c, n) [N m], both in
-    the first column.
+    torque (c, 2n, k) [N m], effort (c, n, k) [N m]; aging (c, 2n) [N m/s] times the age of the acting effort in the
+    first column.
     """
 
     torque: Array
@@ -34,7 +34,16 @@ class Drive:
     def in_coordinates(self, coordinates: Coordinates) -> Drive:
         """Return the drive in coordinates of torques and efforts."""
         torques = coordinates.torques
-        return Drive(torques @ self.torque, self.aging @ torques.T, self.effort @ coordinates.effort.T)
+        return Drive(torques @ self.torque, self.aging @ torques.T, coordinates.effort @ self.effort)
+
+    def beside(self, other: Drive) -> Drive:
+        """Return the drive with the further columns of another one, whose first is zero."""
+        torque = np.concatenate([self.torque, other.torque[:, :, 1:]], axis=2)
+        return Drive(torque, self.aging, np.concatenate([self.effort, other.effort[:, :, 1:]], axis=2))
+
+    def shifted(self, cells: int) -> Drive:
+        """Return the drive of the cells a number of cells before."""
+        return Drive(*(np.roll(each, cells, axis=0) for each in (self.torque, self.aging, self.effort)))
 
     def at_age(self, age: float) -> Array:
         """Return the torques (c, 2n, k) at an age [s] of the effort."""
@@ -68,8 +77,7 @@ def steady_response(linear: LinearCells, cells: Cells, drive: Drive, blocks: int
     it is, where the samples do not divide the period.
     """
     models, drive = linear.models, drive.in_coordinates(linear.coordinates)
-    force = np.zeros((*models.loop.shape[:2], drive.torque.shape[2]))
-    force[:, :, 0] = np.einsum("csn,cn->cs", models.effort, drive.effort)
+    force = models.effort @ drive.effort
     force[:, : 4 * linear.n] += linear.forced(drive.torque, drive.aging)
     before_last = _over_samples(models.loop, force, cells.samples - 1)
     step, pushed = models.loop @ before_last[0], models.loop @ before_last[1] + force
@@ -82,7 +90,7 @@ def steady_response(linear: LinearCells, cells: Cells, drive: Drive, blocks: int
     for i in range(cells.count):
         earlier[i] = before_last[0][i] @ Z + before_last[1][i]
         ends[i] = Z = step[i] @ Z + pushed[i]
-    drift = abs(cells.length - cells.samples * cells.sample_period) if cells.verified else 0.0
+    drift = cells.drift if cells.verified else 0.0
     slips = np.ceil(blocks * drift / cells.length) + 1 if drift else 0.0
     return _magnitudes(linear, ends, earlier, drive, slips * _largest(ends - np.roll(ends, 1, axis=0)))
 
@@ -98,33 +106,41 @@ def _over_samples(loop: Array, force: Array, samples: int) -> tuple[Array, Array
 def transient(linear: LinearCells, cells: Cells, Z: Array, blocks: int) -> Response:
     """Return the decay of Z (S, k) at time 0 over a number of cells."""
     at = np.repeat(np.arange(blocks) % cells.count, cells.samples)
+    ended = np.roll(at, 1) if cells.aligned else at
     course = np.empty((len(at), *Z.shape))
     for k, i in enumerate(at):
         course[k] = Z
         Z = linear.models.loop[i] @ Z
     n, columns = linear.n, Z.shape[1]
-    quiet = Drive(np.zeros((len(at), 2 * n, columns)), np.zeros((len(at), 2 * n)), np.zeros((len(at), n)))
-    return _magnitudes(linear.at(at), course, np.roll(course, 1, axis=0), quiet, _largest(course))
+    quiet = Drive(np.zeros((len(at), 2 * n, columns)), np.zeros((len(at), 2 * n)), np.zeros((len(at), n, columns)))
+    return _magnitudes(linear.at(ended), course, np.roll(course, 1, axis=0), quiet, _largest(course))
 
 
 def _magnitudes(linear: LinearCells, Z: Array, earlier: Array, drive: Drive, remaining: Array) -> Response:
-    """Return the response with its largest magnitudes; the acting torque is that of either end of a sample.
+    """Return the response at the end of cells with its largest magnitudes.
 
-    earlier: Z one sample before. The last of its efforts acts until the sample.
+    earlier: Z one sample before; the last of its efforts acts until the sample, the torque is that of either end of it.
+    If aligned, the next cell follows: its law answers, and both have their rates.
     """
-    n, T, (by_effort, by_torque), z = linear.n, linear.sample_period, linear.inputs, Z[:, : 4 * linear.n]
-    own = [linear.A @ z + by_torque[:, :, : 2 * n] @ drive.at_age(age) for age in (linear.delay, linear.delay + T)]
-    efforts = [*_efforts(linear, Z, drive), _efforts(linear, earlier, drive)[-1]]
-    rate = np.max([_largest(each + by_effort @ effort) for each in own for effort in efforts], axis=0)
-    acceleration = np.max([_largest(each[:, 2 * n : 3 * n]) for each in own], axis=0)
+    n, T, z = linear.n, linear.sample_period, Z[:, : 4 * linear.n]
+    following, driven = (linear.shifted(-1), drive.shifted(-1)) if linear.aligned else (linear, drive)
+    efforts = [*_efforts(following, Z, driven), _efforts(linear, earlier, drive)[-1]]
+    rates, accelerations = [], []
+    for cells, acting in ((linear, drive), (following, driven)):
+        by_effort, by_torque = cells.inputs
+        for age in (linear.delay, linear.delay + T):
+            own = cells.A @ z + by_torque[:, :, : 2 * n] @ acting.at_age(age)
+            rates += [_largest(own + by_effort @ effort) for effort in efforts]
+            accelerations.append(_largest(own[:, 2 * n : 3 * n]))
     effort = np.max([_largest(each) for each in efforts], axis=0)
+    rate, acceleration = np.max(rates, axis=0), np.max(accelerations, axis=0)
     return Response(Z, _largest(z), linear.growth @ rate, acceleration, effort, remaining)
 
 
 def _efforts(linear: LinearCells, Z: Array, drive: Drive) -> list[Array]:
     """Return the efforts (c, n, k) of the law at Z and of those in transit, the oldest last."""
     n = linear.n
-    own = _added_first(linear.law @ Z[:, : 4 * n], drive.effort)
+    own = linear.law @ Z[:, : 4 * n] + drive.effort
     return [own, *(Z[:, start : start + n] for start in range(4 * n, Z.shape[1], n))]
 
 

@@ -12,12 +12,15 @@ import numpy as np
 from ...numerics.checks import Array
 from .centre_motion import CentreMotion
 from .invariant_tube import Deviations, fixed_point
+from .peak_gains import ROUNDING
+from .points import Tube
 from .ranges import Ranges
 from .sampled_deviation import LinearCells
 from .steady_response import Drive, Response, steady_response, transient
 
 CREDIBLE = 0.3  # rad; largest position of a tube whose constants are sampled
 GROWTH, ROUNDS = 1.4, 8  # of the tube that is tried
+CLOSE = 1.05  # ratio of a bound to that of the known response at which a tube is not shrunk
 SHRINKS = 0.9  # ratio of an ultimate bound to the last one at which it is final
 NARROWER, BETWEEN = 6, 1.4  # halvings of a box at which a tube is sought, and a width between two of them
 
@@ -46,36 +49,77 @@ class TubeProblem:
 
     @cached_property
     def known(self) -> Response:
-        """Steady response to first order in the factors."""
-        return steady_response(self.linear, self._centre.cells, self._drive, self.ranges.blocks)
+        """Steady response to what is known: to first order in the factors, and along the lines to second order."""
+        drive = self._drive
+        if self.lines.shape[2]:
+            drive = drive.beside(self.ranges.second_order(self.linear, self.lines))
+        return steady_response(self.linear, self._centre.cells, drive, self.ranges.blocks)
 
     @cached_property
     def tube(self) -> Deviations | None:
         """Ultimate bounds of a robot in steady motion, and of one that starts on the reference if `from_start` exists.
 
-        With verified constants the tube is shrunk: each bound is the tube of the next one, until it decreases by less
-        than 10 %.
+        With verified constants a tube that is not CLOSE to the known response, or contains that to the start, is
+        shrunk: each bound is the tube of the next one, until it decreases by less than 10 %.
         """
         found = _grown(self._within(self.known), self._first(self.known))
         if found is None:
             return None
         if self._centre.cells.verified:
-            return _shrunk(self._within(self.known), self.from_start or found)
+            close = self.from_start is None and self._excess(found) <= CLOSE
+            return found if close else _shrunk(self._within(self.known), self.from_start or found)
         return found if np.max(self.in_joints(found)[: self.linear.n]) <= CREDIBLE else None
 
     def in_joints(self, found: Deviations | None = None) -> Array:
-        """Return bounds (4n,) of the deviations z within bounds of their coordinates; by default to first order."""
-        inverse, known = self.linear.coordinates.S_inverse, self.known.Z[:, : 4 * self.linear.n]
-        first_order = np.abs(inverse @ known).sum(axis=2).max(axis=0)
+        """Return bounds (4n,) of the deviations z: of the known response, and of what else `found` contains."""
+        inverse, n = self.linear.coordinates.S_inverse, self.linear.n
+        first_order = ROUNDING * np.abs(inverse @ self.known.Z[:, : 4 * n]).sum(axis=2).max(axis=0)
         if found is None:
             return np.asarray(first_order)
-        return np.asarray(first_order + np.abs(inverse) @ (found.z - np.abs(known).sum(axis=2).max(axis=0)))
+        return np.asarray(first_order + np.abs(inverse) @ (found.z - self._beside_lines))
+
+    @cached_property
+    def lines(self) -> Array:
+        """Response (c, 4n, u) at the start of each cell to each factor, to first order, if it is known there."""
+        cells = self._centre.cells
+        if not cells.aligned:
+            return np.zeros((cells.count, 4 * self.linear.n, 0))
+        Z = steady_response(self.linear, cells, self._drive, self.ranges.blocks).Z
+        return np.roll(Z[:, : 4 * self.linear.n, 1 : 1 + self._uncertain], 1, axis=0)
+
+    @cached_property
+    def _beside_lines(self) -> Array:
+        """Bounds (4n,) of the known response at samples less that along the lines."""
+        known, u = self.known.Z[:, : 4 * self.linear.n], self.lines.shape[2]
+        return np.asarray(np.abs(np.delete(known, slice(1, 1 + u), axis=2)).sum(axis=2).max(axis=0))
+
+    @property
+    def _uncertain(self) -> int:
+        return int(np.count_nonzero(self.ranges.high > self.ranges.low))
+
+    def _beside(self, known: Response) -> Response:
+        """Return a response without the lines, but with their changes in a cell."""
+        if not self.lines.shape[2]:
+            return known
+        changes = np.abs(np.roll(self.lines, -1, axis=0) - self.lines).sum(axis=2).max(axis=0)
+        inexact = (ROUNDING - 1) * np.abs(self.lines).sum(axis=2).max(axis=0)
+        return replace(known, z=ROUNDING * (known.z - self.known.z + self._beside_lines + changes) + inexact)
+
+    def _excess(self, found: Deviations) -> float:
+        """Return the ratio of the bounds of the positions' errors to those of the known response."""
+        n, largest = self.linear.n, self._centre.largest[: self.linear.n]
+        return float(np.max((largest + self.in_joints(found)[:n]) / (largest + self.in_joints()[:n])))
+
+    def as_tube(self, found: Deviations) -> Tube:
+        """Return the tube about the lines with the bounds of what they leave."""
+        inverse = self.linear.coordinates.S_inverse
+        return Tube(inverse * found.z, inverse @ self.lines)
 
     @property
     def effect(self) -> Array:
         """Largest deviation of a position by each uncertain factor, to first order."""
-        uncertain, n = np.count_nonzero(self.ranges.high > self.ranges.low), self.linear.n
-        known = self.linear.coordinates.S_inverse[:n] @ self.known.Z[:, : 4 * n, 1 : 1 + uncertain]
+        n = self.linear.n
+        known = self.linear.coordinates.S_inverse[:n] @ self.known.Z[:, : 4 * n, 1 : 1 + self._uncertain]
         return np.asarray(np.abs(known).max(axis=(0, 1)))
 
     @cached_property
@@ -110,12 +154,14 @@ class TubeProblem:
 
     def _first(self, known: Response) -> Array:
         n = self.linear.n
-        return np.asarray(self.gains[: 4 * n, : 4 * n] @ self._unknown + known.z)
+        return np.asarray(self.gains[: 4 * n, : 4 * n] @ self._unknown + self._beside(known).z)
 
     def _within(self, known: Response) -> Within:
+        beside = self._beside(known)
+
         def within(tube: Array) -> Deviations | None:
-            spread = self.ranges.spread(self.linear, tube, self._unknown)
-            return None if spread is None else fixed_point(self.linear, self.gains, spread, known)
+            spread = self.ranges.spread(self.linear, tube, self._unknown, self.lines)
+            return None if spread is None else fixed_point(self.linear, self.gains, spread, beside)
 
         return within
 
@@ -126,7 +172,7 @@ class TubeProblem:
         states, T = self.linear.models.loop.shape[1], cells.sample_period
 
         def state(motion: CentreMotion, t: float) -> tuple[Array, Array]:
-            x, u = model.states(motion.path.at(t).reshape(-1, n).T, motion.factors)
+            x, u = model.states(motion.path.columns(np.array([t])).reshape(-1, n).T, motion.factors)
             return x.full().ravel(), u.full().ravel()
 
         ideal = CentreMotion.ideal(cells, np.ones_like(self._centre.factors))
