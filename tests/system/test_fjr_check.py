@@ -306,6 +306,15 @@ def test_the_tracking_error_is_bounded_for_stated_errors() -> None:
     assert bound["proven"]
 
 
+@pytest.mark.full
+def test_the_tracking_error_of_seven_joints_is_proven_on_request() -> None:
+    given = ("check", "arm7", "--error", "payload=0.001", "--delay", "1")
+    sampled, proven = figures(fjr_here(*given)), figures(fjr_here(*given, "--prove-error"))
+    assert "not proven; --prove-error tries a proof" in sampled["error bound"]
+    assert "not proven" not in proven["error bound"]
+    assert "proven along this reference" in proven["error bound"]
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -15,7 +15,7 @@ from fjr_core.control.robust import RobustLaw
 from fjr_core.errors import ParameterError
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.error_bound import ErrorBound, bound_errors
-from fjr_core.stability.error_bound.error_bound import TORQUES
+from fjr_core.stability.error_bound.error_bound import SECONDS_TO_PROVE, TORQUES
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
 
@@ -42,7 +42,8 @@ def errors_bounded(
     given = scenario.law, scenario.reference, period, late, errors
     with progress_bar("bounding the tracking error", PROGRESS, total=1.0, desc="error bound") as bar:
         found = bound_errors(*given, lambda share: bar.update(share - bar.n), prove)
-    return Bound(_sentence(scenario, found), _values(scenario, found))
+    hint = "" if prove or scenario.robot.n <= SECONDS_TO_PROVE else "; --prove-error tries a proof"
+    return Bound(_sentence(scenario, found, hint), _values(scenario, found))
 
 
 def _refuse(scenario: Scenario) -> None:
@@ -60,14 +61,15 @@ def _refuse(scenario: Scenario) -> None:
             )
 
 
-def _sentence(scenario: Scenario, found: ErrorBound) -> str:
+def _sentence(scenario: Scenario, found: ErrorBound, hint: str) -> str:
+    """Return the bound in words; hint: after those of a bound without a proof."""
     errors = ", ".join(_error(*error) for error in found.errors.items())
     conditions = f"{errors} and {_delay(found)}" if errors else _delay(found)
     if not found.found:
         return f"with {conditions}: none found; expected smaller errors"
     joint = int(np.argmax(found.position))
     unit = scenario.robot.units[joint].position
-    basis = "along this reference; from sampled constants, not proven"
+    basis = f"along this reference; from sampled constants, not proven{hint}"
     if found.proven:
         steady = "" if np.all(np.isfinite(found.from_start)) else "in steady motion, "
         basis = f"{steady}proven along this reference"
