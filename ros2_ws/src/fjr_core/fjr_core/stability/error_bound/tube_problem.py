@@ -62,12 +62,18 @@ class TubeProblem:
         With verified constants a tube that is not CLOSE to the known response, or contains that to the start, is
         shrunk: each bound is the tube of the next one, until it decreases by less than 10 %.
         """
+        found = self._found
+        if found is None or not self._centre.cells.verified:
+            return found
+        close = self.from_start is None and self._excess(found) <= CLOSE
+        return found if close else _shrunk(self._within(self.known), self.from_start or found)
+
+    @cached_property
+    def _found(self) -> Deviations | None:
+        """Bounds of a robot in steady motion in the first tube that contains them; None without any."""
         found = _grown(self._within(self.known), self._first(self.known))
-        if found is None:
-            return None
-        if self._centre.cells.verified:
-            close = self.from_start is None and self._excess(found) <= CLOSE
-            return found if close else _shrunk(self._within(self.known), self.from_start or found)
+        if found is None or self._centre.cells.verified:
+            return found
         return found if np.max(self.in_joints(found)[: self.linear.n]) <= CREDIBLE else None
 
     def in_joints(self, found: Deviations | None = None) -> Array:
@@ -136,8 +142,10 @@ class TubeProblem:
     def share(self) -> float:
         """Width of a box about the same factors that has a tube, relative to this one."""
         shares = 0.5 ** np.arange(1, NARROWER + 1)
-        share = next((share for share in shares if self.narrowed(share).tube is not None), float(shares[-1]))
-        return float(BETWEEN * share if self.narrowed(BETWEEN * share).tube is not None else share)
+        share = next((share for share in shares if self.narrowed(share)._found is not None), float(shares[-1]))
+        if share == shares[0]:  # two halves have a tube
+            return float(share)
+        return float(BETWEEN * share if self.narrowed(BETWEEN * share)._found is not None else share)
 
     @cached_property
     def _drive(self) -> Drive:
