@@ -42,7 +42,7 @@ class FaultyLoop(LockStepLoop):
     def __init__(self, scenario: Scenario, fault: Fault) -> None:
         self._fault = fault
         self._velocities: deque[Array] = deque(maxlen=fault.delay + 1)  # the latest ones
-        self.stopped_after = 0  # answered samples when the wiring stopped the tracker; 0: not stopped
+        self.found_after = 0  # samples before the state that reveals a wiring fault; 0: none found
         super().__init__(scenario)
         self._B_m = scenario.plant.robot.B_m
         self._inner = self._transport.period // int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
@@ -63,8 +63,8 @@ class FaultyLoop(LockStepLoop):
 
     def _answer(self, sample: Sample) -> None:
         super()._answer(sample)
-        if not self.stopped_after and self.tracker.counters.get("stops: wiring"):
-            self.stopped_after = len(self.log.commands) - 1
+        if not self.found_after and self.tracker.step.controller.wiring.found:
+            self.found_after = len(self.log.commands) - 1
         if self._fault.effort is not None:
             self._robot.u = self._fault.effort(self.log.commands[-1][1])
         self._command = self._robot.u

@@ -92,6 +92,7 @@ class LockStepLoop:
             self._robot.u = command.u.copy()
         else:
             self._transport.commands.push(self._robot.time, command.u.copy())
+        self.tracker.check_wiring()
 
     def _integrate(self, time: int) -> None:
         commands = self._transport.commands

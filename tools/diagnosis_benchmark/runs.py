@@ -52,7 +52,8 @@ class Case:
 
     def loaded(self) -> Scenario:
         """Return the scenario."""
-        text, scenario = library.as_run(SCENARIOS / f"{self.scenario}.yaml", {**self.start, **self.changes})
+        changes = {**DIRECT.get(self.scenario, {}), **self.start, **self.changes}
+        text, scenario = library.as_run(SCENARIOS / f"{self.scenario}.yaml", changes)
         if not self.robot:
             return scenario
         document = ros_yaml.parse(text)
@@ -61,6 +62,8 @@ class Case:
         return parse_scenario(self.name, ros_yaml.dump(document))
 
 
+DIRECT: dict[str, dict[str, Any]] = {"two_link": {"start.join_time": 0.0, "limits.start_error": [np.inf] * 2}}
+"""Parameters with which a robot starts without a transition, from any initial state."""
 STARTS = {"paper_k31": 0.5, "paper_k3p1": 0.5, "two_link": 0.0}  # rad, of all joints
 JOINTS = {"paper_k31": 1, "paper_k3p1": 1, "two_link": 2, "arm7": 7}
 PER_JOINT: dict[str, tuple[str, tuple[float, float]]] = {  # non-ideality: cause, weak and strong level

@@ -28,7 +28,10 @@ HEAVIEST = {"paper_k31": 0.15, "two_link": 0.3, "arm7": 3.0}  # kg
 
 @dataclass(frozen=True)
 class Stop:
-    """Answered samples until the wiring stopped the controller (0: never), reason, travel [rad], peak effort [N m]."""
+    """Samples until the fault was found (0: never), reason of the stop, travel [rad], peak effort [N m].
+
+    The state after these samples reveals the fault and is still answered; the next one gets no effort.
+    """
 
     samples: int
     reason: str
@@ -40,9 +43,9 @@ class Stop:
         """Simulate a case in lock-step. Travel and effort are those up to the stop."""
         scenario = case.case.loaded()
         loop = FaultyLoop(scenario, case.fault)
-        log, found = loop.run(duration), loop.stopped_after
+        log, found = loop.run(duration), loop.found_after
         run = record(log, scenario)
-        ended = found + 1 if found else len(run.u)
+        ended = found + 2 if found else len(run.u)
         travel = np.abs(run.position[:ended] - run.position[0]).max()
         return cls(found, loop.tracker.reason, float(travel), float(np.nanmax(np.abs(run.u[:ended]))))
 

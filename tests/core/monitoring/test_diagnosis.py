@@ -16,7 +16,7 @@ from fjr_core.monitoring.diagnosis import diagnose
 from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.innovations import innovations, needed
 from fjr_core.monitoring.one_step_prediction import Prediction
-from fjr_core.monitoring.record import Record
+from fjr_core.monitoring.record import Ends, Record
 
 PERIOD, DURATION = 1e-3, 2.5
 LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
@@ -179,3 +179,37 @@ def test_inconsistent_record_is_refused() -> None:
         replace(record(), jets=np.zeros((3, 5, 1)))
     with pytest.raises(fjr.StateError, match="sample_period is 0"):
         replace(record(), sample_period=0.0)
+
+
+@pytest.mark.parametrize(
+    "changed", [{}, {"delay": 0.7e-3}, {"delay": 2.4e-3, "measured": True}, {"stiffness": 29.0}], ids=str
+)
+def test_a_record_in_parts_has_the_diagnosis_of_the_whole(changed: dict[str, float]) -> None:
+    """With gaps, missing commands and known latencies, too; the parts are shorter than a block and longer."""
+    seen = record(**changed)
+    rows = np.delete(np.arange(len(seen.t)), [5, 700, 701, 1500, *range(1800, 1830)])
+    u = seen.u.copy()
+    u[[0, 900, 901, 902, 2000]] = np.nan
+    gaps = replace(seen, u=u).rows(rows)
+    timed = replace(gaps, sent=gaps.t, answered=gaps.t + 1e-4 * (1 + np.arange(len(gaps.t)) % 5))
+    for whole in (gaps, timed):
+        wanted = diagnose(whole, LAW, size=len(whole.t))
+        for size in (7, 300):
+            found = diagnose(whole, LAW, size=size)
+            assert (found.kind, found.causes, found.sentence) == (wanted.kind, wanted.causes, wanted.sentence)
+            assert list(found.figures) == list(wanted.figures)
+            for name, value in wanted.figures.items():
+                assert found.figures[name] == pytest.approx(value, rel=1e-9, abs=1e-13)
+            for cause, error in wanted.errors.items():
+                np.testing.assert_allclose(found.errors[cause], error, rtol=1e-9, atol=1e-13)
+
+
+def test_the_ends_of_a_record_in_parts_are_its_first_and_last_states() -> None:
+    whole = record()
+    for most, size in ((100, 30), (100, 1000), (5000, 700)):
+        ends = Ends(most)
+        for part in whole.parts(size):
+            ends.add(part)
+        rows = np.unique(np.r_[: min(most, len(whole.t)), max(0, len(whole.t) - most) : len(whole.t)])
+        wanted = whole.t[rows]
+        np.testing.assert_array_equal(ends.record().t, wanted)

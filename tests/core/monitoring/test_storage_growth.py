@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import fjr_core as fjr
 from fjr_core.monitoring.cause_errors import CauseErrors
 from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.diagnosis import conclude, diagnose
+from fjr_core.monitoring.diagnosis import Judged, diagnose
 from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.online_certificate import OnlineCertificate
 from fjr_core.monitoring.online_diagnosis import OnlineDiagnosis
@@ -143,7 +143,9 @@ def concluded(count: int, above: int, grown: float = 1.0, error: float = 0.0) ->
     blocks = StorageBudget(causes, nothing, nothing, nothing, np.ones(count, dtype=bool), np.ones(count))
     peaks = np.zeros((count, 4, 2))
     peaks[:above, 2] = error
-    return conclude(blocks, CauseErrors(peaks, np.zeros((count, 2))), grown, 0.9, Axes.plain(2), {}).kind
+    judged = Judged(0.9, Axes.plain(2))
+    judged.add(blocks, CauseErrors(peaks, np.zeros((count, 2))))
+    return judged.conclude(grown, {}).kind
 
 
 @given(count=st.integers(0, 300), share=st.floats(0, 1), grown=st.floats(0, 1e12), error=st.floats(0, 0.1))

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.wiring.check import WiringCheck, WiringFault
+from fjr_core.control_step.wiring_fault import WiringFault
+from fjr_core.monitoring.wiring import WiringCheck
 from fjr_core.numerics.checks import Array
 
 PERIOD, SAMPLES = 1e-3, 60

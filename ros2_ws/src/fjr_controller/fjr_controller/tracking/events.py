@@ -13,6 +13,7 @@ from typing import Any
 from fjr_core.control.safety_settings import Settings
 from fjr_core.control_step.control_step import NEVER, ControlStep
 from fjr_core.control_step.event_kinds import KINDS, STARTS_REFUSED, STOPS
+from fjr_core.control_step.wiring_fault import WiringFault
 
 INFO, WARN, ERROR = "info", "warn", "error"
 SIMPLE = {
@@ -25,6 +26,8 @@ SIMPLE = {
     "holds": (INFO, "hold: the motion comes to a standstill"),
 }
 """Level and sentence of the events without values."""
+AFTER_GAP = 5_000_000_000
+"""A stop within this time [ns] after a gap of the states names the gap."""
 LIMITED = {
     "link position": ("q_l", "position"),
     "motor position": ("q_m", "position"),
@@ -62,13 +65,13 @@ class Event:
 class Journal:
     """Events of a control step as sentences: the newest hundred unread ones, and the reason of the last stop.
 
-    followed: names of the references requested, in order. wiring: sentence of the last wiring fault.
+    followed: names of the references requested, in order.
     """
 
     def __init__(self, step: ControlStep) -> None:
         self._step, self._read = step, 0
         self.events: deque[Event] = deque(maxlen=100)
-        self.reason, self.wiring = "", ""
+        self.reason = ""
         self.followed: deque[str] = deque()
 
     def update(self) -> None:
@@ -118,9 +121,29 @@ class Journal:
         if kind == STARTS_REFUSED:
             return Event(ERROR, kind, _refusal(found, joint, settings), values)
         cause = KINDS[found.detail].removeprefix("stops: ")
-        own = {"wiring": self.wiring, "law": self._step.law_failure}
-        sentence = own[cause] if cause in own else _violation(cause, found, joint, settings)
-        return Event(ERROR, kind, f"stopped: {sentence}", values)
+        if cause == "wiring":
+            fault = WiringFault.of(self._step.controller.journal.wiring)
+            sentence = fault.sentence(settings.joints) if fault is not None else cause
+        else:
+            sentence = self._step.law_failure if cause == "law" else _violation(cause, found, joint, settings)
+        return Event(ERROR, kind, f"stopped: {sentence}{self._after_gap(found.stamp)}", values)
+
+    def _after_gap(self, stamp: int) -> str:
+        """Return that the stop follows a gap of the states, or nothing."""
+        stamps = self._step.controller.stamps
+        since = stamp - stamps.gap_end
+        if stamps.gap_end == NEVER or not 0 <= since <= AFTER_GAP:
+            return ""
+        return f"; {since * 1e-9:.2g} s before, a gap of {stamps.gap * 1e-9:.2g} s without states had ended"
+
+    def outside(self) -> str:
+        """Return which limit the last state violates, "" if none."""
+        found = self._step.ffi.new("struct fjr_event*")
+        if not self._step.lib.fjr_is_outside(self._step.controller, found):
+            return ""
+        settings = self._step.settings
+        cause = KINDS[found.detail].removeprefix("stops: ")
+        return _violation(cause, found, settings.joints[found.joint], settings)
 
 
 def _violation(cause: str, found: Any, joint: str, settings: Settings) -> str:

@@ -17,7 +17,6 @@ from fjr_core.control_step.control_step import NEVER, ControlStep
 from fjr_core.numerics.checks import Array
 
 from .events import STATES, Event, Journal, State
-from .wiring_monitor import WiringMonitor
 
 if TYPE_CHECKING:
     from fjr_msgs_py.messages.joint_states import JointSample
@@ -52,8 +51,9 @@ class Tracker:
     resume() or start(). The stop policy (on_stop) then gives the effort, zero after a wiring fault.
 
     Samples. One that is older than the last, or an unconfirmed jump, gets no command (None); one with a repeated stamp
-    is evaluated again. A jump back starts the reference again, as start() does, but a stop stays latched. After a
-    jump forward or a silence of state_timeout tracking recovers without a step of u (see stamps.c and supervisor.c).
+    is evaluated again. After a pause of the arrivals a sample that waited gets none either while newer ones follow. A
+    jump back starts the reference again, as start() does, but a stop stays latched. After a jump forward or a gap
+    tracking recovers without a step of u (see stamps.c and supervisor.c).
     After an observer reset, velocity estimates are used only from the sample OBSERVED on; until then the last effort is
     held, or at a start the stop policy's effort is sent.
 
@@ -64,8 +64,8 @@ class Tracker:
     sent; it is reset at every gap and stop, and kept when the gains change.
 
     counters, with stable names:
-    "states older than the last", "states repeated", "jumps doubted", "reference restarts", "silences",
-    "forward jumps", "observer restarts", "recoveries",
+    "states older than the last", "states stale", "states repeated", "jumps doubted", "reference restarts",
+    "silences", "forward jumps", "observer restarts", "recoveries",
     "starts refused", "stops" and of these "stops: wiring", "stops: link position", "stops: motor position",
     "stops: link velocity", "stops: motor velocity", "stops: deflection", "stops: tracking error",
     "stops: law"; "resumes",
@@ -87,8 +87,6 @@ class Tracker:
         """Build the control step. Raise GainsError if the law's effort is not finite, and CompilerError."""
         self.step = ControlStep(law, reference, settings, observer, simulated_time, robust, measurement)
         self._controller, self._journal = self.step.controller, Journal(self.step)
-        checks = settings.wiring_check and observer is None
-        self._wiring = WiringMonitor(self.step, self._on_wiring_fault) if checks else None
         self.refresh: Callable[[], None] | None = None
         """Called before the controller is read, if it belongs to a native loop."""
         self.between_samples: Callable[[], AbstractContextManager[None]] = nullcontext
@@ -146,7 +144,6 @@ class Tracker:
         are discarded. Law, settings, events and counters remain.
         """
         self.step.start(reference)
-        self._recheck_wiring()
 
     def command(self, sample: JointSample, arrival: int) -> Command | None:
         """Return the command for a sample that arrived at `arrival` [ns, steady clock]; None: send nothing.
@@ -163,6 +160,10 @@ class Tracker:
         return Command(
             step.u.copy(), step.jets.copy(), c.V, step.velocity, state, bool(c.restarted), step.position, bound_start
         )
+
+    def check_wiring(self) -> None:
+        """Check the wiring with the last sample, after its command was sent; a fault stops at the next sample."""
+        self.step.check_wiring()
 
     def silence(self, now: int) -> Array | None:
         """Return the stop effort (n,) once if nothing came for state_timeout; None otherwise.
@@ -206,7 +207,8 @@ class Tracker:
 
         Until `start` the active reference continues; a law that predicts the state takes the new one over `lead`
         earlier. If the jets of the new one at time 0 equal those of the active one at `start` (to 1e-6), the switch is
-        immediate and without a step of u. Otherwise a transition over recovery.join_time leads to it (0: at once).
+        immediate and without a step of u. Otherwise a transition of recovery.join_time or longer leads to it (0: at
+        once).
         Before the first sample it replaces the reference, with time 0 at that sample. It replaces a pending reference
         and a pending hold. While stopped it is kept until resume().
         """
@@ -229,9 +231,14 @@ class Tracker:
         If recovery.join_time is 0 a refused start is checked again. A sample that violates a limit stops again.
         """
         self._refresh()
+        self._journal.update()
         if self._controller.supervisor.stopped:
             self.step.lib.fjr_resume(self._controller)
-            self._recheck_wiring()
+
+    def outside(self) -> str:
+        """Return which limit the last state violates, one clause, "" if none; a resume would stop at once."""
+        self._refresh()
+        return self._journal.outside()
 
     def read_events(self) -> None:
         """Read the events of a controller that a native loop runs."""
@@ -240,13 +247,6 @@ class Tracker:
     def _refresh(self) -> None:
         if self.refresh is not None:
             self.refresh()
-
-    def _recheck_wiring(self) -> None:
-        if self._wiring is not None:
-            self._wiring.restart()
-
-    def _on_wiring_fault(self, sentence: str) -> None:
-        self._journal.wiring = sentence
 
 
 def _stamp(value: int) -> int | None:
