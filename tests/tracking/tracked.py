@@ -77,6 +77,11 @@ class Loop:
         for _ in range(round(seconds * 1e9 / PERIOD)):
             self.step(answered)
 
+    def run_through_transition(self, more: float = 1.0) -> None:
+        """Run until the transition has ended, and for `more` seconds."""
+        end = self.tracker.step.controller.supervisor.reference.transition_end
+        self.run((end - self.now) * 1e-9 + more)
+
     @property
     def error(self) -> float:
         """Return the largest |q_tilde_l| at the last sample."""

@@ -7,14 +7,19 @@ import ast
 import json
 import subprocess
 import sys
-from collections.abc import Callable
-from functools import cache
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import redirect_stderr
+from functools import cache, reduce
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tools.check_certificate import RefusedError, checked
+from hypothesis import given
+from hypothesis import strategies as st
+from tools.check_certificate import MATRICES, RefusedError, checked, main
 
 from core.control.test_proven_rate import law_of
 from docs.pages import ROOT
@@ -127,6 +132,44 @@ def integer_beyond_all_doubles(content: Certificate) -> None:
     content["upper"][1] = 10**400
 
 
+def beta_as_text(content: Certificate) -> None:
+    content["beta"] = str(content["beta"])
+
+
+def beta_true(content: Certificate) -> None:
+    content["beta"] = True
+
+
+def bodies_without_mass(content: Certificate) -> None:
+    for body in content["bodies"]:
+        body["mass"], body["inertia"] = 0.0, np.zeros((3, 3)).tolist()
+
+
+def last_body_without_mass(content: Certificate) -> None:
+    content["bodies"][-1] |= {"mass": 0.0, "inertia": np.zeros((3, 3)).tolist()}
+
+
+def reflect(content: Certificate) -> None:
+    content["bodies"][1]["rotation"] = (-np.array(content["bodies"][1]["rotation"])).tolist()
+
+
+def escape_in_a_name(content: Certificate) -> None:
+    content["joints"][0] = "joint\x1b[2J"
+
+
+def entry_of_another_program(content: Certificate) -> None:
+    content["\x1b[2J"] = 1.0
+
+
+def twelve_joints(content: Certificate) -> None:
+    content["bodies"] *= 4
+    content["joints"] = [f"joint{k}" for k in range(12)]
+    content["lower"], content["upper"] = content["lower"] * 4, content["upper"] * 4
+    for name, value in content.items():
+        if name in MATRICES:
+            content[name] = np.kron(np.eye(4), np.array(value)).tolist()
+
+
 def remove_gains(content: Certificate) -> None:
     del content["Pi_l"]
 
@@ -152,6 +195,14 @@ CHANGES = [
     negative_Gamma_l,
     nan_in_the_range,
     integer_beyond_all_doubles,
+    beta_as_text,
+    beta_true,
+    bodies_without_mass,
+    last_body_without_mass,
+    reflect,
+    escape_in_a_name,
+    entry_of_another_program,
+    twelve_joints,
     remove_gains,
     words_for_numbers,
 ]
@@ -180,6 +231,54 @@ def test_values_of_a_wrong_kind_are_refused(value: object) -> None:
             content["bodies"][0][name] = value
             with pytest.raises(RefusedError):
                 checked(sealed(content))
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the paths to all values in nested lists and objects."""
+    for key in value if isinstance(value, dict) else range(len(value) if isinstance(value, list) else 0):
+        yield (*path, key)
+        yield from places(value[key], (*path, key))
+
+
+@given(data=st.data())
+def test_no_value_of_another_type_is_accepted_and_every_refusal_is_one_line(data: st.DataObject) -> None:
+    content = certificate(2, 1)
+    *path, last = data.draw(st.sampled_from([path for path in places(content) if path[0] != "sha256"]))
+    owner = reduce(lambda value, key: value[key], path, content)
+    others = [True, None, "1.0", "\x1b[2J", [], {}, float("nan"), float("inf"), -(10**400), [[1.0]], {"a": 1.0}]
+    value = data.draw(st.sampled_from([each for each in others if type(each) is not type(owner[last]) or each != each]))
+    owner[last] = value
+    with tempfile.TemporaryDirectory() as folder:
+        file, said = Path(folder, "rate.json"), StringIO()
+        file.write_text(json.dumps(sealed(content)))
+        with redirect_stderr(said):
+            assert main([str(file)]) == 1
+    assert said.getvalue().rstrip("\n").isprintable()
+
+
+def test_a_check_ends_after_its_time() -> None:
+    with pytest.raises(RefusedError, match="not checked within 0 s"):
+        checked(certificate(), seconds=0.0)
+
+
+def test_a_body_without_inertia_is_accepted_where_the_others_prove_the_inertia_matrix() -> None:
+    """A massless body between two joints whose axes cross, as of a universal joint; heavy and light parts differ."""
+    body = {"prismatic": False, "rotation": np.eye(3).tolist(), "translation": [0.0, 0.0, 0.0], "com": [0.0, 0.0, 0.0]}
+    turned = {**body, "rotation": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]}
+    sphere = {"mass": 1.0, "inertia": (0.1 * np.eye(3)).tolist()}
+    unit, zero = np.eye(2).tolist(), np.zeros((2, 2)).tolist()
+    content = {
+        "format": "rate certificate 1",
+        "joints": ["a", "b"],
+        "bodies": [{**body, "mass": 0.0, "inertia": np.zeros((3, 3)).tolist()}, {**turned, **sphere}],
+        **dict.fromkeys(("M_m", "Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md"), unit),
+        **dict.fromkeys(("D_l", "D_m", "Gamma_l", "Gamma_m"), zero),
+        "lower": [-1.0, -1.0],
+        "upper": [1.0, 1.0],
+        "beta": 0.9,
+        "boxes": [0],
+    }
+    assert checked(sealed(content)) == 1
 
 
 def test_a_wider_joint_range_is_refused() -> None:

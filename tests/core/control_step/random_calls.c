@@ -68,10 +68,13 @@ static int observer(const double** arg, double** res, long long int* iw, double*
   return 0;
 }
 
-static int wiring(void* context, int order, int64_t stamp, const double* position, const double* velocity,
-                  const double* effort) {
-  (void)context, (void)order, (void)stamp, (void)position, (void)velocity, (void)effort;
-  return rarely(500) ? 1 + (int)number(N) : 0;
+static int dynamics(const double** arg, double** res, long long int* iw, double* w, int mem) {
+  (void)iw, (void)w, (void)mem;
+  for (int i = 0; i < N; ++i) {
+    for (int j = 0; j < N; ++j) res[0][i * N + j] = i == j ? 0.3 : 0.1 * cos(arg[0][i] - arg[0][j]);
+    res[1][i] = 0.1 * sin(arg[0][i]) * arg[1][i] * arg[1][i];
+  }
+  return arg[0][0] > 0.5999;
 }
 
 static void random_model(struct fjr_model* m) {
@@ -79,10 +82,15 @@ static void random_model(struct fjr_model* m) {
   static double *res[4], w[1];
   static long long int iw[1];
   memset(m, 0, sizeof *m);
-  m->law = law, m->gravity = gravity, m->observer = rarely(2) ? observer : 0, m->wiring = rarely(4) ? wiring : 0;
+  m->law = law, m->gravity = gravity, m->observer = rarely(2) ? observer : 0, m->dynamics = rarely(2) ? dynamics : 0;
   m->has_memory = rarely(2), m->simulated = rarely(2), m->lead = rarely(2) ? 3 * MILLISECOND : 0;
   m->bandwidth = uniform(10, 300), m->torque = rarely(4);
   for (int i = 0; i < N; ++i) m->gear_ratio[i] = maybe(1, 0.5, 2), m->compliance[i * N + i] = uniform(0, 1);
+  for (int i = 0; i < N * N; ++i) {
+    const int own = i % (N + 1) == 0;
+    m->K[i] = own ? uniform(1, 30) : maybe(0, -0.1, 0.1), m->M_m[i] = own ? uniform(0.001, 1) : 0;
+    m->B_m[i] = own ? uniform(0.5, 2) : maybe(0, -0.1, 0.1), m->D_l[i] = m->D_m[i] = own ? 0.1 : 0;
+  }
   m->arg = arg, m->res = res, m->iw = iw, m->w = w;
 }
 
@@ -100,6 +108,7 @@ static void random_settings(struct fjr_settings* s) {
   s->state_timeout = (int64_t)(1 + number(500)) * MILLISECOND;
   s->ramp_time = maybe(0, 0.001, 0.05), s->start_join_time = maybe(0, 0.001, 0.5);
   s->recovery_join_time = maybe(0, 0.001, 0.5), s->hold_deceleration = uniform(0.1, 9), s->gravity_hold = rarely(2);
+  s->wiring_check = !rarely(4);
 }
 
 static void own_jets(void* context, double t, double* jets) {
@@ -165,7 +174,7 @@ static void act(const struct fjr_model* m, struct fjr_controller* c, const struc
   double u[N], jets[FJR_JETS * N];
   const struct fjr_reference* reference = &references[number(5)];
   struct fjr_settings settings;
-  switch (number(9)) {
+  switch (number(10)) {
     case 0: if (fjr_silence(m, c, arrival, u)) check_effort(c, u); break;
     case 1: fjr_stop_effort(m, c, u), check_effort(c, u); break;
     case 2: fjr_start(c, rarely(2) ? 0 : reference); break;
@@ -174,6 +183,7 @@ static void act(const struct fjr_model* m, struct fjr_controller* c, const struc
     case 5: fjr_follow(c, reference, rarely(2) ? FJR_NEVER : stamp + 3 * MILLISECOND); break;
     case 6: fjr_hold(c); break;
     case 7: fjr_resume(c); break;
+    case 8: fjr_check_wiring(m, c); break;
     default: fjr_jets_at(c, stamp, jets), add(jets[0]), add(fjr_state_of(c));
   }
 }

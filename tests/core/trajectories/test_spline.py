@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly, make_interp_spline
+from scipy.linalg import solveh_banded
 
 import fjr_core as fjr
 from core.oracles.oracle import stencil
 from fjr_core.trajectories import minimum_jerk
 from fjr_core.trajectories.minimum_jerk import MONOTONE, TURNING
-from fjr_core.trajectories.piecewise_polynomial import PiecewisePolynomial
+from fjr_core.trajectories.piecewise_polynomial import PiecewisePolynomial, taylor
+from fjr_core.trajectories.spline import STANDSTILL
 
 RNG = np.random.default_rng(4)
 K, N = 7, 3
@@ -93,6 +95,45 @@ def test_one_point_suffices_with_an_active_reference() -> None:
         np.testing.assert_allclose(
             reference.jets(np.linspace(0, 2, 21))[:, order, 0], oracle(np.linspace(0, 2, 21), order)
         )
+
+
+def test_a_motion_far_from_the_first_point_comes_to_a_standstill_first() -> None:
+    """A polynomial over 20 s swings out by 300 rad from these jets, of 0.5 rad at 0.6 Hz."""
+    jets = fjr.Sine(0.5, 2 * np.pi * 0.6).jets(0.3)
+    for derivatives in ({}, {"velocities": [[0.0], [0.0]]}):
+        reference = fjr.Spline([20.0, 30.0], [[0.3], [0.4]], **derivatives, start=jets)
+        np.testing.assert_allclose(reference.jets(0.0), jets, rtol=1e-12)
+        np.testing.assert_allclose(
+            reference.jets(STANDSTILL), fjr.standing(jets[0] + jets[1] * STANDSTILL / 2), atol=1e-9
+        )
+        np.testing.assert_allclose(reference.jets([20.0, 30.0])[:, 0], [[0.3], [0.4]], atol=1e-12)
+        bounds = reference.motion_bounds(0.0, 30.0)
+        assert -1.0 < bounds.lower[0, 0] < bounds.upper[0, 0] < 1.0
+
+
+@pytest.mark.parametrize("known", [1, 2, 3])
+@pytest.mark.parametrize("spread", [0, 4], ids=["even", "uneven"])
+def test_long_splines_agree_with_the_banded_solver_of_scipy(known: int, spread: int) -> None:
+    """20,000 knots of two joints; intervals that differ by a factor of up to 10,000."""
+    k, rng = 20_000, np.random.default_rng(known)
+    times = 1e3 + np.cumsum(0.01 * 10.0 ** rng.uniform(-spread, 0.0, k))
+    jets, free = np.zeros((k, 5, 2)), np.zeros((k, 5), dtype=bool)
+    jets[:, :known], free[1:-1, known:] = rng.normal(size=(k, known, 2)), True
+    h = np.diff(times)
+    units = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))
+    roots = minimum_jerk._roots_of_jerk(h, units)
+    diagonal, lower = minimum_jerk._normal_blocks(roots, free)
+    band = np.zeros((10, 5 * k))
+    for row, column in np.ndindex(5, 5):
+        if row >= column:
+            band[row - column, column::5] = diagonal[:, row, column]
+        band[5 + row - column, column : 5 * (k - 1) : 5] = lower[:, row, column]
+    expected = taylor(jets, units)
+    for _ in range(minimum_jerk.NEWTON_STEPS):
+        gradient = np.where(free[:, :, None], minimum_jerk._half_gradient(roots, expected), 0.0).reshape(-1, 2)
+        expected -= solveh_banded(band, gradient, lower=True).reshape(expected.shape)
+    found = taylor(minimum_jerk.minimum_jerk(times, jets, free), units)
+    assert np.all(np.abs(found - expected) <= 1e-9 * np.abs(expected).max(axis=1, keepdims=True))
 
 
 def test_segments_are_hermite_polynomials_of_degree_nine() -> None:

@@ -109,6 +109,8 @@ static void request(Robot & r)
   r.cycle([&] { return velocity->set_value(1e3); });
   show("state_stopped", r.exported(0));
   call(r, "resume");
+  r.cycle();
+  call(r, "resume");
   for (int k = 0; k < 3000; ++k) r.cycle();
   show("state_resumed", r.exported(0));
   r.controller.on_deactivate(STATE);
@@ -199,8 +201,6 @@ static bool set(Robot & r, const std::string & name, const std::string & text)
     r.set(name, numbers);
   else if (begins("start.") || begins("recovery.") || begins("state_timeout"))
     r.set(name, numbers.at(0));
-  else if (begins("use_sim_time"))
-    r.set(name, numbers.at(0) != 0);
   else
     return false;
   return true;

@@ -40,6 +40,7 @@ struct Robot
     const std::string clock = CLOCK;
     arm.states[clock + "/stamp"] = std::make_shared<hardware_interface::StateInterface>(clock, "stamp");
     controller.on_init();
+    set("use_sim_time", true);  // cycles take less than their period: only the stamps are the time
     set("stamp_interface", clock + "/stamp");
     return succeeds(arm.on_configure(STATE)) && succeeds(arm.on_activate(STATE));
   }

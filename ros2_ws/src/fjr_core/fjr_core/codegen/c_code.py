@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
+from ..numerics.fused_code import fused
 
 LONGEST_PREFIX = 40
 _TARGETS = (
@@ -27,10 +28,18 @@ RESERVED = frozenset(f"{_TARGETS} {_HEADERS} replay case c m".split())
 """Names, in lower case, that collide with <prefix>.h, <prefix>.c or the CMake target <prefix>."""
 ON_A_LINE = 6
 
-_QUIET = """\
-/* Made by CasADi {version}, https://web.casadi.org. All functions have one signature: some arguments are unused. */
+_HEAD = """\
+/* Made by CasADi {version}, https://web.casadi.org. All functions have one signature: some arguments are unused.
+ * fma(a, b, c) is a b + c, rounded once: the same result from the instruction of a processor and from the C library. */
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
+#include <math.h>
+/* Compiled for any x86, the functions use the instruction where the processor has it. */
+#if defined(__x86_64__) && !defined(__FMA__) && defined(__GNUC__) && !defined(__clang__) && defined(__GLIBC__)
+#define CASADI_FUSED __attribute__((target_clones("fma", "default")))
+#else
+#define CASADI_FUSED
 #endif
 """
 
@@ -66,13 +75,13 @@ def casadi_code(prefix: str, functions: Mapping[str, ca.Function]) -> str:
         raise ParameterError(
             f"CasADi cannot generate C for one of {', '.join(functions)}; expected functions that it supports"
         )
-    return _QUIET.format(version=ca.__version__) + code
+    code = re.sub("^static int ", "CASADI_FUSED static int ", fused(code), flags=re.MULTILINE)
+    return _HEAD.format(version=ca.__version__) + code
 
 
 def renamed(function: ca.Function, name: str) -> ca.Function:
     """Return a function under another name."""
-    arguments = [ca.MX.sym(key, *function.size_in(i)) for i, key in enumerate(function.name_in())]
-    return ca.Function(name, arguments, function.call(arguments), function.name_in(), function.name_out())
+    return function.slice(name, list(range(function.n_in())), list(range(function.n_out())))
 
 
 def work_sizes(prefix: str, functions: Mapping[str, ca.Function]) -> dict[str, int]:

@@ -32,6 +32,7 @@ from ..errors import StateError
 from ..estimation.measurement_model import Measurement
 from ..estimation.velocity_observer import VelocityObserver
 from ..monitoring.certificate import OUTPUTS
+from ..numerics.checks import joint_names
 from ..trajectories.reference import Reference
 from .c_code import casadi_code, comment, number, numbers, quoted, work_sizes
 from .filled_template import filled
@@ -62,6 +63,7 @@ class Controller:
     robust: Robust | None = None
 
     def __post_init__(self) -> None:
+        joint_names("joints", self.joints, StateError)
         n = [self.law.robot.n, self.reference.n, len(self.joints), self.settings.n]
         if len(set(n)) != 1:
             raise StateError(f"law, reference, names and settings have {n} joints; expected equal numbers")
@@ -89,10 +91,9 @@ class Controller:
         return model_functions(self.sampled_law, self.observer)
 
     def step(self) -> ControlStep:
-        """Return the control step of this controller in memory, waiting for its first sample."""
-        return ControlStep(
-            self.law, self.reference, self.settings, self.observer, robust=self.robust, measurement=self.measurement
-        )
+        """Return the control step of this controller in memory, compiled, waiting for its first sample."""
+        given = self.law, self.reference, self.settings, self.observer
+        return ControlStep(*given, robust=self.robust, measurement=self.measurement, compile=True)
 
 
 def controller_of(scenario: Scenario) -> Controller:

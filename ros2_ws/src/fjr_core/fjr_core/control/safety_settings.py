@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..numerics.checks import Array, freeze
+from ..numerics.checks import Array, freeze, joint_names
 from ..numerics.parameter_field import VECTOR, Parameter, declared, parameter_field
 from ..robot.joint_limits import JointLimits
 from ..robot.joint_units import REVOLUTE, Units
@@ -64,8 +64,17 @@ class Settings:
     motor_velocity: ArrayLike = _limit(math.inf, "Largest |dq_m|; a state above it triggers on_stop", "rad/s")
     deflection: ArrayLike = _limit(math.inf, "Largest |q_m - q_l|; a state above it triggers on_stop", "rad")
     tracking_error: ArrayLike = _limit(math.inf, "Largest |q_l - q_ld|; a state above it triggers on_stop", "rad")
+    acceleration: ArrayLike = _limit(
+        math.inf,
+        "Largest |ddq_ld| of a trajectory, which is refused beyond it, and of a transition, which takes longer; "
+        "without it a transition accelerates as the reference does, or by hold.deceleration",
+        "rad/s^2",
+    )
     start_error: ArrayLike = _limit(
-        math.inf, "Largest |q_l - q_ld| at which tracking starts, if start.join_time is 0", "rad"
+        math.inf,
+        "Largest |q_l - q_ld| at which tracking starts without a transition; infinite: none with start.join_time 0, "
+        "else every start has one",
+        "rad",
     )
     on_stop: str = parameter_field(
         ZERO,
@@ -84,11 +93,14 @@ class Settings:
         0.0, "Duration of the ramp from the effort of on_stop to that of the law; 0: none", name="start.ramp_time"
     )
     start_join_time: float = _duration(
-        0.0, "Duration of the transition from the first state to the reference; 0: none", name="start.join_time"
+        0.0,
+        "Least duration of the transition from a displaced or moving robot to the reference; 0: none; "
+        "default 1 s for an arm of a URDF",
+        name="start.join_time",
     )
     recovery_join_time: float = _duration(
         1.0,
-        "Duration of the transition after a stop, a state timeout or a change of the reference; 0: none",
+        "Least duration of the transition after a stop, a gap of the states or a change of the reference; 0: none",
         name="recovery.join_time",
     )
     hold_deceleration: float = parameter_field(
@@ -108,6 +120,7 @@ class Settings:
     )
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "joints", joint_names("joints", self.joints, ParameterError))
         object.__setattr__(self, "units", self.units or (REVOLUTE,) * self.n)
         for field, parameter in declared(Settings).items():
             if parameter.shape == VECTOR:

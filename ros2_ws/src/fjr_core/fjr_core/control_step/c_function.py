@@ -52,3 +52,8 @@ class WorkSpace:
         self.arg = ffi.new("const double*[]", max(arguments, most["arg"]))
         self.res = ffi.new("double*[]", max(arguments, most["res"]))
         self.iw, self.w = ffi.new("long long[]", most["iw"]), ffi.new("double[]", most["w"])
+
+    def lend(self, struct: Any) -> None:
+        """Let a structure point to the memory."""
+        for name in ("arg", "res", "iw", "w"):
+            setattr(struct, name, getattr(self, name))

@@ -27,8 +27,7 @@ class CertificateStruct:
         self.pointer = ffi.new("struct fjr_certificate *")
         for name, function in self._held.items():
             setattr(self.pointer, name, function.pointer)
-        for name in ("arg", "res", "iw", "w"):
-            setattr(self.pointer, name, getattr(self._work, name))
+        self._work.lend(self.pointer)
         self.pointer.B_m = np.ravel(law.robot.B_m).tolist()
         self.pointer.longest, self.pointer.bounded = longest, True
         self._gains: Array | None = None

@@ -16,10 +16,11 @@ from ..estimation.measurement_model import Measurement
 from ..estimation.velocity_observer import VelocityObserver
 from ..numerics.casadi_function import NumericFunction
 from ..numerics.checks import Array
+from ..numerics.jit import compiled
 from ..trajectories.reference import JETS, Reference
 from .library import step_library
 from .reference_struct import ReferenceStruct
-from .settings_struct import Model, law_function, settings_struct
+from .settings_struct import Model, law_function, model_functions, settings_struct
 
 NEVER = -(2**63)
 """FJR_NEVER: no stamp."""
@@ -31,6 +32,7 @@ class ControlStep:
     After `step` returned True the arrays hold the command of the sample: u (n,) [N m], jets (5, n), position and
     velocity (2n,) at which the law was evaluated. They are overwritten by the next call.
     controller, model, command: pointers to the structures. lib, ffi: functions and types of cffi.
+    compile: compile the functions of a law that is not compiled.
     Raises GainsError if the law's effort is not finite, CompilerError without a C compiler.
     """
 
@@ -43,6 +45,7 @@ class ControlStep:
         simulated: bool = False,
         robust: Robust | None = None,
         measurement: Measurement | None = None,
+        compile: bool = False,
     ) -> None:
         n, self.law, self.settings = law.robot.n, law, settings
         self._sampled = sampled_law(law, robust)
@@ -50,7 +53,9 @@ class ControlStep:
         ffi, self.lib = self.library.ffi, self.library.lib
         self.ffi = ffi
         self.law_failure = ""
-        self._model = Model(self.library, self._sampled, observer, measurement, simulated, self._law_failed)
+        functions = model_functions(self._sampled, observer) if compile else {}
+        functions = {name: compiled(function) for name, function in functions.items()}
+        self._model = Model(self.library, self._sampled, observer, measurement, simulated, self._law_failed, functions)
         self.model = self._model.pointer
         self.controller, self.command = ffi.new("struct fjr_controller *"), ffi.new("struct fjr_command *")
         self._sample = ffi.new("struct fjr_sample *")
@@ -68,7 +73,7 @@ class ControlStep:
 
     @property
     def in_c(self) -> bool:
-        """True if a step calls no Python, apart from the check of the wiring."""
+        """True if a step calls no Python."""
         return self._model.in_c
 
     def step(self, stamp: int, arrival: int, q_l: Array, q_m: Array, dq_l: Array | None, dq_m: Array | None) -> bool:
@@ -87,6 +92,10 @@ class ControlStep:
         for reference in self._references:
             reference.raise_failure()
         return found
+
+    def check_wiring(self) -> None:
+        """Check the wiring with the last sample, after its command was sent; else the next step does it first."""
+        self.lib.fjr_check_wiring(self.model, self.controller)
 
     def silence(self, now: int) -> Array | None:
         """Return the stop effort (n,) once if nothing came for state_timeout, see fjr_silence; None otherwise."""

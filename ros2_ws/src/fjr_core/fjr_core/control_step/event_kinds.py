@@ -5,6 +5,7 @@ STOPS, STARTS_REFUSED = "stops", "starts refused"
 """Kinds of the events that end tracking."""
 KINDS = (
     "states older than the last",
+    "states stale",
     "states repeated",
     "jumps doubted",
     "reference restarts",

@@ -28,6 +28,8 @@ SOURCES = (
     "law.c",
     "active_reference.c",
     "supervisor.c",
+    "wiring_rows.c",
+    "wiring.c",
     "step.c",
     "certificate.c",
     "auxiliary_rate.c",

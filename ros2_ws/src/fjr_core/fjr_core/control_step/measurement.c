@@ -5,7 +5,6 @@
  */
 
 #define LONGEST_CALL 1.5e-3 /* s; longer intervals are predicted in several calls */
-#define LONGEST_GAP 0.1     /* s; after a longer gap the observer restarts */
 #define OBSERVED 5          /* samples after an observer reset before its velocities are used */
 
 static void forget_observer(struct fjr_controller* c) { c->measured.stamp = FJR_NEVER; }

@@ -18,6 +18,7 @@ from ..estimation.velocity_observer import VelocityObserver
 from ..numerics.casadi_function import dense_function
 from ..numerics.jit import compiled, machine_code
 from ..numerics.symbolic import symbols
+from ..robot.robot import Robot
 from .c_function import CFunction, WorkSpace
 from .library import StepLibrary
 
@@ -37,6 +38,7 @@ def settings_struct(library: StepLibrary, settings: Settings, law: StaticLaw | S
         "lower": np.concatenate(lower),
         "upper": np.concatenate(upper),
         "start_error": settings.start_error,
+        "acceleration": settings.acceleration,
         "B_inverse": np.linalg.inv(law.robot.B_m),
         "hold_damping": getattr(static, "hold_damping", np.zeros_like(law.robot.B_m)),
     }
@@ -46,6 +48,7 @@ def settings_struct(library: StepLibrary, settings: Settings, law: StaticLaw | S
         setattr(struct, name, getattr(settings, name))
     struct.state_timeout = round(settings.state_timeout * 1e9)
     struct.gravity_hold = settings.on_stop == GRAVITY_HOLD
+    struct.wiring_check = settings.wiring_check
     return struct
 
 
@@ -76,6 +79,7 @@ class Model:
         self.pointer.memory = law.memory.tolist() or [0.0]
         self.pointer.lead, self.pointer.simulated = round(law.lead * 1e9), simulated
         self.pointer.bandwidth = observer.bandwidth if observer is not None else 0.0
+        write_robot(self.pointer, law.robot)
         self._measure(measurement or Measurement(n))
 
     @property
@@ -97,8 +101,7 @@ class Model:
         for name, each in zip(self._functions, self._held, strict=True):
             setattr(self.pointer, name, each.pointer)
         self._work = WorkSpace(self._ffi, [*self._functions.values(), *self._sharing])
-        for name in ("arg", "res", "iw", "w"):
-            setattr(self.pointer, name, getattr(self._work, name))
+        self._work.lend(self.pointer)
 
     def _measure(self, measurement: Measurement) -> None:
         n = measurement.n
@@ -109,16 +112,18 @@ class Model:
 
 
 def model_functions(law: SampledLaw, observer: VelocityObserver | None = None) -> dict[str, ca.Function]:
-    """Return the functions of struct fjr_model by their names."""
-    observing = {} if observer is None else {"observer": observer.function}
-    return {"law": law_function(law), "gravity": _gravity(law), **observing}
+    """Return the functions of struct fjr_model by their names; the wiring is checked where velocities are measured."""
+    rigid = rigid_arm_functions(law.robot)
+    if observer is None:
+        return {"law": law_function(law), **rigid}
+    return {"law": law_function(law), "gravity": rigid["gravity"], "observer": observer.function}
 
 
 def _ready(functions: dict[str, ca.Function]) -> dict[str, ca.Function]:
-    """Return the functions with gravity compiled if the law is."""
+    """Return the functions with those of the rigid arm compiled if the law is."""
     if machine_code(functions["law"]) is None:
         return functions
-    return functions | {"gravity": compiled(functions["gravity"])}
+    return {name: compiled(f) if name in ("gravity", "dynamics") else f for name, f in functions.items()}
 
 
 def law_function(law: SampledLaw) -> Any:
@@ -129,7 +134,16 @@ def law_function(law: SampledLaw) -> Any:
     return static.measured_function if isinstance(static, StaticLaw) else law.step_function
 
 
-def _gravity(law: SampledLaw) -> Any:
-    """Return the function q_l -> grad P_l (n,)."""
-    s = symbols(q_l=law.robot.n)
-    return dense_function("gravity", s, {"grad_P_l": law.robot.links.grad_P_l(s["q_l"])}, cse=True)
+def rigid_arm_functions(robot: Robot) -> dict[str, ca.Function]:
+    """Return gravity: q_l -> grad P_l (n,), and dynamics: (q_l, dq_l) -> M_l (n, n), C(q_l, dq_l) dq_l (n,)."""
+    s, links = symbols(q_l=robot.n, dq_l=robot.n), robot.links
+    q_l, dq_l = s.values()
+    weight, moving = {"grad_P_l": links.grad_P_l(q_l)}, {"M_l": links.M_l(q_l), "coriolis": links.C(q_l, dq_l, dq_l)}
+    gravity = dense_function("gravity", {"q_l": q_l}, weight, cse=True)
+    return {"gravity": gravity, "dynamics": dense_function("dynamics", s, moving, cse=True)}
+
+
+def write_robot(model: Any, robot: Robot) -> None:
+    """Write the constant matrices of a robot to a struct fjr_model, by rows."""
+    for name in ("K", "M_m", "B_m", "D_l", "D_m"):
+        setattr(model, name, np.ravel(getattr(robot, name)).tolist())

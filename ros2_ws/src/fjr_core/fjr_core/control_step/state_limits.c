@@ -11,22 +11,39 @@ static void stop(struct fjr_controller* c, int32_t cause, struct fjr_event event
   report_event(c, event);
 }
 
-/* Stop at the first violated limit. q_ld: 0 skips the limit of the tracking error. */
-static void check_limits(struct fjr_controller* c, const double* q_ld, int64_t stamp) {
-  double* values = c->measured.values;
+/* Write the deflections, and the tracking errors; q_ld: 0 for none. */
+static void complete_values(double* values, const double* q_ld) {
   for (int i = 0; i < N; ++i) {
     values[4 * N + i] = values[N + i] - values[i];
     values[5 * N + i] = q_ld ? values[i] - q_ld[i] : 0;
   }
+}
+
+/* Return 1 if a value violates a limit, and write the first as the event of a stop. */
+static int violated(const struct fjr_controller* c, const double* values, int64_t stamp, struct fjr_event* found) {
   for (int i = 0; i < 6 * N; ++i) {
     const int below = values[i] < c->settings.lower[i], velocity = i >= 2 * N && i < 4 * N;
     if (!(below || values[i] > c->settings.upper[i]) || (velocity && c->supervisor.settling)) continue;
-    const int32_t cause = FJR_STOPS_LINK_POSITION + i / N;
     const double limit = below ? c->settings.lower[i] : c->settings.upper[i];
-    const struct fjr_event event = {FJR_STOPS, cause, i % N, below, stamp, values[i], limit};
-    stop(c, cause, event);
-    return;
+    const struct fjr_event event = {FJR_STOPS, FJR_STOPS_LINK_POSITION + i / N, i % N, below, stamp, values[i], limit};
+    *found = event;
+    return 1;
   }
+  return 0;
+}
+
+/* Stop at the first violated limit. q_ld: 0 skips the limit of the tracking error. */
+static void check_limits(struct fjr_controller* c, const double* q_ld, int64_t stamp) {
+  struct fjr_event found;
+  complete_values(c->measured.values, q_ld);
+  if (violated(c, c->measured.values, stamp, &found)) stop(c, found.detail, found);
+}
+
+int fjr_is_outside(const struct fjr_controller* c, struct fjr_event* found) {
+  double values[6 * N];
+  copy(values, c->measured.values, 4 * N);
+  complete_values(values, 0);
+  return violated(c, values, c->stamps.last, found);
 }
 
 /* Refuse the start if |q_l - q_ld| exceeds its limit at a joint. */

@@ -58,13 +58,6 @@ static int without_effort(const struct fjr_model* m, struct fjr_controller* c, i
   return 1;
 }
 
-static void check_wiring(const struct fjr_model* m, struct fjr_controller* c, enum fjr_order order, int64_t stamp) {
-  if (!m->wiring) return;
-  const int found = m->wiring(m->context, (int)order, stamp, c->measured.values, c->measured.values + 2 * N,
-                              c->limits.left);
-  if (found) fjr_refuse_wiring(c, found - 1);
-}
-
 /* State transitions of this sample; return 0 if there is no transition to the reference. */
 static int advance(struct fjr_controller* c, enum fjr_order order, int64_t stamp, int settling) {
   handle_order(c, order, stamp, settling);
@@ -94,14 +87,19 @@ static int attempt(const struct fjr_model* m, struct fjr_controller* c, enum fjr
 
 int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct fjr_sample* sample, int64_t arrival,
              struct fjr_command* command) {
-  const int64_t stamp = sample->stamp;
+  const int64_t stamp = sample->stamp, waited = c->stamps.waiting;
   const enum fjr_order order = classify(&c->stamps, m->simulated, stamp, arrival);
+  if (waited != FJR_NEVER && waited != stamp) count(c, FJR_STATES_STALE);
+  if (order == FJR_STALE) return 0;
+  fjr_check_wiring(m, c);
   if (order == FJR_OLDER || order == FJR_DOUBTED) {
     count(c, order == FJR_OLDER ? FJR_STATES_OLDER : FJR_JUMPS_DOUBTED);
     return 0;
   }
+  if (order == FJR_LATE || order == FJR_GAP) note_gap(&c->stamps, stamp, arrival);
   if (!measure(m, c, sample, order)) return without_effort(m, c, stamp, command);
-  check_wiring(m, c, order, stamp);
+  stop_miswired(c, stamp);
+  watch_wiring(m, c, order, stamp);
   if (!attempt(m, c, order, stamp, command)) return without_effort(m, c, stamp, command);
   remember_position(c);
   send_effort(m, c, command->u, command->V, stamp);
@@ -111,6 +109,10 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
   c->journal.not_finite = 0;
   write_command(c, command, command->V, order == FJR_BACK);
   return 1;
+}
+
+int64_t fjr_waits_until(const struct fjr_controller* c) {
+  return c->stamps.waiting == FJR_NEVER ? FJR_NEVER : c->stamps.waiting_since + WAITING;
 }
 
 int fjr_silence(const struct fjr_model* m, struct fjr_controller* c, int64_t now, double* u) {
@@ -144,6 +146,7 @@ void fjr_start(struct fjr_controller* c, const struct fjr_reference* reference) 
   if (reference) c->start_reference = reference;
   forget_stamps(&c->stamps);
   init_supervisor(&c->supervisor, c->start_reference);
+  fjr_wiring_start(&c->wiring);
   c->policy.released = 0;
 }
 
@@ -178,14 +181,9 @@ void fjr_hold(struct fjr_controller* c) {
 
 void fjr_resume(struct fjr_controller* c) {
   if (!c->supervisor.stopped) return;
+  fjr_wiring_start(&c->wiring);
   c->policy.released = 0;
   c->supervisor.resuming = 1;
-}
-
-void fjr_refuse_wiring(struct fjr_controller* c, int32_t joint) {
-  const struct fjr_event event = {FJR_STOPS, FJR_STOPS_WIRING, joint, 0, c->stamps.last, NAN, NAN};
-  c->policy.released = 1;
-  stop(c, FJR_STOPS_WIRING, event);
 }
 
 enum fjr_state fjr_state_of(const struct fjr_controller* c) {

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  * The control step: everything between a measured state and the effort that is sent.
  *
- *   sample -> order of the stamps -> measured state -> wiring -> supervisor (reference, limits of the state)
- *          -> law or stop policy -> bumpless transfer -> effort limits -> rate limits -> u
+ *   sample -> order of the stamps -> measured state -> supervisor (wiring, reference, limits of the state)
+ *          -> law or stop policy -> bumpless transfer -> effort limits -> rate limits -> u, then wiring check
  *
  * Every host calls this text: the nodes, the campaigns, the exported C and the ros2_control controller. C99 without
  * allocation, locks and static memory: a controller is one struct fjr_controller, which may be copied. Not thread-safe:
@@ -19,6 +19,8 @@
 #define FJR_JETS 5 /* q_ld .. d4q_ld */
 #define FJR_POWERS 10 /* coefficients of a polynomial of degree 9 */
 #define FJR_EVENTS 128
+#define FJR_WINDOW 21    /* states that the check of the wiring compares, at most .. */
+#define FJR_INTERVALS 20 /* .. and the intervals between them */
 #define FJR_NEVER INT64_MIN /* no stamp */
 
 /* A function in C as CasADi writes it: results in res[i], entries of arg and res may be 0; not 0: it failed. */
@@ -66,8 +68,9 @@ struct fjr_settings {
   double start_error[FJR_N];                 /* rad */
   int64_t state_timeout;
   double ramp_time, start_join_time, recovery_join_time; /* s */
-  double hold_deceleration;                              /* rad/s^2 */
+  double acceleration[FJR_N], hold_deceleration;         /* rad/s^2 */
   int32_t gravity_hold;                                  /* stop policy: 1 gravity compensation, 0 no effort */
+  int32_t wiring_check;                                  /* needs `dynamics` of the model, and no observer */
   double B_inverse[FJR_N * FJR_N];                       /* B_m^-1 by rows */
   double hold_damping[FJR_N * FJR_N];                    /* K_md by rows [N m s/rad] */
 };
@@ -77,6 +80,7 @@ struct fjr_model {
   fjr_function law;      /* (position, velocity, jets, gains, memory, sent, dt) -> u, V, next */
   fjr_function gravity;  /* q_l -> grad P_l */
   fjr_function observer; /* (x_hat, y, u, dt, gain) -> x_hat; 0: the velocities are measured */
+  fjr_function dynamics; /* (q_l, dq_l) -> M_l, C dq_l; of the check of the wiring, 0: none */
   int32_t has_memory;    /* the law has a controller state */
   int32_t simulated;     /* simulated time: stamps are the time, see stamps.c */
   int64_t lead;          /* the reference is evaluated this long after the stamp */
@@ -85,10 +89,8 @@ struct fjr_model {
   double gear_ratio[FJR_N];  /* motor angle of a sample / q_m */
   int32_t torque;                      /* the motor side of a sample is the joint torque [N m], q_m = q_l + K^-1 tau */
   double compliance[FJR_N * FJR_N];    /* K^-1 by rows [rad/(N m)] */
-  /* Return 1 + joint if the samples so far show a wiring fault, else 0. effort: sent for the last sample. 0: no check. */
-  int (*wiring)(void* context, int order, int64_t stamp, const double* position, const double* velocity,
-                const double* effort);
-  void* context;
+  double K[FJR_N * FJR_N], M_m[FJR_N * FJR_N], B_m[FJR_N * FJR_N]; /* by rows, of the check of the wiring */
+  double D_l[FJR_N * FJR_N], D_m[FJR_N * FJR_N];
   const double** arg; /* work space of the functions */
   double** res;
   long long int* iw;
@@ -119,7 +121,7 @@ struct fjr_command {
 
 /* What is counted; an event has the kind of its counter. The names stand in events.py, in this order. */
 enum fjr_kind {
-  FJR_STATES_OLDER, FJR_STATES_REPEATED, FJR_JUMPS_DOUBTED, FJR_REFERENCE_RESTARTS, FJR_SILENCES, FJR_FORWARD_JUMPS,
+  FJR_STATES_OLDER, FJR_STATES_STALE, FJR_STATES_REPEATED, FJR_JUMPS_DOUBTED, FJR_REFERENCE_RESTARTS, FJR_SILENCES, FJR_FORWARD_JUMPS,
   FJR_OBSERVER_RESTARTS, FJR_RECOVERIES, FJR_STARTS_REFUSED, FJR_STOPS, FJR_STOPS_WIRING, FJR_STOPS_LINK_POSITION,
   FJR_STOPS_MOTOR_POSITION, FJR_STOPS_LINK_VELOCITY, FJR_STOPS_MOTOR_VELOCITY, FJR_STOPS_DEFLECTION,
   FJR_STOPS_TRACKING_ERROR, FJR_STOPS_LAW, FJR_RESUMES, FJR_EFFORTS_NOT_FINITE, FJR_EFFORTS_SATURATED,
@@ -135,20 +137,40 @@ struct fjr_event {
   double value, limit;
 };
 
+enum fjr_wiring_kind {
+  FJR_EFFORT_SIGN, FJR_EFFORTS_EXCHANGED, FJR_ENCODER_SIGN, FJR_ENCODERS_EXCHANGED, FJR_VELOCITY_SIGN,
+  FJR_VELOCITY_OF_ANOTHER
+};
+
+/* A fault of the wiring; its sentence is in wiring_fault.py. count: number of joints, 0 for no fault. The velocity of
+ * the first joint may be that of the second. */
+struct fjr_wiring_fault {
+  int32_t kind, side, count; /* side: 0 link, 1 motor */
+  int32_t joint[FJR_N + 1];
+};
+
 struct fjr_journal {
   int64_t count[FJR_KINDS], saturated[FJR_N];
   int64_t events; /* written so far; event k is at event[k % FJR_EVENTS] */
   struct fjr_event event[FJR_EVENTS];
+  struct fjr_wiring_fault wiring; /* of the last stop for the wiring */
   int32_t saturation, not_finite; /* an episode is on */
 };
 
 /* ---- Controller ------------------------------------------------------------------------------------------------ */
 
 /* Order of a sample relative to the last accepted one; see stamps.c. */
-enum fjr_order { FJR_FIRST, FJR_NEXT, FJR_REPEATED, FJR_OLDER, FJR_BACK, FJR_FORWARD, FJR_LATE, FJR_DOUBTED };
+enum fjr_order {
+  FJR_FIRST, FJR_NEXT, FJR_REPEATED, FJR_OLDER, FJR_BACK, FJR_FORWARD, FJR_LATE, FJR_DOUBTED, FJR_GAP, FJR_STALE
+};
 
 struct fjr_stamps {
   int64_t last, arrival, unconfirmed; /* FJR_NEVER for none */
+  int64_t interval;                   /* between the last two, 0: unknown */
+  int64_t waiting, waiting_since;     /* stamp, FJR_NEVER for none, and arrival of a sample that waits for a newer one */
+  int64_t usual_age;                  /* arrival - stamp of samples that did not wait */
+  int64_t falling_since, age;         /* arrival and age of the sample with which the look at the age began */
+  int64_t gap, gap_end;               /* length of the last gap; stamp of its end, FJR_NEVER for none */
   int64_t timeout;
   int32_t silent;
 };
@@ -175,7 +197,7 @@ struct fjr_active {
   const struct fjr_reference* pending;    /* 0: none */
   int64_t zero, pending_start;            /* stamps of time 0; FJR_NEVER: not begun, at the next sample */
   int64_t transition_end;
-  int32_t joins;                          /* `segment` leads to the target */
+  int32_t joins;                          /* `segment` leads to the target: 1 instead of it, 2 added to it */
   struct fjr_segment segment;
 };
 
@@ -211,6 +233,31 @@ struct fjr_stop_policy {
   int32_t known, released;
 };
 
+/* Comparison of a window with each hypothesis on the wiring, see wiring.c. Signals: encoders of links, then motors. */
+struct fjr_comparison {
+  double q[2 * FJR_N][FJR_INTERVALS], dq[2 * FJR_N][FJR_INTERVALS]; /* means over the intervals */
+  double slope[2 * FJR_N][FJR_INTERVALS], ddq[2 * FJR_N][FJR_INTERVALS], change[2 * FJR_N][FJR_INTERVALS];
+  double u[FJR_N][FJR_INTERVALS], ends[2][FJR_N];                      /* q_l of the first and of the last state */
+  double q_noise[2 * FJR_N], dq_noise[2 * FJR_N], rate, constant[FJR_N]; /* variances, 1 / h^2, deviation */
+  double misfit[2 * FJR_N], deviance[2 * FJR_N], squares[2 * FJR_N];     /* of links, then motors, as measured */
+  double evidence, effort_evidence, other_evidence;
+  struct fjr_wiring_fault best, best_effort;
+  int32_t intervals, full, next; /* next hypothesis */
+  int32_t suspected[2 * FJR_N];  /* encoders, then efforts, of each joint */
+  int32_t agrees[4 * FJR_N];
+};
+
+/* Check of the wiring. A ring of states, and the comparison that goes on; waiting: a state was not compared yet. */
+struct fjr_wiring {
+  int64_t first, count, due; /* stamp of the first state; states so far, and at the next comparison */
+  double t[FJR_WINDOW], q[FJR_WINDOW][2 * FJR_N], dq[FJR_WINDOW][2 * FJR_N], u[FJR_WINDOW][FJR_N];
+  double constant[FJR_N]; /* standard deviation of constant torques [N m] */
+  int32_t right[4 * FJR_N];
+  struct fjr_wiring_fault fault; /* of the last comparison */
+  int32_t has_constant, agreed, waiting, comparing, found, reported;
+  struct fjr_comparison comparison;
+};
+
 struct fjr_controller {
   struct fjr_settings settings;
   const double* gains;
@@ -223,6 +270,7 @@ struct fjr_controller {
   struct fjr_stop_policy policy;
   struct fjr_journal journal;
   int64_t stopped_time; /* time stopped */
+  struct fjr_wiring wiring;
 };
 
 /* ---- Certificate ----------------------------------------------------------------------------------------------- */
@@ -269,9 +317,18 @@ struct fjr_auxiliary_rate {
 void fjr_init(struct fjr_controller* c, const struct fjr_settings* settings, const double* gains,
               const struct fjr_reference* reference);
 
-/* Compute the command for a sample that arrived at `arrival` (steady clock); return 0 if nothing is to be sent. */
+/* Compute the command for a sample that arrived at `arrival` (steady clock); return 0 if nothing is to be sent.
+ * A sample that waits for a newer one (fjr_waits_until) is not answered. */
 int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct fjr_sample* sample, int64_t arrival,
              struct fjr_command* command);
+
+/* Check the wiring with the last sample, after its command was sent; a fault stops the next one. Without this call the
+ * next fjr_step does it first: the results are the same, only that command is later. */
+void fjr_check_wiring(const struct fjr_model* m, struct fjr_controller* c);
+
+/* Return until when (steady clock) the last sample waits for a newer one; FJR_NEVER if it does not. If none has come by
+ * then, call fjr_step again with it and the present time. */
+int64_t fjr_waits_until(const struct fjr_controller* c);
 
 /* If no sample was accepted for state_timeout, write the stop effort to u and return 1, once per silence.
  * now: of the clock of the arrivals; with simulated time, of that of the stamps. */
@@ -290,14 +347,24 @@ void fjr_follow(struct fjr_controller* c, const struct fjr_reference* reference,
 void fjr_hold(struct fjr_controller* c);
 void fjr_resume(struct fjr_controller* c);
 
-/* Stop without any effort: the samples have shown a wiring fault of this joint. */
-void fjr_refuse_wiring(struct fjr_controller* c, int32_t joint);
+/* Return 1 if the last state violates a limit, and write which as a stop would; after it a resume stops at once. */
+int fjr_is_outside(const struct fjr_controller* c, struct fjr_event* found);
 
 enum fjr_state fjr_state_of(const struct fjr_controller* c);
 
 /* Write the jets (FJR_JETS, FJR_N) of a reference at t [s], and of the active one at a stamp. */
 void fjr_reference_jets(const struct fjr_reference* r, double t, double* jets);
 void fjr_jets_at(const struct fjr_controller* c, int64_t stamp, double* jets);
+
+/* The check of the wiring by itself, for recorded states. start: again with all rows; skip: the next state does not
+ * follow the last one. see: a state at t [s]; sent: the effort for it. compare: what fjr_check_wiring does; return the
+ * number of operations. is_right: all rows are known to be right, and the check ends. */
+void fjr_wiring_start(struct fjr_wiring* w);
+void fjr_wiring_skip(struct fjr_wiring* w);
+void fjr_wiring_see(struct fjr_wiring* w, double t, const double* position, const double* velocity);
+void fjr_wiring_sent(struct fjr_wiring* w, const double* u);
+int fjr_wiring_compare(const struct fjr_model* m, struct fjr_wiring* w);
+int fjr_wiring_is_right(const struct fjr_wiring* w);
 
 /* Let the next sample have no predecessor, and the bound begin again. */
 void fjr_certificate_restart(struct fjr_certificate* c);

@@ -2,15 +2,17 @@
  * The supervisor: a state machine that starts, recovers, holds and stops tracking.
  *
  * Start: ramp from the stop policy's effort over start.ramp_time; transition from the measured state over
- * start.join_time, or without one refuse the start if |q_l - q_ld| exceeds limits.start_error.
+ * start.join_time or longer, unless the arm is within limits.start_error. Without start.join_time the start is refused
+ * if |q_l - q_ld| exceeds limits.start_error.
  * Recovery (after a gap of the samples, or a resume): transition of the reference from the measured state over
- * recovery.join_time, and blend of the effort over BLEND of that time. The clock of the reference continues.
+ * recovery.join_time or longer, and blend of the effort over BLEND of that time. The clock of the reference continues.
  * Stop: at a violated limit, or where the law failed, latched until a resume. Outside the limits nothing is started or
  * resumed. Until the velocities of an observer that was reset have settled, their limits and that of the tracking error
  * are not checked. The functions that return int return 0 if there is no transition to the reference.
  */
 
-#define BLEND 0.05 /* of the transition time: a longer blend has a larger error, and no smaller step of u */
+#define BLEND 0.05 /* of the join time: a longer blend has a larger error, and no smaller step of u */
+#define AHEAD 0.1  /* s; a start is displaced by the velocity error over this time, too */
 
 static void init_supervisor(struct fjr_supervisor* s, const struct fjr_reference* reference) {
   memset(s, 0, sizeof *s);
@@ -43,40 +45,53 @@ static void handle_order(struct fjr_controller* c, enum fjr_order order, int64_t
   if (order == FJR_BACK) report(c, FJR_REFERENCE_RESTARTS, stamp);
   if (order == FJR_FIRST || order == FJR_BACK) begin(c, stamp);
   if (order == FJR_FORWARD) report(c, FJR_FORWARD_JUMPS, stamp);
-  if (order == FJR_NEXT && settling) report(c, FJR_OBSERVER_RESTARTS, stamp);
+  if ((order == FJR_NEXT || order == FJR_GAP) && settling) report(c, FJR_OBSERVER_RESTARTS, stamp);
   if (order != FJR_NEXT || settling) {
     s->transfer.active = 0;
     s->settling = 1 + settling;
   }
 }
 
-/* Begin the transition of the reference from the measured state. */
-static int join(struct fjr_controller* c, int64_t stamp, double duration) {
+/* Begin the transition of the reference from the measured state; return its duration [s], 0 if there is none. */
+static double join(struct fjr_controller* c, int64_t stamp, double least) {
   double jets[FJR_JETS * N];
   standing_jets(jets, c->measured.values, c->measured.values + 2 * N);
-  return begin_transition(&c->supervisor.reference, jets, stamp, duration);
+  return begin_transition(&c->supervisor.reference, &c->settings, jets, 0, stamp, least);
+}
+
+/* True if the arm is displaced from the jets by more than limits.start_error, or that is infinite. */
+static int is_displaced(const struct fjr_controller* c, const double* jets) {
+  const double *q = c->measured.values, *dq = q + 2 * N;
+  for (int i = 0; i < N; ++i) {
+    const double limit = c->settings.start_error[i];
+    if (!(limit < (double)INFINITY && fabs(q[i] - jets[i]) + AHEAD * fabs(dq[i] - jets[N + i]) <= limit)) return 1;
+  }
+  return 0;
 }
 
 static int start_tracking(struct fjr_controller* c, int64_t stamp) {
   struct fjr_supervisor* s = &c->supervisor;
+  const double least = c->settings.start_join_time, ramp = c->settings.ramp_time;
   double jets[FJR_JETS * N];
-  begin_transfer(&s->transfer, stamp, c->settings.ramp_time, 1);
-  if (c->settings.start_join_time > 0) {
-    if (!join(c, stamp, c->settings.start_join_time)) return 0;
-  } else {
-    active_jets(&s->reference, stamp, jets);
+  active_jets(&s->reference, stamp, jets);
+  begin_transfer(&s->transfer, stamp, ramp, 1);
+  if (least == 0) {
     check_start(c, jets, stamp);
+  } else if (is_displaced(c, jets)) {
+    if (!(join(c, stamp, least) > 0)) return 0;
+    if (ramp == 0) begin_transfer(&s->transfer, stamp, BLEND * least, 0);
   }
   s->starting = s->stopped != 0;
   return 1;
 }
 
 static int recover(struct fjr_controller* c, int64_t stamp) {
-  const double duration = c->settings.recovery_join_time;
+  const double least = c->settings.recovery_join_time;
+  double duration = 0;
   c->supervisor.bound_start = FJR_NEVER;
-  if (duration > 0) {
-    if (!join(c, stamp, duration)) return 0;
-    begin_transfer(&c->supervisor.transfer, stamp, BLEND * duration, 0);
+  if (least > 0) {
+    if (!((duration = join(c, stamp, least)) > 0)) return 0;
+    begin_transfer(&c->supervisor.transfer, stamp, BLEND * least, 0);
   }
   report_value(c, FJR_RECOVERIES, stamp, duration);
   return 1;
@@ -105,7 +120,7 @@ static int handle_requests(struct fjr_controller* c, enum fjr_order order, int64
   if (s->holding && s->stopped) stand(&s->reference, c->measured.values, stamp);
   if (s->holding && !s->stopped && !brake(&s->reference, stamp, c->settings.hold_deceleration)) return 0;
   s->holding = 0;
-  return advance_reference(&s->reference, stamp, s->stopped ? 0 : c->settings.recovery_join_time);
+  return advance_reference(&s->reference, &c->settings, stamp, s->stopped ? 0 : c->settings.recovery_join_time);
 }
 
 /* Write the reference's jets at the stamp; stop if the state violates a limit. */

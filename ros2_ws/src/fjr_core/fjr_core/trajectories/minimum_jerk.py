@@ -30,7 +30,6 @@ def _jerk_root() -> Array:
 
 _JERK_ROOT = _jerk_root()
 _ORDERS = np.arange(JETS)
-_ROWS, _COLUMNS = np.tril_indices(2 * JETS, m=JETS)
 
 
 def minimum_jerk(times: Array, jets: Array, free: NDArray[np.bool_]) -> Array:
@@ -39,16 +38,13 @@ def minimum_jerk(times: Array, jets: Array, free: NDArray[np.bool_]) -> Array:
     The minimum is taken over all piecewise polynomials of degree 9 and class C^4 with knots at times (k,) [s] and the
     given jets. For given positions only, it is the quintic spline except in the first and last segment.
     """
-    from scipy.linalg import cho_solve_banded, cholesky_banded  # loaded on use: see control/vdpbc/gains.py
-
     h = np.diff(times)
     units = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))  # time unit at each knot, for scaling
     roots, chosen = _roots_of_jerk(h, units), free[:, :, None]
-    factor = cholesky_banded(_normal_band(roots, free), lower=True, check_finite=False)
+    levels = _reduced(*_normal_blocks(roots, free))
     y = np.where(chosen, 0.0, taylor(jets, units))
     for _ in range(NEWTON_STEPS):
-        gradient = np.where(chosen, _half_gradient(roots, y), 0.0).reshape(-1, y.shape[2])
-        y -= cho_solve_banded((factor, True), gradient, check_finite=False).reshape(y.shape)
+        y -= _solved(levels, np.where(chosen, _half_gradient(roots, y), 0.0))
     return np.where(chosen, y / taylor(np.ones_like(jets), units), jets)
 
 
@@ -65,25 +61,63 @@ def _roots_of_jerk(h: Array, units: Array) -> Array:
 
 def _half_gradient(roots: Array, y: Array) -> Array:
     """Return half the gradient (k, 5, n) of the squared jerk norm at the Taylor coefficients y (k, 5, n)."""
-    segments = roots.transpose(0, 2, 1) @ (roots @ np.concatenate([y[:-1], y[1:]], axis=1))
+    segments = _transposed(roots) @ (roots @ np.concatenate([y[:-1], y[1:]], axis=1))
     gradient = np.zeros_like(y)
     gradient[:-1] += segments[:, :JETS]
     gradient[1:] += segments[:, JETS:]
     return gradient
 
 
-def _normal_band(roots: Array, free: NDArray[np.bool_]) -> Array:
-    """Return the Hessian (10, 5 k) as lower band by diagonals, with ones for fixed entries."""
-    segments = roots.transpose(0, 2, 1) @ roots
-    columns = np.zeros((len(free), 2 * JETS, JETS))  # per knot: its own rows, then those of the next knot
-    columns[:-1] += segments[:, :, :JETS]
-    columns[1:, :JETS] += segments[:, JETS:, JETS:]
-    rows_free = np.concatenate([free, np.append(free[1:], free[:1] & False, axis=0)], axis=1)
-    columns *= rows_free[:, :, None] & free[:, None, :]
-    columns[:, _ORDERS, _ORDERS] += ~free
-    band = np.zeros((2 * JETS, len(free), JETS))
-    band[_ROWS - _COLUMNS, :, _COLUMNS] = columns[:, _ROWS, _COLUMNS].T
-    return band.reshape(2 * JETS, -1)
+def _normal_blocks(roots: Array, free: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the diagonal (k, 5, 5) and lower (k - 1, 5, 5) blocks of the Hessian, the identity for fixed entries."""
+    segments = _transposed(roots) @ roots
+    diagonal = np.zeros((len(free), JETS, JETS))
+    diagonal[:-1] += segments[:, :JETS, :JETS]
+    diagonal[1:] += segments[:, JETS:, JETS:]
+    diagonal *= free[:, :, None] & free[:, None, :]
+    diagonal[:, _ORDERS, _ORDERS] += ~free
+    return diagonal, segments[:, JETS:, :JETS] * (free[1:, :, None] & free[:-1, None, :])
+
+
+def _reduced(diagonal: Array, lower: Array) -> list[tuple[Array, Array, Array]]:
+    """Factorise a positive definite block-tridiagonal matrix by cyclic reduction: NumPy alone, no loop over the blocks.
+
+    Each level eliminates every other block, of Cholesky factor L: L^-1, and L^-1 times the blocks left and right of it.
+    Raise LinAlgError if the matrix is not positive definite to rounding.
+    """
+    levels = []
+    while len(diagonal):
+        inverse, odd = np.linalg.inv(np.linalg.cholesky(diagonal[::2])), len(diagonal) // 2
+        left, right = np.zeros_like(inverse), np.zeros_like(inverse)
+        left[1:] = inverse[1:] @ lower[1::2]
+        right[:odd] = inverse[:odd] @ _transposed(lower[::2])
+        levels.append((inverse, left, right))
+        diagonal = diagonal[1::2] - _transposed(right[:odd]) @ right[:odd]
+        diagonal[: len(inverse) - 1] -= _transposed(left[1:]) @ left[1:]
+        lower = -_transposed(right[1:odd]) @ left[1:odd]
+    return levels
+
+
+def _solved(levels: list[tuple[Array, Array, Array]], b: Array) -> Array:
+    """Return the solution (k, 5, n) of the factorised system for b (k, 5, n)."""
+    eliminated = []
+    for inverse, left, right in levels:
+        y, odd = inverse @ b[::2], len(b) // 2
+        eliminated.append(y)
+        b = b[1::2] - _transposed(right[:odd]) @ y[:odd]
+        b[: len(y) - 1] -= _transposed(left[1:]) @ y[1:]
+    x = b
+    for (inverse, left, right), y in zip(reversed(levels), reversed(eliminated), strict=True):
+        y[: len(x)] -= right[: len(x)] @ x
+        y[1:] -= left[1:] @ x[: len(y) - 1]
+        both = np.empty((len(x) + len(y), *y.shape[1:]))
+        both[::2], both[1::2] = _transposed(inverse) @ y, x
+        x = both
+    return x
+
+
+def _transposed(blocks: Array) -> Array:
+    return blocks.transpose(0, 2, 1)
 
 
 def without_overshoot(times: Array, jets: Array, free: NDArray[np.bool_]) -> Array:

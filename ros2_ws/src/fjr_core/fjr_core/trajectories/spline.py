@@ -17,6 +17,7 @@ from .piecewise_polynomial import PiecewisePolynomial, PolynomialReference
 from .reference import JETS
 
 SHORTEST = 1e-6  # s, smallest interval between points
+FAR, STANDSTILL = 2.0, 1.0  # s; a motion whose next point is more than FAR ahead comes to a standstill first
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,9 @@ class Spline(PolynomialReference):
     velocities [rad/s], accelerations [rad/s^2]: (k, n) or None, interpolated at the points. Derivatives that are not
     given minimise the jerk and are reduced where a segment would overshoot (minimum_jerk.py); they are zero at an end
     with zero velocity.
-    start: jets (5, n) of the active reference at t = 0, from which the spline starts; all times must be > 0. Without
+    start: jets (5, n) of the active reference at t = 0, from which the spline starts; all times must be > 0. If start
+    moves and the first point is more than FAR ahead, the spline comes to a standstill within STANDSTILL, over half the
+    distance of constant velocity: a single polynomial would swing out by jets times powers of its duration. Without
     start, the spline starts at the first point with the velocity and acceleration given there; before, it is constant.
     At the last point the spline stops: a velocity given there must be zero, an acceleration is ignored.
     moving_end: interpolate velocity and acceleration of the last point; after it the reference is constant.
@@ -72,9 +75,12 @@ class Spline(PolynomialReference):
         """Return the piecewise polynomial through the points with the free derivatives chosen."""
         times, (jets, free) = np.asarray(self.times), self._given()
         if self.start is not None:
-            times = np.insert(times, 0, 0.0)
-            jets = np.concatenate([np.asarray(self.start)[None], jets])
-            free = np.concatenate([np.zeros((1, JETS), dtype=bool), free])
+            begin, before = np.asarray(self.start)[None], [0.0]
+            if times[0] > FAR and np.any(begin[:, 1:]):
+                begin, before = np.concatenate([begin, np.zeros_like(begin)]), [0.0, STANDSTILL]
+                begin[1, 0] = begin[0, 0] + begin[0, 1] * STANDSTILL / 2
+            times, jets = np.concatenate([before, times]), np.concatenate([begin, jets])
+            free = np.concatenate([np.zeros((len(before), JETS), dtype=bool), free])
         try:
             with np.errstate(all="ignore"):
                 jets = without_overshoot(times, minimum_jerk(times, jets, free), free) if free.any() else jets

@@ -17,7 +17,7 @@ from ...control.vdpbc.law import TrackingLaw
 from ...errors import ParameterError
 from ...monitoring.certificate import Certificate
 from ...monitoring.thresholds import LONGEST
-from ...numerics.checks import Array
+from ...numerics.checks import MOTOR, Array
 from ...simulation.nonideal_parameters import Nonidealities
 from ...version import __version__
 from ..c_code import comment, number, numbers
@@ -25,7 +25,7 @@ from ..filled_template import filled
 from ..recorded_steps import as_text, recorded_steps
 from ..step_code import Controller, controller_of, step_code
 from .arm import Arm, arm_of, not_exported
-from .parameter_tables import arm_rows, controller_rows, event_table, gain_table, plant_table
+from .parameter_tables import arm_rows, controller_rows, event_table, gain_table, plant_table, wiring_table
 from .urdf import with_hardware
 
 SAMPLES = 400
@@ -108,7 +108,7 @@ def _certificate(controller: Controller) -> dict[str, ca.Function]:
 def _values(scenario: Scenario, controller: Controller, arm: Arm, package: str) -> dict[str, str]:
     """Return the values of the names in the templates."""
     joints = controller.joints
-    motors = [f"{joint}_motor" for joint in joints]
+    motors = [f"{joint}{MOTOR}" for joint in joints]
     chained = [f"tracking_controller/{joint}" for joint in joints]
     return {
         "package": package,
@@ -126,6 +126,7 @@ def _values(scenario: Scenario, controller: Controller, arm: Arm, package: str) 
         **_plant_values(arm),
         **gain_table(controller),
         "kinds": event_table(),
+        "wiring_sentences": wiring_table(),
         "controller_rows": controller_rows(),
         "arm_rows": arm_rows(),
         "not_exported": _left_out(scenario),

@@ -10,13 +10,12 @@ from numpy.typing import ArrayLike
 
 from ...control.safety_settings import Settings
 from ...control_step.event_kinds import ERRORS, KINDS, WARNINGS
+from ...control_step.wiring_fault import SENTENCES
 from ...numerics.parameter_field import Parameter, declared
 from ..c_code import number, quoted
 from ..step_code import Controller
 from .arm import DYNAMICS, SENSORS, Arm
 
-OMITTED = ("start.wiring_check",)
-"""Parameters of the safety settings that the exported controller does not have."""
 NAMES = (
     ("joints", "the scenario's", "state interfaces of the links: `<joint>/position`, `<joint>/velocity`"),
     ("motors", "`<joint>_motor`", "state interfaces of the motors: `<motor>/position`, `<motor>/velocity`"),
@@ -52,6 +51,11 @@ def event_table() -> str:
     return ",\n".join(f"  {{{quoted(name)}, Level::{level}}}" for name, level in zip(KINDS, levels, strict=True))
 
 
+def wiring_table() -> str:
+    """Return the sentence of each kind of wiring fault as C++."""
+    return ",\n".join(f"  {quoted(sentence)}" for sentence in SENTENCES.values())
+
+
 def plant_table(arm: Arm) -> str:
     """Return name, place, length and least value of each parameter of the plant as C++."""
     rows = (f"  {{{quoted(name)}, {first}, {length}, {_bound(least)}}}" for name, first, length, least in arm.table)
@@ -60,8 +64,8 @@ def plant_table(arm: Arm) -> str:
 
 def controller_rows() -> str:
     """Return the rows of the README for the parameters of the controller."""
-    safety = [each for each in declared(Settings).values() if each.name not in OMITTED]
-    return "\n".join([*(f"| `{name}` | {default} | {text} |" for name, default, text in NAMES), *_rows(safety)])
+    safety = _rows(declared(Settings).values())
+    return "\n".join([*(f"| `{name}` | {default} | {text} |" for name, default, text in NAMES), *safety])
 
 
 def arm_rows() -> str:

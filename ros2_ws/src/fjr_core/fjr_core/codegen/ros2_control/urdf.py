@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 
+from ...numerics.checks import MOTOR
 from ...robot.urdf_parser import parse_xml
 
 TAG = "ros2_control"
@@ -26,7 +27,7 @@ def with_hardware(urdf: str, package: str, joints: Sequence[str], clock: str, pa
         ElementTree.SubElement(hardware, "param", name=name).text = text_of(value)
     for joint in joints:
         _component(system, "joint", joint, command=False)
-        _component(system, "gpio", f"{joint}_motor", command=True)
+        _component(system, "gpio", f"{joint}{MOTOR}", command=True)
     ElementTree.SubElement(ElementTree.SubElement(system, "sensor", name=clock), "state_interface", name="stamp")
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"

@@ -185,8 +185,8 @@ def _form(law: SampledLaw) -> str:
 
 
 def plain_settings(n: int) -> Settings:
-    """Return settings without limits, ramp and transitions for n joints, at any sample period."""
-    return Settings(tuple(f"joint{i + 1}" for i in range(n)), state_timeout=1e9)
+    """Return settings without limits, checks, ramp and transitions for n joints, at any sample period."""
+    return Settings(tuple(f"joint{i + 1}" for i in range(n)), state_timeout=1e9, wiring_check=False)
 
 
 def _fill(ffi: Any, struct: Any, values: Mapping[str, Any]) -> None:

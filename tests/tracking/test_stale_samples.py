@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples that waited while the process was paused: only the newest is answered, and tracking recovers from it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fjr_controller.tracking.events import State
+from fjr_controller.tracking.tracker import Tracker
+from fjr_core.control_step.control_step import NEVER
+from fjr_core.control_step.library import constant
+from tracking.tracked import LAW, MS, SECOND, SINE, sample, settings
+
+WAITING, PAUSE = int(constant("WAITING")), int(constant("PAUSE"))
+LATENCY = 200_000  # ns, from stamp to arrival
+US = 1000
+
+
+def running(seconds: float = 0.2, period: int = MS, **given: object) -> Tracker:
+    """Return a tracker that answered samples until `seconds` after SECOND; its clocks differ by LATENCY."""
+    tracker = Tracker(LAW, SINE, settings(**given))
+    for stamp in range(SECOND, SECOND + round(seconds * 1e9) + 1, period):
+        assert tracker.command(sample(stamp, 0.5, 0.5), stamp + LATENCY) is not None
+    return tracker
+
+
+def waits_until(tracker: Tracker) -> int:
+    return int(tracker.step.lib.fjr_waits_until(tracker.step.controller))
+
+
+@pytest.mark.parametrize("hiccup", [0, 4 * MS])
+@pytest.mark.parametrize("pause", [50 * MS, 300 * MS, 1000 * MS])
+def test_of_the_samples_that_waited_only_the_newest_is_answered(pause: int, hiccup: int) -> None:
+    tracker, last = running(), SECOND + 200 * MS
+    woken = last + pause + LATENCY
+    stamps = range(last + MS, last + pause + 50 * MS, MS)  # the last ones are sent while the first are handed over
+    answered = []
+    for k, stamp in enumerate(stamps):
+        arrival = max(woken + 20 * US * k + (hiccup if k > 20 else 0), stamp + LATENCY)
+        if tracker.command(sample(stamp, 0.4, 0.5), arrival) is not None:
+            answered.append(arrival - stamp)
+    assert len(answered) > 10
+    assert all(age <= LATENCY + constant("LATER") for age in answered)
+    assert tracker.counters["states stale"] == len(stamps) - len(answered)
+    assert tracker.counters["recoveries"] == (pause > 100 * MS)
+    assert waits_until(tracker) == NEVER
+
+
+def test_a_sample_that_waited_is_answered_if_no_newer_one_comes() -> None:
+    tracker, stamp = running(), SECOND + 201 * MS
+    arrival = stamp + 300 * MS
+    assert tracker.command(sample(stamp, 0.4, 0.5), arrival) is None
+    assert waits_until(tracker) == arrival + WAITING
+    assert tracker.command(sample(stamp, 0.4, 0.5), arrival + WAITING) is not None
+    assert waits_until(tracker) == NEVER
+    assert "states stale" not in tracker.counters
+
+
+def test_a_robot_whose_clock_stood_still_is_answered_after_a_moment() -> None:
+    """Its samples come at their own pace, all of them older than before."""
+    tracker, last = running(state_timeout=0.5), SECOND + 200 * MS
+    answers = [
+        tracker.command(sample(last + k * MS, 0.5, 0.5), last + k * MS + 300 * MS) is not None for k in range(1, 51)
+    ]
+    assert answers.index(True) == WAITING // MS
+    assert all(answers[WAITING // MS :])
+    assert tracker.state is State.TRACKING
+    assert "recoveries" not in tracker.counters
+
+
+def test_slow_samples_of_a_slow_clock_are_all_answered() -> None:
+    """Without a pause before them nothing waits, however much slower than the arrivals the stamps are."""
+    tracker = Tracker(LAW, SINE, settings())
+    for k in range(200):
+        assert tracker.command(sample(SECOND + k * MS, 0.5, 0.5), k * (PAUSE - 1)) is not None
+
+
+def test_in_simulated_time_every_sample_is_answered() -> None:
+    tracker = Tracker(LAW, SINE, settings(), simulated_time=True)
+    for k in range(100):
+        assert tracker.command(sample(SECOND + k * MS, 0.5, 0.5), k * SECOND) is not None
+
+
+@pytest.mark.parametrize("period", [MS, 50 * MS])
+def test_a_gap_longer_than_the_usual_interval_is_a_recovery(period: int) -> None:
+    tracker, last = running(0.5, period), SECOND + 500 * MS
+    stamp = last + 150 * MS
+    assert tracker.command(sample(stamp, 0.5, 0.5), stamp + LATENCY) is not None
+    assert tracker.counters["recoveries"] == (period == MS)
+
+
+def test_a_stop_after_a_gap_names_the_gap() -> None:
+    tracker, stamp = running(link_velocity=1.0), SECOND + 500 * MS
+    for k, dq in enumerate((0.0, 0.5, 1.5)):
+        tracker.command(sample(stamp + k * MS, 0.5, 0.5, dq), stamp + k * MS + LATENCY)
+    assert tracker.state is State.STOPPED
+    assert "link velocity of joint1: dq_l = 1.5 rad/s; expected at most 1 rad/s" in tracker.reason
+    assert tracker.reason.endswith("; 0.002 s before, a gap of 0.3 s without states had ended")
+
+
+def test_outside_names_the_limit_that_keeps_a_stopped_controller_stopped() -> None:
+    tracker = running(link_position_upper=1.0)
+    stamp = SECOND + 201 * MS
+    assert tracker.outside() == ""
+    tracker.command(sample(stamp, 4.5, 4.5), stamp + LATENCY)
+    assert tracker.outside() == "link position of joint1: q_l = 4.5 rad; expected at most 1 rad"
+    tracker.command(sample(stamp + MS, 0.5, 0.5), stamp + MS + LATENCY)
+    assert tracker.outside() == ""
+    np.testing.assert_equal(tracker.state, State.STOPPED)
