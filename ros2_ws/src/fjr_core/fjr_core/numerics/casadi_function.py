@@ -91,3 +91,22 @@ def dense_function(
 def numeric(name: str, inputs: dict[str, ca.SX | ca.MX], outputs: dict[str, ca.SX | ca.MX]) -> NumericFunction:
     """Bind named symbols and expressions to a callable."""
     return NumericFunction(dense_function(name, inputs, outputs))
+
+
+def columnwise(function: ca.Function, *arguments: Array) -> list[Array]:
+    """Return the outputs (size, k) of a function at k columns of its arguments (size, k), in column-major order."""
+    k = arguments[0].shape[1]
+    given = [_side_by_side(each, function.size_in(i), k) for i, each in enumerate(arguments)]
+    results = function.map(k)(*given)
+    results = results if isinstance(results, tuple) else (results,)
+    return [_columns(each.full(), function.size_out(i), k) for i, each in enumerate(results)]
+
+
+def _side_by_side(columns: Array, size: tuple[int, int], k: int) -> Array:
+    """Return columns (rows * columns, k) as matrices (rows, k columns) side by side."""
+    return columns.T.reshape(k, size[1], size[0]).transpose(2, 0, 1).reshape(size[0], -1)
+
+
+def _columns(side_by_side: Array, size: tuple[int, int], k: int) -> Array:
+    """Return matrices (rows, k columns) side by side as columns (rows * columns, k)."""
+    return side_by_side.reshape(size[0], k, size[1]).transpose(2, 0, 1).reshape(size[0] * size[1], k)

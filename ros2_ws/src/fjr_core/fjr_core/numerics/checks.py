@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import FjrError, TrajectoryError
 
 Array = NDArray[np.float64]
+MOTOR = "_motor"
+"""Ending of the name of a joint's motor side."""
 
 
 def floats(name: str, value: object, error: type[FjrError], shape: str = "") -> Array:
@@ -48,6 +51,28 @@ def matrix(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
     if array.shape != (n, n):
         raise error(f"{name} has shape {array.shape}; expected a scalar, ({n},) or ({n}, {n})")
     return array
+
+
+def joint_names(where: str, value: object, error: type[FjrError]) -> tuple[str, ...]:
+    """Return names of joints as a tuple. where: they stand, for the message.
+
+    Raises `error` unless they are different words of printable characters, none of which names another's motor side.
+    """
+    if isinstance(value, str) or not isinstance(value, Sequence) or not value:
+        raise error(f"{where} is {value!r}; expected a list of joint names")
+    for name in value:
+        if not isinstance(name, str) or not is_name(name):
+            raise error(f"{where} holds {name!r}; expected names of printable characters without spaces at their ends")
+        if value.count(name) > 1:
+            raise error(f"{where} holds {name!r} twice; expected every joint once")
+        if f"{name}{MOTOR}" in value:
+            raise error(f"{where} holds {name!r} and '{name}{MOTOR}', the name of its motor side; expected others")
+    return tuple(value)
+
+
+def is_name(text: str) -> bool:
+    """Return whether a text is not empty, all its characters can be printed, and none of its ends is a space."""
+    return bool(text) and text.isprintable() and text == text.strip()
 
 
 def symmetric(name: str, array: Array, error: type[FjrError]) -> Array:

@@ -15,12 +15,12 @@ import casadi as ca
 
 from ..errors import CompilerError
 from ..files.private_folder import PrivateFolder
+from . import fused_code
 from .c_compiler import CompileError, c_compiler, processor, run_compiler, version
 from .code_cache import code_folder, is_intact, keep, temporary_folder
-from .function_splitting import split_functions
 
 SAME_BITS = ("-ffp-contract=off",)
-"""Options without which results depend on the processor: no fused multiply-add in place of a product and a sum."""
+"""Options without which results depend on the processor: no fused multiply-adds but those that the code names."""
 OPTIONS = ("-O3", "-march=native", *SAME_BITS, "-fno-math-errno", "-fno-tree-slp-vectorize", "-fPIC", "-shared")
 
 _log = logging.getLogger("fjr_core.numerics.jit")
@@ -86,9 +86,13 @@ def compiled_together(name: str, functions: Iterable[ca.Function]) -> list[ca.Fu
 
 
 def machine() -> list[str]:
-    """Return what machine code depends on apart from the C code: compiler, options, processor. Raises CompileError."""
+    """Return what machine code depends on apart from the C code: compiler, options, processor, rewriting of the code.
+
+    Raises CompileError.
+    """
     compiler = c_compiler()
-    return [*compiler, version(compiler), *OPTIONS, processor()]
+    rewriting = hashlib.sha256(Path(fused_code.__file__).read_bytes()).hexdigest()
+    return [*compiler, version(compiler), *OPTIONS, processor(), rewriting]
 
 
 def require_compiler() -> None:
@@ -131,7 +135,7 @@ def _built(source: str, compiler: tuple[str, ...], options: Sequence[str]) -> by
     """Compile in a temporary folder; return the content of the shared object."""
     with tempfile.TemporaryDirectory() as folder:
         code, built = Path(folder, "code.c"), Path(folder, "code.so")
-        code.write_text(split_functions(source), encoding="utf-8")
+        code.write_text(fused_code.fused(source, fused_code.LONGEST), encoding="utf-8")
         run_compiler([*compiler, *OPTIONS, "-o", str(built), str(code), *options, "-lm"])
         if not built.exists():
             raise CompileError(f"{compiler[0]} wrote no shared object")
@@ -150,4 +154,4 @@ def _c_code(name: str, functions: Sequence[ca.Function]) -> str:
 
 @cache
 def _warn_once(reason: str) -> None:
-    _log.warning("%s; running in CasADi's virtual machine, with the same numbers, some 20 times slower", reason)
+    _log.warning("%s; running in CasADi's virtual machine, equal up to rounding and some 20 times slower", reason)

@@ -3,14 +3,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import fields
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any
 
 import numpy as np
 
 LONGEST_LIST = 3
 """Longest vector whose entries are listed."""
+
+
+def at_least(bound: float, digits: int = 4) -> str:
+    """Return a lower bound as text of `digits` digits, rounded down unless it is that number but for 1e-12 of it."""
+    rounded = Context(digits, ROUND_FLOOR).create_decimal_from_float(bound * (1 + math.copysign(1e-12, bound)))
+    return f"{float(rounded):.{digits}g}"
+
+
+def at_most(bound: float, digits: int = 3) -> str:
+    """Return an upper bound as text of `digits` digits, rounded up unless it is that number but for 1e-12 of it."""
+    rounded = Context(digits, ROUND_CEILING).create_decimal_from_float(bound * (1 - math.copysign(1e-12, bound)))
+    return f"{float(rounded):.{digits}g}"
 
 
 def brief(value: Any) -> str:
