@@ -29,19 +29,19 @@ def loaded(stiffness: str = "40.0, 25.0", guesses: str = BOTH) -> Scenario:
 
 
 def test_values_that_equal_their_guess_are_counted() -> None:
-    stiffness, inertia = loaded().guess_warnings
-    assert stiffness.startswith("joint stiffness of 2 joints is a guess; expected measured values")
+    stiffness, inertia = loaded().robot_warnings
+    assert stiffness.startswith("joint stiffness of 2 joints is a guess; replace it by a measured or data-sheet value")
     assert inertia.startswith("motor inertia of joint b is a guess")
 
 
 @pytest.mark.parametrize("stiffness", ["41.0, 25.0", "41.0, 1.0, 1.0, 25.0"])
 def test_a_replaced_value_is_no_guess_any_more(stiffness: str) -> None:
-    assert "joint stiffness of joint b is a guess" in loaded(stiffness).guess_warnings[0]
+    assert "joint stiffness of joint b is a guess" in loaded(stiffness).robot_warnings[0]
 
 
 def test_without_guesses_there_is_no_warning() -> None:
-    assert loaded(guesses="").guess_warnings == ()
-    assert loaded("41.0, 26.0", "guesses: {joint_stiffness: [40.0, 25.0]}").guess_warnings == ()
+    assert loaded(guesses="").robot_warnings == ()
+    assert loaded("41.0, 26.0", "guesses: {joint_stiffness: [40.0, 25.0]}").robot_warnings == ()
 
 
 def test_guesses_do_not_change_the_robot() -> None:

@@ -24,7 +24,7 @@ SCENARIO = """
     joints: [joint1]
     robot: {model: single_link, joint_stiffness: [31.0], motor_inertia: [0.004], link_damping: [0.2]}
 fjr_plant:
-  ros__parameters: {publish_rate: 1000.0, initial_link_position: [0.5], compile: false, imperfections: {delay: 0.0}}
+  ros__parameters: {publish_rate: 1000.0, initial_link_position: [0.5], compile: false, imperfections.state_delay: 0.0}
 fjr_controller:
   ros__parameters:
     compile: false

@@ -170,7 +170,7 @@ BAD_VALUES = [
     ({"locked_joints": ["knee"]}, "robot.", "knee"),
     ({"locked_joints": ["elbow"]}, "robot.", "elbow"),
     ({"joints": ["shoulder", "elbw"]}, "'elbw'", "did you mean 'elbow'"),
-    ({"joints": ["shoulder", "shoulder"]}, "joints", "different names"),
+    ({"joints": ["shoulder", "shoulder"]}, "joints", "every joint once"),
     ({"urdf": "<robot"}, "robot.urdf"),
     ({"urdf": "/there/is/no.urdf"}, "robot.urdf", "/there/is/no.urdf"),
 ]

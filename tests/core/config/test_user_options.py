@@ -14,12 +14,14 @@ import own_code
 from fjr_core.config.scenario import load_scenario, parse_scenario
 
 INTEGERS = np.array([1, 2])
-FILE = """
+LAW = 'type: "own_code:Pd", options: {K_p: 30.0, weights: [2.0]}'
+PLANT = 'type: "own_code:Ideal", options: {damping: 0.5}'
+FILE = f"""
 /**:
   ros__parameters:
     joints: [joint1]
-    law: {type: "own_code:Pd", options: {K_p: 30.0, weights: [2.0]}}
-    plant: {type: "own_code:Ideal", options: {damping: 0.5}}
+    law: {{{LAW}}}
+    plant: {{{PLANT}}}
 """
 
 
@@ -46,13 +48,13 @@ REFUSED: dict[str, tuple[str, str, str]] = {
     ),
     "no type": ("own_code:Pd", "own_code:NoneDefault", "NoneDefault has the default None; expected a number, a string"),
     "no law": (
-        "own_code:Pd",
-        "own_code:NoMethod",
+        LAW,
+        'type: "own_code:NoMethod"',
         "parameter 'law.type' is 'own_code:NoMethod': NoMethod has no method",
     ),
     "no plant": (
-        "own_code:Ideal",
-        "own_code:NoMethod",
+        PLANT,
+        'type: "own_code:NoMethod"',
         "parameter 'plant.type' is 'own_code:NoMethod': NoMethod has no",
     ),
     "a misspelt choice": ("own_code:Pd", "pid", "expected one of v_dpbc, pd_gravity, "),
@@ -88,9 +90,14 @@ def test_no_rate_is_proven_with_another_plant() -> None:
     assert own.certified_law is own.law
 
 
-def test_an_unknown_option_is_a_warning() -> None:
-    warnings = parse_scenario("mine", FILE.replace("K_p", "Kp")).warnings
-    assert "unknown parameter 'law.options.Kp' is ignored; did you mean 'law.options.K_p'?" in warnings[0]
+def test_an_unknown_option_is_refused_where_the_class_may_be_imported(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(FILE.replace("K_p", "Kp"))
+    with pytest.raises(
+        fjr.ParameterError, match=r"unknown parameter 'law.options.Kp'; did you mean 'law.options.K_p'\?"
+    ):
+        load_scenario(file)
+    assert load_scenario(file, user_code=False).name == "mine"
 
 
 def test_arrays_and_lists_of_numbers_are_lists_of_floats() -> None:
@@ -100,7 +107,7 @@ def test_arrays_and_lists_of_numbers_are_lists_of_floats() -> None:
 
     own_code.Lists = Lists  # type: ignore[attr-defined]
     try:
-        values = parse_scenario("m", FILE.replace(":Pd", ":Lists")).controller_values
+        values = parse_scenario("m", FILE.replace(LAW, 'type: "own_code:Lists"')).controller_values
         assert [values[f"law.options.{name}"] for name in "abc"] == [(1.0, 2.0), (1.0, 2.5), ("x", "y")]
     finally:
         del own_code.Lists  # type: ignore[attr-defined]

@@ -42,7 +42,7 @@ LABELLED: dict[str, tuple[Change, str, str]] = {
         "sign",
         "torque of joint1 is -",
     ),
-    "effort at the shaft of the motor": (lambda r: replace(r, u=r.u / 100.0), "effort_scale", "gear ratio or unit"),
+    "effort at the shaft of the motor": (lambda r: replace(r, u=r.u / 100.0), "effort_scale", "gear ratio, unit"),
     "both sides in degrees": (
         lambda r: replace(r, q_l=np.degrees(r.q_l), q_m=np.degrees(r.q_m)),
         "degrees",

@@ -347,7 +347,7 @@ FIXED = HAND.replace("</robot>", '<link name="camera"/>' + joint("mount", "lower
 ASKED: dict[str, tuple[str, dict[str, Any], str]] = {
     "unknown joint": (TWO, {"joints": ["sholder", "elbow"]}, "no joint 'sholder'; did you mean 'shoulder'. expected"),
     "far off": (TWO, {"joints": ["x"]}, "no joint 'x'; expected some of shoulder, elbow"),
-    "twice": (TWO, {"joints": ["elbow", "elbow"]}, "joint 'elbow' is named twice; expected every joint once"),
+    "twice": (TWO, {"joints": ["elbow", "elbow"]}, "joints holds 'elbow' twice; expected every joint once"),
     "a word": (TWO, {"joints": "elbow"}, "joints is 'elbow'; expected a list of joint names"),
     "none": (TWO, {"joints": []}, r"joints is \[\]; expected a list of joint names"),
     "fixed": (FIXED, {"joints": ["mount"]}, "joint 'mount' is fixed; expected a revolute, continuous, prismatic joint"),

@@ -45,7 +45,7 @@ def random_settings(rng: np.random.Generator) -> Settings:
         "effort_rate": rng.uniform(300.0, 3000.0, 2),
         "link_velocity": rng.uniform(1.0, 3.0, 2),
         "tracking_error": rng.uniform(0.1, 0.5, 2),
-        "deflection": rng.uniform(0.3, 1.0, 2),
+        "deflection": rng.uniform(0.05, 0.3, 2),
         "start_error": 0.2,
     }
     chosen = {name: value for name, value in limits.items() if rng.uniform() < 0.4}

@@ -35,6 +35,7 @@ from .plant import plant as plant
 from .plant import plant_parameters
 from .reference import reference
 from .robot import joints_of, robot, robot_parameters
+from .safety import with_robot
 from .user_options import is_option, option_parameters, options
 
 OwnParameters = Callable[[int], Sequence[Parameter]]
@@ -47,7 +48,8 @@ def all_parameters(own: OwnParameters, given: Mapping[str, object], user_code: b
     user_code: import the classes of the user that the values name; false: leave out their options.
     """
     parameters = own(joints_of(given))
-    return [*robot_parameters(given), *parameters, *(option_parameters(parameters, given) if user_code else ())]
+    of_user = option_parameters(parameters, given) if user_code else ()
+    return [*robot_parameters(given), *with_robot(parameters, given), *of_user]
 
 
 def is_of_others(own: OwnParameters, name: str) -> bool:
@@ -56,6 +58,11 @@ def is_of_others(own: OwnParameters, name: str) -> bool:
     return name not in {each.name for each in mine} and (
         name in {each.name for each in others} or is_option(others, name)
     )
+
+
+def names_of_others(own: OwnParameters) -> set[str]:
+    """Return the names of the parameters that only other nodes declare, without options of classes of the user."""
+    return {each.name for each in _tables(own)[1]}
 
 
 def without_others(own: OwnParameters, merged: Mapping[str, object], given: Mapping[str, object]) -> dict[str, object]:

@@ -39,7 +39,7 @@ def guessed_joints(values: Values) -> dict[str, tuple[str, ...]]:
 def guess_sentences(values: Values) -> tuple[str, ...]:
     """Return a sentence for each kind of value that is a guess."""
     return tuple(
-        f"{name.replace('_', ' ')} of {_joints(joints)} is a guess; expected measured values, or those of the maker, "
+        f"{name.replace('_', ' ')} of {_joints(joints)} is a guess; replace it by a measured or data-sheet value "
         f"in robot.{name}"
         for name, joints in guessed_joints(values).items()
     )

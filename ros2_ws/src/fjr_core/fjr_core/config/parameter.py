@@ -37,15 +37,28 @@ def complete(parameters: Sequence[Parameter], given: Mapping[str, object]) -> di
     return {p.name: p.check(given[p.name]) if p.name in given else p.standard() for p in parameters}
 
 
-def unknown(parameters: Sequence[Parameter], given: Iterable[str]) -> list[str]:
-    """Return one sentence for each given name of no parameter."""
-    known = [p.name for p in parameters]
-    sentences = []
-    for name in sorted(set(given) - set(known)):
-        close = difflib.get_close_matches(name, known, n=1)
-        hint = f"; did you mean '{close[0]}'?" if close else ""
-        sentences.append(f"unknown parameter '{name}' is ignored{hint}")
-    return sentences
+def refuse_unknown(known: Iterable[str], given: Iterable[str], others: Iterable[str] = ()) -> None:
+    """Raise ParameterError for given names that are not known, with a suggestion for the first.
+
+    others: names that only other nodes know, which are suggested, too.
+    """
+    known, others = set(known), set(others)
+    unknown = sorted(set(given) - known)
+    if not unknown:
+        return
+    first, everything = unknown[0], sorted(known | others)
+    close = resembling(first, everything)
+    groups = dict.fromkeys(each.partition(".")[0] for each in everything)
+    hint = f"did you mean '{close}'?" if close else f"expected one of, or a name in, {', '.join(groups)}"
+    if first in others:
+        hint = "it is a parameter of another node"
+    more = f" (and {', '.join(unknown[1:])})" if unknown[1:] else ""
+    raise ParameterError(f"unknown parameter '{first}'{more}; {hint}")
+
+
+def resembling(name: str, known: Iterable[str], least: float = 0.6) -> str:
+    """Return the known name that resembles this one most, with at least this similarity of 1; "" if none does."""
+    return next(iter(difflib.get_close_matches(name, known, n=1, cutoff=least)), "")
 
 
 def names(values: Values, name: str) -> tuple[str, ...]:

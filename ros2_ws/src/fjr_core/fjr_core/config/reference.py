@@ -16,7 +16,7 @@ from ..trajectories.point_to_point import Hold, PointToPoint
 from ..trajectories.reference import Reference
 from ..trajectories.sine import MultiSine, Sine
 from . import reference_file
-from .parameter import ROWS, SCALAR, VECTOR, Parameter, Values, names, read, vector
+from .parameter import ROWS, SCALAR, VECTOR, Parameter, Values, names, read
 
 
 def _own(
@@ -85,18 +85,7 @@ _TYPES: dict[str, tuple[Callable[..., Reference], Mapping[str, Parameter]]] = {
 }
 _TYPE = Parameter("reference.type", "sine", "Type of the reference trajectory", choices=tuple(_TYPES), dynamic=True)
 
-ACCELERATION_LIMIT = Parameter(
-    "limits.acceleration",
-    math.inf,
-    "Largest |ddq_ld| of a trajectory; a faster trajectory is rejected",
-    "rad/s^2",
-    minimum=0.0,
-    dynamic=True,
-    infinite=True,
-    shape=VECTOR,
-)
 MOTION = (
-    ACCELERATION_LIMIT,
     Parameter("allow_partial_joints", False, "Accept a trajectory of some joints; the other joints hold", dynamic=True),
     Parameter(
         "constraints.trajectory",
@@ -161,7 +150,7 @@ def _check_lengths(sines: Mapping[str, Any]) -> None:
 
 
 def motion_limits(values: Values, settings: Settings, robot: Robot) -> MotionLimits:
-    """Return the limits of trajectories: the tighter of settings and robot, and limits.acceleration.
+    """Return the limits of trajectories: the tighter of settings and robot.
 
     Raises ParameterError.
     """
@@ -170,6 +159,6 @@ def motion_limits(values: Values, settings: Settings, robot: Robot) -> MotionLim
         held.link_position_lower,
         held.link_position_upper,
         held.link_velocity,
-        vector(values, ACCELERATION_LIMIT.name, robot.n),
+        settings.acceleration,
         robot.units,
     )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
+from ..numerics.checks import joint_names
 from ..robot import closed_form_arms
 from ..robot.robot import Robot
 from ..robot.urdf_import import robot_from_urdf
@@ -160,8 +161,8 @@ def robot(values: Values) -> Robot:
     """Return the robot that the values of robot_parameters describe; raises ParameterError."""
     model, joints = str(values[MODEL.name]), names(values, JOINTS.name)
     n = joints_of(values)
-    if len(joints) != n or len(set(joints)) != n:
-        raise ParameterError(f"parameter 'joints' is {list(joints)}; {model} has {n}, with different names")
+    if len(joint_names(f"parameter '{JOINTS.name}'", joints, ParameterError)) != n:
+        raise ParameterError(f"parameter '{JOINTS.name}' is {list(joints)}; expected the names of {n}, as {model} has")
     build = MODELS[model]
     arguments = read({name: _ARGUMENTS[name] for name in inspect.signature(build).parameters}, values, n)
     fallback = "robot.urdf" if model == "urdf" else "robot"

@@ -47,14 +47,15 @@ def _own_values(path: Path, node: str) -> dict[str, object]:
         raise ParameterError(f"{path}: {error}") from None
     shared = ros_yaml.values_for(ros_yaml.SHARED, document)
     for name in own:
-        if name == FILE or (name in shared and not _is_of_robot(name)):
+        if name == FILE or (name in shared and not is_of_robot(name)):
             raise ParameterError(
                 f"{path} holds '{name}'; expected joints, robot.* and imperfections.* only, no other file"
             )
-    return {name: value for name, value in own.items() if _is_of_robot(name)}
+    return {name: value for name, value in own.items() if is_of_robot(name)}
 
 
-def _is_of_robot(name: str) -> bool:
+def is_of_robot(name: str) -> bool:
+    """Return whether a robot file may hold a parameter of this name."""
     return name == "joints" or name.startswith(("robot.", "imperfections."))
 
 

@@ -147,6 +147,7 @@ def read(path: Path, what: str) -> Any:
         raise ParameterError(f"{path} {error}") from None
 
 
+_KEY = "ros__parameters"
 SHARED = "/**"
 """The section of all nodes, which is also the section of `-p name:=value` on a command line."""
 
@@ -159,18 +160,29 @@ def sections(node: str) -> tuple[str, ...]:
 def values_for(node: str, document: Any) -> dict[str, object]:
     """Return the values that a parameter file gives to a node, with dotted names.
 
-    Later sections override earlier ones. Raises ParameterError for a document that is no parameter file.
+    Later sections override earlier ones. Raises ParameterError for a document that is no parameter file, also if a key
+    at the top is no section of any node.
     """
     if not isinstance(document, dict):
         raise ParameterError(f"holds a {type(document).__name__}; expected a ROS 2 parameter file (a mapping)")
     given: dict[str, object] = {}
     for section, content in document.items():
         if section not in sections(node):
+            if not _is_section(content):
+                raise ParameterError(
+                    f"has '{section}' at the top, where only sections of nodes are read; expected it below "
+                    f"'{SHARED}:' and '{_KEY}:'"
+                )
             continue
-        if not isinstance(content, dict) or not isinstance(content.get("ros__parameters"), dict):
-            raise ParameterError(f"section '{section}' has no 'ros__parameters' mapping")
-        given.update(_flat(content["ros__parameters"]))
+        if not isinstance(content, dict) or not isinstance(content.get(_KEY), dict):
+            raise ParameterError(f"section '{section}' has no '{_KEY}' mapping")
+        given.update(_flat(content[_KEY]))
     return given
+
+
+def _is_section(content: Any) -> bool:
+    """Return whether this is the section of a node, or of a namespace that has sections."""
+    return isinstance(content, dict) and (_KEY in content or any(map(_is_section, content.values())))
 
 
 def _flat(tree: Mapping[Any, Any], prefix: str = "") -> dict[str, object]:

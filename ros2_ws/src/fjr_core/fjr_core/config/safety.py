@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
 from ..control.safety_settings import Settings
 from ..errors import ParameterError
 from ..numerics.parameter_field import declared
@@ -16,11 +19,20 @@ FROM_ROBOT = Parameter(
     dynamic=True,
 )
 _DECLARED = declared(Settings)
+JOIN_TIME = 1.0  # s; default of start.join_time for an arm of a URDF
 
 
 def safety_parameters(n: int) -> list[Parameter]:
     """Return the parameters for n joints; by default only state_timeout, wiring check and recovery are active."""
     return [*table(_DECLARED, n), FROM_ROBOT]
+
+
+def with_robot(parameters: Sequence[Parameter], given: Mapping[str, object]) -> list[Parameter]:
+    """Return the parameters with the defaults for the given robot: an arm of a URDF starts by a transition."""
+    if given.get("robot.model") != "urdf":
+        return list(parameters)
+    join = _DECLARED["start_join_time"].name
+    return [replace(each, default=JOIN_TIME) if each.name == join else each for each in parameters]
 
 
 def safety(values: Values, robot: Robot) -> Settings:

@@ -24,6 +24,7 @@ from ..files.python_class import is_named
 from ..monitoring.certificate import Certificate
 from ..monitoring.one_step_prediction import Prediction
 from ..numerics.checks import Array
+from ..robot.free_inertia import joints_without_inertia
 from ..robot.port_hamiltonian import Plant
 from ..robot.robot import Robot
 from ..simulation.closed_loop import Trajectory, simulate
@@ -36,7 +37,7 @@ from .builders import control_law, robust_action
 from .measurement import OBSERVER_BANDWIDTH, measurement_parameters
 from .nonidealities import channel_errors, imperfection_parameters
 from .robot import JOINTS
-from .user_options import in_python
+from .user_options import in_python, unread_options
 
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
 OWN_PARAMETERS = {PLANT: builders.plant_parameters, CONTROLLER: builders.controller_parameters}
@@ -129,9 +130,13 @@ class Scenario:
         return tuple(reference_file.file_warnings(self.controller_values, self.robot))
 
     @property
-    def guess_warnings(self) -> tuple[str, ...]:
-        """A sentence for each kind of robot.* value that is a guess (robot.guesses.*)."""
-        return guesses.guess_sentences(self.controller_values)
+    def robot_warnings(self) -> tuple[str, ...]:
+        """A sentence for each joint without inertia and each kind of robot.* value that is a guess."""
+        thin = joints_without_inertia(self.robot).items()
+        return (
+            *(f"{self.joints[i]} {seen}; expected the inertia of its links in the URDF" for i, seen in thin),
+            *guesses.guess_sentences(self.controller_values),
+        )
 
     @cached_property
     def plant(self) -> Plant:
@@ -188,13 +193,17 @@ def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) ->
     warnings: list[str] = []
     checked = {}
     reference_file.read_again()
-    for node, own in OWN_PARAMETERS.items():
-        direct = ros_yaml.values_for(node, document)
+    for node, direct in given_to_nodes(document).items():
+        own = OWN_PARAMETERS[node]
         given = builders.without_others(own, robot_file.merged(direct, node, folder), direct)
         known = builders.all_parameters(own, given, user_code)
-        checked[node] = parameter.complete(known, given)
         own_names = set(given) - _for_other_nodes(node, own, document)
-        warnings += [f"{node}: {sentence}" for sentence in parameter.unknown(known, own_names)]
+        unread = own_names & unread_options(known, given, user_code)
+        warnings += [
+            f"{node}: parameter '{name}' is ignored: there is no class with options" for name in sorted(unread)
+        ]
+        parameter.refuse_unknown([each.name for each in known], own_names - unread, builders.names_of_others(own))
+        checked[node] = parameter.complete(known, given)
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
     warnings += _hold_warnings(scenario) + (_python_warnings(scenario) if user_code else [])
     scenario = replace(scenario, warnings=tuple(warnings))
@@ -205,6 +214,26 @@ def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) ->
         )
     _build(scenario, user_code)
     return scenario
+
+
+def given_to_nodes(document: Any) -> dict[str, dict[str, object]]:
+    """Return the values that a parameter file gives to each node; raises ParameterError.
+
+    Sections of other nodes are left out, unless their name resembles one of these nodes' or there are no others.
+    """
+    given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
+    own = {section for node in OWN_PARAMETERS for section in ros_yaml.sections(node)}
+    for section in document:
+        name = str(section).rpartition("/")[2]
+        close = parameter.resembling(name, OWN_PARAMETERS, least=0.8)
+        if section not in own and close and name != close:
+            raise ParameterError(f"has the section '{section}', of another node; did you mean '/**/{close}'?")
+    if document and not own & set(document):
+        raise ParameterError(
+            f"has no section of these nodes ({', '.join(map(str, document))}); expected {ros_yaml.SHARED}, "
+            + " or ".join(f"/**/{node}" for node in OWN_PARAMETERS)
+        )
+    return given
 
 
 def _build(scenario: Scenario, user_code: bool) -> None:

@@ -43,6 +43,17 @@ def in_python(parameter: Parameter, values: Values) -> str:
     )
 
 
+def unread_options(parameters: Iterable[Parameter], given: Mapping[str, object], user_code: bool = True) -> set[str]:
+    """Return the given options of parameters that name no class; with user_code false, of all parameters."""
+    return {
+        name
+        for parameter in parameters
+        if parameter.options and not (user_code and python_class.is_named(given.get(parameter.name)))
+        for name in given
+        if name.startswith(parameter.options)
+    }
+
+
 def is_option(parameters: Iterable[Parameter], name: str) -> bool:
     """Return whether this is the name of an option of a class that one of the parameters may name."""
     return any(parameter.options and name.startswith(parameter.options) for parameter in parameters)

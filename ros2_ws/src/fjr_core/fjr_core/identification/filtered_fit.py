@@ -25,8 +25,8 @@ LARGEST_STEP = 1.0  # of the prior's width
 CONVERGED = 1e-3  # of the prior's width
 LEAST_DEFLECTION = 3.0  # of its noise
 NOT_SIMULATED = (
-    "a simulation does not tell this joint, because torques that the model lacks are too large; value of filtered "
-    "least squares, whose error may exceed the interval"
+    "unmodelled torques are too large to simulate this joint; the value is from filtered least squares and may be off "
+    "by more than the interval"
 )
 
 

@@ -175,4 +175,6 @@ def _of_line(name: str, joint: str, fit: Line) -> Iterator[Finding]:
     if high < 0:
         yield Finding(SIGN, joint, f"{seen}; expected a positive factor near 1: a sign is wrong")
     elif high < 1 / SPREAD or low > SPREAD:
-        yield Finding(SCALE, joint, f"{seen}; expected about 1: gear ratio or unit of the {name}?")
+        yield Finding(
+            SCALE, joint, f"{seen}; expected about 1: links in the robot file, gear ratio, unit of the {name}?"
+        )

@@ -89,18 +89,16 @@ def scales(record: MotionRecord, robot: Robot) -> Iterator[Finding]:
 
 def unseen(record: MotionRecord, robot: Robot) -> tuple[str, ...]:
     """Return a sentence on the errors of gear ratios and times that could not be found; none for two-sided joints."""
-    scans = _scans(record, robot)
-    if not scans:
-        return ()
-    limits = []
-    for joint, scan in scans.items():
+    sentences = []
+    for joint, scan in _scans(record, robot).items():
         factors = (max(scan.least_found(what) for what in (POSITION, RATIO)), scan.least_found(SECONDS))
-        words = [f"below a factor of {each:.3g}" if np.isfinite(each) else "of any size" for each in factors]
-        limits.append(f"{joint} (ratio {words[0]}, time {words[1]})")
-    return (
-        "one side alone does not tell errors of gear ratio and time of "
-        f"{', '.join(limits)}: motor inertia, stiffness and friction absorb them",
-    )
+        ratio, time = (f"up to {each:.3g} times" if np.isfinite(each) else "any" for each in factors)
+        side = "link" if np.isfinite(record.q_m[:, record.joints.index(joint)]).all() else "motor"
+        sentences.append(
+            f"{joint} has no {side} encoder: a wrong gear ratio ({ratio}) or time scale ({time}) would not be noticed "
+            "and would bias motor inertia, stiffness and friction"
+        )
+    return tuple(sentences)
 
 
 @lru_cache(maxsize=2)

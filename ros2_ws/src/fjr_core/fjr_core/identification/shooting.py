@@ -6,19 +6,17 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics import jit
-from ..numerics.c_types import ffi_of
+from ..numerics.c_library import c_library
 from ..numerics.checks import Array
 from .elastic_arm import ElasticArm
 
 VECTOR, LARGEST_BLOCK = 8, 4  # doubles in a vector of the C code, vectors in a row of a block of sensitivities
-INCLUDED = ("#include <math.h>", "#include <stdint.h>", "#include <string.h>")
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +99,7 @@ class Shooting:
     def library(self) -> tuple[Any, Any]:
         """Return cffi's types and the compiled loop."""
         sizes = {"N": self.arm.robot.n, "M": self.padded, "L": self.vectors}
-        header, code = (Path(__file__).with_name(f"shooting.{kind}").read_text(encoding="utf-8") for kind in "hc")
-        defined = [f"#define {name} {value}" for name, value in sizes.items()]
-        path = jit.shared_object("shooting", "\n".join([*INCLUDED, *defined, header, code]))
-        ffi = ffi_of(header)
-        return ffi, ffi.dlopen(path)
+        return c_library(__file__, sizes)
 
     @cached_property
     def function(self) -> Any:

@@ -65,7 +65,7 @@ def verdict(name: str, value: float, sd: float, width: float) -> str:
 
 
 def reason(name: str, verdict: str, motion: Motion, partner: str) -> str:
-    """Return why a parameter is weakly or not identifiable, and what motion would tell it; "" if it is identified."""
+    """Return why a parameter is weakly or not identifiable, and what motion would reveal it; "" if it is identified."""
     if verdict == IDENTIFIED:
         return ""
     if motion.position < STILL and name not in ("offset", "joint_stiffness"):
@@ -97,7 +97,7 @@ MISSING = {
         (f"position_torque_{each}" for each in ("sin1", "cos1", "sin2", "cos2")), "needs a larger range of the joint"
     ),
 }
-_RESONANCE = "without a link encoder only the resonance tells it; excite the joint near its resonance"
+_RESONANCE = "without a link encoder only the resonance determines it; excite the joint near its resonance"
 WITHOUT_LINK = {
     "joint_stiffness": _RESONANCE,
     "link_damping": _RESONANCE,

@@ -56,19 +56,22 @@ def cause_errors(
     limit: Array,
     loops: Array,
     start: Array | None = None,
+    before: int = 0,
+    total: int | None = None,
 ) -> tuple[CauseErrors, Array]:
     """Return the errors due to the causes in the complete blocks of the intervals, and the final e (4n, 4) of each.
 
-    loops (m, 4n, 4n): closed loops at m configurations, spread evenly over the intervals. start (4n, 4): e of each
-    cause before the first interval; None: zero.
+    loops (m, 4n, 4n): closed loops at m configurations, spread evenly over `total` intervals, of which `before` came
+    before these; None: these are all. start (4n, 4): e of each cause before the first interval; None: zero.
     """
     count, n = len(found) // BLOCK * BLOCK, robot.n
+    total = total or count
     w = disturbances(found, acted, robot, period, limit)
     e = np.zeros((4 * n, len(CAUSES))) if start is None else start
     steps = np.maximum(1, np.round(found.dt / period)).astype(int)
     made = np.zeros((count, len(CAUSES), n))
     for k in range(count):
-        loop = loops[k * len(loops) // count]
+        loop = loops[(before + k) * len(loops) // total]
         for _ in range(steps[k]):
             e = loop @ e
         e = e + w[k]

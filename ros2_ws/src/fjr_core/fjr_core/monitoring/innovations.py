@@ -16,6 +16,9 @@ from .one_step_prediction import Prediction
 from .record import Record
 from .thresholds import LONGEST_GAP
 
+HUGE = 1e30
+"""Positions and velocities below which V does not overflow."""
+
 
 @dataclass(frozen=True)
 class Innovations:
@@ -52,57 +55,82 @@ class Innovations:
         """Return the selected intervals."""
         return Innovations(*(getattr(self, name)[rows] for name in _NAMES))
 
+    def followed_by(self, later: Innovations) -> Innovations:
+        """Return these intervals and later ones."""
+        return Innovations(*(np.concatenate([getattr(self, name), getattr(later, name)]) for name in _NAMES))
+
 
 _NAMES = tuple(f.name for f in fields(Innovations))
 
 
 def innovations(
-    record: Record, balance: Certificate, prediction: Prediction, series: CertificateSeries | None = None
+    record: Record,
+    balance: Certificate,
+    prediction: Prediction,
+    series: CertificateSeries | None = None,
+    before: Array | None = None,
+    valued: bool = True,
 ) -> Innovations:
-    """Return the innovations of the intervals that `consecutive` selects.
+    """Return the innovations of the intervals that `consecutive` selects; of a part, those that end in it.
 
-    series: certificate along the record; None: it is computed here.
+    series: certificate along the record; None: it is computed here. before (n,) [N m]: effort sent before the first
+    state, NaN or None: none. valued: false leaves V, its slope and the effort of the law NaN, in half the time.
     """
-    if series is None:
+    k, n = record.u.shape
+    if series is None and valued:
         series = balance.along(record.position, record.velocity, record.jets)
-    sent, dt = held(record.u), np.diff(record.t)
-    first = consecutive(record, np.isfinite(series.V))
-    before = sent[np.maximum(first - 1, 0)]
+    sent, dt = held(record.u, before), np.diff(record.t)
+    first = consecutive(record, np.isfinite(series.V) if series else _has_storage(record, balance), before)
+    older = sent[np.maximum(first - 1, 0)]
     second, q, dq = first + 1, record.position, record.velocity
     q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
-    predicted = balance.along(q_next, dq_next, record.jets[second]).V
-    applied = np.full_like(record.u, np.nan) if record.u_applied is None else record.u_applied
+    unknown = np.full((k, 4 * n), np.nan)
+    V, u_law, slope = (series.V, series.u_law, series.slope) if series else (unknown[:, 0], unknown[:, :n], unknown)
+    predicted = balance.along(q_next, dq_next, record.jets[second]).V if valued else V[second]
+    applied = unknown[:, :n] if record.u_applied is None else record.u_applied
     return Innovations(
         dt=dt[first],
-        V0=series.V[first],
-        V1=series.V[second],
+        V0=V[first],
+        V1=V[second],
         predicted=predicted,
         sent=sent[first],
-        law=series.u_law[first],
+        law=u_law[first],
         before=applied[first],
         after=applied[second],
         error=np.hstack([q[second] - q_next, dq[second] - dq_next]),
-        slope=series.slope[second],
+        slope=slope[second],
         answered=np.asarray(np.isfinite(record.u[first]).all(axis=1)),
-        older=np.where(np.isfinite(before), before, sent[first]),
-        latency=_latency(record)[first] / dt[first],
-        tracking=q[second, : record.u.shape[1]] - record.jets[second, 0],
+        older=np.where(np.isfinite(older), older, sent[first]),
+        latency=latency(record)[first] / dt[first],
+        tracking=q[second, :n] - record.jets[second, 0],
     )
 
 
-def consecutive(record: Record, known: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:
+def consecutive(
+    record: Record, known: NDArray[np.bool_] | None = None, before: Array | None = None
+) -> NDArray[np.intp]:
     """Return the rows with two measured consecutive states, without a gap and with a known effort.
 
-    known (k,): further condition on each state. A gap is longer than LONGEST_GAP sample periods.
+    known (k,): further condition on each state. before: as of `innovations`. A gap is longer than LONGEST_GAP sample
+    periods.
     """
     finite = np.isfinite(np.hstack([record.position, record.velocity])).all(axis=1)
     good = np.asarray(finite if known is None else finite & known)
-    dt, answered = np.diff(record.t), np.asarray(np.isfinite(held(record.u)).all(axis=1))
+    dt, answered = np.diff(record.t), np.asarray(np.isfinite(held(record.u, before)).all(axis=1))
     pairs = good[:-1] & good[1:] & answered[:-1]
+    pairs[: max(record.begin - 1, 0)] = False
     return np.flatnonzero(pairs & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
 
 
-def _latency(record: Record) -> Array:
+def _has_storage(record: Record, balance: Certificate) -> NDArray[np.bool_]:
+    """Return at which states (k,) V is finite, if the state is; only at huge ones it may overflow."""
+    huge = (np.abs(np.hstack([record.position, record.velocity])) > HUGE).any(axis=1)
+    known: NDArray[np.bool_] = ~np.asarray(huge)
+    known[huge] = np.isfinite(balance.along(record.position[huge], record.velocity[huge], record.jets[huge]).V)
+    return known
+
+
+def latency(record: Record) -> Array:
     """Return the time from each state to its command (k,) [s], at most one sample period; 0 where not known."""
     if record.lockstep or record.sent is None or record.answered is None:
         return np.zeros(len(record.t))
@@ -110,11 +138,11 @@ def _latency(record: Record) -> Array:
     return np.asarray(np.clip(known, 0.0, record.sample_period))
 
 
-def held(u: Array) -> Array:
-    """Return efforts (k, n) with the previous one in place of a missing one (NaN)."""
+def held(u: Array, before: Array | None = None) -> Array:
+    """Return efforts (k, n) with the previous one in place of a missing one (NaN); before (n,): the one before all."""
     came = np.isfinite(u).all(axis=1)
     last = np.maximum.accumulate(np.where(came, np.arange(len(u)), -1))
-    return np.where((last >= 0)[:, None], u[np.maximum(last, 0)], np.nan)
+    return np.where((last >= 0)[:, None], u[np.maximum(last, 0)], np.nan if before is None else before)
 
 
 def needed(found: Innovations, robot: Robot) -> Array:

@@ -31,13 +31,15 @@ class Prediction:
 
         position, velocity (k, 2n) [rad, rad/s]: at the start.
         """
-        if not len(dt):
-            return position, velocity
-        calls = max(1, int(np.ceil(dt.max() / LONGEST - 1e-6)))
-        q, dq = ca.DM(position.T), ca.DM(velocity.T)
-        for _ in range(calls):
-            q, dq = self.function(q, dq, u.T, dt[None] / calls)
-        return q.full().T, dq.full().T
+        position, velocity = position.copy(), velocity.copy()
+        calls = np.maximum(1, np.ceil(dt / LONGEST - 1e-6)).astype(int)
+        for count in np.unique(calls):  # a gap does not make every interval take as long
+            rows = np.flatnonzero(calls == count)
+            q, dq = ca.DM(position[rows].T), ca.DM(velocity[rows].T)
+            for _ in range(count):
+                q, dq = self.function(q, dq, u[rows].T, dt[None, rows] / count)
+            position[rows], velocity[rows] = q.full().T, dq.full().T
+        return position, velocity
 
     @cached_property
     def function(self) -> ca.Function:

@@ -4,29 +4,26 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import fields
-from typing import TypeVar
 
 import numpy as np
+import numpy.ma  # np.median would load it while the robot moves
 
 from ..control.vdpbc.law import TrackingLaw
 from ..numerics.checks import Array
 from .cause_errors import CauseErrors, cause_errors, closed_loop
 from .delay_estimation import EffortDelay, acting, effort_delay
-from .diagnosis import Diagnosis, conclude, unknown
+from .diagnosis import Diagnosis, Judged, unknown
 from .grading import Axes
 from .innovations import needed
 from .online_certificate import OnlineCertificate
 from .storage_budget import StorageBudget, storage_budget
-from .storage_growth import floor, growth, rises
+from .storage_growth import growth, rises
 from .thresholds import BLOCK, OLDEST
 
 BLOCKS = 50  # per diagnosis: 1 s at 1 kHz
 TOGETHER = 5  # blocks that are processed at once, or fewer for a diagnosis
 DELAY_WINDOW = 200  # intervals from which the input delay is estimated
 IN_REAL_TIME = 3 * BLOCK  # intervals for the delay in real time, where latency varies
-Blocks = TypeVar("Blocks", StorageBudget, CauseErrors)
 FORGETTING = 0.9  # factor per diagnosis on the largest change of effort so far
 
 
@@ -78,11 +75,12 @@ class OnlineDiagnosis:
         if not seen.latency.any():
             self._age = effort_delay(seen, self._law.robot)
         self._loop = None  # linearise again at the current reference
-        supplied, made, risen = zip(*self._blocks, strict=True)
-        blocks = _concatenated(supplied)
-        decay = float(np.exp(-2 * self.beta * BLOCK * self._period))
-        grown = growth(np.hstack(risen), floor(blocks, decay, self._axes.storage(self._law)))
-        return conclude(blocks, _concatenated(made), grown, decay, self._axes, self._figures())
+        risen = [each for _, _, each in self._blocks]
+        judged = Judged(float(np.exp(-2 * self.beta * BLOCK * self._period)), self._axes)
+        for each in self._blocks:
+            judged.add(*each[:2])
+        grown = growth(np.hstack(risen), judged.floor(self._axes.storage(self._law)))
+        return judged.conclude(grown, self._figures())
 
     def _estimate_delay(self) -> None:
         """Estimate the delay; in real time only from the largest changes of the effort, since latency varies."""
@@ -104,7 +102,7 @@ class OnlineDiagnosis:
     def _latest_blocks(self, size: int) -> tuple[StorageBudget, CauseErrors, Array]:
         """Return storage budget and errors by cause of the last `size` intervals, and V with the lowest V before it."""
         seen = self._online_certificate.last(size + OLDEST, self._new)
-        acted = acting(seen, self._age, needed(seen, self._law.robot)).last(size)
+        acted = acting(seen, self._age, needed(seen, self._law.robot)).rows(slice(-size, None))
         found = seen.rows(slice(-size, None))
         if not self._period:
             self._period = _usual(found.dt)
@@ -125,9 +123,3 @@ class OnlineDiagnosis:
 def _usual(dt: Array) -> float:
     """Return the sample period [s]: the lower quartile of the intervals, which gaps do not affect."""
     return float(np.quantile(dt, 0.25))
-
-
-def _concatenated(blocks: Sequence[Blocks]) -> Blocks:
-    """Concatenate blocks."""
-    joined = {f.name: np.concatenate([getattr(block, f.name) for block in blocks]) for f in fields(blocks[0])}
-    return type(blocks[0])(**joined)

@@ -84,8 +84,7 @@ def robot_from_urdf(
 
 
 def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
-    if isinstance(joints, str) or not joints:
-        raise RobotError(f"joints is {joints!r}; expected a list of joint names")
+    checks.joint_names("joints", joints, RobotError)
     if len(joints) > MOST_CONTROLLED:
         raise RobotError(f"joints has {len(joints)} names; expected at most {MOST_CONTROLLED}")
     for name in joints:
@@ -94,8 +93,6 @@ def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
             raise RobotError(f"joint '{name}' mimics '{joint.mimics[0]}'; expected joints that move by themselves")
         if joint.kind not in MOVING:
             raise RobotError(f"joint '{name}' is {joint.kind}; expected a {', '.join(MOVING)} joint")
-        if list(joints).count(name) > 1:
-            raise RobotError(f"joint '{name}' is named twice; expected every joint once")
     return [tree.joints[name] for name in joints]
 
 

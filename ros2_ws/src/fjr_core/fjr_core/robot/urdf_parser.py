@@ -124,6 +124,8 @@ def _by_name(root: ET.Element, tag: str) -> dict[str, ET.Element]:
         name = element.get("name")
         if not name or name in found:
             raise RobotError(f"the URDF has a {tag} named {name!r} twice or without a name; expected one of each name")
+        if not name.isprintable():
+            raise RobotError(f"the URDF has a {tag} named {name!r}; expected names of printable characters")
         found[name] = element
     if not found:
         raise RobotError(f"the URDF has no <{tag}>; expected links and the joints between them")

@@ -14,7 +14,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from os import cpu_count
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -22,8 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError, StateError
-from ..numerics import jit
-from ..numerics.c_types import ffi_of
+from ..numerics.c_library import c_library
 from ..numerics.checks import Array
 
 UP = 1 + 2.0**-43
@@ -35,7 +33,6 @@ OPERATIONS = (
     *(ca.OP_SIN, ca.OP_COS, ca.OP_ASSIGN, ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT),
 )
 """Operations of CasADi, in the order of those of taylor_models.c."""
-INCLUDED = ("#include <math.h>", "#include <stdint.h>", "#include <string.h>")
 
 
 class Shape(NamedTuple):
@@ -180,8 +177,4 @@ def _library(shape: Shape) -> tuple[Any, Any]:
     """
     if shape.symbols and shape.mixed > shape.order or shape.width > 500:
         raise ParameterError(f"{shape}: expected at most 500 values, and mixed at most order")
-    header, code = (Path(__file__).with_name(f"taylor_models.{kind}").read_text(encoding="utf-8") for kind in "hc")
-    sizes = [f"#define {name} {size}" for name, size in zip("MKL", shape, strict=True)]
-    path = jit.shared_object("taylor_models", "\n".join([*INCLUDED, *sizes, header, code]), ["-fopenmp-simd"])
-    ffi = ffi_of(header)
-    return ffi, ffi.dlopen(path)
+    return c_library(__file__, dict(zip("MKL", shape, strict=True)), ["-fopenmp-simd"])

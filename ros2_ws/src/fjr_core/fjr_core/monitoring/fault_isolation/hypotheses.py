@@ -23,6 +23,8 @@ FREEPLAYS = np.geomspace(0.02, 2.0, 40)
 """Tested half-widths of backlash relative to the RMS deflection."""
 LONGEST_ARM = 1.5
 """Largest considered distance [m] of a payload from its joint."""
+STEPS = 60
+"""Of the fit of a payload."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,21 +136,46 @@ def _largest(own: Array) -> Callable[[Array], float]:
 
 def _point_mass(A: Array, c: Array) -> Array:
     """Fit a point mass of either sign, at most LONGEST_ARM away; return its ten inertial parameters."""
-    from scipy.optimize import least_squares  # loaded on use: see control/vdpbc/gains.py
-
     scale = np.sqrt(np.diag(A).max()) or 1.0
     values, vectors = np.linalg.eigh(A / scale**2)
     kept = values > 1e-12 * values.max()
     root = (vectors[:, kept] * np.sqrt(values[kept])).T
     target = (vectors[:, kept].T @ (c / scale)) / np.sqrt(values[kept]) / scale
-
-    def parameters(x: Array) -> Array:
-        m, r = x[0], x[1:]
-        return np.array([m, *(m * r), *(m * r[i] * r[j] for i, j in SECOND_MOMENTS)])
-
     begins = ([m, *r] for m in (0.1, -0.1) for r in ((0.1, 0.0, 0.0), (0.0, 0.1, 0.1)))
-    bounds = ([-np.inf, *(-LONGEST_ARM,) * 3], [np.inf, *(LONGEST_ARM,) * 3])
-    tried = [
-        least_squares(lambda x: root @ parameters(x) - target, begin, bounds=bounds, max_nfev=60) for begin in begins
-    ]
-    return parameters(min(tried, key=lambda each: each.cost).x)
+    tried = [_descended(root, target, np.array(begin)) for begin in begins]
+    return min(tried, key=lambda each: each[0])[1]
+
+
+def _descended(root: Array, target: Array, x: Array) -> tuple[float, Array]:
+    """Minimise |root p - target| over the point masses x = (m, r) from x on, by the method of Levenberg and Marquardt.
+
+    Return half its square and p (10,). SciPy does it, too, but loads for 0.3 s, which a running node does not have.
+    """
+    p, slopes = _of_point_mass(x)
+    error, damping = root @ p - target, 1e-3
+    for _ in range(STEPS):
+        J = root @ slopes
+        gradient, hessian = J.T @ error, J.T @ J
+        free = np.append(True, ~((np.abs(x[1:]) >= LONGEST_ARM) & (gradient[1:] * x[1:] < 0)))
+        hessian = hessian[np.ix_(free, free)]
+        step = np.zeros(4)
+        step[free] = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian) + 1e-12), -gradient[free])
+        trial = np.append(x[0] + step[0], np.clip(x[1:] + step[1:], -LONGEST_ARM, LONGEST_ARM))
+        p_trial, slopes_trial = _of_point_mass(trial)
+        found = root @ p_trial - target
+        gain = error @ error - found @ found
+        if gain > 0:
+            x, p, slopes, error, damping = trial, p_trial, slopes_trial, found, max(damping / 10, 1e-9)
+        else:
+            damping *= 10
+        if abs(gain) < 1e-10 * (error @ error):
+            break
+    return float(error @ error) / 2, p
+
+
+def _of_point_mass(x: Array) -> tuple[Array, Array]:
+    """Return the inertial parameters (10,) of x = (m, r) and their derivatives (10, 4)."""
+    m, r, unit = x[0], x[1:], np.eye(3)
+    unscaled = np.array([1.0, *r, *(r[i] * r[j] for i, j in SECOND_MOMENTS)])
+    moments = [r[j] * unit[i] + r[i] * unit[j] for i, j in SECOND_MOMENTS]
+    return m * unscaled, np.column_stack([unscaled, m * np.vstack([np.zeros(3), unit, *moments])])

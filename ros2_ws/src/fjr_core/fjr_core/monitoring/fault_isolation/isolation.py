@@ -4,19 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...control.vdpbc.law import TrackingLaw
+from ...control_step.wiring_fault import WiringFault
 from ...numerics.checks import Array
 from ..certificate import Certificate
 from ..delay_estimation import acting, effort_delay
-from ..innovations import Innovations, innovations, needed
+from ..innovations import innovations, needed
 from ..one_step_prediction import Prediction
-from ..record import Record
+from ..record import Ends, Record
 from ..thresholds import LONGEST_GAP
-from ..wiring.check import WiringCheck, WiringFault
+from ..wiring import WiringCheck
 from .hypotheses import Hypothesis, hypotheses
 from .torque_residuals import Residuals, residuals
 from .velocity_consistency import VelocityFault, velocity_faults
@@ -55,17 +56,19 @@ class Finding:
     sentence: str
 
 
-def isolate(
-    whole: Record, law: TrackingLaw, joints: Sequence[str] = (), found: Innovations | None = None
-) -> tuple[Finding, ...]:
+def isolate(record: Record, law: TrackingLaw, joints: Sequence[str] = ()) -> tuple[Finding, ...]:
     """Return the faults of a record, the worst first; empty if none is found or the data do not suffice.
 
     Three checks in this order: wiring (exchanged joints, wrong signs), velocities that contradict their positions, the
     single fault that explains the residual torques. The first check that finds a fault ends the search, because the
-    fault masks the later ones. joints: names (n,); default joint1 .. jointn. found: innovations of the record; None:
-    they are computed here. Of a record longer than LONGEST states the middle is ignored.
+    fault masks the later ones. joints: names (n,); default joint1 .. jointn. Of a record longer than LONGEST states the
+    middle is ignored.
     """
-    names, record = list(joints) or [f"joint{j + 1}" for j in range(law.robot.n)], _shortened(whole)
+    names = list(joints) or [f"joint{j + 1}" for j in range(law.robot.n)]
+    if len(record.t) > LONGEST:
+        ends = Ends(LONGEST // 2)
+        ends.add(record)
+        record = ends.record()
     with np.errstate(all="ignore"):
         wiring = _wiring(record, law)
         if wiring is not None:
@@ -73,24 +76,12 @@ def isolate(
         contradicted = velocity_faults(record)
         if contradicted:
             return tuple(_of_velocity(fault, names) for fault in contradicted)
-        if found is None or record is not whole:
-            found = innovations(record, Certificate(law), Prediction(law))
+        found = innovations(record, Certificate(law), Prediction(law))
         if not len(found):
             return ()
         acted = acting(found, effort_delay(found, law.robot), needed(found, law.robot))
         seen = residuals(record, law, found, acted)
         return () if seen is None else _named(seen, names)
-
-
-def _shortened(record: Record) -> Record:
-    """Return the record without its middle if it is longer than LONGEST states."""
-    count = len(record.t)
-    if count <= LONGEST:
-        return record
-    rows = np.r_[: LONGEST // 2, count - LONGEST // 2 : count]
-    series = {f.name: getattr(record, f.name) for f in fields(Record)}
-    kept = {name: value[rows] for name, value in series.items() if np.ndim(value) and len(value) == count}
-    return replace(record, **kept)
 
 
 def _wiring(record: Record, law: TrackingLaw) -> WiringFault | None:

@@ -10,7 +10,7 @@ import numpy as np
 from ...numerics.checks import Array
 from ...verification.taylor_models import Shape
 from .peak_gains import ROUNDING
-from .points import Tube
+from .tube import Tube
 
 PRODUCTS = 1e-13  # relative error of two products of matrices of up to 4n rows
 

@@ -32,11 +32,6 @@ class Coordinates:
         eigenvalues, vectors = np.linalg.eigh(M_l)
         return cls(robot, np.sqrt(eigenvalues)[:, None] * vectors.T)
 
-    @classmethod
-    def of_joints(cls, robot: Robot) -> Coordinates:
-        """Return the joints' own coordinates."""
-        return cls(robot, np.eye(robot.n))
-
     @cached_property
     def S(self) -> Array:
         """Matrix (4n, 4n) of y = S z."""

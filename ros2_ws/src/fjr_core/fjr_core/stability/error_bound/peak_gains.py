@@ -15,19 +15,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import reduce
 from os import cpu_count
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...numerics import jit
-from ...numerics.c_types import ffi_of
+from ...numerics.c_library import c_library
 from ...numerics.checks import Array
 from ...robot.equilibrium import Indices
 from ..one_sample_map import held_maps
 from .reference_cells import Cells
 
-INCLUDED = ("#include <math.h>", "#include <stdint.h>", "#include <string.h>")
 ROUNDING = 1 + 1e-9
 """Factor that covers the rounding of products and sums: less than 1e5 operations of relative error 2^-53 each."""
 
@@ -65,7 +62,7 @@ def peak_gains(models: CellModels, cells: Cells, T: float, blocks: int, finals: 
 
     def of_chain(final: Indices) -> tuple[Array, Array]:
         X, sums = np.concatenate([np.eye(S), models.outputs[final]]), np.zeros((S + models.outputs.shape[1], m + n))
-        chain.add(np.array([cells.before(final, block) for block in range(blocks)]), X, sums)
+        chain.add(cells.before(final, np.arange(blocks)), X, sums)
         return sums, np.abs(X)
 
     with ThreadPoolExecutor(cpu_count()) as pool:
@@ -82,17 +79,14 @@ class _Chain:
 
     def __init__(self, models: CellModels, samples: int, T: float) -> None:
         loop, inputs, bent = _chained(models, samples)
-        header, code = (Path(__file__).with_name(f"peak_gains.{kind}").read_text(encoding="utf-8") for kind in "hc")
-        path = jit.shared_object("peak_gains", "\n".join([*INCLUDED, header, code]))
-        self._ffi = ffi_of(header)
-        self._library = self._ffi.dlopen(path)
+        self._ffi, self._library = c_library(__file__)
         self._maps, self._bent = np.concatenate([inputs, loop], axis=2), np.ascontiguousarray(bent)
         given = {"maps": self._pointer(self._maps), "bent": self._pointer(self._bent), "half": T / 2}
         _, states, torques = bent.shape
         sizes = {"states": states, "torques": torques, "efforts": models.effort.shape[2], "samples": samples}
         self._struct = self._ffi.new("struct fjr_chain *", {**given, **sizes})
 
-    def add(self, cells: Array, X: Array, sums: Array) -> None:
+    def add(self, cells: Indices, X: Array, sums: Array) -> None:
         """Add the absolute responses X maps of a chain of cells, back from X (rows, S), to sums (rows, m + n).
 
         X becomes the product of X and the loops of the cells.

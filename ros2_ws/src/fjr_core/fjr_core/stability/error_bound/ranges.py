@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from ...errors import StateError
+from ...numerics.casadi_function import columnwise
 from ...numerics.checks import Array
 from ...verification.taylor_models import Shape, TaylorModels, taylor_function
 from ..one_sample_map import split
@@ -18,10 +19,10 @@ from .centre_motion import CentreMotion
 from .deviation_model import FACTORS, DeviationModel
 from .invariant_tube import Spread
 from .matrix_models import MatrixModels
-from .points import INSTANTS, Tube, shares, values
 from .reference_cells import Cells, Window
 from .sampled_deviation import LinearCells
 from .steady_response import Drive
+from .tube import INSTANTS, Tube, shares
 
 SAMPLED = 24  # cells at which ranges that are not verified are evaluated
 CLIMBS = 6  # corners of a tube that are tried for the largest V
@@ -49,9 +50,9 @@ class Ranges:
     def drive(self) -> Drive:
         """Return the known torques and efforts: of the centre motion, by each uncertain factor, by each torque term."""
         c, uncertain = self._tiled(self.centre.factors), self._half > 0
-        defect, _ = values(self.model.defect, self._path.instants, self._cells.instants, c)
+        defect, _ = columnwise(self.model.defect, self._path.instants, self._cells.instants, c)
         acting = self._cells.acting(self.blocks, self._whole)[0].middle
-        _, rate = values(self.model.defect, self._path.columns(acting), self._cells.columns(acting), c)
+        _, rate = columnwise(self.model.defect, self._path.columns(acting), self._cells.columns(acting), c)
         slopes, _, second = self._coefficients
         by_factor = (self._terms @ (slopes * self._half))[:, :, uncertain]
         by_term = (self._terms * second)[:, :, second > 0]
@@ -154,7 +155,7 @@ class Ranges:
     @cached_property
     def _terms(self) -> Array:
         """Torque terms (c, 2n, 6) in the middle of the cells."""
-        (terms,) = values(self.model.torque_terms, self._path.middles, self._tiled(self.centre.factors))
+        (terms,) = columnwise(self.model.torque_terms, self._path.middles, self._tiled(self.centre.factors))
         return np.asarray(terms.T.reshape(self._cells.count, -1, 2 * self.model.n).swapaxes(1, 2))
 
     @cached_property
@@ -262,4 +263,4 @@ def _first_of_none(columns: Array) -> Array:
 
 
 def _called(function: ca.Function, arguments: dict[str, Array]) -> list[Array]:
-    return values(function, *(arguments[name] for name in function.name_in()))
+    return columnwise(function, *(arguments[name] for name in function.name_in()))

@@ -75,8 +75,8 @@ class Cells:
         late = self.verified and not self.aligned
         return np.asarray(self._first + self.length / (2 if late else 1))
 
-    def before(self, cells: Indices, number: int) -> Indices:
-        """Return the cells (k,) that lie `number` cells before the given ones; a reference at rest before time 0."""
+    def before(self, cells: Indices, number: Indices) -> Indices:
+        """Return the cells that lie a number of cells before the given ones; a reference at rest before time 0."""
         earlier = cells - number
         return earlier % self.count if self.periodic else np.maximum(earlier, 0)
 

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag
 
+from ...numerics.casadi_function import columnwise
 from ...numerics.checks import Array
 from ...robot.equilibrium import Indices
 from ..linear_controller import static
@@ -17,7 +18,6 @@ from .centre_motion import CentreMotion
 from .deviation_model import DeviationModel
 from .modal_coordinates import Coordinates
 from .peak_gains import ROUNDING, CellModels, curvature
-from .points import values
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,9 +158,9 @@ def linear_cells(model: DeviationModel, centre: CentreMotion, delay: float) -> L
     """Return the linear model in the middle of each cell about a centre motion, for a robot with its factors."""
     n, cells, c = model.n, centre.cells, centre.factors
     zero, factors = np.zeros((4 * n, cells.count)), np.tile(c[:, None], cells.count)
-    H, M = values(model.link_slope, centre.path.middles, zero, factors, factors)
+    H, M = columnwise(model.link_slope, centre.path.middles, zero, factors, factors)
     G, B = (each.full() for each in model.motor_slope(c))
-    (F,) = values(model.law_slope, centre.path.instants, cells.instants, zero, factors)
+    (F,) = columnwise(model.law_slope, centre.path.instants, cells.instants, zero, factors)
     inertia, slopes, law = (each.T.reshape(cells.count, -1, n).swapaxes(1, 2).copy() for each in (M, H, F))
     modal = Coordinates.modal(model.robot, inertia.mean(axis=0))
     between = cells.sample_period / 2 if cells.verified else 0.0

@@ -13,10 +13,10 @@ from ...numerics.checks import Array
 from .centre_motion import CentreMotion
 from .invariant_tube import Deviations, fixed_point
 from .peak_gains import ROUNDING
-from .points import Tube
 from .ranges import Ranges
 from .sampled_deviation import LinearCells
 from .steady_response import Drive, Response, steady_response, transient
+from .tube import Tube
 
 CREDIBLE = 0.3  # rad; largest position of a tube whose constants are sampled
 GROWTH, ROUNDS = 1.4, 8  # of the tube that is tried

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values of CasADi functions at points, and at random points of tubes and boxes where ranges are not verified."""
+"""Tubes of deviations, and the random points at which ranges are sampled where they are not verified."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from ...numerics.checks import Array
@@ -47,22 +46,3 @@ def shares(size: int, k: int) -> list[Array]:
     """Return shares (size, k) of widths: the middles of k boxes, then random corners."""
     rng = np.random.default_rng(SEED)
     return [np.full((size, k), 0.5), *rng.integers(0, 2, (POINTS - 1, size, k)).astype(float)]
-
-
-def values(function: ca.Function, *arguments: Array) -> list[Array]:
-    """Return the outputs (size, k) of a function at k columns of its arguments (size, k), in column-major order."""
-    k = arguments[0].shape[1]
-    given = [_side_by_side(each, function.size_in(i), k) for i, each in enumerate(arguments)]
-    results = function.map(k)(*given)
-    results = results if isinstance(results, tuple) else (results,)
-    return [_columns(each.full(), function.size_out(i), k) for i, each in enumerate(results)]
-
-
-def _side_by_side(columns: Array, size: tuple[int, int], k: int) -> Array:
-    """Return columns (rows * columns, k) as matrices (rows, k columns) side by side."""
-    return columns.T.reshape(k, size[1], size[0]).transpose(2, 0, 1).reshape(size[0], -1)
-
-
-def _columns(side_by_side: Array, size: tuple[int, int], k: int) -> Array:
-    """Return matrices (rows, k columns) side by side as columns (rows * columns, k)."""
-    return side_by_side.reshape(size[0], k, size[1]).transpose(2, 0, 1).reshape(size[0] * size[1], k)
