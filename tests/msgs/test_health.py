@@ -11,6 +11,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from fjr_msgs_py.node.diagnostics import Health
+from fjr_msgs_py.node.participant import leave
 
 
 @pytest.fixture
@@ -19,7 +20,7 @@ def health() -> Iterator[Health]:
     rclpy.init(context=context)
     node = Node("healthy", context=context)
     yield Health(node, ("messages",))
-    node.destroy_node()
+    leave(node)
     context.try_shutdown()
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import rclpy
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
@@ -21,7 +22,8 @@ from fjr_msgs_py.native.entities import NativeMessage, NativeReader, NativeSubsc
 from fjr_msgs_py.native.loop import Loop
 from fjr_msgs_py.native.program import Program, common_headers, common_sources
 from fjr_msgs_py.native.ring import Ring
-from time_limits import Limit
+from fjr_msgs_py.node.participant import leave
+from time_limits import HANG, Limit
 
 NAMES = ["one", "two"]
 CAPACITY = 4
@@ -82,8 +84,8 @@ class Echo:
     def close(self) -> None:
         self.loop.close()
         self.subscription.close()
-        for node in (self.node, self.peer):
-            node.destroy_node()
+        self.node.destroy_node()
+        leave(self.peer)
         self.context.try_shutdown()
 
 
@@ -117,11 +119,13 @@ def test_records_come_in_order_and_those_without_a_place_are_counted(echo) -> No
 
 def test_messages_from_before_the_start_and_after_the_end_are_ignored(echo) -> None:
     echo.send(1)
+    assert echo.states.wait_for_all_acked(Duration(seconds=HANG))
     echo.loop.start()
     echo.send(2)
     assert echo.answered().header.stamp.sec == 2
     echo.loop.stop()
     echo.send(3)
+    assert echo.states.wait_for_all_acked(Duration(seconds=HANG))
     echo.loop.start()
     echo.send(4)
     assert echo.answered().header.stamp.sec == 4

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process that joins while it loads knows the others when its node is built, and leaves the domain on a signal."""
+"""A process that joins while it loads knows the others when its node is built, and leaves the domain in any event."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 from rclpy.node import Node
 from std_msgs.msg import Empty
 
+from fjr_msgs_py.native.program import ros_options
+from fjr_msgs_py.node.participant import own_node
 from nodes.harness import Ros
-from time_limits import HANG
+from time_limits import HANG, Limit
 
 JOINING = """
 import sys, time
@@ -40,6 +43,19 @@ before = scheduling()
 """
 COMPARING = "print(scheduling() == before, flush=True)"
 WAITING = "sys.stdin.read()"
+LEAVING = """
+import ctypes, os, signal, sys, time
+import rclpy
+from fjr_msgs_py.node.participant import own_node
+signal.alarm(120)  # ends this process even where Python does not run any more
+slow = ctypes.CDLL(sys.argv[1])
+for _ in range(5):
+    with own_node("leaving"):
+        before = slow.callbacks_begun()
+        slow.listen_slowly(int(os.environ["ROS_DOMAIN_ID"]))
+        while slow.callbacks_begun() < before + 2:
+            time.sleep(0.001)
+"""
 
 
 @contextmanager
@@ -92,3 +108,43 @@ def test_a_signal_after_joining_leaves_and_exits_with_0(ros: Ros, other: Node, n
         _, output = process.communicate(timeout=HANG)
         assert (process.returncode, output) == (0, "")
         ros.until(lambda: not starting(other), "its end")
+
+
+def test_a_participant_leaves_while_discovery_callbacks_run(ros: Ros, tmp_path: Path) -> None:
+    """Without `stop_discovery` the wheels' Fast DDS waits forever, in one of two rounds, for a callback to end."""
+    library = tmp_path / "slow.so"
+    include, *_, lib = (option for option in ros_options() if option[:2] in ("-I", "-L"))
+    options = [f"-I{Path(include[2:]).parent}", lib, "-l:libfastrtps.so", "-Wl,--allow-shlib-undefined"]
+    source = Path(__file__).with_name("slow_listener.cpp")
+    subprocess.run(["c++", "-std=c++17", "-shared", "-fPIC", "-o", library, source, *options], check=True)
+    joining = ros.add(Node("joining", context=ros.context))
+    with subprocess.Popen([sys.executable, "-c", LEAVING, str(library)]) as process:
+        while process.poll() is None:
+            publisher = joining.create_publisher(Empty, "/message", 1)
+            ros.executor.spin_once(timeout_sec=0.004)
+            joining.destroy_publisher(publisher)
+    assert process.returncode == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for threads")
+def test_participants_of_one_process_exchange_messages_through_their_receiving_threads(ros: Ros) -> None:
+    """With the delivery within a process the sender's thread would run callbacks of the receiver under its locks."""
+    publisher = ros.add(Node("here", context=ros.context)).create_publisher(Empty, "/message", 1)
+    with own_node("there") as there:
+        subscription = there.create_subscription(Empty, "/message", lambda _: None, 1)
+        limit = Limit(30.0)
+        while not (publisher.get_subscription_count() and subscription.get_publisher_count()):
+            assert not limit.passed()
+        before = receiving_threads_woken()
+        for _ in range(100):
+            publisher.publish(Empty())
+            while subscription.handle.take_message(Empty, False) is None:
+                assert not limit.passed()
+        assert receiving_threads_woken() >= before + 100
+
+
+def receiving_threads_woken() -> int:
+    """Return how often the threads of this process slept that receive messages of DDS."""
+    threads = [path for path in Path("/proc/self/task").iterdir() if (path / "comm").read_text().startswith("dds.shm")]
+    statuses = [(path / "status").read_text().splitlines() for path in threads]
+    return sum(int(line.split()[1]) for status in statuses for line in status if line.startswith("voluntary_ctxt"))

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -18,7 +20,7 @@ from hypothesis import strategies as st
 from fjr_core import ParameterError
 from fjr_core.config.process import ProcessSettings, cores, process_parameters, process_settings
 from fjr_msgs_py.node import scheduling
-from fjr_msgs_py.node.scheduling import ahead_of_new_threads, apply_process_settings, prioritised, take_priority
+from fjr_msgs_py.node.scheduling import NICE, SLICE, ahead_of_new_threads, prioritised, step_back, take_priority
 from msgs.child import run
 
 NOBODY = 65534
@@ -28,7 +30,7 @@ TAKE_CARE = """
 import json, os, resource, sys, threading
 from pathlib import Path
 from fjr_core.config.process import ProcessSettings
-from fjr_msgs_py.node.scheduling import apply_process_settings
+from fjr_msgs_py.node.scheduling import apply_process_settings, slice_of, yield_to_other_threads
 care, user, memlock = json.loads(sys.argv[1])
 thread = threading.Thread(target=threading.Event().wait, daemon=True).start()
 if memlock is not None:
@@ -37,11 +39,14 @@ if user is not None:
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     os.setuid(user)
 care["cores"] = frozenset(care.get("cores", ()))
-refusals = apply_process_settings(ProcessSettings(**care))
+granted, refusals = apply_process_settings(ProcessSettings(**care))
+yield_to_other_threads(care.get("priority", 0))
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-threads = [int(thread) for thread in os.listdir("/proc/self/task")]
+threads = sorted((int(thread) for thread in os.listdir("/proc/self/task")), key=os.getpid().__ne__)
 print(json.dumps({
+    "granted": granted,
     "refusals": refusals,
+    "slices": [slice_of(t) for t in threads],
     "locked": int(status["VmLck"].split()[0]),
     "policies": [[os.sched_getscheduler(t), os.sched_getparam(t).sched_priority] for t in threads],
     "cores": [sorted(os.sched_getaffinity(t)) for t in threads],
@@ -73,10 +78,22 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="reads Linux's /proc"
 root = pytest.mark.skipif(os.name != "posix" or os.getuid() != 0, reason="only root may become somebody else")
 
 
-def test_zero_leaves_scheduling_and_affinity_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "sched_setscheduler", lambda *_: pytest.fail("asked"))
-    monkeypatch.setattr(os, "sched_setaffinity", lambda *_: pytest.fail("asked"))
-    assert apply_process_settings(ProcessSettings()) == []
+@linux
+def test_without_a_priority_every_thread_has_short_slices_and_python_yields() -> None:
+    found = _take_care({})
+    assert found["refusals"] == []
+    assert found["policies"] == [[os.SCHED_BATCH, 0], [os.SCHED_OTHER, 0]]
+    _is_said(found)
+
+
+def _is_said(found: dict[str, Any]) -> None:
+    """Compare the sentence about ordinary scheduling with the slices of the threads, first the main one."""
+    version = tuple(int(part) for part in os.uname().release.split(".")[:2])
+    if version >= (6, 12):
+        assert found["slices"] == [SLICE] * 2
+        assert found["granted"].startswith("ordinary scheduling with slices of 0.1 ms: cycles may be late")
+    else:
+        assert found["granted"].startswith("ordinary scheduling (slices of 0.1 ms need Linux 6.12): cycles may be late")
 
 
 @linux
@@ -109,8 +126,9 @@ def test_a_refusal_is_one_sentence_with_a_remedy(monkeypatch: pytest.MonkeyPatch
 @linux
 def test_priority_applies_to_running_threads_or_its_refusal_is_reported() -> None:
     found = _take_care({"priority": 7})
-    granted = [[os.SCHED_FIFO, 7]] * 2
+    granted = [[os.SCHED_FIFO, 6], [os.SCHED_FIFO, 7]]
     assert (found["policies"] == granted) == (found["refusals"] == [])
+    assert ("real-time priority 7 is granted" in found["granted"]) == (found["refusals"] == [])
 
 
 @linux
@@ -147,20 +165,46 @@ def test_a_partly_missing_set_of_cores_is_reported() -> None:
 
 @linux
 @root
-def test_an_unprivileged_user_gets_two_sentences_and_the_node_runs() -> None:
+def test_an_unprivileged_user_gets_two_sentences_and_short_slices() -> None:
     found = _take_care({"priority": 50, "lock_memory": True}, user=NOBODY, memlock=4 << 20)
-    assert found["locked"] == 0
-    assert found["policies"] == [[os.SCHED_OTHER, 0]] * 2
+    assert found["policies"] == [[os.SCHED_BATCH, 0], [os.SCHED_OTHER, 0]]
+    _is_said(found)
     memory, priority = found["refusals"]
-    assert "lock_memory is refused (the memlock limit is 4096 kB)" in memory
+    locked = re.search(r"lock_memory is refused \(the memlock limit is 4096 kB; (\d+) kB of code are locked\)", memory)
+    assert locked
+    assert 0 < found["locked"] == int(locked[1]) <= 4096
     assert "realtime_priority 50 is refused" in priority
 
 
-def test_a_finite_memory_limit_counts_as_a_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (8 << 30, 8 << 30))
-    monkeypatch.setattr(scheduling, "_capable", lambda _: False)
-    monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: pytest.fail("asked"))
-    assert "memlock limit is 8388608 kB" in scheduling.lock_memory()
+@linux
+@root
+@pytest.mark.skipif(
+    resource.getrlimit(resource.RLIMIT_MEMLOCK)[1] != resource.RLIM_INFINITY, reason="the limit cannot be raised here"
+)
+def test_a_limit_above_what_is_mapped_locks_that_and_says_so() -> None:
+    found = _take_care({"lock_memory": True}, user=NOBODY, memlock=64 << 30)
+    assert found["locked"] > 10_000
+    assert "memory that is mapped later, beyond the memlock limit of 67108864 kB" in found["refusals"][0]
+
+
+@linux
+def test_what_runs_beside_a_loop_steps_back_alone() -> None:
+    with ThreadPoolExecutor(1, initializer=step_back) as worker:
+        thread = worker.submit(threading.get_native_id).result()
+        assert os.sched_getscheduler(thread) == os.SCHED_BATCH
+        assert os.getpriority(os.PRIO_PROCESS, thread) == os.getpriority(os.PRIO_PROCESS, 0) + NICE
+    assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
+
+
+@linux
+@pytest.mark.parametrize("refused", [False, True])
+def test_a_recorder_has_priority_or_steps_back_during_the_run(monkeypatch: pytest.MonkeyPatch, refused: bool) -> None:
+    allowed = not refused and not take_priority(1)
+    monkeypatch.setattr(scheduling, "take_priority", take_priority if allowed else lambda *_, **__: "refused")
+    with prioritised(1, beside=True):
+        inside = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+    assert inside == (os.SCHED_FIFO if allowed else os.SCHED_BATCH)
+    assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
 
 
 @pytest.mark.parametrize("executor", ["events", "single"])

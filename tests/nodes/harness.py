@@ -23,6 +23,7 @@ from std_msgs.msg import Float64MultiArray
 from fjr_controller.controller_node import ControllerNode
 from fjr_msgs_py.messages.certificate import CertificateValues, labelled
 from fjr_msgs_py.names import LATEST
+from fjr_msgs_py.node.participant import stop_discovery
 from fjr_plant.plant_node import PlantNode
 from time_limits import Limit
 
@@ -94,6 +95,8 @@ class Ros:
     def close(self) -> None:
         for close in self._closing:
             close()
+        for node in self._nodes:
+            stop_discovery(node.handle)
         for node in self._nodes:
             node.destroy_node()
         self.executor.shutdown()

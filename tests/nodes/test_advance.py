@@ -33,6 +33,11 @@ def ros(request, ros: Ros) -> Ros:
     return ros
 
 
+def assert_close(x: np.ndarray, expected: np.ndarray) -> None:
+    """Compare states; the oracle is not compiled and rounds each product and sum."""
+    np.testing.assert_allclose(x, expected, rtol=1e-13, atol=1e-16)
+
+
 FALLEN = integrate(np.array([0.5, 0.5, 0.0, 0.0]), 0.0, 160)
 
 
@@ -79,7 +84,7 @@ def test_real_time_advances_at_once_with_the_held_effort(ros: Ros, peer: Peer) -
     time, x, count = node._robot.time, node._robot.x, len(peer.states)
     assert advance(ros, peer).success
     assert node._robot.time == time + 25 * PERIOD
-    np.testing.assert_array_equal(node._robot.x, integrate(x, 0.3, 100))
+    assert_close(node._robot.x, integrate(x, 0.3, 100))
     ros.until(lambda: nanoseconds(peer.states[-1]) == node._time_base.stamp)
     stamps = [nanoseconds(state) for state in peer.states[count:]]
     assert stamps == [node._time_base.stamp - (24 - k) * PERIOD for k in range(25)]
@@ -94,7 +99,7 @@ def test_real_time_advances_without_effort_before_the_first_command(ros: Ros, pe
     ros.plant(start_paused=True, advance_samples=40)
     assert advance(ros, peer).success
     ros.until(lambda: len(peer.states) == 40)
-    np.testing.assert_array_equal(state_of(peer.states[-1]), FALLEN)
+    assert_close(state_of(peer.states[-1]), FALLEN)
 
 
 def test_lockstep_advances_to_the_same_states_as_real_time(ros: Ros, peer: Peer) -> None:
@@ -102,7 +107,7 @@ def test_lockstep_advances_to_the_same_states_as_real_time(ros: Ros, peer: Peer)
     CommandLoop(peer, effort=lambda _: 0.0).listen()
     assert advance(ros, peer).success
     ros.until(lambda: nanoseconds(peer.states[-1]) == START + 40 * PERIOD)
-    np.testing.assert_array_equal(state_of(peer.states[-1]), FALLEN)
+    assert_close(state_of(peer.states[-1]), FALLEN)
 
 
 @pytest.mark.parametrize("lockstep", [True, False])
@@ -160,11 +165,10 @@ def test_divergence_during_an_advance_ends_the_node_with_a_response(ros: Ros, pe
     assert isinstance(node.ended, StateError)
     assert not response.success
     assert response.message.startswith("ended after ")
-    ros.settle()
-    count = len(peer.states)
+    time = node._robot.time
     call(ros, peer, SetBool, "fjr_plant/pause", data=False)
     ros.settle()
-    assert len(peer.states) == count, "it must do nothing more"
+    assert node._robot.time == time, "it must do nothing more"
 
 
 def test_advance_samples_is_dynamic(ros: Ros, peer: Peer) -> None:

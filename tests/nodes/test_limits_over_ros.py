@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 
 import fjr_core as fjr
 from nodes.harness import Peer, Ros, stamped
@@ -77,6 +78,9 @@ def test_the_effort_changes_no_faster_than_its_rate(ros: Ros, peer: Peer) -> Non
     assert effort(ros, peer, limits__effort_rate=[100.0]) == 0.0
     efforts = [float(peer.ask(at(0.001 * k)).effort[0]) for k in range(1, 4)]
     np.testing.assert_allclose(efforts, [-0.1, -0.2, -0.3])
+    ros.until(lambda: peer.count("efforts rate limited", "fjr_controller"), "the counter")
+    (status,) = [each for each in peer.diagnostics[-1].status if each.name == "fjr_controller"]
+    assert status.level == DiagnosticStatus.OK, "a limited rate is what its setting asks for"
 
 
 def test_a_start_too_far_away_is_refused(ros: Ros, peer: Peer) -> None:
@@ -94,9 +98,11 @@ def test_the_effort_is_ramped_from_the_stop_effort(ros: Ros, peer: Peer) -> None
 
 
 def test_a_start_begins_with_a_transition_from_the_measured_state(ros: Ros, peer: Peer) -> None:
-    effort(ros, peer, start__join_time=0.5)
+    effort(ros, peer, start__join_time=0.5, limits__acceleration=[50.0])
     first, wanted = peer.references[-1], fjr.Sine(1.0, 1.0)
-    assert (first.position[0], first.velocity[0]) == (0.5, 0.3)
+    assert (first.position[0], first.velocity[0]) == pytest.approx((0.5, 0.3), abs=1e-12)
+    peer.ask(at(0.49))
+    assert peer.references[-1].position[0] != wanted.jets(0.49)[0, 0]
     peer.ask(at(0.5))
     assert peer.references[-1].position[0] == pytest.approx(wanted.jets(0.5)[0, 0])
 

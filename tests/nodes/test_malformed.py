@@ -19,7 +19,6 @@ import pytest
 from builtin_interfaces.msg import Duration, Time
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -28,6 +27,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, StateReader, TorqueReader
 from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from fjr_msgs_py.names import state_names
+from fjr_msgs_py.node.failure import EndingNode
 from fjr_plant.timing.lock_step import START as LOCKSTEP_START
 from nodes.harness import Listener, Ros, stamped
 
@@ -164,11 +164,12 @@ def check_effort(plain: Float64MultiArray, named: JointState) -> None:
 # Nodes.
 
 
-def deliver(node: Node, topic: str, message: Any) -> None:
+def deliver(node: EndingNode, topic: str, message: Any) -> None:
     """Pass the serialised message to the subscription callback of the node."""
     subscription = next(s for s in node.subscriptions if s.topic_name == f"{node.get_namespace()}/{topic}")
     wire = serialize_message(message)
     subscription.callback(wire if subscription.raw else deserialize_message(wire, type(message)))
+    assert node.unexpected is None
 
 
 def namespace(name: str) -> list[str]:

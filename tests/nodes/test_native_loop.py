@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +15,9 @@ from std_msgs.msg import Float64MultiArray
 
 from fjr_controller.native.command_loop import NativeCommandLoop
 from fjr_controller.ros.command_loop import CommandLoop
+from fjr_msgs_py.node.scheduling import SLICE, slice_of
 from nodes.harness import Listener, Peer, Ros, stamped
+from time_limits import HANG
 
 HOSTS = ("events", "native")
 LOOPS = {"events": CommandLoop, "native": NativeCommandLoop}
@@ -119,14 +125,6 @@ def test_a_fault_in_the_thread_ends_the_node_with_the_stop_effort_and_one_senten
     assert str(node.ended) == "the native command loop failed: the control step failed; the stop effort was sent"
 
 
-def test_the_planner_loads_after_the_first_command_where_python_does_not_send_it(ros: Ros, monkeypatch) -> None:
-    for host, (node, peer) in pair(ros, monkeypatch).items():
-        planner = node._control._interface.planner
-        assert planner.loaded == (host == "events")
-        peer.answer(stamped(0.0))
-        ros.until(lambda planner=planner: planner.loaded, "the planner")
-
-
 def test_a_law_in_python_runs_in_rclpy_and_says_why(ros: Ros, capfd) -> None:
     node = ros.controller(executor="native", compile=False)
     assert type(loop_of(node)) is CommandLoop
@@ -144,6 +142,33 @@ def test_a_node_restarts_its_thread_with_each_activation(ros: Ros) -> None:
         node.trigger_activate()
         peer.meet_controller()
     assert loop_of(node)._loop.runs
+
+
+def test_the_thread_has_short_slices_though_python_steps_back(ros: Ros) -> None:
+    node = ros.controller(executor="native", compile=True, autostart=False)
+    node.trigger_configure()
+    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))  # as the process of a node does
+    try:
+        before = set(os.listdir("/proc/self/task"))
+        node.trigger_activate()
+        (thread,) = (int(each) for each in set(os.listdir("/proc/self/task")) - before)
+        Peer(ros).meet_controller()  # the thread runs
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    assert os.sched_getscheduler(thread) == os.SCHED_OTHER
+    assert slice_of(thread) in (SLICE, 0)  # 0: before Linux 6.12
+    planner = node._control._interface.planner
+    assert planner._worker.submit(os.sched_getscheduler, 0).result() == os.SCHED_BATCH
+
+
+def test_no_module_is_loaded_while_the_controller_is_active() -> None:
+    """An import takes up to 300 ms and locks the memory map, for which page faults of the loop wait."""
+    tests = str(Path(__file__).parents[1])
+    outside = {**os.environ, "PYTHONPATH": f"{tests}:{os.environ.get('PYTHONPATH', '')}"}
+    command = [sys.executable, "-m", "nodes.late_imports"]
+    done = subprocess.run(command, env=outside, capture_output=True, text=True, timeout=HANG)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "changed\nlate:\n"
 
 
 def test_a_destroyed_node_leaves_no_thread(ros: Ros) -> None:

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
+from rclpy.lifecycle import TransitionCallbackReturn
 
 import fjr_core as fjr
+from fjr_controller.controller_node import ControllerNode
 from fjr_plant.plant_node import PlantNode
 from nodes.harness import Ros
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
@@ -31,8 +34,8 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("plant", {"robot__joint_stiffness": [NAN]}, "holds nan; expected a finite number"),
     ("plant", {"robot__joint_stiffness": "stiff"}, "expected a list"),
     ("plant", {"robot__model": "scara"}, "'scara'; expected one of single_link, planar_two_link"),
-    ("plant", {"joints": ["a", "b"]}, "single_link has 1"),
-    ("plant", {"robot__model": "planar_two_link", "joints": ["a", "a"]}, "different names"),
+    ("plant", {"joints": ["a", "b"]}, "expected the names of 1, as single_link has"),
+    ("plant", {"robot__model": "planar_two_link", "joints": ["a", "a"]}, "holds 'a' twice"),
     ("plant", {"publish_rate": 1000}, "write 1000.0"),
     ("plant", {"publish_rate": -1.0}, "-1.0 Hz; expected 1.0 to"),
     ("plant", {"publish_rate": NAN}, "finite"),
@@ -72,9 +75,52 @@ def test_invalid_parameters_are_refused(ros: Ros, kind: str, parameters: dict[st
     assert "\n" not in str(caught.value)
 
 
-def test_an_unknown_parameter_is_reported_with_a_suggestion(ros: Ros, capfd) -> None:
-    ros.start(PlantNode, publish_rat=500.0)
-    assert "unknown parameter 'publish_rat' is ignored; did you mean 'publish_rate'?" in capfd.readouterr().err
+def test_an_unknown_parameter_is_refused_with_a_suggestion(ros: Ros) -> None:
+    with pytest.raises(fjr.ParameterError, match="unknown parameter 'publish_rat'; did you mean 'publish_rate'"):
+        ros.start(PlantNode, publish_rat=500.0)
+
+
+@pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
+@pytest.mark.parametrize("section", ["/**", "OWN", "/OWN", "/**/OWN"])
+def test_a_misspelled_limit_in_a_file_is_refused(ros: Ros, tmp_path: Path, section: str, kind: type) -> None:
+    named = section.replace("OWN", "fjr_plant" if kind is PlantNode else "fjr_controller")
+    with pytest.raises(fjr.ParameterError, match=r"'limits.efort'; did you mean 'limits.effort'\?"):
+        ros.start(kind, in_file(tmp_path, f"{named}: {{ros__parameters: {{limits.efort: [1.0]}}}}"))
+
+
+@pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
+def test_parameters_of_other_nodes_in_a_shared_file_are_left_to_them(
+    ros: Ros, tmp_path: Path, kind: type, capfd
+) -> None:
+    text = (
+        "/**: {ros__parameters: {publish_rate: 500.0, limits.effort: [9.0], robot_description: x, camera.gain: 1}}\n"
+        "/left/driver: {ros__parameters: {limits.efort: [1.0]}}\n"
+        "camera: {ros__parameters: {publish_rat: 5.0}}\n"
+    )
+    node = ros.start(kind, in_file(tmp_path, text))
+    assert node.values["joints"] == ("joint1",)
+    said = capfd.readouterr().err
+    assert "parameter 'camera.gain' is ignored" in said
+    assert "parameter 'robot_description' is ignored" in said
+    assert "publish_rate" not in said
+
+
+def test_a_controller_without_autostart_waits_for_known_parameters_only(ros: Ros, tmp_path: Path, capfd) -> None:
+    arguments = in_file(tmp_path, "/**: {ros__parameters: {autostart: false, limits.efort: [1.0]}}")
+    node = ros.start(ControllerNode, arguments)
+    assert "waiting for valid parameters: unknown parameter 'limits.efort'" in capfd.readouterr().err
+    assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
+    from rclpy.parameter import Parameter
+
+    (result,) = node.set_parameters([Parameter("limits.efort")])
+    assert result.successful, result.reason
+    assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+
+
+def in_file(folder: Path, text: str) -> list[str]:
+    path = folder / "given.yaml"
+    path.write_text(text, encoding="utf-8")
+    return ["--ros-args", "--params-file", str(path)]
 
 
 def test_running_node_refuses_another_robot(ros: Ros) -> None:

@@ -13,7 +13,7 @@ import pytest
 from trajectory_msgs.msg import JointTrajectory
 
 import fjr_core as fjr
-from fjr_controller.trajectory.planner import PlanningProblem
+from fjr_controller.trajectory.planner import LONG, PlanningProblem
 from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.messages.trajectories import TrajectoryReader, trajectory_message
 from nodes.harness import Ros, stamped
@@ -323,7 +323,7 @@ def planned(ros: Ros, manager: Manager, gate: Gate, *messages: JointTrajectory, 
 
 
 def test_commands_are_sent_while_a_trajectory_is_planned(ros: Ros, manager: Manager, gate: Gate) -> None:
-    planned(ros, manager, gate, move())
+    planned(ros, manager, gate, move(), recovery__join_time=0.0)  # the plan may take long enough to be a gap
     for i in range(1, 21):  # by the active reference
         t = STEP * i
         np.testing.assert_allclose(reference_at(manager, t), [[np.sin(t)], [np.cos(t)]], atol=1e-9)
@@ -350,6 +350,29 @@ def test_late_plan_causes_no_step_of_u(ros: Ros, manager: Manager, gate: Gate) -
     assert steps[k - 1] <= 2 * max(steps[k - 2], steps[k])
 
 
+def test_plan_that_is_seconds_late_is_joined_within_two_seconds(ros: Ros, manager: Manager, gate: Gate) -> None:
+    planned(ros, manager, gate, trajectory((20.0, 0.3), (30.0, 0.5)), recovery__join_time=0.0)
+    for i in range(1, 13):
+        manager.ask(stamped(0.5 * i, 0.0))
+    gate.open()
+    ros.until(lambda: "references changed" in manager.kinds(), "the plan")
+    assert max(abs(reference_at(manager, 6.0 + 0.1 * i)[0][0]) for i in range(21)) < 1.0
+    reference = fjr.Spline([20.0, 30.0], [[0.3], [0.5]], start=fjr.Sine(1.0, 1.0).jets(0.0))
+    for t in (8.1, 20.0, 25.0):
+        np.testing.assert_allclose(reference_at(manager, t)[0], reference.jets(t)[0], atol=1e-9)
+
+
+def test_refusal_of_the_transition_to_a_late_plan_names_the_delay(ros: Ros, manager: Manager, gate: Gate) -> None:
+    """In time, 5 rad in 10 s has a peak velocity of 1.23 rad/s; half of it is over if the plan is 5 s late."""
+    limits = {"reference__amplitude": [0.0], "limits__link_velocity": [1.3], "recovery__join_time": 0.0}
+    planned(ros, manager, gate, trajectory((10.0, 5.0)), **limits)
+    manager.ask(stamped(5.0, 0.0))
+    gate.open()
+    ros.until(lambda: "trajectory refused: cannot be followed" in manager.kinds(), "the refusal")
+    sentence = next(event.message for event in manager.events if "refused" in event.name)
+    assert re.search(r"ready 5 s after its start.* transition of 2 s .*joint1.* rad/s.*1\.3.*header\.stamp", sentence)
+
+
 @pytest.mark.parametrize("service", ["hold", "play"])
 def test_request_during_planning_takes_precedence(ros: Ros, manager: Manager, gate: Gate, service: str) -> None:
     planned(ros, manager, gate, move())
@@ -374,6 +397,25 @@ def test_of_two_trajectories_in_a_row_the_later_one_is_tracked(ros: Ros, manager
     ros.settle()
     assert manager.kinds().count("references changed") == 1
     np.testing.assert_allclose(reference_at(manager, 1.5), [[0.7], [0.0]], atol=1e-9)
+
+
+def test_a_long_message_is_read_beside_the_executor_and_replaced_by_a_newer_one(ros: Ros, manager: Manager) -> None:
+    times = np.arange(1, LONG // 20) * 0.01
+    long = trajectory_message(("joint1",), times, *(np.zeros((len(times), 1)) for _ in range(3)))
+    node, reading = ros.controller(), threading.Event()
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
+    planner = node._control._interface.planner
+    planner._worker.submit(reading.wait)
+    manager.trajectories.publish(long)
+    manager.trajectories.publish(trajectory((1.0, 0.7)))
+    ros.until(lambda: planner._request is not None, "the newer one")
+    reading.set()
+    ros.until(lambda: {"trajectories given up", "references changed"} <= set(manager.kinds()), "both outcomes")
+    np.testing.assert_allclose(reference_at(manager, 1.5), [[0.7], [0.0]], atol=1e-9)
+    manager.trajectories.publish(long)
+    ros.until(lambda: manager.kinds().count("references changed") == 2, "the long one")
 
 
 def test_limits_that_change_during_planning_apply(ros: Ros, manager: Manager, gate: Gate) -> None:

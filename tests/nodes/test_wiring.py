@@ -95,7 +95,7 @@ def matrix(value: Any, n: int) -> Any:
 def controller_effort(ros: Ros, model: str = "single_link", **parameters: Any) -> np.ndarray:
     """Return the effort of a controller node with these parameters at time T after a start at 0."""
     peer = Peer(ros)
-    ros.controller(**{**model_parameters(model), **parameters})
+    ros.controller(**{"start__join_time": 0.0, **model_parameters(model), **parameters})
     peer.meet_controller()
     names = [*joints(model), *(f"{joint}_motor" for joint in joints(model))]
     n = len(joints(model))
@@ -127,7 +127,8 @@ def test_controller_robot_file_and_its_overrides(ros: Ros, tmp_path: Path) -> No
     (tmp_path / "arm.yaml").write_text(ROBOT_FILE)
     (tmp_path / "arm.urdf").write_text(URDF)
     peer = Peer(ros)
-    node = ros.controller(robot__file=str(tmp_path / "arm.yaml"), robot__joint_stiffness=STIFFNESS)
+    own = {"robot__joint_stiffness": STIFFNESS, "start__join_time": 0.0}
+    node = ros.controller(robot__file=str(tmp_path / "arm.yaml"), **own)
     peer.meet_controller()
     names = [*JOINTS, *(f"{joint}_motor" for joint in JOINTS)]
     peer.ask(stamped(0.0, names=names))

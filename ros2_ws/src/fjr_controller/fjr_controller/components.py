@@ -25,7 +25,6 @@ from fjr_msgs_py.messages.events import EventWriter
 from fjr_msgs_py.messages.follow_joint_trajectory import follow_messages
 
 from .native.certificate import NativeCertificate
-from .native.command_loop import NativeCommandLoop
 from .native.selection import command_loop
 from .ros.certificate_diagnosis import CertificateDiagnosis
 from .ros.certificate_publisher import CertificatePublisher
@@ -35,7 +34,6 @@ from .tracking.tracker import Tracker
 from .trajectory.follow_joint_trajectory import FollowAction
 from .trajectory.goal_tolerances import Tolerances, tolerances
 from .trajectory.interface import TrajectoryInterface
-from .trajectory.planner import Planner
 
 
 class Control:
@@ -73,7 +71,6 @@ class Control:
             node, joints, self.tracker, self.reports, lambda: self._command_loop.active, self._built_in
         )
         self._apply_motion_limits()
-        self._load_planner(self._interface.planner)
         self._action = self._create_action(node, allowed)
         self._certificate_publisher = self._create_certificate_publisher(node, np.asarray(settings.effort))
 
@@ -145,13 +142,6 @@ class Control:
     def _apply_motion_limits(self) -> None:
         values, limits = self._values, motion_limits(self._values, self._settings, self._robot)
         self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
-
-    def _load_planner(self, planner: Planner) -> None:
-        """Let the planner import what it needs: after the first command, or now where Python sends the commands."""
-        if isinstance(self._command_loop, NativeCommandLoop):
-            self._command_loop.add_listener(lambda *_: planner.load(wait=False), lambda: not planner.loaded)
-        else:
-            planner.load(wait=True)
 
     def _create_certificate_publisher(
         self, node: Node, limit: Array

@@ -8,6 +8,7 @@ from fjr_msgs_py.node.loading import (
     end_on_signals,
     name_process,
     pause_garbage_collection,
+    require_resources,
     without_blas_threads,
 )
 
@@ -15,6 +16,7 @@ from fjr_msgs_py.node.loading import (
 def main() -> int:
     """Run the node until SIGINT or SIGTERM; return the exit code."""
     end_on_signals()
+    require_resources("controller_node")
     name_process("controller_node")
     pause_garbage_collection()
     without_blas_threads()

@@ -4,6 +4,8 @@
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from fjr_core.numerics.checks import MOTOR
+
 PLANT = "fjr_plant"
 CONTROLLER = "fjr_controller"
 
@@ -40,7 +42,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 def motor_name(joint: str) -> str:
     """Return the name of a joint's motor side in a JointState."""
-    return f"{joint}_motor"
+    return f"{joint}{MOTOR}"
 
 
 def sample_qos(node: Node, lock_step: bool = False) -> QoSProfile:

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import sys
+import time
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
@@ -15,7 +17,8 @@ from fjr_core.config.description import description, robot_name
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.descriptions import publish_description
 from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, TorqueReader
-from fjr_msgs_py.node import process
+from fjr_msgs_py.node import participant, process
+from fjr_msgs_py.node.conflicting_publishers import publisher_elsewhere
 from fjr_msgs_py.node.diagnostics import Health
 from fjr_msgs_py.node.parameters import ParameterNode
 
@@ -28,6 +31,12 @@ from .timing.real_time import RealTime
 from .timing.time_base import TimeBase
 
 TORQUES = "external torques received"
+SETTLING = 2.0  # s in which another robot may be discovered late, on busy cores
+LOOK_PERIOD = 0.25  # s
+
+
+class PlantConflictError(FjrError):
+    """Another process publishes states of the joints."""
 
 
 class PlantNode(ParameterNode):
@@ -40,13 +49,20 @@ class PlantNode(ParameterNode):
 
     _time_base: TimeBase
 
-    def __init__(self, **node_kwargs: Any) -> None:
+    def __init__(self, since: float = 0.0, **node_kwargs: Any) -> None:
+        """Create the node; since [s, steady clock]: when the publishers of other processes are known."""
+        self._since = since
         super().__init__(names.PLANT, builders.plant_parameters, **node_kwargs)
 
     def build(self) -> None:
-        """Build the robot from the parameters and start publishing."""
+        """Build the robot from the parameters and start publishing.
+
+        Raise PlantConflictError if another process publishes states of one of the joints.
+        """
         joints = self.values["joints"]
         self._model = builders.robot(self.values)
+        time.sleep(max(0.0, self._since - time.monotonic()))
+        self._refuse_another()
         self._health = Health(self, (*EXPECTED, TORQUES), robot_name(self.values))
         plant = builders.plant(self.values, self._model)
         x0 = builders.initial_state(self.values, self._model)
@@ -62,6 +78,8 @@ class PlantNode(ParameterNode):
         self.create_service(SetBool, names.PAUSE, self._on_pause)
         self.get_logger().info(self._configured())
         self._advance = DeferredTrigger(self, names.ADVANCE, self._on_advance)
+        self._settled = time.monotonic() + SETTLING
+        self._looking = self.create_timer(LOOK_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def stop(self) -> None:
         """Publish the final counters."""
@@ -91,6 +109,28 @@ class PlantNode(ParameterNode):
                 self._transport.change(*messages, jitter)
 
             self._time_base.change(change)
+
+    def _refuse_another(self) -> None:
+        """Raise PlantConflictError if another process publishes states of a joint, before this one does."""
+        topic, joints = self.resolve_topic_name(names.JOINT_STATES), set(self.values["joints"])
+        if other := publisher_elsewhere(self, topic, JointState, lambda state: set(state.name) & joints):
+            raise self._conflict(other)
+
+    def _look(self) -> None:
+        """Raise PlantConflictError for a plant of the same name that is discovered late; an older one goes on."""
+        own, topic = self.get_fully_qualified_name(), self.resolve_topic_name(names.JOINT_STATES)
+        found = [f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in self.get_publishers_info_by_topic(topic)]
+        if found.count(own) > 1:
+            raise self._conflict(own)
+        if time.monotonic() > self._settled:
+            self._looking.cancel()
+
+    def _conflict(self, other: str) -> PlantConflictError:
+        return PlantConflictError(
+            f"states of {', '.join(self.values['joints'])} are published on "
+            f"{self.resolve_topic_name(names.JOINT_STATES)} by {other}; expected one robot: stop it, set "
+            "another ROS_DOMAIN_ID, or start this one with -r __ns:=/NAME"
+        )
 
     def _configured(self) -> str:
         values = self.values
@@ -126,7 +166,7 @@ class PlantNode(ParameterNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM; return the exit code."""
-    return process.run(PlantNode, args)
+    return process.run(lambda: PlantNode(participant.discovered_at()), args)
 
 
 if __name__ == "__main__":

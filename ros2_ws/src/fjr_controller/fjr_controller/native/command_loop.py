@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
@@ -22,7 +23,7 @@ from fjr_msgs_py.native.ring import Ring
 from fjr_msgs_py.node import process
 
 from ..ros.certificate_diagnosis import CertificateDiagnosis
-from ..ros.command_conflict import CommandConflictError, CommandTopics
+from ..ros.command_conflict import TOPICS, CommandConflictError, CommandTopics
 from ..ros.command_loop import SILENCE_CHECKS, Listener
 from ..ros.diagnostics import ANSWERED, RECEIVED, Reports
 from ..tracking.events import State
@@ -77,11 +78,11 @@ class NativeCommandLoop:
         self._reader = NativeReader(program, reader.names, fields)
         self._messages = CommandMessages(program, joints)
         self._refusals, self._ring = Refusals(program, reader, reports), Ring(program, "struct fjr_record", RECORDS)
-        self._alone_callback = ffi.callback("int(void*)", self._check_alone, error=program.lib.FJR_CONFLICT)
         qos = names.sample_qos(node)
         self._references = node.create_publisher(JointState, names.REFERENCE, qos)
         self._errors = node.create_publisher(JointState, names.TRACKING_ERROR, qos)
         self._states = NativeSubscription(node, JointState, names.JOINT_STATES, names.LATEST)
+        self._topic_names = [ffi.new("char[]", node.resolve_topic_name(topic).encode()) for topic in TOPICS]
         self._struct = ffi.new("struct fjr_controller_loop*", self._fields(auxiliary_period))
         callbacks = (ffi.addressof(program.lib, f"fjr_controller_{name}") for name in CALLBACKS)
         self._host = ffi.new("struct fjr_host*", (self._struct, *callbacks))
@@ -113,10 +114,13 @@ class NativeCommandLoop:
         """
         self._topics = CommandTopics(self._node, self._reports)
         struct = self._struct
-        self._problem: Exception | None = None
         struct.efforts, struct.commands = (publisher_address(self._program, each) for each in self._topics.publishers)
-        struct.known_alone, struct.sends, struct.since = 0, 0, since
+        known, silent = self._topics.known
+        self._known = self._program.ffi.from_buffer(known)
+        struct.known, struct.silent = self._known, silent
+        struct.alone, struct.sends, struct.since = self._program.lib.FJR_UNASKED, 0, since
         struct.silence_period = round(state_timeout / SILENCE_CHECKS * 1e9)
+        struct.silence_check = time.monotonic_ns() + struct.silence_period
         self._state = State.WAITING
         self._step.lend()
         self._tracker.refresh, self._tracker.between_samples = self._step.read, self._step.between_samples
@@ -162,7 +166,7 @@ class NativeCommandLoop:
         self._loop.stop()
         self._states.close()
         if self.active:
-            self._topics.abandon()
+            self._topics.end_search()
 
     def _fields(self, auxiliary_period: float) -> dict[str, Any]:
         """Return the fields of struct fjr_controller_loop that do not change."""
@@ -176,20 +180,12 @@ class NativeCommandLoop:
             "refusals": self._refusals.pointer,
             "references": publisher_address(self._program, self._references),
             "errors": publisher_address(self._program, self._errors),
-            "alone": self._alone_callback,
+            "node": self._program.ffi.cast("void*", self._node.handle.pointer),
+            "topic": self._topic_names,
             "simulated": self._simulated,
             "auxiliary": (round(auxiliary_period * 1e9), 0),
             **self._messages.pointers,
         }
-
-    def _check_alone(self, _: Any) -> int:
-        """Search for conflicting publishers before the first command, on the native thread."""
-        lib = self._program.lib
-        try:
-            return int(lib.FJR_ALONE if self._topics.check_alone() else lib.FJR_TOO_LATE)
-        except Exception as error:
-            self._problem = error
-            return int(lib.FJR_CONFLICT)
 
     def _recertify(self, gains: Any, beta: Any) -> None:
         """Let the thread use other gains for the certificate; records with those before are read first."""
@@ -203,18 +199,25 @@ class NativeCommandLoop:
 
     def _read(self) -> None:
         """Read the queue; end the node if the loop has ended by itself."""
-        self._topics.trust()
         runs = self._loop.runs  # before its last records are read
         self._step.read()
         self._report()
-        if runs or not self.active:
-            return
-        if isinstance(self._problem, CommandConflictError):
-            self._on_conflict(self._problem)
-        elif self._problem is not None:
-            raise self._problem
-        else:
+        if not runs and self.active:
             raise LoopError(f"the native command loop failed: {self._loop.reason}; the stop effort was sent")
+        if self.active:
+            self._resolve_doubt()
+
+    def _resolve_doubt(self) -> None:
+        """Listen to publishers that the thread found before the first command: deactivate, or let it answer."""
+        lib, struct = self._program.lib, self._struct
+        try:
+            if struct.alone == lib.FJR_NOT_ALONE:
+                self._topics.check_alone()
+                struct.alone = lib.FJR_ALONE
+            if struct.alone == lib.FJR_ALONE:
+                self._topics.end_search()
+        except CommandConflictError as error:
+            self._on_conflict(error)
 
     def _report(self) -> None:
         """Report refused messages, records, events and counters; all records once the thread has ended."""

@@ -1,8 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  * All functions but the callbacks of the host are static and run on the thread of the loop.
  */
+#include <rcl/graph.h>
+
 #define FIRST_UNSENDABLE 2147483648000000000 /* ns; the seconds of a stamp are a signed 32-bit integer */
 #define DRAIN_PERIOD 1000000                 /* ns; wait for Python where no record may be lost */
+#define PAUSED 10000000                      /* ns; a silence check that comes later follows a pause of this process */
 #define TOGETHER 8                           /* samples certified at once, at most: the functions stay in the cache */
 #define POSITIONS 0
 #define VELOCITIES 1
@@ -63,13 +66,32 @@ static int send_stop(struct fjr_controller_loop* l) {
   return send(l, l->last_stamp, u);
 }
 
-/* Ask once whether nobody else commands the robot; return FJR_GO_ON, or FJR_DONE; `late`: this state is too old now. */
-static int ask_alone(struct fjr_controller_loop* l, int* late) {
-  if (l->known_alone) return FJR_GO_ON;
-  const int found = l->alone(l->context);
-  l->known_alone = found != FJR_CONFLICT;
-  *late = found == FJR_TOO_LATE;
-  return found == FJR_CONFLICT ? FJR_DONE : found == FJR_ALONE || *late ? FJR_GO_ON : FJR_FAILED;
+static int is_known(const struct fjr_controller_loop* l, const uint8_t* gid) {
+  int known = memcmp(gid, l->known, FJR_PARTICIPANT) == 0;
+  for (uint64_t k = 0; k < l->silent; ++k)
+    known |= memcmp(gid, l->known + FJR_PARTICIPANT + k * RMW_GID_STORAGE_SIZE, RMW_GID_STORAGE_SIZE) == 0;
+  return known;
+}
+
+/* Return 1 if the graph shows unknown publishers on a topic, or cannot be read. */
+static int has_others(struct fjr_controller_loop* l, const char* topic) {
+  rcutils_allocator_t allocator = rcutils_get_default_allocator();
+  rcl_topic_endpoint_info_array_t found = rcl_get_zero_initialized_topic_endpoint_info_array();
+  int others = rcl_get_publishers_info_by_topic(l->node, &allocator, topic, false, &found) != RCL_RET_OK;
+  for (size_t k = 0; k < found.size; ++k) others |= !is_known(l, found.info_array[k].endpoint_gid);
+  others |= rcl_topic_endpoint_info_array_fini(&found, &allocator) != RCL_RET_OK;
+  rcl_reset_error();
+  return others;
+}
+
+/* Return 1 once it is known that nobody else commands the robot; the first call looks for others. */
+static int is_alone(struct fjr_controller_loop* l) {
+  int32_t known = __atomic_load_n(&l->alone, __ATOMIC_ACQUIRE);
+  if (known == FJR_UNASKED) {
+    known = has_others(l, l->topic[0]) || has_others(l, l->topic[1]) ? FJR_NOT_ALONE : FJR_ALONE;
+    __atomic_store_n(&l->alone, known, __ATOMIC_RELEASE);
+  }
+  return known == FJR_ALONE;
 }
 
 /* ---- After the command ----------------------------------------------------------------------------------------- */
@@ -144,30 +166,51 @@ static int answer(struct fjr_controller_loop* l, int64_t arrival) {
   __atomic_fetch_add(&l->answered, 1, __ATOMIC_RELAXED);
   const int due = l->step.is_due(&l->auxiliary, stamp);
   if (due) outcome = publish_auxiliary(l);
-  return outcome == FJR_GO_ON ? keep(l, arrival, sent, due) : outcome;
+  if (outcome == FJR_GO_ON) outcome = keep(l, arrival, sent, due);
+  l->step.check_wiring(l->model, l->controller);
+  return outcome;
+}
+
+/* Compute and send the command of the sample; one that waits for a newer one comes again, at the latest by a tick. */
+static int process(struct fjr_controller_loop* l, int64_t arrival) {
+  const int answered = l->step.step(l->model, l->controller, &l->sample, arrival, &l->result);
+  const int64_t waits = l->step.waits_until(l->controller);
+  if (answered < 0) return fjr_loop_fail(l->loop, "the control step failed");
+  if (waits != FJR_NEVER) fjr_loop_tick_by(l->loop, waits);
+  return answered ? answer(l, arrival) : FJR_GO_ON;
 }
 
 /* ---- Callbacks of the host ------------------------------------------------------------------------------------- */
 
 int fjr_controller_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival) {
   struct fjr_controller_loop* l = self;
-  int late = 0, outcome;
+  int outcome;
   (void)source;
   if (arrival < l->since) return FJR_GO_ON;
   __atomic_fetch_add(&l->received, 1, __ATOMIC_RELAXED);
   const int found = read_sample(l, data, size);
   if (found != FJR_READ) return refuse(l->refusals, found, data, size), FJR_GO_ON;
-  if ((outcome = ask_alone(l, &late)) != FJR_GO_ON || late) return outcome;
+  if (!is_alone(l)) return FJR_GO_ON;
   if (l->simulated && (outcome = check_silence(l, l->sample.stamp)) != FJR_GO_ON) return outcome;
-  const int answered = l->step.step(l->model, l->controller, &l->sample, arrival, &l->result);
-  if (answered < 0) return fjr_loop_fail(l->loop, "the control step failed");
-  return answered ? answer(l, arrival) : FJR_GO_ON;
+  return process(l, arrival);
 }
 
+/* Answer a sample for which no newer one has come; check for silence, but not before the states that waited while this
+ * process was paused. */
 int fjr_controller_tick(void* self, int64_t now, int64_t* next) {
   struct fjr_controller_loop* l = self;
-  *next = l->simulated ? FJR_NO_TIME : now + l->silence_period;
-  return l->simulated ? FJR_GO_ON : check_silence(l, now);
+  int outcome = FJR_GO_ON;
+  *next = FJR_NO_TIME;
+  if (l->simulated) return FJR_GO_ON;
+  const int64_t waits = l->step.waits_until(l->controller), late = now - l->silence_check;
+  const int checks = late >= 0 && (late <= PAUSED || l->postponed);
+  if (late >= 0) l->silence_check = now + (checks ? l->silence_period : PAUSED), l->postponed = !checks;
+  *next = l->silence_check;
+  if (waits != FJR_NEVER) {
+    if (waits > now) return *next = waits < *next ? waits : *next, FJR_GO_ON;
+    if ((outcome = process(l, now)) != FJR_GO_ON) return outcome;
+  }
+  return checks ? check_silence(l, now) : outcome;
 }
 
 int fjr_controller_request(void* self, int32_t kind, void* argument) {

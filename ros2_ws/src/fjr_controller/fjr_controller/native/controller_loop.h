@@ -8,10 +8,12 @@
 
 #define FJR_REFUSALS 7 /* kinds: enum fjr_reading from 1 on, and FJR_NO_STAMP */
 #define FJR_NO_STAMP 6
+#define FJR_PARTICIPANT 12 /* bytes of a GID */
 
 /* Functions of the control step (step.h). */
 struct fjr_step_functions {
   int (*step)(const struct fjr_model*, struct fjr_controller*, const struct fjr_sample*, int64_t, struct fjr_command*);
+  void (*check_wiring)(const struct fjr_model*, struct fjr_controller*);
   int (*silence)(const struct fjr_model*, struct fjr_controller*, int64_t, double*);
   void (*stop_effort)(const struct fjr_model*, struct fjr_controller*, double*);
   void (*start)(struct fjr_controller*, const struct fjr_reference*);
@@ -23,6 +25,7 @@ struct fjr_step_functions {
   int (*certify)(struct fjr_certificate*, const struct fjr_command*, int64_t, struct fjr_certified*);
   void (*certificate_restart)(struct fjr_certificate*);
   int (*is_due)(struct fjr_auxiliary_rate*, int64_t);
+  int64_t (*waits_until)(const struct fjr_controller*);
 };
 
 /* Requests, with an argument of type struct fjr_arguments; after each the copy of the controller is up to date.
@@ -38,8 +41,9 @@ struct fjr_arguments {
   int64_t time;
 };
 
-/* What the callback `alone` returns before the first command: whether nobody else commands the robot. */
-enum fjr_alone { FJR_TOO_LATE, FJR_ALONE, FJR_CONFLICT };
+/* Whether nobody else commands the robot. At the first state the thread looks for publishers on the command topics that
+ * Python does not know; if there are some, it answers nothing until Python, which listens to them, is sure. */
+enum fjr_alone { FJR_UNASKED, FJR_NOT_ALONE, FJR_ALONE };
 
 /* A sample that was answered. sent: when its command had been published (steady clock). */
 struct fjr_record {
@@ -67,10 +71,15 @@ struct fjr_controller_loop {
   struct fjr_certificate* certificate; /* 0: none */
   void *efforts, *commands, *references, *errors, *certificates; /* rcl_publisher_t* */
   struct fjr_message *effort, *command, *reference, *error, *certified;
-  int (*alone)(void* context); /* returns an enum fjr_alone */
-  void* context;
-  int32_t simulated, known_alone, sends; /* sends: a command was sent, and no last one after a failure */
+  void* node;                           /* rcl_node_t* */
+  char* topic[2];                       /* resolved names of the command topics */
+  const char* known;                    /* leading bytes of the GIDs of this process, then GIDs of silent publishers */
+  uint64_t silent;                      /* number of these */
+  int32_t alone;                        /* atomic, an enum fjr_alone */
+  int32_t simulated, sends;             /* sends: a command was sent, and no last one after a failure */
   int64_t silence_period, since; /* ns; since: arrival of the first state that is answered (steady clock) */
+  int64_t silence_check;         /* time of the next one (steady clock) */
+  int32_t postponed;             /* the last check was put off */
   struct fjr_auxiliary_rate auxiliary;
   int64_t received, answered, last_stamp;
   struct fjr_sample sample;

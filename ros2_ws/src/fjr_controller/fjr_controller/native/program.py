@@ -13,8 +13,8 @@ from fjr_msgs_py.native.program import Program, common_headers, common_sources
 
 PART = "controller_loop"
 FUNCTIONS = (
-    *("step", "silence", "stop_effort", "start", "apply", "use_gains", "follow", "hold", "resume"),
-    *("certify", "certificate_restart", "is_due"),
+    *("step", "check_wiring", "silence", "stop_effort", "start", "apply", "use_gains", "follow", "hold", "resume"),
+    *("certify", "certificate_restart", "is_due", "waits_until"),
 )
 """Fields of struct fjr_step_functions: functions of step.h without the prefix fjr_."""
 

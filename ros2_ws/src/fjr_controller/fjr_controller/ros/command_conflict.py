@@ -37,7 +37,7 @@ class CommandTopics:
         """Create the publishers; raise CommandConflictError if another process publishes on a command topic."""
         self._node, self._reports = node, reports
         self._conflicts = ConflictingPublishers(node, TOPICS, names.sample_qos(node))
-        self._alone = self._trusted = False
+        self._alone = False
         try:
             self._refuse_conflicts()
         except CommandConflictError:
@@ -51,23 +51,21 @@ class CommandTopics:
         """Return the publishers of efforts and of named commands."""
         return self.efforts, self.commands
 
+    @property
+    def known(self) -> tuple[bytes, int]:
+        """Return who may publish: the leading bytes of our GIDs and the GIDs of silent others, and their number."""
+        return self._conflicts.known
+
     def check_alone(self) -> bool:
         """Search before the first command; return False if the present state is too old after that.
 
-        Any thread may call it. Raise CommandConflictError if another process publishes.
+        Raise CommandConflictError if another process publishes.
         """
-        listened = self._refuse_conflicts()
+        return not self._refuse_conflicts()
+
+    def end_search(self) -> None:
+        """Destroy the subscriptions of the search, which the node does not know; from now on conflicts are reported."""
         self._alone = True
-        return not listened
-
-    def trust(self) -> None:
-        """Destroy the subscriptions of the search once it is over; only the thread of the executor may do so."""
-        if self._alone and not self._trusted:
-            self.abandon()
-
-    def abandon(self) -> None:
-        """Destroy the subscriptions of the search, which the node does not know."""
-        self._trusted = True
         self._conflicts.trust()
 
     def close(self) -> None:

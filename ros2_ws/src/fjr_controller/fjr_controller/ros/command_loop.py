@@ -10,6 +10,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import JointState
 
+from fjr_core.control_step.control_step import NEVER
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr.readers import SerialisedStates
@@ -24,6 +25,8 @@ from .command_conflict import CommandConflictError, CommandTopics
 from .diagnostics import ANSWERED, RECEIVED, Reports
 
 SILENCE_CHECKS = 10  # per state_timeout
+PAUSED = 10_000_000  # ns; a silence check that comes later follows a pause of this process
+WAITING = 0.005  # s; a state that waits for a newer one comes again after this time
 
 Listener = Callable[[JointSample, Command, int, int], None]
 """Callback with a sample, its command, and the times of arrival and of sending [ns, steady clock]."""
@@ -83,9 +86,13 @@ class CommandLoop:
         """
         self._topics = CommandTopics(self._node, self._reports)
         self._efforts, self._commands = self._topics.publishers
-        own_time = self._node.get_clock() if self._simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        own_time = self._node.get_clock() if self._simulated else steady
         self._timer = self._node.create_timer(state_timeout / SILENCE_CHECKS, self._on_silence, clock=own_time)
+        self._waiting = self._node.create_timer(WAITING, self._on_no_newer, clock=steady)
+        self._waiting.cancel()
         self._last_stamp: int | None = None
+        self._due_at = time.monotonic_ns() + round(state_timeout / SILENCE_CHECKS * 1e9)
         self._since, self._alone = since, False
         self._state = State.WAITING
         self.active = True
@@ -95,7 +102,8 @@ class CommandLoop:
         if not self.active:
             return
         self.active = False
-        self._node.destroy_timer(self._timer)
+        for timer in (self._timer, self._waiting):
+            self._node.destroy_timer(timer)
         if self._last_stamp is not None:
             self._send(self._last_stamp, self._tracker.stop_effort())
         self._reports.publish_events()
@@ -112,7 +120,7 @@ class CommandLoop:
     def abandon(self) -> None:
         """Destroy the subscriptions that the node does not know, before the node is destroyed."""
         if self.active:
-            self._topics.abandon()
+            self._topics.end_search()
 
     def _on_state(self, message: bytes) -> None:
         arrival = time.monotonic_ns()
@@ -135,12 +143,25 @@ class CommandLoop:
             return
         if self._simulated:  # the command must not depend on the order of clock and state
             self._check_silence(sample.stamp)
+        self._answer(sample, arrival)
+        self._reports.at(sample.stamp)
+
+    def _answer(self, sample: JointSample, arrival: int) -> None:
+        """Publish the command for a sample; one that waits for a newer one comes again."""
         command = self._tracker.command(sample, arrival)
         if command is not None:
             self._publish(sample, command, arrival)
+        elif self._step.lib.fjr_waits_until(self._step.controller) != NEVER:
+            self._waits = sample
+            self._waiting.reset()
         if self._tracker.events:
             self._reports.publish_events()
-        self._reports.at(sample.stamp)
+
+    def _on_no_newer(self) -> None:
+        """Answer a state for which no newer one has come."""
+        self._waiting.cancel()
+        if self._step.lib.fjr_waits_until(self._step.controller) != NEVER:
+            self._answer(self._waits, time.monotonic_ns())
 
     def _publish(self, sample: JointSample, command: Command, arrival: int) -> None:
         self._send(sample.stamp, command.u)
@@ -154,6 +175,7 @@ class CommandLoop:
             self._state = command.state
             if command.state is State.TRACKING:
                 self._reports.announce("tracking", "tracking: the effort is the law's own")
+        self._tracker.check_wiring()
         for listener, wants in self._listeners:
             if wants():
                 listener(sample, command, arrival, sent)
@@ -172,8 +194,12 @@ class CommandLoop:
             self._commands.publish(self._command.fill(stamp, effort=u))
 
     def _on_silence(self) -> None:
-        now = self._node.get_clock().now().nanoseconds if self._simulated else time.monotonic_ns()
-        self._check_silence(now)
+        now = time.monotonic_ns()
+        late, self._due_at = now - self._due_at, now + self._timer.timer_period_ns
+        if self._simulated:
+            self._check_silence(self._node.get_clock().now().nanoseconds)
+        elif late <= PAUSED:  # else states may wait: this process was paused
+            self._check_silence(now)
         self._reports.publish_events()
 
     def _check_silence(self, now: int) -> None:
@@ -187,7 +213,7 @@ class CommandLoop:
         self._alone = True
         try:
             found = self._topics.check_alone()
-            self._topics.trust()
+            self._topics.end_search()
             return found
         except CommandConflictError as error:
             self._on_conflict(error)

@@ -21,6 +21,7 @@ EXPECTED = (
     "states repeated",
     "recoveries",
     "resumes",
+    "efforts rate limited",
     "gains changed",
     "settings changed",
     "references changed",

@@ -44,7 +44,9 @@ class TrajectoryInterface:
         self._is_active, self._built_in = is_active, built_in
         self.planner = Planner(node, tracker, is_active)
         self.on_replaced: Callable[[str], None] = lambda reason: None
-        self._subscription = node.create_subscription(JointTrajectory, names.JOINT_TRAJECTORY, self._on_trajectory, 10)
+        self._subscription = node.create_subscription(
+            JointTrajectory, names.JOINT_TRAJECTORY, self._on_trajectory, 10, raw=True
+        )
         self._services = [
             node.create_service(Trigger, name, self._service(act))
             for name, act in ((names.HOLD, self._hold), (names.PLAY, self._play), (names.RESUME, self._resume))
@@ -70,10 +72,8 @@ class TrajectoryInterface:
         def end(outcome: Outcome) -> None:
             if isinstance(outcome, Plan):
                 self._begin(outcome, reason)
-            elif outcome is None:
-                self._reports.event(Event("info", GIVEN_UP, "a trajectory was discarded before it was planned"))
             else:
-                self._refuse(outcome)
+                self._report(outcome)
             on_done(outcome if isinstance(outcome, Plan) else None)
 
         self.planner.request(message, end)
@@ -103,12 +103,22 @@ class TrajectoryInterface:
         self._reports.count["trajectories accepted"] += 1
         self._reports.publish_events()
 
-    def _refuse(self, error: FjrError) -> None:
+    def _report(self, error: FjrError | None) -> None:
+        """Report why a trajectory is not tracked; None: it was discarded."""
+        if error is None:
+            self._reports.event(Event("info", GIVEN_UP, "a trajectory was discarded before it was planned"))
+            return
         kind = error.kind if isinstance(error, MessageError) else "cannot be followed"
         self._reports.event(Event("warn", f"{REFUSED}: {kind}", f"{REFUSED}: {error}"))
 
-    def _on_trajectory(self, message: JointTrajectory) -> None:
-        self.follow(message, "another trajectory was accepted")
+    def _on_trajectory(self, data: bytes) -> None:
+        self.planner.read(data, self._on_read)
+
+    def _on_read(self, message: JointTrajectory | MessageError | None) -> None:
+        if isinstance(message, JointTrajectory):
+            self.follow(message, "another trajectory was accepted")
+        else:
+            self._report(message)
 
     def _service(self, act: Callable[[], str]) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
         def respond(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -151,5 +161,7 @@ class TrajectoryInterface:
     def _resume(self) -> str:
         if self._tracker.state is not State.STOPPED:
             raise MessageError("not stopped", "the controller is not stopped; expected a stopped one")
+        if outside := self._tracker.outside():
+            raise MessageError("outside the limits", f"the controller stays stopped: {outside}")
         self._tracker.resume()
         return "tracking resumes"

@@ -8,32 +8,30 @@ effort. If the active reference has changed meanwhile, the trajectory is planned
 
 from __future__ import annotations
 
-import gc
-import os
 import sys
 import traceback
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass
-from importlib import import_module
 
 import numpy as np
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
-from fjr_core import FjrError, Reference, Spline
+from fjr_core import FjrError, Reference, Spline, TrajectoryError
 from fjr_core.numerics.checks import Array
 from fjr_core.trajectories.motion_limits import MotionLimits, check_motion
 from fjr_core.trajectories.transition import time_shifted, transition
-from fjr_msgs_py.messages.joint_states import MessageError, nanoseconds
+from fjr_msgs_py.messages.joint_states import MessageError, deserialised, nanoseconds
 from fjr_msgs_py.messages.trajectories import SECOND, TrajectoryReader
+from fjr_msgs_py.node.scheduling import step_back
 
 from ..tracking.events import State
 from ..tracking.tracker import Tracker
 
 ATTEMPTS = 5
-JOIN_TIME, JOIN_FACTOR = 20_000_000, 10  # ns, and per ns of delay: duration of the transition to a late plan
+JOIN_TIME, JOIN_FACTOR, JOIN_LONGEST = 20_000_000, 10, 2_000_000_000  # ns, per ns of delay, ns; see with_transition
+LONG = 1 << 16  # bytes, of about 200 points of seven joints
 SWITCH = 1e-4  # s; after which the planning thread yields to the command loop
 
 
@@ -101,13 +99,20 @@ class PlanningProblem:
     def with_transition(self, plan: Plan, jets: Array, stamp: int) -> Plan:
         """Return the plan with a transition from jets (5, n) at the stamp [ns] after its start.
 
-        Raise TrajectoryError if the transition violates a limit.
+        The transition takes JOIN_TIME and JOIN_FACTOR times the delay, at most JOIN_LONGEST: a polynomial from a motion
+        to another swings out by their jets times powers of its duration. Raise TrajectoryError, with the delay, if it
+        violates a limit.
         """
         assert plan.reference is not None
         late = stamp - plan.start
-        seconds = (JOIN_TIME + JOIN_FACTOR * late) / SECOND
+        seconds = min(JOIN_TIME + JOIN_FACTOR * late, JOIN_LONGEST) / SECOND
         reference = transition(jets, 0.0, time_shifted(plan.reference, -late / SECOND), seconds)
-        check_motion(reference.segment, self.rules.limits, 0.0, seconds, self.rules.joints)
+        try:
+            check_motion(reference.segment, self.rules.limits, 0.0, seconds, self.rules.joints)
+        except TrajectoryError as error:
+            delay = f"the plan was ready {late / SECOND:.3g} s after its start"
+            sentence = f"{delay}, and in the transition of {seconds:.3g} s to it {error}"
+            raise TrajectoryError(f"{sentence}; expected a header.stamp that is further ahead") from error
         return Plan(reference, stamp)
 
 
@@ -118,22 +123,30 @@ class Planner:
     that runs repeat to the last bit.
     """
 
-    loaded = False
-    """True after `load`."""
-
     def __init__(self, node: Node, tracker: Tracker, is_active: Callable[[], bool]) -> None:
         self._node, self._tracker, self._is_active = node, tracker, is_active
         simulated = bool(node.get_parameter("use_sim_time").value)
-        self._worker = None if simulated else ThreadPoolExecutor(1, "fjr_planning")
+        self._worker = None if simulated else ThreadPoolExecutor(1, "fjr_planning", step_back)
         self._request: Request | None = None
+        self._drops = 0
 
-    def load(self, wait: bool) -> None:
-        """Import what splines need in the planning thread, before the first trajectory; wait: until that is done."""
-        if self._worker is not None and not self.loaded:
-            loading = self._worker.submit(_load_splines)
-            if wait:
-                loading.result()
-        self.loaded = True
+    def read(self, data: bytes, on_done: Callable[[JointTrajectory | MessageError | None], None]) -> None:
+        """Call `on_done` with the message, on the thread that spins the node; None: it was replaced by a newer one.
+
+        A message of more than LONG bytes is read on the planning thread: 100,000 points take a second, which the kernel
+        does not give to a real-time thread without a pause for all on its core.
+        """
+        executor = self._node.executor
+        if self._worker is None or executor is None or len(data) <= LONG:
+            on_done(_read(data))
+            return
+        self.drop()
+        drops = self._drops
+
+        def end(found: JointTrajectory | MessageError) -> None:
+            on_done(found if drops == self._drops else None)
+
+        self._worker.submit(lambda: executor.create_task(end, _read(data)))
 
     def apply(self, rules: PlanningRules) -> None:
         """Replace the rules, also for the trajectory that is being planned."""
@@ -166,7 +179,8 @@ class Planner:
         self._attempt(self._request, now, 1)
 
     def drop(self) -> None:
-        """Discard the trajectory that is being planned."""
+        """Discard the trajectory that is being read or planned."""
+        self._drops += 1
         self._end(None)
 
     def close(self) -> None:
@@ -201,7 +215,6 @@ class Planner:
         """Plan on the planning thread."""
         if problem.request is not self._request:
             return
-        _lower_priority()
         before = sys.getswitchinterval()
         sys.setswitchinterval(min(before, SWITCH))
         outcome = problem.outcome()
@@ -257,16 +270,8 @@ class Planner:
         self._node.get_logger().error("".join(traceback.format_exception(error)))
 
 
-def _lower_priority() -> None:
-    """Give this thread a lower priority than the command loop, if that has real-time priority."""
-    with suppress(OSError, AttributeError):
-        main_thread = os.getpid()
-        if os.sched_getscheduler(main_thread) == os.SCHED_FIFO:
-            priority = os.sched_getparam(main_thread).sched_priority
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(max(priority - 1, 1)))
-
-
-def _load_splines() -> None:
-    """Import what splines need; its 10,000 objects would take 1.5 ms of every garbage collection."""
-    import_module("scipy.linalg")
-    gc.freeze()
+def _read(data: bytes) -> JointTrajectory | MessageError:
+    try:
+        return deserialised(data, JointTrajectory)
+    except MessageError as error:
+        return error

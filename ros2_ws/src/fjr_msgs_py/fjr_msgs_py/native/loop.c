@@ -3,11 +3,15 @@
  */
 #include <errno.h>
 #include <pthread.h>
+#include <sched.h>
 #include <semaphore.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
+#include <sys/syscall.h>
 #include <time.h>
+#include <unistd.h>
 
 #include <rcl/error_handling.h>
 #include <rcl/publisher.h>
@@ -15,6 +19,7 @@
 #include <rcutils/types/uint8_array.h>
 
 #define REASON 512
+#define SLICE 100000 /* ns; the shortest slice that Linux grants */
 
 enum request_state { NO_REQUEST, POSTED };
 
@@ -28,7 +33,7 @@ struct source {
 struct fjr_loop {
   struct fjr_host host;
   struct source source[FJR_SOURCES];
-  int32_t sources, held;
+  int32_t sources, held, priority;
   rcl_serialized_message_t buffer;
   pthread_t thread;
   sem_t wake, answered;
@@ -127,6 +132,10 @@ void fjr_loop_hold(struct fjr_loop* loop, int32_t hold) {
   if (!hold) sem_post(&loop->wake);
 }
 
+void fjr_loop_tick_by(struct fjr_loop* loop, int64_t time) {
+  if (time < loop->next) loop->next = time;
+}
+
 static struct timespec timespec_of(int64_t time) {
   const struct timespec at = {(time_t)(time / 1000000000), (long)(time % 1000000000)};
   return at;
@@ -167,9 +176,27 @@ static int one_round(struct fjr_loop* loop) {
   return outcome;
 }
 
+/* Take the priority; else, with ordinary scheduling, a short slice: the system then lets the thread run soon after it
+ * wakes up (Linux 6.12; every user may ask for it). */
+static void schedule(int32_t priority) {
+  const struct sched_param wanted = {.sched_priority = priority};
+  if (priority && !pthread_setschedparam(pthread_self(), SCHED_FIFO, &wanted)) return;
+  const int policy = sched_getscheduler(0) & ~SCHED_RESET_ON_FORK;
+  if (policy != SCHED_OTHER && policy != SCHED_BATCH) return;
+  const struct {
+    uint32_t size, policy;
+    uint64_t flags;
+    int32_t nice;
+    uint32_t priority;
+    uint64_t runtime, deadline, period;
+  } attributes = {48, SCHED_OTHER, 0, getpriority(PRIO_PROCESS, 0), 0, SLICE, 0, 0}; /* struct sched_attr */
+  (void)syscall(SYS_sched_setattr, 0, &attributes, 0);
+}
+
 static void* run(void* at) {
   struct fjr_loop* loop = at;
   int outcome = FJR_GO_ON;
+  schedule(loop->priority);
   while (!stopping(loop) && (outcome = one_round(loop)) == FJR_GO_ON)
     if (!waiting(loop)) wait_until(loop, loop->next);
   loop->host.on_end(loop->host.self, outcome);
@@ -209,7 +236,7 @@ static rcl_ret_t listen(struct fjr_loop* loop, int32_t k) {
 }
 
 int fjr_loop_start(struct fjr_loop* loop, int32_t priority) {
-  const struct sched_param scheduling = {.sched_priority = priority};
+  loop->priority = priority;
   loop->next = fjr_steady_now(), loop->reason[0] = 0, loop->stopping = 0, loop->running = 1;
   for (int32_t k = 0; k < loop->sources; ++k) discard(loop, k);
   const int code = pthread_create(&loop->thread, NULL, run, loop);
@@ -218,7 +245,6 @@ int fjr_loop_start(struct fjr_loop* loop, int32_t priority) {
     return code;
   }
   loop->started = 1;
-  if (priority) (void)pthread_setschedparam(loop->thread, SCHED_FIFO, &scheduling);
   for (int32_t k = 0; k < loop->sources; ++k)
     if (listen(loop, k) != RCL_RET_OK) {
       rcl_reset_error();

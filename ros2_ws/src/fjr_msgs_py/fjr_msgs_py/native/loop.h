@@ -38,8 +38,8 @@ struct fjr_loop* fjr_loop_create(const struct fjr_host* host, void* const* subsc
                                  size_t largest);
 void fjr_loop_destroy(struct fjr_loop* loop);
 
-/* Start the thread; return 0, or an errno. priority: SCHED_FIFO priority of the thread, if the system allows it; 0:
- * scheduling is inherited from the caller, as the cores are. */
+/* Start the thread; return 0, or an errno. priority: SCHED_FIFO priority of the thread, if the system allows it. Without
+ * it a caller with real-time scheduling passes it on; with ordinary scheduling the thread asks for short slices. */
 int fjr_loop_start(struct fjr_loop* loop, int32_t priority);
 
 /* End the thread and wait for it. */
@@ -60,10 +60,11 @@ const char* fjr_loop_reason(const struct fjr_loop* loop);
 
 /* For callbacks. fjr_loop_fail stores a reason and returns FJR_FAILED. fjr_loop_publish returns FJR_GO_ON or fails.
  * fjr_loop_pause waits for `nanoseconds`, a request or the end of the loop, serves requests, and returns FJR_DONE if
- * the loop is to end. */
+ * the loop is to end. fjr_loop_tick_by brings the next tick forward. */
 int fjr_loop_fail(struct fjr_loop* loop, const char* reason);
 int fjr_loop_publish(struct fjr_loop* loop, void* publisher, const struct fjr_message* message);
 int fjr_loop_pause(struct fjr_loop* loop, int64_t nanoseconds);
+void fjr_loop_tick_by(struct fjr_loop* loop, int64_t time);
 
 /* Return the time of the steady clock [ns], as Python's time.monotonic_ns(). */
 int64_t fjr_steady_now(void);

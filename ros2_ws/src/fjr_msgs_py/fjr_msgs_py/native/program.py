@@ -76,7 +76,7 @@ def ros_options() -> tuple[str, ...]:
     folders = sorted(folder for folder in (prefix / "include").glob("*") if (folder / folder.name).is_dir())
     if not (prefix / "include" / "rcl" / "rcl" / "rcl.h").is_file():
         raise NativeError(f"{prefix}/include/rcl is missing; expected the headers of ROS 2")
-    return (*(f"-I{folder}" for folder in folders), f"-L{prefix / 'lib'}", "-lrcl", "-lrcutils", "-lpthread")
+    return (*(f"-I{folder}" for folder in folders), f"-L{prefix / 'lib'}", "-lrcl", "-lrmw", "-lrcutils", "-lpthread")
 
 
 def _prefix() -> Path:

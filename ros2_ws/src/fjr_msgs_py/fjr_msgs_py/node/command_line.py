@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find parameters of a ROS 2 command line that a parameter file overrides.
+"""Read the parameters of a ROS 2 command line: which a parameter file overrides, which are for any node.
 
 rcl puts `-p name:=value` into the section /** and merges it with the parameter files in the order of the command
 line; a later section, such as /**/node of a file, overrides /**.
@@ -8,7 +8,9 @@ line; a later section, such as /**/node of a file, overrides /**.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from fjr_core import ParameterError
@@ -40,6 +42,16 @@ def parameter_rules(arguments: Sequence[str]) -> Iterator[ParameterRule]:
             inside = argument == "--ros-args"
         elif inside:
             flag = argument
+
+
+def for_any_node(arguments: Sequence[str]) -> set[str]:
+    """Return the names that the parameter files of a command line give to all nodes, also to those of others."""
+    files = [file for flag, file in zip(arguments, arguments[1:], strict=False) if flag == "--params-file"]
+    found: set[str] = set()
+    for file in files:
+        with suppress(ParameterError):  # rcl reports a file that it cannot read
+            found |= ros_yaml.values_for(ros_yaml.SHARED, ros_yaml.read(Path(file), "parameter file")).keys()
+    return found
 
 
 def overruled(arguments: Sequence[str], node: str, values: Mapping[str, Any]) -> str:

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 from uuid import uuid4
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ..native.entities import NativeSubscription
 
@@ -40,7 +41,7 @@ class ConflictingPublishers:
         """Create a publisher and, until `trust`, a subscription on each topic; kinds: message types by topic name."""
         self._node = node
         self._kinds = {node.resolve_topic_name(topic): kind for topic, kind in kinds.items()}
-        self._family = self._own_participant()
+        self._family = _own_participant(node, next(iter(self._kinds.values())))
         self._others: dict[bytes, Other] = {}
         self.publishers = [node.create_publisher(kind, topic, qos) for topic, kind in self._kinds.items()]
         self._listening = [
@@ -52,6 +53,11 @@ class ConflictingPublishers:
         """Return the topics with a publisher that did not exist at the last call."""
         before, self._others = self._others, self._found()
         return sorted({other.topic for gid, other in self._others.items() if gid not in before})
+
+    @property
+    def known(self) -> tuple[bytes, int]:
+        """Return the leading bytes of our GIDs, zeros if unknown, then those of the others, and their number."""
+        return b"".join([*self._family, bytes(_PARTICIPANT)][:1] + [*self._others]), len(self._others)
 
     @property
     def others(self) -> bool:
@@ -97,16 +103,6 @@ class ConflictingPublishers:
         for publisher in self.publishers:
             self._node.destroy_publisher(publisher)
 
-    def _own_participant(self) -> set[bytes]:
-        """Return the participant of this process, found by a publisher on a unique topic."""
-        topic = self._node.resolve_topic_name(f"_alone_{uuid4().hex}")
-        publisher = self._node.create_publisher(next(iter(self._kinds.values())), topic, _ANY)
-        latest = time.monotonic() + MATCHING
-        while not (found := self._on(topic)) and time.monotonic() < latest:
-            time.sleep(_POLL)
-        self._node.destroy_publisher(publisher)
-        return {gid[:_PARTICIPANT] for gid in found}
-
     def _found(self) -> dict[bytes, Other]:
         """Return the publishers of other processes by GID."""
         publishers = {gid: other for topic in self._kinds for gid, other in self._on(topic).items()}
@@ -129,6 +125,54 @@ class ConflictingPublishers:
                 if taken := subscription.handle.take_message(kind, False):
                     found = topic, taken[0]
         return found
+
+
+def publisher_elsewhere(node: Node, name: str, kind: type, concerns: Callable[[Any], object]) -> str:
+    """Return who else publishes a message that `concerns` this process on a topic, as text for a sentence; "": nobody.
+
+    If other publishers exist, the call blocks until a message comes, at most for LISTENING once they are connected. It
+    creates no publisher on the topic, because whoever watches over it would see a second owner, and this node must have
+    none there, because its own messages would count.
+    """
+    topic = node.resolve_topic_name(name)
+    if not node.count_publishers(topic):
+        return ""
+    family = _own_participant(node, kind)
+
+    def others() -> list[TopicEndpointInfo]:
+        infos = node.get_publishers_info_by_topic(topic)
+        return [info for info in infos if bytes(info.endpoint_gid)[:_PARTICIPANT] not in family]
+
+    if not others():
+        return ""
+    subscription = NativeSubscription(
+        node, kind, topic, QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+    )
+    looks, latest = round(LISTENING / _POLL), time.monotonic() + MATCHING
+    try:
+        while looks:
+            if subscription.handle.get_publisher_count() >= node.count_publishers(topic) or time.monotonic() > latest:
+                looks -= 1
+            with subscription.handle:
+                while taken := subscription.handle.take_message(kind, False):
+                    if concerns(taken[0]):
+                        nodes = {_name(info.node_namespace, info.node_name) for info in others()} - {""}
+                        return ", ".join(sorted(nodes)) or "an unknown node"
+            time.sleep(_POLL)
+    finally:
+        subscription.close()
+    return ""
+
+
+def _own_participant(node: Node, kind: type) -> set[bytes]:
+    """Return the participant of this process, found by a publisher on a unique topic."""
+    topic = node.resolve_topic_name(f"_alone_{uuid4().hex}")
+    publisher = node.create_publisher(kind, topic, _ANY)
+    latest = time.monotonic() + MATCHING
+    while not (found := node.get_publishers_info_by_topic(topic)) and time.monotonic() < latest:
+        time.sleep(_POLL)
+    node.destroy_publisher(publisher)
+    return {bytes(info.endpoint_gid)[:_PARTICIPANT] for info in found}
 
 
 def _name(namespace: str, node: str) -> str:

@@ -17,6 +17,31 @@ def name_process(name: str) -> None:
         comm.write(name)
 
 
+OPEN_FILES, ADDRESS_SPACE = 64, 1_200_000_000
+"""What a program with a ROS 2 node needs at least: descriptors, and bytes of address space, of which few are used."""
+
+
+def require_resources(program: str) -> None:
+    """End the program with exit code 1 and one sentence if the limits of its process are too low to load ROS 2.
+
+    The number of open files is raised first, as far as the hard limit allows.
+    """
+    import resource
+
+    files, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if 0 <= files < OPEN_FILES:  # -1: no limit
+        files = OPEN_FILES if most < 0 else min(OPEN_FILES, most)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (files, most))
+    space, _ = resource.getrlimit(resource.RLIMIT_AS)
+    for seen, least, sentence in (
+        (files, OPEN_FILES, "the limit of open files is {}; expected at least {} (ulimit -n)"),
+        (space, ADDRESS_SPACE, "the limit of address space is {} bytes; expected at least {} (ulimit -v, in kB)"),
+    ):
+        if 0 <= seen < least:
+            print(f"{program}: {sentence.format(seen, least)}", file=sys.stderr)
+            sys.exit(1)
+
+
 def without_blas_threads() -> None:
     """Limit NumPy's linear algebra to one thread, unless the environment sets a number; more threads only add delay."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

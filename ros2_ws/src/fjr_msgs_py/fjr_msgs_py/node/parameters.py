@@ -7,18 +7,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter as RosParameter
 
 from fjr_core import FjrError, ParameterError
 from fjr_core.config import builders, robot_file
-from fjr_core.config.parameter import Parameter, Value, complete, unknown
-from fjr_core.config.user_options import is_option
+from fjr_core.config.parameter import Parameter, Value, complete, refuse_unknown, resembling
+from fjr_core.config.user_options import is_option, unread_options
 
-from .command_line import overruled, same_value
+from .command_line import for_any_node, overruled, same_value
 from .descriptor import descriptor
-from .failure import EndingNode
+from .failure import LONGEST, EndingNode
 
 _SIM_TIME = "use_sim_time"
 _FOREIGN = (_SIM_TIME, "start_type_description_service", "qos_overrides.")
@@ -28,8 +29,8 @@ class ParameterNode(EndingNode):
     """A node whose parameters are declared in fjr_core.config; `values` holds the checked values.
 
     Given values override the robot file that they name, and the robot file overrides defaults. File paths are
-    relative to the current directory. An unknown name is logged and ignored; names of other nodes' parameters are
-    ignored, so that one file serves all nodes.
+    relative to the current directory. Names of other nodes' parameters are ignored, so that one file serves all nodes;
+    an unknown name is an error. It is logged if a file gives it to all nodes and it resembles no known name.
     While the node runs, dynamic parameters change all together or not at all (`changed`). Other parameters, and
     use_sim_time, change only while a managed node is unconfigured (`is_open`); `recheck` then reads all of them.
     Raises ParameterError for an invalid value, unless the node `may_wait` for a valid one, and for a `-p` of the
@@ -56,12 +57,15 @@ class ParameterNode(EndingNode):
             )
         except ValueError as error:  # rclpy cannot declare a list without entries
             raise ParameterError(f"a parameter is an empty list; expected at least one entry ({error})") from None
+        self.guard_services()
         self._own = own
         self._given = self._taken_over()
         self._declaring = False
         self.values = {}
+        arguments = node_kwargs.get("cli_args") or self.process_arguments
+        self._for_any_node = for_any_node(arguments)
         try:
-            self._refuse_overruled(node_kwargs.get("cli_args") or self.process_arguments)
+            self._refuse_overruled(arguments)
             self._read()
             self.add_on_set_parameters_callback(self._on_set)
             self.build()
@@ -86,6 +90,11 @@ class ParameterNode(EndingNode):
     def given(self, name: str, default: Any) -> Any:
         """Return a parameter as given, unchecked."""
         return self._given.get(name, default)
+
+    def get_parameter_type(self, name: str) -> int:
+        """Return the type of a parameter as a number; rclpy's Node returns an Enum for a name that is not declared."""
+        found = super().get_parameter_type(name)
+        return int(getattr(found, "value", found))
 
     def set_parameters(self, parameter_list: list[RosParameter]) -> list[SetParametersResult]:
         """Set parameters one by one, as rclpy's Node does; the present value of a parameter is always accepted."""
@@ -137,8 +146,7 @@ class ParameterNode(EndingNode):
         merged = robot_file.merged(self._given, self.get_name(), Path.cwd())
         given = builders.without_others(self._own, merged, self._given)
         parameters = builders.all_parameters(self._own, given)
-        for sentence in unknown(parameters, given):
-            self.get_logger().warning(sentence)
+        self._check_names(parameters, given)
         values = dict(complete(parameters, given))
         self._parameters_by_name = {parameter.name: parameter for parameter in parameters}
         self._declaring = True
@@ -148,6 +156,23 @@ class ParameterNode(EndingNode):
         finally:
             self._declaring = False
         return values
+
+    def _check_names(self, parameters: Sequence[Parameter], given: Mapping[str, object]) -> None:
+        """Raise ParameterError for an unknown name; log one that a file gives to all nodes and that is of no group.
+
+        Options are logged, too, where no class of the user is named.
+        """
+        own, others = [parameter.name for parameter in parameters], builders.names_of_others(self._own)
+        groups = {name.partition(".")[0] for name in (*own, *others)}
+        foreign = {
+            name
+            for name in self._for_any_node - {*own, *others}
+            if name.partition(".")[0] not in groups and not resembling(name, (*own, *others), least=0.8)
+        }
+        ignored = given.keys() & (foreign | unread_options(parameters, given))
+        for name in sorted(ignored):
+            self.get_logger().warning(f"parameter '{name}' is ignored: this node does not have it")
+        refuse_unknown(own, given.keys() - ignored, others)
 
     def _declare(self, parameter: Parameter, value: Value) -> None:
         """Declare a parameter with its descriptor; replace an earlier declaration."""
@@ -186,7 +211,7 @@ class ParameterNode(EndingNode):
                 self.values = values
         except FjrError as error:
             return SetParametersResult(successful=False, reason=" ".join(str(error).split()))
-        self._given |= new
+        self._given = {name: value for name, value in (self._given | new).items() if value is not None}  # None: deleted
         return SetParametersResult(successful=True)
 
     def _check_clock(self, parameters: list[RosParameter]) -> None:
@@ -209,12 +234,34 @@ class ParameterNode(EndingNode):
 
     def _refuse_unknown(self, new: Mapping[str, object]) -> None:
         known = getattr(self, "_parameters_by_name", None)
-        for sentence in unknown(list(known.values()), new) if known else ():
-            raise ParameterError(sentence.replace(" is ignored", ""))
+        if known:
+            refuse_unknown(known, new, builders.names_of_others(self._own))
 
 
 class ManagedParameterNode(ParameterNode, LifecycleNode):
-    """A managed (lifecycle) node with checked parameters."""
+    """A managed (lifecycle) node with checked parameters.
+
+    A request of a transition that the present state does not have is refused with one sentence in the log.
+    """
+
+    def guard_services(self) -> None:
+        """Guard the services that rclpy creates by itself, and refuse transitions that are not possible now."""
+        service = self._service_change_state
+        change = service.callback
+
+        def on_request(request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+            asked = request.transition
+            possible = {number: label for number, label, *_ in self._state_machine.available_transitions}
+            if asked.label in possible.values() if asked.label else asked.id in possible:
+                return change(request, response)
+            state, choices = self._state_machine.current_state[1], ", ".join(possible.values()) or "none"
+            what = repr(asked.label[:LONGEST]) if asked.label else asked.id
+            self.get_logger().warning(f"transition is {what} in the state {state}; expected one of {choices}")
+            response.success = False
+            return response
+
+        service.callback = on_request
+        super().guard_services()
 
     def destroy_node(self) -> None:
         """Destroy the node and its state machine, which rclpy leaves to the collector, with the node in the graph."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Join the DDS domain before a node loads, so that other participants are discovered meanwhile.
+"""Join the DDS domain before a node loads, so that other participants are discovered meanwhile, and leave it.
 
-The participant belongs to the context of the process: it is created with the first node and shared by all others. A
-hidden node, which has no topics, stands in until the real one is built.
+The participant belongs to a context: it is created with the first node and destroyed with the last. A hidden node,
+which has no topics, stands in until the real one is built.
 """
 
 from __future__ import annotations
@@ -10,19 +10,32 @@ from __future__ import annotations
 import os
 import signal
 import time
-from contextlib import suppress
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
 
 import rclpy
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
+from .environment import domain_fault, ensure_log_folder
 from .loading import SIGNALS
-from .log_folder import ensure_log_folder
 from .scheduling import ahead_of_new_threads
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
 SOON, LATER = 0.2, 0.4
 """Time [s] in which a participant discovers the publishers of the others: if it hears their first answer, if not."""
+
+CALLBACK_LIMIT = 10  # s; a discovery callback takes microseconds
+
+_PARTICIPANT_OF = "_ZN16rmw_fastrtps_cpp22get_domain_participantEP10rmw_node_s"
+_SET_LISTENER = (
+    "_ZN8eprosima7fastdds3dds17DomainParticipant12set_listenerEPNS1_25DomainParticipantListenerE"
+    "NSt6chrono8durationIlSt5ratioILl1ELl1EEEE"
+)
+"""rmw_fastrtps_cpp::get_domain_participant(node); DomainParticipant::set_listener(listener, std::chrono::seconds)."""
 
 _initialised = False
 _hidden: Any = None
@@ -38,6 +51,8 @@ def join() -> None:
     An error is not reported here: the caller of `initialise`, or the first node, meets it again.
     """
     global _initialised, _hidden, _discovered_at
+    if domain_fault():
+        return
     with suppress(rclpy_implementation.RCLError):
         initialise(None)
         _initialised = True
@@ -50,8 +65,15 @@ def join() -> None:
 
 
 def initialise(args: list[str] | None) -> None:
-    """Initialise rclpy for the process, unless `join` has done so; args: command line, None: sys.argv."""
+    """Initialise rclpy for the process, unless `join` has done so; args: command line, None: sys.argv.
+
+    Raises FjrError for an invalid ROS_DOMAIN_ID.
+    """
     if not _initialised:
+        if fault := domain_fault():
+            from fjr_core import FjrError  # loads CasADi
+
+            raise FjrError(fault)
         ensure_log_folder()
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
 
@@ -69,8 +91,58 @@ def hand_over() -> None:
         _hidden = None
 
 
+@contextmanager
+def own_node(name: str, arguments: list[str] | None = None) -> Iterator[Node]:
+    """Create a node in a context of its own, without signal handlers; arguments: as after --ros-args."""
+    context = rclpy.Context()
+    ros = ["--ros-args", *arguments] if arguments else None
+    rclpy.init(args=ros, context=context, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node(name, context=context, enable_rosout=False, start_parameter_services=False)
+        try:
+            yield node
+        finally:
+            leave(node)
+    finally:
+        context.try_shutdown()
+
+
+def leave(node: Node) -> None:
+    """Destroy the last node of a context, and with it the participant."""
+    stop_discovery(node.handle)
+    node.destroy_node()
+
+
+def stop_discovery(handle: Any = None) -> None:
+    """Let no discovery callback of a participant run from now on; its view of the graph stays as it is.
+
+    handle: of any node of the participant; None: of the hidden node, if there is one.
+    Fast DDS 2.14 waits for these callbacks when it destroys a participant. In the wheels this wait never ends: its
+    limit, the largest time of the steady clock, overflows in the system clock, and pthread_cond_timedwait refuses such
+    a time at once, without releasing the mutex with which the callback ends. A wait with a finite limit is sound. After
+    it no callback is left to wait for.
+    """
+    handle = handle or _hidden
+    if handle is None:
+        return
+    import ctypes  # loaded on use: a node starts sooner
+
+    try:
+        rcl, rmw = (ctypes.CDLL(f"lib{name}.so", os.RTLD_NOLOAD) for name in ("rcl", "rmw_fastrtps_cpp"))
+        rmw_node, participant_of, set_listener = rcl.rcl_node_get_rmw_handle, rmw[_PARTICIPANT_OF], rmw[_SET_LISTENER]
+    except (OSError, AttributeError):  # another middleware or another version of it
+        return
+    rmw_node.restype = participant_of.restype = ctypes.c_void_p
+    with suppress(rclpy_implementation.InvalidHandle), handle:  # invalid: the node is destroyed
+        node = rmw_node(ctypes.c_void_p(handle.pointer))
+        participant = participant_of(ctypes.c_void_p(node)) if node else None
+        if participant:
+            set_listener(ctypes.c_void_p(participant), None, ctypes.c_long(CALLBACK_LIMIT))
+
+
 def _exit(*_: object) -> None:
     """Leave the domain and end the process, which has nothing else to shut down while it loads."""
+    stop_discovery()
     hand_over()
     rclpy.try_shutdown()
     os._exit(0)

@@ -40,6 +40,7 @@ class StoppableNode(Protocol):
     """A node with checked parameter values that sends last messages before it ends."""
 
     values: dict[str, Any]
+    handle: Any
 
     def get_logger(self) -> Any:
         """Return the logger, as rclpy's Node does."""
@@ -96,6 +97,7 @@ class _Host:
     """The process of a node (failure.Host), and the loop that serves the callbacks of the node."""
 
     ended: FjrError | None = None
+    _granted = ""
 
     def __init__(self, node: StoppableNode) -> None:
         """Apply the process settings of the node; raises ParameterError."""
@@ -113,8 +115,12 @@ class _Host:
 
     def _apply(self, values: Mapping[str, Any]) -> None:
         settings = process_settings(values)
-        for refusal in apply_process_settings(settings):
+        granted, refusals = apply_process_settings(settings)
+        for refusal in refusals:
             self._node.get_logger().warning(refusal)
+        if granted != self._granted and settings.executor == NATIVE and not values.get("lockstep", False):
+            self._granted = granted
+            self._node.get_logger().info(granted)
         if settings.executor == NATIVE:
             yield_to_other_threads(settings.priority)
 
@@ -161,6 +167,7 @@ class _Host:
 
 
 def _end(node: StoppableNode | None) -> None:
+    participant.stop_discovery(node and node.handle)
     if node is not None:
         node.destroy_node()
     rclpy.try_shutdown()

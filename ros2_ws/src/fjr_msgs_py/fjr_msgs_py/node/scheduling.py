@@ -10,27 +10,60 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import platform
 import resource
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 if TYPE_CHECKING:
     from fjr_core.config.process import ProcessSettings
 
+SLICE = 100_000  # ns; the shortest slice that Linux grants
+NICE = 5  # of threads and processes beside a loop
+LATE = "cycles may be late while more programs are busy than there are cores"
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h of Linux
 _CAP_IPC_LOCK = 14  # linux/capability.h
+_SYSTEM_CALLS = {"x86_64": (314, 315), "aarch64": (274, 275)}
+"""Numbers of sched_setattr and sched_getattr by machine."""
+_CODE = ("/fjr/", "librcl.so", "librmw", "libfastcdr", "libc.so", "libm.so", "libstdc++", "libfastrtps")
+"""Parts of the paths of the code that a native loop runs, the most important first."""
 
 
-def apply_process_settings(settings: ProcessSettings) -> list[str]:
-    """Apply the settings to this process; return one sentence for each that the system refuses."""
-    refusals = (
-        use_cores(settings.cores),
-        lock_memory() if settings.lock_memory else "",
-        take_priority(settings.priority),
-    )
-    return [sentence for sentence in refusals if sentence]
+class _Attributes(ctypes.Structure):
+    """struct sched_attr of Linux."""
+
+    _fields_: ClassVar = [
+        *((name, ctypes.c_uint32) for name in ("size", "policy")),
+        ("flags", ctypes.c_uint64),
+        *(("nice", ctypes.c_int32), ("priority", ctypes.c_uint32)),
+        *((name, ctypes.c_uint64) for name in ("runtime", "deadline", "period")),
+    ]
+
+
+class Scheduling(NamedTuple):
+    """What the system granted: one sentence; and one sentence for each setting that it refused."""
+
+    granted: str
+    refusals: list[str]
+
+
+def apply_process_settings(settings: ProcessSettings) -> Scheduling:
+    """Apply the settings to this process: its threads have the priority or, without one, short slices."""
+    refused = take_priority(settings.priority)
+    slices = take_short_slices()
+    if os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
+        priority = os.sched_getparam(0).sched_priority
+        granted = f"real-time priority {priority} is granted: other programs do not delay a cycle"
+    elif slices:
+        granted = f"ordinary scheduling with slices of {slices * 1e-6:g} ms: {LATE}"
+    else:
+        granted = f"ordinary scheduling (slices of {SLICE * 1e-6:g} ms need Linux 6.12): {LATE}"
+    memory = lock_memory() if settings.lock_memory else ""
+    refusals = [each for each in (use_cores(settings.cores), memory, refused) if each]
+    return Scheduling(granted, refusals)
 
 
 def take_priority(priority: int, inherited: bool = True) -> str:
@@ -45,35 +78,71 @@ def take_priority(priority: int, inherited: bool = True) -> str:
         _schedule(os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK), priority)
     except (OSError, AttributeError) as error:
         return (
-            f"realtime_priority {priority} is refused ({error}): ordinary scheduling is used, cycles may be late; "
+            f"realtime_priority {priority} is refused ({error}): the process has ordinary scheduling; "
             "allow it by an rtprio limit (/etc/security/limits.conf) or CAP_SYS_NICE, or set realtime_priority to 0"
         )
     return ""
 
 
-def yield_to_other_threads(priority: int) -> None:
-    """Schedule the calling thread one step below `priority`, which the other threads of this process have.
+def take_short_slices() -> int:
+    """Ask for slices of SLICE for every thread with ordinary scheduling; return what this one has [ns], 0: none.
 
-    A native loop and the middleware then never wait for Python. Do nothing for a priority of 0 or where it is refused.
+    A thread that wakes up then preempts others sooner. Linux grants it to every user from 6.12 on.
     """
-    if priority > 1:
+    for thread in _threads():
         with suppress(OSError, AttributeError):
+            if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER:
+                _ask_for_slice(thread)
+    return slice_of(0)
+
+
+def slice_of(thread: int) -> int:
+    """Return the slice [ns] that a thread with ordinary scheduling asked for; 0 if it is not known."""
+    found, call = _Attributes(), _SYSTEM_CALLS.get(platform.machine())
+    if call is None or _system_call(call[1], thread, ctypes.byref(found), ctypes.sizeof(found), 0):
+        return 0
+    return int(found.runtime) if found.policy in (os.SCHED_OTHER, os.SCHED_BATCH) else 0
+
+
+def step_back(nice: int = NICE) -> None:
+    """Let the calling thread, and threads and processes that it starts, yield to loops: SCHED_BATCH, and `nice`.
+
+    A thread of this policy never preempts another when it wakes up. Every user may ask for it, and no user without
+    privileges may lower `nice` again.
+    """
+    with suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        thread = threading.get_native_id()
+        os.setpriority(os.PRIO_PROCESS, thread, max(nice, os.getpriority(os.PRIO_PROCESS, thread)))
+
+
+def yield_to_other_threads(priority: int) -> None:
+    """Let the calling thread yield to the other threads of this process, which have `priority` or short slices.
+
+    A native loop and the middleware then never wait for Python.
+    """
+    with suppress(OSError, AttributeError):
+        if os.sched_getscheduler(0) != os.SCHED_FIFO:
+            step_back(0)
+        elif priority > 1:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority - 1))
 
 
 @contextmanager
-def prioritised(priority: int) -> Iterator[None]:
-    """Schedule this process as SCHED_FIFO inside the block if the system allows it.
+def prioritised(priority: int, beside: bool = False) -> Iterator[None]:
+    """Schedule this process as SCHED_FIFO inside the block if the system allows it; beside: else as SCHED_BATCH.
 
     Child processes and threads started inside the block do not inherit the priority: a process that loads at this
     priority takes a whole core, and the kernel then suspends all real-time threads on it, those of running nodes
     included, for 50 ms of each second (kernel.sched_rt_runtime_us).
     """
-    refused = take_priority(priority, inherited=False)
+    granted = priority > 0 and not take_priority(priority, inherited=False)
+    if beside and not granted:
+        _schedule(os.SCHED_BATCH, 0)
     try:
         yield
     finally:
-        if priority and not refused:
+        if beside or granted:
             try:
                 _schedule(os.SCHED_OTHER, 0)
             except PermissionError:  # only a privileged process may clear SCHED_RESET_ON_FORK
@@ -129,16 +198,41 @@ def use_cores(cores: frozenset[int]) -> str:
 def lock_memory() -> str:
     """Lock all present and future memory of this process in RAM, so that no cycle waits for a page fault.
 
-    Return "", or one sentence with the reason of the refusal. A finite memlock limit counts as a refusal, because
-    the process could exceed it in the middle of a motion.
+    Under a finite memlock limit lock what is mapped now; if that is too much, the code of the loop as far as it fits.
+    Future memory then stays unlocked, because the system would deny it beyond the limit in the middle of a motion.
+    Return "", or one sentence with the reason of a complete or partial refusal.
     """
-    reason = _denied_lock()
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    unlimited = limit == resource.RLIM_INFINITY or _capable(_CAP_IPC_LOCK)
+    try:
+        c = ctypes.CDLL(None, use_errno=True)
+        if not c.mlockall(_MCL_CURRENT | (_MCL_FUTURE if unlimited else 0)):
+            reason = "" if unlimited else f"memory that is mapped later, beyond the memlock limit of {limit // 1024} kB"
+        elif unlimited:
+            reason = os.strerror(ctypes.get_errno())
+        else:
+            reason = f"the memlock limit is {limit // 1024} kB; {_lock_code(c, limit) // 1024} kB of code are locked"
+    except (OSError, AttributeError):
+        reason = "this system has no mlockall"
     if not reason:
         return ""
     return (
         f"lock_memory is refused ({reason}): page faults may delay a cycle; "
         "allow it by memlock unlimited (/etc/security/limits.conf) or CAP_IPC_LOCK, or set lock_memory to false"
     )
+
+
+def _lock_code(c: ctypes.CDLL, limit: int) -> int:
+    """Lock code that the loop runs, its own first, then that of the middleware; return the number of locked bytes."""
+    mapped = [line.split() for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines()]
+    code = [(each[0], each[5]) for each in mapped if len(each) > 5 and "x" in each[1]]
+    ranked = [(rank, area) for area, path in code for rank, part in enumerate(_CODE) if part in path]
+    locked = 0
+    for _, area in sorted(ranked):
+        begin, end = (int(address, 16) for address in area.split("-"))
+        if locked + end - begin <= limit and not c.mlock(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin)):
+            locked += end - begin
+    return locked
 
 
 def freeze_garbage() -> None:
@@ -149,17 +243,6 @@ def freeze_garbage() -> None:
     gc.unfreeze()
     gc.collect()
     gc.freeze()
-
-
-def _denied_lock() -> str:
-    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    if limit != resource.RLIM_INFINITY and not _capable(_CAP_IPC_LOCK):
-        return f"the memlock limit is {limit // 1024} kB"
-    try:
-        mlockall = ctypes.CDLL(None, use_errno=True).mlockall
-    except (OSError, AttributeError):
-        return "this system has no mlockall"
-    return os.strerror(ctypes.get_errno()) if mlockall(_MCL_CURRENT | _MCL_FUTURE) else ""
 
 
 def _capable(capability: int) -> bool:
@@ -175,6 +258,17 @@ def _schedule(policy: int, priority: int) -> None:
     for thread in _threads():
         with suppress(ProcessLookupError):
             os.sched_setscheduler(thread, policy, os.sched_param(priority))
+
+
+def _ask_for_slice(thread: int) -> None:
+    call, nice = _SYSTEM_CALLS.get(platform.machine()), os.getpriority(os.PRIO_PROCESS, thread)
+    attributes = _Attributes(ctypes.sizeof(_Attributes), os.SCHED_OTHER, 0, nice, 0, SLICE, 0, 0)
+    if call is not None:
+        _system_call(call[0], thread, ctypes.byref(attributes), 0)
+
+
+def _system_call(number: int, *arguments: Any) -> int:
+    return int(ctypes.CDLL(None, use_errno=True).syscall(number, *arguments))
 
 
 def _threads() -> list[int]:

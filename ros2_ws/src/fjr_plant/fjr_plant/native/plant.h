@@ -11,7 +11,7 @@
 #define FJR_READINGS 6 /* number of enum fjr_reading */
 
 enum fjr_constant {
-  FJR_LONGEST_BACKLOG = 200000000, /* [ns] longest time integrated at once */
+  FJR_LONGEST_BACKLOG = 50000000,  /* [ns] longest time integrated at once: no controller acts meanwhile */
   FJR_LARGEST_LAG = 1000000000,    /* [ns] largest lag of the stamps behind the clock due to lost time */
   FJR_RESEND_PERIOD = 100000000,   /* [ns] a state without a command is sent again */
   FJR_MOST_SILENT = 1000           /* samples without a state to send before the host handles other events */

@@ -28,3 +28,16 @@ int fjr_plant_send(void* self, int32_t output, const struct fjr_message* message
   struct fjr_plant_loop* l = self;
   return fjr_loop_publish(l->loop, l->publisher[output], message) != FJR_GO_ON;
 }
+
+int fjr_plant_notify(void* self, int32_t event, int64_t value, const uint8_t* data, size_t size) {
+  struct fjr_plant_loop* l = self;
+  if (event == FJR_FIRST_ANSWER || event == FJR_ADVANCED || event == FJR_SECOND)
+    return l->notify(self, event, value, data, size);
+  struct fjr_note* note = fjr_ring_free(l->notes, 0);
+  if (!note) return 0;
+  note->event = event, note->value = value;
+  note->size = size < FJR_NOTE_ROOM ? size : FJR_NOTE_ROOM;
+  if (size) memcpy(note->data, data, note->size);
+  fjr_ring_commit(l->notes);
+  return 0;
+}

@@ -5,8 +5,9 @@
  * the first command, a state is stamped with the node time, and integration starts from the last such state. Stamps
  * never decrease. Robot time stands still while waiting, while paused, and while the clock stands still or is 0. After
  * a reset or a pause no state leaves for `silence`, so that a controller recovers instead of receiving a jump. If the
- * clock jumps forward or is too fast, a backlog of more than FJR_LONGEST_BACKLOG is skipped and the stamps lag behind
- * by that time, at most FJR_LARGEST_LAG. If the clock jumps back, stamps continue from its new time and the motion
+ * clock jumps forward or is too fast, or the process was paused, a backlog of more than FJR_LONGEST_BACKLOG is skipped:
+ * the robot stood still meanwhile, instead of moving on under an old effort, and the stamps lag behind by that time, at
+ * most FJR_LARGEST_LAG. If the clock jumps back, stamps continue from its new time and the motion
  * continues unchanged.
  */
 #include <time.h>

@@ -58,7 +58,7 @@ class ClockOwner:
             return
         self._next_look = now + LOOK_PERIOD
         if not established or now <= self._settled:
-            self.refuse_others(ahead_of=self._shown() if established else 0)
+            self.refuse_others(ahead_of=self._shown() + 1 if established else 0)
         elif self._conflicts.appeared():
             self._health.error(OTHERS, self._sentence("has begun to publish"))
 

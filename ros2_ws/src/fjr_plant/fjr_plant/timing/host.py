@@ -15,8 +15,11 @@ from fjr_msgs_py import names
 from fjr_msgs_py.native.entities import NativeSubscription, publisher_address
 from fjr_msgs_py.native.loop import Loop
 from fjr_msgs_py.native.program import Program
+from fjr_msgs_py.native.ring import Ring
 
 from ..native.program import NO_TIME, PlantProgram
+
+NOTES, NOTES_PERIOD = 16, 0.05  # events that wait for Python, at most; s
 
 
 class Hosted(NamedTuple):
@@ -66,7 +69,13 @@ class NativeHost:
         self._struct = ffi.new("struct fjr_host*", [self.state, *functions])
         self._loop = Loop(program, self._struct, [self.subscription], hosted.publishers)
         self.state.loop = self._loop.pointer
-        hosted.plant.host, hosted.plant.send = self.state, ffi.addressof(lib, "fjr_plant_send")
+        self._notes, self.state.notify = Ring(program, "struct fjr_note", NOTES), hosted.plant.notify
+        self.state.notes, hosted.plant.host = self._notes.pointer, self.state
+        hosted.plant.send, hosted.plant.notify = (
+            ffi.addressof(lib, f"fjr_plant_{name}") for name in ("send", "notify")
+        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = hosted.node.create_timer(NOTES_PERIOD, self._read_notes, clock=steady)
         self._action: Callable[[], Any] = lambda: None
         self._result: Any = None
         self._error: BaseException | None = None
@@ -88,6 +97,14 @@ class NativeHost:
         if self._loop.pointer:
             self._loop.close()
             self.subscription.close()
+            self._hosted.node.destroy_timer(self._timer)
+
+    def _read_notes(self) -> None:
+        """Report the events that the thread kept."""
+        ffi, null = self._hosted.program.ffi, self._hosted.program.ffi.NULL
+        for note in self._notes.take():
+            data = ffi.from_buffer("uint8_t[]", note["data"][: note["size"]])
+            self.state.notify(null, int(note["event"]), int(note["value"]), data, int(note["size"]))
 
     def _work(self) -> int:
         try:

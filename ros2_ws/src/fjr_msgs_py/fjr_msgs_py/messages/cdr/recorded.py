@@ -22,7 +22,7 @@ def joint_state_arrays(messages: Sequence[bytes], first: Any) -> tuple[NDArray[n
     """
     lengths = [len(getattr(first, name)) for name in FIELDS]
     form, size = joint_state(first.name, lengths, first.header.frame_id), len(messages[0])
-    if form.struct.size > size or any(len(message) != size for message in messages):
+    if form.struct.size > size or set(map(len, messages)) != {size}:
         return None
     rows = np.frombuffer(b"".join(messages), np.uint8).reshape(-1, size)
     begins = [8 * start - HEADER for start in form.starts]

@@ -1,11 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folder of the ROS 2 log files, without which rclpy.init fails."""
+"""Environment without which rclpy.init fails or ends the process: the folder of the ROS 2 log files, the domain."""
 
 from __future__ import annotations
 
 import os
 import sys
 from pathlib import Path
+
+LARGEST_DOMAIN = 232  # beyond it DDS has no ports
+
+
+def domain() -> str:
+    """Return the ROS domain of this process, as the environment has it."""
+    return os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+
+
+def domain_fault() -> str:
+    """Return what is wrong with ROS_DOMAIN_ID, for which Fast DDS ends the process; "" if nothing is."""
+    given = domain()
+    if given.isascii() and given.isdigit() and int(given) <= LARGEST_DOMAIN:
+        return ""
+    return f"ROS_DOMAIN_ID is '{given}'; expected a whole number from 0 to {LARGEST_DOMAIN}"
 
 
 def ensure_log_folder() -> None:
