@@ -24,26 +24,29 @@ from bench import (
     campaign_memory,
     certificate,
     closed_loop,
+    gaps,
     identification_peers,
     identification_time,
     lock_step,
     memory,
     on_time,
+    pauses,
     peers,
     periods,
     proof,
-    real_time,
+    report_memory,
     round_trip,
     start_up,
+    starts,
 )
 from bench.arm import arm7
 from bench.figures import Figure, table
 
 RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
-LONG = ("memory", "sweep-memory")
+LONG = ("starts", "memory", "sweep-memory", "report-memory")
 USUAL = (
-    *("law", "dynamics", "step", "loop", "virtual-machine", "build", "start", "node", "command", "real-time"),
-    *("round-trip", "on-time", "certificate", "periods", "lock-step", "campaign", "proof", "identification"),
+    *("law", "dynamics", "step", "loop", "virtual-machine", "build", "start", "node", "command", "round-trip"),
+    *("on-time", "gaps", "pauses", "certificate", "periods", "lock-step", "campaign", "proof", "identification"),
     "identification-time",
 )
 NAMES = (*USUAL, *LONG)
@@ -90,9 +93,10 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         start_up.library,
         start_up.node,
         start_up.command,
-        real_time.tracking,
         lambda: round_trip.over_echo(arm, *((3,) if quick else ())),
         lambda: on_time.answered(*((5.0,) if quick else ())),
+        lambda: gaps.longest(quick),
+        lambda: pauses.recovered(*((3, 1) if quick else ())),
         lambda: certificate.with_and_without(arm, *((3,) if quick else ())),
         lambda: periods.late(*((10.0,) if quick else ())),
         lambda: lock_step.over_ping_pong(*((2, 3.0) if quick else ())),
@@ -100,8 +104,10 @@ def measurements(quick: bool = False) -> dict[str, Measurement]:
         lambda: proof.over_joint_range_and_tube(arm, *((20,) if quick else ())),
         lambda: identification_peers.against_mujoco(arm, *((2, 0) if quick else ())),
         lambda: identification_time.of_a_minute(*((5.0,) if quick else ())),
+        lambda: starts.arm7(quick),
         lambda: memory.flat(*((0.5,) if quick else ())),
         lambda: campaign_memory.bounded(*((20_000,) if quick else ())),
+        lambda: report_memory.bounded(*((1.0,) if quick else ())),
     )
     return dict(zip(NAMES, runs, strict=True))
 

@@ -14,7 +14,7 @@ BOUND = 1.10
 
 def with_and_without(arm: Arm, rounds: int = ROUNDS) -> list[Figure]:
     """Compare median and 99th percentile of both, round by round; the arm rests at its reference."""
-    still = at_rest(arm)
+    still = at_rest(arm.scenario)
     with scenario_file(still) as file, scenario_file({**still, "certificate": False}) as plain:
         nodes = (controller(file, "-r", f"__ns:=/{WITH}"), controller(plain, "-r", f"__ns:=/{WITHOUT}"))
         times = latencies(arm, rounds, (WITH, WITHOUT), nodes)

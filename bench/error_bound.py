@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bound of the tracking error against the largest error of simulated runs with factors drawn within the stated errors.
 
-`python -m bench.error_bound SCENARIO [RUNS]` prints the figures of one scenario; it fails if a bound is missed.
+`python -m bench.error_bound SCENARIO [NAME=VALUE ...]` prints the figures of one scenario, e.g. for payload=0.2, with
+one sample of delay. It fails if a bound is missed.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from tqdm import tqdm
@@ -22,7 +25,6 @@ from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_core.stability.error_bound import bound_errors
 
-PAYLOAD = 0.2  # relative error of inertia and weight of the links
 RUNS = 10_000
 AT_ONCE = 250  # runs between two steps of the bar
 LARGEST_RATIO = 2.0  # of bound and largest error
@@ -39,12 +41,13 @@ class Observed:
 SCENARIOS = {"paper_k31": Observed(1.0, 7.3), "two_link": Observed(1.0, 7.3), "arm7": Observed(1.0, 3.0)}
 
 
-def of_scenario(name: str, runs: int) -> list[Figure]:
-    """Bound the tracking error for a payload error and one sample of delay; compare with runs."""
+def of_scenario(name: str, errors: Mapping[str, float]) -> list[Figure]:
+    """Bound the tracking error for relative errors of factors and one sample of delay; compare with runs."""
     scenario = library.load(name, [])
     T = scenario.sample_period
-    bound = bound_errors(scenario.law, scenario.reference, T, T, {"payload": PAYLOAD}, prove=True)
-    peaks = largest_errors(scenario, SCENARIOS[name], runs)
+    bound = bound_errors(scenario.law, scenario.reference, T, T, errors, prove=True)
+    runs = RUNS if errors else 1
+    peaks = largest_errors(scenario, SCENARIOS[name], errors, runs)
     beyond = np.count_nonzero(np.any(peaks > bound.position, axis=1))
     basis = "proven" if bound.proven else "sampled"
     largest = peaks.max(axis=0)
@@ -60,7 +63,18 @@ def of_scenario(name: str, runs: int) -> list[Figure]:
     ]
 
 
-def largest_errors(scenario: Scenario, observed: Observed, runs: int) -> Array:
+def drawn(errors: Mapping[str, float], runs: int) -> Draws:
+    """Return factors drawn uniformly within errors; the first are their corners."""
+    half = np.array(list(errors.values()))
+    share = np.random.default_rng(0).uniform(-1, 1, (runs, len(half)))
+    corners = list(product((-1, 1), repeat=len(half)))
+    share[: len(corners)] = corners
+    factors = dict(zip(errors, (1 + share * half).T, strict=True))
+    payload = factors.pop("payload", None)
+    return Draws(runs, **factors | ({} if payload is None else {"link_inertia": payload, "gravity": payload}))
+
+
+def largest_errors(scenario: Scenario, observed: Observed, errors: Mapping[str, float], runs: int) -> Array:
     """Return the largest |q_l - q_ld| (runs, n) [rad] once settled, of runs that start on the reference."""
     law, reference, T = TrackingLaw(scenario.robot, scenario.gains), scenario.reference, scenario.sample_period
     q, dq, *more = reference.jets(0.0)
@@ -69,8 +83,7 @@ def largest_errors(scenario: Scenario, observed: Observed, runs: int) -> Array:
     loop = ClosedLoop(
         scenario.robot, AsSampledLaw(law), reference, x0, observed.duration, T, settle_after=observed.settled
     )
-    factor = 1 + np.random.default_rng(0).uniform(-PAYLOAD, PAYLOAD, runs)
-    draws = Draws(runs, link_inertia=factor, gravity=factor, delay=T)
+    draws = replace(drawn(errors, runs), delay=T)
     parts = [draws.taken(slice(i, i + AT_ONCE)) for i in range(0, runs, AT_ONCE)]
     outcomes = [loop.run(part) for part in tqdm(parts, desc=scenario.name, disable=not sys.stderr.isatty())]
     if not all(part.stable.all() for part in outcomes):
@@ -79,8 +92,9 @@ def largest_errors(scenario: Scenario, observed: Observed, runs: int) -> Array:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) not in (2, 3) or sys.argv[1] not in SCENARIOS:
-        sys.exit(f"usage: python -m bench.error_bound {'|'.join(SCENARIOS)} [RUNS]")
-    figures = of_scenario(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else RUNS)
+    if len(sys.argv) < 2 or sys.argv[1] not in SCENARIOS:
+        sys.exit(f"usage: python -m bench.error_bound {'|'.join(SCENARIOS)} [NAME=VALUE ...]")
+    given = (word.partition("=") for word in sys.argv[2:])
+    figures = of_scenario(sys.argv[1], {error: float(size) for error, _, size in given})
     print(table(figures))
     sys.exit(not all(figure.holds for figure in figures))

@@ -23,11 +23,17 @@ PRIORITY = 50  # as in the scenario; used if the system allows it
 GRACE = 5.0  # s
 
 
+def ros_environment() -> Mapping[str, str]:
+    """Set the ROS environment variables of this process; return its environment."""
+    os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
+    set_ros_environment()
+    return os.environ
+
+
 @contextmanager
 def scenario_file(overrides: Mapping[str, Any] | None = None) -> Iterator[Path]:
     """Write the scenario with changed parameters to a file; set the ROS environment variables."""
-    os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
-    set_ros_environment()
+    ros_environment()
     with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder:
         path = Path(folder, "scenario.yaml")
         path.write_text(library.as_run(SCENARIO, overrides or {})[0], encoding="utf-8")
@@ -58,30 +64,41 @@ def driver(*arguments: str) -> list[str]:
 def running(*commands: Sequence[str]) -> Iterator[list[int]]:
     """Run commands inside the block, yield their process ids; raise RuntimeError if one fails."""
     with ExitStack() as stack:
-        yield [stack.enter_context(_running(command)) for command in commands]
+        yield [stack.enter_context(process(command)).pid for command in commands]
+
+
+@contextmanager
+def process(command: Sequence[str], stdout: int = subprocess.DEVNULL) -> Iterator[subprocess.Popen[str]]:
+    """Run a command inside the block, and end it by SIGINT; raise RuntimeError if it has ended before."""
+    with subprocess.Popen(command, cwd=ROOT, stdout=stdout, text=True, start_new_session=True) as started:
+        try:
+            yield started
+            if started.poll() is not None:
+                raise RuntimeError(
+                    f"{Path(command[0]).name} ended with {started.returncode}; expected it to be running"
+                )
+        finally:
+            started.send_signal(signal.SIGINT)
+            try:
+                started.wait(GRACE)
+            except subprocess.TimeoutExpired:
+                started.kill()
+
+
+@contextmanager
+def burning(count: int) -> Iterator[None]:
+    """Keep the cores busy with ordinary processes inside the block."""
+    with ExitStack() as stack:
+        for _ in range(count):
+            started = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+            stack.callback(started.kill)
+        yield
 
 
 def output(command: Sequence[str], longest: float) -> str:
     """Run a command to its end; return its output."""
     done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True, timeout=longest)
     return done.stdout
-
-
-@contextmanager
-def _running(command: Sequence[str]) -> Iterator[int]:
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, start_new_session=True) as process:
-        try:
-            yield process.pid
-            if process.poll() is not None:
-                raise RuntimeError(
-                    f"{Path(command[0]).name} ended with {process.returncode}; expected it to be running"
-                )
-        finally:
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(GRACE)
-            except subprocess.TimeoutExpired:
-                process.kill()
 
 
 def _ours(package: str, name: str, file: Path, arguments: Sequence[str]) -> list[str]:

@@ -13,6 +13,7 @@ from bench.arm import Arm
 from bench.figures import Figure
 from bench.measure import ratio
 from bench.nodes import bare, controller, driver, output, running, scenario_file
+from fjr_core.config.scenario import Scenario
 
 ROUNDS = 15
 NATIVE, RCLPY, BARE = "native", "rclpy", "bare"
@@ -27,7 +28,7 @@ Times = dict[str, list[list[float]]]
 
 def over_echo(arm: Arm, rounds: int = ROUNDS) -> list[Figure]:
     """Compare median and 99th percentile of both hosts with the bare node, round by round; the arm is at rest."""
-    with scenario_file(at_rest(arm)) as file:
+    with scenario_file(at_rest(arm.scenario)) as file:
         nodes = (
             controller(file, "-r", f"__ns:=/{NATIVE}", "-p", "executor:=native"),
             controller(file, "-r", f"__ns:=/{RCLPY}", "-p", "executor:=events"),
@@ -43,12 +44,11 @@ def _over_echo(host: str, times: Times) -> list[Figure]:
     return [figure(f"{name}, median", 50, median, pair), figure(f"{name}, 99th percentile", 99, percentile, pair)]
 
 
-def at_rest(arm: Arm) -> dict[str, Any]:
+def at_rest(scenario: Scenario) -> dict[str, Any]:
     """Return the parameters with which the reference stands still."""
-    offset = arm.scenario.reference.jets(0.0)[0]
-    zeros = [0.0] * arm.robot.n
-    fixed = {"state_timeout": PATIENCE, "start.wiring_check": False}  # no motion shows the wiring of an arm at rest
-    return {"reference.amplitude": zeros, "reference.offset": offset.tolist(), **fixed}
+    offset = scenario.reference.jets(0.0)[0]
+    zeros = [0.0] * len(offset)
+    return {"reference.amplitude": zeros, "reference.offset": offset.tolist(), "state_timeout": PATIENCE}
 
 
 def latencies(arm: Arm, rounds: int, sides: tuple[str, ...], nodes: Sequence[Sequence[str]]) -> Times:

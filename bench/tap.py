@@ -5,20 +5,20 @@ from __future__ import annotations
 
 import struct
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
-import rclpy
 from numpy.typing import NDArray
-from rclpy.context import Context
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from fjr_msgs_py.messages.joint_states import nanoseconds
+from fjr_msgs_py.node.participant import own_node
 
 DEPTH = 5000
 HEADER, STAMP = 4, struct.Struct("<iI")  # a serialised JointState begins with its stamp
@@ -37,14 +37,12 @@ class Tap:
     """Context manager: a node that reads JointStates from its queues without an executor."""
 
     def __enter__(self) -> Tap:
-        self._context = Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node("fjr_bench_tap", context=self._context, start_parameter_services=False)
+        self._own = own_node("fjr_bench_tap")
+        self.node = self._own.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._own.__exit__(None, None, None)
 
     def next(self, topic: str, longest: float) -> Seen:
         """Return one message, subscribing only for it; raise TimeoutError after `longest` [s]."""
@@ -52,7 +50,7 @@ class Tap:
         try:
             return self._wait(subscription, longest)
         finally:
-            self._node.destroy_subscription(subscription)
+            self.node.destroy_subscription(subscription)
 
     def sent(self, topics: list[str], seconds: float, longest: float) -> list[NDArray[np.int64]]:
         """Return the send times [ns] of each topic, as `messages` does."""
@@ -63,21 +61,21 @@ class Tap:
 
         seconds: how long. TimeoutError when a topic is silent for `longest` seconds at first.
         """
+        with self.listening(topics, longest) as heard:
+            heard.collect(seconds)
+        return heard.messages()
+
+    @contextmanager
+    def listening(self, topics: list[str], longest: float) -> Iterator[Heard]:
+        """Listen to topics inside the block, which begins with the first message of the last of them."""
         subscriptions = [self._subscribe(topic) for topic in topics]
+        first = [self._wait(subscription, longest) for subscription in subscriptions]
+        yield Heard(subscriptions, [[(seen.stamp, seen.sent)] for seen in first])
         for subscription in subscriptions:
-            self._wait(subscription, longest)
-        seen: list[list[tuple[int, int]]] = [[] for _ in topics]
-        end = perf_counter() + seconds
-        while perf_counter() < end:
-            time.sleep(PAUSE)
-            for found, subscription in zip(seen, subscriptions, strict=True):
-                found += _drained(subscription)
-        for subscription in subscriptions:
-            self._node.destroy_subscription(subscription)
-        return [np.array(found, dtype=np.int64).reshape(-1, 2) for found in seen]
+            self.node.destroy_subscription(subscription)
 
     def _subscribe(self, topic: str) -> Subscription:
-        return self._node.create_subscription(JointState, topic, lambda _: None, QoSProfile(depth=DEPTH), raw=True)
+        return self.node.create_subscription(JointState, topic, lambda _: None, QoSProfile(depth=DEPTH), raw=True)
 
     def _wait(self, subscription: Subscription, longest: float) -> Seen:
         end = perf_counter() + longest
@@ -87,6 +85,30 @@ class Tap:
             time.sleep(1e-3)
         data, info = taken
         return Seen(nanoseconds(deserialize_message(data, JointState).header.stamp), info["source_timestamp"])
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What a tap hears: subscriptions, and stamp and send time [ns] of their messages so far."""
+
+    subscriptions: list[Subscription]
+    seen: list[list[tuple[int, int]]]
+
+    def collect(self, seconds: float) -> None:
+        """Read the queues for a time."""
+        end = perf_counter() + seconds
+        while perf_counter() < end:
+            time.sleep(PAUSE)
+            self.drain()
+
+    def drain(self) -> None:
+        """Empty the queues, which hold DEPTH messages."""
+        for found, subscription in zip(self.seen, self.subscriptions, strict=True):
+            found += _drained(subscription)
+
+    def messages(self) -> list[NDArray[np.int64]]:
+        """Return stamps and send times (k, 2) [ns] of each topic."""
+        return [np.array(found, dtype=np.int64).reshape(-1, 2) for found in self.seen]
 
 
 def _drained(subscription: Subscription) -> list[tuple[int, int]]:

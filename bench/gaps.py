@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Longest gap between two efforts of `arm7` in real time while others make use of the controller.
+
+    python -m bench.gaps [--quick]
+
+A trajectory of 100,000 points is sent to a standing and to a moving arm; parameters are read 100 times a second; a bag
+is recorded while `fjr watch --browser` serves a page.
+
+The bound is for the largest difference of the send times of two consecutive efforts, from two seconds of commands on
+until the use ends; a trajectory ends after half of the move to its first point. It covers all that delays
+an effort: states that the plant sends late, the cycle of the controller, reading and planning of the trajectory, the
+change of the reference, and every other process on the cores. It does not cover the start (bench/starts.py) and
+processes that join before the recording. A refused trajectory gives no figure, unless the arm had stopped before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from bench.arm import SCENARIO
+from bench.figures import Figure, table
+from bench.nodes import controller, plant, process, running, scenario_file
+from bench.round_trip import at_rest
+from bench.tap import Heard, Tap
+from fjr_core.config.scenario import load_scenario
+from fjr_msgs_py import names
+from fjr_msgs_py.messages.trajectories import trajectory_message
+from fjr_msgs_py.node.participant import own_node
+
+REPEATS, QUICK = 5, 1
+BOUND = 5.0  # ms
+POINTS, SPACING, LEAD = 100_000, 1e-3, 20.0  # of the trajectory; s; s until its first point, while it is planned
+SHIFT, SWING = 0.3, 0.05  # rad, of the first joint beyond its reference
+PERIOD = 0.01  # s between two reads of parameters
+SECONDS = 10.0  # s of reading, and of recording and watching
+LONGEST, LOOK = 60.0, 0.05  # s; timeout of each wait, and between two looks
+TRAJECTORY = names.JOINT_TRAJECTORY.replace("~", names.CONTROLLER)
+EVENTS = names.EVENTS.replace("~", names.CONTROLLER)
+REFERENCE = names.REFERENCE.replace("~", names.CONTROLLER)
+
+Use = Callable[[Tap, Heard], None]
+"""What others do with the controller meanwhile; it empties the queues at least every five seconds."""
+
+
+def longest(quick: bool = False) -> list[Figure]:
+    """Return the longest gaps; quick: one repeat."""
+    scenario = load_scenario(SCENARIO)
+    standing = at_rest(scenario)
+    uses: Mapping[str, tuple[Use, Mapping[str, Any]]] = {
+        f"while a standing arm receives {POINTS:,} points": (_send, standing),
+        f"while a moving arm receives {POINTS:,} points": (_send, {}),
+        "while parameters are read 100 times a second": (_read_parameters, {}),
+        "while a bag is recorded and fjr watch --browser is open": (_record_and_watch, {}),
+    }
+    return [_figure(name, use, overrides, QUICK if quick else REPEATS) for name, (use, overrides) in uses.items()]
+
+
+def _figure(name: str, use: Use, overrides: Mapping[str, Any], repeats: int) -> Figure:
+    gaps = np.array([_gap(use, overrides) for _ in range(repeats)])
+    parts = {"median [ms]": float(np.median(gaps)), "repeats": repeats}
+    return Figure(f"longest gap between efforts {name}", float(gaps.max()), "ms", bound=BOUND, parts=parts)
+
+
+def _gap(use: Use, overrides: Mapping[str, Any]) -> float:
+    """Return the longest gap [ms] from the second second on; the starts are measured by bench/starts.py."""
+    with scenario_file(overrides) as file, Tap() as tap, running(plant(file), controller(file)):
+        tap.messages([names.JOINT_COMMANDS], 2.0, LONGEST)
+        with tap.listening([names.JOINT_COMMANDS], LONGEST) as heard:
+            use(tap, heard)
+            heard.drain()
+    return 1e-6 * float(np.diff(heard.messages()[0][:, 1]).max())
+
+
+def _send(tap: Tap, heard: Heard) -> None:
+    """Send the trajectory; return once it is the reference, or if the arm has stopped."""
+    events = tap.node.create_subscription(DiagnosticStatus, EVENTS, lambda _: None, 100)
+    publisher = tap.node.create_publisher(JointTrajectory, TRAJECTORY, 1)
+    reference = tap.node.create_subscription(JointState, REFERENCE, lambda _: None, 1, raw=True)
+    limit = time.monotonic() + LONGEST
+    while not (publisher.get_subscription_count() and events.get_publisher_count()):
+        _wait(heard, limit, f"a subscription to {TRAJECTORY}")
+    publisher.publish(_trajectory())
+    arrived = float(_pose()[0] + SHIFT / 2)
+    position, refused = -np.inf, ""
+    while position < arrived and "stopped" not in refused:  # a long gap may stop the arm
+        _wait(heard, limit, "the trajectory to be the reference")
+        while (taken := events.handle.take_message(DiagnosticStatus, False)) is not None:
+            refused = taken[0].message if taken[0].name.startswith("trajectory refused") else refused
+        if refused and "stopped" not in refused:
+            raise RuntimeError(f"{refused}; expected it to be followed")
+        while (taken := reference.handle.take_message(JointState, True)) is not None:
+            position = deserialize_message(taken[0], JointState).position[0]
+
+
+def _wait(heard: Heard, limit: float, what: str) -> None:
+    if time.monotonic() > limit:
+        raise TimeoutError(f"waited {LONGEST:g} s for {what}")
+    heard.collect(LOOK)
+
+
+def _pose() -> np.ndarray:
+    """Return the largest position (n,) [rad] of the first joint's reference, with those of the others at time 0."""
+    reference = load_scenario(SCENARIO).reference
+    largest = max(reference.jets(t)[0][0] for t in np.arange(0.0, 20.0, 0.01))
+    return np.array([largest, *reference.jets(0.0)[0][1:]])
+
+
+@cache
+def _trajectory() -> bytes:
+    """Return the serialised trajectory: a slow swing of the first joint, beyond its reference."""
+    times = np.asarray(LEAD + SPACING * np.arange(POINTS), dtype=float)
+    scenario, phase = load_scenario(SCENARIO), 2 * np.pi * np.linspace(0, 10, POINTS)
+    rate = 2 * np.pi * 10 / (SPACING * (POINTS - 1))
+    positions = np.tile(_pose(), (POINTS, 1))
+    velocities, accelerations = np.zeros((2, *positions.shape))
+    positions[:, 0] += SHIFT + SWING * (1 - np.cos(phase))
+    velocities[:, 0], accelerations[:, 0] = SWING * rate * np.sin(phase), SWING * rate**2 * np.cos(phase)
+    return bytes(serialize_message(trajectory_message(scenario.joints, times, positions, velocities, accelerations)))
+
+
+def _read_parameters(_: Tap, heard: Heard) -> None:
+    """Read three parameters of the controller again and again."""
+    with own_node("fjr_bench_reader") as node:
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
+        client = AsyncParameterClient(node, names.CONTROLLER)
+        if not client.wait_for_services(LONGEST):
+            raise TimeoutError(f"waited {LONGEST:g} s for the parameters of {names.CONTROLLER}")
+        due = begun = time.monotonic()
+        while due < begun + SECONDS:
+            executor.spin_until_future_complete(client.get_parameters(["gains.K_ld", "joints"]), LONGEST)
+            heard.drain()
+            due = max(due + PERIOD, time.monotonic())
+            time.sleep(max(0.0, due - time.monotonic()))
+        executor.shutdown()
+
+
+def _record_and_watch(_: Tap, heard: Heard) -> None:
+    """Record a bag and keep a page of `fjr watch --browser` open."""
+    with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder, ExitStack() as stack:
+        bag = Path(folder, "bag")
+        stack.enter_context(process(["fjr", "record", "--output", str(bag)]))
+        events = stack.enter_context(_page())
+        limit = time.monotonic() + LONGEST
+        while not any(path.stat().st_size > 1 << 20 for path in bag.glob("*.mcap")):
+            _wait(heard, limit, "the bag to grow")
+        heard.drain()
+        for found in heard.seen:
+            found.clear()  # a process that joins is another matter: docs/real_time.md
+        end = time.monotonic() + SECONDS
+        while time.monotonic() < end:
+            events.readline()
+            heard.drain()
+
+
+@contextmanager
+def _page() -> Iterator[Any]:
+    """Yield the stream of events of a page of `fjr watch --browser`."""
+    with process(["fjr", "watch", "--browser"], stdout=subprocess.PIPE) as watch:
+        assert watch.stdout is not None
+        address = next(word for word in watch.stdout.readline().split() if word.startswith("http://"))
+        with urlopen(f"{address}events", timeout=LONGEST) as events:
+            yield events
+
+
+def main() -> int:
+    """Print the table; exit 1 if a bound is missed."""
+    parser = argparse.ArgumentParser(prog="bench.gaps", description="Measure the longest gap between two efforts.")
+    parser.add_argument("--quick", action="store_true", help="one repeat")
+    figures = longest(parser.parse_args().quick)
+    print(f"{os.cpu_count()} cores\n\n{table(figures)}")
+    return 0 if all(figure.holds for figure in figures) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

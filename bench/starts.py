@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starts of `arm7` in real time by `fjr run`, from the first effort on: stopped or not, answers before the next state.
+
+    python -m bench.starts [--quick] [--only "quiet"]
+
+Quiet and beside busy processes, with the permission for real-time priority and as a user without it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from bench.figures import Figure, table
+from bench.nodes import burning, ros_environment
+from bench.tap import HEADER, STAMP
+from fjr_bringup.cli.exit_codes import Exit
+from fjr_msgs_py import names
+
+STATES = 1000  # from the first that is answered
+DURATION = 2.5  # s of each run
+LARGEST_ERROR = 2e-4  # rad, of any joint after 2 s
+LONGEST = 120.0  # s; timeout of a start
+QUICK = 2  # starts
+MEMORY = 8 << 20  # bytes that an ordinary user may lock
+ORDINARY = (
+    *("setpriv", "--bounding-set=-sys_nice,-ipc_lock,-sys_resource", "--inh-caps=-all"),
+    *("prlimit", "--rtprio=0:0", "--nice=0:0", f"--memlock={MEMORY}:{MEMORY}"),
+)
+"""What takes the permissions from a command that root may have: real-time priority, nice, locked memory."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Starts in one setting; busy: processes beside them; bound: least share [%] of answers before the next state."""
+
+    name: str
+    count: int
+    busy: int
+    ordinary: bool
+    bound: float
+
+
+SETTINGS = (
+    Setting("quiet", 50, 0, False, 99.8),
+    Setting("beside six busy processes", 20, 6, False, 99.0),
+    Setting("quiet, no real-time priority", 50, 0, True, 99.5),
+    Setting("beside two busy processes, no real-time priority", 20, 2, True, 95.0),
+)
+
+
+@dataclass(frozen=True)
+class Start:
+    """Outcome of a start. in_time: share [%] of STATES answered before the next; wait: longest for an effort [ms]."""
+
+    stopped: bool
+    in_time: float
+    wait: float
+    error: float
+
+
+def arm7(quick: bool = False, only: Sequence[str] = ()) -> list[Figure]:
+    """Start the arm in all settings, or in those named; quick: a few times."""
+    chosen = [setting for setting in SETTINGS if not only or setting.name in only]
+    return [figure for setting in chosen for figure in _figures(setting, QUICK if quick else setting.count)]
+
+
+def _figures(setting: Setting, count: int) -> Iterator[Figure]:
+    with burning(setting.busy):
+        bar = tqdm(range(count), desc=setting.name, disable=not sys.stderr.isatty())
+        starts = [_start(setting.ordinary) for _ in bar]
+    shares, waits = (np.array([getattr(each, name) for each in starts]) for name in ("in_time", "wait"))
+    stopped = sum(each.stopped for each in starts)
+    yield Figure(f"starts of arm7 stopped, {setting.name}", stopped, "", bound=0, parts={"starts": count})
+    yield Figure(
+        f"first {STATES} states answered before the next, worst start, {setting.name}",
+        float(shares.min()),
+        "%",
+        bound=setting.bound,
+        at_least=True,
+        parts={"median [%]": float(np.median(shares))},
+    )
+    parts = {"median [ms]": float(np.median(waits))}
+    yield Figure(f"longest wait for an effort, worst start, {setting.name}", float(waits.max()), "ms", parts=parts)
+    if not setting.busy and not setting.ordinary:
+        errors = np.array([each.error for each in starts])
+        name, parts = "arm7 over ROS in real time, largest error after 2 s", {"most [rad]": float(errors.max())}
+        yield Figure(name, float(np.median(errors)), "rad", bound=LARGEST_ERROR, parts=parts)
+
+
+def _start(ordinary: bool) -> Start:
+    with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder:
+        run = ("fjr", "run", "arm7", "--no-report", "--duration", str(DURATION), "--output", folder)
+        command = [*(ORDINARY if ordinary else ()), *run]
+        done = subprocess.run(command, env=ros_environment(), capture_output=True, text=True, timeout=LONGEST)
+        report = Path(folder, "arm7", "report.json")
+        if done.returncode not in set(Exit) or not report.is_file():
+            raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}\n{done.stdout}{done.stderr}")
+        found = json.loads(report.read_text(encoding="utf-8"))
+        (bag,) = Path(folder, "arm7", "bag").glob("*.mcap")
+        in_time, wait = answers(*(messages(bag, f"/{topic}") for topic in (names.JOINT_STATES, names.JOINT_COMMANDS)))
+    error = (found["tracking"] or {}).get("max_error_after_2s_rad")
+    return Start(found["status"] == "stopped", in_time, wait, np.inf if error is None else error)
+
+
+def messages(bag: Path, topic: str) -> NDArray[np.int64]:
+    """Return stamp, send time [ns] and number (k, 3) of the messages of a topic."""
+    rows = []
+    with bag.open("rb") as stream:
+        for _, _, message in make_reader(stream).iter_messages([topic]):
+            sec, nanosec = STAMP.unpack_from(message.data, HEADER)
+            rows.append((sec * 1_000_000_000 + nanosec, message.publish_time, message.sequence))
+    return np.array(rows, dtype=np.int64).reshape(-1, 3)
+
+
+def answers(states: NDArray[np.int64], commands: NDArray[np.int64]) -> tuple[float, float]:
+    """Return the share [%] of the first STATES answered before the next one, and the longest wait for an effort [ms].
+
+    states, commands (k, 3): stamps and send times [ns], numbers. The first state is the first that is answered. A run
+    that ends early leaves the rest unanswered. A command that only the recorder lost, by its number, does not count.
+    """
+    begun = states[:, 0] >= commands[0, 0]
+    seen = states[begun][: STATES + 1]
+    sent = dict(commands[:, :2].tolist())
+    following = seen[1:, 1]
+    answered = np.array([sent.get(stamp, -1) for stamp in seen[:-1, 0].tolist()])
+    early = int(np.sum((answered >= 0) & (answered < following)))
+    within = commands[commands[:, 0] <= seen[-1, 0]]
+    lost = int(within[-1, 2] - within[0, 2]) + 1 - len(within) if within[-1, 2] > 0 else 0
+    next_effort = np.searchsorted(commands[:, 1], seen[:-1, 1])
+    waits = commands[np.minimum(next_effort, len(commands) - 1), 1] - seen[:-1, 1]
+    return 100 * min(1.0, early / (STATES - lost)), 1e-6 * float(waits.max())
+
+
+def main() -> int:
+    """Run the selected settings and print the table; exit 1 if a bound is missed."""
+    parser = argparse.ArgumentParser(prog="bench.starts", description="Start arm7 many times in real time.")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK} starts of each setting")
+    settings = [setting.name for setting in SETTINGS]
+    parser.add_argument("--only", action="append", choices=settings, default=[], help="one setting; may be repeated")
+    given = parser.parse_args()
+    figures = arm7(given.quick, given.only)
+    print(f"{os.cpu_count()} cores\n\n{table(figures)}")
+    return 0 if all(figure.holds for figure in figures) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
