@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lease a separate ROS domain for each test process until it ends."""
+"""Isolate each test process, order the tests, and give those that need the clock their turn."""
 
 from __future__ import annotations
 
-import atexit
 import faulthandler
 import fcntl
 import gc
 import os
-import shutil
-import socket
 import tempfile
 from collections.abc import Generator, Iterator
 from functools import cache
@@ -17,34 +14,13 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import pytest
+from _pytest.faulthandler import fault_handler_stderr_fd_key
 from hypothesis import settings
 
+from isolation import end_soon, ends_in_time, isolate
 from longest_first import LONGEST_FIRST
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads: more threads only add delay for small matrices
-
-LEASE_PORTS = range(47001, 47100)  # one TCP port on 127.0.0.1 per domain id 1..99; the kernel frees it on any death
-
-
-def _lease_domain() -> tuple[int, socket.socket]:
-    for port in LEASE_PORTS:
-        lease = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        try:
-            lease.bind(("127.0.0.1", port))
-        except OSError:
-            lease.close()
-            continue
-        return port - LEASE_PORTS.start + 1, lease
-    raise RuntimeError("all ROS domain ids 1..99 are leased by other test processes")
-
-
-DOMAIN, _lease = _lease_domain()
-atexit.register(_lease.close)
-os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="fjr-test-log-")
-atexit.register(shutil.rmtree, os.environ["ROS_LOG_DIR"], ignore_errors=True)
-os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+isolate()  # before NumPy and rclpy load
 
 settings.register_profile("any machine", settings(), deadline=None)  # no deadline: other processes may use the cores
 settings.load_profile("any machine")
@@ -120,12 +96,27 @@ def _next_turn(alone: bool) -> TextIO:
     return turn
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, object, object]:
     """Exempt the objects of a finished module from garbage collection, which would stop a peer for seconds."""
-    if nextitem is None or nextitem.path != item.path:
-        gc.collect()
-        gc.freeze()
+    with ends_in_time(_standard_error(item.config)):
+        try:
+            return (yield)
+        finally:
+            if nextitem is None or nextitem.path != item.path:
+                gc.collect()
+                gc.freeze()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Limit the time in which the process ends."""
+    end_soon(_standard_error(session.config))
+
+
+def _standard_error(config: pytest.Config) -> int:
+    """Return the descriptor of standard error that tests do not capture."""
+    return config.stash.get(fault_handler_stderr_fd_key, 2)
 
 
 @pytest.fixture

@@ -52,7 +52,9 @@ def test_every_shell_block_is_valid_bash(block: Block) -> None:
 @pytest.mark.system
 @pytest.mark.slow
 @pytest.mark.usefixtures("background_processes_ended")
-@pytest.mark.parametrize("page", WITH_BLOCKS, ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page", WITH_BLOCKS, ids=lambda page: page.parent.name if "examples" in page.parts else page.stem
+)
 def test_blocks_of_a_page_run_in_order(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # classes that the files name are looked up there, as by `fjr`
     for name in LINKED:

@@ -15,7 +15,7 @@ SAFE = {"state_timeout": STATE_TIMEOUT, "start.join_time": JOIN_TIME, "recovery.
 
 JOINT = Setting(
     "paper_k31",
-    controller={**SAFE, "reference.frequency": [3.0], "limits.effort": [5.0]},
+    controller={**SAFE, "reference.frequency": [3.0], "limits.effort": [5.0], "limits.acceleration": [200.0]},
     limit=(5.0,),
     full_motion=math.pi / 3,  # sin(3 t) passes zero with 3 rad/s, alternately up and down
     again=math.pi / 3,

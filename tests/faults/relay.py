@@ -17,6 +17,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from fjr_msgs_py.names import LATEST
+from fjr_msgs_py.node.participant import leave
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
@@ -57,7 +58,7 @@ class Relay:
         self._thread.join()
         self._executor.remove_node(self._node)
         self._executor.shutdown()  # otherwise the publisher stays in the graph until garbage collection
-        self._node.destroy_node()
+        leave(self._node)
         self._context.try_shutdown()
 
     def _spin(self) -> None:

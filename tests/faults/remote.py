@@ -19,6 +19,7 @@ from std_srvs.srv import Trigger
 
 from faults.watcher import EFFORTS
 from fjr_msgs_py.names import LATEST, PLANT
+from fjr_msgs_py.node.participant import leave
 
 LIMIT = 120.0  # s
 
@@ -72,7 +73,7 @@ class Remote:
 
     def close(self) -> None:
         self._executor.shutdown()
-        self._node.destroy_node()
+        leave(self._node)
         self._context.try_shutdown()
 
     def _client(self, node: str) -> AsyncParameterClient:

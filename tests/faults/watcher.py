@@ -17,6 +17,8 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from fjr_msgs_py.node.participant import leave
+
 EFFORTS, COMMANDS = "effort_controller/commands", "joint_commands"
 REFERENCE, ERROR = "fjr_controller/reference", "fjr_controller/tracking_error"
 STATES, DIAGNOSTICS, EVENTS = "joint_states", "/diagnostics", "fjr_controller/events"
@@ -90,5 +92,5 @@ class Watcher:
         return Counter()
 
     def close(self) -> None:
-        self.node.destroy_node()
+        leave(self.node)
         self._context.try_shutdown()

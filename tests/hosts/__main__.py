@@ -60,7 +60,8 @@ def _runs(comparison: Comparison, samples: int) -> dict[str, Callable[[], Compar
 
     scenarios = {name: partial(of_scenario, name) for name in installed("scenarios")}
     rows = {row.name: partial(of_sequence, partial(recording.of_row, row)) for row in ROWS}
-    return {**scenarios, **rows, recording.REQUESTS: partial(of_sequence, recording.of_requests)}
+    made = {recording.MISWIRED: recording.of_wrong_wiring, recording.REQUESTS: recording.of_requests}
+    return {**scenarios, **rows, **{name: partial(of_sequence, record) for name, record in made.items()}}
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ LOOPS = {"rclpy": CommandLoop, "native": NativeCommandLoop}
 LIMIT = 20.0  # s; timeout of an answer
 RECORDS = 1000  # samples between two readings of the queue of a native loop
 POLLS = 100  # of a native thread, between two events of its node
-OPTIONS = {"realtime_priority": 0, "certificate": "false", "start.wiring_check": "false"}
+OPTIONS = {"realtime_priority": 0, "certificate": "false"}
 
 
 class NodeHost:
@@ -124,7 +124,7 @@ class NodeHost:
 
     def _tick(self, now: int) -> None:
         if self._native:
-            assert not self._program.lib.fjr_controller_tick(self._loop._struct, now, self._program.ffi.new("int64_t*"))
+            self._loop._step.check_silence(now)
         else:
             self._loop._check_silence(now)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from system.executables import scenario as file_of
 NOISE = {"position_noise": 1e-6, "velocity_noise": 1e-3}
 """Of the sensors [rad, rad/s], so that no two samples are equal."""
 REQUESTS = "stop, resume, new gains and limits, hold"
+MISWIRED = "motor velocity with the wrong sign"
 LIMITED = {"limits.tracking_error": [0.5]}
 CHANGED = {"gains.K_ld": [0.7], "gains.Pi_l": [40.0], "limits.effort": [1.0]}
 STOP, RESUMED, CHANGE, HELD = 300, 400, 550, 700
@@ -66,6 +67,19 @@ def of_requests() -> Sequence:
     for at, kind in ((HELD, Kind.HOLD), (CHANGE, Kind.CHANGE), (RESUMED, Kind.RESUME)):
         inputs.insert(at, Input(kind, inputs[at].time, parameters=CHANGED if kind is Kind.CHANGE else {}))
     return Sequence(REQUESTS, document, True, tuple(inputs), published=True, changed=changed)
+
+
+def of_wrong_wiring() -> Sequence:
+    """Return states of a joint whose motor velocity has the wrong sign, for which the controller stops."""
+    sequence, _ = of_study(MISWIRED, yaml.safe_dump(JOINT.document({})), 200)
+    inputs = [replace(each, raw=_reversed(each.raw)) for each in sequence.inputs]
+    return replace(sequence, inputs=tuple(inputs))
+
+
+def _reversed(raw: bytes) -> bytes:
+    message = deserialize_message(raw, JointState)
+    message.velocity[1] *= -1
+    return serialize_message(message)
 
 
 def of_row(row: Row) -> Sequence:

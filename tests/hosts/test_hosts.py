@@ -79,6 +79,16 @@ def test_nodes_over_the_middleware_and_exported_c_send_the_same_bits_after_reque
     assert min(compared.sent.values()) == max(compared.sent.values()) >= sequence.states
 
 
+def test_every_host_finds_wrong_wiring_with_the_same_sample(comparison: Comparison) -> None:
+    """Some hosts compare after the effort was sent, the others before the next one is computed."""
+    sequence = recording.of_wrong_wiring()
+    replay = reference_replay(sequence)
+    stopped = np.flatnonzero(replay.efforts.any(axis=1))[-1]
+    assert replay.counters["stops: wiring"] == 1
+    assert 8 < stopped <= 20
+    assert comparison.compared(sequence).different == dict.fromkeys(HOSTS, 0)
+
+
 def test_efforts_that_are_missing_or_differ_in_the_last_bit_are_counted() -> None:
     right = np.linspace(0.0, 1.0, 20).reshape(10, 2)
     wrong = right.copy()

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from isolation import without_proofs
 from system.browser import Browser
 
 
@@ -25,3 +26,11 @@ def local_cluster() -> Iterator[Any]:
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
     ) as made:
         yield made
+
+
+@pytest.fixture
+def no_kept_proof(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Use a cache of compiled code without the proofs that other tests and earlier runs keep."""
+    with without_proofs(tmp_path_factory.mktemp("cache")) as cache:
+        monkeypatch.setenv("XDG_CACHE_HOME", cache)
+        yield

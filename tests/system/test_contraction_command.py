@@ -52,7 +52,7 @@ def test_recorded_run_gives_the_results_of_its_simulation(
         (["paper_k99"], "unknown scenario", 2),
         (["paper_k31", "--starts", "1"], "expected 2 to 64", 2),
         (["paper_k31", "--spread", "-1"], "more than 0", 2),
-        (["paper_k31", "--run", "nowhere"], "does not exist; expected the folder of a bag", 1),
+        (["paper_k31", "--run", "nowhere"], "does not exist; expected the folder of a bag", 2),
     ],
 )
 def test_invalid_arguments_are_refused_in_one_sentence(

@@ -128,4 +128,4 @@ def test_force_runs_the_command_despite_ros2(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize("command", ["echo", "record"])
 @pytest.mark.parametrize("name", ["//bad//", "/joint states", "/1st", "/"])
 def test_invalid_topic_name_is_refused_in_one_sentence(command: str, name: str) -> None:
-    assert f"'{name}' is not a topic name; expected" in fjr_here(command, name, code=1)
+    assert f"'{name}' is not a topic name; expected" in fjr_here(command, name, code=2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -13,15 +14,17 @@ import pytest
 import fjr_core
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import StartError, refuse_start_outside
+from fjr_bringup.cli.rate_proof import cached_rate
 from fjr_bringup.scenarios import library
 from fjr_core.config.scenario import load_scenario
 from fjr_core.control.robust import Robust, sampled_law
+from fjr_core.control.vdpbc.rate_certificate import digest
 from fjr_core.stability.linear_controller import Sensing
 from fjr_core.stability.sampled_loop import check
 from system.executables import fjr_here, scenario
 from two_link_urdf import two_link_urdf
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.usefixtures("no_kept_proof")]
 
 SLOW = ("paper_k31", "--set", "publish_rate:=60.0", "--set", "inner_steps:=200")
 
@@ -123,7 +126,8 @@ def test_a_wrist_without_a_tool_on_a_stiff_spring_is_named(tmp_path: Path) -> No
     """The last link has 1e-5 kg m^2, a little less as the arm moves freely; 400 N m/rad make that 6325 rad/s."""
     text = two_link_urdf(wrist_mass=1e-9).replace('ixx="0.001"', 'ixx="1e-5"').replace('iyy="0.001"', 'iyy="1e-5"')
     (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
-    path, bare = tmp_path / "arm.yaml", "    joints: [shoulder, elbow, wrist]\n    robot:\n      model: urdf\n"
+    bare = "    joints: [shoulder, elbow, wrist]\n    reference: {type: sine}\n    robot:\n      model: urdf\n"
+    path = tmp_path / "arm.yaml"
     stiff = "      urdf: arm.urdf\n      joint_stiffness: [400.0, 400.0, {}]\n      motor_inertia: [0.1, 0.1, 0.05]\n"
     said = r"the spring of joint 'wrist' with the inertia .* \(\S+e-06 kg m\^2\) oscillates at 63\d\d rad/s"
     path.write_text(f"/**:\n  ros__parameters:\n{bare}{stiff.format(400.0)}", encoding="utf-8")
@@ -272,6 +276,53 @@ def test_a_rate_is_proven_with_a_certificate_and_kept_until_a_gain_changes(
     assert "not proven" in changed["beta"]
 
 
+def test_a_kept_proof_that_is_not_as_written_is_not_used_and_proven_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path, file = three_joints(tmp_path), str(tmp_path / "rate.json")
+    sampled = figures(fjr_here("check", path))
+    proven = figures(fjr_here("check", path, "--certificate", file))
+    (kept,) = (tmp_path / "cache" / "fjr").glob("rate-*.json")
+    written = kept.read_text()
+    loaded = library.load(path)
+    for changed in changed_proofs(written):
+        kept.write_text(changed, encoding="utf-8", errors="surrogateescape")
+        assert cached_rate(loaded) is None
+        said = capsys.readouterr().err
+        assert said.startswith("fjr: the kept proof ")
+        assert said.count("\n") == 1
+        assert kept.read_bytes() == b""
+    kept.write_text(written.replace('"beta": 0', '"beta": 768'))
+    assert "fjr: the kept proof " in (said := fjr_here("check", path))
+    assert figures(said)["beta"] == sampled["beta"]
+    assert figures(fjr_here("check", path, "--certificate", file)) == proven
+    assert json.loads(kept.read_text()) == json.loads(written)
+
+
+def changed_proofs(written: str) -> Iterator[str]:
+    """Yield a kept proof with each value replaced, some of them with a fitting digest, cut, and as other texts."""
+    content = json.loads(written)
+    del content["sha256"]
+    for name in content:
+        yield json.dumps({**json.loads(written), name: 768.0})
+        for value in (768, True, "768", None, [], {}, float("nan"), -1.0):
+            if type(value) is not type(content[name]) or type(value) in (float, list):
+                changed = {**content, name: value}
+                yield json.dumps({**changed, "sha256": digest(changed)})
+        fewer = {key: value for key, value in content.items() if key != name}
+        yield json.dumps({**fewer, "sha256": digest(fewer)})
+    yield from (
+        written[: len(written) // 2],
+        "\udcff",
+        "[]",
+        "7",
+        "null",
+        "[" * 100_000,
+        json.dumps({**content, "sha256": 3}),
+    )
+
+
 def test_a_proof_that_ends_early_gives_what_is_proven_beside_the_sampled_rate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -297,22 +348,34 @@ def test_the_tracking_error_is_bounded_for_stated_errors() -> None:
     assert printed.count("bounding the tracking error") == 1
     result = json.loads(printed[: printed.rindex("}") + 1])
     bound = result["error_bound"]
-    size = f"{1e3 * bound['position']['joint1']:.3g} mrad"
-    given = f"with 20 % payload error and one sample of delay: at most {size} at joint1"
-    said = f"{given}, V at most {1e3 * bound['V_J']:.3g} mJ, proven along this reference"
-    assert result["rows"]["error bound"] == said
+    said = re.fullmatch(
+        r"\|q_l - q_ld\| at most (\S+) mrad \(joint1\), V at most (\S+) mJ after the transient along this reference, "
+        "with all link masses and inertias off by one common factor of up to 20 %, one sample of delay; proven",
+        result["rows"]["error bound"],
+    )
+    for text, exact in zip(said.groups(), (1e3 * bound["position"]["joint1"], 1e3 * bound["V_J"]), strict=True):
+        assert exact <= float(text) <= 1.01 * exact
     assert bound["errors"] == {"payload": 0.2}
     assert bound["from_start"]["joint1"] > bound["position"]["joint1"]
     assert bound["proven"]
+
+
+def test_a_proof_that_was_asked_for_and_not_found_is_named() -> None:
+    """Without --error or --delay the bound is that of the hold and the scenario's delay."""
+    abrupt = ("type:=point_to_point", "point_to_point.returns:=false", "point_to_point.duration:=0.2")
+    given = [word for assignment in abrupt for word in ("--set", f"reference.{assignment}")]
+    rows = figures(fjr_here("check", "paper_k31", "--prove-error", *given))
+    assert "with no delay" in rows["error bound"]
+    assert "not proven: no proof was found" in rows["error bound"]
 
 
 @pytest.mark.full
 def test_the_tracking_error_of_seven_joints_is_proven_on_request() -> None:
     given = ("check", "arm7", "--error", "payload=0.001", "--delay", "1")
     sampled, proven = figures(fjr_here(*given)), figures(fjr_here(*given, "--prove-error"))
-    assert "not proven; --prove-error tries a proof" in sampled["error bound"]
+    assert "not proven: --prove-error tries a proof" in sampled["error bound"]
     assert "not proven" not in proven["error bound"]
-    assert "proven along this reference" in proven["error bound"]
+    assert proven["error bound"].endswith("; proven")
 
 
 @pytest.mark.parametrize(

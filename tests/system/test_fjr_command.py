@@ -15,6 +15,7 @@ import pytest
 from ament_index_python.packages import get_package_share_directory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import JointState
 
 from fjr_bringup.cli.exit_codes import Exit
 from nodes.harness import Listener, Ros
@@ -126,29 +127,61 @@ def test_no_node_outlives_a_command_that_is_killed(ros: Ros, start, tmp_path: Pa
     wait_for(lambda: not any(is_alive(pid) for pid in nodes.values()), "the end of the nodes")
 
 
-def start_another_plant(start, monkeypatch: pytest.MonkeyPatch, paused: bool) -> None:
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let executables discover each other as those of `fjr run` do."""
     profile = Path(get_package_share_directory("fjr_bringup")) / "config" / "fastdds.xml"
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
-    start(*NODES["plant"], "--ros-args", "-r", "__node:=other_plant", "-p", f"start_paused:={paused}".lower())
 
 
-def test_another_plant_in_the_domain_is_refused(ros: Ros, start, tmp_path: Path, monkeypatch) -> None:
-    listener = Listener(ros)
-    start_another_plant(start, monkeypatch, paused=False)
+def test_another_plant_in_the_domain_is_refused_before_anything_is_published(
+    ros: Ros, start, tmp_path: Path, quick: None
+) -> None:
+    listener = Listener(ros, only=["joint_states"])
+    start(*NODES["plant"], "--ros-args", "-r", "__node:=other_plant")
     ros.until(lambda: listener.states, "the other plant")
-    said = fjr("run", "paper_k31", "--output", str(tmp_path), code=1)
-    assert "/joint_states has other publishers" in said
-    assert "other_plant" in said
+    said = fjr("run", "paper_k31", "--no-report", "--output", str(tmp_path), code=Exit.FAILED)
+    assert re.search(r"^fjr: /joint_states has other publishers in .*other_plant.*: stop it or set", said, re.MULTILINE)
+    assert listener.heard("joint_states") == 1
     assert not list(tmp_path.iterdir())
 
 
-def test_another_plant_that_joins_ends_the_run(ros: Ros, start, tmp_path: Path, monkeypatch) -> None:
+def test_a_second_pair_refuses_to_start_and_the_first_goes_on(ros: Ros, start, tmp_path: Path, quick: None) -> None:
+    command, nodes = running(ros, start, tmp_path)
+    said = fjr("run", "paper_k31", "--lockstep", "--no-report", "--output", str(tmp_path / "second"), code=Exit.FAILED)
+    assert "other publishers" in said or "is named /fjr_" in said
+    assert "Traceback" not in said
+    assert not list((tmp_path / "second").iterdir())
+    code, said = start(*NODES["plant"]).end()
+    assert code == 1
+    assert re.search("states of joint1 are published on /joint_states by (/fjr_plant|an unknown node); expected", said)
+    code, said = start(*NODES["controller"]).end()
+    assert code == 1
+    assert "expected nobody else to command the robot" in said
+    assert all(map(is_alive, nodes.values()))
+    command.signal(signal.SIGINT)
+    code, said = command.end()
+    assert code == Exit.INTERRUPTED, said
+
+
+def test_another_publisher_of_states_that_stays_ends_the_run(ros: Ros, start, tmp_path: Path) -> None:
     command, _ = running(ros, start, tmp_path)
-    start_another_plant(start, monkeypatch, paused=True)
+    Listener(ros, only=[]).create_publisher(JointState, "/joint_states", 1)
     code, said = command.end()
     assert code == 1, said
     assert "/joint_states has other publishers" in said
     assert len(efforts(tmp_path / "paper_k31" / "bag")) > 50
+
+
+def test_nodes_of_the_same_names_in_another_namespace_are_no_conflict(
+    ros: Ros, start, tmp_path: Path, quick: None
+) -> None:
+    listener = Listener(ros, "/other/", only=["joint_commands"])
+    for node in NODES.values():
+        start(*node, "--ros-args", "-r", "__ns:=/other")
+    ros.until(lambda: listener.commands, "the other pair")
+    fjr("run", "paper_k31", "--lockstep", "--duration", "0.1", "--no-report", "--output", str(tmp_path))
+    assert json.loads((tmp_path / "paper_k31" / "report.json").read_text())["counts"]["answered"] == 100
 
 
 @pytest.mark.parametrize(
@@ -208,9 +241,53 @@ def test_folder_without_a_run_is_not_replaced(tmp_path: Path) -> None:
     assert precious.read_text() == "do not lose me"
 
 
-def test_invalid_ros_environment_is_reported_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "abc")
-    assert "ROS_DOMAIN_ID" in fjr("run", "paper_k31", "--output", str(tmp_path), code=1)
+NEEDS_ROS = {
+    "run": ("run", "paper_k31", "--lockstep", "--no-report"),
+    "demo": ("demo",),
+    "echo": ("echo", "/joint_states", "--once"),
+    "record": ("record", "/joint_states"),
+    "call": ("call", "/fjr_plant/reset"),
+    "set": ("set", "/fjr_plant", "a", "1"),
+    "lifecycle": ("lifecycle", "/fjr_controller"),
+    "send": ("send", "motion.csv"),
+    "watch": ("watch", "--once"),
+}
+
+
+@pytest.mark.parametrize("domain", ["abc", "500", "-1", "1.5"])
+@pytest.mark.parametrize("command", NEEDS_ROS)
+def test_invalid_ros_domain_is_one_sentence_in_every_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, domain: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    (tmp_path / "motion.csv").write_text("time,joint1\n0,0\n1,0\n")
+    said = fjr_here(*NEEDS_ROS[command], code=1).splitlines()
+    assert said[-1] == f"fjr: ROS_DOMAIN_ID is '{domain}'; expected a whole number from 0 to 232"
+    assert [line for line in said if line.startswith("fjr: ")] == said[-1:]
+
+
+@pytest.mark.parametrize("domain", ["abc", "500"])
+@pytest.mark.parametrize("node", NODES)
+def test_invalid_ros_domain_is_one_sentence_in_every_node(
+    start, monkeypatch: pytest.MonkeyPatch, node: str, domain: str
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    code, said = start(*NODES[node]).end()
+    assert (code, said) == (
+        1,
+        f"cannot start: ROS_DOMAIN_ID is '{domain}'; expected a whole number from 0 to 232\n",
+    )
+
+
+def test_waiting_for_one_view_or_message_ends_and_names_domain_and_remedy(ros: Ros) -> None:
+    domain = os.environ["ROS_DOMAIN_ID"]
+    for command, waited in (("watch", "no state and no diagnostics for 0.5 s on /joint_states, /diagnostics"),
+                            ("echo /nothing", "no message of /nothing for 0.5 s")):  # fmt: skip
+        said = fjr_here(*command.split(), "--once", "--timeout", "0.5", code=1)
+        assert waited in said
+        assert f"nodes in ROS domain {domain}: " in said
+        assert said.endswith("; start the nodes, or set the ROS_DOMAIN_ID in which they run\n")
 
 
 def test_scenarios_are_listed() -> None:

@@ -67,7 +67,7 @@ def written(folder: Path, data: bytes, name: str = "some.mcap") -> Path:
 
 
 def messages(bag: Bag) -> list[bytes]:
-    return [each.data for each in bag.topics[TOPIC].messages] if TOPIC in bag.topics else []
+    return [each.data for each in bag.topic(TOPIC).messages] if TOPIC in bag.topics else []
 
 
 def content(whole: Path, suffix: str = ".mcap") -> bytes:
@@ -175,7 +175,7 @@ def test_bags_of_other_writers_are_read_damaged_or_not(
 def test_times_beyond_63_bits_are_left_out(folder: Path) -> None:
     path = made(folder / "late.mcap", CompressionType.NONE, True, lambda writer: fill(writer, (2**63, 2**64 - 1)))
     bag = read_bag(path)
-    assert bag.topics[TOPIC].publish_time.tolist() == list(range(SENT))
+    assert bag.topic(TOPIC).publish_time.tolist() == list(range(SENT))
     assert "2 messages" in " ".join(bag.notes)
 
 

@@ -46,7 +46,7 @@ def test_a_real_record_becomes_a_loop_that_tracks_on_a_plant_of_its_posterior(
     robot = identified(tmp_path / "out")
     posterior = str(robot.parent / "identification.json")
     shown = fjr_here("gains", str(robot), "--beta", "2.5", "--from", posterior, "--write")
-    assert "0 of 4,603 fresh draws of the identified robot lost" in shown
+    assert "0 of 4,603 robots drawn afresh from the identification are unstable" in shown
     assert "at most 0.1 % with 99 %" in shown
     assert "as sampled          stable" in fjr_here("check", str(robot))
     drawn = with_drawn_plant(robot.parent)

@@ -53,7 +53,7 @@ def test_guesses_are_replaced_by_values_with_intervals(folder: Path) -> None:
     text = (folder / "robot.yaml").read_text()
     scenario = load_scenario(folder / "robot.yaml")
     assert scenario.warnings == ()
-    assert scenario.guess_warnings == ()
+    assert scenario.robot_warnings == ()
     assert scenario.robot.K[0, 0] == pytest.approx(31.0, rel=1e-3)
     assert scenario.robot.M_m[0, 0] == pytest.approx(0.004, rel=1e-2)
     assert "# joint_stiffness of joint1: 31 N m/rad, 3" in text
@@ -172,8 +172,8 @@ def test_file_keeps_the_prior_and_the_guess_of_what_is_not_identifiable(tmp_path
     assert "#   offset of shoulder: 0.001 rad, 0.0009 to 0.0011, identified" in file.text
     (tmp_path / "robot.yaml").write_text(file.text)
     scenario = load_scenario(tmp_path / "robot.yaml")
-    assert scenario.guess_warnings == (
-        "joint stiffness of joint elbow is a guess; expected measured values, or those of the maker, "
+    assert scenario.robot_warnings == (
+        "joint stiffness of joint elbow is a guess; replace it by a measured or data-sheet value "
         "in robot.joint_stiffness",
     )
     assert scenario.loop_delay == pytest.approx(5e-4)

@@ -51,7 +51,7 @@ def test_each_kind_of_measurement_tells_the_joints_in_encoder_steps(tmp_path: Pa
     unknown = {each.reason for each in found.estimates if each.name == "offset" and each.verdict == UNKNOWN}
     assert any("measure the motor" in reason for reason in unknown) == ("motor" not in KINDS[kind])
     scenario = load_scenario(tmp_path / "out/robot.yaml")
-    assert scenario.guess_warnings == ()
+    assert scenario.robot_warnings == ()
     assert np.diag(scenario.robot.K) == pytest.approx(table.truth["joint_stiffness"], rel=0.01)
 
 

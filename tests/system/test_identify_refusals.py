@@ -41,17 +41,17 @@ def test_a_joint_that_stands_still_keeps_all_guesses(tmp_path: Path) -> None:
     assert f"joint_stiffness of joint1: {K:g} N m/rad, not identifiable from these records, as before" in text
     robot = load_scenario(tmp_path / "out/robot.yaml")
     assert (robot.robot.K[0, 0], robot.robot.M_m[0, 0]) == (K, B)
-    assert len(robot.guess_warnings) == 2
+    assert len(robot.robot_warnings) == 2
 
 
 def test_without_its_resonance_the_motor_side_leaves_the_stiffness_a_guess(tmp_path: Path) -> None:
     found, said, text = judged(without_resonance(), tmp_path)
     assert found["joint_stiffness"].verdict == UNKNOWN
-    assert "without a link encoder only the resonance tells it; excite the joint near its resonance" in said
+    assert "without a link encoder only the resonance determines it; excite the joint near its resonance" in said
     assert f"joint_stiffness of joint1: {K:g} N m/rad, not identifiable" in text
     scenario = load_scenario(tmp_path / "out/robot.yaml")
     assert scenario.robot.K[0, 0] == K
-    assert any("stiffness" in each for each in scenario.guess_warnings)
+    assert any("stiffness" in each for each in scenario.robot_warnings)
 
 
 def test_without_gravity_the_motor_side_tells_the_stiffness_and_not_the_offset(tmp_path: Path) -> None:

@@ -43,6 +43,7 @@ URDF = """<robot name="lift_arm">
 """
 SCENARIO = """/**:
   ros__parameters:
+    start: {join_time: 0.0}
     joints: [lift, elbow]
     robot: {model: urdf, urdf: lift_arm.urdf, joint_stiffness: [4000.0, 300.0], motor_inertia: [1.0, 0.05],
             link_damping: [1.0, 0.1], motor_damping: [1.0, 0.1]}

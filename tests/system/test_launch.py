@@ -18,6 +18,7 @@ from sensor_msgs.msg import JointState
 
 from fjr_core.config import builders
 from fjr_core.config.scenario import load_scenario
+from fjr_msgs_py.node.participant import leave
 from time_limits import Limit
 
 LIMIT = 40.0  # s on a free machine
@@ -101,7 +102,7 @@ def answered_steps(count: int) -> bool:
     while len(stamps) < count and not limit.passed():
         executor.spin_once(timeout_sec=0.1)
     executor.shutdown()
-    node.destroy_node()
+    leave(node)
     context.try_shutdown()
     return len(stamps) >= count
 

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -13,10 +15,13 @@ import pytest
 
 from envsetup.quoting import quote_paths
 from fjr_bringup.atomic_file import write_text
+from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.recording.reader import read_bag
 from fjr_bringup.report.write import write_with_fallback
-from fjr_msgs_py.node.log_folder import ensure_log_folder
+from fjr_bringup.runner.node_process import executable
+from fjr_msgs_py.node.environment import ensure_log_folder
 from system.talker import TALKER
+from time_limits import HANG
 
 LIMIT, SENT = 100_000, 1500  # bytes; limit on the file size, for messages of 100 bytes and more
 
@@ -50,6 +55,58 @@ def test_full_disk_ends_only_the_recording(tmp_path: Path) -> None:
     assert words == list(range(len(words)))
     assert 100 < len(words) < SENT
     assert not bag.complete
+
+
+@pytest.mark.system
+def test_a_full_disk_ends_a_run_with_a_sentence_and_what_was_recorded_is_reported(tmp_path: Path) -> None:
+    room = 4_000_000  # bytes of a file, some chunks of the bag; shared memory of the middleware is made of files, too
+    command = executable("fjr_bringup", "fjr"), "run", "paper_k31", "--lockstep", "--duration", "3600", "--no-report"
+    done = subprocess.run(
+        [*command, "--output", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=HANG,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (room, room)),
+    )
+    assert done.returncode == Exit.FAILED, done.stderr
+    assert "what was not recorded is not judged" in done.stderr
+    assert "Traceback" not in done.stderr
+    report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
+    assert "File too large" in report["failure"]
+    assert report["counts"]["answered_in_time_fraction"] == 1.0
+    assert 0 < report["duration_s"] < 60
+    assert not (tmp_path / "paper_k31" / "report.html").exists()
+
+
+@pytest.mark.system
+@pytest.mark.parametrize(
+    ("package", "name"), [("fjr_bringup", "fjr"), ("fjr_plant", "plant_node"), ("fjr_controller", "controller_node")]
+)
+@pytest.mark.parametrize(
+    ("kind", "limit", "sentence"),
+    [
+        (resource.RLIMIT_NOFILE, 24, "the limit of open files is 24; expected at least 64"),
+        (
+            resource.RLIMIT_AS,
+            600_000_000,
+            "the limit of address space is 600000000 bytes; expected at least 1200000000",
+        ),
+    ],
+    ids=["files", "memory"],
+)
+def test_too_few_descriptors_or_too_little_memory_is_one_sentence(
+    package: str, name: str, kind: int, limit: int, sentence: str
+) -> None:
+    done = subprocess.run(
+        [executable(package, name)],
+        capture_output=True,
+        text=True,
+        timeout=HANG,
+        preexec_fn=lambda: resource.setrlimit(kind, (limit, limit)),
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"{name}: {sentence}")
+    assert done.stderr.count("\n") == 1
 
 
 def test_a_report_that_cannot_be_written_is_written_elsewhere(

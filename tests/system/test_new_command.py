@@ -14,6 +14,7 @@ from fjr_bringup.scaffold.joint_data import published
 from fjr_bringup.scenarios import library
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RobotError
+from fjr_core.robot.free_inertia import joints_without_inertia
 from system.executables import fjr, fjr_here
 from two_link_urdf import joint, two_link_urdf
 
@@ -71,9 +72,9 @@ def test_the_arm_tracks_over_ros_and_the_report_repeats_the_guesses(made: Path) 
 
 def test_a_replaced_value_is_not_reported_any_more(made: Path) -> None:
     stiffness, inertia = "robot.joint_stiffness:=[9000.0, {}]", "robot.motor_inertia:=[1.0, 0.9]"
-    (left,) = library.load(str(made / "arm.yaml"), [stiffness.format(8600.0), inertia]).guess_warnings
+    (left,) = library.load(str(made / "arm.yaml"), [stiffness.format(8600.0), inertia]).robot_warnings
     assert left.startswith(GUESS.format("joint elbow_joint"))
-    assert library.load(str(made / "arm.yaml"), [stiffness.format(8000.0), inertia]).guess_warnings == ()
+    assert library.load(str(made / "arm.yaml"), [stiffness.format(8000.0), inertia]).robot_warnings == ()
 
 
 def test_files_are_replaced_only_on_request(made: Path) -> None:
@@ -112,6 +113,58 @@ def test_joints_that_carry_no_mass_are_locked_with_a_note(tmp_path: Path) -> Non
     assert arm.notes == ("no link beyond elbow has an inertia: roll locked",)
 
 
+THIN = '<inertia ixx="1e-06" ixy="0" ixz="0" iyy="1e-06" iyz="0" izz="1e-06"/>'
+
+
+def with_thin_hand(folder: Path) -> Path:
+    """Return a URDF whose last link has a mass on the axis of its joint, and an inertia that is a placeholder."""
+    hand = f'<link name="hand"><inertial><mass value="150"/><origin xyz="0 0 -0.2"/>{THIN}</inertial></link>'
+    roll = joint("roll", "lower", "hand", -0.25).replace('axis xyz="0 1 0"', 'axis xyz="0 0 1"')
+    file = folder / "arm.urdf"
+    file.write_text(two_link_urdf().replace("</robot>", hand + roll + "</robot>"), encoding="utf-8")
+    return file
+
+
+def test_a_joint_whose_links_lack_inertia_is_locked_with_a_note_and_no_guess(tmp_path: Path) -> None:
+    arm = arm_of(with_thin_hand(tmp_path))
+    assert arm.joints == ("shoulder", "elbow")
+    assert arm.notes == (
+        "roll turns 150 kg with an inertia of 1e-06 kg m^2, which no real link has: roll locked, until the URDF has it",
+    )
+    assert len(arm.guesses["joint_stiffness"]) == 2
+    with pytest.raises(RobotError, match="roll turns 150 kg .*; expected the inertia of its links in the URDF, or "):
+        arm_of(arm.urdf, joints=("shoulder", "elbow", "roll"))
+
+
+def test_a_robot_file_that_moves_such_a_joint_is_named_before_the_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with_thin_hand(tmp_path)
+    (tmp_path / "robot.yaml").write_text(
+        "/**: {ros__parameters: {joints: [shoulder, elbow, roll], robot: {model: urdf, urdf: arm.urdf,"
+        " joint_stiffness: [100.0, 50.0, 10.0], motor_inertia: [0.1, 0.1, 0.1]}}}"
+    )
+    said = fjr_here("identify", "none.csv", "--robot", "robot.yaml", code=2)
+    assert "fjr: robot.yaml: roll turns 150 kg with an inertia of 1e-06 kg m^2" in said
+    (warning,) = library.load("robot.yaml", robot_only=True).robot_warnings
+    assert warning.startswith("roll turns 150 kg")
+
+
+def test_no_joint_of_a_real_arm_is_taken_for_one_without_inertia() -> None:
+    for name in ("KUKA KR 16-2", "KUKA KR 210", "Universal Robots UR3e"):
+        assert joints_without_inertia(arm_of(rtb(name)).robot) == {}
+
+
+def test_paths_in_a_robot_file_are_relative_and_hold_when_both_are_moved(tmp_path: Path) -> None:
+    (tmp_path / "a" / "urdf").mkdir(parents=True)
+    (tmp_path / "a" / "urdf" / "arm.urdf").write_text(two_link_urdf())
+    fjr_here("new", str(tmp_path / "a" / "urdf" / "arm.urdf"), "--output", str(tmp_path / "a" / "mine"))
+    assert "urdf: ../urdf/arm.urdf" in (tmp_path / "a" / "mine" / "arm_robot.yaml").read_text()
+    (tmp_path / "a").rename(tmp_path / "b")
+    assert library.load(str(tmp_path / "b" / "mine" / "arm.yaml")).joints == ("shoulder", "elbow")
+
+
 def test_a_urdf_without_inertia_is_refused() -> None:
     with pytest.raises(RobotError, match="no link that joint 'joint_a1' moves has an inertia; expected some"):
         arm_of(rtb("KUKA LBR iiwa 14"))
@@ -140,11 +193,11 @@ def test_a_locked_joint_stays_within_its_range(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_choice_is_one_sentence(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
-    assert said in fjr_here("new", str(UR5E), *arguments, "--output", str(tmp_path), code=2 if "0" in arguments else 1)
+    assert said in fjr_here("new", str(UR5E), *arguments, "--output", str(tmp_path), code=2)
 
 
 def test_a_file_that_is_no_urdf_is_one_sentence(tmp_path: Path) -> None:
-    assert "cannot be read (No such file or directory)" in fjr_here("new", str(tmp_path / "none.urdf"), code=1)
+    assert "cannot be read (No such file or directory)" in fjr_here("new", str(tmp_path / "none.urdf"), code=2)
 
 
 def test_published_data_replace_guesses() -> None:

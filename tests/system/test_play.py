@@ -19,12 +19,12 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from fjr_bringup.recording import stream
-from fjr_bringup.recording.echo import listening
+from fjr_bringup.recording import reader
 from fjr_bringup.recording.play import due
-from fjr_bringup.recording.stream import in_order, overview
+from fjr_bringup.recording.reader import in_order, read_bag
 from fjr_bringup.recording.topic import BagError
 from fjr_msgs_py.names import LATCHED
+from fjr_msgs_py.node.participant import own_node
 from system.documented import documented_keys
 from system.executables import TIME_LIMIT, Executable, fjr_here
 from time_limits import Limit
@@ -62,7 +62,7 @@ def test_bag_is_played_in_order_until_ctrl_c_without_commands_to_the_robot(
     tmp_path: Path, storage: StoragePlugin
 ) -> None:
     bag = written(tmp_path / "bag", storage, LONG)
-    with listening("test_play") as node:
+    with own_node("test_play") as node:
         subscription = node.create_subscription(JointState, STATES, lambda _: None, 1000)
         command = Executable("fjr_bringup", "fjr", "play", str(bag))
         try:
@@ -103,7 +103,7 @@ def test_description_is_latched_without_metadata(tmp_path: Path) -> None:
     (bag / "metadata.yaml").unlink()
     command = Executable("fjr_bringup", "fjr", "play", str(bag))
     try:
-        with listening("test_play") as node:
+        with own_node("test_play") as node:
             wait_for_publisher(node)
             late = node.create_subscription(String, MODEL, lambda _: None, LATCHED)
             limit, taken = Limit(TIME_LIMIT), None
@@ -127,8 +127,8 @@ def test_times_are_the_recorded_ones_divided_by_the_rate() -> None:
     assert [due(each, 5_000_000_000, 2.0) for each in (5_000_000_000, 6_000_000_000, 8_000_000_000)] == [0.0, 0.5, 1.5]
 
 
-def test_overview_counts_the_messages_of_each_topic(tmp_path: Path) -> None:
-    found = overview(written(tmp_path / "bag", StoragePlugin.MCAP, 7)).held
+def test_a_bag_counts_the_messages_of_each_topic(tmp_path: Path) -> None:
+    found = read_bag(written(tmp_path / "bag", StoragePlugin.MCAP, 7)).topics
     assert {name: (each.count, each.first, each.last) for name, each in found.items()} == {
         STATES: (7, PERIOD, 7 * PERIOD),
         EFFORTS: (7, PERIOD, 7 * PERIOD),
@@ -146,7 +146,7 @@ def test_messages_come_by_receive_time(tmp_path: Path, storage: StoragePlugin) -
 @pytest.mark.parametrize("limit", ["AHEAD_MESSAGES", "AHEAD_BYTES"])
 def test_a_bag_is_read_only_a_few_messages_ahead(tmp_path: Path, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
     texts(tmp_path / "bag", StoragePlugin.SQLITE3, range(1000), "x" * 10_000)
-    monkeypatch.setattr(stream, limit, 100)
+    monkeypatch.setattr(reader, limit, 100)
     tracemalloc.start()
     try:
         messages = in_order(tmp_path / "bag", {MODEL})
@@ -160,7 +160,7 @@ def test_a_bag_is_read_only_a_few_messages_ahead(tmp_path: Path, limit: str, mon
 
 def test_the_bag_is_closed_when_nobody_reads_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     texts(tmp_path / "bag", StoragePlugin.MCAP, range(1000))
-    monkeypatch.setattr(stream, "AHEAD_MESSAGES", 10)
+    monkeypatch.setattr(reader, "AHEAD_MESSAGES", 10)
     messages = in_order(tmp_path / "bag", {MODEL})
     next(messages)
     assert open_files(tmp_path)
@@ -197,7 +197,7 @@ def texts(folder: Path, storage: StoragePlugin, times: Iterable[int], text: str 
 )
 def test_topics_that_are_not_played_are_refused(tmp_path: Path, arguments: tuple[str, ...], sentence: str) -> None:
     bag = written(tmp_path / "bag", StoragePlugin.MCAP, 1)
-    assert sentence in fjr_here("play", str(bag), *arguments, code=1)
+    assert sentence in fjr_here("play", str(bag), *arguments, code=2)
 
 
 def test_hint_names_the_installed_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,6 @@ import pytest
 
 from fjr_bringup import progress
 from fjr_bringup.analysis.controller_stop import ControllerStop
-from fjr_bringup.analysis.power_balance import Power, power
 from fjr_bringup.cli.app import fjr as application
 from fjr_bringup.cli.app import main
 from fjr_bringup.cli.exit_codes import Exit
@@ -120,11 +119,6 @@ def with_answers(summary: RunSummary, in_time: float, causes: tuple[str, ...], l
     return replace(summary, report=replace(report, counts=counts, verdict=verdict, lockstep=lockstep))
 
 
-def flow_of(summary: RunSummary) -> Power:
-    """Return the power balance of a run."""
-    return power(summary.data, load_scenario(Path(summary.report.bag).parent / "scenario.yaml").robot.B_m)
-
-
 @pytest.mark.parametrize(("in_time", "causes"), [(0.5, ("model mismatch",)), (0.97, ("delay",)), (0.97, ("loss",))])
 def test_slow_machine_is_told_to_use_lock_step(summary: RunSummary, in_time: float, causes: tuple[str, ...]) -> None:
     found = with_answers(summary, in_time, causes)
@@ -140,7 +134,7 @@ def test_slow_machine_is_told_to_use_lock_step(summary: RunSummary, in_time: flo
 
 def test_pages_of_a_slow_machine_advise_lock_step(summary: RunSummary, tmp_path: Path) -> None:
     found = with_answers(summary, 0.5, ("delay",))
-    write_run_page(tmp_path / "report.html", found.data, found.report, flow_of(found))
+    write_run_page(tmp_path / "report.html", found.data, found.report)
     for page in (tmp_path / "report.html", compare([found, found], tmp_path)):
         said = page.read_text(encoding="utf-8")
         assert html.HEADINGS["late"] in said
@@ -172,7 +166,7 @@ def test_a_stop_on_a_slow_machine_has_the_advice_too(
     assert report.status == "stopped"
     assert ("try --lockstep" in report.advice) == advised
     assert not replace(report, lockstep=True).advice
-    write_run_page(tmp_path / "report.html", found.data, report, flow_of(found))
+    write_run_page(tmp_path / "report.html", found.data, report)
     assert ("tracking error of joint1; your machine answered late" in (tmp_path / "report.html").read_text()) == advised
 
 

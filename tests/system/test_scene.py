@@ -105,12 +105,15 @@ def kinds(found: dict[str, Any], link: str) -> list[str]:
         ('<cylinder radius="1" length="4"/>', [1, 4]),
     ],
 )
-def test_a_primitive_keeps_size_origin_and_colour(geometry: str, size: list[float]) -> None:
+def test_a_primitive_keeps_size_origin_and_colour_and_a_bone_leads_to_the_joint(
+    geometry: str, size: list[float]
+) -> None:
     found = scene(arm(visual(geometry), '<material name="red"><color rgba="1 0.5 0 1"/></material>'))
-    (shape,) = found["links"]["base"]
+    bone, shape = found["links"]["base"]
+    assert (bone["kind"], bone["to"]) == ("capsule", [0, 0, 0.5])
     assert shape["size"] == size
     assert (shape["xyz"], shape["rpy"], shape["colour"]) == ([1, 2, 3], [0.1, 0.2, 0.3], "#ff8000")
-    assert found["links"]["tip"] == []  # who drew one link drew all
+    assert kinds(found, "tip") == ["hub"]
     assert found["notes"] == []
 
 

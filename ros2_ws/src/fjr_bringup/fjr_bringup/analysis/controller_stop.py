@@ -3,16 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
-
-from fjr_bringup.recording.reader import Array, Bag, Times
 from fjr_core.control_step.event_kinds import STARTS_REFUSED, STOPS
-from fjr_msgs_py import names
 from fjr_msgs_py.messages.events import STAMP
 
-EVENTS = f"/{names.CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
 HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}
 
 
@@ -30,21 +27,28 @@ class ControllerStop:
         return f"{self.heading}: {self.reason}"
 
 
-def controller_stop(bag: Bag, sent: Times, stamps: Times, t: Array) -> ControllerStop | None:
-    """Return the first stop in a bag; None if the controller never stopped.
+class StopWatch:
+    """The first stop among the events of a controller, at the time of the last state before it.
 
-    sent, stamps (k,) [ns]: send times and stamps of the states; t (k,) [s]: their times since the start of the run. An
-    event without a stamp is assigned to the last state sent before it.
+    events: each with its send time [ns]. An event without a stamp is assigned to the last state sent before it.
     """
-    if not bag.holds(EVENTS):
-        return None
-    topic = bag.topic(EVENTS)
-    for event, when in zip(topic.decoded, topic.publish_time, strict=True):
-        if event.name in HEADINGS:
-            stamp = next((int(pair.value) for pair in event.values if pair.key == STAMP), None)
-            times, at_time = (sent, when) if stamp is None else (stamps, stamp)
-            row = int(np.searchsorted(times, at_time, side="right")) - 1
-            _, _, reason = event.message.partition(": ")
-            at = float(t[max(row, 0)])
-            return ControllerStop(at, HEADINGS[event.name].format(at), reason)
-    return None
+
+    def __init__(self, events: Sequence[tuple[Any, int]]) -> None:
+        first: tuple[Any, int] = next((each for each in events if each[0].name in HEADINGS), (None, 0))
+        self._event, when = first
+        pairs = {} if self._event is None else {pair.key: pair.value for pair in self._event.values}
+        self._stamped = STAMP in pairs
+        self._when = int(pairs.get(STAMP, when))
+        self._at = 0.0
+
+    def add(self, stamps: Any, sent: Any, t: Any) -> None:
+        """Take states: stamps and send times (k,) [ns], and times t (k,) [s] since the start of the run."""
+        before = (stamps if self._stamped else sent) <= self._when
+        self._at = float(t[before][-1]) if before.any() else self._at
+
+    def stop(self) -> ControllerStop | None:
+        """Return the stop; None if the controller never stopped."""
+        if self._event is None:
+            return None
+        _, _, reason = self._event.message.partition(": ")
+        return ControllerStop(self._at, HEADINGS[self._event.name].format(self._at), reason)

@@ -7,8 +7,7 @@ docs/reports.md defines each metric.
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -17,80 +16,25 @@ from typing import Any
 import numpy as np
 
 from fjr_bringup.analysis.controller_stop import ControllerStop
-from fjr_bringup.analysis.diagnosis import Diagnosis, diagnosis
-from fjr_bringup.analysis.joint_metrics import (
-    AT_LIMIT,
-    SETTLED,
-    STEADY_AFTER,
-    JointMetrics,
-    initial_error,
-    joint_metrics,
-    rms,
-    settling_time,
-)
-from fjr_bringup.analysis.power_balance import Power
-from fjr_bringup.analysis.run_data import RunData
+from fjr_bringup.analysis.run_data import Recording, RunData
 from fjr_bringup.analysis.status import Status, advice_on, status_of
-from fjr_bringup.analysis.timing import Counts, Timing, counts, timing
+from fjr_bringup.analysis.storage import Balance, Decay, Energy, Power, Storage, power
+from fjr_bringup.analysis.timing import Clock, Counts, Timing
+from fjr_bringup.analysis.tracking import JointMetrics, Tracked, Tracking
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.provenance import Provenance
-from fjr_bringup.recording.reader import Array, Bag
 from fjr_bringup.result import finite
+from fjr_core.config import builders
+from fjr_core.config.diagnosis import axes
 from fjr_core.config.scenario import Scenario
+from fjr_core.control.vdpbc.convergence_rate import NO_RATE, Rate
+from fjr_core.monitoring.diagnosis import Diagnosis, Outline, PartwiseDiagnosis, unknown
+from fjr_core.numerics.checks import Array
+from fjr_core.verification.inertia_bounds import Domain, few_boxes, is_provable
 
-DECAYED = 1e-4  # of V(0): the decay rate is measured down to this value
+FARTHEST = 1e4  # rad or m; a run that goes beyond has lost its robot, and bounds may overflow
+VISITED = 200  # configurations of a run at which the rate is evaluated
 VERSIONS = ("fjr", "fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
-
-
-@dataclass(frozen=True)
-class Tracking:
-    """Tracking metrics; errors and efforts are the largest of all joints, each with its joint.
-
-    Units of prismatic joints are m and N (JointMetrics).
-    """
-
-    peak_effort_nm: float
-    peak_effort_joint: str | None  # null: no effort is known; likewise the next two
-    largest_share_joint: str | None
-    max_error_after_2s_joint: str | None
-    peak_effort_by_joint_nm: dict[str, float]
-    effort_limit_by_joint_nm: dict[str, float]  # null: no limit
-    largest_share_of_effort_limit: float | None  # of all joints with a limit; null: no limit
-    initial_error_rad: float
-    max_error_after_2s_rad: float | None
-    rms_error_after_2s_rad: float | None
-    settling_time_2_percent_s: float | None  # |error| stays within 2 % of the initial one
-    saturated_fraction: float | None  # commands with any joint at its limit; null: no limit
-    reference_mismatch_rad: float  # recorded minus planned reference: a cross-check, near 0
-
-
-@dataclass(frozen=True)
-class Storage:
-    """Lyapunov function V and its bound V(0) exp(-2 beta t), which is proven for continuous time.
-
-    The loop is sampled: a late command raises V above the bound for a moment, and the hold keeps V on a floor
-    while the bound converges to zero.
-    """
-
-    initial: float
-    guaranteed_decay_rate_per_s: float  # 2 beta
-    guarantee_is_proven: bool  # for every configuration, or all in the box of the visited ones; else a sampled minimum
-    measured_decay_rate_per_s: float | None  # mean rate while V falls from V(0) to 1e-4 V(0)
-    leaves_bound_at_s: float | None  # V stays above the bound from here on; null: never
-    relative_where_it_leaves: float | None  # V / V(0) there
-    largest_ratio_to_bound_before: float  # at most 1: V never exceeded the bound before
-    max_relative_after_2s: float | None  # the floor, V / V(0)
-
-
-@dataclass(frozen=True)
-class Energy:
-    """The power balance, integrated over the run [J]: stored = supplied - dissipated + residual."""
-
-    supplied_j: float
-    dissipated_j: float
-    stored_j: float
-    residual_j: float
-    rms_residual_of_supplied: float  # RMS of the residual power, relative to that of the supplied power
 
 
 @dataclass(frozen=True)
@@ -143,95 +87,125 @@ class Report:
         write_text(path, json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n")
 
 
-def make_report(name: str, bag: Bag, scenario: Scenario, data: RunData, flow: Power, duration: float) -> Report:
-    """Return the report of a run of `duration` seconds of stamped time with the power balance `flow`."""
+class Metrics:
+    """What is known of a run once all its parts were read twice: first what the second reading depends on."""
+
+    def __init__(self, run: Recording) -> None:
+        self.run, self._B_m = run, run.scenario.robot.B_m
+        self._visited, law = Visited(run.scenario, run.states), run.scenario.certified_law
+        self._diagnosis: PartwiseDiagnosis | None = None
+        if law is not None:
+            scales = axes(run.scenario.controller_values, run.scenario.robot)
+            outline = Outline(run.states, run.step, not run.lockstep)
+            self._diagnosis = PartwiseDiagnosis(law, outline, scales)
+        self.efforts_known = self.energy_known = self._storage_known = False
+        self._learn()
+        rate = self._visited.rate()
+        self.decay = Decay(rate.beta, rate.proven and run.scenario.plant_is_the_model)
+        self.tracked, self.balance = Tracked(run), Balance()
+        self.clock = Clock(run.sample_period, run.lockstep)
+        self.seconds = 0.0  # of the last state
+
+    def read(self, also: Callable[[RunData, Power], None] = lambda part, flow: None) -> None:
+        """Read all parts for the second time; also: what else is to see each part and its power balance."""
+        for part in self.run.parts():
+            flow = power(part, self._B_m)
+            self.energy_known = bool(np.isfinite(part.certificate.H[0])) if not part.begin else self.energy_known
+            self._storage_known |= bool(np.isfinite(part.V).any())
+            self.clock.add(part.t, part.sent, part.answered, part.begin)
+            self.tracked.add(part)
+            self.decay.add(part)
+            self.balance.add(flow)
+            if self._diagnosis is not None:
+                self._diagnosis.judge(part, self.decay.beta, part.certificate)
+            also(part, flow)
+            self.seconds = float(part.t[-1])
+
+    def verdict(self) -> Diagnosis:
+        """Return whether V decayed as guaranteed, and the causes if it did not."""
+        values = self.run.scenario.controller_values
+        if self._diagnosis is None:
+            return unknown(f"the law {values['law.type']} has no certificate")
+        if not self._storage_known:
+            return unknown("V is not known: the bag lacks links or motors")
+        if not self.efforts_known:
+            return unknown("no effort of the controller was recorded")
+        if not builders.robust(values, self.run.scenario.robot.n).off:
+            return unknown("V does not include the disturbance estimate (robust.* is enabled)")
+        return self._diagnosis.result(self.run.velocities_measured)
+
+    def _learn(self) -> None:
+        """Read all parts for the first time."""
+        for part in self.run.parts():
+            self._visited.add(part)
+            self.efforts_known |= bool(np.isfinite(part.u).any())
+            if self._diagnosis is not None:
+                self._diagnosis.learn(part)
+
+
+class Visited:
+    """The configurations that a run visited: their box, the largest step between two, and some of them."""
+
+    def __init__(self, scenario: Scenario, states: int) -> None:
+        self._scenario, self._stride = scenario, max(1, states // VISITED)
+        n = scenario.robot.n
+        self._least, self._largest, self._step = np.full(n, np.inf), np.full(n, -np.inf), np.zeros(n)
+        self._some: list[Array] = []
+        self._count, self._finite = 0, True
+
+    def add(self, part: RunData) -> None:
+        """Add the new states of a part."""
+        q_l, new = part.q_l, part.q_l[part.begin :]
+        self._some.append(new[-self._count % self._stride :: self._stride].copy())
+        self._count += len(new)
+        self._finite = self._finite and bool(np.isfinite(new).all())
+        self._least, self._largest = (
+            np.minimum(self._least, new.min(axis=0)),
+            np.maximum(self._largest, new.max(axis=0)),
+        )
+        self._step = np.maximum(self._step, np.max(np.abs(np.diff(q_l, axis=0)), axis=0, initial=0.0))
+
+    def rate(self) -> Rate:
+        """Return the convergence rate of v-dPBC: proven, else sampled at visited configurations.
+
+        For an arm of a URDF the proof holds on the smallest box that contains all visited positions and the largest
+        step between two of them.
+        """
+        law = self._scenario.certified_law
+        if law is None:
+            return NO_RATE
+        rate = law.rate()
+        if rate.proven or not self._finite:
+            return rate
+        farthest = max(np.abs(self._least).max(), np.abs(self._largest).max())
+        if not is_provable(self._scenario.robot) or farthest > FARTHEST:
+            return law.rate(np.concatenate(self._some))
+        domain = Domain(self._least - self._step, self._largest + self._step)
+        return law.proven_rate(domain, most_boxes=few_boxes(self._scenario.robot))
+
+
+def make_report(name: str, metrics: Metrics, duration: float) -> Report:
+    """Return the report of a run of `duration` seconds of stamped time that was read."""
+    run = metrics.run
     return Report(
         scenario=name,
         duration_s=duration,
-        sample_period_s=data.sample_period,
-        lockstep=data.lockstep,
-        bag=str(bag.path),
-        bag_complete=bag.complete,
-        stop=data.stop,
-        verdict=diagnosis(data, scenario),
-        missing=(*bag.notes, *data.notes),
-        tracking=_tracking(data),
-        joints=joint_metrics(data),
-        storage=_storage(data) if np.isfinite(data.V[0]) else None,
-        energy=_energy(flow) if np.isfinite(data.H[0]) else None,
-        timing=timing(data),
-        counts=counts(data, duration, bag.lost()),
-        diagnostics=bag.counters(),
+        sample_period_s=run.sample_period,
+        lockstep=run.lockstep,
+        bag=str(run.bag.path),
+        bag_complete=run.bag.complete,
+        stop=run.stop,
+        verdict=metrics.verdict(),
+        missing=(*run.bag.notes, *run.notes),
+        tracking=metrics.tracked.tracking(),
+        joints=metrics.tracked.joints(),
+        storage=metrics.decay.storage() if np.isfinite(metrics.decay.initial) else None,
+        energy=metrics.balance.energy() if metrics.energy_known else None,
+        timing=metrics.clock.timing(),
+        counts=metrics.clock.counts(duration, {name: each.lost for name, each in sorted(run.bag.topics.items())}),
+        diagnostics=run.counters,
         versions=_versions(),
-        guesses=scenario.guess_warnings,
-    )
-
-
-def _tracking(data: RunData) -> Tracking:
-    size = np.abs(data.error).max(axis=1)
-    steady = data.error[data.t >= STEADY_AFTER]
-    peak, peak_joint = _largest(data.peak_effort, data.joints)
-    share, share_joint = _largest(data.peak_effort / data.effort_limit, data.joints)
-    worst, worst_joint = _largest(np.abs(steady).max(axis=0), data.joints) if steady.size else (None, None)
-    joints = joint_metrics(data)
-    return Tracking(
-        peak_effort_nm=peak,
-        peak_effort_joint=peak_joint,
-        largest_share_joint=share_joint if share > 0 else None,
-        max_error_after_2s_joint=worst_joint,
-        peak_effort_by_joint_nm={each.joint: each.peak_effort_nm for each in joints},
-        effort_limit_by_joint_nm={each.joint: each.effort_limit_nm for each in joints},
-        largest_share_of_effort_limit=share if share > 0 else None,
-        initial_error_rad=float(size[0]),
-        max_error_after_2s_rad=worst,
-        rms_error_after_2s_rad=rms(steady) if steady.size else None,
-        settling_time_2_percent_s=settling_time(data.t, size, SETTLED * initial_error(data)),
-        saturated_fraction=_saturated(data),
-        reference_mismatch_rad=data.reference_mismatch,
-    )
-
-
-def _largest(values: Array, joints: Sequence[str]) -> tuple[float, str | None]:
-    """Return the largest of values (n,) and its joint; NaN and None if all are unknown."""
-    if np.isnan(values).all():
-        return math.nan, None
-    j = int(np.nanargmax(values))
-    return float(values[j]), joints[j]
-
-
-def _saturated(data: RunData) -> float | None:
-    """Return the fraction of commands with any joint at its limit; None without limits."""
-    sent = data.u[np.isfinite(data.u).all(axis=1)]
-    if not (len(sent) and np.isfinite(data.effort_limit).any()):
-        return None
-    return float((np.abs(sent) >= AT_LIMIT * data.effort_limit).any(axis=1).mean())
-
-
-def _energy(flow: Power) -> Energy:
-    supplied, dissipated, stored, residual = (
-        float(np.nansum(each * flow.dt)) for each in (flow.supplied, flow.dissipated, flow.stored, flow.residual)
-    )
-    known = np.isfinite(flow.residual)
-    left = rms(flow.residual[known]) / (rms(flow.supplied[known]) or np.nan) if known.any() else np.nan
-    return Energy(supplied, dissipated, stored, residual, left)
-
-
-def _storage(data: RunData) -> Storage:
-    relative, ratio = data.relative_storage, data.V / data.bound
-    within = np.flatnonzero(ratio <= 1.0)  # V(0) itself is on the bound, unless it is 0
-    leaves = int(within[-1]) + 1 if within.size else 0
-    low = np.flatnonzero(relative <= DECAYED)
-    steady = relative[data.t >= STEADY_AFTER]
-    stays = leaves == len(data.t)
-    return Storage(
-        initial=float(data.V[0]),
-        guaranteed_decay_rate_per_s=2.0 * data.beta,
-        guarantee_is_proven=data.beta_is_proven,
-        measured_decay_rate_per_s=float(-np.log(relative[low[0]]) / data.t[low[0]]) if low.size else None,
-        leaves_bound_at_s=None if stays else float(data.t[leaves]),
-        relative_where_it_leaves=None if stays else float(relative[leaves]),
-        largest_ratio_to_bound_before=float(ratio[:leaves].max(initial=1.0)),
-        max_relative_after_2s=float(steady.max()) if steady.size else None,
+        guesses=run.scenario.robot_warnings,
     )
 
 

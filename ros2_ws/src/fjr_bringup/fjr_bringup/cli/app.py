@@ -21,6 +21,7 @@ from fjr_msgs_py.node.loading import (
     ament_index_of_wheels,
     end_on_signals,
     pause_garbage_collection,
+    require_resources,
     resume_garbage_collection,
     without_blas_threads,
 )
@@ -29,6 +30,7 @@ from fjr_msgs_py.node.loading import (
 def program() -> int:
     """Run the executable `fjr`: main() with handlers for SIGINT and SIGTERM from the first instruction on."""
     end_on_signals(Exit.INTERRUPTED)
+    require_resources("fjr")
     pause_garbage_collection()
     try:
         return main(loaded=_loaded)

@@ -65,11 +65,11 @@ def check_scenario(
     certificate: file for the proof of the rate over the joint range, which takes at most `seconds`. errors: names and
     sizes of model errors. prove_error: prove their bound for any number of joints. prove_sampled: also prove
     contraction of the sampled loop (sampled_proof). delay [samples] of this proof and of the bound of the tracking
-    error, which is made for errors, or for a delay alone.
+    error, which is made for errors, for a delay alone and for prove_error.
     """
     loaded = library.load(scenario, assignments)
-    alone = delay is not None and not prove_sampled
-    bound = errors_bounded(loaded, _once(errors), delay, prove_error or None) if errors or alone else None
+    asked = errors or prove_error or (delay is not None and not prove_sampled)
+    bound = errors_bounded(loaded, _once(errors), delay, prove_error or None) if asked else None
     if certificate is not None:
         write_certificate(proven_rate(loaded, seconds), certificate)
     found = checked(loaded)
@@ -96,7 +96,7 @@ def _once(errors: Sequence[tuple[str, float]]) -> dict[str, float]:
 
 
 def _warnings(scenario: Scenario) -> list[str]:
-    return [*scenario.warnings, *scenario.motion_warnings, *scenario.guess_warnings]
+    return [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings]
 
 
 def _refusal(scenario: Scenario, found: SampledCheck) -> str:

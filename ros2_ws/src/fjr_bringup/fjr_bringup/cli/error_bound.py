@@ -14,10 +14,21 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.control.robust import RobustLaw
 from fjr_core.errors import ParameterError
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.one_line import at_most
 from fjr_core.stability.error_bound import ErrorBound, bound_errors
 from fjr_core.stability.error_bound.error_bound import SECONDS_TO_PROVE, TORQUES
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
+COMMON = {
+    "payload": "link masses and inertias",
+    "link_inertia": "link inertias",
+    "gravity": "link weights",
+    "stiffness": "joint stiffnesses",
+    "motor_inertia": "motor inertias",
+    "link_damping": "link dampings",
+    "motor_damping": "motor dampings",
+}
+"""What one relative error multiplies."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +53,8 @@ def errors_bounded(
     given = scenario.law, scenario.reference, period, late, errors
     with progress_bar("bounding the tracking error", PROGRESS, total=1.0, desc="error bound") as bar:
         found = bound_errors(*given, lambda share: bar.update(share - bar.n), prove)
-    hint = "" if prove or scenario.robot.n <= SECONDS_TO_PROVE else "; --prove-error tries a proof"
+    tried = prove or scenario.robot.n <= SECONDS_TO_PROVE
+    hint = "no proof was found" if tried else "--prove-error tries a proof"
     return Bound(_sentence(scenario, found, hint), _values(scenario, found))
 
 
@@ -63,24 +75,25 @@ def _refuse(scenario: Scenario) -> None:
 
 def _sentence(scenario: Scenario, found: ErrorBound, hint: str) -> str:
     """Return the bound in words; hint: after those of a bound without a proof."""
-    errors = ", ".join(_error(*error) for error in found.errors.items())
-    conditions = f"{errors} and {_delay(found)}" if errors else _delay(found)
+    conditions = ", ".join([*(_error(*error) for error in found.errors.items()), _delay(found)])
     if not found.found:
-        return f"with {conditions}: none found; expected smaller errors"
+        return f"none found with {conditions}; expected smaller errors"
     joint = int(np.argmax(found.position))
     unit = scenario.robot.units[joint].position
-    basis = f"along this reference; from sampled constants, not proven{hint}"
+    basis = f"from sampled constants, not proven: {hint}"
     if found.proven:
-        steady = "" if np.all(np.isfinite(found.from_start)) else "in steady motion, "
-        basis = f"{steady}proven along this reference"
-    storage = "" if not np.isfinite(found.storage) else f", V at most {1e3 * found.storage:.3g} mJ"
-    largest = f"{1e3 * found.position[joint]:.3g} m{unit} at {scenario.joints[joint]}"
-    return f"with {conditions}: at most {largest}{storage}, {basis}"
+        basis = "proven"
+    steady = found.proven and not np.all(np.isfinite(found.from_start))
+    when = "in steady motion" if steady else "after the transient"
+    storage = f", V at most {at_most(1e3 * found.storage)} mJ" if np.isfinite(found.storage) else ""
+    largest = f"{at_most(1e3 * found.position[joint])} m{unit} ({scenario.joints[joint]})"
+    return f"|q_l - q_ld| at most {largest}{storage} {when} along this reference, with {conditions}; {basis}"
 
 
 def _error(name: str, size: float) -> str:
-    words = name.replace("_", " ")
-    return f"{size:g} N m of {words}" if name in TORQUES else f"{100 * size:g} % {words} error"
+    if name in TORQUES:
+        return f"{name.replace('_', ' ')}s of up to {size:g} N m"
+    return f"all {COMMON[name]} off by one common factor of up to {100 * size:g} %"
 
 
 def _delay(found: ErrorBound) -> str:

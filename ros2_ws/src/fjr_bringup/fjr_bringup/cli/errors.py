@@ -9,10 +9,11 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.interrupt import Interrupted
+from fjr_bringup.recording.topic import BagError
 from fjr_bringup.scenarios.library import ScenarioError
-from fjr_core.errors import CompareError, FjrError, ParameterError, RecordError
+from fjr_core.errors import CompareError, FjrError, ParameterError, RecordError, RobotError
 
-INVALID_INPUT = (ScenarioError, ParameterError, CompareError, RecordError)
+INVALID_INPUT = (ScenarioError, ParameterError, CompareError, RecordError, RobotError, BagError)
 
 
 def exit_code(error: Exception) -> Exit:

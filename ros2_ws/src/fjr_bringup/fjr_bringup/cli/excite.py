@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr excite`: design the motion that tells the parameters of elastic joints best, and write a scenario of it."""
+"""`fjr excite`: design the motion that best reveals the parameters of elastic joints, and write a scenario of it."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from fjr_bringup.atomic_file import write_text
 from fjr_bringup.formatting import plural
 from fjr_bringup.progress import phase
 from fjr_bringup.result import Result
-from fjr_bringup.scaffold.first_scenario import first_values, is_robot_file
+from fjr_bringup.scaffold.first_scenario import first_values
 from fjr_bringup.scenarios import library
 from fjr_bringup.scenarios.library import ScenarioError
 from fjr_core.config.nonidealities import sensor_errors
 from fjr_core.config.parameter import vector
-from fjr_core.config.reference import ACCELERATION_LIMIT
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.identification.excitation import Excitation, design
@@ -52,8 +51,8 @@ def excite(
     if target.exists() and not force:
         raise ScenarioError(f"{target} exists; expected a new file, another --output, or --force")
     changes = library.parse_assignments(assignments)
-    loaded = library.as_run(path, changes)[1]
-    if is_robot_file(path):
+    loaded = library.as_run(path, changes, robot_only=True)[1]
+    if library.is_robot_file(path):
         changes = {**first_values(loaded), **changes}
         loaded = library.as_run(path, changes)[1]
     limits = _limits(loaded, duration)
@@ -69,7 +68,7 @@ def excite(
 def _limits(scenario: Scenario, duration: float) -> MotionEnvelope:
     """Return the limits of the motion: SHARE of those of the controller and the robot."""
     values, robot = scenario.controller_values, scenario.robot
-    acceleration = vector(values, ACCELERATION_LIMIT.name, robot.n)
+    acceleration = vector(values, "limits.acceleration", robot.n)
     return motion_envelope(robot, safety(values, robot), acceleration, scenario.reference, SHARE, duration)
 
 
@@ -99,7 +98,7 @@ def _text(path: Path, scenario: Scenario, found: Excitation, changes: Mapping[st
     text = library.as_run(path, values)[0]
     settings = text[text.index("\n/**:") + 1 :]
     return (
-        f"# Excitation of {scenario.name}: {found.duration:g} s that tell stiffness, inertia and friction of its\n"
+        f"# Excitation of {scenario.name}: {found.duration:g} s that reveal stiffness, inertia and friction of its\n"
         f"# joints, at rest at 0 s and every {found.period:g} s. Run and record it:\n"
         f"#   fjr run THIS_FILE --duration {found.duration:g}\n{settings}"
     )

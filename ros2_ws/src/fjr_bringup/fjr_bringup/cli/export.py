@@ -16,7 +16,7 @@ from fjr_core.config.scenario import left_out
 
 def describe(scenario: str | None, assignments: Sequence[str]) -> Result:
     """Return the robot of a scenario as URDF."""
-    urdf = description(library.load(scenario, assignments).plant_values)
+    urdf = description(library.load(scenario, assignments, robot_only=True).plant_values)
     return Result(urdf.removesuffix("\n"), {"urdf": urdf})
 
 

@@ -23,6 +23,7 @@ from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import GainsError, ParameterError
 from fjr_core.files.text_file import read_text
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.one_line import at_least
 from fjr_core.stability.sampled_loop import SampledCheck, check
 from fjr_core.tuning.gain_synthesis import synthesize
 from fjr_core.verification.inertia_bounds import Domain, joint_range
@@ -47,7 +48,7 @@ def synthesised(
     checked on fresh draws. Raises GainsError if no such gains exist or a fresh draw is unstable.
     """
     path = _file(scenario, write)
-    loaded = library.load(scenario, assignments)
+    loaded = library.load(scenario, assignments, robot_only=True)
     robot, period = loaded.robot, loaded.sample_period
     where = None if everywhere else loaded.configurations()
     posterior = Posterior(identification, loaded, seed) if identification else None
@@ -79,15 +80,15 @@ def _head(scenario: Scenario, rate: Rate, found: SampledCheck, everywhere: bool,
     """Return the comment above the gains; proven [1/s]: rate for which a proof bounds the inertia, None without one."""
     place, basis = "everywhere" if everywhere else "along its reference", "proven" if rate.proven else "sampled"
     head = (
-        f"# for {scenario.name} {place}: beta {rate.beta:.3g} 1/s ({basis}); at {1 / scenario.sample_period:g} Hz "
-        f"spectral radius {found.spectral_radius:.4f}, delay margin {found.delay_margin:.2f} samples\n"
+        f"# for {scenario.name} {place}: beta {at_least(rate.beta, 3)} 1/s ({basis}); "
+        f"at {1 / scenario.sample_period:g} Hz spectral radius {found.spectral_radius:.4f}, "
+        f"delay margin {found.delay_margin:.2f} samples\n"
     )
     if proven is None:
         return head
     place = "over the joint range" if everywhere else "near the reference (see `fjr check`)"
-    return (
-        f"{head}# the inertia is bounded by a proof {place}: beta is at least {proven:.3g} 1/s there before rounding\n"
-    )
+    least = at_least(proven, 3)
+    return f"{head}# the inertia is bounded by a proof {place}: beta is at least {least} 1/s there before rounding\n"
 
 
 def _domain(scenario: Scenario, everywhere: bool) -> Domain:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from click import UsageError
 
+from fjr_bringup.cli.options import FIRST
 from fjr_bringup.cli.ros2_first import refuse_over_ros2
 from fjr_bringup.interrupt import stoppable
 from fjr_bringup.monitor import app as monitor_app
@@ -21,7 +22,11 @@ from fjr_bringup.scenarios import library
 
 
 def echo_topic(topic: str, count: int | None, timeout: float | None, force: bool, as_json: bool) -> None:
-    """Print messages of a topic until `count` have arrived or none arrives for `timeout` [s]."""
+    """Print messages of a topic until `count` have arrived or none arrives for `timeout` [s], FIRST by default for one.
+
+    Without either it waits until Ctrl-C.
+    """
+    timeout = FIRST if timeout is None and count == 1 else timeout
     refuse_over_ros2(f"ros2 topic echo {topic}", "with filters, fields and statistics", force)
     discover_quickly()
     with stoppable() as stop:
@@ -51,17 +56,22 @@ def watch_loop(
     namespace: str,
     controller: str,
     once: bool,
+    timeout: float,
     remaps: tuple[str, ...],
     browser: bool,
     foxglove: bool,
     port: int | None,
     as_json: bool,
 ) -> None:
-    """Display a running control loop, or serve Foxglove; scenario: source of effort limits and of the arm in 3D."""
+    """Display a running control loop, or serve Foxglove; scenario: source of effort limits and of the arm in 3D.
+
+    timeout [s]: longest wait of a single view.
+    """
     _refuse_conflicts({"--browser": browser, "--foxglove": foxglove}, {"--once": once, "--json": as_json}, port)
-    robot = monitor_app.known(library.load(scenario)) if scenario else monitor_app.Known()
+    robot = monitor_app.known(library.load(scenario, robot_only=True)) if scenario else monitor_app.Known()
     discover_quickly()
-    wish = monitor_app.Options(namespace, remaps, controller, once, as_json, (port or 0) if browser else None)
+    page = (port or 0) if browser else None
+    wish = monitor_app.Options(namespace, remaps, controller, timeout if once else None, as_json, page)
     with stoppable() as stop:
         if foxglove:
             from fjr_bringup.monitor import foxglove as server  # SciPy, which other commands here do not need

@@ -48,8 +48,8 @@ class Confirmed:
         """Return what the draws say, and with which confidence."""
         share = largest_share(0, self.draws)
         return (
-            f"0 of {self.draws:,} fresh draws of the identified robot lost, at the {self.configurations} worst "
-            f"configurations: at most {100 * share:.2g} % with {100 * CONFIDENCE:g} %"
+            f"0 of {self.draws:,} robots drawn afresh from the identification are unstable, at the "
+            f"{self.configurations} worst configurations: at most {100 * share:.2g} % with {100 * CONFIDENCE:g} %"
         )
 
     @property
@@ -92,7 +92,7 @@ class Posterior:
             which = f", and {LargestMeanDifference.of(fresh, unstable).sentence(self._scenario.joints)}"
             which = which if lost < count else ""
             raise GainsError(
-                f"{lost} of {count:,} fresh draws of the identified robot are unstable (at most "
+                f"{lost} of {count:,} robots drawn afresh from the identification are unstable (at most "
                 f"{100 * largest_share(lost, count):.2g} % with {100 * CONFIDENCE:g} %){which}; expected none: try "
                 "a lower rate, or narrower intervals from a record of more motion (fjr excite)"
             )

@@ -5,9 +5,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import sys
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +22,12 @@ from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.control.vdpbc.proof_of_rate import proof_of_rate
-from fjr_core.control.vdpbc.rate_certificate import rate_certificate
+from fjr_core.control.vdpbc.rate_certificate import digest, rate_certificate
 from fjr_core.errors import FjrError, RobotError
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.code_cache import code_folder
 from fjr_core.numerics.jit_cache import program_digest
+from fjr_core.numerics.one_line import at_least
 from fjr_core.robot.configuration_sampling import bounds_of, sample_configurations
 from fjr_core.trajectories.tube import tube
 from fjr_core.verification.inertia_bounds import GOAL, Domain, is_provable
@@ -68,11 +72,26 @@ def refuse_unprovable(scenario: Scenario) -> None:
 
 
 def cached_rate(scenario: Scenario) -> ProvenRate | None:
-    """Return the proven rate that an earlier command has kept for this law and robot; None if there is none."""
-    with suppress(OSError, ValueError, TypeError):
-        content = code_folder().read(_name(scenario))
-        return ProvenRate(**json.loads(content)) if content else None
-    return None
+    """Return the proven rate that an earlier command has kept for this law and robot; None if there is none.
+
+    A kept proof that is not as it was written is emptied; one sentence says that it is not used.
+    """
+    try:
+        folder, name = code_folder(), _name(scenario)
+        content = folder.read(name)
+    except OSError:
+        return None
+    if not content:
+        return None
+    try:
+        return _read(content, name, scenario.robot.n)
+    except (ValueError, RecursionError) as error:
+        with suppress(OSError):
+            folder.write(name, b"")
+        seen = error if isinstance(error, _DamagedError) else "no JSON text"
+        sentence = f"the kept proof {folder.path / name} is {seen}; expected it as written: --certificate proves again"
+        print(f"fjr: {sentence}", file=sys.stderr)
+        return None
 
 
 def proven_rate(scenario: Scenario, seconds: float) -> ProvenRate:
@@ -86,7 +105,8 @@ def proven_rate(scenario: Scenario, seconds: float) -> ProvenRate:
         return known
     found = _prove(scenario, law, seconds)
     with suppress(OSError):
-        code_folder().write(_name(scenario), json.dumps(vars(found)).encode())
+        name = _name(scenario)
+        code_folder().write(name, json.dumps(_sealed({"inputs": name, **vars(found)})).encode())
     return found
 
 
@@ -105,7 +125,7 @@ def _prove(scenario: Scenario, law: TrackingLaw, seconds: float) -> ProvenRate:
     end = time.monotonic() + seconds
 
     def watch(boxes: int, bound: float, attained: float) -> bool:
-        state["text"] = f"proven {1 / bound:.4g} of {1 / attained:.4g} 1/s for the links, {boxes} boxes"
+        state["text"] = f"proven {at_least(1 / bound)} of {1 / attained:.4g} 1/s for the links, {boxes} boxes"
         return time.monotonic() < end
 
     with heartbeat(lambda: state["text"]):
@@ -125,12 +145,49 @@ def _prove(scenario: Scenario, law: TrackingLaw, seconds: float) -> ProvenRate:
     )
 
 
+class _DamagedError(ValueError):
+    """What a kept proof is instead of what was written."""
+
+
+def _sealed(content: dict[str, Any]) -> dict[str, Any]:
+    return {**content, "sha256": digest(content)}
+
+
+def _is_sealed(content: Any) -> bool:
+    """Return whether a value is an object with the digest of its other entries."""
+    return isinstance(content, dict) and content == _sealed({k: v for k, v in content.items() if k != "sha256"})
+
+
+def _read(content: bytes, name: str, n: int) -> ProvenRate:
+    """Return the proof of n joints that a file of this name holds. Raises ValueError if it is another or changed."""
+    found = json.loads(content)
+    if not _is_sealed(found):
+        raise _DamagedError("changed or damaged")
+    del found["sha256"]
+    if found.pop("inputs", None) != name:
+        raise _DamagedError("that of another robot or law")
+    if set(found) != {field.name for field in fields(ProvenRate)} or not _has_kinds(found, n):
+        raise _DamagedError("not of the kind that this program writes")
+    return ProvenRate(**found)
+
+
+def _has_kinds(found: dict[str, Any], n: int) -> bool:
+    """Return whether the values of a ProvenRate of n joints are of the right kinds, finite and in their order."""
+    at, rates = found["at"], [found[name] for name in ("beta_paper", "beta", "attained")]
+    numbers = [*rates, *(at if isinstance(at, list) else [])]
+    if len(numbers) != 3 + n or not all(type(value) is float and math.isfinite(value) for value in numbers):
+        return False
+    ordered = all(0 < low <= high * (1 + 1e-9) for low, high in pairwise(rates))
+    kinds = type(found["boxes"]) is int and type(found["complete"]) is bool
+    return ordered and kinds and _is_sealed(found["certificate"])
+
+
 def _name(scenario: Scenario) -> str:
     """Return the name of the kept file: a digest of program, robot, gains and joint range."""
-    digest = hashlib.sha256(program_digest().encode() + scenario.robot.fingerprint())
+    inputs = hashlib.sha256(program_digest().encode() + scenario.robot.fingerprint())
     law = scenario.law
     assert isinstance(law, TrackingLaw)
     for array in (*law.gains.arrays().values(), *bounds_of(scenario.robot)):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    digest.update(repr(scenario.joints).encode())
-    return f"rate-{digest.hexdigest()[:32]}.json"
+        inputs.update(np.ascontiguousarray(array).tobytes())
+    inputs.update(repr(scenario.joints).encode())
+    return f"rate-{inputs.hexdigest()[:32]}.json"

@@ -13,6 +13,7 @@ from fjr_bringup.cli.rate_proof import ProvenRate, cached_rate, near_reference
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.convergence_rate import Rate
 from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.numerics.one_line import at_least
 from fjr_core.verification.inertia_bounds import few_boxes, is_provable
 
 OTHER_PLANT = "not proven here, the plant is not the law's model"
@@ -40,7 +41,7 @@ def row_near_the_reference(scenario: Scenario, law: TrackingLaw) -> dict[str, st
     rate = law.proven_rate(domain, most_boxes=few_boxes(scenario.robot))
     basis = "proven" if scenario.plant_is_the_model else OTHER_PLANT
     near = f"within {_range(radius)} {position_unit(scenario)} of the reference in each joint"
-    return {"near the reference": f"beta {rate.beta:.4g} 1/s {near}, {basis}"}
+    return {"near the reference": f"beta {at_least(rate.beta)} 1/s {near}, {basis}"}
 
 
 def rate_values(scenario: Scenario) -> dict[str, Any]:
@@ -61,8 +62,8 @@ def _kept(scenario: Scenario) -> ProvenRate | None:
 
 def _rows(beta: float, beta_paper: float, basis: str) -> dict[str, str]:
     return {
-        "beta": f"{beta:.4g} 1/s: V falls at least as exp(-2 beta t), {basis}",
-        "beta of eq. (50)": f"{beta_paper:.4g} 1/s, {basis}",
+        "beta": f"{at_least(beta)} 1/s: V falls at least as exp(-2 beta t), {basis}",
+        "beta of eq. (50)": f"{at_least(beta_paper)} 1/s, {basis}",
     }
 
 

@@ -18,14 +18,14 @@ from fjr_bringup.report.write import METRICS, RunSummary, compare, output_paths,
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_core.config.scenario import load_scenario
-from fjr_core.errors import FjrError
+from fjr_core.errors import FjrError, RecordError
 from fjr_core.files.text_file import read_json
 
 SCENARIO = "scenario.yaml"
 LARGE = 50e6  # bytes: reading a larger bag is announced
 
 
-class ReportError(FjrError):
+class ReportError(RecordError):
     """A bag cannot be reported."""
 
 

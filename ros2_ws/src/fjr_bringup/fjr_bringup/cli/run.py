@@ -10,16 +10,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fjr_bringup.analysis.status import KEEPS_UP
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
 from fjr_bringup.formatting import percent
 from fjr_bringup.interrupt import stoppable
 from fjr_bringup.progress import phase
+from fjr_bringup.recording.topic import BagError
 from fjr_bringup.report.paper_claim import Claim, paper_claim
 from fjr_bringup.report.write import RunSummary, compare, output_paths, play_hint, report_run, stops, table
 from fjr_bringup.result import Result
-from fjr_bringup.runner.run import Plan, RunError
+from fjr_bringup.runner.run import Plan, RunError, discover_quickly
 from fjr_bringup.runner.run import run as run_plan
 from fjr_bringup.scenarios import library
 from fjr_core.errors import FjrError
@@ -60,13 +60,15 @@ def run_scenario(
 
 
 def _demonstrate(name: str, duration: float, output: Path) -> RunSummary:
-    """Run a scenario in real time; again in lock-step if it failed because the computer was too busy."""
+    """Run a scenario in real time; in lock-step, too, if that was stopped, late or violated."""
     summary = _record_and_report(_plan(name, {}, duration, output))
-    in_time = summary.report.counts.answered_in_time_fraction
-    if _exit_code([summary]) == Exit.DONE or in_time is None or in_time >= KEEPS_UP:
+    if _exit_code([summary]) == Exit.DONE:
         return summary
+    report = summary.report
+    what = f"was stopped at {report.stop.at_s:.3g} s" if report.stop else f"is {report.status}"
+    in_time = percent(report.counts.answered_in_time_fraction, 1)
     note = (
-        f"this computer answered {percent(in_time, 0)} of the states in time, too few to track in real time; "
+        f"the run in real time {what}, with {in_time} of the states answered in time; "
         "repeated in lock-step, where the robot waits for each command"
     )
     print(f"{name}: {note}", file=sys.stderr)
@@ -80,9 +82,10 @@ def _plan(name: str | None, overrides: Mapping[str, Any], duration: float, outpu
     """
     require_compiler()
     path = library.find(name)
+    discover_quickly()  # an invalid ROS domain is refused before anything is compiled
     with phase(f"{path.stem}: checking and compiling the law"):
         text, scenario = library.as_run(path, overrides)
-        for warning in (*scenario.motion_warnings, *scenario.guess_warnings):
+        for warning in (*scenario.motion_warnings, *scenario.robot_warnings):
             print(f"fjr: {warning}", file=sys.stderr)
         if not force:
             refuse_coarse_steps(scenario)
@@ -97,16 +100,19 @@ def _record_and_report(plan: Plan, pages: bool = True) -> RunSummary:
             recorded = run_plan(plan, stop)
     except RunError as error:
         if error.kept:
-            _report_failure(plan.name, error.kept, error)
+            _report_failure(plan.name, error.kept, error, pages)
         raise
     with phase(f"{plan.name}: writing the report"):
-        return report_run(plan.name, recorded.folder, plan.duration, recorded.skipped, pages=pages)
+        try:
+            return report_run(plan.name, recorded.folder, plan.duration, recorded.skipped, pages=pages)
+        except BagError as error:  # of this run, not of a file that was given
+            raise RunError(f"{error}\nwhat was recorded is in {recorded.folder}", recorded.folder) from None
 
 
-def _report_failure(name: str, folder: Path, error: RunError) -> None:
+def _report_failure(name: str, folder: Path, error: RunError, pages: bool) -> None:
     """Write the report of a run that failed, as far as its bag holds data."""
     with suppress(FjrError):
-        summary = report_run(name, folder, None, failure=str(error).partition("\n")[0])
+        summary = report_run(name, folder, None, failure=str(error).partition("\n")[0], pages=pages)
         print("\n".join([*stops([summary]), output_paths([summary])]), file=sys.stderr)
 
 

@@ -11,6 +11,7 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.control.robust import Robust
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import FjrError
+from fjr_core.numerics.one_line import at_least, at_most
 from fjr_core.stability.sampled_contraction.proof import SampledContraction, sampled_contraction
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
@@ -31,10 +32,10 @@ class SampledProof:
         if self.found is None:
             return {ROW: f"NOT proven: {self.reason}"}
         tube, offset = (1e3 * float(each.max()) for each in (self.found.tube, self.found.offset))
-        decay = f"contracts at {self.found.rate:.4g} 1/s within {tube:.4g} m{self.unit} of the reference"
+        decay = f"contracts at {at_least(self.found.rate)} 1/s within {at_least(tube)} m{self.unit} of the reference"
         return {
             f"{ROW}, proven": f"{decay}, {_delay(self.found.least_delay, self.found.longest_delay)}",
-            "    remaining error": f"at most {offset:.2g} m{self.unit} of a link",
+            "    remaining error": f"at most {at_most(offset, 2)} m{self.unit} of a link",
         }
 
     @property

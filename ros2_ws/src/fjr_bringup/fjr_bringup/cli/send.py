@@ -50,7 +50,7 @@ def _warnings(motion: SampledMotion, scenario: str | None, joints: tuple[str, ..
     """Return the warnings of a motion for the robot of a scenario; none without a scenario."""
     if scenario is None:
         return []
-    loaded = library.load(scenario)
+    loaded = library.load(scenario, robot_only=True)
     if loaded.joints != joints:
         raise ParameterError(
             f"scenario {loaded.name} has the joints {loaded.joints}; expected {joints}, as the controller"

@@ -17,15 +17,13 @@ from fjr_bringup.analysis.states import first_of_each_stamp
 from fjr_bringup.identification.record_map import COMMANDS, STATES, BagMap
 from fjr_bringup.identification.samples import LARGEST, Samples, Window
 from fjr_bringup.recording.message_types import typestore
-from fjr_bringup.recording.reader import JOINT_STATE
-from fjr_bringup.recording.stream import in_order, overview
+from fjr_bringup.recording.reader import FLOATS, JOINT_STATE, in_order, read_bag
 from fjr_bringup.recording.topic import BagError, Times
 from fjr_core.errors import RecordError
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr.layout import StateLayout
 
-FLOATS = "std_msgs/msg/Float64MultiArray"
 BLOCK = 4096  # messages between two looks at the window
 
 
@@ -35,7 +33,7 @@ def bag_samples(path: Path, mapping: BagMap, joints: tuple[str, ...], window: Wi
     Effort: the command that answers each state by its stamp, else the last one sent before the next state, else the
     torque of the motors in the states. Raises BagError, RecordError.
     """
-    held = overview(path).held
+    held = read_bag(path).topics
     states = _topic(path, list(held), mapping.namespace, names.JOINT_STATES)
     commands = _command_topic(path, list(held), mapping)
     if held[states].type_name != JOINT_STATE:

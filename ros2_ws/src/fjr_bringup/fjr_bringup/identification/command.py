@@ -27,11 +27,13 @@ from fjr_bringup.identification.record_map import read_map
 from fjr_bringup.identification.robot_yaml import RobotFile, robot_file
 from fjr_bringup.progress import progress_bar
 from fjr_bringup.result import Result, json_text
+from fjr_core.errors import ParameterError
 from fjr_core.identification.hold_out import HoldOut, hold_out
 from fjr_core.identification.identify import identify
 from fjr_core.identification.motion_record import MotionRecord
 from fjr_core.identification.parameters import Options, Prior
 from fjr_core.identification.result import IDENTIFIED, UNKNOWN, WEAK, Identification
+from fjr_core.robot.free_inertia import joints_without_inertia
 
 ROBOT, VALUES, PAGE = "robot.yaml", "identification.json", "identification.html"
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
@@ -53,6 +55,7 @@ class Request:
 def identify_robot(request: Request) -> Result:
     """Identify, write all files and return a table; raise FjrError."""
     nominal = nominal_robot(request.robot)
+    _refuse_joints_without_inertia(nominal)
     records, notes = _read(request, nominal, request.records)
     predicted, more = _read(request, nominal, request.hold_outs)
     prior = Prior.of(nominal.robot)
@@ -72,6 +75,15 @@ def identify_robot(request: Request) -> Result:
     paths = [request.output / name for name in (ROBOT, VALUES, PAGE)]
     lines = [*table(found), *_hold_out_lines(found.joints, rows), *_last_lines(paths, file)]
     return Result("\n".join(lines), {**values, "files": paths})
+
+
+def _refuse_joints_without_inertia(nominal: NominalRobot) -> None:
+    """Raise ParameterError, which names the robot file: a record would seem wrong by the factor of the inertia."""
+    for i, seen in joints_without_inertia(nominal.robot).items():
+        raise ParameterError(
+            f"{nominal.path}: {nominal.joints[i]} {seen}; expected the inertia of its links in the URDF, or a robot "
+            "file in which the joint is locked"
+        )
 
 
 def _read(request: Request, nominal: NominalRobot, paths: Sequence[Path]) -> tuple[list[MotionRecord], tuple[str, ...]]:
@@ -121,7 +133,7 @@ def _write(
     write_text(request.output / VALUES, json_text(values, indent=1) + "\n")
     seconds = sum(record.dt * len(record.u) for record in records)
     notes = [*values["notes"], *([f"robot.yaml has no gains: {file.reason}"] if file.reason else [])]
-    write_page(request.output / PAGE, nominal.path.stem, found, rows, notes, seconds)
+    write_page(request.output / PAGE, nominal.name, found, rows, notes, seconds)
     return file
 
 

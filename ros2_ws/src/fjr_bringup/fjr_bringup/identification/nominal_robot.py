@@ -12,16 +12,18 @@ import numpy as np
 from fjr_bringup.scaffold.files import path_from
 from fjr_core.config import builders, robot_file, ros_yaml
 from fjr_core.config.guesses import GUESSED, GUESSES, guessed_joints
-from fjr_core.config.parameter import complete, names
+from fjr_core.config.parameter import complete, names, refuse_unknown
 from fjr_core.config.robot import FILE, robot_parameters
 from fjr_core.config.scenario import CONTROLLER
 from fjr_core.errors import ParameterError
+from fjr_core.files.text_file import read_text
 from fjr_core.identification.drawn_plants import MATRICES
 from fjr_core.identification.pseudo_inertia import corrected_bodies
 from fjr_core.identification.result import UNKNOWN, Identification
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.robot import Robot
 from fjr_core.robot.urdf_inertia import with_inertias
+from fjr_core.robot.urdf_parser import parse_xml
 
 GEAR_RATIO = "robot.gear_ratio"
 CORRECTED = "robot.urdf"
@@ -37,6 +39,13 @@ class NominalRobot:
     robot: Robot
     guessed: Mapping[str, tuple[str, ...]]
 
+    @property
+    def name(self) -> str:
+        """The name of the robot in its URDF, else of its file."""
+        urdf = str(self.given.get(robot_file.URDF, ""))
+        found = parse_xml(urdf if robot_file.is_xml(urdf) else read_text(Path(urdf))).get("name") if urdf else ""
+        return found or self.path.stem.removesuffix("_robot")
+
 
 def nominal_robot(path: Path) -> NominalRobot:
     """Return the robot of a robot file or scenario; raise ParameterError, which names the file."""
@@ -48,7 +57,9 @@ def nominal_robot(path: Path) -> NominalRobot:
             for name, value in merged.items()
             if name == "joints" or (name.startswith("robot.") and name != FILE.name)
         }
-        values = complete(robot_parameters(given), given)
+        known = robot_parameters(given)
+        refuse_unknown([each.name for each in known], given)
+        values = complete(known, given)
         robot = builders.robot(values)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None

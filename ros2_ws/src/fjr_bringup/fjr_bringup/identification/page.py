@@ -10,7 +10,7 @@ import numpy as np
 
 from fjr_bringup.formatting import percent, plural
 from fjr_bringup.identification.page_figures import fit_plots
-from fjr_bringup.identification.page_rows import BAR_HEAD, groups
+from fjr_bringup.identification.page_rows import BAR_HEAD, groups, reasons
 from fjr_bringup.report import html
 from fjr_core.identification.result import DEFLECTION, IDENTIFIED, UNKNOWN, WEAK, Identification
 
@@ -21,7 +21,8 @@ HOLD_OUT_TEXT = (
 )
 TEXT = (
     "Bars: 95 % interval, value as a line, prior dotted. Positive parameters have a logarithmic axis from a quarter to "
-    "four times the value, others a linear one. A parameter that is not identifiable keeps its prior."
+    "four times the value, others a linear one. A parameter that is not identifiable keeps its prior. Numbers refer to "
+    "the reasons below."
 )
 FOOTER = (
     "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. robot.yaml and "
@@ -61,6 +62,7 @@ def write_page(
             (f"{seconds:.3g} s", "of motion"),
         ],
         groups=groups(found),
+        reasons=reasons(found),
         parameters_text=TEXT,
         bar_head=BAR_HEAD,
         hold_outs=[

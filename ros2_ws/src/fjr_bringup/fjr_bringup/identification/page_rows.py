@@ -17,14 +17,17 @@ BAR_HEAD = "interval, value, prior"
 
 @dataclass(frozen=True)
 class Row:
-    """Texts of one estimate, and its bar in percent of the axis; prior_at: None if it is outside."""
+    """Texts of one estimate, and its bar in percent of the axis; prior_at: None if it is outside.
+
+    reason: number of the reason of the verdict in `reasons`, from 1 on; None without one.
+    """
 
     joint: str
     value: str
     interval: str
     prior: str
     verdict: str
-    reason: str
+    reason: int | None
     colour: str
     left: float
     width: float
@@ -32,10 +35,16 @@ class Row:
     prior_at: float | None
 
 
+def reasons(found: Identification) -> list[str]:
+    """Return the reasons of all verdicts, each once, in the order of the estimates."""
+    return list(dict.fromkeys(each.reason for each in found.estimates if each.reason))
+
+
 def groups(found: Identification) -> list[tuple[str, list[Row]]]:
     """Return the rows by parameter, in the order of the estimates."""
-    names = list(dict.fromkeys(each.name for each in found.estimates))
-    return [(_title(name), list(_rows([each for each in found.estimates if each.name == name]))) for name in names]
+    names, why = list(dict.fromkeys(each.name for each in found.estimates)), reasons(found)
+    named = {name: [each for each in found.estimates if each.name == name] for name in names}
+    return [(_title(name), list(_rows(estimates, why))) for name, estimates in named.items()]
 
 
 def _title(name: str) -> str:
@@ -43,7 +52,7 @@ def _title(name: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def _rows(estimates: Sequence[Estimate]) -> Iterator[Row]:
+def _rows(estimates: Sequence[Estimate], why: Sequence[str]) -> Iterator[Row]:
     """Yield the rows of one parameter; all bars have one axis."""
     logarithmic = all(each.low > 0 for each in estimates)
     largest = max((abs(end) for each in estimates for end in (each.low, each.high, each.prior)), default=1.0) or 1.0
@@ -59,7 +68,7 @@ def _rows(estimates: Sequence[Estimate]) -> Iterator[Row]:
             interval(each.low, each.high) if known else DASH,
             number(each.prior),
             each.verdict,
-            each.reason,
+            why.index(each.reason) + 1 if each.reason else None,
             COLOURS[each.verdict],
             left if known else 0.0,
             round(right - left, 2) if known else 0.0,

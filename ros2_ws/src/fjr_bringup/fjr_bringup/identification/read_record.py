@@ -49,7 +49,9 @@ def read_record(
     window = Window(reading.start, reading.duration)
     if path.name.endswith(TABLES):
         if not isinstance(reading.mapping, TableMap):
-            raise RecordError(f"{path} is a table; expected --map FILE with its columns and units")
+            raise RecordError(
+                f"{path} is a table; expected --map FILE with its columns and units (--write-map makes one)"
+            )
         samples = table_samples(path, reading.mapping, joints, window)
     else:
         samples = bag_samples(path, _bag_map(path, reading, joints, robot), joints, window)

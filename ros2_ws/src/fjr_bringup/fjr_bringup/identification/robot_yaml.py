@@ -73,7 +73,7 @@ def robot_file(
     nominal: NominalRobot, found: Identification, values: Mapping[str, object], records: Sequence[str], file: str
 ) -> RobotFile:
     """Return the robot file of identified values; without a loop if no gains are found."""
-    robot, name = robot_of({**values, **_urdf(nominal, found)}), nominal.path.stem
+    robot, name = robot_of({**values, **_urdf(nominal, found)}), nominal.name
     head = HEAD.format(name=name, records=", ".join(records), file=file)
     body = [head, *_robot_lines(found, values), *_imperfection_lines(found, nominal.joints), *_left_out(found)]
     text = "\n".join(line.rstrip("\n") for line in body) + "\n"

@@ -63,7 +63,7 @@ def _blocks(path: Path, names: list[str], delimiter: str) -> Iterator[Array]:
         _check_header(path, file.schema_arrow.names, names)
         batches: Iterator[pa.RecordBatch] = file.iter_batches(columns=names, batch_size=2**16)
     else:
-        skipped, header = _header(path, delimiter)
+        skipped, header = header_of(path, delimiter)
         _check_header(path, header, names)
         batches = pa_csv.open_csv(
             pa.input_stream(str(path), compression="detect"),
@@ -75,8 +75,8 @@ def _blocks(path: Path, names: list[str], delimiter: str) -> Iterator[Array]:
         yield np.column_stack([np.asarray(batch[name].to_numpy(zero_copy_only=False), dtype=float) for name in names])
 
 
-def _header(path: Path, delimiter: str) -> tuple[int, list[str]]:
-    """Return the number of lines before the header, and the names in it."""
+def header_of(path: Path, delimiter: str) -> tuple[int, list[str]]:
+    """Return the number of lines before the header of a CSV file, and the names in it; raises RecordError, OSError."""
     opened = gzip.open if path.suffix == ".gz" else open
     with opened(path, "rt", encoding="utf-8-sig", newline="") as stream:
         for number in range(HEADER_LINES):

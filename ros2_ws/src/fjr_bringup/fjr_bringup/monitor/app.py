@@ -12,37 +12,39 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
+from rclpy.node import Node
 from rich.console import Console
 from rich.live import Live
 
 from fjr_bringup.monitor.node import FjrWatch
 from fjr_bringup.monitor.state import View, Watched
 from fjr_bringup.monitor.terminal import render
-from fjr_bringup.recording.echo import listening
+from fjr_bringup.recording.echo import ELSEWHERE, TopicError, nodes_seen
 from fjr_bringup.result import json_text
 from fjr_core.config.description import description, locked_positions
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
+from fjr_msgs_py.node.participant import own_node
 
 PERIOD = 0.1  # s between updates of a terminal
 FRAME = 0.04  # s between updates of a browser
 PLAIN_PERIOD = 1.0  # s between updates of other outputs
 LOOK = 1.0  # s between queries of the ROS graph
-FIRST = 60.0  # s; longest wait of a single view for states and diagnostics
 PATIENCE = 2.0  # s until a notice that it is waiting
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to watch: namespace, remaps FROM:=TO, name of the controller; once: show one view and exit.
+    """What to watch: namespace, remaps FROM:=TO, name of the controller.
 
+    once [s]: show one view and exit, after at most this wait for states and diagnostics; None: show views until Ctrl-C.
     as_json: print one JSON document a view. port: show the loop in a browser, at this port of localhost, 0: any.
     """
 
     namespace: str = "/"
     remaps: tuple[str, ...] = ()
     controller: str = "fjr_controller"
-    once: bool = False
+    once: float | None = None
     as_json: bool = False
     port: int | None = None
 
@@ -78,14 +80,14 @@ def effort_limits(scenario: Scenario) -> Mapping[str, float]:
 
 
 def watch(options: Options, robot: Known, stop: threading.Event) -> None:
-    """Show the view until `stop`, or once."""
+    """Show the view until `stop`, or once; raise TopicError if nothing is there to be shown once."""
     watched = Watched(f"fjr watch {options.namespace}", robot.limits)
     console = Console(highlight=False)
-    with listening("fjr_watch", options.arguments) as node:
+    with own_node("fjr_watch", options.arguments) as node:
         listener = FjrWatch(node, watched, options.controller)
         show = _as_json if options.as_json else lambda view: console.print(render(view, console.width))
-        if options.once:
-            _once(listener, watched, show, stop)
+        if options.once is not None:
+            _once(node, listener, watched, show, options.once, stop)
         elif options.port is not None:
             _in_browser(listener, watched, robot, options, stop)
         elif options.as_json:
@@ -128,12 +130,25 @@ def _views(listener: FjrWatch, watched: Watched, period: float, stop: threading.
             return
 
 
-def _once(listener: FjrWatch, watched: Watched, show: Callable[[View], None], stop: threading.Event) -> None:
+def _once(
+    node: Node,
+    listener: FjrWatch,
+    watched: Watched,
+    show: Callable[[View], None],
+    timeout: float,
+    stop: threading.Event,
+) -> None:
     begin, notified = time.monotonic(), False
     for view in _views(listener, watched, PERIOD, stop):
-        if time.monotonic() - begin > PATIENCE and not notified:
-            notified = True
-            print("fjr: waiting for states and diagnostics", file=sys.stderr, flush=True)
-        if (view.timing is not None and view.health) or time.monotonic() - begin > FIRST:
+        waited = time.monotonic() - begin
+        late = waited > timeout
+        heard = view.timing is not None, bool(view.health)
+        if all(heard) or (late and any(heard)):
             show(replace(view, missing=tuple(listener.missing())))
             return
+        if late:
+            seen = f"no state and no diagnostics for {timeout:g} s on {', '.join(listener.waited_for)}"
+            raise TopicError(f"{seen}; {nodes_seen(node)}; {ELSEWHERE}")
+        if waited > PATIENCE and not notified:
+            notified = True
+            print(f"fjr: waiting for states and diagnostics; {nodes_seen(node)}", file=sys.stderr, flush=True)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -108,6 +109,11 @@ class _Server(ThreadingHTTPServer):
     def __init__(self, address: tuple[str, int], source: BrowserPage, content: str) -> None:
         super().__init__(address, _Answer)
         self.source, self.content = source, content.encode()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print nothing for a browser that has closed its connection, at whatever moment."""
+        if not isinstance(sys.exc_info()[1], OSError):
+            super().handle_error(request, client_address)
 
 
 class _Answer(BaseHTTPRequestHandler):

@@ -24,10 +24,10 @@ from std_msgs.msg import Float64MultiArray, String
 from fjr_bringup.monitor.app import Options
 from fjr_bringup.monitor.foxglove_server import PORT, FoxgloveServer
 from fjr_bringup.monitor.node import drained
-from fjr_bringup.recording.echo import listening
 from fjr_core.errors import RobotError
 from fjr_core.robot.urdf_frames import UrdfFrames
 from fjr_msgs_py import names
+from fjr_msgs_py.node.participant import own_node
 
 __all__ = ["PORT", "serve"]
 
@@ -50,7 +50,7 @@ def serve(options: Options, locked: Mapping[str, float], port: int, stop: thread
     locked: positions [rad, m] of joints that the robot does not publish. port: 0 for any free one.
     """
     with (
-        listening("fjr_foxglove", options.arguments) as node,
+        own_node("fjr_foxglove", options.arguments) as node,
         closing(Bridge(node, options.controller, locked, port)) as bridge,
     ):
         print(f"open {bridge.address} in Foxglove (Open connection, Foxglove WebSocket); Ctrl-C ends", flush=True)

@@ -72,6 +72,11 @@ class FjrWatch:
             for data, _ in drained(subscription):
                 on_each(deserialize_message(data, subscription.msg_type))
 
+    @property
+    def waited_for(self) -> tuple[str, str]:
+        """Return the topics of states and diagnostics."""
+        return self._stamped[0][0].topic_name, self._every[0][0].topic_name
+
     def missing(self) -> list[str]:
         """Return the topics without a publisher; one of the two command topics is enough."""
         silent = [topic for topic in self._topics if not self._node.count_publishers(topic)]

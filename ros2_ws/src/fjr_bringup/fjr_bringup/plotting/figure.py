@@ -96,14 +96,14 @@ def decimated(columns: Sequence[Array], limit: int) -> NDArray[np.intp]:
     if k <= limit:
         return np.arange(k)
     values, buckets = np.array(columns), max(1, limit // 2)
-    rows = _extremes(values, buckets)
+    rows = extremes(values, buckets)
     while len(rows) > limit and buckets > 1:
         buckets = 4 * buckets // 5
-        rows = _extremes(values, buckets)
+        rows = extremes(values, buckets)
     return rows
 
 
-def _extremes(values: Array, buckets: int) -> NDArray[np.intp]:
+def extremes(values: Array, buckets: int) -> NDArray[np.intp]:
     """Return the first and the last index, and those of the least and the largest finite values in each bucket."""
     k, width = values.shape[1], -(-values.shape[1] // buckets)
     padded = np.full((len(values), buckets * width), np.nan)

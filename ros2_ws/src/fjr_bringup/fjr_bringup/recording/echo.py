@@ -8,28 +8,28 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any
 
-import rclpy
 import yaml
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from fjr_bringup.recording.message_types import interface_class
 from fjr_bringup.recording.recorder import adapted_qos
 from fjr_bringup.result import json_text
-from fjr_core.errors import FjrError
+from fjr_core.errors import FjrError, ParameterError
 from fjr_msgs_py.messages.plain import plain
+from fjr_msgs_py.node.environment import domain
+from fjr_msgs_py.node.participant import own_node
 
 POLL = 0.02  # s between looks at the graph or the queue
 PATIENCE = 2.0  # s without a message before a notice is printed
 
 
 class TopicError(FjrError):
-    """An invalid topic name, or no message arrived on the topic."""
+    """No message arrived."""
 
 
 def echo(topic: str, count: int | None, timeout: float, stop: threading.Event, as_json: bool = False) -> int:
@@ -40,7 +40,7 @@ def echo(topic: str, count: int | None, timeout: float, stop: threading.Event, a
     """
     topic = absolute(topic)
     shown = 0
-    with listening() as node:
+    with own_node("fjr_echo") as node:
         for message in _messages(node, topic, timeout, stop):
             print(json_text(plain(message)) if as_json else text(message), flush=True)
             shown += 1
@@ -50,12 +50,12 @@ def echo(topic: str, count: int | None, timeout: float, stop: threading.Event, a
 
 
 def absolute(given: str, kind: str = "topic", example: str = "/joint_states") -> str:
-    """Return the absolute name of a topic, service or node (kind); raise TopicError if the name is invalid."""
+    """Return the absolute name of a topic, service or node (kind); raise ParameterError if the name is invalid."""
     name = given if given.startswith("/") else f"/{given}"
     try:
         validate_full_topic_name(name)
     except InvalidTopicNameException:
-        raise TopicError(
+        raise ParameterError(
             f"'{given}' is not a {kind} name; expected letters, digits, _ and single /, e.g. {example}"
         ) from None
     return name
@@ -64,20 +64,6 @@ def absolute(given: str, kind: str = "topic", example: str = "/joint_states") ->
 def text(message: Any) -> str:
     """Format a message as a YAML document."""
     return yaml.safe_dump(plain(message), sort_keys=False, default_flow_style=None, width=math.inf) + "---"
-
-
-@contextmanager
-def listening(name: str = "fjr_echo", arguments: list[str] | None = None) -> Iterator[Node]:
-    """Create a node in its own context, without signal handlers; arguments: as after --ros-args."""
-    context = rclpy.Context()
-    ros = ["--ros-args", *arguments] if arguments else None
-    rclpy.init(args=ros, context=context, signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = rclpy.create_node(name, context=context, enable_rosout=False, start_parameter_services=False)
-        yield node
-        node.destroy_node()
-    finally:
-        context.try_shutdown()
 
 
 def _messages(node: Node, topic: str, timeout: float, stop: threading.Event) -> Iterator[Any]:
@@ -95,10 +81,22 @@ def _messages(node: Node, topic: str, timeout: float, stop: threading.Event) -> 
             yield taken[0]
         silent = time.monotonic() - received
         if silent > timeout:
-            raise TopicError(f"no message of {topic} for {timeout:g} s; {_published(node)}")
+            raise TopicError(
+                f"no message of {topic} for {timeout:g} s; {_published(node)}; {nodes_seen(node)}; {ELSEWHERE}"
+            )
         if silent > PATIENCE and not notified:
             notified = True
-            print(f"fjr: waiting for {topic}; {_published(node)}", file=sys.stderr, flush=True)
+            print(f"fjr: waiting for {topic} in ROS domain {domain()}; {_published(node)}", file=sys.stderr, flush=True)
+
+
+def nodes_seen(node: Node) -> str:
+    """Return the other nodes in the ROS domain of a node, for a message."""
+    names = node.get_node_names_and_namespaces()
+    nodes = sorted(f"{space.rstrip('/')}/{name}" for name, space in names if name != node.get_name())
+    return f"nodes in ROS domain {domain()}: {', '.join(nodes) or 'none'}"
+
+
+ELSEWHERE = "start the nodes, or set the ROS_DOMAIN_ID in which they run"
 
 
 def _published(node: Node) -> str:

@@ -20,10 +20,10 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Schema
 
 from fjr_bringup.formatting import plural
-from fjr_bringup.recording.mcap_reader import MAGIC, MESSAGE, UNREADABLE, File, inner, unpacked
+from fjr_bringup.recording.mcap_reader import HEAD, MAGIC, MESSAGE, UNREADABLE, File, inner, unpacked
 from fjr_bringup.recording.message_types import typestore
 from fjr_bringup.recording.sqlite_reader import read_tables
-from fjr_bringup.recording.topic import BagError, Contents, Messages, Topic, has_times
+from fjr_bringup.recording.topic import LATEST, BagError, Contents, Messages, Topic, has_times
 
 
 def read_mcap(path: Path, contents: Contents) -> Messages:
@@ -69,26 +69,33 @@ class _McapReader:
         """Yield the messages in all undamaged records."""
         file, known = self._file, {*self._file.channels}
         for record in file.records(known):
+            content = record.content
             try:
-                own = ((record.kind, record.content),)
-                for kind, content in inner(unpacked(record.content)) if record.kind == Opcode.CHUNK else own:
-                    if kind == Opcode.MESSAGE:
-                        yield from self._message(content)
-                    else:
-                        self._define(kind, content)
+                if record.kind == Opcode.CHUNK:
+                    yield from self._inside(unpacked(content))
+                else:
+                    yield from self._inside(HEAD.pack(record.kind, len(content)) + content)
             except UNREADABLE:
                 file.damage.append(record.position)
             known |= self._topics.keys()
 
-    def _message(self, content: bytes) -> Iterator[tuple[Topic, Message]]:
-        number, sequence, log_time, publish_time = MESSAGE.unpack_from(content)
-        message = Message(number, log_time, content[MESSAGE.size :], publish_time, sequence)
-        topic = self._topic(number)
-        if topic is not None and has_times(message):
+    def _inside(self, data: bytes) -> Iterator[tuple[Topic, Message]]:
+        """Yield the messages among records one after the other; raise ValueError if the last is incomplete."""
+        wanted, topics = self._contents.wanted, self._topics
+        for kind, begin, end in inner(data):
+            if kind != Opcode.MESSAGE:
+                self._define(kind, data[begin:end])
+                continue
+            if end - begin < MESSAGE.size:
+                raise ValueError("incomplete message")
+            number, sequence, log_time, publish_time = MESSAGE.unpack_from(data, begin)
+            topic = topics.get(number) or self._topic(number)
+            if topic is None or log_time >= LATEST or publish_time >= LATEST:
+                self.invalid += 1
+                continue
             self._contents.count += 1
-            yield topic, message
-        else:
-            self.invalid += 1
+            if wanted is None or topic.name in wanted:
+                yield topic, Message(number, log_time, data[begin + MESSAGE.size : end], publish_time, sequence)
 
     def _define(self, kind: int, content: bytes) -> None:
         if kind == Opcode.SCHEMA:

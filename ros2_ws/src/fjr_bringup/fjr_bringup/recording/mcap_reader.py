@@ -155,8 +155,8 @@ class File:
         if checksum not in (0, zlib.crc32(summary)):
             return
         with suppress(*UNREADABLE):
-            for kind, content in inner(summary[: end - HEAD.size - begin]):
-                self._note(kind, ReadDataStream(BytesIO(content)))
+            for kind, first, last in inner(summary[: end - HEAD.size - begin]):
+                self._note(kind, ReadDataStream(BytesIO(summary[first:last])))
 
     def _note(self, kind: int, content: ReadDataStream) -> None:
         if kind == Opcode.SCHEMA:
@@ -173,18 +173,18 @@ class File:
         return self._stream.read(length)
 
 
-def inner(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield kind and content of the records in a chunk or summary; raise ValueError if the last is incomplete."""
-    position = 0
-    while position < len(data):
-        if len(data) - position < HEAD.size:
+def inner(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield kind, begin and end of the records in a chunk or summary; raise ValueError if the last is incomplete."""
+    position, size = 0, len(data)
+    while position < size:
+        if size - position < HEAD.size:
             raise ValueError("incomplete record")
         kind, length = HEAD.unpack_from(data, position)
-        position += HEAD.size
-        if length > len(data) - position:
+        begin = position + HEAD.size
+        position = begin + length
+        if position > size:
             raise ValueError("record longer than its container")
-        yield kind, data[position : position + length]
-        position += length
+        yield kind, begin, position
 
 
 def unpacked(content: bytes) -> bytes:

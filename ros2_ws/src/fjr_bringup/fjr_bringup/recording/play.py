@@ -16,15 +16,15 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from fjr_bringup.progress import heartbeat
-from fjr_bringup.recording.echo import absolute, listening
+from fjr_bringup.recording.echo import absolute
 from fjr_bringup.recording.message_types import SchemaError, interface_class
-from fjr_bringup.recording.reader import bag_folder
-from fjr_bringup.recording.stream import Held, in_order, overview
-from fjr_bringup.recording.topic import BagError
+from fjr_bringup.recording.reader import bag_folder, in_order, read_bag
+from fjr_bringup.recording.topic import BagError, Topic
 from fjr_bringup.result import Result
 from fjr_core.config import ros_yaml
 from fjr_core.errors import FjrError
 from fjr_msgs_py import names
+from fjr_msgs_py.node.participant import own_node
 from fjr_msgs_py.node.process import flush
 
 EFFORTS = (f"/{names.EFFORT_COMMANDS}", f"/{names.JOINT_COMMANDS}")
@@ -41,11 +41,11 @@ def play(path: Path, wanted: Sequence[str], rate: float, efforts: bool, stop: th
     """
     path = bag_folder(path)
     with heartbeat(lambda: f"fjr: reading {path}"):
-        bag = overview(path)
+        bag = read_bag(path)
     for note in bag.notes:
         print(f"fjr: {note}", file=sys.stderr)
-    topics = selected(bag.held, wanted, efforts, path)
-    with listening("fjr_play") as node:
+    topics = selected(bag.topics, wanted, efforts, path)
+    with own_node("fjr_play") as node:
         publishers = _publishers(node, topics, latched_topics(path, topics))
         if not publishers:
             raise BagError(f"{path} holds no topic that can be played; its message types are not installed here")
@@ -70,7 +70,7 @@ def _played(counts: dict[str, int], complete: bool) -> Result:
     return Result(text, {"messages": counts, "complete": complete})
 
 
-def selected(held: dict[str, Held], wanted: Sequence[str], efforts: bool, path: Path) -> dict[str, Held]:
+def selected(held: dict[str, Topic], wanted: Sequence[str], efforts: bool, path: Path) -> dict[str, Topic]:
     """Return the held topics to play by name; raise BagError if a wanted topic holds no message or commands a robot.
 
     Without `wanted` the topics that command a robot are left out with a notice, unless `efforts`.
@@ -112,7 +112,7 @@ def _is_latched(metadata: dict[str, Any]) -> bool:
     return any(profile["durability"] in ("transient_local", 1) for profile in found or ())
 
 
-def _publishers(node: Node, topics: dict[str, Held], latched: Collection[str]) -> dict[str, Publisher]:
+def _publishers(node: Node, topics: dict[str, Topic], latched: Collection[str]) -> dict[str, Publisher]:
     """Return a publisher for each topic of an installed type."""
     publishers = {}
     for name, topic in topics.items():

@@ -1,24 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read a bag back into numpy arrays: stamps, send times, and one column per joint, mapped by name."""
+"""Read a bag of any size: what it holds, its messages by receive time, joint states as arrays by joint name."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.records import Message
 from numpy.typing import NDArray
 
 from fjr_bringup.recording.formats import files_of, read_file
-from fjr_bringup.recording.topic import BagError, Contents, Messages, Times, Topic
+from fjr_bringup.recording.topic import BagError, Contents, Times, Topic
 from fjr_msgs_py.messages.cdr.layout import FIELDS
 from fjr_msgs_py.messages.cdr.recorded import joint_state_arrays
 
 Array = NDArray[np.float64]
-JOINT_STATE, DIAGNOSTICS = "sensor_msgs/msg/JointState", "/diagnostics"
+JOINT_STATE, FLOATS = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+AHEAD_MESSAGES, AHEAD_BYTES = 40_000, 2**26
+"""What is read ahead, and sorted, at most: the first limit that is reached counts."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +35,26 @@ class JointTable:
     velocity: Array  # (k, n)
     effort: Array  # (k, n)
 
+    @classmethod
+    def empty(cls, n: int) -> JointTable:
+        """Return a table of no message of n joints."""
+        times, values = np.zeros(0, dtype=np.int64), np.zeros((0, n))
+        return cls(times, times, values, values, values)
+
+    def rows(self, rows: slice | NDArray[np.intp] | NDArray[np.bool_]) -> JointTable:
+        """Return the selected messages."""
+        return JointTable(*(values[rows] for values in vars(self).values()))
+
+    def followed_by(self, later: JointTable) -> JointTable:
+        """Return these messages and later ones."""
+        return JointTable(*map(np.concatenate, zip(vars(self).values(), vars(later).values(), strict=True)))
+
 
 @dataclass(frozen=True)
 class Bag:
-    """All topics of a bag. complete: closed by the recorder; namespace: of its nodes; notes: one sentence a loss.
+    """What a bag holds; its messages are read when they are asked for, so that its size does not matter.
 
+    topics: those with messages. complete: closed by the recorder; namespace: of its nodes; notes: one sentence a loss.
     A topic without an exact match is searched for in all namespaces; an ambiguous match is an error.
     """
 
@@ -49,70 +68,105 @@ class Bag:
         """Return whether a topic has messages."""
         return self._full_name(name) is not None
 
-    def topic(self, name: str) -> Topic:
-        """Return a topic; raise BagError, listing the recorded topics, if it is missing or empty."""
+    def held(self, name: str) -> Topic:
+        """Return a topic without its messages; raise BagError, listing the recorded topics, if it has none."""
         found = self._full_name(name)
         if found is None:
-            recorded = sorted(name for name, topic in self.topics.items() if topic.messages)
-            held = ", ".join(recorded) or ("nothing" if self.complete else "nothing, and was not closed")
+            held = ", ".join(sorted(self.topics)) or ("nothing" if self.complete else "nothing, and was not closed")
             raise BagError(f"{self.path} holds no message of {self.namespace}{name}; it holds {held}")
         return self.topics[found]
 
+    def topic(self, name: str) -> Topic:
+        """Return a topic with all its messages in memory; raise BagError as `held` does."""
+        found = self.held(name)
+        return replace(found, messages=[message for _, message in in_order(self.path, (found.name,))])
+
     def _full_name(self, name: str) -> str | None:
-        recorded = [topic for topic, found in self.topics.items() if found.messages]
-        if self.namespace + name in recorded:
+        if self.namespace + name in self.topics:
             return self.namespace + name
-        others = [] if self.namespace else [topic for topic in recorded if topic.endswith(name)]
+        others = [] if self.namespace else [topic for topic in self.topics if topic.endswith(name)]
         if len(others) > 1:
             raise BagError(f"{self.path} holds {' and '.join(sorted(others))}: name one of them by its --namespace")
         return others[0] if others else None
 
     def joints(self, name: str, joints: Sequence[str]) -> JointTable:
-        """Return a JointState topic as arrays with columns in the order of `joints`; raise BagError."""
-        topic = self.topic(name)
+        """Return a whole JointState topic as arrays with columns in the order of `joints`; raise BagError."""
+        return self.table(self.topic(name), joints)
+
+    def table(self, topic: Topic, joints: Sequence[str]) -> JointTable:
+        """Return the messages of a topic of JointStates, or of efforts in the order of `joints`, as arrays."""
+        if topic.type_name == FLOATS:
+            return _efforts(topic, len(joints))
         if topic.type_name != JOINT_STATE:
             raise BagError(f"{topic.name} of {self.path} is a {topic.type_name}; expected {JOINT_STATE}")
-        (first,) = topic.first(1)
+        if not topic.messages:
+            return JointTable.empty(len(joints))
+        (first,) = topic.decode(topic.messages[:1])
         arrays = joint_state_arrays([message.data for message in topic.messages], first)
         if arrays is None:
             return _one_by_one(topic, joints)
         stamp, values = arrays
         return JointTable(stamp, topic.publish_time, *(_named(values[what], first.name, joints) for what in FIELDS))
 
-    def lost(self) -> dict[str, int | None]:
-        """Return the number of lost messages by topic; None if unknown."""
-        return {name: topic.lost for name, topic in sorted(self.topics.items()) if topic.messages}
+    def batches(self, names: Collection[str], leading: str, size: int) -> Iterator[dict[str, Topic]]:
+        """Yield the messages of topics, as they were sent, in batches of `size` messages of the leading topic.
 
-    def counters(self) -> dict[str, dict[str, str]]:
-        """Return the last /diagnostics status of each name: name -> key -> value, as published."""
-        last: dict[str, dict[str, str]] = {}
-        for message in self.topic(DIAGNOSTICS).decoded if self.holds(DIAGNOSTICS) else []:
-            for status in message.status:
-                last[status.name] = {pair.key: pair.value for pair in status.values}
-        return last
+        A message that was received late, beside busy programs for example, has its place among the others.
+        """
+        full = {self.held(name).name: name for name in names}
+        batch = {name: replace(self.topics[each], messages=[]) for each, name in full.items()}
+        for each, message in in_order(self.path, full, sent=True):
+            messages = batch[full[each]].messages
+            messages.append(message)
+            if full[each] == leading and len(messages) == size:
+                yield batch
+                batch = {name: replace(topic, messages=[]) for name, topic in batch.items()}
+        yield batch
 
 
 def read_bag(path: str | Path, namespace: str = "") -> Bag:
-    """Read a bag, given its folder, one of its files or the folder of a run; raise BagError.
+    """Return what a bag holds, given its folder, one of its files or the folder of a run; raise BagError.
 
     namespace: of the topics, empty or with a leading slash.
     """
-    path = bag_folder(Path(path))
-    contents = Contents()
-    complete = [_keep(read_file(file, contents)) for file in files_of(path)]
-    for topic in contents.topics.values():
-        topic.messages.sort(key=lambda message: message.log_time)
-    return Bag(path, contents.topics, all(complete), namespace, tuple(contents.notes))
+    path, contents, complete = bag_folder(Path(path)), Contents(), True
+    for file in files_of(path):
+        messages = read_file(file, contents)
+        while True:
+            try:
+                topic, message = next(messages)
+            except StopIteration as end:
+                complete &= bool(end.value)
+                break
+            topic.note(message)
+    topics = {name: topic for name, topic in contents.topics.items() if topic.count}
+    return Bag(path, topics, complete, namespace, tuple(contents.notes))
 
 
-def _keep(messages: Messages) -> bool:
-    """Add the messages of a file to their topics; return whether the file was closed."""
-    while True:
-        try:
-            topic, message = next(messages)
-        except StopIteration as end:
-            return bool(end.value)
-        topic.messages.append(message)
+def in_order(path: Path, names: Collection[str], sent: bool = False) -> Iterator[tuple[str, Message]]:
+    """Yield topic and message of the named topics by receive time, or by the time they were sent; raise BagError.
+
+    Messages are sorted as far as AHEAD_MESSAGES and AHEAD_BYTES reach; recorders write them almost sorted.
+    """
+    ahead: list[tuple[int, str, Message]] = []
+    size, wanted = 0, frozenset(names)
+    contents = Contents(wanted=wanted)
+    for file in files_of(bag_folder(path)):
+        for topic, message in read_file(file, contents):
+            if topic.name not in wanted:
+                continue
+            ahead.append((message.publish_time if sent else message.log_time, topic.name, message))
+            size += len(message.data)
+            if len(ahead) > AHEAD_MESSAGES or size > AHEAD_BYTES:
+                ahead.sort(key=itemgetter(0))
+                half = max(1, len(ahead) // 2)
+                for _, name, each in ahead[:half]:
+                    yield name, each
+                del ahead[:half]
+                size = sum(len(each.data) for _, _, each in ahead)
+    ahead.sort(key=itemgetter(0))
+    for _, name, message in ahead:
+        yield name, message
 
 
 def bag_folder(path: Path) -> Path:
@@ -128,6 +182,18 @@ def _named(values: Array, names: Sequence[str], joints: Sequence[str]) -> Array:
         if 0 <= place < values.shape[1]:
             table[:, column] = values[:, place]
     return table
+
+
+def _efforts(topic: Topic, n: int) -> JointTable:
+    """Return the efforts of n joints in arrays of numbers, which carry no stamp; other lengths are left out."""
+    valid = [
+        (m.publish_time, each.data)
+        for m, each in zip(topic.messages, topic.decoded, strict=True)
+        if len(each.data) == n
+    ]
+    times = np.array([sent for sent, _ in valid], dtype=np.int64)
+    nothing = np.full((len(valid), n), np.nan)
+    return JointTable(times, times, nothing, nothing, np.array([data for _, data in valid]).reshape(-1, n))
 
 
 def _one_by_one(topic: Topic, joints: Sequence[str]) -> JointTable:

@@ -42,7 +42,7 @@ def record(topics: Sequence[str], folder: Path | None, duration: float | None, s
 
 def _wait(recorder: Recorder, duration: float | None, stop: threading.Event) -> None:
     end = None if duration is None else time.monotonic() + duration
-    while not stop.wait(POLL) and (end is None or time.monotonic() < end):
+    while not recorder.loss and not stop.wait(POLL) and (end is None or time.monotonic() < end):
         if recorder.failure:
             raise RecordError(f"the recorder failed: {recorder.failure}")
 
@@ -58,4 +58,5 @@ def _summary(recorder: Recorder, wanted: Sequence[str], folder: Path) -> Result:
     total = sum(channel.count for channel in channels)
     text = "\n".join([*lines, f"{total} messages of {len(recorded)} topics in {folder}"])
     counts = {channel.topic: channel.count for channel in channels}
-    return Result(text, {"folder": folder, "messages": counts, "not_recorded": recorder.skipped, "loss": recorder.loss})
+    values = {"folder": folder, "messages": counts, "not_recorded": recorder.skipped, "loss": recorder.loss}
+    return Result(text, values, code=1 if recorder.loss else 0)

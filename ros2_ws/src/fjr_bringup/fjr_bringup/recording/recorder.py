@@ -23,6 +23,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fjr_bringup.recording.message_types import SchemaError, interface_class, type_hash
 from fjr_bringup.recording.writer import BagWriter, Channel
+from fjr_msgs_py.node.participant import leave
 
 QUEUE_DEPTH = 5000  # messages per topic between two drains: 5 s at 1 kHz
 BATCH = 500  # messages taken of one topic before the next has its turn: no fast topic keeps the others waiting
@@ -77,7 +78,7 @@ class Recorder:
             self._write(self.writer.close)
             if self.loss:
                 self.writer.abandon()
-            self.node.destroy_node()
+            leave(self.node)
             self.context.try_shutdown()
 
     def __enter__(self) -> Recorder:
@@ -119,14 +120,14 @@ class Recorder:
         self._drain_all(QUEUE_DEPTH)
 
     def _write(self, write: Callable[..., object], *arguments: object) -> None:
-        """Write unless an earlier write failed; a full or missing disk ends the recording, not the run."""
+        """Write unless an earlier write failed; a full or missing disk ends the recording, which `loss` says."""
         if self.loss:
             return
         try:
             write(*arguments)
         except OSError as error:
             self.loss = f"recording stopped: {error.strerror or error}"
-            print(f"fjr: {self.loss}; the run continues, {self.writer.path} holds the messages so far", file=sys.stderr)
+            print(f"fjr: {self.loss}; {self.writer.path} holds the messages so far", file=sys.stderr)
 
     def _drain_all(self, most: int) -> bool:
         """Write at most `most` messages of each topic; return whether one may have more."""

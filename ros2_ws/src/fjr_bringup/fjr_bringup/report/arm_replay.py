@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.formatting import number
 from fjr_bringup.plotting.figure import Pool
-from fjr_bringup.recording.reader import Array
+from fjr_bringup.report.shown import Shown
 from fjr_bringup.scene.urdf_scene import scene
 from fjr_core.config.description import description, locked_positions
-from fjr_core.config.scenario import Scenario
+from fjr_core.numerics.checks import Array
 
-FRAMES = 900  # of the motion; the page interpolates between them
 VISIBLE = 0.3  # rad or m, of the largest deflection as magnified at first
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
@@ -57,34 +55,33 @@ class ArmReplay:
         }
 
 
-def arm_replay(data: RunData, scenario: Scenario) -> ArmReplay | None:
+def arm_replay(data: Shown) -> ArmReplay | None:
     """Return the replay of a run; None without positions of the links. Raises ParameterError, RobotError."""
-    n, values = len(data.joints), scenario.controller_values
-    if data.joints != scenario.joints or not np.isfinite(data.q_l).any():
+    values, frames = data.run.scenario.controller_values, data.frames
+    link, motor = frames["q_l"], frames["q_m"]
+    if not np.isfinite(link).any():
         return None
-    rows = np.unique(np.linspace(0, len(data.t) - 1, FRAMES).astype(int))
-    link, motor = data.q_l[rows], data.position[rows, n:]
     return ArmReplay(
         _title(data),
         scene(description(values), locked_positions(values)),
-        data.joints,
-        data.t[rows],
+        data.run.joints,
+        frames["t"],
         link,
         motor,
-        data.q_ld[rows],
+        frames["q_ld"],
         magnification(motor - link),
     )
 
 
-def _title(data: RunData) -> str:
+def _title(data: Shown) -> str:
     """Return the largest deflection of a spring as a sentence."""
-    sizes = np.abs(data.position[:, len(data.joints) :] - data.q_l)
+    sizes, joints = data.deflection, data.run.joints
     if not np.isfinite(sizes).any():
         return "The motion of the links"
-    joint = int(np.nanargmax(np.fmax.reduce(sizes)))
-    largest = number(float(np.nanmax(sizes)), data.units[joint].position)
-    return f"The {'springs deflect' if len(data.joints) > 1 else 'spring deflects'} by at most {largest}" + (
-        f", at {data.joints[joint]}" if len(data.joints) > 1 else ""
+    joint = int(np.nanargmax(sizes))
+    largest = number(float(sizes[joint]), data.run.units[joint].position)
+    return f"The {'springs deflect' if len(joints) > 1 else 'spring deflects'} by at most {largest}" + (
+        f", at {joints[joint]}" if len(joints) > 1 else ""
     )
 
 

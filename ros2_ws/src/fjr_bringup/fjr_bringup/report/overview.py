@@ -9,19 +9,19 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from fjr_bringup.analysis.metrics import Report
-from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.plotting.figure import Line, Plot
 from fjr_bringup.plotting.picture import STYLE, draw_plot, labels, name_lines
 from fjr_bringup.report import run_figures
+from fjr_bringup.report.shown import Shown
 
 WIDTH = 68  # characters of a line over a plot
 
 
 @mpl.rc_context(STYLE)
-def draw_overview(name: str, data: RunData, report: Report, folder: Path) -> Path:
+def draw_overview(name: str, data: Shown, report: Report, folder: Path) -> Path:
     """Write overview.png into the folder and return its path."""
     figure = Figure(figsize=(14.0, 8.0))
-    longest = max(map(len, labels(data.joints))) if len(data.joints) > 1 else 0
+    longest = max(map(len, labels(data.run.joints))) if len(data.run.joints) > 1 else 0
     space = 0.26 + 0.03 * max(0, longest - 7)  # between the columns, for the names
     margins = {"left": 0.05, "right": 0.99, "bottom": 0.07, "top": 0.86, "wspace": space, "hspace": 0.48}
     axes = figure.subplots(2, 3, gridspec_kw=margins)  # an automatic layout takes as long as the drawing
@@ -38,7 +38,7 @@ def draw_overview(name: str, data: RunData, report: Report, folder: Path) -> Pat
         draw_plot(ax, plot, WIDTH)
         name_lines(ax, plot)
     clock = "in lock-step" if report.lockstep else "in real time"
-    rate = f"{1.0 / data.sample_period:g} Hz"
+    rate = f"{1.0 / report.sample_period_s:g} Hz"
     title = f"{name}: plant and controller as two ROS 2 nodes, {rate} {clock}"
     figure.suptitle(title, fontsize=13, x=0.01, y=0.98, ha="left")
     path = folder / "overview.png"
@@ -46,6 +46,6 @@ def draw_overview(name: str, data: RunData, report: Report, folder: Path) -> Pat
     return path
 
 
-def _energy(data: RunData) -> Plot:
+def _energy(data: Shown) -> Plot:
     title = "The robot's energy (this law has no certificate)"
-    return Plot("energy", title, "", data.t, [Line("H", data.H)], y_label="H [J]")
+    return Plot("energy", title, "", data.states["t"], [Line("H", data.states["H"])], y_label="H [J]")

@@ -13,17 +13,19 @@ from dataclasses import dataclass
 from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Report, Storage
 from fjr_bringup.formatting import number
+from fjr_core.numerics.one_line import at_least
 
 SAME = 0.2  # largest relative difference of two settling times that count as equal
 
 
 @dataclass(frozen=True)
 class Claim:
-    """The claim in one sentence. kind: holding if the runs show it, else unknown."""
+    """The claim in one sentence. kind: holding if the runs show it, else unknown. title: of the page, if they do."""
 
     kind: str
     heading: str
     sentence: str
+    title: str = ""
 
 
 def paper_claim(stiff: Report, soft: Report, stiffness: tuple[float, float]) -> Claim:
@@ -31,7 +33,12 @@ def paper_claim(stiff: Report, soft: Report, stiffness: tuple[float, float]) -> 
     reasons = [*_reasons(stiff, soft)]
     if reasons:
         return Claim("unknown", "The paper's claim is not shown", f"{'; '.join(reasons)}.")
-    return Claim("holding", "The paper's claim", _sentence(stiff, soft, stiffness))
+    softer, efforts = (
+        number(stiffness[0] / stiffness[1], digits=2),
+        [headlines.peak_effort(each) for each in (stiff, soft)],
+    )
+    title = f"A joint {softer} times softer: the link moves alike, the effort rises from {efforts[0]} to {efforts[1]}"
+    return Claim("holding", "The paper's claim", _sentence(stiff, soft, stiffness), title)
 
 
 def _sentence(stiff: Report, soft: Report, stiffness: tuple[float, float]) -> str:
@@ -40,7 +47,7 @@ def _sentence(stiff: Report, soft: Report, stiffness: tuple[float, float]) -> st
     stiffnesses = _both(stiffness, "N m/rad")
     settled = _both([each.tracking.settling_time_2_percent_s for each in (stiff, soft)], "s")
     decay = _both([each.measured_decay_rate_per_s for each in (first, second)], "1/s")
-    least = number(min(first.guaranteed_decay_rate_per_s, second.guaranteed_decay_rate_per_s), "1/s")
+    least = f"{at_least(min(first.guaranteed_decay_rate_per_s, second.guaranteed_decay_rate_per_s), 3)} 1/s"
     basis = "proven" if first.guarantee_is_proven and second.guarantee_is_proven else "sampled"
     return (
         f"The same law with the same gains tracks with a joint {softer} times softer: with {stiffnesses} the link "

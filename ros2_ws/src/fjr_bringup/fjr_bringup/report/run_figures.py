@@ -3,24 +3,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Report
-from fjr_bringup.analysis.power_balance import Power
-from fjr_bringup.analysis.run_data import RunData
+from fjr_bringup.analysis.timing import Distribution
 from fjr_bringup.formatting import milliseconds, number, percent, plural
 from fjr_bringup.plotting.figure import Line, Plot, colour, drawable
-from fjr_bringup.recording.reader import Array
+from fjr_bringup.report.shown import Shown
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.one_line import at_least
 from fjr_core.robot.joint_units import joined
 
 FEW = 2  # joints; with more, efforts are shown in percent of their limits first
 
 
-def run_plots(data: RunData, report: Report, flow: Power) -> list[Plot]:
+def run_plots(data: Shown, report: Report) -> list[Plot]:
     """Return the plots that are not empty, in the order of the page."""
     drawn = [
         tracking(data),
@@ -28,7 +28,7 @@ def run_plots(data: RunData, report: Report, flow: Power) -> list[Plot]:
         effort(data, report),
         storage(data, report),
         rate(data),
-        balance(flow, report),
+        balance(data, report),
         period(data, report),
         latency(data, report),
         timeline(data, report),
@@ -36,26 +36,26 @@ def run_plots(data: RunData, report: Report, flow: Power) -> list[Plot]:
     return [plot for plot in drawn if not plot.is_empty]
 
 
-def tracking(data: RunData) -> Plot:
+def tracking(data: Shown) -> Plot:
     """Plot q_l over q_ld."""
-    many = len(data.joints) > 1
-    size = np.abs(data.error).max(axis=1)
+    joints, states = data.run.joints, data.states
+    many, size = len(joints) > 1, states["largest_error"]
     verb = "follow" if size[-1] <= max(size[0], 1e-3) else "do not follow"
     if not many:
         verb = {"follow": "follows", "do not follow": "does not follow"}[verb]
-    reference = [Line("reference" if j == 0 else "", data.q_ld[:, j], "grey", 4.0) for j in range(len(data.joints))]
-    links = _per_joint(data, data.q_l)
+    reference = [Line("reference" if j == 0 else "", column, "grey", 4.0) for j, column in enumerate(states["q_ld"].T)]
+    links = _per_joint(data, states["q_l"])
     return Plot(
         "tracking",
         f"The {'links' if many else 'link'} {verb} the reference",
         "Link positions over the reference (grey).",
-        data.t,
+        states["t"],
         [*reference, *links],
-        y_label=f"q_l, q_ld [{joined(each.position for each in data.units)}]",
+        y_label=f"q_l, q_ld [{joined(each.position for each in data.run.units)}]",
     )
 
 
-def error(data: RunData, report: Report) -> Plot:
+def error(data: Shown, report: Report) -> Plot:
     """Plot |q_l - q_ld| on a log axis."""
     worst, first = report.tracking.max_error_after_2s_rad, report.tracking.initial_error_rad
     title = f"The error begins at {headlines.initial_error(report)}"
@@ -66,21 +66,28 @@ def error(data: RunData, report: Report) -> Plot:
     caption = "Tracking error of each joint; log axis." + (
         f" Within 2 % of the initial error from {number(settled, 's')} on." if settled else ""
     )
-    lines = _per_joint(data, np.abs(data.error), width=1.2)
+    lines = _per_joint(data, np.abs(data.states["error"]), width=1.2)
     return Plot(
-        "error", title, caption, data.t, lines, y_label=f"|q_l − q_ld| [{headlines.position_unit(report)}]", y_log=True
+        "error",
+        title,
+        caption,
+        data.states["t"],
+        lines,
+        y_label=f"|q_l − q_ld| [{headlines.position_unit(report)}]",
+        y_log=True,
     )
 
 
-def effort(data: RunData, report: Report) -> Plot:
+def effort(data: Shown, report: Report) -> Plot:
     """Plot the commands and their limits; also in percent of the limits if every joint has one."""
     title, unit = f"The effort peaks at {headlines.peak_effort_and_share(report)}", headlines.effort_unit(report)
-    limited = np.isfinite(data.effort_limit)
+    t, limit = data.states["t"], data.run.effort_limit
+    limited = np.isfinite(limit)
     caption = "Commands, held from state to state. " + _limits_caption(report)
-    torque = Plot("effort", title, caption, data.t, _efforts(data, np.ones(len(limited))), y_label=f"u [{unit}]")
+    torque = Plot("effort", title, caption, t, _efforts(data, np.ones(len(limited))), y_label=f"u [{unit}]")
     if not limited.all():
         return torque
-    shares = Plot("effort", title, caption, data.t, _efforts(data, data.effort_limit / 100.0), y_label="u [% of limit]")
+    shares = Plot("effort", title, caption, t, _efforts(data, limit / 100.0), y_label="u [% of limit]")
     first, second = ((torque, unit), (shares, "% of limit"))[:: 1 if len(limited) <= FEW else -1]
     return replace(first[0], views={second[1]: second[0]})
 
@@ -92,13 +99,14 @@ def _limits_caption(report: Report) -> str:
     return f"Limits dashed; {percent(saturated) + ' of the commands reach' if saturated else 'no command reaches'} one."
 
 
-def _efforts(data: RunData, unit: Array) -> list[Line]:
-    limits = np.where(np.isfinite(data.effort_limit), data.effort_limit, np.nan) / unit
+def _efforts(data: Shown, unit: Array) -> list[Line]:
+    limit = data.run.effort_limit
+    limits = np.where(np.isfinite(limit), limit, np.nan) / unit
     same = np.allclose(limits, limits[0])
-    lines = _per_joint(data, data.u / unit, width=1.3, step=True)
+    lines = _per_joint(data, data.states["u"] / unit, width=1.3, step=True)
     for j in range(1 if same else len(limits)):
         if np.isfinite(limits[j]):
-            shade, flat = "grey" if same else colour(j), np.full(len(data.t), limits[j])
+            shade, flat = "grey" if same else colour(j), np.full(len(data.states["t"]), limits[j])
             lines += [
                 Line("limit" if same and i == 0 else "", sign * flat, shade, 1.0, (6, 4))
                 for i, sign in enumerate((1, -1))
@@ -106,12 +114,11 @@ def _efforts(data: RunData, unit: Array) -> list[Line]:
     return lines
 
 
-def storage(data: RunData, report: Report) -> Plot:
+def storage(data: Shown, report: Report) -> Plot:
     """Plot V and its bound V(0) exp(-2 beta t) on a log axis; the caption explains why V leaves the bound."""
     found, relative = report.storage, drawable(data.relative_storage, log=True)
     floor = float(np.nanmin(relative, initial=1e-3)) / 30.0
-    with np.errstate(all="ignore"):
-        bound = data.bound / (data.V[0] or 1.0)
+    bound = data.relative_bound
     lines = [
         Line("V / V(0)", relative, "c1", 1.5),
         Line("bound exp(−2βt)", np.where(bound > floor, bound, np.nan), "grey", 1.5, (6, 4)),
@@ -119,14 +126,16 @@ def storage(data: RunData, report: Report) -> Plot:
     title, caption = "V and its bound", ""
     if found is not None:
         basis = "proven" if found.guarantee_is_proven else "sampled"
-        least = f"{basis}: at least {number(found.guaranteed_decay_rate_per_s, '1/s')}"
+        least = f"{basis}: at least {at_least(found.guaranteed_decay_rate_per_s, 3)} 1/s"
         measured = found.measured_decay_rate_per_s
         title = f"V falls at {number(measured, '1/s')}; {least}" if measured else f"V and its bound; {least}"
         caption = _bound_caption(data, report)
-    return Plot("storage", title, caption, data.t, lines, y_label="V(t) / V(0)", y_log=True, y_range=(floor, None))
+    return Plot(
+        "storage", title, caption, data.states["t"], lines, y_label="V(t) / V(0)", y_log=True, y_range=(floor, None)
+    )
 
 
-def _bound_caption(data: RunData, report: Report) -> str:
+def _bound_caption(data: Shown, report: Report) -> str:
     found = report.storage
     if found is None or found.leaves_bound_at_s is None or found.relative_where_it_leaves is None:
         return "V stays within its bound throughout."
@@ -135,39 +144,30 @@ def _bound_caption(data: RunData, report: Report) -> str:
     if report.verdict.kind == "holding":
         return (
             f"{leaves} The proof assumes continuous time; the controller is sampled: it holds u for "
-            f"{number(data.sample_period * 1e3, 'ms')}, so V levels off."
+            f"{number(data.run.sample_period * 1e3, 'ms')}, so V levels off."
         )
     return leaves
 
 
-def rate(data: RunData) -> Plot:
+def rate(data: Shown) -> Plot:
     """Plot -dV/dt [W]: predicted by the model for the effort sent, measured, and required by the bound."""
-    with np.errstate(all="ignore"):
-        measured = -np.diff(data.V) / np.diff(data.t)
-    predicted = -data.dV
-    least = data.beta * (data.V[:-1] + data.V[1:])
     lines = [
-        Line("predicted", predicted, "grey", 4.0),
-        Line("measured", measured, "c1", 1.2),
-        Line("2βV, required by the bound", least, "c2", 1.2, (6, 4)),
+        Line("predicted", data.steps["predicted"], "grey", 4.0),
+        Line("measured", data.steps["measured"], "c1", 1.2),
+        Line("2βV, required by the bound", data.steps["least"], "c2", 1.2, (6, 4)),
     ]
     caption = (
         "Rate of decay of V between states: predicted by the model for the effort sent, measured, and required by the "
         "bound. Gaps: V grows because u is held."
     )
-    return Plot("rate", _rate_title(predicted, measured), caption, data.t[:-1], lines, y_label="−dV/dt [W]", y_log=True)
+    title = "The rate of V"
+    if 0 < data.size < np.inf:
+        apart = data.apart / data.size
+        title = f"V's rate is predicted {'to' if apart < 0.1 else 'only to'} {number(100 * apart, '%', 2)}"
+    return Plot("rate", title, caption, data.steps["t"], lines, y_label="−dV/dt [W]", y_log=True)
 
 
-def _rate_title(predicted: Array, measured: Array) -> str:
-    known = np.isfinite(predicted) & np.isfinite(measured)
-    size = float(np.abs(measured[known]).sum()) if known.any() else 0.0
-    if not 0 < size < np.inf:
-        return "The rate of V"
-    apart = float(np.abs(predicted - measured)[known].sum()) / size
-    return f"V's rate is predicted {'to' if apart < 0.1 else 'only to'} {number(100 * apart, '%', 2)}"
-
-
-def balance(flow: Power, report: Report) -> Plot:
+def balance(data: Shown, report: Report) -> Plot:
     """Plot the energy supplied, dissipated and stored since the start; the other view shows the power."""
     title, energy = "Energy balance", report.energy
     if energy is not None and np.isfinite(energy.rms_residual_of_supplied):
@@ -177,24 +177,22 @@ def balance(flow: Power, report: Report) -> Plot:
         "In the model, the energy that the motors supply is stored or dissipated. The residual is due to friction, "
         "load, delay or wrong parameters."
     )
-    watts = Plot("power", title, caption, flow.t, _flows(flow, np.asarray), y_label="power [W]")
-    joules = _flows(flow, lambda values: np.nancumsum(values * flow.dt))
-    return Plot("power", title, caption, flow.t, joules, y_label="energy since the start [J]", views={"W": watts})
+    t, lines = data.steps["t"], {name: _flows(data, name) for name in ("watts", "joules")}
+    watts = Plot("power", title, caption, t, lines["watts"], y_label="power [W]")
+    energies = {"y_label": "energy since the start [J]", "views": {"W": watts}}
+    return Plot("power", title, caption, t, lines["joules"], **energies)  # type: ignore[arg-type]
 
 
-def _flows(flow: Power, shown: Callable[[Array], Array]) -> list[Line]:
-    if not np.isfinite(flow.residual).any():
+def _flows(data: Shown, unit: str) -> list[Line]:
+    if not np.isfinite(data.steps["watts"]).any():
         return []
-    return [
-        Line("supplied", shown(flow.supplied), "c1", 1.5),
-        Line("dissipated", shown(flow.dissipated), "c2", 1.5),
-        Line("stored", shown(flow.stored), "c3", 1.5),
-        Line("residual", shown(flow.residual), "bad", 1.2),
-    ]
+    names, colours = ("supplied", "dissipated", "stored", "residual"), ("c1", "c2", "c3", "bad")
+    columns = zip(names, data.steps[unit].T, colours, (1.5, 1.5, 1.5, 1.2), strict=True)
+    return [Line(name, values, shade, width) for name, values, shade, width in columns]
 
 
-def _per_joint(data: RunData, values: Array, width: float = 1.5, step: bool = False) -> list[Line]:
-    return [Line(joint, values[:, j], colour(j), width, step=step) for j, joint in enumerate(data.joints)]
+def _per_joint(data: Shown, values: Array, width: float = 1.5, step: bool = False) -> list[Line]:
+    return [Line(joint, values[:, j], colour(j), width, step=step) for j, joint in enumerate(data.run.joints)]
 
 
 BINS = 60
@@ -202,54 +200,53 @@ HALF = 0.5  # states; drawn for an empty bin on the log axis
 SMALLEST = 1e-3  # ms
 
 
-def period(data: RunData, report: Report) -> Plot:
+def period(data: Shown, report: Report) -> Plot:
     """Plot the distribution of the time between states."""
     timing, counts = report.timing, report.counts
     title = f"{counts.published} of {counts.nominal} states published"
     caption = _percentiles(timing.period_p50_us, timing.period_p99_us, timing.period_max_us)
-    return _histogram("period", title, caption, np.diff(data.sent) * 1e3, "time between states [ms]", "c1")
+    return _histogram("period", title, caption, data.metrics.clock.periods, "time between states [ms]", "c1")
 
 
-def latency(data: RunData, report: Report) -> Plot:
+def latency(data: Shown, report: Report) -> Plot:
     """Plot the distribution of the time from state to command."""
     timing, counts = report.timing, report.counts
     title = f"{percent(counts.answered_in_time_fraction)} answered before the next state"
     caption = _percentiles(timing.latency_p50_us, timing.latency_p99_us, timing.latency_max_us)
-    return _histogram("latency", title, caption, data.latency * 1e3, "state to command [ms]", "c3")
+    return _histogram("latency", title, caption, data.metrics.clock.latencies, "state to command [ms]", "c3")
 
 
-def timeline(data: RunData, report: Report) -> Plot:
+def timeline(data: Shown, report: Report) -> Plot:
     """Plot the time between states and from state to command over the run."""
-    counts, since = report.counts, np.diff(data.sent, prepend=np.nan) * 1e3
+    counts, t = report.counts, data.states["t"]
     lines = [
-        Line("since the last state", since, "c1", 1.0),
-        Line("to its command", data.latency * 1e3, "c3", 1.0),
-        Line("sample period", np.full(len(data.t), data.sample_period * 1e3), "grey", 1.0, (6, 4)),
+        Line("since the last state", data.states["since"] * 1e3, "c1", 1.0),
+        Line("to its command", data.states["latency"] * 1e3, "c3", 1.0),
+        Line("sample period", np.full(len(t), data.run.sample_period * 1e3), "grey", 1.0, (6, 4)),
     ]
     late = "" if counts.late is None else f", {plural(counts.late, 'late answer')}, {counts.unanswered} without"
     caption = "Time from state to state and from state to command, by the middleware's stamps at sending."
     title = plural(counts.gaps, "gap") + late
-    return Plot("timeline", title, caption, data.t, lines, y_label="[ms]", y_log=True, wide=True)
+    return Plot("timeline", title, caption, t, lines, y_label="[ms]", y_log=True, wide=True)
 
 
 def _percentiles(p50: float, p99: float, largest: float) -> str:
     return f"50 %: {milliseconds(p50)}, 99 %: {milliseconds(p99)}, largest: {milliseconds(largest)}."
 
 
-def _histogram(name: str, title: str, caption: str, values: Array, label: str, shade: str) -> Plot:
+def _histogram(name: str, title: str, caption: str, times: Distribution, label: str, shade: str) -> Plot:
     """Plot a histogram with two log axes that cover all values."""
-    edges, heights = bins(values[np.isfinite(values)])
+    edges, heights = bins(times)
     line = Line("states", heights, shade, 1.2, step=True, fill=True)
     axes = {"x_label": label, "y_label": "states", "x_log": True, "y_log": True, "time": False}
     return Plot(name, title, caption, edges, [line], y_range=(HALF, None), **axes)  # type: ignore[arg-type]
 
 
-def bins(values: Array) -> tuple[Array, Array]:
+def bins(times: Distribution) -> tuple[Array, Array]:
     """Return edges (BINS + 1,) [ms] and the counts from each edge to the next, HALF for an empty bin."""
-    if not values.size:
+    if not times.count:
         return np.array([SMALLEST, 1.0]), np.full(2, np.nan)
-    low = max(float(values.min()), SMALLEST)
-    high = max(float(values.max()) * 1.01, 1.2 * low)
+    low = max(times.least * 1e-6, SMALLEST)
+    high = max(times.largest * 1e-6 * 1.01, 1.2 * low)
     edges = np.asarray(np.geomspace(min(low, high / 2) / 1.01, high, BINS + 1), dtype=np.float64)
-    counted, _ = np.histogram(np.maximum(values, edges[0]), bins=edges)
-    return edges, np.append(np.maximum(counted.astype(float), HALF), HALF)
+    return edges, np.append(np.maximum(times.histogram(edges * 1e6), HALF), HALF)

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Report
-from fjr_bringup.analysis.power_balance import Power
-from fjr_bringup.analysis.run_data import RunData
 from fjr_bringup.formatting import milliseconds, number, percent, sentence
 from fjr_bringup.provenance import without_home
 from fjr_bringup.report import html
 from fjr_bringup.report.arm_replay import ArmReplay
 from fjr_bringup.report.run_figures import run_plots
+from fjr_bringup.report.shown import Shown
+from fjr_core.numerics.one_line import at_least
 
 FOOTER = (
     "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. "
@@ -21,13 +21,13 @@ FOOTER = (
 )
 
 
-def write_run_page(path: Path, data: RunData, report: Report, flow: Power, arm: ArmReplay | None = None) -> None:
+def write_run_page(path: Path, data: Shown, report: Report, arm: ArmReplay | None = None) -> None:
     """Write the page of a run, with the arm in 3D if it is given; raises AssetError."""
     html.write_page(
         path,
         "run.html",
         f"{report.scenario}: {report.stop.heading if report.stop else html.HEADINGS[report.status]}",
-        run_plots(data, report, flow),
+        run_plots(data, report),
         arm,
         report=report,
         kicker=f"Tracking report · {without_home(report.bag)} · {number(report.duration_s, 's')}",
@@ -62,7 +62,7 @@ def tiles(report: Report) -> list[tuple[str, str]]:
     ]
     if storage is not None:
         basis = "proven" if storage.guarantee_is_proven else "sampled"
-        least = f"decay of V; {basis}: at least {number(storage.guaranteed_decay_rate_per_s, '1/s')}"
+        least = f"decay of V; {basis}: at least {at_least(storage.guaranteed_decay_rate_per_s, 3)} 1/s"
         shown.append((number(storage.measured_decay_rate_per_s, "1/s"), least))
     return [
         *shown,

@@ -12,12 +12,14 @@ import numpy as np
 
 from fjr_bringup.analysis import headlines
 from fjr_bringup.analysis.metrics import Energy, Report, Storage
-from fjr_bringup.analysis.run_data import RunData
+from fjr_bringup.analysis.timing import Distribution
 from fjr_bringup.formatting import milliseconds, number, percent
 from fjr_bringup.plotting.figure import DRAWN, Line, Plot, colour, decimated, drawable
-from fjr_bringup.recording.reader import Array
 from fjr_bringup.report import html
 from fjr_bringup.report.paper_claim import Claim
+from fjr_bringup.report.shown import Shown
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.one_line import at_least
 from fjr_core.robot.joint_units import joined
 
 COLOURED = {"holding": "ok", "degraded": "maybe", "violated": "no", "unknown": "maybe", "late": "maybe"}
@@ -61,13 +63,14 @@ ROWS: dict[str, tuple[Row, ...]] = {
 
 
 def write_comparison(path: Path, runs: Sequence[Compared], claim: Claim | None = None) -> None:
-    """Write the page of two runs or more; claim: what the runs show together. Raises AssetError."""
+    """Write the page of two runs or more; claim: what the first two show together. Raises AssetError."""
+    labels = " · ".join(run.label for run in runs)
     html.write_page(
         path,
         "runs.html",
-        " · ".join(run.label for run in runs),
-        side_by_side_plots(runs),
-        kicker=f"Comparison of {len(runs)} runs",
+        claim.title if claim and claim.title else labels,
+        [*(transients(runs[:2]) if claim else []), *side_by_side_plots(runs)],
+        kicker=f"Comparison of {len(runs)} runs: {labels}",
         notes=[f"{run.label}: {note}" for run in runs for note in (*run.notes, *run.report.missing)],
         claim=claim,
         runs=runs,
@@ -87,11 +90,12 @@ def _least(report: Report) -> str:
     if storage is None:
         return number(None)
     basis = "proven" if storage.guarantee_is_proven else "sampled"
-    return f"{number(storage.guaranteed_decay_rate_per_s, '1/s')} ({basis})"
+    return f"{at_least(storage.guaranteed_decay_rate_per_s, 3)} 1/s ({basis})"
 
 
 POINTS = 240  # of a distribution curve
 SHORTEST = 1e-3  # ms
+TRANSIENT = 0.6  # s
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,7 @@ class Compared:
     """One of several runs: unique label, data and report, path of its own page, notes on how it was made."""
 
     label: str
-    data: RunData
+    data: Shown
     report: Report
     page: Path
     notes: tuple[str, ...] = ()
@@ -107,10 +111,10 @@ class Compared:
 
 def side_by_side_plots(runs: Sequence[Compared]) -> list[Plot]:
     """Return the plots that are not empty, in the order of the page."""
-    errors = [np.abs(run.data.error).max(axis=1) for run in runs]
-    efforts = [np.fmax.reduce(np.abs(run.data.u), axis=1) for run in runs]
-    latencies = [run.data.latency * 1e3 for run in runs]
-    periods = [np.diff(run.data.sent) * 1e3 for run in runs]
+    errors = [run.data.states["largest_error"] for run in runs]
+    efforts = [run.data.states["largest_effort"] for run in runs]
+    latencies = [run.data.metrics.clock.latencies for run in runs]
+    periods = [run.data.metrics.clock.periods for run in runs]
     largest = "The largest {} of all joints at each state; log axis."
     error, effort = (f"{symbol} [{_units(runs, what)}]" for symbol, what in (("error", "position"), ("|u|", "effort")))
     drawn = [
@@ -123,8 +127,30 @@ def side_by_side_plots(runs: Sequence[Compared]) -> list[Plot]:
     return [plot for plot in drawn if not plot.is_empty]
 
 
+def transients(runs: Sequence[Compared]) -> list[Plot]:
+    """Return the plots of link position and effort of one joint over the first TRANSIENT seconds, on linear axes."""
+    shown = [(run, run.data.states["t"] <= TRANSIENT) for run in runs]
+    times = np.unique(np.concatenate([run.data.states["t"][early] for run, early in shown]))
+    reference = shown[0][0].data.states
+
+    def lines(name: str) -> list[Line]:
+        columns = [(run, run.data.states["t"], run.data.states[name][:, 0]) for run, _ in shown]
+        return [
+            Line(run.label, np.interp(times, t, column, np.nan, np.nan), colour(i), 2.0)
+            for i, (run, t, column) in enumerate(columns)
+        ]
+
+    desired = Line("reference", np.interp(times, reference["t"], reference["q_ld"][:, 0]), "grey", 4.0)
+    position, effort = (f"{symbol} [{_units(runs, what)}]" for symbol, what in (("q_l", "position"), ("u", "effort")))
+    alike, apart = "Link position: both joints converge alike", "Effort: the softer joint needs far more"
+    return [
+        Plot("positions", alike, "The first joint.", times, [desired, *lines("q_l")], y_label=position, place="claim"),
+        Plot("efforts", apart, "The first joint.", times, lines("u"), y_label=effort, place="claim"),
+    ]
+
+
 def _units(runs: Sequence[Compared], what: str) -> str:
-    return joined(getattr(each, what) for run in runs for each in run.data.units)
+    return joined(getattr(each, what) for run in runs for each in run.data.run.units)
 
 
 def storages(runs: Sequence[Compared]) -> Plot:
@@ -133,9 +159,12 @@ def storages(runs: Sequence[Compared]) -> Plot:
     floor = min(float(np.nanmin(values, initial=1e-3)) for values in relative) / 30.0
     caption = "V relative to its start; dashed: the bound exp(−2βt) of each run."
     plot = _over_time("storage", "Storage V and its bound", caption, runs, relative, "V(t) / V(0)")
-    bounds = [np.where(run.data.V[0] > 0, np.exp(-2.0 * run.data.beta * plot.x), np.nan) for run in runs]
+    decays = [run.data.metrics.decay for run in runs]
+    bounds = [np.where(each.initial > 0, np.exp(-2.0 * each.beta * plot.x), np.nan) for each in decays]
     dashed = [
-        Line("", np.where((bound > floor) & (plot.x <= run.data.t[-1]), bound, np.nan), colour(i), 1.2, (6, 4))
+        Line(
+            "", np.where((bound > floor) & (plot.x <= run.data.metrics.seconds), bound, np.nan), colour(i), 1.2, (6, 4)
+        )
         for i, (run, bound) in enumerate(zip(runs, bounds, strict=True))
     ]
     return Plot(plot.name, plot.title, caption, plot.x, [*plot.lines, *dashed], y_label=plot.y_label, y_log=True)
@@ -146,24 +175,23 @@ def _over_time(
 ) -> Plot:
     """Plot values over the union of the runs' times."""
     rows = [decimated([column], DRAWN // len(runs)) for column in values]
-    times = np.unique(np.concatenate([run.data.t[keep] for run, keep in zip(runs, rows, strict=True)]))
+    times = np.unique(np.concatenate([run.data.states["t"][keep] for run, keep in zip(runs, rows, strict=True)]))
     lines = [
-        Line(run.label, np.interp(times, run.data.t[keep], column[keep], np.nan, np.nan), colour(i), 1.3)
+        Line(run.label, np.interp(times, run.data.states["t"][keep], column[keep], np.nan, np.nan), colour(i), 1.3)
         for i, (run, keep, column) in enumerate(zip(runs, rows, values, strict=True))
     ]
     return Plot(name, title, caption, times, lines, y_label=label, y_log=True)
 
 
-def _distribution(name: str, title: str, what: str, runs: Sequence[Compared], values: Sequence[Array]) -> Plot:
+def _distribution(name: str, title: str, what: str, runs: Sequence[Compared], values: Sequence[Distribution]) -> Plot:
     """Plot the share of the states whose value [ms] is larger than a time."""
-    known = [np.sort(column[np.isfinite(column)]) for column in values]
-    everything = np.maximum(np.concatenate(known), SHORTEST)
-    low, high = float(everything.min(initial=1.0)), float(everything.max(initial=SHORTEST))
-    times = np.geomspace(low / 1.05, max(high, low) * 1.05, POINTS)
+    low = max(min([1.0, *(each.least * 1e-6 for each in values)]), SHORTEST)
+    high = max(SHORTEST, *(each.largest * 1e-6 for each in values))
+    times = np.asarray(np.geomspace(low / 1.05, max(high, low) * 1.05, POINTS), dtype=np.float64)
     lines = [
-        Line(run.label, 100.0 * (1.0 - np.searchsorted(column, times, side="right") / max(1, len(column))), colour(i))
-        for i, (run, column) in enumerate(zip(runs, known, strict=True))
-        if len(column)
+        Line(run.label, 100.0 * each.above(times * 1e6), colour(i))
+        for i, (run, each) in enumerate(zip(runs, values, strict=True))
+        if each.count
     ]
     caption = f"Share of the states {what} than the time on the axis; both axes log."
     axes = {"x_label": "time [ms]", "y_label": "states [%]", "x_log": True, "y_log": True, "time": False}

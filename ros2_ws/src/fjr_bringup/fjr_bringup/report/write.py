@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 
 from fjr_bringup.analysis import headlines
-from fjr_bringup.analysis.metrics import Report, make_report
-from fjr_bringup.analysis.power_balance import power
-from fjr_bringup.analysis.run_data import RunData, run_data
+from fjr_bringup.analysis.metrics import Metrics, Report, make_report
+from fjr_bringup.analysis.run_data import Recording
 from fjr_bringup.provenance import Provenance, provenance
 from fjr_bringup.recording.reader import Bag, read_bag
 from fjr_bringup.report.paper_claim import Claim
+from fjr_bringup.report.shown import Shown
 from fjr_bringup.ros2_tools import play_command
 from fjr_core.config.scenario import Scenario, load_scenario
-from fjr_core.monitoring.fault_isolation.isolation import UNKNOWN
+from fjr_core.numerics.one_line import at_least
 
 PAGE, METRICS, COMPARISON = "report.html", "report.json", "comparison.html"
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOTDIR)
@@ -32,14 +32,14 @@ UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT
 
 @dataclass(frozen=True)
 class RunSummary:
-    """A reported run: folder of its report, report, data and scenario. label: unique among several runs.
+    """A reported run: folder of its report, report, what its page shows and scenario. label: unique among several runs.
 
     has_page: whether report.html was written. notes: how the run was made, for the page that compares it.
     """
 
     folder: Path
     report: Report
-    data: RunData
+    data: Shown
     scenario: Scenario
     label: str = ""
     has_page: bool = True
@@ -72,7 +72,7 @@ def report_run(
     """
     scenario, bag = load_scenario(folder / "scenario.yaml", user_code=False), read_bag(folder / "bag")
     summary = report_bag(name, bag, scenario, folder, duration, skipped, failure, pages, provenance())
-    if pages and np.isfinite(summary.data.H[0]) and np.isfinite(summary.data.u).any():
+    if pages and summary.data.metrics.energy_known and summary.data.metrics.efforts_known:
         from fjr_bringup.report.overview import draw_overview  # matplotlib is half a second of imports
 
         with without_warnings():
@@ -96,10 +96,12 @@ def report_bag(
     recorded: provenance of the command that recorded the bag, if known.
     """
     with without_warnings():
-        data = run_data(bag, scenario, duration or np.inf)
-        flow, lasted = power(data, scenario.robot.B_m), duration or float(data.t[-1]) + data.sample_period
+        run = Recording(bag, scenario, duration or np.inf)
+        metrics = Metrics(run)
+        data = Shown(metrics)
+        metrics.read(*([data.add] if pages else []))
         report = replace(
-            make_report(name, bag, scenario, data, flow, lasted),
+            make_report(name, metrics, duration or metrics.seconds + run.sample_period),
             not_recorded=dict(skipped or {}),
             failure=failure,
             planned_s=duration,
@@ -112,7 +114,7 @@ def report_bag(
                 from fjr_bringup.report.arm_replay import arm_replay
                 from fjr_bringup.report.run_report import write_run_page  # Jinja2 takes a tenth of a second
 
-                write_run_page(place / PAGE, data, report, flow, arm_replay(data, scenario))
+                write_run_page(place / PAGE, data, report, arm_replay(data))
 
         folder = write_with_fallback(folder, write)
     return RunSummary(folder, report, data, scenario, name, pages)
@@ -159,15 +161,9 @@ def table(summaries: Sequence[RunSummary]) -> str:
     rows = [head, *(_row(summary.label, summary.report) for summary in summaries)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    found = [f"{each.label}: {sentence}" for each in summaries for sentence in _findings(each.report)]
+    found = [f"{each.label}: {fault.sentence}" for each in summaries for fault in each.report.verdict.findings]
     advised = [f"{each.label}: {each.report.advice}" for each in summaries if each.report.advice]
     return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:], *found, *advised])
-
-
-def _findings(report: Report) -> list[str]:
-    """Return a sentence for each fault found; none for an unexplained residual while the theory holds."""
-    verdict = report.verdict
-    return [each.sentence for each in verdict.findings if verdict.kind != "holding" or each.kind != UNKNOWN]
 
 
 def stops(summaries: Sequence[RunSummary]) -> list[str]:
@@ -202,7 +198,7 @@ def _decay(report: Report) -> str:
         return "-"
     basis = "proven" if storage.guarantee_is_proven else "sampled"
     measured = _number(storage.measured_decay_rate_per_s, "{:.1f}")
-    return f"{measured} ({basis}: {storage.guaranteed_decay_rate_per_s:.1f}) 1/s"
+    return f"{measured} ({basis}: {at_least(storage.guaranteed_decay_rate_per_s, 3)}) 1/s"
 
 
 def _effort(value: float, unit: str) -> str:

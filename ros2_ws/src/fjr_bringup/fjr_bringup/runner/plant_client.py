@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 
 import rclpy
 from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import NodeNameNonExistentError
 from std_srvs.srv import SetBool
 
 from fjr_core.errors import FjrError
@@ -32,9 +34,10 @@ class PlantClient:
         self._executor.add_node(self._node)
 
     def published_by(self, node: str) -> list[str]:
-        """Return the topics that a node publishes; none while it is not in the graph."""
-        found = [name for name in self._node.get_node_names() if name == node]
-        return [topic for topic, _ in self._node.get_publisher_names_and_types_by_node(node, "/")] if found else []
+        """Return the topics that a node without a namespace publishes; none while it is not in the graph."""
+        with suppress(NodeNameNonExistentError):
+            return [topic for topic, _ in self._node.get_publisher_names_and_types_by_node(node, "/")]
+        return []
 
     def ready(self) -> bool:
         """Return whether the plant's service is available."""

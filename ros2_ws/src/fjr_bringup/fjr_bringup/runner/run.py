@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a scenario on two nodes and record every topic.
 
-Start in this order: the recorder; the plant, paused; the controller, once no other node publishes in this ROS domain.
-The plant is resumed once all are connected. At the end the controller stops first, so that its last command, zero
-effort, reaches the plant and the bag.
+Start in this order: the recorder; the plant, paused; the controller. Beside another run it does not start: until its
+plant appears, the graph must show no node of its names and no publisher of states or commands, and the plant itself
+listens for states of its joints before it publishes. The plant is resumed once all are connected. At the end the
+controller stops first, so that its last command, zero effort, reaches the plant and the bag.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import get_package_share_directory
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fjr_bringup.interrupt import Interrupted
 from fjr_bringup.progress import heartbeat, phase, progress_bar
@@ -28,7 +30,7 @@ from fjr_bringup.runner.node_process import NodeProcess
 from fjr_bringup.runner.plant_client import PlantClient
 from fjr_core.errors import FjrError
 from fjr_msgs_py import names
-from fjr_msgs_py.node.log_folder import ensure_log_folder
+from fjr_msgs_py.node.environment import domain, domain_fault, ensure_log_folder
 from fjr_msgs_py.node.scheduling import prioritised
 
 PLANT, CONTROLLER = names.PLANT, names.CONTROLLER
@@ -42,6 +44,9 @@ CATCH_UP_LIMIT = 5.0  # s for messages that are sent again to the recorder
 POLL = 0.02  # s
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s"
 GRAPH_PERIOD = 0.5  # s between checks of the graph during the run
+NOT_JUDGED = "expected room for the whole bag: what was not recorded is not judged"
+UNKNOWN = "an unknown node"
+PASSING = 5.0  # s; a second plant or controller is in the graph for less, because it refuses to start
 RECORDER_PRIORITY = 1  # below the nodes, above other programs: without a core for 0.1 s the recorder loses messages
 
 
@@ -68,7 +73,12 @@ class Plan:
 
 
 def discover_quickly() -> None:
-    """Use a DDS profile with quick discovery unless the user set another; set the folder of the ROS 2 logs."""
+    """Use a DDS profile with quick discovery unless the user set another; set the folder of the ROS 2 logs.
+
+    Raises FjrError for an invalid ROS_DOMAIN_ID.
+    """
+    if fault := domain_fault():
+        raise FjrError(fault)
     ensure_log_folder()
     profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
@@ -97,8 +107,9 @@ def run(plan: Plan, stop: threading.Event) -> Recorded:
         file.write_text(plan.scenario, encoding="utf-8")
         with Recorder(plan.folder / "bag") as recorder:
             _Run(plan, recorder, stop, file).execute(on_go=kept.keep)
-    lost = {"all topics, from a moment on": recorder.loss} if recorder.loss else {}
-    return Recorded(plan.folder, {**recorder.skipped, **lost})
+        if recorder.loss:  # at the last messages, or while the bag was closed
+            raise RunError(f"{recorder.loss}; {NOT_JUDGED}\nwhat was recorded is in {plan.folder}", plan.folder)
+    return Recorded(plan.folder, recorder.skipped)
 
 
 class _Run:
@@ -112,6 +123,7 @@ class _Run:
         self.client = PlantClient(recorder.context, PLANT)
         self.nodes: dict[str, NodeProcess] = {}
         self.going = False  # whether the plant was resumed
+        self.alone = time.monotonic()  # when no other publisher was in the graph
 
     def execute(self, on_go: Callable[[], None]) -> None:
         """Start, run and stop the nodes; `on_go` is called when the plant is about to be resumed."""
@@ -120,7 +132,7 @@ class _Run:
                 self._start_nodes()
             on_go()
             self.going = True
-            with prioritised(RECORDER_PRIORITY):
+            with prioritised(RECORDER_PRIORITY, beside=True):
                 self.client.resume()
                 self._follow()
         except FjrError as error:
@@ -133,7 +145,6 @@ class _Run:
         """Start plant and controller, and wait until both are connected with each other and with the recorder."""
         self._start(PLANT, "fjr_plant", "plant_node", "-p", "start_paused:=true")
         self._wait_for(PLANT, STATES)
-        self._refuse_others()
         clock = ("-p", "use_sim_time:=true") if self.plan.lockstep else ()
         self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)
         self._wait_for(CONTROLLER, JOINT_COMMANDS)
@@ -147,13 +158,18 @@ class _Run:
 
     def _wait_for(self, node: str, signature: str) -> None:
         """Wait until the node publishes the topic `signature` and the recorder is connected to all its topics."""
-        try:
-            self._wait(lambda: signature in self.client.published_by(node), STARTUP_LIMIT, f"{node} to appear")
-            self._wait(lambda: not self._unconnected(node), STARTUP_LIMIT, f"the recorder to be connected to {node}")
-            self._wait(lambda: self.client.discovered_by(node), STARTUP_LIMIT, f"{node} to discover the recorder")
-        except RunError as error:
-            head, _, logs = str(error).partition("\n")
-            raise RunError(f"{head}; {self._graph(node)}\n{logs}") from None
+
+        def wait(condition: Callable[[], bool], what: str) -> None:
+            self._wait(condition, STARTUP_LIMIT, what, lambda: f"; {self._graph(node)}")
+
+        wait(lambda: self._appeared(node, signature), f"{node} to appear")
+        wait(lambda: not self._unconnected(node), f"the recorder to be connected to {node}")
+        wait(lambda: self.client.discovered_by(node), f"{node} to discover the recorder")
+
+    def _appeared(self, node: str, signature: str) -> bool:
+        """Return whether a node publishes the topic `signature`; raise RunError if there are other publishers."""
+        self._refuse_others()
+        return signature in self.client.published_by(node)
 
     def _unconnected(self, node: str) -> list[str]:
         """Return the topics of the node that the recorder is not connected to."""
@@ -168,11 +184,11 @@ class _Run:
         topics, silent = self.client.published_by(node), self._unconnected(node)
         seen = f"it publishes {', '.join(topics) or 'nothing'}; not connected to {', '.join(silent) or 'none of these'}"
         others = ", ".join(sorted(self.recorder.node.get_node_names())) or "none"
-        return f"{seen}; nodes in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: {others}"
+        return f"{seen}; nodes in ROS domain {domain()}: {others}"
 
     def _publishers(self, topic: str) -> list[str]:
-        """Return the node of each publisher on a topic."""
-        return [info.node_name for info in self.recorder.node.get_publishers_info_by_topic(topic)]
+        """Return the node of each publisher on a topic, with its namespace unless that is /."""
+        return [_name(info) for info in self.recorder.node.get_publishers_info_by_topic(topic)]
 
     def _matched(self) -> bool:
         """Return whether the graph shows both subscriptions: states by the controller, commands by the plant."""
@@ -180,18 +196,29 @@ class _Run:
         return self._reads(CONTROLLER, STATES) and self._reads(PLANT, commands)
 
     def _reads(self, node: str, topic: str) -> bool:
-        return node in (info.node_name for info in self.recorder.node.get_subscriptions_info_by_topic(topic))
+        return node in map(_name, self.recorder.node.get_subscriptions_info_by_topic(topic))
 
-    def _refuse_others(self) -> None:
-        """Raise RunError if any other node publishes states or commands in this domain."""
+    def _refuse_others(self, lasting: float = 0.0) -> bool:
+        """Return whether there are other nodes (`_others`); raise RunError if there have been for `lasting` [s]."""
+        found, now = self._others(), time.monotonic()
+        self.alone = self.alone if found else now
+        if found and now - self.alone >= lasting:
+            raise RunError(f"{found}: stop it or set another ROS_DOMAIN_ID")
+        return bool(found)
+
+    def _others(self) -> str:
+        """Describe another node with a name of this run, or one that publishes states or commands; "" for none.
+
+        Between two messages of discovery a publisher has no node. It may be of this run, until the plant is resumed.
+        """
+        node = self.recorder.node
         for topic, owner in ((STATES, PLANT), (EFFORT_COMMANDS, CONTROLLER), (JOINT_COMMANDS, CONTROLLER)):
-            publishers = self._publishers(topic)
-            if (owner in self.nodes and publishers.count(owner) > 1) or set(publishers) - {owner}:
-                found = ", ".join(sorted(publishers))
-                raise RunError(
-                    f"{topic} has other publishers in ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')} "
-                    f"({found}): stop them or set another ROS_DOMAIN_ID"
-                )
+            publishers = [name for name in self._publishers(topic) if self.going or name != UNKNOWN]
+            if publishers.count(owner) > (owner in self.nodes) or set(publishers) - {owner}:
+                return f"{topic} has other publishers in ROS domain {domain()} ({', '.join(sorted(publishers))})"
+        present = [name for name, space in node.get_node_names_and_namespaces() if space == "/"]
+        twice = [name for name in (PLANT, CONTROLLER) if present.count(name) > (name in self.nodes)]
+        return f"another node of ROS domain {domain()} is named /{twice[0]}" if twice else ""
 
     def _follow(self) -> None:
         """Wait until commands for `duration` [s of stamped time] are recorded."""
@@ -203,7 +230,8 @@ class _Run:
                     self._watch(bar)
             else:
                 self._watch(bar)
-        self._refuse_others()
+        while self._refuse_others(PASSING):  # unless they leave, the bag is not of this run alone
+            self._pause()
 
     def _watch(self, bar: Any) -> None:
         """Wait until the duration is recorded; raise RunError if no command to a new state comes for SILENCE_LIMIT."""
@@ -212,7 +240,7 @@ class _Run:
         while last < duration:
             self._pause()
             if time.monotonic() > look:
-                self._refuse_others()  # a node with another discovery profile may appear only after 3 s
+                self._refuse_others(PASSING)
                 look = time.monotonic() + GRAPH_PERIOD
             elapsed = self._elapsed()
             if elapsed > last:
@@ -233,11 +261,12 @@ class _Run:
         ends = self.recorder.ends(JOINT_COMMANDS)
         return (header_stamp(ends[1]) - header_stamp(ends[0])) * 1e-9 if ends else 0.0
 
-    def _wait(self, condition: Callable[[], bool], limit: float, what: str) -> None:
+    def _wait(self, condition: Callable[[], bool], limit: float, what: str, seen: Callable[[], str] = str) -> None:
+        """Wait until the condition is true; raise RunError with what is `seen` after `limit` [s]."""
         deadline = time.monotonic() + limit
         while not condition():
             if time.monotonic() > deadline:
-                raise RunError(f"waited {limit:g} s for {what}\n{self._logs()}")
+                raise RunError(f"waited {limit:g} s for {what}{seen()}\n{self._logs()}")
             self._pause()
 
     def _pause(self) -> None:
@@ -248,6 +277,8 @@ class _Run:
             node.check()
         if self.recorder.failure:
             raise RunError(f"the recorder failed: {self.recorder.failure}")
+        if self.recorder.loss:
+            raise RunError(f"{self.recorder.loss}; {NOT_JUDGED}")
 
     def _logs(self) -> str:
         return "\n".join(f"log of {node.name}:\n{node.last_lines()}" for node in self.nodes.values())
@@ -259,3 +290,10 @@ class _Run:
                 self.nodes[name].stop()
         with suppress(Exception):
             self.client.close()
+
+
+def _name(info: TopicEndpointInfo) -> str:
+    """Return the name of the node of an endpoint, with its namespace unless that is /; UNKNOWN if not known yet."""
+    if "UNKNOWN" in info.node_name:
+        return UNKNOWN
+    return f"{info.node_namespace}/{info.node_name}" if info.node_namespace != "/" else str(info.node_name)

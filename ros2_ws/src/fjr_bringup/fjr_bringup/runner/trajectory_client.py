@@ -8,16 +8,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from trajectory_msgs.msg import JointTrajectory
 
 from fjr_core.errors import FjrError
+from fjr_msgs_py.node.participant import own_node
 
 RESPONSE_LIMIT = 30.0  # s
 RETRY_AFTER = 2.0  # s without a response; it is lost if the controller has not discovered this client yet
@@ -86,13 +85,7 @@ class TrajectoryClient:
 @contextmanager
 def connected(controller: str, stop: threading.Event) -> Iterator[TrajectoryClient]:
     """Create the client in a context of its own; raise TrajectoryClientError if the controller does not respond."""
-    context = rclpy.Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = rclpy.create_node("fjr_send", context=context, enable_rosout=False, start_parameter_services=False)
+    with own_node("fjr_send") as node:
         client = TrajectoryClient(node, controller, stop)
         yield client
         client.close()
-        node.destroy_node()
-    finally:
-        context.try_shutdown()

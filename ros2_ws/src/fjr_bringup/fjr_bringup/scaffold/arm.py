@@ -11,6 +11,7 @@ import numpy as np
 
 from fjr_bringup.scaffold.joint_data import published
 from fjr_core.errors import RobotError
+from fjr_core.robot.free_inertia import joints_without_inertia
 from fjr_core.robot.kinematic_chains import Chain, chains
 from fjr_core.robot.robot import Robot
 from fjr_core.robot.typical_joints import typical_joints
@@ -39,7 +40,7 @@ class Arm:
 def arm_of(urdf: Path, joints: Sequence[str] = (), chain: int | None = None) -> Arm:
     """Return the arm of the named joints, else of a chain by its number from 1, else of the longest chain.
 
-    Joints of the chain's end that carry no mass are locked. Raises RobotError.
+    Joints of the chain's end that carry no inertia are locked. Raises RobotError.
     """
     tree = read_urdf(urdf)
     found = tuple(chains(tree))
@@ -68,21 +69,35 @@ def described(found: Sequence[Chain], most: int = 6) -> list[str]:
 def _rigid(
     urdf: Path, tree: UrdfTree, joints: tuple[str, ...], drop: bool
 ) -> tuple[Robot, tuple[str, ...], tuple[str, ...]]:
-    """Return the robot with placeholder joint data, its joints, and a note if joints without mass were dropped."""
+    """Return the robot with placeholder joint data, its joints, and a note if joints without inertia were dropped.
+
+    drop: lock the first joint without inertia and those beyond it, instead of raising RobotError.
+    """
     kept = joints
+    notes: tuple[str, ...] = ()
     while True:
         try:
             robot = robot_from_urdf(urdf, kept, 1.0, 1.0, locked=_locked(tree, kept))
-            break
+            thin = joints_without_inertia(robot)
+            if not thin:
+                return robot, kept, notes
+            last = kept[min(thin)]
+            seen = f"{last} {thin[min(thin)]}"
         except MasslessJointError as error:
             if not drop:
                 raise
-            if error.joint == kept[0]:
-                raise RobotError(f"no link that joint '{kept[0]}' moves has an inertia; expected some") from None
-            kept = kept[: kept.index(error.joint)]
-    lost = joints[len(kept) :]
-    note = f"no link beyond {kept[-1]} has an inertia: {', '.join(lost)} locked"
-    return robot, kept, (note,) if lost else ()
+            last, seen = error.joint, ""
+        if not drop:
+            raise RobotError(f"{seen}; expected the inertia of its links in the URDF, or --joints without it")
+        if last == kept[0]:
+            raise RobotError(f"no link that joint '{last}' moves has an inertia; expected some")
+        kept = kept[: kept.index(last)]
+        lost = ", ".join(joints[len(kept) :])
+        notes = (
+            f"{seen}: {lost} locked, until the URDF has it"
+            if seen
+            else f"no link beyond {kept[-1]} has an inertia: {lost} locked",
+        )
 
 
 def _locked(tree: UrdfTree, moving: Sequence[str]) -> dict[str, float]:

@@ -49,8 +49,8 @@ SCENARIO = """\
       tracking_error: {tracking_error}   # {unit}
       start_error: {start_error}
     on_stop: gravity_hold         # the weight, with damped motors
-    start: {{ramp_time: 0.1}}       # s, from on_stop's effort to the law's
-    recovery: {{join_time: 1.0}}    # s
+    start: {{ramp_time: 0.1, join_time: 1.0}}   # s; to the law's effort; to the reference, beyond start_error
+    recovery: {{join_time: 1.0}}    # s, or as long as the limits of velocity and acceleration ask
     state_timeout: 0.2            # s without a state: on_stop
 """
 TRACKING_ERROR, START_ERROR = (0.15, 0.03), (0.1, 0.02)  # rad, m; limits of revolute and prismatic joints
@@ -122,10 +122,13 @@ def _origin(arm: Arm, name: str) -> str:
 
 
 def path_from(folder: Path, urdf: Path) -> str:
-    """Return the URDF's path relative to the folder if it lies in it or in the current folder, else absolute."""
+    """Return the URDF's path relative to the folder, so that both can be moved together.
+
+    It is absolute if they have no folder in common but the root of the file system.
+    """
     whole, base = urdf.resolve(), folder.resolve()
-    near = any(whole.is_relative_to(place) for place in (base, Path.cwd().resolve()))
-    return os.path.relpath(whole, base) if near else str(whole)
+    together = os.path.commonpath([whole, base]) != base.anchor
+    return os.path.relpath(whole, base) if together else str(whole)
 
 
 def _wrapped(locked: dict[str, float], most: int = 12) -> str:

@@ -3,22 +3,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fjr_bringup.scaffold.proposal import proposal_of
-from fjr_core.config import ros_yaml
 from fjr_core.config.builders import gain_values
 from fjr_core.config.safety import FROM_ROBOT
-from fjr_core.config.scenario import CONTROLLER, Scenario
-
-
-def is_robot_file(path: Path) -> bool:
-    """Return whether a parameter file holds joints and robot.* only."""
-    given = ros_yaml.values_for(CONTROLLER, ros_yaml.read(path, "scenario"))
-    return all(name == "joints" or name.startswith("robot.") for name in given)
+from fjr_core.config.scenario import Scenario
 
 
 def first_values(loaded: Scenario) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,7 +10,15 @@ from typing import Any
 
 from fjr_bringup.scenarios.installed import installed
 from fjr_core.config import builders, robot_file, ros_yaml
-from fjr_core.config.scenario import OWN_PARAMETERS, Scenario, parse_scenario, self_contained
+from fjr_core.config.parameter import refuse_unknown
+from fjr_core.config.scenario import (
+    CONTROLLER,
+    OWN_PARAMETERS,
+    Scenario,
+    given_to_nodes,
+    parse_scenario,
+    self_contained,
+)
 from fjr_core.errors import FjrError, ParameterError
 
 
@@ -25,9 +32,16 @@ def find(name: str | None, kind: str = "scenario") -> Path:
     if name in there:
         return there[name]
     if name and os.path.isfile(name):
+        if kind == "scenario" and _is_xml(name):
+            raise ScenarioError(f"{name} is a URDF or other XML; expected a scenario: fjr new {name} writes one")
         return Path(name)
     what = f"unknown {kind} '{name}'" if name else f"no {kind} given"
     raise ScenarioError(f"{what}: expected a YAML file or one of {', '.join(there)}")
+
+
+def _is_xml(path: str) -> bool:
+    with open(path, "rb") as file:
+        return file.read(1024).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
@@ -45,16 +59,22 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     return values
 
 
-def load(name: str | None, assignments: Iterable[str] = ()) -> Scenario:
-    """Return a scenario, given by name or by file, with parameters changed; raises ScenarioError or ParameterError."""
-    return as_run(find(name), parse_assignments(assignments))[1]
+def load(name: str | None, assignments: Iterable[str] = (), robot_only: bool = False) -> Scenario:
+    """Return a scenario, given by name or by file, with parameters changed; raises ScenarioError or ParameterError.
+
+    robot_only: see as_run.
+    """
+    return as_run(find(name), parse_assignments(assignments), robot_only)[1]
 
 
-def as_run(path: Path, overrides: Mapping[str, Any]) -> tuple[str, Scenario]:
+def as_run(path: Path, overrides: Mapping[str, Any], robot_only: bool = False) -> tuple[str, Scenario]:
     """Return a scenario with parameters changed, as self-contained YAML text and as a Scenario.
 
-    The text includes everything that the file takes from other files. Raises ParameterError with the scenario's name.
+    The text includes everything that the file takes from other files. Raises ParameterError with the scenario's name,
+    also for the robot file of a URDF, which has neither motion nor gains, unless it may have the robot_only.
     """
+    if not robot_only:
+        _refuse_robot_file(path, overrides)
     try:
         text = _self_contained(path, overrides)
         return text, parse_scenario(path.stem, text)
@@ -67,12 +87,42 @@ def text_with(name: str, text: str, overrides: Mapping[str, Any]) -> str:
     return _changed(name, ros_yaml.parse(text), Path.cwd(), overrides)
 
 
+def is_robot_file(path: Path) -> bool:
+    """Return whether a parameter file holds joints, robot.* and imperfections.* only; raises ParameterError."""
+    return all(map(robot_file.is_of_robot, _given_names(path)))
+
+
+def _given_names(path: Path) -> set[str]:
+    try:
+        return set().union(*given_to_nodes(ros_yaml.read(path, "scenario")).values())
+    except ParameterError as error:
+        raise ParameterError(f"scenario {path.stem}: {error}") from None
+
+
+def _refuse_robot_file(path: Path, overrides: Mapping[str, Any]) -> None:
+    """Raise ScenarioError for the robot file of a URDF; it names a scenario of the folder that uses the file."""
+    given = {*_given_names(path), *overrides}
+    if robot_file.URDF not in given or not all(map(robot_file.is_of_robot, given)):
+        return
+    users = [each for each in sorted(path.parent.glob("*.yaml")) if _uses(each, path)]
+    hint = f"such as {users[0]}, which names it" if users else f"fjr excite {path} writes one"
+    raise ScenarioError(f"{path} is a robot file, without motion and gains; expected a scenario, {hint}")
+
+
+def _uses(scenario: Path, file: Path) -> bool:
+    try:
+        given = ros_yaml.values_for(CONTROLLER, ros_yaml.read(scenario, "scenario"))
+    except ParameterError:
+        return False
+    return scenario != file and (scenario.parent / str(given.get(robot_file.FILE, ""))).resolve() == file.resolve()
+
+
 def _self_contained(path: Path, overrides: Mapping[str, Any]) -> str:
     return _changed(path.name, ros_yaml.read(path, "scenario"), path.parent, overrides)
 
 
 def _changed(name: str, document: Any, folder: Path, overrides: Mapping[str, Any]) -> str:
-    given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
+    given = given_to_nodes(document)
     for parameter, value in overrides.items():
         nodes = _nodes_with(parameter, given, folder)
         for node in given:
@@ -98,9 +148,5 @@ def _nodes_with(name: str, given: Mapping[str, Mapping[str, object]], folder: Pa
         by_node[node] = [parameter.name for parameter in parameters]
     nodes = [node for node, names in by_node.items() if name in names]
     if not nodes:
-        everything = sorted(set().union(*by_node.values()))
-        close = difflib.get_close_matches(name, everything, n=1)
-        groups = dict.fromkeys(each.partition(".")[0] for each in everything)
-        hint = f"; did you mean '{close[0]}'?" if close else f"; expected one of, or a name in, {', '.join(groups)}"
-        raise ParameterError(f"unknown parameter '{name}'{hint}")
+        refuse_unknown(set().union(*by_node.values()), [name])
     return nodes

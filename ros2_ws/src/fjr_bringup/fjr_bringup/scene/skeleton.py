@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Skeleton of links that have nothing else to draw: capsules between joints, cylinders along the joint axes."""
+"""Skeleton of links: capsules between the origins of their joints, and cylinders along the joint axes."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from typing import Any
 
 import numpy as np
 
-THICKNESS = 0.03  # radius of a capsule, relative to the reach of the arm
+THICKNESS, THIN = 0.03, 0.012  # radius of a capsule, relative to the reach of the arm; THIN: inside other shapes
 SMALLEST, STANDARD = 1e-3, 1.0  # m, shortest capsule; reach of an arm without lengths
 
 
 def skeleton(
-    joints: Sequence[Mapping[str, Any]], centres: Mapping[str, Sequence[float] | None]
+    joints: Sequence[Mapping[str, Any]], tips: Mapping[str, Sequence[float] | None], thickness: float = THICKNESS
 ) -> dict[str, list[dict[str, Any]]]:
-    """Return the shapes of the links in `centres`, in their frames, as values for arm.js.
+    """Return the shapes of the links in `tips`, in their frames, as values for arm.js.
 
-    joints: those of the scene. centres: centre of mass (3,) [m] of each link to draw, where a link without a further
-    joint ends; None: none.
+    joints: those of the scene. tips: where each link to draw ends if it has no further joint (3,) [m]; None: not known.
+    thickness: radius of a capsule, relative to the reach of the arm.
     """
-    ends: dict[str, list[Sequence[float]]] = {name: [] for name in centres}
+    ends: dict[str, list[Sequence[float]]] = {name: [] for name in tips}
     for joint in joints:
         if joint["parent"] in ends:
             ends[joint["parent"]].append(joint["xyz"])
-    for name, centre in centres.items():
-        if not ends[name] and centre is not None:
-            ends[name].append([2.0 * each for each in centre])
+    for name, tip in tips.items():
+        if not ends[name] and tip is not None:
+            ends[name].append(tip)
     reach = sum(float(np.linalg.norm(joint["xyz"])) for joint in joints)
     reach += sum(float(np.linalg.norm(each)) for points in ends.values() for each in points) / max(1, len(joints))
-    radius = THICKNESS * (reach or STANDARD)
+    radius = thickness * (reach or STANDARD)
     shapes = {name: [_capsule(end, radius) for end in points if _long(end)] for name, points in ends.items()}
     for joint in joints:
         if joint["child"] in shapes and joint["kind"] != "fixed":

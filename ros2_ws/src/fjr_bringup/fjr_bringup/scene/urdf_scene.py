@@ -10,7 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from fjr_bringup.scene.mesh import Mesh, MeshError, decimated, read_mesh
-from fjr_bringup.scene.skeleton import skeleton
+from fjr_bringup.scene.skeleton import THIN, skeleton
 from fjr_core.config.robot_file import resolve
 from fjr_core.errors import FjrError
 from fjr_core.robot.urdf_parser import UrdfJoint, parse_xml, read_urdf
@@ -24,7 +24,8 @@ def scene(urdf: str, locked: Mapping[str, float] | None = None) -> dict[str, Any
     """Return root, joints, links, meshes and notes of a URDF text; raises RobotError if it is not a valid URDF.
 
     locked: positions [rad, m] of joints that do not move, 0 by default. A link whose mesh cannot be read, and every
-    link of a URDF without any visual, is drawn as a skeleton. notes: a sentence for each such mesh.
+    link of a URDF without any visual, is drawn as a skeleton. Boxes, spheres and cylinders, which may leave gaps, are
+    connected by thin bones if there is no mesh. notes: a sentence for each mesh that cannot be read.
     """
     tree = read_urdf(urdf)
     root = parse_xml(urdf.lstrip("\ufeff").strip())
@@ -34,8 +35,10 @@ def scene(urdf: str, locked: Mapping[str, float] | None = None) -> dict[str, Any
     drawn = _Shapes(root)
     links = {name: drawn.of(element) for name, element in elements.items()}
     bare = drawn.incomplete if any(links.values()) or drawn.incomplete else set(elements)
-    centres = {name: None if name in tree.faulty else _centre(elements[name]) for name in bare}
-    for name, shapes in skeleton(joints, centres).items():
+    tips = {name: None if name in tree.faulty else _tip(elements[name]) for name in bare}
+    shaped = {} if drawn.meshes else {name: shapes for name, shapes in links.items() if name not in bare}
+    bones = {name: shapes[0]["xyz"] if shapes else None for name, shapes in shaped.items()}
+    for name, shapes in (skeleton(joints, tips) | skeleton(joints, bones, THIN)).items():
         links[name] = shapes + links[name]
     children = {joint["child"] for joint in joints}
     base = next(name for name in elements if name not in children)
@@ -115,10 +118,10 @@ def _origin(element: Element) -> tuple[list[float], list[float]]:
     return _numbers(origin, "xyz", 3, "0 0 0", math.inf), _numbers(origin, "rpy", 3, "0 0 0", math.inf)
 
 
-def _centre(link: Element) -> list[float] | None:
-    """Return the centre of mass of a link (3,) [m] in its frame; None for a link without mass."""
+def _tip(link: Element) -> list[float] | None:
+    """Return twice the centre of mass of a link (3,) [m] in its frame; None for a link without mass."""
     inertial = link.find("inertial")
-    return None if inertial is None else _origin(inertial)[0]
+    return None if inertial is None else [2.0 * each for each in _origin(inertial)[0]]
 
 
 def _colour(material: Element) -> str | None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import difflib
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,9 +14,10 @@ from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from fjr_bringup.recording.echo import listening
+from fjr_bringup.recording.echo import nodes_seen
 from fjr_bringup.recording.message_types import interface_class
 from fjr_core.errors import FjrError
+from fjr_msgs_py.node.participant import own_node
 
 POLL = 0.05  # s
 RETRY_AFTER = 2.0  # s without a response; it is lost if the server has not discovered this client yet
@@ -100,14 +100,11 @@ class ServiceClient:
             time.sleep(POLL)
 
     def _missing(self, service: str) -> str:
-        names = self._node.get_node_names_and_namespaces()
-        nodes = sorted(f"{space.rstrip('/')}/{name}" for name, space in names if name != self._node.get_name())
         close = difflib.get_close_matches(service, self._services(), n=1)
         hint = f"; did you mean {close[0]}?" if close else ""
-        domain = os.environ.get("ROS_DOMAIN_ID", "0")
         return (
             f"no node offers the service {service} after {self._timeout:g} s{hint or '; expected a running node'} "
-            f"(nodes in ROS domain {domain}: {', '.join(nodes) or 'none'})"
+            f"({nodes_seen(self._node)})"
         )
 
     def _silent(self, client: Client) -> str:
@@ -117,7 +114,7 @@ class ServiceClient:
 @contextmanager
 def service_client(timeout: float) -> Iterator[ServiceClient]:
     """Yield a client of services, with a node in its own context."""
-    with listening("fjr_client") as node:
+    with own_node("fjr_client") as node:
         client = ServiceClient(node, timeout)
         try:
             yield client

@@ -14,11 +14,14 @@ from fjr_bringup.cli.options import duration_option, output_option
 
 @command()
 @click.argument("records", nargs=-1, required=True, metavar="RECORD...", type=options.PATH)
-@click.option("--robot", type=options.PATH, metavar="FILE", required=True, help="Robot file or scenario, the prior.")
+@click.option("--robot", type=options.PATH, metavar="FILE", help="Robot file or scenario, the prior.  [required]")
 @click.option(
     "--hold-out", "hold_outs", type=options.PATH, metavar="RECORD", multiple=True, help="Record to predict only."
 )
 @click.option("--map", "mapping", type=options.PATH, metavar="FILE", help="Mapping file: columns, units, gear ratios.")
+@click.option(
+    "--write-map", is_flag=True, help="Write a mapping file from the column names of RECORD, and identify nothing."
+)
 @click.option("--joints", type=options.names, metavar="A,B,...", default="", help="Joints to identify. [default: all]")
 @click.option("--start", type=options.SINCE, metavar="S", default=0.0, help="Skip the first S seconds of each record.")
 @duration_option("Duration in seconds of each record. [default: all]")

@@ -13,7 +13,11 @@ from fjr_bringup.cli.options import duration_option, output_option, scenario_arg
 
 json_lines = click.option("--json", "as_json", is_flag=True, help="Print each as JSON in one line.")
 service_timeout = click.option(
-    "--timeout", type=options.SECONDS, metavar="S", default=30.0, help="Longest wait for the node and for its response."
+    "--timeout",
+    type=options.SECONDS,
+    metavar="S",
+    default=options.FIRST,
+    help="Longest wait for the node and for its response.",
 )
 force_over_ros2 = click.option("--force", is_flag=True, help="Run although ros2 is on the PATH.")
 
@@ -22,7 +26,12 @@ force_over_ros2 = click.option("--force", is_flag=True, help="Run although ros2 
 @click.argument("topic")
 @click.option("--once", "count", flag_value=1, type=int, default=None, help="Print only the first message.")
 @click.option("--count", type=options.MESSAGES, metavar="N", help="Print only N messages.")
-@click.option("--timeout", type=options.SECONDS, metavar="S", help="Give up after S seconds without a message.")
+@click.option(
+    "--timeout",
+    type=options.SECONDS,
+    metavar="S",
+    help=f"Give up after S seconds without a message. [default: {options.FIRST:g} with --once, else never]",
+)
 @force_over_ros2
 @json_lines
 def echo(**given: Any) -> Any:
@@ -126,6 +135,9 @@ def send(**given: Any) -> Any:
     "--controller", type=options.ros_name, metavar="NAME", default="fjr_controller", help="Name of the controller node."
 )
 @click.option("--once", is_flag=True, help="Print the state once as plain text.")
+@click.option(
+    "--timeout", type=options.SECONDS, metavar="S", default=options.FIRST, help="Longest wait of --once for the nodes."
+)
 @click.option(
     "--remap",
     "remaps",

@@ -103,7 +103,7 @@ def report(**given: Any) -> Any:
 @click.option(
     "--prove-error",
     is_flag=True,
-    help="Prove the bound of --error for three or more joints, too; takes minutes.",
+    help="Prove the bound of --error for three or more joints, too; takes minutes to an hour.",
 )
 @click.option(
     "--prove-sampled", is_flag=True, help="Prove that the sampled loop contracts near the reference; takes seconds."
@@ -118,9 +118,10 @@ def report(**given: Any) -> Any:
 def check(**given: Any) -> Any:
     """Check rates, stability and margins before a run.
 
-    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file. With --error or --delay a bound
-    of the tracking error along the reference is computed. Relative errors: payload (inertia and weight of the links),
-    link_inertia, gravity, stiffness, motor_inertia, link_damping, motor_damping; in N m: link_torque, motor_torque.
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file. With --error, --delay or
+    --prove-error a bound of the tracking error along the reference is computed. Relative errors: payload (inertia and
+    weight of the links), link_inertia, gravity, stiffness, motor_inertia, link_damping, motor_damping; in N m:
+    link_torque, motor_torque.
     """
     return implementation("check").check_scenario(**given)
 

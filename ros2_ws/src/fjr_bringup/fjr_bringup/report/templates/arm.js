@@ -3,7 +3,7 @@
 // the group of its joint, which turns about, or slides along, the joint's axis.
 "use strict";
 const Arm = (() => {
-  const [SEGMENTS, OPACITY, MARGIN] = [32, 0.42, 1.0];
+  const [SEGMENTS, OPACITY, MARGIN] = [32, 0.42, 1.15];
   const BEHIND = 1; // layer of ghosts and floor, which the arm itself covers
   const [LINK, HUB] = ["#b4bac4", "#59616e"]; // of shapes without a colour
   const POSES = 40; // at which the size of the picture is measured
@@ -183,16 +183,42 @@ const Arm = (() => {
 
     // Measure the arm in the given poses, and show all of them.
     fit(poses) {
-      const box = new THREE.Box3();
       const every = Math.ceil(poses.length / POSES);
-      for (const pose of poses.filter((_, i) => i % every === 0)) {
-        this.chains.link.pose(pose);
-        box.expandByObject(this.chains.link.group);
-      }
-      this.box = box.isEmpty() ? new THREE.Box3(vector([-1, -1, -1]), vector([1, 1, 1])) : box;
+      this.corners = poses.filter((_, i) => i % every === 0).flatMap((pose) => this.cornersOf(pose));
+      if (!this.corners.length) this.corners = [vector([-1, -1, -1]), vector([1, 1, 1])];
+      this.box = new THREE.Box3().setFromPoints(this.corners);
       this.ball = this.box.getBoundingSphere(new THREE.Sphere());
       this.layFloor();
       this.look();
+    }
+
+    // Return the corners of the boxes around all shapes in a pose.
+    cornersOf(pose) {
+      const found = [];
+      this.chains.link.pose(pose);
+      this.chains.link.group.updateMatrixWorld(true);
+      this.chains.link.group.traverse((object) => {
+        if (!object.isMesh) return;
+        object.geometry.computeBoundingBox();
+        const { min, max } = object.geometry.boundingBox;
+        for (const x of [min.x, max.x])
+          for (const y of [min.y, max.y])
+            for (const z of [min.z, max.z]) found.push(vector([x, y, z]).applyMatrix4(object.matrixWorld));
+      });
+      return found;
+    }
+
+    // Return the least distance of the camera from the centre at which all corners are in the picture.
+    distance() {
+      const across = new THREE.Vector3().crossVectors(this.camera.up, this.away).normalize();
+      const upward = new THREE.Vector3().crossVectors(this.away, across);
+      const tangent = Math.tan((Math.PI / 360) * this.camera.fov);
+      const needed = this.corners.map((corner) => {
+        const from = corner.clone().sub(this.ball.center);
+        const width = Math.abs(from.dot(across)) / (tangent * this.camera.aspect);
+        return from.dot(this.away) + MARGIN * Math.max(width, Math.abs(from.dot(upward)) / tangent);
+      });
+      return Math.max(...needed, 1.01 * this.ball.radius);
     }
 
     layFloor() {
@@ -206,8 +232,7 @@ const Arm = (() => {
     }
 
     look() {
-      const half = (Math.PI / 360) * this.camera.fov * Math.min(1, this.camera.aspect);
-      const distance = (MARGIN * this.ball.radius) / Math.sin(half);
+      const distance = this.distance();
       this.camera.near = distance / 100;
       this.camera.far = distance * 20;
       this.camera.position.copy(this.away).multiplyScalar(distance).add(this.ball.center);

@@ -84,6 +84,8 @@
   }
 
   const nothing = () => null;
+  // The legend shows values only where a cursor is.
+  const reading = (plot) => plot.root.classList.toggle("reading", plot.legend.idx != null);
 
   function line(spec) {
     return {
@@ -144,6 +146,7 @@
       axes: [axis(spec.x_label, spec.x_log, true, !spec.legend), axis(spec.y_label, spec.y_log, false, !spec.legend)],
       cursor: cursor(spec),
       legend: { show: spec.legend, live: true },
+      hooks: { setLegend: [reading] },
       padding: [10, 20, 0, 0],
     };
   }

@@ -41,6 +41,13 @@ def compare(name: str, output: Path, cores: int | None, page: Path | None, stop:
     report.write_page(folder / PAGE, document)
     if page is not None:
         markdown.replace(page, document)
-    lines = [results.extent(document), *([results.best_in(document)] if chosen.tune else [])]
-    lines.append(f"page and figures: {folder / PAGE}, {RESULTS}")
+    lines = [results.extent(document), "", *_aligned(markdown.cells(document)), ""]
+    lines += [results.best_in(document)] if chosen.tune else []
+    lines.append(f"page and figures: {folder / PAGE}, {folder / RESULTS}")
     return Result("\n".join(lines), {"page": folder / PAGE, **document})
+
+
+def _aligned(rows: list[list[str]]) -> list[str]:
+    """Return rows of cells as lines with aligned columns."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]

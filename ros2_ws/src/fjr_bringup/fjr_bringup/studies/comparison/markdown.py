@@ -48,20 +48,28 @@ def _parts(path: Path, suite: str) -> tuple[str, str, str, str]:
 
 def markdown(document: dict[str, Any]) -> str:
     """Return the extent of the comparison and one table: a row for each metric of each robot, a column for each law."""
-    names = [str(law["title"]) for law in document["laws"]]
-    lines = [_line(["", *names]), _line(["---"] * (len(names) + 1))]
-    for robot in document["robots"]:
-        lines.append(_line([f"**{robot}**", *[""] * len(names)]))
-        lines += [_row(row) for row in table_rows(document) if row.robot == robot]
+    head, *body = cells(document)
+    bold = [[f"**{first}**", *rest] if not any(rest) else [first, *rest] for first, *rest in body]
+    lines = [_line(head), _line(["---"] * len(head)), *map(_line, bold)]
     command = f"`fjr compare {document['suite']['name']}`"
     legend = f"*{command}. {DASH}: does not track the nominal robot.*"
     counts = ["", best_in(document)] if document["suite"]["tune"] else []
     return "\n".join([extent(document), "", *lines, "", legend, *counts, ""])
 
 
-def _row(row: Row) -> str:
+def cells(document: dict[str, Any]) -> list[list[str]]:
+    """Return the cells of the table: a head with the laws, and for each robot its name alone and its rows."""
+    names = [str(law["title"]) for law in document["laws"]]
+    found = [["", *names]]
+    for robot in document["robots"]:
+        found.append([robot, *[""] * len(names)])
+        found += [_row(row) for row in table_rows(document) if row.robot == robot]
+    return found
+
+
+def _row(row: Row) -> list[str]:
     what = "RMS error [mrad]" if row.group.startswith("errors") else row.what
-    return _line([what, *(value.words for value in row.values)])
+    return [what, *(value.words for value in row.values)]
 
 
 def _line(cells: list[str]) -> str:

@@ -112,7 +112,8 @@ def best_in(document: dict[str, Any]) -> str:
     counts = {name: sum(any(row.best[i] for i in each) for row in shown) for name, each in versions.items()}
     ranked = sorted(counts.items(), key=lambda one: -one[1])
     each = ", ".join(f"{SHORT.get(name, law_kind(name).title)} {count}" for name, count in ranked)
-    return f"Rows of {len(shown)} in which a version of a law is best, or within {percent(TIE, 0)} of it: {each}."
+    best = f"Best, or within {percent(TIE, 0)} of the best, with one of its versions"
+    return f"{best}: {each} of {len(shown)} rows (several laws may share a row)."
 
 
 def _cost(value: Value, less: bool) -> float:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from fjr_bringup.plotting.picture import COLOURS, GREY, STYLE
 from fjr_bringup.recording.reader import Array
+from fjr_core.numerics.one_line import at_least
 from fjr_core.stability.contraction import Contraction, Measured
 
 SHOWN = 3  # joints
@@ -56,7 +57,7 @@ def _distances(ax: Axes, found: Contraction) -> None:
     relative = found.distance / found.distance[0]
     for pair in relative.T:
         ax.semilogy(found.t, np.where(pair > FLOOR, pair, np.nan), color=COLOURS[0], lw=0.8, alpha=0.6)
-    text = f"$e^{{-\\beta t}}$, $\\beta$ = {found.beta:.3g} 1/s"
+    text = f"$e^{{-\\beta t}}$, $\\beta$ = {at_least(found.beta, 3)} 1/s"
     _bound(ax, found.t, found.bound, text, max(FLOOR, relative.min() / 10))
     ax.set(title="Distance of each pair in the metric P, relative to the start", ylabel="$d(t)/d(0)$")
 
@@ -76,7 +77,7 @@ def _rates(ax: Axes, found: Contraction) -> None:
     ax.axhline(found.beta, color=BOUND, lw=1.6, ls="--")
     basis = "proven" if found.proven else "sampled"
     ax.annotate(
-        f"$\\beta$ = {found.beta:.3g} 1/s, {basis}",
+        f"$\\beta$ = {at_least(found.beta, 3)} 1/s, {basis}",
         (found.t[-1], found.beta),
         (0, -5),
         textcoords="offset points",

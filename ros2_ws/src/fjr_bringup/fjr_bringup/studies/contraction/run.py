@@ -20,6 +20,7 @@ from fjr_bringup.recording.reader import Array, read_bag
 from fjr_bringup.result import Result
 from fjr_bringup.studies.contraction.picture import draw
 from fjr_core.config.scenario import Scenario
+from fjr_core.numerics.one_line import at_least
 from fjr_core.stability.contraction import Contraction, Measured, contraction, scattered
 from fjr_msgs_py import names
 
@@ -124,7 +125,7 @@ def summary(found: Contraction, name: str) -> str:
     holds = "stay below" if f["largest_ratio_to_bound"] <= 1 + 1e-6 else "LEAVE"
     return (
         f"{name}: {f['virtual_states']} virtual solutions, {f['duration_s']:g} s; their distances {holds} "
-        f"exp(-beta t), beta = {f['beta_per_s']:.4g} 1/s ({basis})\n"
+        f"exp(-beta t), beta = {at_least(f['beta_per_s'])} 1/s ({basis})\n"
         f"  largest distance {f['largest_distance_at_start']:.3g} -> {f['largest_distance_at_end']:.2g} sqrt(J), "
         f"at most {f['largest_ratio_to_bound']:.3g} times its bound\n"
         f"  exact rate of contraction at least {f['least_rate_of_contraction_per_s']:.4g} 1/s"

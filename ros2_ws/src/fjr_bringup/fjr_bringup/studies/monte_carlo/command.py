@@ -128,7 +128,7 @@ def table(plan: Sweep, summary: Summary) -> str:
     for name, unit in UNITS.items():
         values = "".join(f"{number(value):>12}" for value in summary.quantiles[name])
         lines.append(f"  {name:14}{values} {unit}")
-    hint = "decided by" if summary.runs >= ENOUGH else "decided by, at a guess"
+    hint = "most influential" if summary.runs >= ENOUGH else "most influential (estimate)"
     lines.append(f"  {hint:28}{'success':>10}{'rms error':>12}")
     for effect in summary.effects[:5]:
         lines.append(f"  {effect.name:28}{percent(effect.success, 0):>10}{percent(effect.error, 0):>12}")
