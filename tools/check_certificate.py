@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check the certificate of a rate that `fjr check SCENARIO --certificate FILE` has written (docs/proof.md).
 
-    python tools/check_certificate.py FILE
+    python tools/check_certificate.py FILE [--seconds 600]
 
 It needs NumPy and mpmath, and shares no code with the program that makes certificates. Of the file it takes the robot,
 the gains, the claimed rate and the boxes; every other number is computed again, by other means:
@@ -11,6 +11,7 @@ the gains, the claimed rate and the boxes; every other number is computed again,
 - On a box, each joint has a basis of nonnegative functions with the sum 1. Its values at the same nodes, inverted, give
   the control matrices of D_l + K_ld - beta M_l, of which it is a convex combination.
 - Gaussian elimination in interval arithmetic proves them positive definite.
+- Every body has inertia about its own joint, so that M_l is positive definite, or the same elimination proves it.
 
 All arithmetic encloses the exact values: by mpmath.iv for angles, by rounding outwards for arrays.
 Exit code 0: the rate is proven; 1: the certificate is refused, with the reason.
@@ -18,10 +19,14 @@ Exit code 0: the rate is proven; 1: the certificate is refused, with the reason.
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
+import math
 import sys
+import time
 from collections.abc import Iterator
+from decimal import ROUND_FLOOR, Context
 from functools import lru_cache, reduce
 from itertools import pairwise
 from pathlib import Path
@@ -42,6 +47,10 @@ TOGETHER = 1000  # matrices that are eliminated together; they fit into the cach
 SYMMETRIC = ("D_l", "D_m", "M_m", "Pi_l", "K_ld", "Pi_m", "K_md")
 MATRICES = (*SYMMETRIC, "Lambda_l", "Lambda_m", "Gamma_l", "Gamma_m")
 SLIDE, TURN = np.diag([0.0, 0.0, 1.0], 1), np.diag([-1.0, 0.0, 0.0], 1) + np.diag([1.0, 0.0, 0.0], -1)  # dT/dq at q = 0
+ENTRIES = {"format", "joints", "bodies", "lower", "upper", "beta", "boxes", *MATRICES}
+MOST_JOINTS, MOST_MATRICES = 12, 5**7  # values of M_l: 5 for each revolute joint after the first, 3 for a prismatic one
+SECONDS = 600.0  # longest time of a check, if none is given
+LARGEST = 1e100  # of a number; products of some of them remain finite
 SHAPES = {"rotation": (3, 3), "inertia": (3, 3), "translation": (3,), "com": (3,), "mass": ()}
 
 
@@ -202,7 +211,7 @@ def leaves(entries: Iterator[Any], box: list[Range]) -> Iterator[list[Range]]:
     if type(entry) is int and entry == 0:
         yield box
         return
-    refusal = f"the boxes do not cover the joint range: {entry!r} is neither a box nor a split of {box}"
+    refusal = f"the boxes do not cover the joint range: {entry!r:.60} is neither a box nor a split of {box}"
     numbers = isinstance(entry, list) and len(entry) > 1 and all(type(x) in (int, float) for x in entry)
     require(numbers and type(entry[0]) is int and 0 < entry[0] < len(box), refusal)
     joint, cuts = entry[0], map(float, entry[1:])
@@ -211,48 +220,91 @@ def leaves(entries: Iterator[Any], box: list[Range]) -> Iterator[list[Range]]:
         yield from leaves(entries, [*box[:joint], (a, b), *box[joint + 1 :]])
 
 
-def checked(content: dict[str, Any]) -> int:
-    """Return the number of boxes of a certificate that proves its claim; raise RefusedError."""
+def checked(content: dict[str, Any], seconds: float = SECONDS) -> int:
+    """Return the number of boxes of a certificate that proves its claim; raise RefusedError, also after `seconds`."""
+    end = time.monotonic() + seconds
     digest = content.pop("sha256", None)
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     require(digest == hashlib.sha256(text.encode()).hexdigest(), "sha256 is not the digest of the other entries")
     bodies, joints, beta, matrix = values_of(content)
     check_blocks(beta, matrix)
-    S = matrix["D_l"] + matrix["K_ld"] - Box(beta) * inertia_at_nodes(bodies, [nodes(*joint) for joint in joints])
+    M = inertia_at_nodes(bodies, [nodes(*joint) for joint in joints])
+    S, inert = matrix["D_l"] + matrix["K_ld"] - Box(beta) * M, all(map(resists, bodies))
     boxes, entries = 0, iter(content["boxes"])
     for box in leaves(entries, [joint[1:] for joint in joints]):
+        require(time.monotonic() < end, f"it is not checked within {seconds:g} s; expected a larger --seconds")
+        require(inert or holds(M, joints, box), f"M_l is not proven positive definite on the box {box}")
         require(holds(S, joints, box), f"D_l + K_ld - beta M_l is not proven positive definite on the box {box}")
         boxes += 1
     require(next(entries, None) is None, "there are boxes beside those that cover the joint range")
     return boxes
 
 
+def resists(body: dict[str, Any]) -> bool:
+    """Return whether a body has inertia about, or mass along, its own joint. M_l is positive definite if all have.
+
+    For dq = (0, .., 0, dq_k, ..) with dq_k != 0, body k moves with its own joint only: its kinetic energy is positive.
+    """
+    inertia, (x, y, _) = body["inertia"], body["com"]
+    size = np.max(np.abs(inertia))
+    return body["mass"] > 0 if body["prismatic"] else inertia[2, 2] + body["mass"] * (x * x + y * y) > TOLERANCE * size
+
+
 def values_of(content: dict[str, Any]) -> tuple[list[dict[str, Any]], list[Joint], float, dict[str, Box]]:
     """Return bodies, joints, beta and matrices; raise RefusedError for values of a wrong kind."""
-    try:
-        bodies, joints, beta = list(content["bodies"]), content["joints"], np.array(float(content["beta"]))
-        ranges = np.array([content["lower"], content["upper"]], dtype=float)
-        matrix = {name: np.array(content[name], dtype=float) for name in MATRICES}
-        parts = [{name: np.array(body[name], dtype=float) for name in SHAPES} for body in bodies]
-        kinds = [type(body["prismatic"]) is bool for body in bodies] + [type(name) is str for name in list(joints)]
-        kinds += [len(joints) == len(bodies) > 0, type(content["boxes"]) is list]
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise RefusedError(f"a value is missing or of a wrong kind ({error!r})") from None
-    n = len(bodies)
-    arrays = [(beta, ()), (ranges, (2, n)), *((array, (n, n)) for array in matrix.values())]
-    arrays += [(part[name], shape) for part in parts for name, shape in SHAPES.items()]
-    shaped = all(array.shape == shape and np.isfinite(array).all() for array, shape in arrays)
-    require(content.get("format") == "rate certificate 1", "format is not 'rate certificate 1'")
-    require(all(kinds) and shaped, "a value has a wrong kind or shape, or is not finite")
-    require(beta > 0 and np.all(ranges[0] <= ranges[1]), "the rate is not positive, or a joint range is empty")
-    for R, inertia, mass in ((part["rotation"], part["inertia"], part["mass"]) for part in parts):
-        close = TOLERANCE * np.max(np.abs(inertia))
-        symmetric = np.max(np.abs(inertia - inertia.T)) <= close
-        require(np.max(np.abs(R @ R.T - np.eye(3))) < TOLERANCE, "a rotation is not orthogonal")
-        require(mass >= 0, "a body has a negative mass")
-        require(symmetric and np.linalg.eigvalsh(inertia)[0] >= -close, "an inertia is not positive semidefinite")
-    found = [(body["prismatic"], float(a), float(b)) for body, (a, b) in zip(bodies, ranges.T, strict=True)]
-    return bodies, found, float(beta), {name: Box(array) for name, array in matrix.items()}
+    require(set(content) == ENTRIES, f"it does not have the entries {', '.join(sorted(ENTRIES))} and no others")
+    require(content["format"] == "rate certificate 1", "format is not 'rate certificate 1'")
+    joints, bodies = (expected(content[name], list, name) for name in ("joints", "bodies"))
+    n = len(joints)
+    require(0 < n <= MOST_JOINTS, f"it has {n} joints; expected 1 to {MOST_JOINTS}")
+    require(len(bodies) == n, f"it has {len(bodies)} bodies; expected {n}, one per joint")
+    for name in joints:
+        require(
+            type(name) is str and name.isprintable() and name, f"a joint is named {name!r}; expected printable names"
+        )
+    beta = float(array(content["beta"], (), "beta"))
+    lower, upper = (array(content[name], (n,), name) for name in ("lower", "upper"))
+    require(beta > 0, "beta is not positive")
+    require(np.all(lower <= upper), "a joint range is empty")
+    matrix = {name: array(content[name], (n, n), name) for name in MATRICES}
+    parts = [checked_body(expected(body, dict, "a body")) for body in bodies]
+    matrices = math.prod(3 if part["prismatic"] else 5 for part in parts[1:])
+    require(matrices <= MOST_MATRICES, f"it has {n} joints; expected at most 8 revolute ones")
+    expected(content["boxes"], list, "boxes")
+    found = [(part["prismatic"], float(a), float(b)) for part, a, b in zip(parts, lower, upper, strict=True)]
+    return parts, found, beta, {name: Box(each) for name, each in matrix.items()}
+
+
+def expected(value: Any, kind: type, name: str) -> Any:
+    """Return a value of this type; raise RefusedError for any other, e.g. true in place of a number."""
+    require(type(value) is kind, f"{name} is of type {type(value).__name__}; expected {kind.__name__}")
+    return value
+
+
+def array(value: Any, shape: tuple[int, ...], name: str) -> Array:
+    """Return nested lists of finite numbers of this shape; raise RefusedError for anything else."""
+    if shape:
+        require(type(value) is list and len(value) == shape[0], f"{name} is not a list of {shape[0]} entries")
+        return np.array([array(each, shape[1:], name) for each in value], dtype=float)
+    require(
+        type(value) in (int, float) and abs(value) <= LARGEST, f"{name} holds {value!r:.60}; expected finite numbers"
+    )
+    return np.array(float(value))
+
+
+def checked_body(body: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of a rigid body; raise RefusedError for others."""
+    require(set(body) == {*SHAPES, "prismatic"}, f"a body has other entries than prismatic, {', '.join(SHAPES)}")
+    prismatic = expected(body["prismatic"], bool, "prismatic")
+    part = {name: array(body[name], shape, name) for name, shape in SHAPES.items()}
+    R, inertia, mass = part["rotation"], part["inertia"], part["mass"]
+    close = TOLERANCE * np.max(np.abs(inertia))
+    require(np.max(np.abs(R @ R.T - np.eye(3))) < TOLERANCE, "a rotation is not orthogonal")
+    require(np.linalg.det(R) > 0, "a rotation is a reflection")
+    require(mass >= 0, "a body has a negative mass")
+    require(np.max(np.abs(inertia - inertia.T)) <= close, "an inertia is not symmetric")
+    require(np.linalg.eigvalsh(inertia)[0] >= -close, "an inertia is not positive semidefinite")
+    return {**part, "prismatic": prismatic}
 
 
 def check_blocks(beta: float, matrix: dict[str, Box]) -> None:
@@ -273,18 +325,22 @@ def check_blocks(beta: float, matrix: dict[str, Box]) -> None:
 
 def main(arguments: list[str]) -> int:
     """Check one file; return the exit code."""
-    if len(arguments) != 1:
-        print("usage: python tools/check_certificate.py FILE", file=sys.stderr)
-        return 2
+    parser = argparse.ArgumentParser(description="Check the certificate of a rate (docs/proof.md).")
+    parser.add_argument("file", metavar="FILE")
+    parser.add_argument(
+        "--seconds", type=float, default=SECONDS, help="longest time of the check (default %(default)s)"
+    )
+    given = parser.parse_args(arguments)
     try:
-        content = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
+        content = json.loads(Path(given.file).read_text(encoding="utf-8"))
         require(isinstance(content, dict), "it is not a JSON object")
-        boxes = checked(content)
-    except (OSError, ValueError, ArithmeticError, RecursionError, RefusedError) as error:
-        print(f"{arguments[0]}: refused: {error}", file=sys.stderr)
+        with np.errstate(all="ignore"):  # what is not a number is not positive
+            boxes = checked(content, given.seconds)
+    except (OSError, ValueError, ArithmeticError, RecursionError, MemoryError, RefusedError) as error:
+        print(f"{given.file}: refused: {error}", file=sys.stderr)
         return 1
-    said = f"proven: beta = {content['beta']:.6g} 1/s on {boxes} boxes, joints {', '.join(content['joints'])}"
-    print(f"{arguments[0]}: {said}")
+    beta = Context(prec=6, rounding=ROUND_FLOOR).create_decimal(content["beta"])
+    print(f"{given.file}: proven: beta = {beta} 1/s on {boxes} boxes, joints {', '.join(content['joints'])}")
     return 0
 
 
