@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a scenario on two nodes and record every topic.
 
-Start in this order: the recorder; the plant, paused; the controller. Beside another run it does not start: until its
-plant appears, the graph must show no node of its names and no publisher of states or commands, and the plant itself
-listens for states of its joints before it publishes. The plant is resumed once all are connected. At the end the
+Start in this order: the recorder; the plant, paused; the controller. Beside another run it does not start: the graph
+must show no other node of these names and no other publisher of states or commands, and the plant itself listens for
+states of its joints before it publishes. The nodes of the run are known by their enclave. The plant is resumed once all are connected. At the end the
 controller stops first, so that its last command, zero effort, reaches the plant and the bag.
 """
 
@@ -120,6 +120,7 @@ class _Run:
         self.recorder = recorder
         self.stop = stop
         self.file = file
+        self.enclave = f"/fjr_run_{os.getpid()}"
         self.client = PlantClient(recorder.context, PLANT)
         self.nodes: dict[str, NodeProcess] = {}
         self.going = False  # whether the plant was resumed
@@ -154,7 +155,7 @@ class _Run:
 
     def _start(self, node: str, package: str, name: str, *arguments: str) -> None:
         log = self.plan.folder / f"{name}.log"
-        self.nodes[node] = NodeProcess(package, name, ["--params-file", str(self.file), *arguments], log)
+        self.nodes[node] = NodeProcess(package, name, ["--enclave", self.enclave, "--params-file", str(self.file), *arguments], log)
 
     def _wait_for(self, node: str, signature: str) -> None:
         """Wait until the node publishes the topic `signature` and the recorder is connected to all its topics."""
@@ -167,9 +168,14 @@ class _Run:
         wait(lambda: self.client.discovered_by(node), f"{node} to discover the recorder")
 
     def _appeared(self, node: str, signature: str) -> bool:
-        """Return whether a node publishes the topic `signature`; raise RunError if there are other publishers."""
+        """Return whether our node publishes the topic `signature`; raise RunError if there are other publishers."""
         self._refuse_others()
-        return signature in self.client.published_by(node)
+        return (node, self.enclave) in self._present() and signature in self.client.published_by(node)
+
+    def _present(self) -> list[tuple[str, str]]:
+        """Return name and enclave of each node without a namespace."""
+        nodes = self.recorder.node.get_node_names_and_namespaces_with_enclaves()
+        return [(name, enclave) for name, namespace, enclave in nodes if namespace == "/"]
 
     def _unconnected(self, node: str) -> list[str]:
         """Return the topics of the node that the recorder is not connected to."""
@@ -211,13 +217,11 @@ class _Run:
 
         Between two messages of discovery a publisher has no node. It may be of this run, until the plant is resumed.
         """
-        node = self.recorder.node
         for topic, owner in ((STATES, PLANT), (EFFORT_COMMANDS, CONTROLLER), (JOINT_COMMANDS, CONTROLLER)):
             publishers = [name for name in self._publishers(topic) if self.going or name != UNKNOWN]
             if publishers.count(owner) > (owner in self.nodes) or set(publishers) - {owner}:
                 return f"{topic} has other publishers in ROS domain {domain()} ({', '.join(sorted(publishers))})"
-        present = [name for name, space in node.get_node_names_and_namespaces() if space == "/"]
-        twice = [name for name in (PLANT, CONTROLLER) if present.count(name) > (name in self.nodes)]
+        twice = [name for name, enclave in self._present() if name in (PLANT, CONTROLLER) and enclave != self.enclave]
         return f"another node of ROS domain {domain()} is named /{twice[0]}" if twice else ""
 
     def _follow(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import wraps
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
@@ -35,6 +35,8 @@ class EndingNode(Node):
     """
 
     values: dict[str, Any]
+    starting: ClassVar[bool] = False
+    """Whether a process builds the node; it then looks at `ended` itself."""
     host: Host | None = None
     """The process, if the node has its own (fjr_msgs_py/node/process.py)."""
     ended: FjrError | None = None
@@ -45,10 +47,10 @@ class EndingNode(Node):
     def end(self, error: FjrError) -> None:
         """End the node: its process exits with the error, or the error is logged if the node has no process."""
         self.ended = error
-        if self.host is None:
-            self.get_logger().error(f"ended: {error}")
-        else:
+        if self.host is not None:
             self.host.end(error)
+        elif not self.starting:
+            self.get_logger().error(f"ended: {error}")
 
     def built(self) -> None:
         """Report to the process that the objects of the callbacks are built; raises ParameterError."""

@@ -22,6 +22,7 @@ from fjr_core import FjrError
 from fjr_core.config.process import NATIVE, process_settings
 
 from . import participant
+from .failure import EndingNode
 from .loading import index_modules, resume_garbage_collection
 from .parameters import ParameterNode
 from .scheduling import apply_process_settings, freeze_garbage, yield_to_other_threads
@@ -70,6 +71,7 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
         participant.initialise(args)
         index_modules()
         ParameterNode.process_arguments = sys.argv if args is None else args
+        EndingNode.starting = True
         node = make_node()
         host = _Host(node)
     except (FjrError, *_ROS_ERRORS) as error:
@@ -79,6 +81,7 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
         return 1
     finally:
         ParameterNode.process_arguments = ()
+        EndingNode.starting = False
         participant.hand_over()
         resume_garbage_collection()
     try:
@@ -107,6 +110,8 @@ class _Host:
         self._apply(node.values)
         if isinstance(node, ParameterNode):
             node.host = self
+        if isinstance(node, EndingNode) and node.ended is not None:  # its thread met an error meanwhile
+            self.end(node.ended)
 
     def apply_process_settings(self, values: Mapping[str, Any]) -> None:
         """Apply the process settings of the values and freeze the garbage collector; raises ParameterError."""
