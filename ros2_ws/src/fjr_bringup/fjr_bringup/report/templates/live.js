@@ -8,7 +8,7 @@
   const section = document.getElementById("arm");
   const part = (name) => section.querySelector(`.${name}`);
   const stretch = part("stretch");
-  let [scene, arm, view, largest, chosen] = [null, null, null, 0, false];
+  let [scene, arm, view, frame, largest, chosen] = [null, null, null, null, 0, false];
 
   const factor = () => Number((10 ** (DECADES * Number(stretch.value))).toPrecision(2));
   const by = (value) => Object.fromEntries(view.joints.map((joint) => [joint.name, value(joint)]));
@@ -88,6 +88,15 @@
     }
   }
 
+  function show() {
+    frame = null;
+    report();
+    tabulate();
+    if (!scene || scene.error || !view.joints.length) return;
+    if (!arm && !part("stage").classList.contains("unavailable")) build();
+    if (arm) pose();
+  }
+
   stretch.oninput = () => (chosen = true);
   const events = new EventSource("/events");
   events.addEventListener("scene", ({ data }) => {
@@ -95,16 +104,14 @@
     arm = null;
     if (scene?.error) part("stage").textContent = `no arm: ${scene.error}`;
   });
+  // One frame for however many views have arrived: drawn one by one, they would wait behind a slow graphics card.
   events.addEventListener("view", ({ data }) => {
     view = JSON.parse(data);
-    report();
-    tabulate();
-    if (!scene || scene.error || !view.joints.length) return;
-    if (!arm && !part("stage").classList.contains("unavailable")) build();
-    if (arm) pose();
+    frame ??= requestAnimationFrame(show);
   });
   events.addEventListener("end", () => {
     events.close();
+    cancelAnimationFrame(frame);
     document.getElementById("timing").textContent = "fjr watch has ended";
   });
 })();
