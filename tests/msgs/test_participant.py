@@ -20,8 +20,9 @@ from nodes.harness import Ros
 from time_limits import HANG, Limit
 
 JOINING = """
-import sys, time
+import os, sys, time
 from fjr_msgs_py.node import participant
+os.getloadavg = lambda: (0.0, 0.0, 0.0)  # as on a quiet machine
 participant.join()
 while not participant._hidden.get_count_publishers("/other"):
     time.sleep(0.01)

@@ -26,8 +26,12 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 SOON, LATER = 0.2, 0.4
-"""Time [s] in which a participant discovers the publishers of the others: if it hears their first answer, if not."""
+"""Time [s] in which a participant discovers the publishers of the others: if it hears their first answer, if not.
 
+While more programs are busy than there are cores, the others answer later.
+"""
+
+CROWD = 10.0  # busy programs per core; more delay a start no further
 CALLBACK_LIMIT = 10  # s; a discovery callback takes microseconds
 
 _PARTICIPANT_OF = "_ZN16rmw_fastrtps_cpp22get_domain_participantEP10rmw_node_s"
@@ -59,7 +63,7 @@ def join() -> None:
         context = rclpy.get_default_context().handle
         with context, ahead_of_new_threads() as ahead:
             _hidden = rclpy_implementation.Node(f"_starting_{os.getpid()}", "/", context, None, False, False)
-        _discovered_at = time.monotonic() + (SOON if ahead else LATER)
+        _discovered_at = time.monotonic() + _crowd() * (SOON if ahead else LATER)
         for number in SIGNALS:
             signal.signal(number, _exit)
 
@@ -80,7 +84,12 @@ def initialise(args: list[str] | None) -> None:
 
 def discovered_at() -> float:
     """Return the time [s, steady clock] from which on the publishers of others are known; without `join`, LATER."""
-    return time.monotonic() + LATER if _discovered_at is None else _discovered_at
+    return time.monotonic() + _crowd() * LATER if _discovered_at is None else _discovered_at
+
+
+def _crowd() -> float:
+    """Return the busy programs per core of the last minute, from 1 to CROWD."""
+    return min(max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), CROWD)
 
 
 def hand_over() -> None:
