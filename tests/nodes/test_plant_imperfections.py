@@ -281,7 +281,8 @@ def test_external_torque_acts_until_the_next_message_or_a_reset(ros: Ros, peer: 
         np.testing.assert_allclose(state_of(peer.states[-1]), x, rtol=1e-6, atol=1e-8)
     publisher.publish(JointState(name=["joint1"], effort=[0.8]))
     ros.until(lambda: node._health.count["external torques received"] == 4)
-    call(ros, peer, Trigger, "fjr_plant/reset")
+    reset = call(ros, peer, Trigger, "fjr_plant/reset")
+    assert reset.success, reset.message
     assert not node._robot.external.any()
 
 
