@@ -18,7 +18,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fjr_core.config.description import description
 from fjr_msgs_py.names import LATCHED
-from fjr_plant.plant_node import PlantNode
+from fjr_plant.plant_node import SETTLING, PlantConflictError, PlantNode
 from fjr_plant.timing.lock_step import START as LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, answer, call, command, integrate, state_of
@@ -55,6 +55,28 @@ def test_robot_is_at_rest_until_the_first_command(ros: Ros, peer: Peer) -> None:
     assert all(list(state.position) == [0.5, 0.5] for state in peer.states)
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: in_motion(peer), "motion")
+
+
+def test_a_plant_of_the_same_name_that_is_discovered_late_must_be_heard(ros: Ros, peer: Peer) -> None:
+    """A plant that was killed stays listed for seconds, and the one that replaces it goes on."""
+    node = ros.plant()
+    peer.meet_plant()
+    other = Ros()
+    ros.at_close(other.close)
+    namesake = other.add(Node("fjr_plant", context=other.context))
+    states = namesake.create_publisher(JointState, "joint_states", 10)
+    ros.until(lambda: node._namesake.listed() and states.get_subscription_count() >= 2, "the listed plant")
+    count = len(peer.states)
+    ros.until(lambda: len(peer.states) > count + 2 * SETTLING / 1e-3, "states after the time to settle")
+    assert node.ended is None
+
+    def ended() -> bool:
+        states.publish(peer.states[-1])
+        return node.ended is not None
+
+    ros.until(ended, "the end")
+    assert isinstance(node.ended, PlantConflictError)
+    assert "are published on /joint_states by /fjr_plant; expected one robot" in str(node.ended)
 
 
 def test_stamps_are_the_exact_times_of_the_states(ros: Ros, peer: Peer) -> None:

@@ -18,7 +18,7 @@ from fjr_msgs_py import names
 from fjr_msgs_py.messages.descriptions import publish_description
 from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, TorqueReader
 from fjr_msgs_py.node import participant, process
-from fjr_msgs_py.node.conflicting_publishers import publisher_elsewhere
+from fjr_msgs_py.node.conflicting_publishers import Namesake, publisher_elsewhere
 from fjr_msgs_py.node.diagnostics import Health
 from fjr_msgs_py.node.parameters import ParameterNode
 
@@ -78,7 +78,7 @@ class PlantNode(ParameterNode):
         self.create_service(SetBool, names.PAUSE, self._on_pause)
         self.get_logger().info(self._configured())
         self._advance = DeferredTrigger(self, names.ADVANCE, self._on_advance)
-        self._settled = time.monotonic() + SETTLING
+        self._settled, self._namesake = time.monotonic() + SETTLING, Namesake(self, names.JOINT_STATES, JointState)
         self._looking = self.create_timer(LOOK_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def stop(self) -> None:
@@ -118,11 +118,10 @@ class PlantNode(ParameterNode):
 
     def _look(self) -> None:
         """Raise PlantConflictError for a plant of the same name that is discovered late; an older one goes on."""
-        own, topic = self.get_fully_qualified_name(), self.resolve_topic_name(names.JOINT_STATES)
-        found = [f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in self.get_publishers_info_by_topic(topic)]
-        if found.count(own) > 1:
-            raise self._conflict(own)
-        if time.monotonic() > self._settled:
+        if self._namesake.heard():
+            raise self._conflict(self.get_fully_qualified_name())
+        if not self._namesake.listed() and time.monotonic() > self._settled:
+            self._namesake.close()
             self._looking.cancel()
 
     def _conflict(self, other: str) -> PlantConflictError:

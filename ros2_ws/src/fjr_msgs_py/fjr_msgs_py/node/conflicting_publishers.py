@@ -21,6 +21,7 @@ MATCHING = 1.0  # s
 _POLL = 0.005  # s
 _PARTICIPANT = 12  # leading bytes of an endpoint's GID, equal for all endpoints of a participant
 _ANY = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches reliable publishers, too
+_QUEUE = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 @dataclass(frozen=True)
@@ -127,6 +128,43 @@ class ConflictingPublishers:
         return found
 
 
+class Namesake:
+    """Detect a second node of this name that publishes on a topic of this node.
+
+    A publisher that has ended without notice stays in the graph for its lease, so one that is listed must be heard. The
+    messages of one publisher arrive in the order of their sequence numbers; numbers that do not increase are of two.
+    """
+
+    def __init__(self, node: Node, name: str, kind: type) -> None:
+        self._node, self._kind, self._topic = node, kind, node.resolve_topic_name(name)
+        self._subscription: NativeSubscription | None = None
+        self._latest = 0
+
+    def listed(self) -> bool:
+        """Return whether the graph lists a second publisher of this node's name; listen from then on."""
+        infos = self._node.get_publishers_info_by_topic(self._topic)
+        found = [_name(info.node_namespace, info.node_name) for info in infos]
+        listed = found.count(self._node.get_fully_qualified_name()) > 1
+        if listed and not self._subscription:
+            self._subscription = NativeSubscription(self._node, self._kind, self._topic, _QUEUE)
+        return listed
+
+    def heard(self) -> bool:
+        """Return whether messages of two publishers have arrived since the last call."""
+        two = False
+        if self._subscription:
+            with self._subscription.handle:
+                while taken := self._subscription.handle.take_message(self._kind, True):
+                    number = taken[1]["publication_sequence_number"] or 0  # 0: not supported
+                    two, self._latest = two or number <= self._latest, number
+        return two
+
+    def close(self) -> None:
+        """Stop listening."""
+        if self._subscription:
+            self._subscription.close()
+
+
 def publisher_elsewhere(node: Node, name: str, kind: type, concerns: Callable[[Any], object]) -> str:
     """Return who else publishes a message that `concerns` this process on a topic, as text for a sentence; "": nobody.
 
@@ -145,9 +183,7 @@ def publisher_elsewhere(node: Node, name: str, kind: type, concerns: Callable[[A
 
     if not others():
         return ""
-    subscription = NativeSubscription(
-        node, kind, topic, QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-    )
+    subscription = NativeSubscription(node, kind, topic, _QUEUE)
     looks, latest = round(LISTENING / _POLL), time.monotonic() + MATCHING
     try:
         while looks:
