@@ -27,12 +27,19 @@ NOBODY = 65534
 
 # Apply the settings while a thread runs; print the refusals and the scheduling of every thread.
 TAKE_CARE = """
-import json, os, resource, sys, threading
+import ctypes, json, os, resource, sys, threading
 from pathlib import Path
 from fjr_core.config.process import ProcessSettings
-from fjr_msgs_py.node.scheduling import apply_process_settings, slice_of, yield_to_other_threads
-care, user, memlock = json.loads(sys.argv[1])
-thread = threading.Thread(target=threading.Event().wait, daemon=True).start()
+from fjr_msgs_py.node.scheduling import apply_process_settings, slice_of, step_back, yield_to_other_threads
+care, user, memlock, back = json.loads(sys.argv[1])
+def wait():
+    if back:
+        step_back()
+    started.set()
+    threading.Event().wait()
+started = threading.Event()
+threading.Thread(target=wait, daemon=True).start()
+started.wait()
 if memlock is not None:
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (memlock, memlock))
 if user is not None:
@@ -45,6 +52,7 @@ status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text
 threads = sorted((int(thread) for thread in os.listdir("/proc/self/task")), key=os.getpid().__ne__)
 print(json.dumps({
     "granted": granted,
+    "small pages": ctypes.CDLL(None).prctl(42, 0, 0, 0, 0),  # PR_GET_THP_DISABLE
     "refusals": refusals,
     "slices": [slice_of(t) for t in threads],
     "locked": int(status["VmLck"].split()[0]),
@@ -84,6 +92,14 @@ def test_without_a_priority_every_thread_has_short_slices_and_python_yields() ->
     assert found["refusals"] == []
     assert found["policies"] == [[os.SCHED_BATCH, 0], [os.SCHED_OTHER, 0]]
     _is_said(found)
+
+
+@linux
+def test_memory_has_small_pages_and_threads_that_stepped_back_keep_their_scheduling() -> None:
+    """Kernels of PREEMPT_NONE let no thread of a core run for 5 ms while they clear or assemble a huge page."""
+    found = _take_care({"priority": 1}, back=True)
+    assert found["small pages"] == 1
+    assert found["policies"][1] == [os.SCHED_BATCH, 0]
 
 
 def _is_said(found: dict[str, Any]) -> None:
@@ -251,8 +267,11 @@ def test_lock_step_has_no_priority_and_defaults_change_nothing() -> None:
     assert process_settings({**defaults, "realtime_priority": 50, "lockstep": True}).priority == 0
 
 
-def _take_care(care: dict[str, Any], user: int | None = None, memlock: int | None = None) -> dict[str, Any]:
-    done = run(TAKE_CARE, json.dumps([care, user, memlock]))
+def _take_care(
+    care: dict[str, Any], user: int | None = None, memlock: int | None = None, back: bool = False
+) -> dict[str, Any]:
+    """Return what the child process has after it applied `care`; back: its second thread stepped back."""
+    done = run(TAKE_CARE, json.dumps([care, user, memlock, back]))
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
     return found

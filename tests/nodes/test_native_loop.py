@@ -47,6 +47,19 @@ def pair(ros: Ros, monkeypatch: pytest.MonkeyPatch, **parameters: Any) -> dict[s
     return made
 
 
+def test_trajectories_arrive_in_a_participant_of_their_own(ros: Ros, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread of a participant that receives a trajectory of 20 MB would keep the states waiting."""
+    for host, (node, _) in pair(ros, monkeypatch).items():
+        found = [
+            info
+            for topic in (f"/{host}/joint_states", f"/{host}/fjr_controller/joint_trajectory")
+            for info in node.get_subscriptions_info_by_topic(topic)
+            if "fjr_controller" in info.node_name
+        ]
+        participants = {bytes(info.endpoint_gid)[:12] for info in found}
+        assert (len(found), len(participants)) == (2, 2 if host == "native" else 1)
+
+
 def test_both_hosts_send_the_same_bits(ros: Ros, monkeypatch) -> None:
     controllers = pair(ros, monkeypatch)
     for k in range(200):

@@ -25,6 +25,7 @@ from fjr_msgs_py.messages.events import EventWriter
 from fjr_msgs_py.messages.follow_joint_trajectory import follow_messages
 
 from .native.certificate import NativeCertificate
+from .native.command_loop import NativeCommandLoop
 from .native.selection import command_loop
 from .ros.certificate_diagnosis import CertificateDiagnosis
 from .ros.certificate_publisher import CertificatePublisher
@@ -67,8 +68,9 @@ class Control:
         # Above nothing is created on the node; below nothing raises.
         self.reports = Reports(node, self.tracker, events, robot_name(values))
         self._command_loop = command_loop(node, values, self.tracker, measured, self.reports, on_conflict)
+        apart = isinstance(self._command_loop, NativeCommandLoop) and not simulated
         self._interface = TrajectoryInterface(
-            node, joints, self.tracker, self.reports, lambda: self._command_loop.active, self._built_in
+            node, joints, self.tracker, self.reports, lambda: self._command_loop.active, self._built_in, apart
         )
         self._apply_motion_limits()
         self._action = self._create_action(node, allowed)
@@ -94,16 +96,17 @@ class Control:
         """Stop, and destroy everything that was created on the node."""
         self.stop()
         self.withdraw()
-        for part in (self._interface, self._command_loop, self.reports, self._certificate_publisher):
+        for part in (self._command_loop, self.reports, self._certificate_publisher):
             if part is not None:
                 part.close()
 
     def withdraw(self) -> None:
-        """Destroy the action server, and end the native command loop, before the node is destroyed."""
+        """Destroy action server and trajectory interface, end the native command loop: before the node is destroyed."""
         self._command_loop.abandon()
         if self._action is not None:
             self._action.close()
             self._action = None
+        self._interface.close()
 
     def change(self, values: dict[str, Any], changed: set[str]) -> None:
         """Apply gains, limits and the built-in reference from the next state on; on a FjrError change nothing."""

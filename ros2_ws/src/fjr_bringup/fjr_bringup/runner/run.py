@@ -3,8 +3,8 @@
 
 Start in this order: the recorder; the plant, paused; the controller. Beside another run it does not start: the graph
 must show no other node of these names and no other publisher of states or commands, and the plant itself listens for
-states of its joints before it publishes. The nodes of the run are known by their enclave. The plant is resumed once all are connected. At the end the
-controller stops first, so that its last command, zero effort, reaches the plant and the bag.
+states of its joints before it publishes. The nodes of the run are known by their enclave. The plant is resumed once all
+are connected. At the end the controller stops first, so that its last command, zero effort, reaches the plant and the bag.
 """
 
 from __future__ import annotations
@@ -155,7 +155,8 @@ class _Run:
 
     def _start(self, node: str, package: str, name: str, *arguments: str) -> None:
         log = self.plan.folder / f"{name}.log"
-        self.nodes[node] = NodeProcess(package, name, ["--enclave", self.enclave, "--params-file", str(self.file), *arguments], log)
+        ros = ["--enclave", self.enclave, "--params-file", str(self.file), *arguments]
+        self.nodes[node] = NodeProcess(package, name, ros, log)
 
     def _wait_for(self, node: str, signature: str) -> None:
         """Wait until the node publishes the topic `signature` and the recorder is connected to all its topics."""

@@ -15,6 +15,7 @@ from fjr_core.trajectories.transition import transition
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.messages.trajectories import TrajectoryReader
+from fjr_msgs_py.node.separate_subscription import SeparateSubscription
 
 from ..ros.diagnostics import Reports
 from ..tracking.events import Event, State
@@ -38,15 +39,17 @@ class TrajectoryInterface:
         reports: Reports,
         is_active: Callable[[], bool],
         built_in: Callable[[], Reference],
+        apart: bool,
     ) -> None:
-        """built_in: returns the reference that the parameters describe; raises FjrError if it violates its limits."""
+        """built_in: returns the reference that the parameters describe; raises FjrError if it violates its limits.
+
+        apart: receive trajectories in a DDS participant of their own, beside a native command loop.
+        """
         self._node, self._joints, self._tracker, self._reports = node, joints, tracker, reports
         self._is_active, self._built_in = is_active, built_in
         self.planner = Planner(node, tracker, is_active)
         self.on_replaced: Callable[[str], None] = lambda reason: None
-        self._subscription = node.create_subscription(
-            JointTrajectory, names.JOINT_TRAJECTORY, self._on_trajectory, 10, raw=True
-        )
+        self._close_subscription = self._subscribe(apart)
         self._services = [
             node.create_service(Trigger, name, self._service(act))
             for name, act in ((names.HOLD, self._hold), (names.PLAY, self._play), (names.RESUME, self._resume))
@@ -90,9 +93,17 @@ class TrajectoryInterface:
     def close(self) -> None:
         """Destroy the subscription, the services and the planner."""
         self.planner.close()
-        self._node.destroy_subscription(self._subscription)
+        self._close_subscription()
         for service in self._services:
             self._node.destroy_service(service)
+
+    def _subscribe(self, apart: bool) -> Callable[[], object]:
+        """Subscribe to trajectories; return what ends the subscription."""
+        what = JointTrajectory, names.JOINT_TRAJECTORY, self._on_trajectory
+        if apart:
+            return SeparateSubscription(self._node, *what).close
+        subscription = self._node.create_subscription(*what, 10, raw=True)
+        return lambda: self._node.destroy_subscription(subscription)
 
     def _begin(self, plan: Plan, reason: str) -> None:
         self.on_replaced(reason)

@@ -25,6 +25,7 @@ SLICE = 100_000  # ns; the shortest slice that Linux grants
 NICE = 5  # of threads and processes beside a loop
 LATE = "cycles may be late while more programs are busy than there are cores"
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h of Linux
+_PR_SET_THP_DISABLE = 41  # linux/prctl.h
 _CAP_IPC_LOCK = 14  # linux/capability.h
 _SYSTEM_CALLS = {"x86_64": (314, 315), "aarch64": (274, 275)}
 """Numbers of sched_setattr and sched_getattr by machine."""
@@ -52,6 +53,7 @@ class Scheduling(NamedTuple):
 
 def apply_process_settings(settings: ProcessSettings) -> Scheduling:
     """Apply the settings to this process: its threads have the priority or, without one, short slices."""
+    refuse_huge_pages()
     refused = take_priority(settings.priority)
     slices = take_short_slices()
     if os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
@@ -67,7 +69,9 @@ def apply_process_settings(settings: ProcessSettings) -> Scheduling:
 
 
 def take_priority(priority: int, inherited: bool = True) -> str:
-    """Schedule every thread of this process as SCHED_FIFO at `priority`; 0 leaves the scheduling unchanged.
+    """Schedule the threads of this process as SCHED_FIFO at `priority`; 0 leaves the scheduling unchanged.
+
+    Threads that stepped back, with a higher nice value than the process, stay as they are.
 
     inherited: threads and processes started later inherit the priority.
     Return "", or one sentence with the reason of the refusal.
@@ -82,6 +86,16 @@ def take_priority(priority: int, inherited: bool = True) -> str:
             "allow it by an rtprio limit (/etc/security/limits.conf) or CAP_SYS_NICE, or set realtime_priority to 0"
         )
     return ""
+
+
+def refuse_huge_pages() -> None:
+    """Let the memory of this process consist of small pages.
+
+    A kernel that is not preemptible clears and assembles the huge pages that NumPy asks for in steps of 5 ms, in which
+    no thread of that core runs.
+    """
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_THP_DISABLE, 1, 0, 0, 0)
 
 
 def take_short_slices() -> int:
@@ -255,9 +269,12 @@ def _capable(capability: int) -> bool:
 
 
 def _schedule(policy: int, priority: int) -> None:
+    """Schedule every thread of this process, except those that stepped back."""
+    nice = os.getpriority(os.PRIO_PROCESS, os.getpid())
     for thread in _threads():
         with suppress(ProcessLookupError):
-            os.sched_setscheduler(thread, policy, os.sched_param(priority))
+            if os.getpriority(os.PRIO_PROCESS, thread) <= nice:
+                os.sched_setscheduler(thread, policy, os.sched_param(priority))
 
 
 def _ask_for_slice(thread: int) -> None:
