@@ -90,7 +90,7 @@ def _machine() -> Iterator[Figure]:
             due += 1e-3
             time.sleep(max(0.0, due - time.monotonic()))
             late[k] = 1e3 * (time.monotonic() - due)
-    parts = {"sleeps": SLEEPS, "over 1 ms": int(np.sum(late > 1.0))}
+    parts = {"sleeps": float(SLEEPS), "over 1 ms": float(np.sum(late > 1.0))}
     yield Figure("latest wake-up of a thread that only sleeps", float(late.max()), "ms", parts=parts)
 
 

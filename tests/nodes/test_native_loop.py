@@ -50,14 +50,17 @@ def pair(ros: Ros, monkeypatch: pytest.MonkeyPatch, **parameters: Any) -> dict[s
 def test_trajectories_arrive_in_a_participant_of_their_own(ros: Ros, monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread of a participant that receives a trajectory of 20 MB would keep the states waiting."""
     for host, (node, _) in pair(ros, monkeypatch).items():
-        found = [
-            info
-            for topic in (f"/{host}/joint_states", f"/{host}/fjr_controller/joint_trajectory")
-            for info in node.get_subscriptions_info_by_topic(topic)
-            if "fjr_controller" in info.node_name
-        ]
-        participants = {bytes(info.endpoint_gid)[:12] for info in found}
-        assert (len(found), len(participants)) == (2, 2 if host == "native" else 1)
+
+        def found(host: str = host, node: Any = node) -> list[bytes]:
+            return [
+                bytes(info.endpoint_gid)[:12]
+                for topic in (f"/{host}/joint_states", f"/{host}/fjr_controller/joint_trajectory")
+                for info in node.get_subscriptions_info_by_topic(topic)
+                if "fjr_controller" in info.node_name
+            ]
+
+        ros.until(lambda found=found: len(found()) == 2, "the discovery of both subscriptions")
+        assert len(set(found())) == (2 if host == "native" else 1)
 
 
 def test_both_hosts_send_the_same_bits(ros: Ros, monkeypatch) -> None:

@@ -4,7 +4,7 @@
 Start in this order: the recorder; the plant, paused; the controller. Beside another run it does not start: the graph
 must show no other node of these names and no other publisher of states or commands, and the plant itself listens for
 states of its joints before it publishes. The nodes of the run are known by their enclave. The plant is resumed once all
-are connected. At the end the controller stops first, so that its last command, zero effort, reaches the plant and the bag.
+are connected. At the end the controller stops first, so that its last command, zero effort, reaches plant and bag.
 """
 
 from __future__ import annotations
