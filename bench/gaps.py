@@ -10,7 +10,8 @@ The bound is for the largest difference of the send times of two consecutive eff
 until the use ends; a trajectory ends after half of the move to its first point. It covers all that delays
 an effort: states that the plant sends late, the cycle of the controller, reading and planning of the trajectory, the
 change of the reference, and every other process on the cores. It does not cover the start (bench/starts.py) and
-processes that join before the recording. A refused trajectory gives no figure, unless the arm had stopped before.
+processes that join before the recording. `machine` is the largest lateness meanwhile of a thread of high priority that
+only sleeps (bench/machine.py). A refused trajectory gives no figure, unless the arm had stopped before.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from bench.arm import SCENARIO
 from bench.figures import Figure, table
+from bench.machine import watched
 from bench.nodes import controller, plant, process, running, scenario_file
 from bench.round_trip import at_rest
 from bench.tap import Heard, Tap
@@ -75,19 +77,19 @@ def longest(quick: bool = False) -> list[Figure]:
 
 
 def _figure(name: str, use: Use, overrides: Mapping[str, Any], repeats: int) -> Figure:
-    gaps = np.array([_gap(use, overrides) for _ in range(repeats)])
-    parts = {"median [ms]": float(np.median(gaps)), "repeats": repeats}
+    gaps, machine = np.array([_gap(use, overrides) for _ in range(repeats)]).T
+    parts = {"median [ms]": float(np.median(gaps)), "machine [ms]": float(machine.max()), "repeats": float(repeats)}
     return Figure(f"longest gap between efforts {name}", float(gaps.max()), "ms", bound=BOUND, parts=parts)
 
 
-def _gap(use: Use, overrides: Mapping[str, Any]) -> float:
-    """Return the longest gap [ms] from the second second on; the starts are measured by bench/starts.py."""
+def _gap(use: Use, overrides: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the longest gap [ms] from the second second on, and the lateness of the machine itself [ms]."""
     with scenario_file(overrides) as file, Tap() as tap, running(plant(file), controller(file)):
         tap.messages([names.JOINT_COMMANDS], 2.0, LONGEST)
-        with tap.listening([names.JOINT_COMMANDS], LONGEST) as heard:
+        with tap.listening([names.JOINT_COMMANDS], LONGEST) as heard, watched() as late:
             use(tap, heard)
             heard.drain()
-    return 1e-6 * float(np.diff(heard.messages()[0][:, 1]).max())
+    return 1e-6 * float(np.diff(heard.messages()[0][:, 1]).max()), max(late)
 
 
 def _send(tap: Tap, heard: Heard) -> None:

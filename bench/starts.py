@@ -3,8 +3,8 @@
 
     python -m bench.starts [--quick] [--only "quiet"]
 
-Quiet and beside busy processes, with the permission for real-time priority and as a user without it. Beside them
-stands how late the machine itself wakes a thread of high priority that does nothing but sleep: no loop can do better.
+Quiet and beside busy processes, with the permission for real-time priority and as a user without it. `machine` is the
+largest lateness meanwhile of a thread of high priority that only sleeps (bench/machine.py).
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,18 +25,17 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from bench.figures import Figure, table
+from bench.machine import watched
 from bench.nodes import burning, ros_environment
 from bench.tap import HEADER, STAMP
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_msgs_py import names
-from fjr_msgs_py.node.scheduling import prioritised
 
 STATES = 1000  # from the first that is answered
 DURATION = 2.5  # s of each run
 LARGEST_ERROR = 2e-4  # rad, of any joint after 2 s
 LONGEST = 120.0  # s; timeout of a start
 QUICK = 2  # starts
-SLEEPS, PRIORITY = 30_000, 80  # of a millisecond each
 MEMORY = 8 << 20  # bytes that an ordinary user may lock
 ORDINARY = (
     *("setpriv", "--bounding-set=-sys_nice,-ipc_lock,-sys_resource", "--inh-caps=-all"),
@@ -78,24 +76,11 @@ class Start:
 def arm7(quick: bool = False, only: Sequence[str] = ()) -> list[Figure]:
     """Start the arm in all settings, or in those named; quick: a few times."""
     chosen = [setting for setting in SETTINGS if not only or setting.name in only]
-    return [*_machine(), *(figure for each in chosen for figure in _figures(each, QUICK if quick else each.count))]
-
-
-def _machine() -> Iterator[Figure]:
-    """Sleep for a millisecond again and again, at a priority above all nodes if it is granted."""
-    late = np.empty(SLEEPS)
-    with prioritised(PRIORITY):
-        due = time.monotonic()
-        for k in range(SLEEPS):
-            due += 1e-3
-            time.sleep(max(0.0, due - time.monotonic()))
-            late[k] = 1e3 * (time.monotonic() - due)
-    parts = {"sleeps": float(SLEEPS), "over 1 ms": float(np.sum(late > 1.0))}
-    yield Figure("latest wake-up of a thread that only sleeps", float(late.max()), "ms", parts=parts)
+    return [figure for each in chosen for figure in _figures(each, QUICK if quick else each.count)]
 
 
 def _figures(setting: Setting, count: int) -> Iterator[Figure]:
-    with burning(setting.busy):
+    with burning(setting.busy), watched() as late:
         bar = tqdm(range(count), desc=setting.name, disable=not sys.stderr.isatty())
         starts = [_start(setting.ordinary) for _ in bar]
     shares, waits = (np.array([getattr(each, name) for each in starts]) for name in ("in_time", "wait"))
@@ -109,7 +94,7 @@ def _figures(setting: Setting, count: int) -> Iterator[Figure]:
         at_least=True,
         parts={"median [%]": float(np.median(shares))},
     )
-    parts = {"median [ms]": float(np.median(waits))}
+    parts = {"median [ms]": float(np.median(waits)), "machine [ms]": max(late)}
     yield Figure(f"longest wait for an effort, worst start, {setting.name}", float(waits.max()), "ms", parts=parts)
     if not setting.busy and not setting.ordinary:
         errors = np.array([each.error for each in starts])
