@@ -25,7 +25,7 @@ from . import participant
 from .failure import EndingNode
 from .loading import index_modules, resume_garbage_collection
 from .parameters import ParameterNode
-from .scheduling import apply_process_settings, freeze_garbage, yield_to_other_threads
+from .scheduling import apply_process_settings, freeze_garbage, yield_to_loops
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
@@ -127,7 +127,7 @@ class _Host:
             self._granted = granted
             self._node.get_logger().info(granted)
         if settings.executor == NATIVE:
-            yield_to_other_threads(settings.priority)
+            yield_to_loops()
 
     def end(self, error: FjrError) -> None:
         """Stop serving callbacks; called from a callback."""

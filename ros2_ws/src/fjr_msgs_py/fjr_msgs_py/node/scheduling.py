@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 SLICE = 100_000  # ns; the shortest slice that Linux grants
 NICE = 5  # of threads and processes beside a loop
+PYTHON = -10  # nice value of Python beside a real-time loop
 LATE = "cycles may be late while more programs are busy than there are cores"
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h of Linux
 _PR_SET_THP_DISABLE = 41  # linux/prctl.h
@@ -71,7 +72,7 @@ def apply_process_settings(settings: ProcessSettings) -> Scheduling:
 def take_priority(priority: int, inherited: bool = True) -> str:
     """Schedule the threads of this process as SCHED_FIFO at `priority`; 0 leaves the scheduling unchanged.
 
-    Threads that stepped back, with a higher nice value than the process, stay as they are.
+    Threads that stepped back by NICE stay as they are.
 
     inherited: threads and processes started later inherit the priority.
     Return "", or one sentence with the reason of the refusal.
@@ -130,16 +131,19 @@ def step_back(nice: int = NICE) -> None:
         os.setpriority(os.PRIO_PROCESS, thread, max(nice, os.getpriority(os.PRIO_PROCESS, thread)))
 
 
-def yield_to_other_threads(priority: int) -> None:
-    """Let the calling thread yield to the other threads of this process, which have `priority` or short slices.
+def yield_to_loops() -> None:
+    """Let the calling thread yield to the native loop and the middleware, which never wait for Python.
 
-    A native loop and the middleware then never wait for Python.
+    Beside a real-time loop it has ordinary scheduling and, if that is granted, a nice value of PYTHON: at a real-time
+    priority a long call of Python would suspend another process that holds a lock of Fast DDS's shared memory, and the
+    loop would wait for both.
     """
+    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_FIFO:
+        step_back(0)
+        return
     with suppress(OSError, AttributeError):
-        if os.sched_getscheduler(0) != os.SCHED_FIFO:
-            step_back(0)
-        elif priority > 1:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority - 1))
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), PYTHON)
 
 
 @contextmanager
@@ -270,10 +274,10 @@ def _capable(capability: int) -> bool:
 
 def _schedule(policy: int, priority: int) -> None:
     """Schedule every thread of this process, except those that stepped back."""
-    nice = os.getpriority(os.PRIO_PROCESS, os.getpid())
     for thread in _threads():
         with suppress(ProcessLookupError):
-            if os.getpriority(os.PRIO_PROCESS, thread) <= nice:
+            back = os.sched_getscheduler(thread) == os.SCHED_BATCH and os.getpriority(os.PRIO_PROCESS, thread) >= NICE
+            if not back:
                 os.sched_setscheduler(thread, policy, os.sched_param(priority))
 
 
