@@ -20,6 +20,7 @@ from fjr_core.config.user_options import is_option, unread_options
 from .command_line import for_any_node, overruled, same_value
 from .descriptor import descriptor
 from .failure import LONGEST, EndingNode
+from .participant import exchange_as_processes_do
 
 _SIM_TIME = "use_sim_time"
 _FOREIGN = (_SIM_TIME, "start_type_description_service", "qos_overrides.")
@@ -57,6 +58,7 @@ class ParameterNode(EndingNode):
             )
         except ValueError as error:  # rclpy cannot declare a list without entries
             raise ParameterError(f"a parameter is an empty list; expected at least one entry ({error})") from None
+        exchange_as_processes_do()
         self.guard_services()
         self._own = own
         self._given = self._taken_over()

@@ -40,6 +40,8 @@ _SET_LISTENER = (
     "NSt6chrono8durationIlSt5ratioILl1ELl1EEEE"
 )
 """rmw_fastrtps_cpp::get_domain_participant(node); DomainParticipant::set_listener(listener, std::chrono::seconds)."""
+_LIBRARY, _SETTINGS = "libfastrtps.so.2.14", "_ZN8eprosima8fastrtps9xmlparser17XMLProfileManager16library_settingsEv"
+"""XMLProfileManager::library_settings(): a pointer to the table of its class, then the delivery within a process."""
 
 _initialised = False
 _hidden: Any = None
@@ -108,12 +110,30 @@ def own_node(name: str, arguments: list[str] | None = None) -> Iterator[Node]:
     rclpy.init(args=ros, context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node(name, context=context, enable_rosout=False, start_parameter_services=False)
+        exchange_as_processes_do()
         try:
             yield node
         finally:
             leave(node)
     finally:
         context.try_shutdown()
+
+
+def exchange_as_processes_do() -> None:
+    """Let later participants of this process exchange messages as those of two processes do, whatever the DDS profile.
+
+    Call it after the first participant was created, before another one is. With the delivery within a process Fast DDS
+    2.14 runs callbacks of each in the other's thread, under the locks of both, and they may wait for each other forever
+    (https://github.com/eProsima/Fast-DDS/issues/6193).
+    """
+    import ctypes  # loaded on use: a node starts sooner
+
+    try:
+        settings = ctypes.CDLL(_LIBRARY, os.RTLD_NOLOAD)[_SETTINGS]
+    except (OSError, AttributeError):  # another middleware or another version of it
+        return
+    settings.restype = ctypes.c_void_p
+    ctypes.c_int.from_address(settings() + ctypes.sizeof(ctypes.c_void_p)).value = 0  # INTRAPROCESS_OFF
 
 
 def leave(node: Node) -> None:
