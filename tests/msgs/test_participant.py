@@ -15,9 +15,8 @@ from rclpy.node import Node
 from std_msgs.msg import Empty
 
 from fjr_msgs_py.native.program import ros_options
-from fjr_msgs_py.node.participant import own_node
 from nodes.harness import Ros
-from time_limits import HANG, Limit
+from time_limits import HANG
 
 JOINING = """
 import os, sys, time
