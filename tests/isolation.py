@@ -14,8 +14,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from time_limits import crowding
-
 ROOT = Path(__file__).resolve().parents[1]
 CACHE = ROOT / "build" / "test-cache"
 """Compiled code, kept between runs of the suite in this checkout."""
@@ -29,7 +27,7 @@ OF_THE_USER = (
 )
 """Beginnings of the names of variables that no test inherits."""
 OF_THE_INSTALLATION = ("ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION")
-END_LIMIT = 60.0  # s on an idle machine, for the end of a test or of the process
+END_LIMIT = 60.0  # s for the end of a test or of the process, milliseconds on an idle machine
 
 
 def isolate() -> None:
@@ -115,7 +113,7 @@ def _link_code(source: Path, target: Path) -> None:
 @contextmanager
 def ends_in_time(errors: int) -> Iterator[None]:
     """End the process with the stacks of its threads if the block hangs, even in native code; errors: descriptor."""
-    faulthandler.dump_traceback_later(END_LIMIT * crowding(), exit=True, file=errors)
+    faulthandler.dump_traceback_later(END_LIMIT, exit=True, file=errors)
     try:
         yield
     finally:
@@ -124,7 +122,6 @@ def ends_in_time(errors: int) -> Iterator[None]:
 
 def end_soon(errors: int) -> None:
     """Let the process end within the limit, if need be by the alarm of the kernel once Python has gone."""
-    limit = END_LIMIT * crowding()
-    faulthandler.dump_traceback_later(limit, exit=True, file=os.dup(errors))  # pytest closes its own
+    faulthandler.dump_traceback_later(END_LIMIT, exit=True, file=os.dup(errors))  # pytest closes its own
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.alarm(round(limit) + 10)
+    signal.alarm(round(END_LIMIT) + 10)

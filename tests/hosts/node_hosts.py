@@ -22,6 +22,7 @@ from fjr_controller.native.command_loop import NativeCommandLoop
 from fjr_controller.ros.command_loop import CommandLoop
 from fjr_controller.ros.diagnostics import RECEIVED
 from fjr_msgs_py import names
+from fjr_msgs_py.node.participant import leave
 from hosts.inputs import Input, Kind, Sequence
 from hosts.step_hosts import Efforts
 from nodes.harness import EventsExecutor
@@ -71,7 +72,7 @@ class NodeHost:
     def close(self) -> None:
         """Destroy the nodes."""
         self._end()
-        self._peer.destroy_node()
+        leave(self._peer)
 
     def _start(self) -> None:
         options = {**OPTIONS, "executor": EXECUTORS[self._host], "use_sim_time": str(self._sequence.simulated).lower()}

@@ -541,6 +541,8 @@ def test_resume_ends_a_stop(ros: Ros, manager: Manager) -> None:
     manager.ask(stamped(0.0, 0.0))
     assert manager.trigger("resume") == (False, "the controller is not stopped; expected a stopped one")
     assert list(manager.ask(stamped(0.001, 0.5)).effort) == [0.0]
+    done, sentence = manager.trigger("resume")
+    assert (done, sentence.partition(":")[0]) == (False, "the controller stays stopped")
     assert list(manager.ask(stamped(0.002, 0.0)).effort) == [0.0]
     assert manager.trigger("resume")[0]
     assert manager.ask(stamped(0.003, 0.0)).effort is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ GUESSED = """\
       guesses: {joint_stiffness: [24.0], motor_inertia: [0.006]}
 """
 DRAWN = 100  # coloured pixels
+KR300 = Path(__file__).parents[2] / "examples" / "kr300"
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +49,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     (folder / "out" / "said").write_text(said)
     return folder / "out"
+
+
+def test_the_name_of_a_robot_is_that_of_its_urdf_or_its_file(tmp_path: Path) -> None:
+    (tmp_path / "joint_robot.yaml").write_text(GUESSED)
+    assert nominal_robot(tmp_path / "joint_robot.yaml").name == "joint"
+    found = nominal_robot(KR300 / "kr300.yaml")
+    assert found.name == ElementTree.parse(KR300 / "kr300.urdf").getroot().get("name")
 
 
 def test_guesses_are_replaced_by_values_with_intervals(folder: Path) -> None:

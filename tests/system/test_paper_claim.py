@@ -14,10 +14,12 @@ from fjr_bringup.recording.reader import read_bag
 from fjr_bringup.report.paper_claim import Claim, paper_claim
 from fjr_bringup.report.write import RunSummary, compare, report_bag
 from fjr_core.config.scenario import load_scenario
+from system.browser import Browser
 from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
 STIFFNESS = (31.0, 3.1)
+DRAWN = 150  # coloured pixels; a line across a plot has more
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +45,22 @@ def test_claim_states_the_numbers_of_both_runs(summaries: list[RunSummary], tmp_
     page = compare([summaries[0], repeated], tmp_path, made).read_text()
     assert made.sentence in page
     assert "<li>paper_k3p1: repeated in lock-step</li>" in page
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_the_page_of_the_claim_shows_link_position_and_effort_first(
+    summaries: list[RunSummary], tmp_path: Path, browser: Browser, width: int
+) -> None:
+    browser.open(compare(summaries, tmp_path, claim(*(each.report for each in summaries))), width=width)
+    assert browser.said == []
+    assert browser.overflows() == []
+    figures = browser.value("[...document.querySelectorAll('figure')].map((figure) => figure.id)")
+    assert figures[:2] == ["positions", "efforts"]
+    assert min(browser.coloured()) > DRAWN
+    cut = "[...document.querySelectorAll('.scroll')].filter((each) => each.scrollWidth > each.clientWidth).length"
+    assert browser.value(cut) == 0
+    values = "[...document.querySelectorAll('.u-legend .u-value')].filter((each) => each.offsetParent).length"
+    assert browser.value(values) == 0, "values without a pointer"
 
 
 def test_runs_that_do_not_show_the_claim_give_the_reason(summaries: list[RunSummary]) -> None:

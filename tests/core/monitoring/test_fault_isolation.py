@@ -57,6 +57,15 @@ def test_healthy_run_has_no_finding() -> None:
     assert verdict().findings == ()
 
 
+def test_holding_names_no_torque_that_nothing_explains(monkeypatch: pytest.MonkeyPatch) -> None:
+    unexplained = isolation.Finding(isolation.UNKNOWN, "", "", 0.0, "", 0.0, "no single fault explains the torque")
+    monkeypatch.setattr("fjr_core.monitoring.diagnosis.isolate", lambda *_: (unexplained,))
+    healthy = verdict()
+    assert healthy.kind == "holding"
+    assert healthy.findings == ()
+    assert unexplained.sentence not in healthy.sentence
+
+
 @pytest.mark.parametrize(
     ("robot", "kind", "joint", "side", "size"),
     [

@@ -20,16 +20,21 @@ def progress_bar(line: str, form: str, **options: Any) -> Any:
 
     terminal = sys.stderr.isatty()
     if not terminal:
-        print(line, file=sys.stderr, flush=True)
+        note(line)
     width = shutil.get_terminal_size().columns  # 80 if the terminal has no size; tqdm would draw nothing
     return tqdm(bar_format=form, disable=not terminal, file=sys.stderr, ncols=width, **options)
+
+
+def note(line: str) -> None:
+    """Print a line on stderr."""
+    print(line, file=sys.stderr, flush=True)
 
 
 @contextmanager
 def phase(text: str) -> Iterator[None]:
     """Announce a step on stderr; while it lasts, print every BEAT how long it has taken."""
     start = time.monotonic()
-    print(text, file=sys.stderr, flush=True)
+    note(text)
     with heartbeat(lambda: f"{text}: {time.monotonic() - start:.0f} s"):
         yield
 
@@ -41,7 +46,7 @@ def heartbeat(line: Callable[[], str]) -> Iterator[None]:
 
     def beat() -> None:
         while not ended.wait(BEAT):
-            print(line(), file=sys.stderr, flush=True)
+            note(line())
 
     thread = threading.Thread(target=beat, name="heartbeat", daemon=True)
     thread.start()

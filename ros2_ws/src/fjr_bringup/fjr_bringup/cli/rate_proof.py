@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prove the rate of a scenario over the joint range; keep the proof beside compiled code."""
+"""Prove the rate of a scenario over the joint range; keep the proof in the cache of compiled code."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def _basis(rate: Rate, scenario: Scenario) -> str:
         return "in continuous time; minimum over sampled configurations, not proven"
     if not scenario.plant_is_the_model:
         return f"in continuous time; {OTHER_PLANT}"
-    return "in continuous time, proven for every configuration"
+    return "in continuous time for the exact model, proven for every configuration"
 
 
 def _range(values: NDArray[np.float64]) -> str:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from fjr_core.errors import FjrError
 from fjr_msgs_py.node.loading import signals_blocked
 
 LAST_LINES = 8  # of a log
+SCHEDULING = re.compile(r"(real-time priority \d+ is granted|ordinary scheduling ).*")
 GRACE = 20.0  # s from SIGINT to SIGKILL; imports alone take seconds on a busy machine
 
 # Runs in the child before the node: the kernel sends SIGTERM to the node when `fjr` dies, however it dies.
@@ -76,6 +78,11 @@ class NodeProcess:
         """Return the last lines of the node's log, indented."""
         lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()[-LAST_LINES:]
         return "\n".join(f"    {line}" for line in lines) or "    (nothing)"
+
+    def scheduling(self) -> str:
+        """Return what the node logged about its scheduling, "" if nothing."""
+        found = SCHEDULING.search(self.log.read_text(encoding="utf-8", errors="replace"))
+        return found.group(0) if found else ""
 
     def stop(self) -> int:
         """Send SIGINT, wait up to GRACE, kill the process group; return the exit code."""

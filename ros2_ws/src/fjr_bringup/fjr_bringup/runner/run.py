@@ -22,7 +22,7 @@ from ament_index_python.packages import get_package_share_directory
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fjr_bringup.interrupt import Interrupted
-from fjr_bringup.progress import heartbeat, phase, progress_bar
+from fjr_bringup.progress import heartbeat, note, phase, progress_bar
 from fjr_bringup.recording.reader import header_stamp
 from fjr_bringup.recording.recorder import Recorder
 from fjr_bringup.recording.run_folder import RunFolder
@@ -133,6 +133,8 @@ class _Run:
                 self._start_nodes()
             on_go()
             self.going = True
+            if not self.plan.lockstep:
+                note(f"{self.plan.name}: {self.nodes[CONTROLLER].scheduling()}")
             with prioritised(RECORDER_PRIORITY, beside=True):
                 self.client.resume()
                 self._follow()

@@ -20,7 +20,7 @@ from .safety import safety
 
 PATH, TOLERANCE = "reference.file.path", "reference.file.tolerance"
 NOTABLE = 2.0
-"""Ratio of two efforts above which the user is told both."""
+"""Ratio of two efforts above which both are reported."""
 MARGIN, FIRST = 20, 10
 """Share of the samples at each end that the comparison of efforts leaves out; samples at which the start is judged."""
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Information about z that the normal equations contain although the records do not tell it. It has two causes.
+"""Information about z that the normal equations contain although the records do not determine it. It has two causes.
 
-Initial states fit noise: a spring at rest seems to swing, at a frequency that seems to tell its stiffness. And initial
+Initial states fit noise: a spring at rest seems to swing, at a frequency that seems to reveal its stiffness. And initial
 states have a prior: without a motor encoder the offset of a spring only shifts the motor, away from this prior.
 """
 
@@ -23,7 +23,7 @@ def chance_information(problem: Problem, optimum: Optimum) -> Array:
     """Return CAUTION times the growth of the information (p, p) under disturbances of the initial states.
 
     Disturbances have the covariance of the initial states and come with both signs, so that what is linear in them
-    cancels. No segment loses more than it tells, before CAUTION.
+    cancels. No segment loses more than it contains, before CAUTION.
     """
     segments, size = optimum.x0.shape
     draws = max(1, LEAST_DRAWS // segments)

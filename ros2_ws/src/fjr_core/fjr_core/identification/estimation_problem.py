@@ -172,7 +172,7 @@ def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Arr
     """Return the slowest resonance [rad/s], and the integration steps needed per second, of resonances and creep (2n,).
 
     Creep is the decay of the velocity of a link or a motor, in this order, by friction at rest. Each side is given the
-    friction of both, because start values do not tell well how it is divided.
+    friction of both, because start values do not determine well how it is divided.
     """
     K, B, values = np.diag(p["joint_stiffness"]), p["motor_inertia"], packed(arm, p)
     slowest, fastest, mobility = np.inf, 0.0, np.zeros(len(B))

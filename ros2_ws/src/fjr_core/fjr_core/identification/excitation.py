@@ -72,7 +72,7 @@ def design(
     seed: int = 0,
     progress: Progress = lambda _text, _share: None,
 ) -> Excitation:
-    """Return the motion of `duration` [s] within the limits that tells the parameters of the joints best.
+    """Return the motion of `duration` [s] within the limits that determines the parameters of the joints best.
 
     before: reference whose information is compared, over the same duration and with the same noise. seed: of the random
     starts. progress: receives a text and the finished share. Raises TrajectoryError if no motion keeps the limits.

@@ -81,7 +81,7 @@ def filtered(record: MotionRecord, arm: ElasticArm, values: Mapping[str, Array])
 def start_values(
     records: list[MotionRecord], motions: list[FilteredMotion], robot_input: Array, prior: Prior, smoothing: Array
 ) -> dict[str, Array]:
-    """Return parameters by name from all records; what the equations do not tell keeps its prior."""
+    """Return parameters by name from all records; what the equations do not determine keeps its prior."""
     found = {name: value.copy() for name, value in prior.values.items()}
     for j in range(len(records[0].joints)):
         chosen = [m for r, m in zip(records, motions, strict=True) if both_sides(r, j)]

@@ -44,7 +44,7 @@ def bounded_slope(
 ) -> tuple[float, float] | None:
     """Return the range of slopes r of y = r x + c load + others + constant, for c within its bounds, +- 5 deviations.
 
-    None if x does not move enough to tell.
+    None if x does not move enough.
     """
     one = np.ones((len(x), 1))
     free = line(load, y, (x, *others), independent)

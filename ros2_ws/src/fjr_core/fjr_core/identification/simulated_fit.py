@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The most likely parameters by simulation, with all of them and without those that the records do not tell."""
+"""The most likely parameters by simulation, with all of them and without those that the records do not determine."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .verdict import not_identifiable
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Optimum with all parameters, what it does not tell, and the optimum without these; the problem of each.
+    """Optimum with all parameters, what it does not determine, and the optimum without these; the problem of each.
 
     chance (p, p): information about all parameters that is due to noise and to the prior of the initial states.
     """

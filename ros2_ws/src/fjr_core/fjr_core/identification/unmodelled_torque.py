@@ -3,7 +3,7 @@
 
     d = integral integral r_m / (B + M_jj) less the line of a free initial state,   r_m: error of the motor's equation
 
-A simulation tells the deflection of a spring only if d is smaller. Friction of large gears and a counterbalance easily
+A simulation predicts the deflection of a spring only if d is smaller. Friction of large gears and a counterbalance easily
 move a simulated motor by a hundred times the deflection.
 """
 
@@ -22,11 +22,11 @@ from .estimation_problem import Estimation, poses
 from .initial_guess import FilteredMotion, both_sides, shifted
 
 MOST = 1.0
-"""Displacement, relative to the deflection, beyond which a simulation does not tell it."""
+"""Displacement, relative to the deflection, beyond which a simulation does not predict it."""
 
 
 def is_simulated(setup: Estimation, motions: Sequence[FilteredMotion], z: Array) -> bool:
-    """Return whether the simulated motion tells the deflection of some joint, at parameters z (p,)."""
+    """Return whether the simulated motion predicts the deflection of some joint, at parameters z (p,)."""
     relative = displacement(setup, motions, z)
     return not len(relative) or bool(np.min(relative) <= MOST)
 

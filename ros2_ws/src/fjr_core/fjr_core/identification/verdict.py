@@ -25,7 +25,7 @@ STILL = 2e-3  # rad; a joint that moves less stands still
 def not_identifiable(
     parts: Sequence[Projected], chance: Array, width: Array, first: Sequence[int] = ()
 ) -> tuple[int, ...]:
-    """Return the entries of z that the records do not tell: `first`, then one by one, the worst first.
+    """Return the entries of z that the records do not determine: `first`, then one by one, the worst first.
 
     Each is held at its prior before the others are judged: of two parameters of which only the sum matters, one is
     not identifiable, and the other one is, as far as the prior of the first allows.
@@ -59,7 +59,7 @@ class Motion:
 
 
 def verdict(name: str, value: float, sd: float, width: float) -> str:
-    """Return the verdict of a parameter that the records tell; sd: of its coordinate."""
+    """Return the verdict of a parameter that the records determine; sd: of its coordinate."""
     size = 1.0 if KINDS[name].coordinate == LOG else max(abs(value), SHARP * width)
     return IDENTIFIED if sd <= SHARP * size else WEAK
 

@@ -133,7 +133,7 @@ TUNED = (
     "by one rule to equal bandwidth and peak effort (docs/baselines.md); every command is cut at the same "
     "limit. Gains are in comparison.json."
 )
-DASHED = "Green: best, or within 5 % of it. A dash: does not track the nominal robot."
+DASHED = "Green: best, or within 5 % of the best. A dash: does not track the nominal robot."
 
 
 Cell = tuple[str, str]

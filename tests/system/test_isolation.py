@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A test or a process of tests that does not end is ended, with the stacks of its threads."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from time_limits import HANG
+
+TEARDOWN = """
+import sys, threading, isolation
+isolation.END_LIMIT = 0.2
+with isolation.ends_in_time(sys.stderr.fileno()):
+    threading.Event().wait()
+"""
+EXIT = """
+import sys, threading, isolation
+isolation.END_LIMIT = 0.2
+isolation.end_soon(sys.stderr.fileno())
+threading.Thread(target=threading.Event().wait).start()  # the interpreter waits for it
+"""
+
+
+@pytest.mark.parametrize("code", [TEARDOWN, EXIT], ids=["teardown", "exit"])
+def test_what_hangs_is_ended_with_its_stacks(code: str) -> None:
+    tests = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", code], cwd=tests, capture_output=True, text=True, timeout=HANG)
+    assert done.returncode != 0
+    assert "Timeout" in done.stderr
+    assert "threading.py" in done.stderr
