@@ -47,7 +47,7 @@ test: ## run the suite; the labelled bags at one strength (PYTEST_ARGS="...", TE
 test-all: TESTS =
 test-all: test ## run the suite with the labelled bags at all strengths, minutes more
 
-bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.json (BENCH_ARGS="...")
+bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.json (BENCH_ARGS="--document docs/tables/benchmarks.md")
 	$(SETUP) bench
 	@$(ENTER) && exec "$(VENV)/bin/python" -m bench $(BENCH_ARGS)
 
