@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Information about z that the normal equations contain although the records do not determine it. It has two causes.
 
-Initial states fit noise: a spring at rest seems to swing, at a frequency that seems to reveal its stiffness. And initial
-states have a prior: without a motor encoder the offset of a spring only shifts the motor, away from this prior.
+Initial states fit noise: a spring at rest seems to swing, at a frequency that seems to reveal its stiffness. And
+initial states have a prior: without a motor encoder the offset of a spring only shifts the motor, away from this prior.
 """
 
 from __future__ import annotations

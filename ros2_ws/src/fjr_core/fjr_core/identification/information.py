@@ -11,8 +11,8 @@ White noise of both encoders enters r at the angular frequency w through A(w), n
     S(w) = A diag(s_l^2, s_m^2) A' + diag(0, s_u^2),    A = [[M_l w^2 - K, K], [K, M_m w^2 - K]]
 
 The information of a record of N samples is F = N mean(J' S^-1 J), J = dr/dp, with S^-1 applied to each frequency of J.
-A is singular at w = 0, where known efforts reveal friction and weight, and at the resonance of the joint, so both reveal
-much as far as s_u permits. M_l is the mean diagonal of the link inertia; damping and the coupling of joints are
+A is singular at w = 0, where known efforts reveal friction and weight, and at the resonance of the joint, so both
+reveal much as far as s_u permits. M_l is the mean diagonal of the link inertia; damping and the coupling of joints are
 neglected in A, and the links (M_l, gravity) are known. F^-1 is then the Cramer-Rao bound of the covariance.
 """
 

@@ -2,7 +2,8 @@
 """Test whether the records contradict the prior's value of a parameter: such a parameter is known, however uncertain.
 
 The information that uncertain initial states add by chance (`chance_information`) is estimated generously, which may
-make a parameter look unknown. If the prediction with its prior's value is clearly worse, the records determine it nevertheless.
+make a parameter look unknown. If the prediction with its prior's value is clearly worse, the records determine
+it nevertheless.
 """
 
 from __future__ import annotations

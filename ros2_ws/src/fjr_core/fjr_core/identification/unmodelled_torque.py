@@ -3,8 +3,8 @@
 
     d = integral integral r_m / (B + M_jj) less the line of a free initial state,   r_m: error of the motor's equation
 
-A simulation predicts the deflection of a spring only if d is smaller. Friction of large gears and a counterbalance easily
-move a simulated motor by a hundred times the deflection.
+A simulation predicts the deflection of a spring only if d is smaller. Friction of large gears and a counterbalance
+easily move a simulated motor by a hundred times the deflection.
 """
 
 from __future__ import annotations
