@@ -13,7 +13,6 @@
 #define MORE 1.5
 #define EXCURSION 0.25     /* of a transition whose only difference is the velocity, relative to difference and duration */
 #define VELOCITY_SHARE 0.8 /* of a velocity limit that a transition uses: the arm oscillates about its reference */
-#define POSITION_MARGIN 0.01 /* rad or m, at most this part of the range: distance to a position limit, for the same reason */
 
 enum { NO_TRANSITION, DIRECT, ADDED }; /* ADDED: `segment` is added to the target */
 
@@ -72,8 +71,8 @@ static int lead(struct fjr_active* a, const double* jets0, int exact, int64_t st
 /* Return how far the transition from jets0 exceeds the limits, relative to them or in rad; at most 1: it respects them.
  *
  * Velocities: VELOCITY_SHARE of the limits of link and motor. Accelerations: settings.acceleration, or without one
- * hold_deceleration and MORE times those of the target meanwhile. Positions: POSITION_MARGIN within the limits of link
- * and motor, and those between target and start, by EXCURSION of the way that the difference of the velocities makes in `least` further.
+ * hold_deceleration and MORE times those of the target meanwhile. Positions: the limits of link and motor, and those
+ * between target and start, by EXCURSION of the way that the difference of the velocities makes in `least` further.
  * What the target does meanwhile, and the arm at the start, is within the limits. */
 static double excess(const struct fjr_active* a, const struct fjr_settings* s, const double* jets0, double least) {
   double most[2 * N], low[N], high[N], jets[FJR_JETS * N], goal[INSTANTS + 1][3 * N], worst = 0;
@@ -90,10 +89,8 @@ static double excess(const struct fjr_active* a, const struct fjr_settings* s, c
     const double more = EXCURSION * least * fabs(jets0[N + i] - goal[0][N + i]);
     most[i] = fmax(most[i], VELOCITY_SHARE * fmin(s->upper[2 * N + i], s->upper[3 * N + i]));
     most[N + i] = fmax(limited ? most[N + i] : MORE * most[N + i], limited ? s->acceleration[i] : s->hold_deceleration);
-    const double lower = fmax(s->lower[i], s->lower[N + i]), upper = fmin(s->upper[i], s->upper[N + i]);
-    const double margin = POSITION_MARGIN * fmin(1, upper - lower);
-    low[i] = fmin(low[i], fmax(low[i] - more, lower + margin));
-    high[i] = fmax(high[i], fmin(high[i] + more, upper - margin));
+    low[i] = fmin(low[i], fmax(low[i] - more, fmax(s->lower[i], s->lower[N + i])));
+    high[i] = fmax(high[i], fmin(high[i] + more, fmin(s->upper[i], s->upper[N + i])));
   }
   for (int k = 0; k <= INSTANTS; ++k) {
     segment_jets(&a->segment, t0 + k * step, jets);
