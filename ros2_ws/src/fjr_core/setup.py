@@ -41,4 +41,5 @@ setup(
     maintainer_email="fjr@example.org",
     description="Mathematics of virtual differential passivity based control for flexible-joint robots, without ROS",
     license="Apache-2.0",
+    entry_points={"fjr.laws": ["baselines = fjr_core.control.baselines.kinds:BASELINES"]},
 )

@@ -10,9 +10,9 @@ import pytest
 
 import fjr_core as fjr
 from core.monitoring.test_diagnosis import DURATION, LAW, PERIOD, REFERENCE, record
+from fjr_core.monitoring.axes import Axes
 from fjr_core.monitoring.cause_errors import closed_loop
 from fjr_core.monitoring.diagnosis import diagnose
-from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import linearize

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fjr_core.monitoring.axes import Axes
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.delay_estimation import acting, effort_delay
 from fjr_core.monitoring.diagnosis import diagnose
-from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.innovations import innovations, needed
 from fjr_core.monitoring.one_step_prediction import Prediction
 from fjr_core.monitoring.record import Ends, Record

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fjr_core.monitoring.axes import Axes
 from fjr_core.monitoring.diagnosis import Diagnosis, diagnose
 from fjr_core.monitoring.fault_isolation import isolation
 from fjr_core.monitoring.fault_isolation.added_body import SECOND_MOMENTS, body_torques
 from fjr_core.monitoring.fault_isolation.velocity_consistency import velocity_faults
-from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
 from fjr_core.robot.payload import PayloadArm

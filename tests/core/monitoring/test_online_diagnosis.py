@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fjr_core.monitoring.axes import Axes
 from fjr_core.monitoring.diagnosis import Diagnosis
-from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.latency import WINDOW, Latency
 from fjr_core.monitoring.online_certificate import OnlineCertificate
 from fjr_core.monitoring.online_diagnosis import OnlineDiagnosis

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fjr_core as fjr
+from fjr_core.monitoring.axes import Axes
 from fjr_core.monitoring.cause_errors import CauseErrors
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.diagnosis import Judged, diagnose
-from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.online_certificate import OnlineCertificate
 from fjr_core.monitoring.online_diagnosis import OnlineDiagnosis
 from fjr_core.monitoring.record import Record

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 import fjr_core as fjr
 from core.oracles.cases import Arm, planar
 from core.oracles.chains import arm7
-from fjr_core.config.builders import control_law, tuning
+from fjr_core.config.builders import control_law
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.control.baselines import feedback_linearisation
 from fjr_core.control.registry import LAWS
@@ -21,6 +21,7 @@ from fjr_core.control.static_law import StaticLaw
 from fjr_core.control.vdpbc import two_scale_gains
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.experiments.comparison import Trial, motion_demand
+from fjr_core.experiments.tuned_parameters import tuning
 from fjr_core.simulation.batch import ClosedLoop
 from fjr_core.stability.linearization import rest_position, slope_at_rest
 from fjr_core.tuning.bandwidth import BaselineTarget

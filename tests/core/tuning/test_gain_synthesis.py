@@ -12,10 +12,10 @@ import pytest
 import fjr_core as fjr
 from core.oracles.chains import arm7
 from core.stability.test_sampled_loop import chain3, loop_converges
+from fjr_core.robot.domain import Domain
 from fjr_core.stability.linearization import closed_form
 from fjr_core.stability.sampled_loop import check, spectral_radius
 from fjr_core.tuning.gain_synthesis import synthesize
-from fjr_core.verification.inertia_bounds import Domain
 
 TORQUE_LIMITS = np.array([176, 176, 110, 110, 110, 40, 40])
 HOME = np.array([0, 0.5, 0.2, -1.2, -0.2, 0.8, 0.4])

@@ -11,9 +11,10 @@ import fjr_core as fjr
 from core.oracles.cases import Array
 from core.oracles.chains import random_chain, random_urdf
 from fjr_core.robot.configuration_sampling import bounds_of
+from fjr_core.robot.domain import Domain
 from fjr_core.robot.joint_limits import JointLimits
 from fjr_core.verification.definiteness import factorisable
-from fjr_core.verification.inertia_bounds import Domain, is_provable, largest_inertia, least_inertia
+from fjr_core.verification.inertia_bounds import is_provable, largest_inertia, least_inertia
 
 
 def robot_of(n: int, seed: int) -> fjr.Robot:

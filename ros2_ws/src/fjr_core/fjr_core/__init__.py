@@ -11,6 +11,7 @@ Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstr
 """
 
 import warnings
+from typing import Any
 
 from . import testing
 from .control.python_law import PythonLaw
@@ -20,9 +21,8 @@ from .control.vdpbc.law import Evaluation, TrackingLaw
 from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError, UserCodeError
 from .estimation.measurement_model import Measurement
 from .estimation.velocity_observer import VelocityObserver
+from .files import other_package
 from .monitoring.certificate import Certificate
-from .monitoring.diagnosis import Diagnosis, diagnose
-from .monitoring.record import Record
 from .robot.closed_form_arms import planar_two_link, single_link
 from .robot.joint_limits import JointLimits
 from .robot.newton_euler import serial_chain
@@ -42,7 +42,6 @@ from .trajectories.sampled_motion import SampledMotion
 from .trajectories.sine import MultiSine, Sine
 from .trajectories.spline import Spline
 from .trajectories.transition import time_shifted, transition
-from .tuning.gain_synthesis import synthesize
 from .version import __version__
 
 __all__ = [
@@ -98,6 +97,13 @@ __all__ = [
     "transition",
 ]
 
+_ELSEWHERE = {
+    "Diagnosis": "fjr_core.monitoring.diagnosis",
+    "Record": "fjr_core.monitoring.record",
+    "diagnose": "fjr_core.monitoring.diagnosis",
+    "synthesize": "fjr_core.tuning.gain_synthesis",
+}
+"""Public names of other packages, each with its module, which is imported on use."""
 _RENAMED = {
     "Balance": "Certificate",
     "Verdict": "Diagnosis",
@@ -108,12 +114,19 @@ _RENAMED = {
 """Names before 0.1.0, each with its new one."""
 
 
-def __getattr__(name: str) -> object:
-    """Return the object of a renamed public name, with a DeprecationWarning."""
-    if name not in _RENAMED:
-        raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
-    warnings.warn(f"fjr_core.{name} is now fjr_core.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
-    return globals()[_RENAMED[name]]
+def __getattr__(name: str) -> Any:
+    """Return the object of a renamed public name, with a DeprecationWarning, or one of another package.
+
+    Raises MissingPackageError if that package is not installed.
+    """
+    if name in _RENAMED:
+        warnings.warn(f"fjr_core.{name} is now fjr_core.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
+        name = _RENAMED[name]
+    if name in _ELSEWHERE:
+        return getattr(other_package.module(_ELSEWHERE[name]), name)
+    if name in globals():
+        return globals()[name]
+    raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

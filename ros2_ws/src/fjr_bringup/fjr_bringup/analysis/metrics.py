@@ -28,9 +28,10 @@ from fjr_core.config import builders
 from fjr_core.config.diagnosis import axes
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.convergence_rate import NO_RATE, Rate
+from fjr_core.files import other_package
 from fjr_core.monitoring.diagnosis import Diagnosis, Outline, PartwiseDiagnosis, unknown
 from fjr_core.numerics.checks import Array
-from fjr_core.verification.inertia_bounds import Domain, few_boxes, is_provable
+from fjr_core.robot.domain import Domain
 
 FARTHEST = 1e4  # rad or m; a run that goes beyond has lost its robot, and bounds may overflow
 VISITED = 200  # configurations of a run at which the rate is evaluated
@@ -178,10 +179,11 @@ class Visited:
         if rate.proven or not self._finite:
             return rate
         farthest = max(np.abs(self._least).max(), np.abs(self._largest).max())
-        if not is_provable(self._scenario.robot) or farthest > FARTHEST:
+        bounds = other_package.module_if_there("fjr_core.verification.inertia_bounds")
+        if bounds is None or not bounds.is_provable(self._scenario.robot) or farthest > FARTHEST:
             return law.rate(np.concatenate(self._some))
         domain = Domain(self._least - self._step, self._largest + self._step)
-        return law.proven_rate(domain, most_boxes=few_boxes(self._scenario.robot))
+        return law.proven_rate(domain, most_boxes=bounds.few_boxes(self._scenario.robot))
 
 
 def make_report(name: str, metrics: Metrics, duration: float) -> Report:

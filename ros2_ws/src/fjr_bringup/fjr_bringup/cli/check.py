@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_bringup.cli.error_bound import errors_bounded
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import (
     StartError,
@@ -28,12 +27,9 @@ from fjr_bringup.cli.preflight import (
     refuse_unstable,
     start_outside,
 )
-from fjr_bringup.cli.rate_proof import proven_rate, write_certificate
 from fjr_bringup.cli.rate_rows import rate_rows, rate_values, row_near_the_reference
-from fjr_bringup.cli.sampled_proof import sampled_proof
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
-from fjr_core.config.builders import tuning
 from fjr_core.config.law import TYPE
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
@@ -42,6 +38,8 @@ from fjr_core.control.registry import law_kind
 from fjr_core.control.robust import Robust
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import ParameterError
+from fjr_core.experiments.tuned_parameters import tuning
+from fjr_core.files import other_package
 from fjr_core.files.python_class import is_named
 from fjr_core.robot.joint_units import joined
 from fjr_core.stability.model_errors import FACTORS, QUANTITIES, radii_with_model_errors
@@ -69,12 +67,13 @@ def check_scenario(
     """
     loaded = library.load(scenario, assignments)
     asked = errors or prove_error or (delay is not None and not prove_sampled)
-    bound = errors_bounded(loaded, _once(errors), delay, prove_error or None) if asked else None
+    bound = _error_bound(loaded, _once(errors), delay, prove_error) if asked else None
     if certificate is not None:
-        write_certificate(proven_rate(loaded, seconds), certificate)
+        prover = other_package.module("fjr_bringup.cli.rate_proof")
+        prover.write_certificate(prover.proven_rate(loaded, seconds), certificate)
     found = checked(loaded)
     rows = check_rows(loaded, found) | ({} if bound is None else {"error bound": bound.sentence})
-    proof = sampled_proof(loaded, delay) if prove_sampled else None
+    proof = _sampled_proof(loaded, delay) if prove_sampled else None
     rows |= proof.rows if proof else {}
     for warning in _warnings(loaded):
         print(f"fjr: {warning}", file=sys.stderr)
@@ -85,6 +84,16 @@ def check_scenario(
     values |= {"sampled_proof": proof.values} if proof else {}
     failed = refusal or (proof and not proof.found)
     return Result(table(rows), values, Exit.FAILED if failed else Exit.DONE)
+
+
+def _error_bound(scenario: Scenario, errors: Mapping[str, float], delay: float | None, prove: bool) -> Any:
+    """Return the bound of the tracking error; raise MissingPackageError without the package of the proofs."""
+    return other_package.module("fjr_bringup.cli.error_bound").errors_bounded(scenario, errors, delay, prove or None)
+
+
+def _sampled_proof(scenario: Scenario, delay: float | None) -> Any:
+    """Return the proof of the sampled loop; raise MissingPackageError without the package of the proofs."""
+    return other_package.module("fjr_bringup.cli.sampled_proof").sampled_proof(scenario, delay)
 
 
 def _once(errors: Sequence[tuple[str, float]]) -> dict[str, float]:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from fjr_bringup.atomic_file import write_text
 from fjr_bringup.cli.posterior_gains import Posterior
-from fjr_bringup.cli.rate_proof import near_reference, refuse_unprovable
 from fjr_bringup.result import Result
 from fjr_bringup.scenarios import library
 from fjr_bringup.scenarios.gains_block import GainValues, gain_lines, with_gains
@@ -21,12 +20,13 @@ from fjr_core.control.robust import sampled_law
 from fjr_core.control.vdpbc.convergence_rate import Rate
 from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import GainsError, ParameterError
+from fjr_core.files import other_package
 from fjr_core.files.text_file import read_text
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
+from fjr_core.robot.domain import Domain, joint_range
 from fjr_core.stability.sampled_loop import SampledCheck, check
 from fjr_core.tuning.gain_synthesis import synthesize
-from fjr_core.verification.inertia_bounds import Domain, joint_range
 
 
 def synthesised(
@@ -93,8 +93,10 @@ def _head(scenario: Scenario, rate: Rate, found: SampledCheck, everywhere: bool,
 
 def _domain(scenario: Scenario, everywhere: bool) -> Domain:
     """Return the domain of a proof: the joint range or the tube around the reference."""
-    refuse_unprovable(scenario)
-    return joint_range(scenario.robot) if everywhere else near_reference(scenario)[0]
+    prover = other_package.module("fjr_bringup.cli.rate_proof")
+    prover.refuse_unprovable(scenario)
+    domain: Domain = joint_range(scenario.robot) if everywhere else prover.near_reference(scenario)[0]
+    return domain
 
 
 def _write(path: Path, values: GainValues, n: int) -> None:

@@ -11,13 +11,13 @@ from click import UsageError
 
 from fjr_bringup.cli.options import FIRST
 from fjr_bringup.cli.ros2_first import refuse_over_ros2
+from fjr_bringup.discovery import discover_quickly
 from fjr_bringup.interrupt import stoppable
 from fjr_bringup.monitor import app as monitor_app
 from fjr_bringup.recording.echo import echo
 from fjr_bringup.recording.play import play
 from fjr_bringup.recording.record import record
 from fjr_bringup.result import Result
-from fjr_bringup.runner.run import discover_quickly
 from fjr_bringup.scenarios import library
 
 

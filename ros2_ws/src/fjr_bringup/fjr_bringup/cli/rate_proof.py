@@ -29,8 +29,9 @@ from fjr_core.numerics.code_cache import code_folder
 from fjr_core.numerics.jit_cache import program_digest
 from fjr_core.numerics.one_line import at_least
 from fjr_core.robot.configuration_sampling import bounds_of, sample_configurations
+from fjr_core.robot.domain import GOAL, Domain
 from fjr_core.trajectories.tube import tube
-from fjr_core.verification.inertia_bounds import GOAL, Domain, is_provable
+from fjr_core.verification.inertia_bounds import is_provable
 
 SAMPLES = 512
 DEFAULT_RADIUS = 0.1  # rad or m, of the tube around the reference if the tracking error has no limit

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_bringup.cli.preflight import as_list, position_unit
-from fjr_bringup.cli.rate_proof import ProvenRate, cached_rate, near_reference
 from fjr_core.config.scenario import Scenario
 from fjr_core.control.vdpbc.convergence_rate import Rate
 from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.files import other_package
 from fjr_core.numerics.one_line import at_least
-from fjr_core.verification.inertia_bounds import few_boxes, is_provable
 
+RATE_PROOF = "fjr_bringup.cli.rate_proof"
+INERTIA_BOUNDS = "fjr_core.verification.inertia_bounds"
 OTHER_PLANT = "not proven here, the plant is not the law's model"
 
 
@@ -35,10 +36,11 @@ def rate_rows(scenario: Scenario, law: TrackingLaw) -> dict[str, str]:
 
 def row_near_the_reference(scenario: Scenario, law: TrackingLaw) -> dict[str, str]:
     """Return the rate that is proven within a radius of the reference; no row if nothing can be proven."""
-    if not is_provable(scenario.robot):
+    if not _is_provable(scenario):
         return {}
-    domain, radius = near_reference(scenario)
-    rate = law.proven_rate(domain, most_boxes=few_boxes(scenario.robot))
+    bounds = other_package.module(INERTIA_BOUNDS)
+    domain, radius = other_package.module(RATE_PROOF).near_reference(scenario)
+    rate = law.proven_rate(domain, most_boxes=bounds.few_boxes(scenario.robot))
     basis = "proven" if scenario.plant_is_the_model else OTHER_PLANT
     near = f"within {_range(radius)} {position_unit(scenario)} of the reference in each joint"
     return {"near the reference": f"beta {at_least(rate.beta)} 1/s {near}, {basis}"}
@@ -54,10 +56,18 @@ def rate_values(scenario: Scenario) -> dict[str, Any]:
     return {"beta_per_s": beta, "beta_is_proven": is_proven, "beta_attained_per_s": attained}
 
 
-def _kept(scenario: Scenario) -> ProvenRate | None:
-    """Return the rate that an earlier command has proven over the joint range; None if a closed form proves one."""
+def _is_provable(scenario: Scenario) -> bool:
+    """Return whether something can be proven about the robot: the package of the proofs is there and covers it."""
+    bounds = other_package.module_if_there(INERTIA_BOUNDS)
+    return bounds is not None and bool(bounds.is_provable(scenario.robot))
+
+
+def _kept(scenario: Scenario) -> Any:
+    """Return the ProvenRate that an earlier command has kept; None if there is none or a closed form proves one."""
     closed_form = scenario.robot.links.M_l_vertices is not None
-    return None if closed_form or not is_provable(scenario.robot) else cached_rate(scenario)
+    if closed_form or not _is_provable(scenario):
+        return None
+    return other_package.module(RATE_PROOF).cached_rate(scenario)
 
 
 def _rows(beta: float, beta_paper: float, basis: str) -> dict[str, str]:

@@ -12,6 +12,7 @@ from typing import Any
 
 from fjr_bringup.cli.exit_codes import Exit
 from fjr_bringup.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
+from fjr_bringup.discovery import discover_quickly
 from fjr_bringup.formatting import percent
 from fjr_bringup.interrupt import stoppable
 from fjr_bringup.progress import phase
@@ -19,7 +20,7 @@ from fjr_bringup.recording.topic import BagError
 from fjr_bringup.report.paper_claim import Claim, paper_claim
 from fjr_bringup.report.write import RunSummary, compare, output_paths, play_hint, report_run, stops, table
 from fjr_bringup.result import Result
-from fjr_bringup.runner.run import Plan, RunError, discover_quickly
+from fjr_bringup.runner.run import Plan, RunError
 from fjr_bringup.runner.run import run as run_plan
 from fjr_bringup.scenarios import library
 from fjr_core.errors import FjrError

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from fjr_bringup.discovery import discover_quickly
 from fjr_bringup.interrupt import stoppable
 from fjr_bringup.recording.echo import absolute
 from fjr_bringup.result import Result
-from fjr_bringup.runner.run import discover_quickly
 from fjr_bringup.runner.trajectory_client import connected
 from fjr_bringup.scenarios import library
 from fjr_core.config.reference_file import effort_limits, motion_of_file, motion_warnings

@@ -8,8 +8,8 @@ import shlex
 import yaml
 
 from fjr_bringup.cli.ros2_first import refuse_over_ros2
+from fjr_bringup.discovery import discover_quickly
 from fjr_bringup.result import Result
-from fjr_bringup.runner.run import discover_quickly
 from fjr_bringup.services.call import call
 from fjr_bringup.services.lifecycle import lifecycle
 from fjr_bringup.services.parameters import set_parameter

@@ -14,8 +14,8 @@ from rclpy.node import Node
 from fjr_core import TrackingLaw
 from fjr_core.control.robust import Robust
 from fjr_core.control_step.library import StepLibrary
+from fjr_core.monitoring.axes import Axes
 from fjr_core.monitoring.diagnosis import Diagnosis, unknown
-from fjr_core.monitoring.grading import Axes
 from fjr_core.monitoring.latency import Latency
 from fjr_core.monitoring.online_certificate import OnlineCertificate
 from fjr_core.monitoring.online_diagnosis import OnlineDiagnosis

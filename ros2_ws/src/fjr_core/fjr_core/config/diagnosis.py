@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from ..monitoring.grading import Axes
+from ..monitoring.axes import Axes
 from ..monitoring.thresholds import TOLERANCE
 from ..robot.robot import Robot
 from .parameter import VECTOR, Parameter, Values, names, vector

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Control laws by name: v-dPBC and the baselines it is compared with (docs/baselines.md)."""
+"""Control laws by name: v-dPBC, and laws that other packages register (docs/baselines.md)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from ..errors import GainsError, ParameterError
 from ..files.python_class import is_named, load
-from .baselines import backstepping, feedback_linearisation, lqr, pd_gravity, singular_perturbation, torque_feedback
 from .python_law import own_law
 from .static_law import StaticLaw
 from .vdpbc import two_scale_gains
@@ -21,6 +20,7 @@ from .vdpbc.law import TrackingLaw
 
 Standard = Callable[..., Any]
 V_DPBC = "v_dpbc"
+GROUP = "fjr.laws"
 
 
 @dataclass(frozen=True)
@@ -59,98 +59,15 @@ class LawKind:
         return replace(gains, **{name: factor * np.asarray(getattr(gains, name)) for name, factor in each})
 
 
-_AT_REST = "decays for a constant reference"
-_KINDS = (
-    LawKind(
-        V_DPBC,
-        "v-dPBC",
-        "Reyes-Baez, van der Schaft, Jayawardhana 2018",
-        TrackingLaw,
-        two_scale_gains.standard,
-        usual=0.3,
-        damping=(0.1, 0.5),
-        scaled=("Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md"),
-    ),
-    LawKind(
-        "pd_gravity",
-        "motor PD + gravity",
-        "Tomei 1991",
-        pd_gravity.PdGravity,
-        pd_gravity.standard,
-        "motor side",
-        _AT_REST,
-    ),
-    LawKind(
-        "pd_feedforward",
-        "motor PD + feedforward",
-        "De Luca 2000",
-        pd_gravity.PdFeedforward,
-        pd_gravity.standard,
-        "motor side",
-        _AT_REST,
-        adds="inverse dynamics of the reference",
-    ),
-    LawKind(
-        "singular_perturbation",
-        "computed torque, singular perturbation",
-        "Spong 1987",
-        singular_perturbation.SingularPerturbation,
-        singular_perturbation.standard,
-        "link side, motor velocity",
-        storage="",
-        scaled=("K_v",),
-    ),
-    LawKind(
-        "feedback_linearisation",
-        "feedback linearisation",
-        "Spong 1987, De Luca 2000",
-        feedback_linearisation.FeedbackLinearisation,
-        feedback_linearisation.standard,
-        usual=1.0,
-        scaled=("A_1", "A_2", "A_3"),
-    ),
-    LawKind(
-        "backstepping",
-        "integrator backstepping",
-        "Brogliato, Ortega, Lozano 1995",
-        backstepping.Backstepping,
-        backstepping.standard,
-        usual=1.0,
-        damping=(0.3, 2.0),
-        scaled=("K_1", "c_2"),
-    ),
-    LawKind(
-        "torque_feedback",
-        "torque feedback",
-        "Albu-Schaeffer, Ott, Hirzinger 2007",
-        torque_feedback.TorqueFeedback,
-        torque_feedback.standard,
-        "motor side, spring torque",
-        _AT_REST,
-        scaled=("M_theta",),
-    ),
-    LawKind(
-        "torque_feedback_feedforward",
-        "torque feedback + feedforward",
-        "Albu-Schaeffer, Ott, Hirzinger 2007",
-        torque_feedback.TorqueFeedbackFeedforward,
-        torque_feedback.standard,
-        "motor side, spring torque",
-        _AT_REST,
-        adds="inverse dynamics of the reference",
-        scaled=("M_theta",),
-    ),
-    LawKind(
-        "lqr",
-        "LQR",
-        "scipy.linalg.solve_continuous_are",
-        lqr.Lqr,
-        lqr.standard,
-        storage="decays for small errors about one equilibrium",
-        usual=1.0,
-        damping=(0.5**0.5, 2.0),
-        scaled=("R",),
-    ),
+_OWN = LawKind(
+    V_DPBC,
+    "v-dPBC",
+    "Reyes-Baez, van der Schaft, Jayawardhana 2018",
+    TrackingLaw,
+    two_scale_gains.standard,
+    usual=0.3,
+    damping=(0.1, 0.5),
+    scaled=("Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md"),
 )
 
 
@@ -164,7 +81,36 @@ def _own_kind(name: str) -> LawKind:
     return LawKind(name, title, "law of the user", partial(own_law, name), not_tuned, storage=storage)
 
 
-LAWS: dict[str, LawKind] = {kind.name: kind for kind in _KINDS}
+class Laws(Mapping[str, LawKind]):
+    """The laws by name: v-dPBC, and those that other packages register as entry points of the group GROUP.
+
+    An entry point names a tuple of LawKind; it is imported when a law other than v-dPBC is looked up or listed.
+    """
+
+    @cached_property
+    def _all(self) -> dict[str, LawKind]:
+        from importlib.metadata import entry_points  # here, because v-dPBC needs none
+
+        registered = (kind for point in entry_points(group=GROUP) for kind in point.load())
+        return {_OWN.name: _OWN, **{kind.name: kind for kind in registered}}
+
+    def __getitem__(self, name: str) -> LawKind:
+        return _OWN if name == _OWN.name else self._all[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name == _OWN.name or name in self._all
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all)
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def __bool__(self) -> bool:
+        return True
+
+
+LAWS = Laws()
 
 
 def law_kind(name: str) -> LawKind:

@@ -16,11 +16,12 @@ from ..numerics.checks import Array
 from ..numerics.one_line import brief
 from ..stability.linearization import linearize
 from . import thresholds
+from .axes import Axes
 from .cause_errors import CauseErrors, cause_errors, closed_loop
 from .certificate import Certificate, CertificateSeries
 from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, regular_changes
 from .fault_isolation.isolation import LONGEST, UNKNOWN, Finding, isolate
-from .grading import Axes, Grade, Grading, detail
+from .grading import Grade, Grading, detail
 from .innovations import Innovations, held, innovations, latency, needed
 from .one_step_prediction import Prediction
 from .record import PART, Ends, Record

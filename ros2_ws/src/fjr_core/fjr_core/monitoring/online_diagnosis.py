@@ -10,10 +10,10 @@ import numpy.ma  # np.median would load it while the robot moves
 
 from ..control.vdpbc.law import TrackingLaw
 from ..numerics.checks import Array
+from .axes import Axes
 from .cause_errors import CauseErrors, cause_errors, closed_loop
 from .delay_estimation import EffortDelay, acting, effort_delay
 from .diagnosis import Diagnosis, Judged, unknown
-from .grading import Axes
 from .innovations import needed
 from .online_certificate import OnlineCertificate
 from .storage_budget import StorageBudget, storage_budget

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
 from ..numerics import checks
-from ..verification.inertia_bounds import Domain
+from ..robot.domain import Domain
 from .reference import Reference
 from .sine import Sines
 

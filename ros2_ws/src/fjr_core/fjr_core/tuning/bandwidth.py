@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..config.law import START_ERROR
 from ..control.baselines.lqr import velocity_matrices
 from ..control.inverse_dynamics import inverse_dynamics
 from ..control.static_law import StaticLaw
@@ -29,7 +30,6 @@ PEAK_TOLERANCE = 0.1  # relative, of equal peak efforts
 GRID: Array = np.geomspace(
     0.02, 4.0, 100, dtype=float
 )  # frequencies at which a bandwidth is searched, relative to the target
-START_ERROR = 0.1  # rad; initial error of all joints, at rest, if no start is given
 HORIZON = 10.0  # s of the reference whose effort is evaluated
 
 

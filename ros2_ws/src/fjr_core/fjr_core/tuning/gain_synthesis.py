@@ -24,8 +24,10 @@ from ..control.vdpbc.gains import Gains, relative_eigenvalues
 from ..control.vdpbc.law import TrackingLaw
 from ..control.vdpbc.linearized import feedback
 from ..errors import GainsError
+from ..files import other_package
 from ..numerics.checks import Array, positive
 from ..robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
+from ..robot.domain import Domain
 from ..robot.equilibrium import Equilibria, Indices, equilibria_at, plant_matrices
 from ..robot.robot import Robot
 from ..stability.drawn_plants import DrawnLoops, DrawnPlants, LargestMeanDifference
@@ -33,7 +35,6 @@ from ..stability.linearization import in_error_coordinates
 from ..stability.one_sample_map import SampledLoop
 from ..stability.sampled_loop import FEW, checked_times
 from ..stability.spring_lag import late_spring
-from ..verification.inertia_bounds import Domain, largest_inertia
 
 SPEED_FACTORS = (2.0, 1.4, 1.0)  # c: ratio of Lambda and K_md M_m^-1 to the rate
 COUPLING = (1.0, 1.1, 1.2, 1.35, 1.5)  # g = Pi_m / K
@@ -212,7 +213,8 @@ def gain_search(
         inertias += [np.asarray(vertex) for vertex in robot.links.M_l_vertices or ()]
     s = max(float(relative_eigenvalues(M_l, M)[-1]) for M_l in inertias)
     if domain is not None:
-        s = max(s, largest_inertia(robot, M, domain, GOAL).bound)
+        prover = other_package.module("fjr_core.verification.inertia_bounds")
+        s = max(s, prover.largest_inertia(robot, M, domain, GOAL).bound)
     return GainSearch(equilibria, M, s, sample_period, delay)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import RobotError, StateError
 from ..numerics import checks
 from ..numerics.checks import Array
-from ..robot.configuration_sampling import bounds_of
+from ..robot.domain import GOAL, MOST_BOXES, Domain, joint_range
 from ..robot.robot import Robot
 from .branch_and_bound import Supremum, Watch, supremum, unwatched
 from .control_matrices import normalised
@@ -30,23 +30,8 @@ MOST_COEFFICIENTS = 5**7
 """Largest number of control matrices: eight revolute joints."""
 CIRCLE = 2 * np.pi + 1e-9
 """Length [rad] of a range that covers the circle in spite of rounding."""
-GOAL = 0.998
-"""Proven number relative to the one that is attained, at which the search ends."""
-MOST_BOXES = 4000
 FEW = 50_000
 """Control matrices of a quick proof; a tenth of a second."""
-
-
-@dataclass(frozen=True, eq=False)
-class Domain:
-    """Joint positions in a box lower, upper (n,) [rad, m], or only those near a motion.
-
-    near (k, 2, n): lower and upper ends of boxes; if given, the domain is their union, within the large box.
-    """
-
-    lower: Array
-    upper: Array
-    near: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +60,6 @@ def is_provable(robot: Robot) -> bool:
 def few_boxes(robot: Robot) -> int:
     """Return a number of boxes for a quick proof: 1 for eight revolute joints, 4 for seven, 500 at most."""
     return min(500, 1 + FEW // number_of_coefficients(robot.links.bodies))
-
-
-def joint_range(robot: Robot) -> Domain:
-    """Return the box of the joint limits; joints without limits have +-pi."""
-    return Domain(*bounds_of(robot))
 
 
 def largest_inertia(

@@ -12,7 +12,6 @@ from ...numerics.checks import Array
 from ...numerics.one_line import one_line
 from ...robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from ...robot.robot import Robot
-from ...verification.inertia_bounds import RelativeInertia
 from ...verification.intervals import Interval, product
 from ...verification.matrix_pencil import least_eigenvalue
 from .gains import CheckedGains, relative_eigenvalues
@@ -58,11 +57,14 @@ def rate(robot: Robot, gains: CheckedGains, configurations: ArrayLike | None = N
     return _of_blocks(robot, gains, beta_sigma_l, largest_inertia, proven)
 
 
-def rate_with(robot: Robot, gains: CheckedGains, inertia: RelativeInertia, largest: RelativeInertia) -> Rate:
-    """Return the rates that are proven by bounds of M_l relative to D_l + K_ld and to the unit matrix."""
-    found = _of_blocks(robot, gains, (1 - ROUNDING) / inertia.bound, largest.bound, True)
+def rate_with(robot: Robot, gains: CheckedGains, bound: float, attained: float, largest: float) -> Rate:
+    """Return the rates that are proven by M_l <= bound (D_l + K_ld) and M_l <= largest I.
+
+    attained: the value of the first bound at one configuration.
+    """
+    found = _of_blocks(robot, gains, (1 - ROUNDING) / bound, largest, True)
     others = min(found.beta_l, found.beta_m, found.beta_sigma_m)
-    return replace(found, attained=min(others, 1 / inertia.attained))
+    return replace(found, attained=min(others, 1 / attained))
 
 
 def _of_blocks(robot: Robot, gains: CheckedGains, beta_sigma_l: float, largest_inertia: float, proven: bool) -> Rate:

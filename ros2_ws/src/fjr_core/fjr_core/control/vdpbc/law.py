@@ -10,19 +10,19 @@ from functools import cached_property
 import casadi as ca
 from numpy.typing import ArrayLike
 
+from ...files import other_package
 from ...numerics.casadi_function import NumericFunction, dense_function
 from ...numerics.checks import Array
 from ...numerics.jit_cache import compiled_from_inputs
 from ...numerics.one_line import one_line
+from ...robot.domain import GOAL, MOST_BOXES, Domain
 from ...robot.robot import Robot
-from ...verification.inertia_bounds import GOAL, MOST_BOXES, Domain
 from ..lie_derivative import Flow, flow
 from ..static_law import StaticLaw
 from .convergence_rate import Rate, rate
 from .gains import Gains
 from .link_stage import LinkStage, link_stage
 from .motor_stage import MotorStage, motor_stage
-from .proof_of_rate import proof_of_rate
 from .symbolic_gains import GainTerms, terms
 
 
@@ -81,9 +81,12 @@ class TrackingLaw(StaticLaw):
         """Return convergence rates [1/s] that are proven on a domain of positions, by default the joint range.
 
         The search ends if beta >= goal times a rate attained at a configuration, or after most_boxes; what is proven
-        by then is returned. Raises RobotError for a robot whose bodies are unknown or with more than 8 revolute joints.
+        by then is returned. Raises RobotError for a robot whose bodies are unknown or with more than 8 revolute joints,
+        MissingPackageError without the package of the proofs.
         """
-        return proof_of_rate(self.robot, self.gains, domain, goal, most_boxes).rate
+        prover = other_package.module("fjr_core.control.vdpbc.proof_of_rate")
+        rate: Rate = prover.proof_of_rate(self.robot, self.gains, domain, goal, most_boxes).rate
+        return rate
 
     @cached_property
     def function(self) -> ca.Function:

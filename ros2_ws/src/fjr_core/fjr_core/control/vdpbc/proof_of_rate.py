@@ -10,16 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...numerics.checks import Array
+from ...robot.domain import GOAL, MOST_BOXES, Domain, joint_range
 from ...robot.robot import Robot
 from ...verification.branch_and_bound import Watch, unwatched
-from ...verification.inertia_bounds import (
-    GOAL,
-    MOST_BOXES,
-    Domain,
-    RelativeInertia,
-    joint_range,
-    largest_inertia,
-)
+from ...verification.inertia_bounds import RelativeInertia, largest_inertia
 from .convergence_rate import Rate, rate_with
 from .gains import CheckedGains
 
@@ -52,4 +46,4 @@ def proof_of_rate(
     domain = domain or joint_range(robot)
     inertia = largest_inertia(robot, robot.D_l + gains.K_ld, domain, goal, most_boxes, samples, watch)
     largest = largest_inertia(robot, 1.0, domain, goal, 1 + most_boxes // SHARE, samples)
-    return RateProof(rate_with(robot, gains, inertia, largest), domain, inertia)
+    return RateProof(rate_with(robot, gains, inertia.bound, inertia.attained, largest.bound), domain, inertia)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...config import law as law_parameters
-from ...config.builders import control_law, robust_action, tuning
+from ...config.builders import control_law, robust_action
 from ...config.gains import gain_values
 from ...config.law import ROBUST
 from ...config.measurement import OBSERVER_BANDWIDTH, observer
@@ -25,6 +25,7 @@ from ...estimation.velocity_observer import VelocityObserver
 from ...files.python_class import is_named
 from ...tuning.equal_bandwidth import tune
 from ..baseline_target import baseline_target
+from ..tuned_parameters import tuning
 
 Entries = tuple[float, ...]
 SCENARIO, RULE = "scenario", "rule"
