@@ -297,7 +297,7 @@ WIRED_BY_GROUP = (
     "hold.",
     "constraints.",  # test_goal_tolerances
     "allow_partial_joints",  # test_trajectories
-    "law.",  # test_other_laws, tests/core/tuning/test_equal_bandwidth.py
+    "law.",  # test_other_laws, tests/design/tuning/test_equal_bandwidth.py
     "plant.",  # test_own_code
     "robust.",  # test_robust_action
     "robot.guesses.",  # tests/core/config/test_guesses.py

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fjr_bringup.monitor.state import Health
-from fjr_bringup.monitor.terminal import _status
-from fjr_bringup.report import html, runs_report
-from fjr_bringup.result import finite
-from fjr_core.monitoring.diagnosis import Diagnosis
+from fjr_monitor.diagnosis.diagnosis import Diagnosis
+from fjr_monitor.report import html, runs_report
+from fjr_monitor.watch.state import Health
+from fjr_monitor.watch.terminal import _status
+from fjr_msgs_py.console.result import finite
 from fjr_msgs_py.messages.diagnosis import LEVELS
 
 pytestmark = pytest.mark.system

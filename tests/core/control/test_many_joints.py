@@ -27,7 +27,7 @@ from core.oracles.properties import (
     sym,
 )
 from fjr_core.numerics.casadi_function import NumericFunction
-from fjr_core.stability.prolonged_system import ProlongedSystem
+from fjr_design.stability.prolonged_system import ProlongedSystem
 
 TOLERANCE = 1e-11
 """Residuals are relative to the largest torques of the arm; this bound checks the terms of the wrist to six digits."""

@@ -13,7 +13,7 @@ import numpy as np
 from cffi import FFI
 
 import fjr_core
-from core.codegen.c_program import built
+from design.exports.c_program import built
 from fjr_core.control_step.reference_struct import ReferenceStruct
 from fjr_core.trajectories.reference import JETS, Reference
 

@@ -11,11 +11,11 @@ import pytest
 import fjr_core as fjr
 from fjr_core.control_step.library import step_library
 from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.innovations import innovations
 from fjr_core.monitoring.one_step_prediction import Prediction
-from fjr_core.monitoring.online_certificate import OnlineCertificate
-from fjr_core.monitoring.record import Record
 from fjr_core.monitoring.thresholds import LONGEST
+from fjr_monitor.diagnosis.innovations import innovations
+from fjr_monitor.diagnosis.online_certificate import OnlineCertificate
+from fjr_monitor.diagnosis.record import Record
 
 MS = 1_000_000  # ns
 ROBOT = fjr.planar_two_link()

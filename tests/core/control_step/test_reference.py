@@ -15,12 +15,12 @@ from hypothesis import strategies as some
 
 import fjr_core as fjr
 from core.control_step.c_reference import Library, library
-from fjr_core.codegen.reference_code import reference_code
 from fjr_core.control_step.reference_struct import ReferenceStruct
 from fjr_core.control_step.reference_table import reference_table
 from fjr_core.trajectories.piecewise_polynomial import PiecewisePolynomial
 from fjr_core.trajectories.reference import JETS, Reference
 from fjr_core.trajectories.transition import TimeShifted, Transition
+from fjr_design.exports.reference_code import reference_code
 
 RNG = np.random.default_rng(0)
 KNOTS = np.arange(6.0) ** 1.3

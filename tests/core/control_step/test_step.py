@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.codegen.c_program import C99, built, program_output
 from core.oracles.cases import LOOPS
 from core.oracles.chains import arm7, scaled_gains
+from design.exports.c_program import C99, built, program_output
 from fjr_core.control.robust import Robust
 from fjr_core.control.safety_settings import Settings
 from fjr_core.control_step.control_step import NEVER, ControlStep

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fjr_core as fjr
-from core.codegen.c_program import loop
+from design.exports.c_program import loop
 from fjr_core.config.parameter import complete
 from fjr_core.config.robot import robot, robot_parameters
 from fjr_core.control.safety_settings import Settings

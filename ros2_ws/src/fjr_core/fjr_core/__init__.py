@@ -98,10 +98,10 @@ __all__ = [
 ]
 
 _ELSEWHERE = {
-    "Diagnosis": "fjr_core.monitoring.diagnosis",
-    "Record": "fjr_core.monitoring.record",
-    "diagnose": "fjr_core.monitoring.diagnosis",
-    "synthesize": "fjr_core.tuning.gain_synthesis",
+    "Diagnosis": "fjr_monitor.diagnosis.diagnosis",
+    "Record": "fjr_monitor.diagnosis.record",
+    "diagnose": "fjr_monitor.diagnosis.diagnosis",
+    "synthesize": "fjr_design.tuning.gain_synthesis",
 }
 """Public names of other packages, each with its module, which is imported on use."""
 _RENAMED = {

@@ -20,16 +20,16 @@ from typing import Any
 
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from fjr_bringup.discovery import discover_quickly
-from fjr_bringup.interrupt import Interrupted
-from fjr_bringup.progress import heartbeat, phase, progress_bar
-from fjr_bringup.recording.reader import header_stamp
-from fjr_bringup.recording.recorder import Recorder
-from fjr_bringup.recording.run_folder import RunFolder
 from fjr_bringup.runner.node_process import NodeProcess
 from fjr_bringup.runner.plant_client import PlantClient
 from fjr_core.errors import FjrError
+from fjr_monitor.recording.reader import header_stamp
+from fjr_monitor.recording.recorder import Recorder
+from fjr_monitor.recording.run_folder import RunFolder
 from fjr_msgs_py import names
+from fjr_msgs_py.console.discovery import discover_quickly
+from fjr_msgs_py.console.interrupt import Interrupted
+from fjr_msgs_py.console.progress import heartbeat, phase, progress_bar
 from fjr_msgs_py.node.environment import domain
 from fjr_msgs_py.node.scheduling import prioritised
 

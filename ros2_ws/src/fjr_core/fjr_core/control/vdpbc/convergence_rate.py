@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...numerics.checks import Array
+from ...numerics.intervals import Interval, product
+from ...numerics.matrix_pencil import least_eigenvalue
 from ...numerics.one_line import one_line
 from ...robot.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from ...robot.robot import Robot
-from ...verification.intervals import Interval, product
-from ...verification.matrix_pencil import least_eigenvalue
 from .gains import CheckedGains, relative_eigenvalues
 
 ROUNDING = 1e-9
